@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby, pairwise
 
+from drivers.dlp4500.layout import Values
 from drivers.dlp4500.protocol import (
     COLOURS,
     ENTRY,
@@ -23,7 +24,6 @@ from drivers.dlp4500.protocol import (
     PatternTrigger,
     Source,
     TriggerMode,
-    Values,
 )
 
 SIZE = (912, 1140)

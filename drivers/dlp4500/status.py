@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from drivers.dlp4500.protocol import Values
+from drivers.dlp4500.layout import Values
 
 HARDWARE_FAULTS = {
     "reset_controller_error": "overlapping resets of the mirrors",

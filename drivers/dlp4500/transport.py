@@ -13,7 +13,7 @@ from typing import Any, Protocol
 from drivers.clock import Clock
 from drivers.dlp4500 import framing
 from drivers.dlp4500.framing import READ, REPLY_WANTED, Header, UsbMessage
-from drivers.dlp4500.protocol import Command, RawBytes, RegisterLayout, Values
+from drivers.dlp4500.layout import Command, RawBytes, RegisterLayout, Values
 from fpplab.core.errors import DeviceError, DeviceTimeoutError, DisconnectedError, ProtocolError, SettingError
 
 VENDOR, PRODUCT = 0x0451, 0x6401

@@ -8,9 +8,11 @@ While everything is being closed a second one would leave a device open: it coun
 
 from __future__ import annotations
 
+import _thread
 import os
 import signal
 import sys
+import threading
 import time
 from types import FrameType
 from typing import Any
@@ -23,8 +25,11 @@ CLOSING_S = 3.0
 CANCELLED = 130
 """Exit code."""
 
-_interrupted_s: list[float] = []
-"""When this process was interrupted, by the monotonic clock."""
+_interrupted: list[tuple[float, signal.Signals]] = []
+"""When this process was interrupted, by the monotonic clock, and by which signal."""
+_again: list[signal.Signals] = []
+"""The signal that is to come again."""
+_sending = threading.Lock()
 
 
 def watch_signals() -> None:
@@ -32,13 +37,13 @@ def watch_signals() -> None:
     for number in SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:  # a background job does not hear Ctrl-C
             signal.signal(number, _interrupt)
-    signal.signal(signal.SIGALRM, _interrupt)
     sys.unraisablehook = _unraisable
 
 
 def leave_at_once() -> None:
     """Have both signals end the process at once: everything is closed, and its answer given."""
-    signal.setitimer(signal.ITIMER_REAL, 0)
+    with _sending:
+        _again.clear()
     for number in SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, lambda *_: os._exit(CANCELLED))
@@ -68,13 +73,31 @@ def comes_of(error: BaseException | None, kind: type[BaseException]) -> bool:
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
     now_s = time.monotonic()
-    if number != signal.SIGALRM and _interrupted_s and now_s - _interrupted_s[-1] < CLOSING_S:
+    if number in _again:
+        _again.clear()
+    elif _interrupted and now_s - _interrupted[-1][0] < CLOSING_S:
         return
-    _interrupted_s.append(now_s)
+    _interrupted.append((now_s, signal.Signals(number)))
     if _is_importing(frame):
-        signal.setitimer(signal.ITIMER_REAL, AGAIN_S)
+        _come_again()
         return
     raise KeyboardInterrupt
+
+
+def _come_again() -> None:
+    """Have the signal come again, from a thread: an alarm would crash pylon's emulated camera."""
+    _again[:] = [_interrupted[-1][1] if _interrupted else signal.SIGINT]
+    _thread.start_new_thread(_send_again, ())  # without a lock, which the interrupted code may hold
+
+
+def _send_again() -> None:
+    time.sleep(AGAIN_S)
+    with _sending:
+        for number in _again:
+            if hasattr(signal, "pthread_kill"):  # which also ends what the main thread waits for
+                signal.pthread_kill(threading.main_thread().ident or 0, number)
+            else:
+                _thread.interrupt_main(number)
 
 
 def _is_importing(frame: FrameType | None) -> bool:
@@ -87,6 +110,6 @@ def _is_importing(frame: FrameType | None) -> bool:
 
 def _unraisable(swallowed: Any) -> None:
     if issubclass(swallowed.exc_type, KeyboardInterrupt):
-        signal.setitimer(signal.ITIMER_REAL, AGAIN_S)
+        _come_again()
     else:
         sys.__unraisablehook__(swallowed)

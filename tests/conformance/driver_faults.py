@@ -9,8 +9,9 @@ GENICAM, GENICAM_FEATURES, GENICAM_NAMES, GENICAM_GAIN, GENICAM_OPTIONS = (
     f"drivers/genicam/{name}.py" for name in ("camera", "features", "names", "gain", "options")
 )
 STAGE, STAGE_WIRE = "drivers/stage_grbl/device.py", "drivers/stage_grbl/wire.py"
-DLP_LINK, DLP_CONTROLLER, DLP_SEQUENCE, DLP_DEVICE, DLP_VIDEO = (
-    f"drivers/dlp4500/{name}.py" for name in ("transport", "controller", "sequence", "device", "on_video")
+DLP_LINK, DLP_BOARD, DLP_CONTROLLER, DLP_SEQUENCE, DLP_DEVICE, DLP_VIDEO = (
+    f"drivers/dlp4500/{name}.py"
+    for name in ("transport", "board", "controller", "sequence", "device", "on_video")
 )
 DISPLAY_WINDOW, DISPLAY_SCREEN = "drivers/display/window.py", "drivers/display/screen.py"
 
@@ -497,22 +498,22 @@ DRIVER_OF_DLP4500 = [
     ),
     Fault(
         "dlp4500: LEDs the wrong way round",
-        DLP_CONTROLLER,
-        "Controller.set_led_levels",
+        DLP_BOARD,
+        "ProjectorBoard.set_led_levels",
         "LED_FULL - levels[colour] if inverted else levels[colour]",
         "levels[colour]",
     ),
     Fault(
         "dlp4500: dark by stopping alone",
-        DLP_CONTROLLER,
-        "Controller.go_dark",
+        DLP_BOARD,
+        "ProjectorBoard.go_dark",
         "both.callback(..., self.leds_off)",
         "",
     ),
     Fault(
         "dlp4500: dark is tried once",
-        DLP_CONTROLLER,
-        "Controller",
+        DLP_BOARD,
+        "ProjectorBoard",
         "except (ProtocolError, DeviceTimeoutError):",
         "except ZeroDivisionError:",
     ),
@@ -584,8 +585,8 @@ DRIVER_OF_DLP4500 = [
     Fault("dlp4500: opens as it was left", DLP_DEVICE, "Dlp4500._open", "controller.go_dark()", ""),
     Fault(
         "dlp4500: lit after a failure",
-        DLP_CONTROLLER,
-        "Controller.dark_on_failure",
+        DLP_BOARD,
+        "ProjectorBoard.dark_on_failure",
         "self.go_dark()",
         "self.status()",
     ),
@@ -600,7 +601,7 @@ DRIVER_OF_DLP4500 = [
 
 VIDEO_PORT_OF_DLP4500 = [
     Fault("dlp4500: a frame's colours in a picture's order", DLP_VIDEO, "RGB", "(1, 0, 2)", "(0, 1, 2)"),
-    Fault("dlp4500: channels as they come in", DLP_CONTROLLER, "BOARD_CHANNEL_SWAP", "4", "0"),
+    Fault("dlp4500: channels as they come in", DLP_BOARD, "BOARD_CHANNEL_SWAP", "4", "0"),
     Fault(
         "dlp4500: pattern mode before the signal",
         DLP_VIDEO,

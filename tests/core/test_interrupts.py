@@ -51,6 +51,21 @@ try:
 except KeyboardInterrupt:
     print("stopped" if slow.whole else "half")
 """,
+    "in an import, before a camera of pylon's emulation that grabs": """
+sys.path.insert(0, sys.argv[1])
+from pypylon import pylon
+os.environ["PYLON_CAMEMU"] = "1"
+camera = pylon.InstantCamera(pylon.TlFactory.GetInstance().CreateFirstDevice())
+camera.Open()
+camera.StartGrabbing()
+import slow
+try:
+    wait()
+except KeyboardInterrupt:
+    print("stopped" if camera.IsGrabbing() else "idle")
+camera.StopGrabbing()
+camera.Close()
+""",
     "twice, while all is closed": """
 try:
     hit()

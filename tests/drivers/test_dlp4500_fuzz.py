@@ -10,7 +10,8 @@ import pytest
 from drivers.clock import SteppedClock
 from drivers.dlp4500 import protocol
 from drivers.dlp4500.framing import MOST_PAYLOAD, continuation_reports
-from drivers.dlp4500.protocol import COMMANDS, Command, RawBytes, RegisterLayout
+from drivers.dlp4500.layout import Command, RawBytes, RegisterLayout
+from drivers.dlp4500.protocol import COMMANDS
 from drivers.dlp4500.transport import Link
 from drivers.emulators.dlpc350 import Dlpc350, Dlpc350Policy, EmulatedHid, UsbFault
 from fpplab.core.errors import DeviceError

@@ -20,15 +20,8 @@ from drivers.dlp4500.framing import (
     make_request,
     parse_header,
 )
-from drivers.dlp4500.protocol import (
-    COMMANDS,
-    ENTRY,
-    VALIDATION,
-    Command,
-    RawBytes,
-    RegisterField,
-    RegisterLayout,
-)
+from drivers.dlp4500.layout import Command, RawBytes, RegisterField, RegisterLayout
+from drivers.dlp4500.protocol import COMMANDS, ENTRY, VALIDATION
 
 WRITTEN: dict[int, tuple[dict[str, int], str]] = {
     0x0200: ({"standby": 1}, "01"),

@@ -19,6 +19,7 @@ from drivers.dlp4500.flash.loader import MOST_DATA, BootLoaderLink, boot_loader_
 from drivers.dlp4500.flash.upload import check_firmware, plan_upload, verify_image_count
 from drivers.dlp4500.framing import UsbMessage
 from drivers.dlp4500.sequence import SIZE
+from drivers.dlp4500.transport import Link
 from drivers.emulators.dlpc350 import Dlpc350Policy, UsbFault
 from drivers.emulators.dlpc350.flash import SPLASH_ADDRESS
 from fpplab.cli import app
@@ -346,6 +347,21 @@ class Deaf(Bench):
 def test_a_projector_that_stays_in_its_program_is_reported():
     with pytest.raises(StateError, match="does not reappear in its boot loader within 15 s"):
         Deaf().upload(BUILT)
+
+
+class BusyComputer(Bench):
+    """Looks in vain for the projector while it restarts, and does nothing more for a long time."""
+
+    def link(self) -> Link:
+        try:
+            return super().link()
+        except DeviceError:
+            self.clock.sleep(20.0)
+            raise
+
+
+def test_a_projector_that_reappeared_while_the_computer_was_busy_is_found():
+    assert BusyComputer(MAKER).upload(BUILT)
 
 
 def test_a_projector_that_finds_other_images_is_reported():

@@ -21,7 +21,7 @@ $b ln -s "$UNPACKED/bin/udevadm" /run/systemd-udevd
 /run/systemd-udevd --daemon || { echo "guest: no udevd"; end 1; }
 
 cd "$CHECKOUT" || end 1
-$b mkdir -p /dev/shm && $b mount -t tmpfs shm /dev/shm
+$b mkdir -p /dev/shm /dev/pts && $b mount -t tmpfs shm /dev/shm && $b mount -t devpts devpts /dev/pts
 "$PYTHON" -m tests.vm.projector &
 "$PYTHON" -m tests.vm.uvc &
 status=0

@@ -47,6 +47,13 @@ class ScreenBench(XScreenBench):
 
     def open(self) -> None:
         super().open()
+        try:
+            self._open_devices()
+        except BaseException:
+            self.close()
+            raise
+
+    def _open_devices(self) -> None:
         self._usb = plugged()
         self.display = SeenDisplay(self, self._seen_px)
         optical = self.optics_rig.stage

@@ -35,9 +35,11 @@ def scene(tmp_path: Path) -> World:
     world = config.parse_yaml((tmp_path / "world.yaml").read_text(), "world")
     world["camera"] |= {"sensor_size": [WIDTH, HEIGHT], "pixel_um": 273.6}
     world["projector"]["leds"]["green"]["lumens"] = 0.004
+    del world["items"]["board"]
     world["stage"] = {"travel_mm": [0, 40], "axis": [1, 0, 0]}
     optics = config.parse_yaml((tmp_path / "optics.yaml").read_text(), "optics")
     optics["camera"]["bits"] = 12
+    del optics["fixture"]
     optics["stage"] = {"backend": "sim.devices:SimStage"}
     rig = config.parse_yaml((Path(__file__).parent / "rig_three.yaml").read_text(), "rig")
     rig["bench"]["optics"] = "optics.yaml"

@@ -14,7 +14,8 @@ from contextlib import contextmanager, suppress
 
 from drivers.clock import Clock
 from drivers.dlp4500.flash import memory
-from drivers.dlp4500.protocol import VERSION, Command, RawBytes, RegisterField, RegisterLayout
+from drivers.dlp4500.layout import Command, RawBytes, RegisterField, RegisterLayout
+from drivers.dlp4500.protocol import VERSION
 from drivers.dlp4500.transport import Link
 from fpplab.core.errors import (
     DeviceError,
@@ -294,9 +295,10 @@ def _runs_program(link: Link) -> bool:
 
 def _restarted(connect: Connect, clock: Clock, name: str, into_program: bool) -> Link:
     """Open the projector again once it has reappeared running the other program."""
-    deadline = clock.now() + RESTART_LIMIT_S
-    while clock.now() < deadline:
+    deadline, is_last = clock.now() + RESTART_LIMIT_S, False
+    while not is_last:
         clock.sleep(RESTART_POLL_S)
+        is_last = clock.now() >= deadline  # tried after it, too: a busy computer may sleep for longer
         try:
             link = connect()
         except DeviceError:  # not reappeared yet, or not ready yet

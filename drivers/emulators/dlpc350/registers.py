@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from drivers.dlp4500 import protocol
-from drivers.dlp4500.protocol import COMMANDS, Command, RegisterLayout, Source, TriggerMode, Values
+from drivers.dlp4500.layout import Command, RegisterLayout, Values
+from drivers.dlp4500.protocol import COMMANDS, Source, TriggerMode
 
 SEQUENCE_COMMANDS = {
     command.number

@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from drivers.dlp4500.protocol import DELAY_STEP_US, ZERO_DELAY, PatternTrigger, Run, TriggerMode, Values
+from drivers.dlp4500.layout import Values
+from drivers.dlp4500.protocol import DELAY_STEP_US, ZERO_DELAY, PatternTrigger, Run, TriggerMode
 
 ROUNDING_S = 1e-9
 """Tolerance in s for rounding, where a time is compared with that of a video frame or of a loaded image."""

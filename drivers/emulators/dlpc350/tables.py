@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import TypeVar
 
-from drivers.dlp4500.protocol import ENTRY, MOST_ENTRIES, Values
+from drivers.dlp4500.layout import Values
+from drivers.dlp4500.protocol import ENTRY, MOST_ENTRIES
 
 Content = TypeVar("Content")
 RegisterContents = dict[int, Content]

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import pairwise
 
-from drivers.dlp4500.protocol import PatternTrigger, Values
+from drivers.dlp4500.layout import Values
+from drivers.dlp4500.protocol import PatternTrigger
 from drivers.dlp4500.sequence import LEAST_EXPOSURE_US, bit_planes
 
 LEAST_GAP_US = 230

@@ -1,0 +1,445 @@
+"""The DLPC350 apart from its sequences: identity, power, light, trigger outputs, display mode, video.
+
+Commands are sent, awaited, and their effect is verified. Every wait has a time limit.
+
+Source: TI's DLPC350 client, GUI and SDK, and what their users report. Not yet tested on a board.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
+
+from drivers.clock import Clock
+from drivers.dlp4500 import protocol
+from drivers.dlp4500.protocol import COLOURS, DisplayMode, Run
+from drivers.dlp4500.status import (
+    Status,
+)
+from drivers.dlp4500.transport import Link
+from fpplab.core.errors import DeviceError, DeviceTimeoutError, ProtocolError, SettingError
+
+LED_FULL = 255
+"""Level of an LED at full current."""
+TEST_PATTERN_FULL = 1023
+"""Full intensity of a test pattern's colour."""
+PARALLEL_24_BIT = {"source": 0, "width": 1}
+"""Input source: the parallel port, 24 bits wide."""
+INTERNAL_TEST_PATTERN = {"source": 1, "width": 1}
+"""Input source: the internal test pattern."""
+BOARD_CHANNEL_SWAP = {"swap": 4, "port": 0}
+"""Colour channels of the HDMI input of the evaluation module."""
+
+MODE_STEP_S, MODE_S = 0.1, 2.0
+"""Polling interval and time limit in s of a change of display mode; the pairs below are of the same form."""
+STOP_STEP_S, STOP_S = 0.01, 2.0
+LOCK_STEP_S, LOCK_S = 0.1, 1.5
+WAKE_STEP_S, WAKE_S = 0.1, 5.0
+"""Waking has the longest limit that existing clients use."""
+SETTLING_S = 5.0
+"""Time in s that TI's GUI waits after a reset before it opens the device again."""
+
+
+def delay_code(us: float) -> int:
+    """Convert a trigger delay to the controller's unit.
+
+    Parameters
+    ----------
+    us : float
+        Delay in µs.
+
+    Returns
+    -------
+    int
+        Delay in steps of 0.1072 µs, offset by `protocol.ZERO_DELAY`.
+    """
+    return protocol.ZERO_DELAY + round(us / protocol.DELAY_STEP_US)
+
+
+class ProjectorBoard:
+    """The DLPC350 behind a link, without its sequences.
+
+    Every method that sends commands may raise the errors of `Link.write` and `Link.read`.
+
+    Parameters
+    ----------
+    link : Link
+        Open link to the controller.
+    clock : Clock
+        For waits and time limits.
+    name : str
+        The projector's name, for errors.
+
+    Attributes
+    ----------
+    link : Link
+        The link to the controller.
+    """
+
+    def __init__(self, link: Link, clock: Clock, name: str) -> None:
+        self.link, self._clock, self._name = link, clock, name
+        self._warnings: list[str] = []
+
+    # --- status and power
+
+    def status(self) -> Status:
+        """Read the three status commands.
+
+        Returns
+        -------
+        Status
+            Hardware, system and main status.
+        """
+        link = self.link
+        return Status(
+            link.read(protocol.HARDWARE_STATUS),
+            link.read(protocol.SYSTEM_STATUS),
+            link.read(protocol.MAIN_STATUS),
+        )
+
+    def check_health(self) -> None:
+        """Check that the controller has initialised and passed its memory test.
+
+        Raises
+        ------
+        DeviceError
+            It has not.
+        """
+        status = self.status()
+        if not (status.hardware["initialised"] and status.system["memory_test_passed"]):
+            raise DeviceError(self._name, "open", "; ".join(status.faults), "switch the projector off and on")
+
+    def version(self, part: str = "application") -> str:
+        """Read the version of a part of the firmware.
+
+        Parameters
+        ----------
+        part : str
+            One of `protocol.PARTS`.
+
+        Returns
+        -------
+        str
+            Such as "4.4.0".
+        """
+        read = self.link.read(protocol.VERSION)
+        return ".".join(str(read[f"{part}_{field}"]) for field in ("major", "minor", "patch"))
+
+    def firmware_tag(self) -> str:
+        """Read the firmware's name.
+
+        Returns
+        -------
+        str
+            Up to 32 ASCII characters.
+        """
+        return self.link.read_bytes(protocol.FIRMWARE_TAG).split(b"\0")[0].decode("ascii", "replace")
+
+    def is_standby(self) -> bool:
+        """Tell whether the projector is in standby.
+
+        Returns
+        -------
+        bool
+            True in standby.
+        """
+        return bool(self.link.read(protocol.POWER)["standby"])
+
+    def wake(self) -> None:
+        """Leave standby and wait for it.
+
+        Raises
+        ------
+        DeviceTimeoutError
+            The projector is still in standby after 5 s.
+        """
+        with suppress(
+            DeviceTimeoutError, ProtocolError
+        ):  # its reply often fails while the projector wakes; the state is read below
+            self.link.write(protocol.POWER, standby=0)
+
+        def awake() -> bool:
+            with suppress(DeviceTimeoutError):
+                return not self.is_standby()
+            return False
+
+        self._until(awake, "wake", "is still in standby", WAKE_STEP_S, WAKE_S)
+
+    def enter_standby(self) -> None:
+        """Switch the light off and enter standby, which is possible from video mode only.
+
+        Raises
+        ------
+        DeviceTimeoutError
+            The projector is still awake after 5 s.
+        """
+        self.go_dark()
+        self.set_display_mode(DisplayMode.VIDEO)
+        self.link.write(protocol.POWER, standby=1)
+        self._until(self.is_standby, "standby", "is still awake", WAKE_STEP_S, WAKE_S)
+
+    def reset(self) -> None:
+        """Restart the controller and close the link: the USB device disappears and must be opened again."""
+        self.go_dark()
+        self.link.write(protocol.SOFTWARE_RESET)
+        self.link.close()
+        self._clock.sleep(SETTLING_S)
+
+    # --- light
+
+    def set_led_levels(self, levels: Mapping[str, int], inverted: bool) -> None:
+        """Set the LED currents.
+
+        Parameters
+        ----------
+        levels : mapping of str to int
+            Level by colour, 0 (off) to 255 (full).
+        inverted : bool
+            Whether the board takes 255 for off and 0 for full.
+
+        Raises
+        ------
+        SettingError
+            A level is out of range.
+        """
+        for colour in COLOURS:
+            if not 0 <= levels[colour] <= LED_FULL:
+                raise SettingError(
+                    self._name, "LED current", f"{colour} is {levels[colour]}", f"0 to {LED_FULL}"
+                )
+        self.link.write(
+            protocol.LED_CURRENT,
+            **{colour: LED_FULL - levels[colour] if inverted else levels[colour] for colour in COLOURS},
+        )
+
+    def switch_on_leds(self, levels: Mapping[str, int], inverted: bool) -> None:
+        """Switch the LEDs on by hand, without a sequence; those at level 0 are off.
+
+        Parameters
+        ----------
+        levels : mapping of str to int
+            Level by colour, 0 (off) to 255 (full).
+        inverted : bool
+            Whether the board takes 255 for off and 0 for full.
+
+        Raises
+        ------
+        SettingError
+            A level is out of range.
+        """
+        self.set_led_levels(levels, inverted)
+        self.link.write(
+            protocol.LED_ENABLE, sequenced=0, **{colour: int(levels[colour] > 0) for colour in COLOURS}
+        )
+
+    def leds_off(self) -> None:
+        """Switch all LEDs off, whatever the sequencer does."""
+        self.link.write(protocol.LED_ENABLE, red=0, green=0, blue=0, sequenced=0)
+
+    def go_dark(self) -> None:
+        """Switch the LEDs off, then stop the sequence.
+
+        Each is tried twice, and the sequence is stopped even if the LEDs could not be switched off.
+        """
+        with ExitStack() as both:
+            both.callback(self._try_twice, self.stop)
+            both.callback(self._try_twice, self.leds_off)  # callbacks run in reverse: this one first
+
+    @contextmanager
+    def dark_on_failure(self) -> Iterator[None]:
+        """Switch the light off if the code in the context fails.
+
+        If the light cannot be switched off, a note is added to the original exception, which is raised in any
+        case.
+
+        Yields
+        ------
+        None
+            The context.
+        """
+        try:
+            yield
+        except BaseException as error:
+            try:
+                self.go_dark()
+            except DeviceError as still_lit:
+                error.add_note(f"and its light could not be switched off: {still_lit}")
+            raise
+
+    @staticmethod
+    def _try_twice(order: Callable[[], None]) -> None:
+        try:
+            order()
+        except (ProtocolError, DeviceTimeoutError):
+            order()
+
+    # --- input and triggers
+
+    def reset_image_options(self) -> None:
+        """Reset the settings of earlier users: images are not flipped, inverted or frozen."""
+        for command in (protocol.LONG_AXIS_FLIP, protocol.SHORT_AXIS_FLIP, protocol.FREEZE, protocol.INVERT):
+            self.link.write(command, on=0)
+
+    def set_trigger_out_1(self, inverted: bool, rising_us: float, falling_us: float) -> None:
+        """Configure trigger output 1, which is active while a pattern is shown.
+
+        Parameters
+        ----------
+        inverted : bool
+            Whether the output is active low.
+        rising_us : float
+            Delay of the rising edge in µs, -20.05 to 2.79.
+        falling_us : float
+            Delay of the falling edge in µs, -20.05 to 2.79.
+
+        Raises
+        ------
+        SettingError
+            A delay is out of range.
+        """
+        self.link.write(
+            protocol.TRIGGER_OUT_1,
+            inverted=int(inverted),
+            rising=delay_code(rising_us),
+            falling=delay_code(falling_us),
+        )
+
+    def set_trigger_out_2(self, inverted: bool, rising_us: float) -> None:
+        """Configure trigger output 2, which pulses once in a run.
+
+        Parameters
+        ----------
+        inverted : bool
+            Whether the output is active low.
+        rising_us : float
+            Delay of the rising edge in µs, -20.05 to 2.79.
+
+        Raises
+        ------
+        SettingError
+            The delay is out of range.
+        """
+        self.link.write(protocol.TRIGGER_OUT_2, inverted=int(inverted), rising=delay_code(rising_us))
+
+    def set_display_mode(self, mode: DisplayMode) -> None:
+        """Change between video and pattern mode, and wait for the change.
+
+        Parameters
+        ----------
+        mode : DisplayMode
+            The mode to enter.
+
+        Raises
+        ------
+        DeviceTimeoutError
+            The mode is not entered within 2 s.
+        """
+        if self._mode() == mode:
+            return
+        if mode is DisplayMode.PATTERN:  # with a test pattern selected the USB link was lost on the way back
+            self.link.write(protocol.INPUT_SOURCE, **PARALLEL_24_BIT)
+        self.link.write(protocol.DISPLAY_MODE, mode=int(mode))
+        self._until(
+            lambda: self._mode() == mode, "display mode", f"is not in {mode.name} mode", MODE_STEP_S, MODE_S
+        )
+
+    def select_video(self) -> None:
+        """Select 24-bit frames from the parallel port (HDMI), and wait until their signal is locked.
+
+        To be called before patterns from the video port are prepared.
+
+        Raises
+        ------
+        DeviceTimeoutError
+            There is no stable signal within 1.5 s.
+        """
+        self.set_display_mode(DisplayMode.VIDEO)
+        self.link.write(protocol.INPUT_SOURCE, **PARALLEL_24_BIT)
+        self.link.write(protocol.PORT_CLOCK, clock=0)
+        self.link.write(protocol.PIXEL_FORMAT, format=0)
+        self.link.write(protocol.CHANNEL_SWAP, **BOARD_CHANNEL_SWAP)
+        self._until(self.is_locked, "video", "no signal is locked on the video port", LOCK_STEP_S, LOCK_S)
+
+    def show_test_pattern(self, name: str) -> None:
+        """Show an internal test pattern, white on black, lit by the LEDs at their present currents.
+
+        Parameters
+        ----------
+        name : str
+            One of `protocol.TEST_PATTERNS`.
+        """
+        self.go_dark()
+        self.set_display_mode(DisplayMode.VIDEO)
+        self.link.write(protocol.INPUT_SOURCE, **INTERNAL_TEST_PATTERN)
+        self.link.write(protocol.TEST_PATTERN, pattern=protocol.TEST_PATTERNS.index(name))
+        white = dict.fromkeys(("front_red", "front_green", "front_blue"), TEST_PATTERN_FULL)
+        black = dict.fromkeys(("back_red", "back_green", "back_blue"), 0)
+        self.link.write(protocol.TEST_PATTERN_COLOURS, **white, **black)
+        self.link.write(protocol.LED_ENABLE, red=0, green=0, blue=0, sequenced=1)
+
+    def is_locked(self) -> bool:
+        """Tell whether the video port has a stable signal.
+
+        Returns
+        -------
+        bool
+            True when the signal is locked.
+        """
+        return self.link.read(protocol.VIDEO_SIGNAL)["lock"] == protocol.LOCKED
+
+    def images_in_flash(self) -> int:
+        """Read the number of images in flash.
+
+        Returns
+        -------
+        int
+            Number of images; 0 may also mean 256.
+        """
+        return self.link.read(protocol.IMAGES_IN_FLASH)["count"]
+
+    def image_load_us(self, image: int) -> int:
+        """Measure the load time of a flash image.
+
+        Parameters
+        ----------
+        image : int
+            Its index.
+
+        Returns
+        -------
+        int
+            Load time in µs, rounded up.
+        """
+        self.link.write(protocol.IMAGE_LOAD_TIMING, first=image, count=1)
+        ticks = self.link.read(protocol.IMAGE_LOAD_TIMING)["ticks"]
+        return -(-1000 * ticks // protocol.TICKS_PER_MS)
+
+    def stop(self) -> None:
+        """Stop the sequence and wait for it; the next start begins at its first pattern.
+
+        Raises
+        ------
+        DeviceTimeoutError
+            The sequence still runs after 2 s.
+        """
+        self.link.write(protocol.SEQUENCE, run=Run.STOP)
+        self._until(
+            lambda: self.link.read(protocol.SEQUENCE)["run"] == Run.STOP,
+            "stop",
+            "the sequence still runs",
+            STOP_STEP_S,
+            STOP_S,
+        )
+
+    def _mode(self) -> int:
+        return self.link.read(protocol.DISPLAY_MODE)["mode"]
+
+    def _until(
+        self, done: Callable[[], bool], operation: str, found: str, step_s: float, most_s: float
+    ) -> None:
+        """Poll every `step_s` until done, or raise `DeviceTimeoutError` with `found` after `most_s`."""
+        for _ in range(round(most_s / step_s)):
+            if done():
+                return
+            self._clock.sleep(step_s)
+        raise DeviceTimeoutError(self._name, operation, f"{found} after {most_s:g} s", "switch it off and on")

@@ -1,0 +1,200 @@
+"""State of the emulated controller, and the light and trigger pulses that come of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from drivers.clock import Clock
+from drivers.display.window import VideoFrame
+from drivers.dlp4500 import protocol
+from drivers.dlp4500.layout import Values
+from drivers.dlp4500.protocol import (
+    COLOURS,
+    DisplayMode,
+    Source,
+)
+from drivers.dlp4500.sequence import SIZE, SOLID
+from drivers.emulators.dlpc350.light import FlashImage, ProjectedLight
+from drivers.emulators.dlpc350.policy import Dlpc350Policy
+from drivers.emulators.dlpc350.registers import power_on
+from drivers.emulators.dlpc350.sequencer import Pulse, Sequencer
+from drivers.emulators.dlpc350.tables import PatternTables
+from drivers.emulators.dlpc350.video import Video, apply_channel_swap
+
+
+def _black_image() -> FlashImage:
+    return np.zeros((SIZE[1], SIZE[0], 3), np.uint8)
+
+
+class LightEngine:
+    """The emulated controller without its commands.
+
+    Parameters
+    ----------
+    clock : Clock
+        Its time.
+    images : Sequence of FlashImage
+        What its flash holds.
+    policy : Dlpc350Policy, optional
+        Assumptions about undocumented behaviour.
+    on_pulse : callable
+        Called with every trigger pulse when its pattern begins.
+
+    Attributes
+    ----------
+    clock, images, policy, on_pulse
+        As given.
+    load_s : list of float
+        Load time of each flash image in s.
+    video : Video or None
+        The signal at its video port.
+    on_restart : callable
+        Called with the time in s for which the USB device is absent.
+    executed : list of int
+        Numbers of the commands that were carried out.
+    sequencer : Sequencer
+        Its pattern sequencer.
+    asleep : bool
+        Whether it is in standby.
+    """
+
+    def __init__(
+        self,
+        clock: Clock,
+        images: Sequence[FlashImage],
+        policy: Dlpc350Policy | None = None,
+        on_pulse: Callable[[Pulse], None] = lambda pulse: None,
+    ) -> None:
+        self.clock, self.images, self.policy = clock, images, policy or Dlpc350Policy()
+        self.on_pulse = on_pulse
+        self.on_restart: Callable[[float], None] = lambda seconds: None
+        self.load_s = [self.policy.image_load_s] * len(images)
+        self.video: Video | None = None
+        self.executed: list[int] = []
+        self.restart()
+
+    def restart(self) -> None:
+        """Reset to the power-on state."""
+        self.sequencer = Sequencer(self._report_pulse, self._latch_frame)
+        self._frame: VideoFrame | None = None
+        self._was_locked = False
+        self._registers = power_on()
+        self.asleep, self._awake_at_s = False, 0.0
+        self._mode, self._next_mode = DisplayMode.VIDEO, (DisplayMode.VIDEO, 0.0)
+        self._aborted, self._unvalidated = False, True
+        self._validated_s, self._ignored_starts, self._started_s = 0.0, 0, 0.0
+        self._validation_result = dict.fromkeys((field.name for field in protocol.VALIDATION.named), 0)
+        self._timing = 0
+        self._tables = PatternTables()
+
+    def _report_pulse(self, pulse: Pulse) -> None:
+        self.on_pulse(pulse)
+
+    def advance(self) -> None:
+        """Do everything that was due until now."""
+        now = self.clock.now()
+        mode, at_s = self._next_mode
+        if mode is not self._mode and now >= at_s:
+            self._mode = mode
+        self.sequencer.advance(now)
+
+    @property
+    def mode(self) -> DisplayMode:
+        """The present display mode."""
+        return self._mode
+
+    def light(self) -> ProjectedLight | None:
+        """Return the light that leaves the lens at this moment.
+
+        In video mode the content of the port is not followed: it counts as white.
+
+        Returns
+        -------
+        ProjectedLight or None
+            None when it is dark.
+        """
+        self.advance()
+        return self.light_at(self.clock.now())
+
+    def light_at(self, time_s: float) -> ProjectedLight | None:
+        """Return the light that leaves the lens at a given time.
+
+        It is meant for the receiver of a pulse, whose edges may lie a little ahead of the present time.
+
+        Parameters
+        ----------
+        time_s : float
+            Time in s, not before the last event.
+
+        Returns
+        -------
+        ProjectedLight or None
+            None when it is dark.
+        """
+        if self.asleep or self._is_parked():
+            return None
+        enabled = self._registers[protocol.LED_ENABLE.number]
+        if self._mode is DisplayMode.VIDEO:
+            return self._if_illuminated(
+                ProjectedLight(_black_image(), 1, SOLID, True, self._levels(enabled, COLOURS), None)
+            )
+        shown = self.sequencer.displayed_at(time_s, self.policy.keeps_last_pattern)
+        if shown is None:
+            return None
+        inverted = bool(shown.entry["invert"]) != bool(self._registers[protocol.INVERT.number]["on"])
+        levels = self._levels(enabled, tuple(colour for colour in COLOURS if shown.entry[colour]))
+        content, entry = self._content(shown.image), shown.entry
+        return self._if_illuminated(
+            ProjectedLight(content, entry["depth"], entry["pattern"], inverted, levels, shown.image)
+        )
+
+    @property
+    def inverts_output_1(self) -> bool:
+        """Whether trigger output 1 is low while a pattern is on."""
+        return bool(self._registers[protocol.TRIGGER_OUT_1.number]["inverted"])
+
+    def trigger_in(self, number: int, rising: bool) -> None:
+        """Take an edge on a trigger input, now.
+
+        Parameters
+        ----------
+        number : int
+            Trigger input 1 or 2.
+        rising : bool
+            Whether the edge is a rising one.
+        """
+        self.sequencer.trigger_in(number, rising, self.clock.now())
+
+    def _is_parked(self) -> bool:
+        return bool(self._registers[protocol.DMD_PARK.number]["on"])
+
+    def _levels(self, enabled: Values, sequenced: tuple[str, ...]) -> dict[str, float]:
+        """Return the levels of the LEDs that are on, by their own switches or as the sequencer sets them."""
+        on = sequenced if enabled["sequenced"] else tuple(c for c in COLOURS if enabled[c])
+        return {colour: self._led_level(colour) for colour in on}
+
+    @staticmethod
+    def _if_illuminated(light: ProjectedLight) -> ProjectedLight | None:
+        return light if any(light.levels.values()) else None
+
+    def _led_level(self, colour: str) -> float:
+        """Return the level 0 … 1 of an LED: on this board current 255 is off unless polarity is inverted."""
+        current = self._registers[protocol.LED_CURRENT.number][colour] / 255.0
+        return current if self._registers[protocol.LED_POLARITY.number]["inverted"] else 1.0 - current
+
+    def _content(self, image: int) -> FlashImage:
+        if self._registers[protocol.PATTERN_SOURCE.number]["source"] == Source.FLASH:
+            return self.images[image] if image < len(self.images) else _black_image()
+        if self._frame is None:
+            return _black_image()
+        swap = self._registers[protocol.CHANNEL_SWAP.number]["swap"]
+        return apply_channel_swap(self._frame, swap, self.policy.swap_letter_is_input)
+
+    def _latch_frame(self, at_s: float) -> None:
+        """Keep the frame that is on the video port, until the next one is taken."""
+        self._frame = self.video.frame_at(at_s) if self.video else None
+
+    def _is_locked(self) -> bool:
+        return self.video is not None and self.video.locked
