@@ -6,7 +6,7 @@ WORKERS ?= 2
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: setup demo test test-slow test-usb lint bench crash clean
+.PHONY: setup demo test test-slow test-usb crash fuzz soak mutants full-disk lint bench clean
 
 setup: $(READY)
 
@@ -29,6 +29,23 @@ test-slow: setup
 # The projector's driver through a real kernel: a virtual machine of Debian's packages, unpacked into build/vm.
 test-usb: setup
 	$(BIN)/python -m tests.vm
+
+# Everything that reads files or bytes of others under atheris, SECONDS for each target.
+SECONDS ?= 1800
+fuzz: setup
+	$(BIN)/python -m tests.fuzz --seconds $(SECONDS) --jobs $(WORKERS)
+
+# 500 scans and 100 reconnections of each device in one process, which may not grow.
+soak: setup
+	$(BIN)/python -m tests.soak
+
+# Faults seeded on the syntax of the sources: the quick tests have to notice 95 % of them.
+mutants: setup
+	$(BIN)/python -m tests.mutants --workers $(WORKERS)
+
+# Writing commands on disks that are full at every page they write; root alone can mount such disks.
+full-disk: setup
+	$(BIN)/python -m tests.full_disk
 
 lint: setup
 	$(BIN)/ruff check .

@@ -1,4 +1,4 @@
-"""`python -m tests.full_disk [NAME …]`: each writing command of `commands.py` on disks full at every page."""
+"""Writing commands on disks that are full at every page: `python -m tests.full_disk [NAME …]`."""
 
 from __future__ import annotations
 

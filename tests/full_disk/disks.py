@@ -33,7 +33,7 @@ def make_read_only(place: Path) -> None:
 
 
 def detach(place: Path) -> None:
-    """Take the file system away, as a server does that is gone: nothing is there any more."""
+    """Take the file system away, as a server that is gone does: nothing is there any more."""
     _system("umount", "-l", place)
 
 

@@ -1,0 +1,85 @@
+"""Faults are seeded where they should be, judged by the tests that execute them, and mended again."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+import yaml
+
+from tests.mutants.__main__ import EQUIVALENT, explained
+from tests.mutants.areas import AREAS, draw, files_of
+from tests.mutants.choice import Chooser, importers
+from tests.mutants.coverage_map import CoverageMap
+from tests.mutants.judge import Bench, Verdict
+from tests.mutants.seeding import mutants
+from tests.mutants.tree import ROOT, copy_tree
+
+SOURCE = '''
+LIMIT = 3
+
+def f(a: int = 1, b: "list[int] | None" = None) -> bool:
+    """Words 1 < 2."""
+    assert a < 9
+    _log.info("%d", 1)
+    if a < LIMIT and not b:
+        raise ValueError(f"{a + 1}")
+    return max(a, 2) == 2
+'''
+
+
+def test_where_faults_are_seeded(tmp_path: Path) -> None:
+    (tmp_path / "m.py").write_text(SOURCE)
+    found = {(m.old, m.new) for m in mutants(tmp_path, "m.py")}
+    assert found == {
+        ("1", "2"),
+        ("a < LIMIT", "((a) <= (LIMIT))"),
+        ("a < LIMIT and not b", "((a < LIMIT) or (not b))"),
+        ("not b", "((b))"),
+        ('raise ValueError(f"{a + 1}")', "pass"),
+        ("max", "min"),
+        ("2", "3"),
+        ("max(a, 2) == 2", "((max(a, 2)) != (2))"),
+    }
+
+
+@pytest.mark.parametrize("area", AREAS)
+def test_every_fault_is_python_and_none_is_the_source(area: str) -> None:
+    for file in files_of(ROOT, area)[:3]:
+        source = (ROOT / file).read_bytes()
+        for mutant in mutants(ROOT, file)[::20]:
+            assert ast.dump(ast.parse(mutant.seeded(source))) != ast.dump(ast.parse(source)), mutant.name
+
+
+def test_a_draw_is_the_same_twice_and_has_as_many_of_each_area() -> None:
+    drawn = draw(ROOT, 2, 1, ("core", "sessions"))
+    assert [m.name for m in drawn] == [m.name for m in draw(ROOT, 2, 1, ("core", "sessions"))]
+    assert [m.file.split("/")[1] for m in drawn] == ["core", "sessions"] * 2
+    assert [m.name for m in drawn] != [m.name for m in draw(ROOT, 2, 2, ("core", "sessions"))]
+
+
+def test_explanations_are_of_faults_that_exist() -> None:
+    assert isinstance(yaml.safe_load(EQUIVALENT.read_text(encoding="utf-8")) or {}, dict)
+    by_file: dict[str, set[str]] = {}
+    for name in explained():
+        file = name.partition(" ")[0]
+        by_file.setdefault(file, {mutant.name for mutant in mutants(ROOT, file)})
+        assert name in by_file[file], f"{name} is no fault of today's sources"
+
+
+def test_modules_that_import_another() -> None:
+    assert "fpplab/core/config.py" in importers(ROOT, "fpplab/core/strict_yaml.py")
+    assert "fpplab/clouds/cloud.py" in importers(ROOT, "fpplab/clouds/ply.py")
+
+
+@pytest.mark.slow
+def test_a_fault_is_killed_a_harmless_one_survives_and_the_copy_is_mended(tmp_path: Path) -> None:
+    file, test = "fpplab/core/strict_json.py", "tests/core/test_reading.py::test_json_of_an_object_is_one"
+    wanted = next(m for m in mutants(ROOT, file) if "isinstance" in m.old)
+    known = CoverageMap({file: {wanted.line: [test]}}, {test: 1.0})
+    bench = Bench(copy_tree(tmp_path / "tree"), Chooser(ROOT, known))
+    assert bench.try_fault(wanted).verdict is Verdict.KILLED
+    assert (tmp_path / "tree" / file).read_bytes() == (ROOT / file).read_bytes()
+    other = next(m for m in mutants(ROOT, "fpplab/core/system.py"))
+    assert bench.try_fault(other).verdict is Verdict.UNTESTED

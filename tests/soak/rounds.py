@@ -1,0 +1,51 @@
+"""One scan after the other on one open rig, and devices that are opened, unplugged and opened again."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+from fpplab.acquisition.acquire import acquire
+from fpplab.core.errors import DeviceError
+from fpplab.phase import decode
+from fpplab.sessions.session import Session
+from tests.drivers.emulated_rig import PLAN, burn, rig_file
+from tests.drivers.grbl_stage import Bench
+from tests.drivers.projector_bench import Bench as ProjectorBench
+from tests.drivers.projector_bench import greys
+from tests.drivers.test_dlp4500_faults import Trial
+
+
+def scans(folder: Path, count: int) -> Iterator[None]:
+    """Acquire, write, read with checksums, and decode, so many times on one open rig."""
+    burn(folder)
+    with rig_file(folder) as rig:
+        for number in range(count):
+            place = folder / f"scan_{number}"
+            session = Session.create(place, PLAN, rig.described())
+            acquire(rig, PLAN, session)
+            assert not session.missing()
+            decode(Session.open(place).recording())
+            shutil.rmtree(place)
+            yield
+
+
+def plug_cycles(folder: Path, count: int) -> Iterator[None]:
+    """Projector and stage used, pulled out while they are open, and found again, so many times."""
+    for number in range(count):
+        place = folder / f"projector_{number}"
+        place.mkdir()
+        trial = Trial(ProjectorBench(greys(4), place))
+        trial.measure()
+        trial.projector.open()
+        trial.hid.unplug()
+        try:
+            trial.projector.show(0)
+            raise AssertionError("a projector that is gone shows a pattern")
+        except DeviceError:
+            trial.projector.close()
+        shutil.rmtree(place)
+        with Bench() as stage:
+            stage.homed().move_to(5.0, 30.0)
+        yield
