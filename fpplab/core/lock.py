@@ -145,12 +145,21 @@ def _locked(path: Path) -> int | None:
                 os.close(handle)
                 return None
             if _is_there_still(handle, path):
-                write_lock_owner(handle)
+                _write_owner_or_delete(handle, path)
                 return handle
         except BaseException:
             os.close(handle)
             raise
         os.close(handle)
+
+
+def _write_owner_or_delete(handle: int, path: Path) -> None:
+    try:
+        write_lock_owner(handle)
+    except BaseException:  # such as a full disk, on which the empty file would stay
+        with suppress(PermissionError):
+            path.unlink(missing_ok=True)
+        raise
 
 
 def _lock(handle: int, path: Path) -> bool:
