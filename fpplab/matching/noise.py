@@ -67,8 +67,7 @@ def match_noise(reference: Reference, twin: Twin, poses: Sequence[int]) -> TwinP
     now = twin.parameters
     changed = replace(now, vibration_mm=_vibration(reference, twin, now, poses))
     real = [_noise_of(reference, pose, reference.recorded(pose)) for pose in poses]
-    levels = [float(np.mean(reference.frames(pose, reference.one_of_each_set))) for pose in poses]
-    levels = [level / reference.full_scale * 255.0 for level in levels]
+    levels = [_bright_level(reference, pose) for pose in poses]
     for _ in range(ROUNDS):
         twin.become(changed)
         changed = _sensor_noise(reference, twin, poses, real, levels)
@@ -83,7 +82,7 @@ def _sensor_noise(
     real: Sequence[NoiseModel],
     levels: Sequence[float],
 ) -> TwinParameters:
-    """Change full well and read noise: variances at black and at the mean levels become the bench's."""
+    """Change full well and read noise: variances at black and at the bright levels become the bench's."""
     now = twin.parameters
     own = [_twin_noise(reference, twin, pose) for pose in poses]
     pairs = list(zip(real, own, strict=True))
@@ -102,6 +101,12 @@ def _sensor_noise(
     # Electrons per level: the read noise in levels is not to change with them.
     ratio = float(of_twin / of_bench)
     return replace(now, full_well_e=now.full_well_e * ratio, read_noise_e=now.read_noise_e * ratio)
+
+
+def _bright_level(reference: Reference, pose: int) -> float:
+    """Mean of what is brighter than the mean, in 8-bit grey levels: there shot noise outweighs rounding."""
+    frames = reference.frames(pose, reference.one_of_each_set)
+    return float(frames[frames > frames.mean()].mean()) / reference.full_scale * 255.0
 
 
 def _significant(differences: Floats) -> bool:

@@ -16,6 +16,7 @@ from PIL import Image as Pixels
 
 from fpplab.core.errors import DataError
 from fpplab.core.robust import error_limit
+from fpplab.patterns.curve import Curve
 from fpplab.report import figures, response_figures
 from fpplab.report.raster import block_mean, raster_of, rasterise
 
@@ -139,7 +140,7 @@ def test_drawing_does_not_change_matplotlib_settings() -> None:
 def test_all_other_figures_are_drawn() -> None:
     rng = np.random.default_rng(3)
     pixels = rng.uniform(0, 47, (30, 2))
-    response = SimpleNamespace(a=0.9, b=0.02, g=2.2)
+    response = Curve(a=0.9, b=0.02, g=2.2)
     levels = np.linspace(0, 1, 9)
     pictures = [
         figures.shaded_relief(cloud()),
