@@ -89,11 +89,8 @@ def claim_shard(folder: Path, number: int) -> Iterator[Path | None]:
     final = folder / shard_name(number)
     draft = folder / draft_name(number)
     with writing(final), ExitStack() as stack:
-        if final.exists():
-            yield None
-            return
         is_mine = stack.enter_context(locked_file(draft.with_name(f"{draft.name}.lock")))
-        if not is_mine or final.exists():  # finished since the first check
+        if not is_mine or final.exists():
             yield None
             return
         draft.mkdir(exist_ok=True)
