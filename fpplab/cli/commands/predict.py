@@ -28,9 +28,9 @@ def predict_command(
 ) -> None:
     """Predict a measurement without making it: distance, noise, completeness, wrong orders and time.
 
-    Each figure has an interval of 95 %. For a matched twin it contains what twin and bench differed by when
-    it was matched (`discrepancy.yaml`); for any other simulation only the scatter of the noise and the
-    uncertainty of the calibration. A sample of the image's rows is simulated.
+    Each figure has an interval of 95 %: of the scatter of the noise and the uncertainty of the calibration.
+    What twin and bench differ by is in it only where a `discrepancy.yaml` beside the rig file tells it, which
+    `fpplab match` does not write yet. A sample of the image's rows is simulated.
 
     Example: `fpplab predict --rig matched/rig.yaml --plan plan_paper --item pyramid`
     """
@@ -66,6 +66,8 @@ def _show(answer: dict[str, Any]) -> None:
         f"Prediction for the {answer['item']}", ["figure", "predicted", "at least", "at most"], rows
     )
     if not answer["matched"]:
-        console.say("no matched twin: what the simulation lacks of a bench is not in the intervals")
+        console.say(
+            "no discrepancy.yaml beside the rig file: what the simulation lacks is not in the intervals"
+        )
     if answer["looks_like"]:
         console.say(f"the twin's discrepancy looks like {answer['looks_like']}; not for {answer['not_for']}")
