@@ -105,6 +105,7 @@ def measurement(out: Path) -> dict[str, Any]:
 
 def matching(out: Path) -> dict[str, Any]:
     """Fit a twin to recordings that the command line has made, and show it."""
+    name_interpreter(sys.argv[2])
     choose(
         rig=str(out / "nominal.yaml"),
         reference=str(out / "board"),
