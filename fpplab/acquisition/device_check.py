@@ -14,8 +14,9 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from fpplab.acquisition.acquire import expose
-from fpplab.core.conventions import Image, full_scale
+from fpplab.core.conventions import Floats, Image, full_scale
 from fpplab.core.errors import DeviceError
+from fpplab.core.robust import robust_spread
 from fpplab.devices import CameraSettings, DeviceInfo, Frame
 from fpplab.devices.rig import Rig
 from fpplab.diagnosis import FaultCause, Finding
@@ -185,6 +186,33 @@ def mains_finding(rig: Rig, plan: Plan) -> Finding | None:
     )
 
 
+def flickers(rig: Rig, plan: Plan) -> bool:
+    """Tell whether the light flickers, by frames that all show one grey level: no slip changes these.
+
+    Parameters
+    ----------
+    rig : Rig
+        Open.
+    plan : Plan
+        With the exposure.
+
+    Returns
+    -------
+    bool
+        True where it does; False where the frames saturate.
+
+    Raises
+    ------
+    DeviceError
+        A device failed.
+    """
+    levels = _levels(rig, plan, plan.exposure_s)
+    if levels is None:
+        return False
+    middle = float(np.median(levels))
+    return robust_spread(levels - middle, 0.0) > LEAST_SCATTER * middle
+
+
 def with_mains(findings: Sequence[Finding], mains: Finding | None) -> tuple[Finding, ...]:
     """Put the mains before the flicker that they cause.
 
@@ -209,6 +237,12 @@ def with_mains(findings: Sequence[Finding], mains: Finding | None) -> tuple[Find
 
 def _scatter(rig: Rig, plan: Plan, exposure_s: float) -> float | None:
     """Standard deviation of the frames' brightness as a share; None where they saturate."""
+    levels = _levels(rig, plan, exposure_s)
+    return None if levels is None else float(np.std(levels, ddof=1) / np.mean(levels))
+
+
+def _levels(rig: Rig, plan: Plan, exposure_s: float) -> Floats | None:
+    """Mean levels (MAINS_FRAMES,) of frames that show one grey level; None where they saturate."""
     patterns = uniform_patterns([MAINS_LEVEL] * MAINS_FRAMES, rig.projector.caps.size)
     settings = rig.camera_settings(exposure_s, plan.bits)
     stepped = plan.model_copy(update={"trigger": "stepped"})
@@ -218,4 +252,4 @@ def _scatter(rig: Rig, plan: Plan, exposure_s: float) -> float | None:
             if float((shot.image >= top).mean()) > 0.01:
                 return None
             levels.append(float(shot.image.mean()))
-    return float(np.std(levels, ddof=1) / np.mean(levels))
+    return np.array(levels)

@@ -178,7 +178,7 @@ def check_rig(
     return RigCheck(
         shown=marker(),
         runs=tuple(marker_seen.runs),
-        findings=_ranked([*failed, *_weighed(marker_seen.findings, seen), *seen]),
+        findings=_ranked([*failed, *marker_seen.findings, *seen]),
         unknown=(*_untold(seen), *fringes.unknown, *(fringes.diagnosis.unknown if fringes.diagnosis else ())),
         settle_s=marker_seen.settle_s,
         timing=timing,
@@ -221,15 +221,6 @@ def _of_transport(rig: Rig, plan: Plan, timing: PulseTiming | None, folder: Path
         noise: Image = np.random.default_rng(0).integers(0, 256, (height, width), kind)
         found.append(disk_finding(folder, plan, noise, settings, period_s))
     return [one for one in found if one is not None]
-
-
-def _weighed(slips: Sequence[Finding], seen: Sequence[Finding]) -> list[Finding]:
-    """What the marker shows, where light that flickers may have looked like a display that is slow."""
-    flickers = any(finding.cause is FaultCause.FLICKER for finding in seen)
-    return [
-        replace(slip, excess=UNCERTAIN) if flickers and slip.cause is FaultCause.SLOW_DISPLAY else slip
-        for slip in slips
-    ]
 
 
 def _ranked(findings: list[Finding]) -> tuple[Finding, ...]:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.optimize import isotonic_regression
 
 from fpplab.acquisition.acquire import expose
+from fpplab.acquisition.device_check import flickers
 from fpplab.acquisition.exposure_shift import LEAST_SHARE, ExposureShift, exposure_shift
 from fpplab.acquisition.synchronisation import Cause, SyncFault, faults, remedy
 from fpplab.acquisition.timing import PulseTiming, pulse_timing
@@ -57,6 +58,8 @@ RUINOUS = 1e4
 """Excess of frames that are out of step: everything else follows from it."""
 UNCERTAIN = 1.0
 """Excess of frames that look out of step where another cause may be behind it."""
+SLIPS = (FaultCause.OUT_OF_STEP, FaultCause.SLOW_DISPLAY, FaultCause.CAMERA_NOT_READY)
+"""What is told by levels that do not rise with the grey levels shown."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,6 +210,17 @@ class MarkerInspection:
             if run.frames:
                 self.runs.append(run)
             self.findings += self._of_trigger(rig, triggered, shown, run)
+        self._doubt_slips(rig)
+
+    def _doubt_slips(self, rig: Rig) -> None:
+        """Leave slips uncertain where all frames came but light flickers, which looks alike."""
+        whole = all(run.frames == len(run.levels) for run in self.runs)
+        if not whole or not any(one.cause in SLIPS for one in self.findings) or not flickers(rig, self._plan):
+            return
+        self.findings, self._of_stepped = (
+            [replace(one, excess=UNCERTAIN) if one.cause in SLIPS else one for one in found]
+            for found in (self.findings, self._of_stepped)
+        )
 
     @property
     def fringe_plan(self) -> Plan | None:
