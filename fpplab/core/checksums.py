@@ -13,7 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fpplab.core.errors import DataError
-from fpplab.core.files import append_line, cut_torn_line, whole_lines, write_text, writing
+from fpplab.core.files import write_text, writing
+from fpplab.core.journals import append_line, cut_torn_line, whole_lines
 from fpplab.core.session_names import CHECKSUMS
 from fpplab.core.strict_json import parse_object
 

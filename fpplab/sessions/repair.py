@@ -15,7 +15,8 @@ from pathlib import Path
 from fpplab.core import config
 from fpplab.core.checksums import RecordedFile, recorded_files, write_recorded
 from fpplab.core.errors import DataError, FppError
-from fpplab.core.files import whole_lines, write_text, writing
+from fpplab.core.files import write_text, writing
+from fpplab.core.journals import whole_lines
 from fpplab.core.progress import Progress, no_progress
 from fpplab.core.session_names import CHECKSUMS, FORMAT, JOURNAL, PLAN, RIG
 from fpplab.patterns.plan import Plan
