@@ -8,7 +8,8 @@ lacks it; whether it may be taken again, although the part may have moved, is fo
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -116,7 +117,7 @@ def _readable_records(path: Path, report: RepairReport) -> Iterable[RecordedFile
     try:
         return recorded_files(path)
     except DataError as error:
-        kept = [one for line in whole_lines(path / CHECKSUMS) if (one := _recorded(line))]
+        kept = list(_whole_records(whole_lines(path / CHECKSUMS)))
         report.lost.append(f"{error}; what it proved can no longer be proved")
         _set_aside(path, CHECKSUMS, report)
         for one in kept:
@@ -130,12 +131,10 @@ def _readable_records(path: Path, report: RepairReport) -> Iterable[RecordedFile
         return recorded_files(path)
 
 
-def _recorded(line: bytes) -> RecordedFile | None:
-    try:
-        entry = json.loads(line)
-        return RecordedFile(entry["file"], entry["sha256"], entry.get("text"))
-    except (ValueError, TypeError, KeyError, AttributeError):
-        return None
+def _whole_records(lines: list[bytes]) -> Iterator[RecordedFile]:
+    for line in lines:
+        with suppress(ValueError):
+            yield RecordedFile.of_line(line)
 
 
 def _holds(file: Path, text: str) -> bool:
