@@ -129,7 +129,8 @@ def led(
         act = consent_words(DangerousAct.LED_CURRENT)
         raise LimitError(NAME, "led", f"levels above the limits: {', '.join(above)}", act)
     with _board(serial, echo) as board:
-        board.switch_on_leds(levels, inverted)
+        board.set_led_levels(levels, inverted)
+        board.switch_on_leds([colour for colour, level in levels.items() if level])
     console.answer(levels, json)
 
 

@@ -7,15 +7,13 @@ Source: TI's DLPC350 client, GUI and SDK, and what their users report. Not yet t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 
 from drivers.clock import Clock
 from drivers.dlp4500 import protocol
 from drivers.dlp4500.protocol import COLOURS, DisplayMode, Run
-from drivers.dlp4500.status import (
-    Status,
-)
+from drivers.dlp4500.status import Status
 from drivers.dlp4500.transport import Link
 from fpplab.core.errors import DeviceError, DeviceTimeoutError, ProtocolError, SettingError
 
@@ -212,24 +210,16 @@ class ProjectorBoard:
             **{colour: LED_FULL - levels[colour] if inverted else levels[colour] for colour in COLOURS},
         )
 
-    def switch_on_leds(self, levels: Mapping[str, int], inverted: bool) -> None:
-        """Switch the LEDs on by hand, without a sequence; those at level 0 are off.
+    def switch_on_leds(self, colours: Collection[str]) -> None:
+        """Switch LEDs on by hand, without a sequence, at the currents that are set; the others are off.
 
         Parameters
         ----------
-        levels : mapping of str to int
-            Level by colour, 0 (off) to 255 (full).
-        inverted : bool
-            Whether the board takes 255 for off and 0 for full.
-
-        Raises
-        ------
-        SettingError
-            A level is out of range.
+        colours : collection of str
+            Those that are on.
         """
-        self.set_led_levels(levels, inverted)
         self.link.write(
-            protocol.LED_ENABLE, sequenced=0, **{colour: int(levels[colour] > 0) for colour in COLOURS}
+            protocol.LED_ENABLE, sequenced=0, **{colour: int(colour in colours) for colour in COLOURS}
         )
 
     def leds_off(self) -> None:

@@ -69,7 +69,7 @@ NODE_MAPS = Suite(
         *("test_basler.py", "test_basler_faults.py"),
     ),
 )
-VIDEO_PORT = Suite(("rig_dlp4500_video.yaml",), ("test_dlp4500_video.py",))
+VIDEO_PORT = Suite(("rig_dlp4500_video.yaml",), ("dlp4500/test_video.py",))
 TRIGGER_CHECK = Suite(
     ("rig_reference.yaml",),
     ("../acquisition/test_exposure_shift.py", "test_emulated_check.py", "test_emulated_steps.py"),
@@ -101,12 +101,9 @@ SUITES = {
     "fpplab/live/keys.py": LOCKS,
     "drivers/dlp4500/": Suite(
         ("rig_dlp4500.yaml",),
-        (
-            "test_dlp4500_packets.py",
-            "test_dlp4500_sequence.py",
-            "test_dlp4500_transport.py",
-            "test_dlp4500_device.py",
-            "test_dlp4500_faults.py",
+        tuple(
+            f"dlp4500/test_{name}.py"
+            for name in ("packets", "sequence", "transport", "device", "start", "board", "faults")
         ),
     ),
     "drivers/stage_grbl/": Suite(("rig_grbl.yaml",), ("test_stage_grbl.py",)),

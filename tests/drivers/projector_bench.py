@@ -56,6 +56,11 @@ def flat(name: str, grey: int, bits: int = 8) -> Pattern:
     return Pattern(name, np.full((HEIGHT, WIDTH), grey, np.uint8), bits)
 
 
+def grey_of(pattern: Pattern) -> int:
+    """The grey of a flat pattern."""
+    return int(pattern.image[0, 0])
+
+
 def greys(count: int, bits: int = 8) -> list[Pattern]:
     """Uniform grey-level images, all different, from nearly black to white."""
     return [flat(f"grey-{i:02d}", round(255 * (i + 1) / count), bits) for i in range(count)]
@@ -90,3 +95,12 @@ class Bench:
 
     def is_dark(self) -> bool:
         return self.controller.light() is None
+
+    def watched(self, steps: int, step_s: float) -> list[int]:
+        """The grey in the middle of each of the coming steps."""
+        seen = []
+        self.clock.sleep(step_s / 2)
+        for _ in range(steps):
+            seen.append(self.grey())
+            self.clock.sleep(step_s)
+        return seen

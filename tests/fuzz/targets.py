@@ -184,8 +184,8 @@ def hid(data: bytes, folder: Path) -> None:
     from drivers.emulators.dlpc350 import Dlpc350, Dlpc350Policy, EmulatedHid
     from drivers.emulators.dlpc350.usb import UnpluggedError
     from fpplab.core.errors import DeviceError
+    from tests.drivers.dlp4500.test_fuzz import SHORT_COMMANDS
     from tests.drivers.dlpc350_host import FLASH
-    from tests.drivers.test_dlp4500_fuzz import SHORT_COMMANDS
 
     reports = [data[k : k + 64].ljust(64, b"\0") for k in range(0, min(len(data), 640), 64)]
     clock = SteppedClock()

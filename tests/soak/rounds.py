@@ -12,11 +12,11 @@ from fpplab.acquisition.acquire import acquire
 from fpplab.core.errors import DeviceError
 from fpplab.phase import decode
 from fpplab.sessions.session import Session
+from tests.drivers.dlp4500.test_faults import Trial
 from tests.drivers.emulated_rig import PLAN, burn, rig_file
 from tests.drivers.grbl_stage import Bench
 from tests.drivers.projector_bench import Bench as ProjectorBench
 from tests.drivers.projector_bench import greys
-from tests.drivers.test_dlp4500_faults import Trial
 
 
 def scans(folder: Path, count: int) -> Iterator[None]:

@@ -6,9 +6,9 @@ It does what the maker's client, GUI and SDK show of the firmware; where they ar
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from functools import cached_property
 
-from drivers.clock import Clock
 from drivers.dlp4500 import protocol
 from drivers.dlp4500.framing import DESTINATION, ERROR, READ, REPLY_WANTED, UsbMessage
 from drivers.dlp4500.layout import Command, RawBytes, RegisterLayout, Values
@@ -25,10 +25,8 @@ from drivers.dlp4500.protocol import (
 )
 from drivers.dlp4500.sequence import SIZE
 from drivers.emulators.dlpc350.engine import LightEngine
-from drivers.emulators.dlpc350.light import FlashImage
-from drivers.emulators.dlpc350.policy import Dlpc350Policy
 from drivers.emulators.dlpc350.registers import ANSWERED_ASLEEP, FIRMWARE, SEQUENCE_COMMANDS, TAG
-from drivers.emulators.dlpc350.sequencer import Pulse, SequenceTables, delay_s
+from drivers.emulators.dlpc350.sequencer import SequenceTables, delay_s
 from drivers.emulators.dlpc350.validation import validate_sequence
 
 _VSYNC_MODES = (TriggerMode.VSYNC, TriggerMode.VSYNC_VARIABLE)
@@ -40,47 +38,7 @@ class CommandRejected(Exception):  # noqa: N818 - a message of the wire, no faul
 
 
 class Dlpc350(LightEngine):
-    """The emulated controller.
-
-    Parameters
-    ----------
-    clock : Clock
-        Its time.
-    images : Sequence of FlashImage
-        What its flash holds.
-    policy : Dlpc350Policy, optional
-        Assumptions about undocumented behaviour.
-    on_pulse : callable
-        Called with every trigger pulse when its pattern begins.
-
-    Attributes
-    ----------
-    clock, images, policy, on_pulse
-        As given.
-    load_s : list of float
-        Load time of each flash image in s.
-    video : Video or None
-        The signal at its video port.
-    on_restart : callable
-        Called with the time in s for which the USB device is absent.
-    executed : list of int
-        Numbers of the commands that were carried out.
-    sequencer : Sequencer
-        Its pattern sequencer.
-    asleep : bool
-        Whether it is in standby.
-    """
-
-    def __init__(
-        self,
-        clock: Clock,
-        images: Sequence[FlashImage],
-        policy: Dlpc350Policy | None = None,
-        on_pulse: Callable[[Pulse], None] = lambda pulse: None,
-    ) -> None:
-        super().__init__(clock, images, policy, on_pulse)
-        self._readers = self._make_readers()
-        self._writers = self._make_writers()
+    """The emulated controller; parameters and attributes are those of `LightEngine`."""
 
     def answer(self, message: UsbMessage) -> UsbMessage | None:
         """Carry out a message.
@@ -186,7 +144,8 @@ class Dlpc350(LightEngine):
             raise CommandRejected
         return command.returned.pack(self._values(command))
 
-    def _make_readers(self) -> dict[int, Callable[[], Values]]:
+    @cached_property
+    def _readers(self) -> dict[int, Callable[[], Values]]:
         """List the reading functions of commands that return more than a register, by command number."""
         readers: dict[Command, Callable[[], Values]] = {
             protocol.HARDWARE_STATUS: self._hardware_status,
@@ -307,7 +266,8 @@ class Dlpc350(LightEngine):
         else:
             self._registers[command.number] = values
 
-    def _make_writers(self) -> dict[int, Callable[[Values], None]]:
+    @cached_property
+    def _writers(self) -> dict[int, Callable[[Values], None]]:
         """List the writing functions of commands that do more than fill a register, by command number."""
         writers: dict[Command, Callable[[Values], None]] = {
             protocol.POWER: self._set_power,

@@ -16,9 +16,9 @@ from drivers.dlp4500.transport import Link
 from drivers.emulators.dlpc350 import Dlpc350, Dlpc350Policy, EmulatedHid, UsbFault
 from fpplab.core.errors import DeviceError
 from fpplab.devices import State
+from tests.drivers.dlp4500.test_faults import LONGEST_S, Trial
 from tests.drivers.dlpc350_host import FLASH
 from tests.drivers.projector_bench import Bench, greys
-from tests.drivers.test_dlp4500_faults import LONGEST_S, Trial
 
 KNOWN = list(COMMANDS.values())
 
