@@ -20,12 +20,12 @@ from fpplab.acquisition.device_check import (
     mains_finding,
     with_mains,
 )
+from fpplab.acquisition.marker import marker
 from fpplab.acquisition.sync_check import (
     RUINOUS,
     UNCERTAIN,
     MarkerInspection,
     MarkerRun,
-    marker,
     recover_camera,
 )
 from fpplab.acquisition.synchronisation import check_synchronisation, remedy
@@ -264,9 +264,8 @@ class _FringeInspection:
                 continue
             self.recording = recording
             self.diagnosis = self._judged(recording, rig)
-            if any(one.cause in (FaultCause.FLICKER, FaultCause.BANDS) for one in self.diagnosis.findings):
-                findings = with_mains(self.diagnosis.findings, mains_finding(rig, plan))
-                self.diagnosis = replace(self.diagnosis, findings=findings)
+            findings = with_mains(self.diagnosis.findings, mains_finding(rig, plan))
+            self.diagnosis = replace(self.diagnosis, findings=findings)
             return
         self.unknown.append(f"light, focus and geometry: {missing.found}; {missing.remedy}")
 

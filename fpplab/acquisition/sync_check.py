@@ -21,6 +21,7 @@ from scipy.optimize import isotonic_regression
 from fpplab.acquisition.acquire import expose
 from fpplab.acquisition.device_check import flickers
 from fpplab.acquisition.exposure_shift import LEAST_SHARE, ExposureShift, exposure_shift
+from fpplab.acquisition.marker import marker
 from fpplab.acquisition.synchronisation import Cause, SyncFault, faults, remedy
 from fpplab.acquisition.timing import PulseTiming, pulse_timing
 from fpplab.core.conventions import Floats, full_scale
@@ -33,11 +34,6 @@ from fpplab.diagnosis.brightness import COLOURS, colour_finding
 from fpplab.patterns.fringes import uniform_patterns
 from fpplab.patterns.plan import Plan
 
-MARKER_ORDER = (7, 0, 5, 9, 4, 8, 3, 10, 1, 6, 2, 11)
-"""Levels by their rank, 0 the darkest. Twelve fill the places of four 24-bit images. Of orders whose
-neighbours differ by four steps or more this one, of many tried, leaves the greatest departure between any two
-slips: 6 % of the range, 2 % at a gamma of 2.2. Both its ends are brighter than the darkness around it.
-"""
 LEAST_RISE = 0.05
 """Share of full scale by which white must be brighter than black."""
 SATURATED = 0.01
@@ -90,17 +86,6 @@ class MarkerRun:
     def frames(self) -> int:
         """Number of frames that came."""
         return int(np.isfinite(self.levels).sum())
-
-
-def marker() -> NDArray[np.int64]:
-    """Compute the grey levels of the marker.
-
-    Returns
-    -------
-    ndarray of int64, (12,)
-        Grey levels of 255 in the order shown.
-    """
-    return np.asarray(np.rint(np.array(MARKER_ORDER) * 255 / (len(MARKER_ORDER) - 1)), np.int64)
 
 
 def matching_faults(shown: Sequence[int] | NDArray[np.int64], levels: Floats) -> tuple[SyncFault, ...] | None:
