@@ -43,7 +43,10 @@ class Record:
             return
         head, *lines = _whole_lines(path)
         if head != commit:
-            raise ConfigError(f"{path}: is of {head}, and this is {commit['commit']}; name another file")
+            theirs = head.get("commit", "unknown")
+            raise ConfigError(
+                f"{path}: is of commit {theirs}, and this is commit {commit['commit']}; name another file"
+            )
         for line in lines:
             judge, seed = line.pop("judge"), line.pop("of_seed")
             kind = Followed if judge == follow.__name__ else Judged
