@@ -16,7 +16,7 @@ from fpplab.diagnosis.sample import FrameSample
 LEAST_RIPPLED, MOST_UNEVEN = 500, 0.3
 """Fewest pixels that tell a ripple, and how unevenly they may be spread over its period."""
 
-MOST_STRAY_RAD = 0.045
+MOST_STRAY_RAD = 0.055
 """Phase error of wide fringes in rad RMS that neighbours share and no phase explains."""
 
 BLOCK = 8
