@@ -20,14 +20,15 @@ from fpplab.devices import CameraSettings
 from tests.conformance.grbl import TIMES_FASTER
 from tests.drivers.x_screen import XScreenBench
 from tests.vm.uvc import REFERENCE_EXPOSURE_S
-from tests.vm.uvc_bench import plugged
+from tests.vm.uvc_bench import PATIENCE_S, plugged
 
 PULL_OFF_MM = DEFAULTS[27]
 STEP_DIGITS = 4
+POLL_S = 0.01
 
 
 class SeenDisplay(SdlDisplay):
-    """Tells the bench of each frame that is on the screen."""
+    """Has the bench look at each frame once it is on the screen."""
 
     def __init__(self, bench: ScreenBench, size: tuple[int, int]) -> None:
         super().__init__("projector", 0, size)
@@ -35,7 +36,8 @@ class SeenDisplay(SdlDisplay):
 
     def show(self, frame: VideoFrame, refreshes: int | None = None) -> None:
         super().show(frame, refreshes)
-        self._bench.look()
+        if refreshes is None:
+            self._bench.look(frame)
 
 
 class ScreenBench(XScreenBench):
@@ -63,8 +65,15 @@ class ScreenBench(XScreenBench):
         self._terminal = self._stack.enter_context(PseudoTerminal(self._grbl))
         self.stage_port = self._terminal.port
 
-    def look(self) -> None:
-        """Light the camera's sensor with what is on the screen now, where the stage stands."""
+    def look(self, frame: VideoFrame) -> None:
+        """Light the camera's sensor with what is on the screen, where the stage stands.
+
+        The server draws a little after it was told to, on an emulated processor much later.
+        """
+        deadline_s = time.monotonic() + PATIENCE_S
+        while not np.array_equal(self.server.screen(), frame):
+            assert time.monotonic() < deadline_s, "the server never drew the frame"
+            time.sleep(POLL_S)
         with self._terminal.lock:
             carriage_mm = self._grbl.drive.carriage_mm
         self.optics.move_stage(round(carriage_mm - PULL_OFF_MM, STEP_DIGITS))
