@@ -56,9 +56,9 @@ lint: setup
 bench: setup
 	$(BIN)/python -m benchmarks
 
-# Commands killed, interrupted and started twice, hundreds of times; hours.
+# Commands killed, interrupted and started twice, hundreds of times; an hour, and an interrupted run goes on.
 crash: setup
-	$(BIN)/python -m benchmarks crash
+	$(BIN)/python -m benchmarks.crash
 
 clean:
 	rm -rf $(VENV) out build dist

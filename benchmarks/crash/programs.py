@@ -202,13 +202,16 @@ class EndedRun:
         Whether the signal came while it ran.
     seconds : float
         How long it ran.
+    after_s : float
+        How long it ran on after the signal.
     """
 
     code: int
     out: str
     err: str
-    disturbed: bool
-    seconds: float
+    disturbed: bool = False
+    seconds: float = 0.0
+    after_s: float = 0.0
 
     @property
     def is_done(self) -> bool:
@@ -255,6 +258,29 @@ def start(program: DisturbedProgram, folder: Path, out: Path, *more: str) -> sub
     )
 
 
+def place_of(folder: Path, program: DisturbedProgram, name: str) -> Path:
+    """Name an output of a command, begun as the command wants it.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the command runs.
+    program : DisturbedProgram
+        The command.
+    name : str
+        Of the output, among those of the command.
+
+    Returns
+    -------
+    Path
+        The output.
+    """
+    out = folder / f"{program.name.replace(' ', '_')}_{name}{program.suffix}"
+    if program.begin:
+        program.begin(folder, out)
+    return out
+
+
 def note_of(out: Path) -> Path:
     """Name the file in which the bench notes how it was left.
 
@@ -295,7 +321,7 @@ def run_until(
         How it ended.
     """
     note_of(out).parent.mkdir(exist_ok=True)
-    begun = time.monotonic()
+    begun = signalled = time.monotonic()
     process = start(program, folder, out)
     disturbed = False
     if moment_s is not None:
@@ -303,6 +329,7 @@ def run_until(
             process.wait(moment_s)
         except subprocess.TimeoutExpired:
             process.send_signal(number)
-            disturbed = True
+            disturbed, signalled = True, time.monotonic()
     words, said = process.communicate()
-    return EndedRun(process.returncode, words, said, disturbed, time.monotonic() - begun)
+    end = time.monotonic()
+    return EndedRun(process.returncode, words, said, disturbed, end - begun, end - signalled)
