@@ -15,7 +15,8 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.core.files import open_regular, readable_bytes
+from fpplab.core.files import open_regular
+from fpplab.core.units import readable_bytes
 
 ALWAYS_ALLOWED = 256_000_000
 """Bytes that any archive may unpack to."""

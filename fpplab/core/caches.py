@@ -11,7 +11,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from fpplab.core.files import disk_bytes, writing
+from fpplab.core.disk_space import disk_bytes
+from fpplab.core.files import writing
 from fpplab.core.system import cache_directory
 
 CONTENTS = {"light": "rendered light of simulated scenes; the next scan of a scene renders it again"}

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fpplab.core.errors import DataError
-from fpplab.core.files import append_line, cut_torn_line, whole_lines, write_text, writing
+from fpplab.core.files import write_text, writing
+from fpplab.core.journals import append_line, cut_torn_line, whole_lines
 from fpplab.core.session_names import CHECKSUMS
 from fpplab.core.strict_json import parse_object
 
@@ -35,6 +36,31 @@ class RecordedFile:
     file: str
     sha256: str
     text: str | None = None
+
+    @classmethod
+    def of_line(cls, line: bytes) -> RecordedFile:
+        """Read a line of the record.
+
+        Parameters
+        ----------
+        line : bytes
+            Without its newline.
+
+        Returns
+        -------
+        RecordedFile
+            What it says.
+
+        Raises
+        ------
+        ValueError
+            It is damaged.
+        """
+        entry = parse_object(line)
+        try:
+            return cls(entry["file"], entry["sha256"], entry.get("text"))
+        except KeyError as error:
+            raise ValueError(f"it has no field {error}") from None
 
     @property
     def is_whole(self) -> bool:
@@ -117,9 +143,8 @@ def recorded_files(folder: Path) -> list[RecordedFile]:
     found = []
     for number, line in enumerate(whole_lines(record), 1):
         try:
-            entry = parse_object(line)
-            found.append(RecordedFile(entry["file"], entry["sha256"], entry.get("text")))
-        except (ValueError, TypeError, KeyError) as error:
+            found.append(RecordedFile.of_line(line))
+        except ValueError as error:
             raise DataError(f"{record} line {number}: is not the checksum of a file") from error
     return found
 

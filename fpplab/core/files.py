@@ -4,29 +4,19 @@ from __future__ import annotations
 
 import errno
 import io
-import logging
 import os
 import re
-import shutil
 import stat
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import Any, BinaryIO, cast
 
 from fpplab.core.direct import DirectWriter
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.lock import try_lock
-
-MUCH = 1 << 30
-"""Bytes from which on the space that work needs is said without being asked."""
-
-MOST_JOURNAL_BYTES = 256_000_000
-"""Greatest size of a journal: some 700,000 frames."""
-
-_log = logging.getLogger(__name__)
+from fpplab.core.units import readable_bytes
 
 
 def open_regular(path: Path) -> BinaryIO:
@@ -259,87 +249,6 @@ def write_text(path: Path, text: str) -> None:
     write_atomic(path, lambda stream: stream.write(text.encode("utf-8")))
 
 
-def append_line(path: Path, line: str) -> None:
-    """Append one line to a journal, on disk before this returns.
-
-    On an error the journal is as it was before.
-
-    Parameters
-    ----------
-    path : Path
-        Of the journal, which exists.
-    line : str
-        Without a newline.
-
-    Raises
-    ------
-    DataError
-        There is no space left or the file cannot be written.
-    """
-    try:
-        end = path.stat().st_size
-        try:
-            with path.open("ab") as stream:
-                stream.write(line.encode("utf-8") + b"\n")
-                stream.flush()
-                os.fsync(stream.fileno())
-        except BaseException:
-            os.truncate(path, end)
-            raise
-    except OSError as error:
-        raise DataError(_cannot_write(path, error)) from error
-
-
-def whole_lines(path: Path) -> list[bytes]:
-    """Read the complete lines of a journal.
-
-    What follows the last newline was cut off while it was written, and is left out.
-
-    Parameters
-    ----------
-    path : Path
-        Of the journal.
-
-    Returns
-    -------
-    list[bytes]
-        The lines without their newlines.
-
-    Raises
-    ------
-    DataError
-        The file cannot be read, is no file, or is larger than any journal.
-    """
-    try:
-        return read_bounded(path, MOST_JOURNAL_BYTES).split(b"\n")[:-1]
-    except OSError as error:
-        raise DataError(f"{path}: cannot be read ({error.strerror})") from error
-
-
-def cut_torn_line(path: Path) -> None:
-    """Remove an incomplete last line of a journal, so that the next line is not appended to it.
-
-    Searches backwards from the end of the file, which is not read as a whole.
-
-    Parameters
-    ----------
-    path : Path
-        Of the journal.
-
-    Raises
-    ------
-    DataError
-        The file cannot be written.
-    """
-    with writing(path):
-        if path.stat().st_size == 0:  # which cannot be mapped
-            return
-        with path.open("rb") as stream, mmap(stream.fileno(), 0, access=ACCESS_READ) as text:
-            end, whole = len(text), text.rfind(b"\n") + 1
-        if whole < end:
-            os.truncate(path, whole)
-
-
 def make_directory(path: Path, fill: Callable[[Path], object]) -> None:
     """Make a directory that appears only once it is complete.
 
@@ -435,81 +344,3 @@ def refuse_existing(path: Path, force: bool) -> None:
     """
     if path.exists() and not force:
         raise ConfigError(f"{path}: exists already; name another output, or add --force to replace it")
-
-
-def need_space(folder: Path, needed: int, what: str, freed: int = 0) -> None:
-    """Say how much space work needs, before any of it is written, and refuse what does not fit on the disk.
-
-    `MUCH` and more is logged as a warning, which is printed in any case, less as information.
-
-    Parameters
-    ----------
-    folder : Path
-        Where they are to be written; it may not exist yet.
-    needed : int
-        Their size in bytes.
-    what : str
-        What needs it, for the message.
-    freed : int
-        Bytes there that are deleted before, such as those of a session that is replaced.
-
-    Raises
-    ------
-    DataError
-        There is less space; names what is needed, what is free, and the folder.
-    """
-    place = next(path for path in (folder, *folder.absolute().parents) if path.exists())
-    with writing(folder):
-        free = shutil.disk_usage(place).free + freed
-    if needed > free:
-        raise DataError(
-            f"{folder}: {what} need {readable_bytes(needed)}, but only {readable_bytes(free)} are free "
-            "there; free some space, or name an output on another disk"
-        )
-    _log.log(
-        logging.WARNING if needed >= MUCH else logging.INFO,
-        "%s: %s take %s; %s are free there",
-        folder,
-        what,
-        readable_bytes(needed),
-        readable_bytes(free),
-    )
-
-
-def disk_bytes(folder: Path) -> int:
-    """Measure the space that a folder's files take on the disk.
-
-    Parameters
-    ----------
-    folder : Path
-        The folder; it may not exist.
-
-    Returns
-    -------
-    int
-        Bytes, 0 where there is no such folder.
-    """
-    total = 0
-    for path in folder.rglob("*"):
-        with suppress(FileNotFoundError):  # another process has deleted it
-            total += path.lstat().st_blocks * 512
-    return total
-
-
-def readable_bytes(count: int) -> str:
-    """Write a number of bytes as a person reads it.
-
-    Parameters
-    ----------
-    count : int
-        Bytes.
-
-    Returns
-    -------
-    str
-        Three digits and a unit, such as `1.23 GB`.
-    """
-    for unit, size in (("PB", 10**15), ("TB", 10**12), ("GB", 10**9), ("MB", 10**6), ("kB", 10**3)):
-        if count >= 0.9995 * size:
-            return f"{count / size:#.3g} {unit}".replace(". ", " ")
-    return f"{count} bytes"

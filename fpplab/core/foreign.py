@@ -95,9 +95,9 @@ def _main(kind: str, most_bytes: int) -> None:
 
 
 def _limit_memory(most_bytes: int) -> None:
-    import resource
+    with suppress(ImportError, ValueError, OSError):  # a system without this limit, or with a stricter one
+        import resource
 
-    with suppress(ValueError, OSError):  # a system without this limit, or with a stricter one
         resource.setrlimit(resource.RLIMIT_AS, (most_bytes, most_bytes))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 

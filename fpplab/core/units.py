@@ -1,10 +1,9 @@
-"""Lengths with a unit, as options of commands state them."""
+"""Lengths with a unit, as options of commands state them, and sizes as a person reads them."""
 
 from __future__ import annotations
 
+import math
 import re
-
-import numpy as np
 
 from fpplab.core.errors import ConfigError
 
@@ -47,6 +46,25 @@ def length_mm(words: str, option: str) -> float:
         value = float(number) * MM[unit]
     except ValueError:
         raise ConfigError(f"{option} is '{words}': '{number}' is no number") from None
-    if not (np.isfinite(value) and value > 0):
+    if not (math.isfinite(value) and value > 0):
         raise ConfigError(f"{option} is '{words}': must be greater than 0")
     return value
+
+
+def readable_bytes(count: int) -> str:
+    """Write a number of bytes as a person reads it.
+
+    Parameters
+    ----------
+    count : int
+        Bytes.
+
+    Returns
+    -------
+    str
+        Three digits and a unit, such as `1.23 GB`.
+    """
+    for unit, size in (("PB", 10**15), ("TB", 10**12), ("GB", 10**9), ("MB", 10**6), ("kB", 10**3)):
+        if count >= 0.9995 * size:
+            return f"{count / size:#.3g} {unit}".replace(". ", " ")
+    return f"{count} bytes"

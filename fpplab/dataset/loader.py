@@ -12,7 +12,7 @@ import numpy as np
 
 from fpplab.core import config
 from fpplab.core.errors import ConfigError, DataError
-from fpplab.core.files import whole_lines
+from fpplab.core.journals import whole_lines
 from fpplab.core.strict_json import parse_object
 from fpplab.dataset.card import PLAN, SPLITS, read_card, split_of
 from fpplab.dataset.fields import Arrays

@@ -11,8 +11,8 @@ from typing import Any
 from fpplab.acquisition.acquire import expose
 from fpplab.core import config
 from fpplab.core.conventions import Image
+from fpplab.core.disk_space import disk_bytes, need_space
 from fpplab.core.errors import ConfigError
-from fpplab.core.files import disk_bytes, need_space
 from fpplab.core.progress import Progress, no_progress
 from fpplab.dataset.arrays import sample_arrays
 from fpplab.dataset.card import dataset_fields, make_card, prepare_folder, split_of

@@ -16,7 +16,7 @@ from fpplab.calibration.model import CalibrationFile, PoseFile
 from fpplab.core import config
 from fpplab.core.config import Document
 from fpplab.core.errors import DataError
-from fpplab.core.files import append_line, cut_torn_line, whole_lines
+from fpplab.core.journals import append_line, cut_torn_line, whole_lines
 from fpplab.patterns.curve import Curve
 from fpplab.simulation.matchable import TwinParameters
 

@@ -16,7 +16,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from fpplab.core import config
 from fpplab.core.errors import ConfigError, DataError
-from fpplab.core.files import append_line, cut_torn_line, whole_lines
+from fpplab.core.journals import append_line, cut_torn_line, whole_lines
 from fpplab.core.strict_json import parse_object
 from fpplab.core.version import __version__
 from fpplab.optimisation.candidate import Candidate, Score

@@ -11,8 +11,8 @@ from datetime import datetime, timedelta
 from pathlib import Path
 
 from fpplab.calibration.model import Calibration
-from fpplab.core.files import readable_bytes
 from fpplab.core.origin import DeviceIdentity, Origin
+from fpplab.core.units import readable_bytes
 from fpplab.devices.rig import Rig
 from fpplab.patterns.plan import Plan
 from fpplab.sessions.origin import SessionOrigin, session_origin, taken_at

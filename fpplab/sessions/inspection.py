@@ -12,8 +12,8 @@ from fpplab.calibration.model import Calibration
 from fpplab.clouds import load_cloud
 from fpplab.core import config
 from fpplab.core.checksums import recorded_files
+from fpplab.core.disk_space import disk_bytes
 from fpplab.core.errors import ConfigError, FppError
-from fpplab.core.files import disk_bytes
 from fpplab.core.progress import Progress, no_progress
 from fpplab.core.session_names import (
     CALIBRATION,

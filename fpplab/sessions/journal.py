@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from fpplab.core import config
 from fpplab.core.config import Document
 from fpplab.core.errors import DataError
-from fpplab.core.files import whole_lines
+from fpplab.core.journals import whole_lines
 from fpplab.core.session_names import FRAMES, JOURNAL
 from fpplab.devices import CameraSettings, Frame
 from fpplab.patterns.plan import Plan

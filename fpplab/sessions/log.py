@@ -19,8 +19,8 @@ from types import TracebackType
 from typing import Any
 
 from fpplab.core.errors import DataError
-from fpplab.core.files import cut_torn_line
 from fpplab.core.host import host_facts
+from fpplab.core.journals import cut_torn_line
 from fpplab.core.logs import LOGGERS
 from fpplab.core.session_names import LOG
 

@@ -8,14 +8,16 @@ lacks it; whether it may be taken again, although the part may have moved, is fo
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from fpplab.core import config
 from fpplab.core.checksums import RecordedFile, recorded_files, write_recorded
 from fpplab.core.errors import DataError, FppError
-from fpplab.core.files import whole_lines, write_text, writing
+from fpplab.core.files import write_text, writing
+from fpplab.core.journals import whole_lines
 from fpplab.core.progress import Progress, no_progress
 from fpplab.core.session_names import CHECKSUMS, FORMAT, JOURNAL, PLAN, RIG
 from fpplab.patterns.plan import Plan
@@ -115,7 +117,7 @@ def _readable_records(path: Path, report: RepairReport) -> Iterable[RecordedFile
     try:
         return recorded_files(path)
     except DataError as error:
-        kept = [one for line in whole_lines(path / CHECKSUMS) if (one := _recorded(line))]
+        kept = list(_whole_records(whole_lines(path / CHECKSUMS)))
         report.lost.append(f"{error}; what it proved can no longer be proved")
         _set_aside(path, CHECKSUMS, report)
         for one in kept:
@@ -129,12 +131,10 @@ def _readable_records(path: Path, report: RepairReport) -> Iterable[RecordedFile
         return recorded_files(path)
 
 
-def _recorded(line: bytes) -> RecordedFile | None:
-    try:
-        entry = json.loads(line)
-        return RecordedFile(entry["file"], entry["sha256"], entry.get("text"))
-    except (ValueError, TypeError, KeyError, AttributeError):
-        return None
+def _whole_records(lines: list[bytes]) -> Iterator[RecordedFile]:
+    for line in lines:
+        with suppress(ValueError):
+            yield RecordedFile.of_line(line)
 
 
 def _holds(file: Path, text: str) -> bool:

@@ -27,7 +27,8 @@ import numpy as np
 from fpplab.core import config
 from fpplab.core.conventions import Image, Lattice
 from fpplab.core.errors import ConfigError, DataError
-from fpplab.core.files import append_line, make_directory, refuse_existing
+from fpplab.core.files import make_directory, refuse_existing
+from fpplab.core.journals import append_line
 from fpplab.core.progress import Progress, no_progress
 from fpplab.core.session_names import FRAMES, JOURNAL, PLAN, RIG
 from fpplab.devices import Frame

@@ -32,3 +32,13 @@ def test_an_environment_that_modules_may_have_read_needs_a_process_of_its_own() 
     ready, given = ReadyProgram(ROOT), dict(os.environ)
     assert ready.fits({**given, "DISPLAY": ":7"}) == (sys.platform == "linux")
     assert not ready.fits({**given, "NUMBA_NUM_THREADS": "7"})
+
+
+def test_what_libraries_set_while_they_are_loaded_costs_no_process() -> None:
+    code = (
+        "import os, pathlib; from tests.support.ready_program import ReadyProgram; "
+        "ready = ReadyProgram(pathlib.Path('.')); import cv2, pypylon.pylon, rerun, threadpoolctl, trimesh; "
+        "assert os.environ['LD_LIBRARY_PATH']; raise SystemExit(0 if ready.fits(dict(os.environ)) else 1)"
+    )
+    bare = {name: value for name, value in os.environ.items() if name != "LD_LIBRARY_PATH"}
+    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=bare, check=False).returncode == 0

@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from fpplab.core.disk_space import disk_bytes, need_space
 from fpplab.core.errors import DataError
-from fpplab.core.files import disk_bytes, need_space, readable_bytes
+from fpplab.core.units import readable_bytes
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
@@ -177,6 +178,6 @@ def test_what_work_takes_is_said_before(
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage)
     with caplog.at_level(logging.INFO):
         need_space(tmp_path, needed, "1000 samples")
-    [said] = [record for record in caplog.records if record.name == "fpplab.core.files"]
+    [said] = [record for record in caplog.records if record.name == "fpplab.core.disk_space"]
     assert said.levelno == level
     assert f"1000 samples take {readable_bytes(needed)}; 8.59 GB are free there" in said.getMessage()

@@ -8,10 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from fpplab.core import config, files
+from fpplab.core import config, journals
 from fpplab.core.checksums import check_recorded, write_recorded
 from fpplab.core.errors import ConfigError, DataError
-from fpplab.core.files import read_bounded, whole_lines
+from fpplab.core.files import read_bounded
+from fpplab.core.journals import whole_lines
 from fpplab.core.lock import lock_owner
 from fpplab.core.strict_json import parse_json, parse_object
 from fpplab.dataset.card import read_card
@@ -40,7 +41,7 @@ def test_journals_are_no_pipes_and_no_larger_than_any(
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(DataError, match=r"pipe: cannot be read \(it is a pipe or a device, not a file\)"):
         whole_lines(tmp_path / "pipe")
-    monkeypatch.setattr(files, "MOST_JOURNAL_BYTES", 3)
+    monkeypatch.setattr(journals, "MOST_JOURNAL_BYTES", 3)
     (tmp_path / "journal.jsonl").write_text("a\nb\n")
     with pytest.raises(DataError, match=r"journal.jsonl: cannot be read \(it is larger"):
         whole_lines(tmp_path / "journal.jsonl")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -86,9 +87,8 @@ print("ok")
 
 
 def copy_of_fpplab(folder: Path, added: dict[str, str]) -> None:
-    import shutil
-
-    shutil.copytree(ROOT / "fpplab", folder / "fpplab", ignore=shutil.ignore_patterns("__pycache__"))
+    # With the compiled functions, which are as valid in a copy whose files are as old as these.
+    shutil.copytree(ROOT / "fpplab", folder / "fpplab", ignore=shutil.ignore_patterns("*.pyc"))
     for name, text in added.items():
         (folder / "fpplab" / "patterns" / name).write_text(text, encoding="utf-8")
 

@@ -29,6 +29,8 @@ READ_LATE = {
     "DISPLAY",
     "FPPLAB_ALLOW_BACKEND",
     "HOME",
+    "KMP_DUPLICATE_LIB_OK",
+    "LD_LIBRARY_PATH",
     "PYLON_CAMEMU",
     "PYTEST_CURRENT_TEST",
     "WAYLAND_DISPLAY",
@@ -36,7 +38,7 @@ READ_LATE = {
     "_FPPLAB_COMPLETE",
     "_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION",
 }
-"""Variables that no module reads while it is loaded."""
+"""Variables that no module reads while it is loaded, or that OpenCV and others set then."""
 NOT_LOADED = ("fpplab.__main__", "fpplab.viewer.process", "fpplab.cli.warmup")
 """Programs of their own."""
 LONGEST_REQUEST = 1 << 20
@@ -115,6 +117,15 @@ def _modules() -> Iterator[str]:
     for found in pkgutil.walk_packages(fpplab.__path__, "fpplab."):
         if found.name not in NOT_LOADED:
             yield found.name
+    yield "sim.devices"  # of the rigs that most tests open
+
+
+def _prepare_numba() -> None:
+    """Load what the first call of a compiled function loads."""
+    from numba.core.registry import cpu_target
+
+    cpu_target.typing_context.refresh()
+    cpu_target.target_context.refresh()
 
 
 def _serve(connection: socket.socket) -> None:
@@ -150,6 +161,7 @@ def main() -> None:
     sys.path[:] = [place for place in sys.path if place not in ("", os.getcwd())] + [os.getcwd()]
     for name in _modules():
         importlib.import_module(name)
+    _prepare_numba()
     from fpplab.__main__ import main as program
 
     # What the command spawns asks the main module for its name, and does not run it again if it is fpplab's.

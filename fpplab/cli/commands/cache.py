@@ -57,8 +57,8 @@ def _summary(folders: list[CacheFolder]) -> dict[str, Any]:
 
 
 def _show(folders: list[CacheFolder], title: str) -> None:
-    from fpplab.core.files import readable_bytes
     from fpplab.core.system import cache_directory
+    from fpplab.core.units import readable_bytes
 
     if not folders:
         console.stdout.print(f"{cache_directory()}: nothing is kept", markup=False)

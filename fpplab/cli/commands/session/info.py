@@ -23,7 +23,7 @@ def info_command(session: SessionPath, json: Json = False) -> None:
 
 
 def _show(found: dict[str, Any]) -> None:
-    from fpplab.core.files import readable_bytes
+    from fpplab.core.units import readable_bytes
 
     origin = found["origin"] or {}
     devices = origin.get("devices") or {}

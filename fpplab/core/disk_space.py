@@ -1,0 +1,76 @@
+"""Space on the disk: what work needs of it, is told before any of it is written."""
+
+from __future__ import annotations
+
+import logging
+import shutil
+from contextlib import suppress
+from pathlib import Path
+
+from fpplab.core.errors import DataError
+from fpplab.core.files import writing
+from fpplab.core.units import readable_bytes
+
+MUCH = 1 << 30
+"""Bytes from which on the space that work needs is said without being asked."""
+
+_log = logging.getLogger(__name__)
+
+
+def need_space(folder: Path, needed: int, what: str, freed: int = 0) -> None:
+    """Say how much space work needs, before any of it is written, and refuse what does not fit on the disk.
+
+    `MUCH` and more is logged as a warning, which is printed in any case, less as information.
+
+    Parameters
+    ----------
+    folder : Path
+        Where they are to be written; it may not exist yet.
+    needed : int
+        Their size in bytes.
+    what : str
+        What needs it, for the message.
+    freed : int
+        Bytes there that are deleted before, such as those of a session that is replaced.
+
+    Raises
+    ------
+    DataError
+        There is less space; names what is needed, what is free, and the folder.
+    """
+    place = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    with writing(folder):
+        free = shutil.disk_usage(place).free + freed
+    if needed > free:
+        raise DataError(
+            f"{folder}: {what} need {readable_bytes(needed)}, but only {readable_bytes(free)} are free "
+            "there; free some space, or name an output on another disk"
+        )
+    _log.log(
+        logging.WARNING if needed >= MUCH else logging.INFO,
+        "%s: %s take %s; %s are free there",
+        folder,
+        what,
+        readable_bytes(needed),
+        readable_bytes(free),
+    )
+
+
+def disk_bytes(folder: Path) -> int:
+    """Measure the space that a folder's files take on the disk.
+
+    Parameters
+    ----------
+    folder : Path
+        The folder; it may not exist.
+
+    Returns
+    -------
+    int
+        Bytes, 0 where there is no such folder.
+    """
+    total = 0
+    for path in folder.rglob("*"):
+        with suppress(FileNotFoundError):  # another process has deleted it
+            total += path.lstat().st_blocks * 512
+    return total

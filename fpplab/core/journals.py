@@ -1,0 +1,92 @@
+"""Journals: files to which whole lines are appended, and whose last line a power failure may tear."""
+
+from __future__ import annotations
+
+import os
+from mmap import ACCESS_READ, mmap
+from pathlib import Path
+
+from fpplab.core.errors import DataError
+from fpplab.core.files import read_bounded, writing
+
+MOST_JOURNAL_BYTES = 256_000_000
+"""Greatest size of a journal: some 700,000 frames."""
+
+
+def append_line(path: Path, line: str) -> None:
+    """Append one line to a journal, on disk before this returns.
+
+    On an error the journal is as it was before.
+
+    Parameters
+    ----------
+    path : Path
+        Of the journal, which exists.
+    line : str
+        Without a newline.
+
+    Raises
+    ------
+    DataError
+        There is no space left or the file cannot be written.
+    """
+    with writing(path):
+        end = path.stat().st_size
+        try:
+            with path.open("ab") as stream:
+                stream.write(line.encode("utf-8") + b"\n")
+                stream.flush()
+                os.fsync(stream.fileno())
+        except BaseException:
+            os.truncate(path, end)
+            raise
+
+
+def whole_lines(path: Path) -> list[bytes]:
+    """Read the complete lines of a journal.
+
+    What follows the last newline was cut off while it was written, and is left out.
+
+    Parameters
+    ----------
+    path : Path
+        Of the journal.
+
+    Returns
+    -------
+    list[bytes]
+        The lines without their newlines.
+
+    Raises
+    ------
+    DataError
+        The file cannot be read, is no file, or is larger than any journal.
+    """
+    try:
+        return read_bounded(path, MOST_JOURNAL_BYTES).split(b"\n")[:-1]
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read ({error.strerror})") from error
+
+
+def cut_torn_line(path: Path) -> None:
+    """Remove an incomplete last line of a journal, so that the next line is not appended to it.
+
+    Searches backwards from the end of the file, which is not read as a whole.
+
+    Parameters
+    ----------
+    path : Path
+        Of the journal.
+
+    Raises
+    ------
+    DataError
+        The file cannot be written.
+    """
+    with writing(path):
+        if path.stat().st_size == 0:  # which cannot be mapped
+            return
+        with path.open("rb") as stream, mmap(stream.fileno(), 0, access=ACCESS_READ) as text:
+            end, whole = len(text), text.rfind(b"\n") + 1
+        if whole < end:
+            os.truncate(path, whole)
