@@ -43,7 +43,7 @@ soak: setup
 mutants: setup
 	$(BIN)/python -m tests.mutants --workers $(WORKERS)
 
-# Writing commands on disks that are full at every page they write; root alone can mount such disks.
+# Writing commands on disks that are full at every write or vanish midway; root alone can mount such disks.
 full-disk: setup
 	$(BIN)/python -m tests.full_disk
 

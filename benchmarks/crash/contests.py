@@ -8,7 +8,7 @@ from pathlib import Path
 
 from benchmarks.crash.content import content_of
 from benchmarks.crash.programs import SCAN, EndedRun, note_of, run_until, start
-from benchmarks.crash.record import Campaign, Case
+from benchmarks.crash.record import Campaign, CrashCase
 
 CONTESTS = "contests"
 KINDS = NOT_ONE, NOT_TOLD, DAMAGED = (
@@ -40,7 +40,7 @@ def contest_programs(campaign: Campaign) -> None:
     print(f"{len(campaign.record.of(CONTESTS))} contests", flush=True)
 
 
-def _contest(folder: Path, number: int, whole: Path, expected: dict[str, str]) -> Case:
+def _contest(folder: Path, number: int, whole: Path, expected: dict[str, str]) -> CrashCase:
     count, force = (2, 4)[number % 2], bool(number // 2 % 2)
     begun, out = time.monotonic(), folder / f"contest_{number}"
     if force:
@@ -54,7 +54,7 @@ def _contest(folder: Path, number: int, whole: Path, expected: dict[str, str]) -
     if content_of(out) != expected:
         failures.append((DAMAGED, words))
     shutil.rmtree(out)
-    return Case(CONTESTS, SCAN.name, number, count - 1, round(time.monotonic() - begun, 2), failures)
+    return CrashCase(CONTESTS, SCAN.name, number, count - 1, round(time.monotonic() - begun, 2), failures)
 
 
 def _compete(folder: Path, out: Path, count: int, force: bool) -> list[EndedRun]:

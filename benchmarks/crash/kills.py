@@ -20,7 +20,7 @@ import psutil
 
 from benchmarks.crash.content import content_of
 from benchmarks.crash.programs import DisturbedProgram, place_of, run_until
-from benchmarks.crash.record import Campaign, Case
+from benchmarks.crash.record import Campaign, CrashCase
 from fpplab.core.errors import FppError
 from fpplab.core.session_names import JOURNAL
 from fpplab.sessions.session import Session
@@ -57,12 +57,12 @@ class _Series:
                 raise RuntimeError(f"{self.program.name} fails undisturbed: {ended.err[-2000:]}")
         self.seconds, self.expected = ended.seconds, content_of(out)
 
-    def case(self, number: int, most: int) -> Case:
+    def case(self, number: int, most: int) -> CrashCase:
         """Kill the runs of one output so many times at most, then let it come to its end."""
         self.failures, begun = [], time.monotonic()
         kills = self._chain(number, most)
         seconds = round(time.monotonic() - begun, 2)
-        return Case(KILLS, self.program.name, number, kills, seconds, self.failures)
+        return CrashCase(KILLS, self.program.name, number, kills, seconds, self.failures)
 
     def _chain(self, number: int, most: int) -> int:
         random = np.random.default_rng([self.campaign.seed, len(self.program.words), number])

@@ -219,7 +219,9 @@ class EndedRun:
         return self.code == 0 or (self.code == 2 and "exists already" in self.err)
 
 
-def start(program: DisturbedProgram, folder: Path, out: Path, *more: str) -> subprocess.Popen[str]:
+def start(
+    program: DisturbedProgram, folder: Path, out: Path, *more: str, note: Path | None = None
+) -> subprocess.Popen[str]:
     """Start a command in a session of processes of its own.
 
     Parameters
@@ -232,6 +234,8 @@ def start(program: DisturbedProgram, folder: Path, out: Path, *more: str) -> sub
         Its output.
     *more : str
         Further words.
+    note : Path, optional
+        File in which the bench notes how it was left; by default `note_of` the output.
 
     Returns
     -------
@@ -244,10 +248,10 @@ def start(program: DisturbedProgram, folder: Path, out: Path, *more: str) -> sub
         "PYTHONFAULTHANDLER": "1",
         "FPPLAB_ALLOW_BACKEND": "benchmarks.crash.bench",
         "FPPLAB_TRACEBACK": "1",
-        NOTE: str(note_of(out)),
+        NOTE: str(note or note_of(out)),
     }
     return subprocess.Popen(
-        [sys.executable, *program.words.format(out=out.name).split(), *more],
+        [sys.executable, *program.words.format(out=out.relative_to(folder)).split(), *more],
         cwd=folder,
         env=environment,
         stdin=subprocess.DEVNULL,

@@ -10,11 +10,11 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from benchmarks.crash.programs import DisturbedProgram
-from fpplab.core.files import append_line, cut_torn_line, whole_lines
+from fpplab.core.journals import append_line, cut_torn_line, whole_lines
 
 
 @dataclass(frozen=True)
-class Case:
+class CrashCase:
     """One output of a program, disturbed as often as it was.
 
     Attributes
@@ -57,14 +57,14 @@ class CrashRecord:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.touch()
         cut_torn_line(path)
-        self.cases = [Case(**json.loads(line)) for line in whole_lines(path)]
+        self.cases = [CrashCase(**json.loads(line)) for line in whole_lines(path)]
 
-    def add(self, case: Case) -> None:
+    def add(self, case: CrashCase) -> None:
         """Keep a case, and describe what went wrong on stderr.
 
         Parameters
         ----------
-        case : Case
+        case : CrashCase
             The case.
         """
         append_line(self._path, json.dumps(asdict(case)))
@@ -73,7 +73,7 @@ class CrashRecord:
             sys.stderr.write(f"{kind}: {words}\n")
             sys.stderr.flush()
 
-    def of(self, part: str, program: str | None = None) -> list[Case]:
+    def of(self, part: str, program: str | None = None) -> list[CrashCase]:
         """Give the cases of a part.
 
         Parameters
@@ -85,7 +85,7 @@ class CrashRecord:
 
         Returns
         -------
-        list of Case
+        list of CrashCase
             In their order.
         """
         return [one for one in self.cases if one.part == part and program in (None, one.program)]

@@ -13,7 +13,7 @@ import numpy as np
 from benchmarks.crash.bench import bench_is_safe
 from benchmarks.crash.kills import left_running
 from benchmarks.crash.programs import DisturbedProgram, EndedRun, note_of, place_of, run_until
-from benchmarks.crash.record import Campaign, Case
+from benchmarks.crash.record import Campaign, CrashCase
 from fpplab.core.interrupts import SIGNALS
 
 INTERRUPTS = "signals"
@@ -55,7 +55,7 @@ def signal_programs(campaign: Campaign) -> None:
             ended, failures = _interrupt(campaign.folder, program, number, moment_s, signalled)
             seconds *= 1.02 if ended.disturbed else 0.9
             took = round(time.monotonic() - begun, 2)
-            campaign.record.add(Case(INTERRUPTS, program.name, number, 1, took, failures))
+            campaign.record.add(CrashCase(INTERRUPTS, program.name, number, 1, took, failures))
         print(f"{program.name}: interrupted {first + left} times", flush=True)
 
 

@@ -12,7 +12,7 @@ from benchmarks.crash import crash_figures
 from benchmarks.crash.bench import bench_is_safe
 from benchmarks.crash.content import content_of, timeless
 from benchmarks.crash.programs import IMPORT, SCAN, SCAN_EMULATED, EndedRun
-from benchmarks.crash.record import Campaign, Case, CrashRecord
+from benchmarks.crash.record import Campaign, CrashCase, CrashRecord
 from benchmarks.crash.signals import BEFORE, WRONG_CODE, _complaints
 from fpplab.sessions.session import Session
 from tests.support.recorded import record
@@ -48,7 +48,7 @@ def test_one_of_two_commands_wins(tmp_path: Path) -> None:
 def test_an_interrupted_benchmark_goes_on(tmp_path: Path) -> None:
     path = tmp_path / "build" / "record.jsonl"
     first = CrashRecord(path)
-    first.add(Case("kills", SCAN.name, 0, 3, 1.5, [("lost", "frame 1")]))
+    first.add(CrashCase("kills", SCAN.name, 0, 3, 1.5, [("lost", "frame 1")]))
     with path.open("a") as stream:
         stream.write('{"part": "ki')  # killed while it wrote
     record = CrashRecord(path)

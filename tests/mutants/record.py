@@ -7,7 +7,7 @@ import json
 import time
 from pathlib import Path
 
-from fpplab.core.files import append_line, cut_torn_line, whole_lines
+from fpplab.core.journals import append_line, cut_torn_line, whole_lines
 from tests.mutants.judge import KILLED, Trial, Verdict
 from tests.mutants.seeding import Mutant
 from tests.mutants.tree import ROOT
