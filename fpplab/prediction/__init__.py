@@ -2,6 +2,7 @@
 
 from fpplab.prediction.discrepancy import Discrepancy
 from fpplab.prediction.figures import MeasuredFigures, figures_of
+from fpplab.prediction.measurement import measured_figures
 from fpplab.prediction.predict import Prediction, predict
 
-__all__ = ["Discrepancy", "MeasuredFigures", "Prediction", "figures_of", "predict"]
+__all__ = ["Discrepancy", "MeasuredFigures", "Prediction", "figures_of", "measured_figures", "predict"]
