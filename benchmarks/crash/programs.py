@@ -202,13 +202,16 @@ class EndedRun:
         Whether the signal came while it ran.
     seconds : float
         How long it ran.
+    after_s : float
+        How long it ran on after the signal.
     """
 
     code: int
     out: str
     err: str
-    disturbed: bool
-    seconds: float
+    disturbed: bool = False
+    seconds: float = 0.0
+    after_s: float = 0.0
 
     @property
     def is_done(self) -> bool:
@@ -216,7 +219,9 @@ class EndedRun:
         return self.code == 0 or (self.code == 2 and "exists already" in self.err)
 
 
-def start(program: DisturbedProgram, folder: Path, out: Path, *more: str) -> subprocess.Popen[str]:
+def start(
+    program: DisturbedProgram, folder: Path, out: Path, *more: str, note: Path | None = None
+) -> subprocess.Popen[str]:
     """Start a command in a session of processes of its own.
 
     Parameters
@@ -229,6 +234,8 @@ def start(program: DisturbedProgram, folder: Path, out: Path, *more: str) -> sub
         Its output.
     *more : str
         Further words.
+    note : Path, optional
+        File in which the bench notes how it was left; by default `note_of` the output.
 
     Returns
     -------
@@ -241,10 +248,10 @@ def start(program: DisturbedProgram, folder: Path, out: Path, *more: str) -> sub
         "PYTHONFAULTHANDLER": "1",
         "FPPLAB_ALLOW_BACKEND": "benchmarks.crash.bench",
         "FPPLAB_TRACEBACK": "1",
-        NOTE: str(note_of(out)),
+        NOTE: str(note or note_of(out)),
     }
     return subprocess.Popen(
-        [sys.executable, *program.words.format(out=out.name).split(), *more],
+        [sys.executable, *program.words.format(out=out.relative_to(folder)).split(), *more],
         cwd=folder,
         env=environment,
         stdin=subprocess.DEVNULL,
@@ -253,6 +260,29 @@ def start(program: DisturbedProgram, folder: Path, out: Path, *more: str) -> sub
         text=True,
         start_new_session=True,
     )
+
+
+def place_of(folder: Path, program: DisturbedProgram, name: str) -> Path:
+    """Name an output of a command, begun as the command wants it.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the command runs.
+    program : DisturbedProgram
+        The command.
+    name : str
+        Of the output, among those of the command.
+
+    Returns
+    -------
+    Path
+        The output.
+    """
+    out = folder / f"{program.name.replace(' ', '_')}_{name}{program.suffix}"
+    if program.begin:
+        program.begin(folder, out)
+    return out
 
 
 def note_of(out: Path) -> Path:
@@ -295,7 +325,7 @@ def run_until(
         How it ended.
     """
     note_of(out).parent.mkdir(exist_ok=True)
-    begun = time.monotonic()
+    begun = signalled = time.monotonic()
     process = start(program, folder, out)
     disturbed = False
     if moment_s is not None:
@@ -303,6 +333,7 @@ def run_until(
             process.wait(moment_s)
         except subprocess.TimeoutExpired:
             process.send_signal(number)
-            disturbed = True
+            disturbed, signalled = True, time.monotonic()
     words, said = process.communicate()
-    return EndedRun(process.returncode, words, said, disturbed, time.monotonic() - begun)
+    end = time.monotonic()
+    return EndedRun(process.returncode, words, said, disturbed, end - begun, end - signalled)

@@ -6,7 +6,11 @@ import random
 from collections.abc import Sequence
 from pathlib import Path
 
+import yaml
+
 from tests.mutants.seeding import Mutant, mutants
+
+NAMED = Path(__file__).with_name("named.yaml")
 
 AREAS = {
     "core": ("fpplab/core/*.py",),
@@ -33,6 +37,20 @@ def files_of(root: Path, area: str) -> list[str]:
     if area != "uncertainty":
         found -= set(AREAS["uncertainty"])
     return sorted(found)
+
+
+def named(root: Path) -> list[Mutant]:
+    """The faults that are named one by one in `named.yaml`."""
+    found = []
+    for one in yaml.safe_load(NAMED.read_text(encoding="utf-8")):
+        source = (root / one["file"]).read_text(encoding="utf-8")
+        before, *after = source.split(one["old"])
+        if len(after) != 1:
+            raise SystemExit(f"{NAMED.name}: {one['file']} has {len(after)} places like: {one['old']}")
+        line = before.count("\n") + 1
+        start, end = len(before.encode()), len((before + one["old"]).encode())
+        found.append(Mutant(one["file"], line, start, end, one["old"], one["new"], one["name"]))
+    return found
 
 
 def draw(root: Path, each: int, seed: int, areas: Sequence[str]) -> list[Mutant]:
