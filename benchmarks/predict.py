@@ -26,10 +26,11 @@ from fpplab.core.geometry import RigidTransform
 from fpplab.devices.rig import Rig
 from fpplab.matching.light import ADJUSTABLE
 from fpplab.matching.match import MatchingLimits
+from fpplab.matching.measured import measured_figures
 from fpplab.matching.run import MatchingRequest, MatchingResult, match_sessions, twin_of
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.response import Response
-from fpplab.prediction import MeasuredFigures, Prediction, measured_figures, predict
+from fpplab.prediction import MeasuredFigures, Prediction, predict
 from fpplab.sessions.session import Session, recorded_sessions
 from fpplab.simulation.matchable import TwinParameters
 from fpplab.simulation.predictable import Predictable

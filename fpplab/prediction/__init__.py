@@ -2,7 +2,6 @@
 
 from fpplab.prediction.discrepancy import Discrepancy
 from fpplab.prediction.figures import MeasuredFigures, figures_of
-from fpplab.prediction.measurement import measured_figures
 from fpplab.prediction.predict import Prediction, predict
 
-__all__ = ["Discrepancy", "MeasuredFigures", "Prediction", "figures_of", "measured_figures", "predict"]
+__all__ = ["Discrepancy", "MeasuredFigures", "Prediction", "figures_of", "predict"]
