@@ -15,19 +15,15 @@ from fpplab.core.errors import DataError
 from fpplab.matching.artefacts import BenchScan
 from fpplab.matching.light import TILES, tile_numbers
 from fpplab.matching.loss import board_mask, subsample_pixels
-from fpplab.matching.measured import measured_figures
+from fpplab.matching.measured import measured_figures, recorded_figures
 from fpplab.matching.reference import Reference
 from fpplab.matching.steps import SAMPLED_POSES
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
 from fpplab.pipeline import depth_range_of
-from fpplab.prediction import Discrepancy, MeasuredFigures, figures_of
+from fpplab.prediction import Discrepancy, MeasuredFigures
 from fpplab.prediction.discrepancy import Deviation, LevelDifferences, named_effects
-from fpplab.prediction.figures import seen_surface
-from fpplab.reconstruction.depth_range import depth_bounds
-from fpplab.reconstruction.points import points_of
-from fpplab.reconstruction.uncertainty import coordinate_noise, with_uncertainty
 from fpplab.simulation.matchable import Twin
 
 PIXELS = 5_000
@@ -159,11 +155,7 @@ def scan_figures(
     settings = session.records[0].settings
     frames = twin.scan(scan.item, scan.T_camera_item, make_patterns(plan, size, lattice), settings)
     recording = Recording(frames, plan, size, settings.bits, f"the twin's {scan.item}")
-    bounds = depth_bounds(plan, known, depth_range_of(session))
-    decoded, cloud = points_of(decode(recording, bounds=bounds), known, plan)
-    cloud = with_uncertainty(cloud, known, coordinate_noise(decoded))
-    seen = seen_surface(placed, known)
-    return real, figures_of(decoded, cloud, placed, known, plan, seen, bounds)
+    return real, recorded_figures(recording, known, placed, depth_range_of(session))
 
 
 def _deviation(differences: Sequence[float]) -> Deviation | None:

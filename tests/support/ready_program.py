@@ -168,7 +168,8 @@ def main() -> None:
     """Load the program, then run commands until the connection is closed."""
     connection = socket.socket(fileno=int(sys.argv[1]))
     connection.set_inheritable(False)
-    sys.path[:] = [place for place in sys.path if place not in ("", os.getcwd())] + [os.getcwd()]
+    # `-m` put the folder first; a program that is run has it nowhere, unless PYTHONPATH names it
+    sys.path[:] = [*sys.path[1:], os.getcwd()]
     for name in _modules():
         importlib.import_module(name)
     _prepare_numba()
