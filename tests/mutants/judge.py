@@ -16,8 +16,8 @@ from tests.mutants.choice import Chooser, importers
 from tests.mutants.seeding import Mutant
 from tests.mutants.tree import ROOT
 
-STARTING_S, TIMES_SLOWER = 120.0, 5.0
-"""A run of tests is given so long to start, and so many times the time that the map knows."""
+STARTING_S, TIMES_SLOWER = 300.0, 5.0
+"""A run of tests is given so long to start and compile, and so many times the time that the map knows."""
 
 
 class Verdict(StrEnum):
