@@ -357,6 +357,7 @@ def _parameters_of(world: World, board: str, target: Target) -> TwinParameters:
         read_noise_e=camera.sensor.read_noise_e,
         full_well_e=camera.sensor.full_well_e,
         vibration_mm=world.vibration_mm,
+        projector_falloff=projector.falloff,
     )
 
 
@@ -376,6 +377,7 @@ def _world_of(nominal: World, board: str, parameters: TwinParameters) -> World:
         "blur": p.projector_blur,
         "focus_mm": p.projector_focus_mm,
         "aperture_mm": p.projector_aperture_mm,
+        "falloff": list(p.projector_falloff),
     }
     data["camera"] |= {
         "focus_mm": p.camera_focus_mm,
