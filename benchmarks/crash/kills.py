@@ -19,11 +19,12 @@ import numpy as np
 import psutil
 
 from benchmarks.crash.content import content_of
-from benchmarks.crash.programs import DisturbedProgram, place_of, run_until
+from benchmarks.crash.programs import ROOT, DisturbedProgram, place_of, run_until_killed
 from benchmarks.crash.record import Campaign, CrashCase
 from fpplab.core.errors import FppError
 from fpplab.core.session_names import JOURNAL
 from fpplab.sessions.session import Session
+from tests.support.ready_program import ReadyProgram
 
 MOST_IN_TURN = 4
 """Kills of one output, before it may come to its end."""
@@ -43,6 +44,7 @@ KINDS = UNREADABLE, LOST, NOT_RESUMED, DIFFERENT, LEFT_RUNNING = (
 class _Series:
     """The kills of one program."""
 
+    ready: ReadyProgram
     program: DisturbedProgram
     campaign: Campaign
     expected: dict[str, str] = field(default_factory=dict)
@@ -52,7 +54,7 @@ class _Series:
     def undisturbed(self) -> None:
         for name in ("warm", "whole"):
             out = self._place(name)
-            ended = run_until(self.program, self.campaign.folder, out)
+            ended = run_until_killed(self.ready, self.program, self.campaign.folder, out)
             if ended.code != 0:
                 raise RuntimeError(f"{self.program.name} fails undisturbed: {ended.err[-2000:]}")
         self.seconds, self.expected = ended.seconds, content_of(out)
@@ -69,7 +71,7 @@ class _Series:
         out, kills, known = self._place(f"killed_{number}"), 0, dict[str, str]()
         while kills < most:
             moment_s = random.uniform(0.0, self.seconds)
-            ended = run_until(self.program, self.campaign.folder, out, moment_s, signal.SIGKILL)
+            ended = run_until_killed(self.ready, self.program, self.campaign.folder, out, moment_s)
             kills += ended.code == -signal.SIGKILL
             self.seconds *= 1.02 if ended.disturbed else 0.9  # the computer's load changes
             words = f"{self.program.name}, {out.name}, kill {kills} at {moment_s:.3f} s"
@@ -77,7 +79,7 @@ class _Series:
             if ended.is_done:
                 break
         else:
-            ended = run_until(self.program, self.campaign.folder, out)
+            ended = run_until_killed(self.ready, self.program, self.campaign.folder, out)
         self._look(out, known, f"{self.program.name}, {out.name}, completed")
         if not ended.is_done:
             self._note(NOT_RESUMED, f"{self.program.name}, {out.name}: {ended.err[-1500:]}")
@@ -116,8 +118,16 @@ def kill_programs(campaign: Campaign) -> None:
     campaign : Campaign
         Which, and how often.
     """
+    ready = ReadyProgram(ROOT)
+    try:
+        _kill_each(campaign, ready)
+    finally:
+        ready.close()
+
+
+def _kill_each(campaign: Campaign, ready: ReadyProgram) -> None:
     for program, times in campaign.due(KILLS):
-        series = _Series(program, campaign)
+        series = _Series(ready, program, campaign)
         series.undisturbed()
         left, number = times, len(campaign.record.of(KILLS, program.name))
         while left > 0 and campaign.record.has_time:

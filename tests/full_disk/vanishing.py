@@ -16,7 +16,7 @@ import numpy as np
 
 from benchmarks.crash.bench import bench_is_safe
 from benchmarks.crash.content import content_of
-from benchmarks.crash.programs import DisturbedProgram, note_of, place_of, run_until, start
+from benchmarks.crash.programs import DisturbedProgram, note_of, start
 from fpplab.core.errors import FppError
 from fpplab.core.journals import whole_lines
 from fpplab.core.session_names import JOURNAL
@@ -73,14 +73,15 @@ def vanishing_disks(folder: Path, program: DisturbedProgram, times: int, seed: i
 
     `folder` holds what `prepare` of the crash benchmark writes.
     """
-    whole = place_of(folder, program, "whole")
-    seconds = run_until(program, folder, whole).seconds
-    expected, random = content_of(whole), np.random.default_rng(seed)
-    disk = LoopDisk(folder / "image", folder / "disk")
-    out = disk.place / "out"
+    disk, random = LoopDisk(folder / "image", folder / "disk"), np.random.default_rng(seed)
+    out, begun = disk.place / "out", time.monotonic()
+    with disk.mounted():
+        _end(program, folder, out)
+        expected = content_of(out)
+    seconds = time.monotonic() - begun
     for _ in range(times):
         with disk.mounted():
-            shutil.rmtree(out, ignore_errors=True)
+            shutil.rmtree(out)
         yield "; ".join(_trial(folder, program, disk, random.uniform(0.2, 1.0) * seconds, expected))
 
 
@@ -88,9 +89,9 @@ def _trial(
     folder: Path, program: DisturbedProgram, disk: LoopDisk, moment_s: float, expected: dict[str, str]
 ) -> Iterator[str]:
     out = disk.place / "out"
-    note_of(folder / "out").parent.mkdir(exist_ok=True)
+    note = note_of(folder / "out")
     with disk.mounted():
-        process = start(program, folder, out, note=note_of(folder / "out"))
+        process = start(program, folder, out, note=note)
         time.sleep(moment_s)
         known = whole_lines(out / JOURNAL) if (out / JOURNAL).exists() else []
         disk.vanish()
@@ -98,7 +99,7 @@ def _trial(
     here = f"gone after {moment_s:.2f} s with {len(known)} frames"
     if process.returncode not in (0, 3, 4) or "Traceback" in said:
         yield f"{here}: exit {process.returncode}: {said[-400:]}"
-    if not bench_is_safe(note_of(folder / "out")):
+    if not bench_is_safe(note):
         yield f"{here}: the bench is not left safe"
     with disk.mounted():
         try:
@@ -109,13 +110,20 @@ def _trial(
             return
         if len(kept) < len(known) - 1:  # the last line may not have been acknowledged when it was seen
             yield f"{here}: {len(kept)} frames are left"
-        done = start(program, folder, out, note=note_of(folder / "out"))
-        _, said = done.communicate()
-        if done.returncode != 0 and "exists already" not in said:
-            yield f"{here}: the same command ends with {done.returncode}: {said[-400:]}"
+        code, said = _end(program, folder, out)
+        if code != 0 and "exists already" not in said:
+            yield f"{here}: the same command ends with {code}: {said[-400:]}"
         elif (now := content_of(out)) != expected:
             apart = sorted(name for name in {*now, *expected} if now.get(name) != expected.get(name))
             yield f"{here}: completed, it differs in {', '.join(apart)}"
+
+
+def _end(program: DisturbedProgram, folder: Path, out: Path) -> tuple[int, str]:
+    """Run a program undisturbed; its exit code and what it says."""
+    note_of(folder / "out").parent.mkdir(exist_ok=True)
+    process = start(program, folder, out, note=note_of(folder / "out"))
+    _, said = process.communicate()
+    return process.returncode, said
 
 
 def _system(*words: object) -> None:

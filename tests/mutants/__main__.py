@@ -46,9 +46,11 @@ def main(words: list[str]) -> int:
         shutil.rmtree(asked.map, ignore_errors=True)
     if asked.record or not (asked.map / "map.json").exists():
         coverage_map.make(asked.map, asked.record or ["tests"], asked.workers)
-    chooser = Chooser(ROOT, coverage_map.load(asked.map))
+    by_name = named(ROOT)
+    first = {mutant.name: tests for mutant, tests in by_name.items()}
+    chooser = Chooser(ROOT, coverage_map.load(asked.map), first=first)
     drawn = draw(ROOT, asked.each, asked.seed, tuple(asked.area or AREAS))
-    every = [*named(ROOT), *drawn][: asked.most]
+    every = [*by_name, *drawn][: asked.most]
     record = TrialRecord(asked.map / "trials.jsonl", 60 * asked.minutes)
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
         free: queue.Queue[Bench] = queue.Queue()

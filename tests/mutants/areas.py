@@ -39,9 +39,9 @@ def files_of(root: Path, area: str) -> list[str]:
     return sorted(found)
 
 
-def named(root: Path) -> list[Mutant]:
-    """The faults that are named one by one in `named.yaml`."""
-    found = []
+def named(root: Path) -> dict[Mutant, list[str]]:
+    """The faults that are named one by one in `named.yaml`, and the tests that are to kill each."""
+    found = {}
     for one in yaml.safe_load(NAMED.read_text(encoding="utf-8")):
         source = (root / one["file"]).read_text(encoding="utf-8")
         before, *after = source.split(one["old"])
@@ -49,7 +49,8 @@ def named(root: Path) -> list[Mutant]:
             raise SystemExit(f"{NAMED.name}: {one['file']} has {len(after)} places like: {one['old']}")
         line = before.count("\n") + 1
         start, end = len(before.encode()), len((before + one["old"]).encode())
-        found.append(Mutant(one["file"], line, start, end, one["old"], one["new"], one["name"]))
+        mutant = Mutant(one["file"], line, start, end, one["old"], one["new"], one["name"])
+        found[mutant] = one["killed_by"]
     return found
 
 

@@ -62,7 +62,9 @@ def test_a_draw_is_the_same_twice_and_has_as_many_of_each_area() -> None:
 
 
 def test_named_faults_are_of_today_s_sources() -> None:
-    for mutant in named(ROOT):
+    for mutant, tests in named(ROOT).items():
+        for file, _, function in (test.partition("::") for test in tests):
+            assert f"def {function.partition('[')[0]}(" in (ROOT / file).read_text(encoding="utf-8")
         source = (ROOT / mutant.file).read_bytes()
         assert source[mutant.start : mutant.end].decode() == mutant.old
         assert mutant.old.splitlines()[0] in source.decode().splitlines()[mutant.line - 1]
@@ -70,7 +72,7 @@ def test_named_faults_are_of_today_s_sources() -> None:
 
 
 def test_what_is_killed_is_not_tried_again(tmp_path: Path) -> None:
-    killed, survivor, hung = named(ROOT)[:3]
+    killed, survivor, hung = list(named(ROOT))[:3]
     path = tmp_path / "map" / "trials.jsonl"
     record = TrialRecord(path)
     record.add(killed, Trial(killed.name, Verdict.KILLED, "FAILED tests/a.py::test_b"))

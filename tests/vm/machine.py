@@ -139,7 +139,7 @@ class Machine:
         return {**KERNELS, "NUMBA_CACHE_DIR": str(self._folder / "numba")}
 
     def compile(self) -> int:
-        """Have numba compile here, which would take the guest ten minutes; 0 when that test passed."""
+        """Have numba compile here, for which the guest would need minutes; 0 when that test passed."""
         command = (sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", COMPILED_BY)
         done = subprocess.run(command, cwd=ROOT, env=os.environ | self._compiled, check=False)
         return int(done.returncode != 0)
