@@ -27,12 +27,12 @@ from fpplab.patterns.fringes import Pattern
 from fpplab.simulation.matchable import ExpectedLevels, TwinParameters
 from fpplab.targets import Target
 from sim.build import Setup
-from sim.items import board_target, item_mesh, item_poses
+from sim.items import board_target, item_poses, part_mesh
 from sim.light import Light, PatternLevels, Show
 from sim.sensor import SensorModel
 from sim.vibration import displaced, with_vibration
 from sim.worker import Blender
-from sim.world import ArtefactItem, BoardItem, MeshItem, World
+from sim.world import BoardItem, World
 
 
 class SimTwin:
@@ -256,10 +256,7 @@ class SimTwin:
         ConfigError
             There is no such item, or it is a board or card.
         """
-        found = self._world.item(item)
-        if not isinstance(found, ArtefactItem | MeshItem):
-            raise ConfigError(f"world: 'items.{item}' is flat: only artefacts and parts have a mesh")
-        return item_mesh(found)
+        return part_mesh(self._world, item)
 
     def pose_of(self, item: str) -> RigidTransform:
         """Tell where an item of the world stands.
