@@ -27,6 +27,7 @@ from fpplab.core import config
 from fpplab.core.config import Document
 from fpplab.core.depth import DepthField
 from fpplab.core.errors import ConfigError
+from fpplab.core.interrupts import held_back
 from fpplab.devices import Camera, CameraSettings, Device, Fixture, Projector, Stage, StageMove, State
 from fpplab.devices.backends import load_backend
 from fpplab.devices.rig_lock import using_rig
@@ -186,7 +187,8 @@ class Rig:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._stack.close()
+        with held_back():
+            self._stack.close()
 
     @property
     def source(self) -> str:
