@@ -44,7 +44,7 @@ def build(
     from drivers.dlp4500.flash.firmware import Firmware, arrange_patterns
     from drivers.dlp4500.index import FlashIndex
     from drivers.dlp4500.sequence import SIZE
-    from fpplab.acquisition.sync_check import marker
+    from fpplab.acquisition.marker import marker
     from fpplab.core import config
     from fpplab.core.conventions import Lattice
     from fpplab.core.files import need_suffix, refuse_existing, write_atomic, write_text
