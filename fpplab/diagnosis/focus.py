@@ -58,7 +58,8 @@ def fringe_blur_px(sample: FrameSample, axis: Axis) -> tuple[float, float] | Non
     wide, fine = min(sets, key=frequency.__getitem__), max(sets, key=frequency.__getitem__)
     if frequency[fine] < 1.5 * frequency[wide]:
         return None
-    ratios = sample.fits[fine].modulation[sample.measured] / sample.fits[wide].modulation[sample.measured]
+    strong, weak = (sample.fits[k].modulation[sample.measured] for k in (wide, fine))
+    ratios = weak / np.maximum(strong, 1e-9)
     contrast = float(np.median(ratios))
     square = -math.log(min(max(contrast, 1e-3), 1.0)) / (2 * math.pi**2)
     return math.sqrt(square / (frequency[fine] ** 2 - frequency[wide] ** 2)), contrast
