@@ -43,7 +43,7 @@ soak: setup
 mutants: setup
 	$(BIN)/python -m tests.mutants --workers $(WORKERS)
 
-# Writing commands on disks that are full at every page they write; root alone can mount such disks.
+# Writing commands on disks that are full at every write or vanish midway; root alone can mount such disks.
 full-disk: setup
 	$(BIN)/python -m tests.full_disk
 
@@ -56,9 +56,9 @@ lint: setup
 bench: setup
 	$(BIN)/python -m benchmarks
 
-# Commands killed, interrupted and started twice, hundreds of times; hours.
+# Commands killed, interrupted and started twice, hundreds of times; an hour, and an interrupted run goes on.
 crash: setup
-	$(BIN)/python -m benchmarks crash
+	$(BIN)/python -m benchmarks.crash
 
 clean:
 	rm -rf $(VENV) out build dist

@@ -85,7 +85,7 @@ def above(name: str, value: float, unit: str, least: float) -> Result:
     return Result(name, value, unit, least, value / least)
 
 
-SHARED = ("limit_decoding", "limit_lattice", "limit_noise", "peak", "virtual")
+SHARED = ("hidden", "limit_decoding", "limit_lattice", "limit_noise", "peak", "virtual")
 """Modules of this package that are no benchmarks of their own."""
 
 

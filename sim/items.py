@@ -80,6 +80,32 @@ def item_mesh(item: ArtefactItem | MeshItem) -> trimesh.Trimesh:
     return _part(path, path.stat().st_mtime_ns if path.is_file() else 0)
 
 
+def part_mesh(world: World, name: str) -> trimesh.Trimesh:
+    """Make or load the true shape of an item of a world.
+
+    Parameters
+    ----------
+    world : World
+        Devices and items.
+    name : str
+        Name of the item.
+
+    Returns
+    -------
+    trimesh.Trimesh
+        As of `item_mesh`.
+
+    Raises
+    ------
+    ConfigError
+        There is no such item, or it is a board or card; or as `item_mesh`.
+    """
+    item = world.item(name)
+    if not isinstance(item, ArtefactItem | MeshItem):
+        raise ConfigError(f"world: 'items.{name}' is flat: only artefacts and parts have a mesh")
+    return item_mesh(item)
+
+
 @lru_cache(maxsize=8)
 def _artefact(
     name: str, sizes: tuple[tuple[str, Lengths], ...], layer_mm: float | None, bead_mm: float

@@ -9,16 +9,15 @@ import trimesh
 
 from fpplab.calibration.model import Calibration
 from fpplab.core.conventions import Image
-from fpplab.core.errors import ConfigError
 from fpplab.devices import CameraSettings
 from fpplab.patterns.fringes import Pattern
 from fpplab.simulation.predictable import Rows
 from sim.build import Setup
-from sim.items import item_mesh, item_poses
+from sim.items import item_poses, part_mesh
 from sim.light import Light, PatternLevels
 from sim.sensor import SensorModel
 from sim.vibration import displaced
-from sim.world import ArtefactItem, MeshItem, World
+from sim.world import World
 
 
 class SimSampler:
@@ -60,10 +59,8 @@ class SimSampler:
         ConfigError
             There is no such item, or it is a board or card.
         """
-        found = self._world.item(item)
-        if not isinstance(found, ArtefactItem | MeshItem):
-            raise ConfigError(f"world: 'items.{item}' is flat: only artefacts and parts have a mesh")
-        return item_mesh(found).copy().apply_transform(item_poses(self._world, item)[0].matrix)
+        mesh = part_mesh(self._world, item)
+        return mesh.copy().apply_transform(item_poses(self._world, item)[0].matrix)
 
     def frames(
         self, item: str, patterns: Sequence[Pattern], settings: CameraSettings, rows: Rows, seed: int

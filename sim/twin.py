@@ -27,12 +27,12 @@ from fpplab.patterns.fringes import Pattern
 from fpplab.simulation.matchable import ExpectedLevels, TwinParameters
 from fpplab.targets import Target
 from sim.build import Setup
-from sim.items import board_target, item_mesh, item_poses
+from sim.items import board_target, item_poses, part_mesh
 from sim.light import Light, PatternLevels, Show
 from sim.sensor import SensorModel
 from sim.vibration import displaced, with_vibration
 from sim.worker import Blender
-from sim.world import ArtefactItem, BoardItem, MeshItem, World
+from sim.world import BoardItem, World
 
 
 class SimTwin:
@@ -256,10 +256,7 @@ class SimTwin:
         ConfigError
             There is no such item, or it is a board or card.
         """
-        found = self._world.item(item)
-        if not isinstance(found, ArtefactItem | MeshItem):
-            raise ConfigError(f"world: 'items.{item}' is flat: only artefacts and parts have a mesh")
-        return item_mesh(found)
+        return part_mesh(self._world, item)
 
     def pose_of(self, item: str) -> RigidTransform:
         """Tell where an item of the world stands.
@@ -357,6 +354,7 @@ def _parameters_of(world: World, board: str, target: Target) -> TwinParameters:
         read_noise_e=camera.sensor.read_noise_e,
         full_well_e=camera.sensor.full_well_e,
         vibration_mm=world.vibration_mm,
+        projector_falloff=projector.falloff,
     )
 
 
@@ -376,6 +374,7 @@ def _world_of(nominal: World, board: str, parameters: TwinParameters) -> World:
         "blur": p.projector_blur,
         "focus_mm": p.projector_focus_mm,
         "aperture_mm": p.projector_aperture_mm,
+        "falloff": list(p.projector_falloff),
     }
     data["camera"] |= {
         "focus_mm": p.camera_focus_mm,

@@ -1,41 +1,48 @@
 """Commands killed, interrupted and started twice, at random moments, beside the same commands undisturbed.
 
-`python -m benchmarks crash` ends 200 runs by SIGKILL and 200 by SIGINT or SIGTERM, and starts two and four
-processes into one folder 50 times, with and without `--force`; it takes hours. Every figure is a number of
-failures, and its baseline 0.
+`python -m benchmarks.crash` ends 200 runs by SIGKILL and 200 by SIGINT, SIGTERM or SIGHUP, and starts two and
+four processes into one folder 50 times, with and without `--force`. It takes an hour; an interrupted run is
+gone on with. Every figure is a number of failures, and its baseline 0.
 """
 
 from __future__ import annotations
 
 import tempfile
+from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks import Result, below
-from benchmarks.crash.contests import contest_failures
-from benchmarks.crash.kills import kill_failures
-from benchmarks.crash.programs import PROGRAMS, DisturbedProgram, prepare
-from benchmarks.crash.signals import signal_failures
+from benchmarks.crash import contests, kills, signals
+from benchmarks.crash.programs import PROGRAMS, SCAN, DisturbedProgram, prepare
+from benchmarks.crash.record import Campaign, CrashRecord
 
 
 @dataclass(frozen=True)
-class CrashCounts:
-    """How often programs are disturbed.
+class CrashPart:
+    """A part of the benchmark.
 
     Attributes
     ----------
-    kills, signals : int
-        Runs that are ended by SIGKILL, and by SIGINT or SIGTERM.
-    contests : int
-        Times that several processes are started into one folder.
-    seed : int
-        Of the random moments.
+    disturb : callable
+        Does what a campaign says.
+    kinds : tuple of str
+        What may go wrong.
+    count : int
+        How often programs are disturbed.
     """
 
-    kills: int = 200
-    signals: int = 200
-    contests: int = 50
-    seed: int = 1
+    disturb: Callable[[Campaign], None]
+    kinds: tuple[str, ...]
+    count: int
+
+
+PARTS = {
+    kills.KILLS: CrashPart(kills.kill_programs, kills.KINDS, 200),
+    signals.INTERRUPTS: CrashPart(signals.signal_programs, signals.KINDS, 200),
+    contests.CONTESTS: CrashPart(contests.contest_programs, contests.KINDS, 50),
+}
 
 
 def run() -> list[Result]:
@@ -46,28 +53,46 @@ def run() -> list[Result]:
     list of Result
         Numbers of failures, each beside 0.
     """
-    return crash_figures(CrashCounts(), PROGRAMS)
+    with tempfile.TemporaryDirectory(prefix="fpplab-crash-record-") as place:
+        return crash_figures(CrashRecord(Path(place) / "record.jsonl"))
 
 
-def crash_figures(counts: CrashCounts, programs: tuple[DisturbedProgram, ...]) -> list[Result]:
-    """Disturb some programs; each failure is described on stderr at once.
+def crash_figures(
+    record: CrashRecord,
+    parts: tuple[str, ...] = tuple(PARTS),
+    programs: tuple[DisturbedProgram, ...] = PROGRAMS,
+    count: int | None = None,
+    seed: int = 1,
+) -> list[Result]:
+    """Disturb some programs, as far as that is not recorded and there is time.
 
     Parameters
     ----------
-    counts : CrashCounts
-        How often.
+    record : CrashRecord
+        What is done, and what follows.
+    parts : tuple of str
+        Names of parts.
     programs : tuple of DisturbedProgram
         Which.
+    count : int, optional
+        How often; by default as often as each part says.
+    seed : int
+        Of the random moments.
 
     Returns
     -------
     list of Result
-        Numbers of failures, each beside 0.
+        Numbers of failures until now, each beside 0.
     """
     with tempfile.TemporaryDirectory(prefix="fpplab-crash-") as place:
         folder = Path(place)
-        prepare(folder, programs)
-        found = kill_failures(folder, programs, counts.kills, counts.seed)
-        found |= signal_failures(folder, programs, counts.signals, counts.seed)
-        found |= contest_failures(folder, counts.contests)
-    return [below(name, len(failures), "", 0) for name, failures in found.items()]
+        prepare(folder, tuple({*programs, SCAN}) if contests.CONTESTS in parts else programs)
+        for name in parts:
+            times = PARTS[name].count if count is None else count
+            PARTS[name].disturb(Campaign(folder, programs, times, seed, record))
+    return [
+        below(kind, found[kind], "", 0)
+        for name in parts
+        for found in [Counter(kind for case in record.of(name) for kind, _ in case.failures)]
+        for kind in PARTS[name].kinds
+    ]

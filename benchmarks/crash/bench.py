@@ -18,7 +18,11 @@ class WitnessedBench(EmulatedBench):
     def open(self) -> None:
         """Open as `EmulatedBench` does."""
         super().open()
-        _write({"open": True})
+        try:
+            _write({"open": True})
+        except BaseException:  # who opens it does not close what did not open
+            super().close()
+            raise
 
     def close(self) -> None:
         """Close as `EmulatedBench` does, after a look at the devices."""

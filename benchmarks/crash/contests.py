@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import shutil
+import time
 from pathlib import Path
 
 from benchmarks.crash.content import content_of
-from benchmarks.crash.failures import Failures, no_failures, note_failure
 from benchmarks.crash.programs import SCAN, EndedRun, note_of, run_until, start
+from benchmarks.crash.record import Campaign, CrashCase
 
-NOT_ONE, NOT_TOLD, DAMAGED = (
+CONTESTS = "contests"
+KINDS = NOT_ONE, NOT_TOLD, DAMAGED = (
     "contests: not exactly one winner",
     "contests: losers that do not say who won",
     "contests: sessions damaged",
@@ -17,45 +19,42 @@ NOT_ONE, NOT_TOLD, DAMAGED = (
 TOLD = "is writing into it"
 
 
-def contest_failures(folder: Path, contests: int) -> Failures:
+def contest_programs(campaign: Campaign) -> None:
     """Start scans into one folder at once, two and four in turn, every other pair with `--force`.
 
     Parameters
     ----------
-    folder : Path
-        What `prepare` filled.
-    contests : int
-        How many times.
-
-    Returns
-    -------
-    dict of str to list of str
-        Descriptions of what went wrong, by kind.
+    campaign : Campaign
+        How often; the program is the scan.
     """
-    if contests == 0:
-        return {}
-    found = no_failures(NOT_ONE, NOT_TOLD, DAMAGED)
-    whole = folder / "contest_whole"
-    run_until(SCAN, folder, whole)
+    first = len(campaign.record.of(CONTESTS))
+    if first >= campaign.count or not campaign.record.has_time:
+        return
+    whole = campaign.folder / "contest_whole"
+    run_until(SCAN, campaign.folder, whole)
     expected = content_of(whole)
-    for number in range(contests):
-        count, force = (2, 4)[number % 2], bool(number // 2 % 2)
-        out = folder / f"contest_{number}"
-        if force:
-            shutil.copytree(whole, out)
-        ended = _compete(folder, out, count, force)
-        words = f"{count} processes{' with --force' if force else ''}, contest {number}"
-        codes = [one.code for one in ended]
-        if codes.count(0) != 1:
-            note_failure(found, NOT_ONE, f"{words}: exit codes {codes}")
-        for one in ended:
-            if not _is_told(one):
-                note_failure(found, NOT_TOLD, f"{words}: {one.err[-500:]}")
-        if content_of(out) != expected:
-            note_failure(found, DAMAGED, words)
-        shutil.rmtree(out)
-    print(f"{contests} contests", flush=True)
-    return found
+    for number in range(first, campaign.count):
+        if not campaign.record.has_time:
+            break
+        campaign.record.add(_contest(campaign.folder, number, whole, expected))
+    print(f"{len(campaign.record.of(CONTESTS))} contests", flush=True)
+
+
+def _contest(folder: Path, number: int, whole: Path, expected: dict[str, str]) -> CrashCase:
+    count, force = (2, 4)[number % 2], bool(number // 2 % 2)
+    begun, out = time.monotonic(), folder / f"contest_{number}"
+    if force:
+        shutil.copytree(whole, out)
+    ended = _compete(folder, out, count, force)
+    words = f"{count} processes{' with --force' if force else ''}, contest {number}"
+    codes, failures = [one.code for one in ended], []
+    if codes.count(0) != 1:
+        failures.append((NOT_ONE, f"{words}: exit codes {codes}"))
+    failures += [(NOT_TOLD, f"{words}: {one.err[-500:]}") for one in ended if not _is_told(one)]
+    if content_of(out) != expected:
+        failures.append((DAMAGED, words))
+    shutil.rmtree(out)
+    return CrashCase(CONTESTS, SCAN.name, number, count - 1, round(time.monotonic() - begun, 2), failures)
 
 
 def _compete(folder: Path, out: Path, count: int, force: bool) -> list[EndedRun]:
@@ -65,7 +64,7 @@ def _compete(folder: Path, out: Path, count: int, force: bool) -> list[EndedRun]
     ended = []
     for process in processes:
         said = process.communicate()
-        ended.append(EndedRun(process.returncode, *said, disturbed=False, seconds=0.0))
+        ended.append(EndedRun(process.returncode, *said))
     return ended
 
 

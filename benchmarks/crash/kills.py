@@ -19,17 +19,19 @@ import numpy as np
 import psutil
 
 from benchmarks.crash.content import content_of
-from benchmarks.crash.failures import Failures, no_failures, note_failure
-from benchmarks.crash.programs import DisturbedProgram, run_until
+from benchmarks.crash.programs import ROOT, DisturbedProgram, place_of, run_until_killed
+from benchmarks.crash.record import Campaign, CrashCase
 from fpplab.core.errors import FppError
 from fpplab.core.session_names import JOURNAL
 from fpplab.sessions.session import Session
+from tests.support.ready_program import ReadyProgram
 
 MOST_IN_TURN = 4
 """Kills of one output, before it may come to its end."""
 CHILDREN_S = 10.0
 """How long processes that a command started may live on."""
-UNREADABLE, LOST, NOT_RESUMED, DIFFERENT, LEFT_RUNNING = (
+KILLS = "kills"
+KINDS = UNREADABLE, LOST, NOT_RESUMED, DIFFERENT, LEFT_RUNNING = (
     "killed: sessions that cannot be read",
     "killed: frames lost that were acknowledged",
     "killed: runs that the same command does not complete",
@@ -42,27 +44,34 @@ UNREADABLE, LOST, NOT_RESUMED, DIFFERENT, LEFT_RUNNING = (
 class _Series:
     """The kills of one program."""
 
+    ready: ReadyProgram
     program: DisturbedProgram
-    folder: Path
-    random: np.random.Generator
-    found: Failures
+    campaign: Campaign
     expected: dict[str, str] = field(default_factory=dict)
     seconds: float = 0.0
+    failures: list[tuple[str, str]] = field(default_factory=list)
 
     def undisturbed(self) -> None:
         for name in ("warm", "whole"):
             out = self._place(name)
-            ended = run_until(self.program, self.folder, out)
+            ended = run_until_killed(self.ready, self.program, self.campaign.folder, out)
             if ended.code != 0:
                 raise RuntimeError(f"{self.program.name} fails undisturbed: {ended.err[-2000:]}")
         self.seconds, self.expected = ended.seconds, content_of(out)
 
-    def chain(self, number: int, most: int) -> int:
-        """Kill the runs of one output so many times at most, then let it come to its end; gives the kills."""
+    def case(self, number: int, most: int) -> CrashCase:
+        """Kill the runs of one output so many times at most, then let it come to its end."""
+        self.failures, begun = [], time.monotonic()
+        kills = self._chain(number, most)
+        seconds = round(time.monotonic() - begun, 2)
+        return CrashCase(KILLS, self.program.name, number, kills, seconds, self.failures)
+
+    def _chain(self, number: int, most: int) -> int:
+        random = np.random.default_rng([self.campaign.seed, len(self.program.words), number])
         out, kills, known = self._place(f"killed_{number}"), 0, dict[str, str]()
         while kills < most:
-            moment_s = self.random.uniform(0.0, self.seconds)
-            ended = run_until(self.program, self.folder, out, moment_s, signal.SIGKILL)
+            moment_s = random.uniform(0.0, self.seconds)
+            ended = run_until_killed(self.ready, self.program, self.campaign.folder, out, moment_s)
             kills += ended.code == -signal.SIGKILL
             self.seconds *= 1.02 if ended.disturbed else 0.9  # the computer's load changes
             words = f"{self.program.name}, {out.name}, kill {kills} at {moment_s:.3f} s"
@@ -70,71 +79,63 @@ class _Series:
             if ended.is_done:
                 break
         else:
-            ended = run_until(self.program, self.folder, out)
+            ended = run_until_killed(self.ready, self.program, self.campaign.folder, out)
         self._look(out, known, f"{self.program.name}, {out.name}, completed")
         if not ended.is_done:
-            note_failure(self.found, NOT_RESUMED, f"{self.program.name}, {out.name}: {ended.err[-1500:]}")
+            self._note(NOT_RESUMED, f"{self.program.name}, {out.name}: {ended.err[-1500:]}")
         elif (content := content_of(out)) != self.expected:
             apart = sorted(n for n in {*content, *self.expected} if content.get(n) != self.expected.get(n))
-            note_failure(self.found, DIFFERENT, f"{self.program.name}, {out.name} in {', '.join(apart)}")
+            self._note(DIFFERENT, f"{self.program.name}, {out.name} in {', '.join(apart)}")
             return kills  # its files are left to be looked at
         _remove(out)
         return kills
 
+    def _note(self, kind: str, words: str) -> None:
+        self.failures.append((kind, words))
+
     def _place(self, name: str) -> Path:
-        kind = self.program.name.replace(" ", "_")
-        out = self.folder / f"{kind}_{name}{self.program.suffix}"
-        if self.program.begin:
-            self.program.begin(self.folder, out)
-        return out
+        return place_of(self.campaign.folder, self.program, name)
 
     def _look(self, out: Path, known: dict[str, str], words: str) -> dict[str, str]:
         """Read all sessions, and what they have acknowledged, which must hold what they had before."""
-        for _ in left_running(self.folder):
-            note_failure(self.found, LEFT_RUNNING, words)
+        for _ in left_running(self.campaign.folder):
+            self._note(LEFT_RUNNING, words)
         try:
             now = dict(_acknowledged(out))
         except FppError as error:
-            note_failure(self.found, UNREADABLE, f"{words}: {error}")
+            self._note(UNREADABLE, f"{words}: {error}")
             return known
-        lost = [name for name, line in known.items() if now.get(name) != line]
-        for name in lost:
-            note_failure(self.found, LOST, f"{words}: {name}")
+        for name in [name for name, line in known.items() if now.get(name) != line]:
+            self._note(LOST, f"{words}: {name}")
         return now
 
 
-def kill_failures(folder: Path, programs: tuple[DisturbedProgram, ...], kills: int, seed: int) -> Failures:
+def kill_programs(campaign: Campaign) -> None:
     """Kill programs at random moments.
 
     Parameters
     ----------
-    folder : Path
-        What `prepare` filled.
-    programs : tuple of DisturbedProgram
-        Which; each is killed by its share.
-    kills : int
-        How many times in all.
-    seed : int
-        Of the moments.
-
-    Returns
-    -------
-    dict of str to list of str
-        Descriptions of what went wrong, by kind.
+    campaign : Campaign
+        Which, and how often.
     """
-    found = no_failures(UNREADABLE, LOST, NOT_RESUMED, DIFFERENT, LEFT_RUNNING)
-    if kills == 0:
-        return {}
-    whole = sum(program.share for program in programs)
-    for program in programs:
-        series = _Series(program, folder, np.random.default_rng([seed, len(program.words)]), found)
+    ready = ReadyProgram(ROOT)
+    try:
+        _kill_each(campaign, ready)
+    finally:
+        ready.close()
+
+
+def _kill_each(campaign: Campaign, ready: ReadyProgram) -> None:
+    for program, times in campaign.due(KILLS):
+        series = _Series(ready, program, campaign)
         series.undisturbed()
-        left, number = max(1, round(kills * program.share / whole)), 0
-        while left > 0:
-            left -= series.chain(number, min(left, MOST_IN_TURN))
+        left, number = times, len(campaign.record.of(KILLS, program.name))
+        while left > 0 and campaign.record.has_time:
+            case = series.case(number, min(left, MOST_IN_TURN))
+            campaign.record.add(case)
+            left -= case.disturbances
             number += 1
-        print(f"{program.name}: killed, {number} outputs completed", flush=True)
-    return found
+        print(f"{program.name}: {number} outputs of killed runs completed", flush=True)
 
 
 def _acknowledged(out: Path) -> Iterator[tuple[str, str]]:

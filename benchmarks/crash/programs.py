@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from threading import Timer
 from typing import Any
 
 import tifffile
@@ -25,8 +27,11 @@ from fpplab.pipeline import take_poses
 from fpplab.sessions.session import Session
 from sim.world import World
 from tests.drivers.flash_files import maker_firmware
+from tests.support.ready_program import ReadyProgram
 
 ROOT = Path(__file__).parents[2]
+LONGEST_S = 600.0
+"""No command takes longer."""
 SETS = [{"axis": axis, "stripes": stripes, "steps": 4} for axis in ("x", "y") for stripes in (1, 8, 48)]
 SIM = {
     "camera": {"backend": "sim.devices:SimCamera", "bits": 8},
@@ -202,13 +207,16 @@ class EndedRun:
         Whether the signal came while it ran.
     seconds : float
         How long it ran.
+    after_s : float
+        How long it ran on after the signal.
     """
 
     code: int
     out: str
     err: str
-    disturbed: bool
-    seconds: float
+    disturbed: bool = False
+    seconds: float = 0.0
+    after_s: float = 0.0
 
     @property
     def is_done(self) -> bool:
@@ -216,7 +224,9 @@ class EndedRun:
         return self.code == 0 or (self.code == 2 and "exists already" in self.err)
 
 
-def start(program: DisturbedProgram, folder: Path, out: Path, *more: str) -> subprocess.Popen[str]:
+def start(
+    program: DisturbedProgram, folder: Path, out: Path, *more: str, note: Path | None = None
+) -> subprocess.Popen[str]:
     """Start a command in a session of processes of its own.
 
     Parameters
@@ -229,30 +239,58 @@ def start(program: DisturbedProgram, folder: Path, out: Path, *more: str) -> sub
         Its output.
     *more : str
         Further words.
+    note : Path, optional
+        File in which the bench notes how it was left; by default `note_of` the output.
 
     Returns
     -------
     subprocess.Popen
         Its stdout and stderr are pipes.
     """
-    environment = {
-        **os.environ,
-        "PYTHONPATH": str(ROOT),
-        "PYTHONFAULTHANDLER": "1",
-        "FPPLAB_ALLOW_BACKEND": "benchmarks.crash.bench",
-        "FPPLAB_TRACEBACK": "1",
-        NOTE: str(note_of(out)),
-    }
     return subprocess.Popen(
-        [sys.executable, *program.words.format(out=out.name).split(), *more],
+        [sys.executable, *program.words.format(out=out.relative_to(folder)).split(), *more],
         cwd=folder,
-        env=environment,
+        env=_environment(note or note_of(out)),
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
     )
+
+
+def _environment(note: Path) -> dict[str, str]:
+    return {
+        **os.environ,
+        "PYTHONPATH": str(ROOT),
+        "PYTHONFAULTHANDLER": "1",
+        "FPPLAB_ALLOW_BACKEND": "benchmarks.crash.bench",
+        "FPPLAB_TRACEBACK": "1",
+        NOTE: str(note),
+    }
+
+
+def place_of(folder: Path, program: DisturbedProgram, name: str) -> Path:
+    """Name an output of a command, begun as the command wants it.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the command runs.
+    program : DisturbedProgram
+        The command.
+    name : str
+        Of the output, among those of the command.
+
+    Returns
+    -------
+    Path
+        The output.
+    """
+    out = folder / f"{program.name.replace(' ', '_')}_{name}{program.suffix}"
+    if program.begin:
+        program.begin(folder, out)
+    return out
 
 
 def note_of(out: Path) -> Path:
@@ -295,7 +333,7 @@ def run_until(
         How it ended.
     """
     note_of(out).parent.mkdir(exist_ok=True)
-    begun = time.monotonic()
+    begun = signalled = time.monotonic()
     process = start(program, folder, out)
     disturbed = False
     if moment_s is not None:
@@ -303,6 +341,49 @@ def run_until(
             process.wait(moment_s)
         except subprocess.TimeoutExpired:
             process.send_signal(number)
-            disturbed = True
+            disturbed, signalled = True, time.monotonic()
     words, said = process.communicate()
-    return EndedRun(process.returncode, words, said, disturbed, time.monotonic() - begun)
+    end = time.monotonic()
+    return EndedRun(process.returncode, words, said, disturbed, end - begun, end - signalled)
+
+
+def run_until_killed(
+    ready: ReadyProgram, program: DisturbedProgram, folder: Path, out: Path, moment_s: float | None = None
+) -> EndedRun:
+    """Run a command to its end, or kill it at a moment; where it is fpplab's own, its modules are loaded.
+
+    Parameters
+    ----------
+    ready : ReadyProgram
+        The program, which is forked.
+    program : DisturbedProgram
+        The command.
+    folder : Path
+        Where it runs.
+    out : Path
+        Its output.
+    moment_s : float, optional
+        When it gets SIGKILL, in s from its start; by default never.
+
+    Returns
+    -------
+    EndedRun
+        How it ended.
+    """
+    module, *words = program.words.format(out=out.relative_to(folder)).split()[1:]
+    if module != "fpplab":
+        return run_until(program, folder, out, moment_s, signal.SIGKILL)
+    note_of(out).parent.mkdir(exist_ok=True)
+    begun, timers = time.monotonic(), list[Timer]()
+
+    def kill_later(process: int) -> None:
+        if moment_s is not None:
+            timers.append(Timer(moment_s, os.kill, (process, signal.SIGKILL)))
+            timers[0].start()
+
+    done = ready.run(words, folder, _environment(note_of(out)), LONGEST_S, kill_later)
+    for timer in timers:
+        timer.cancel()
+        timer.join()
+    seconds, killed = time.monotonic() - begun, done.returncode == -signal.SIGKILL
+    return EndedRun(done.returncode, done.stdout, done.stderr, killed, seconds)

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import re
 import signal
-from itertools import cycle
+import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
 from benchmarks.crash.bench import bench_is_safe
-from benchmarks.crash.failures import Failures, note_failure
 from benchmarks.crash.kills import left_running
-from benchmarks.crash.programs import DisturbedProgram, EndedRun, note_of, run_until
+from benchmarks.crash.programs import DisturbedProgram, EndedRun, note_of, place_of, run_until
+from benchmarks.crash.record import Campaign, CrashCase
 from fpplab.core.interrupts import SIGNALS
 
-WRONG_CODE, TRACEBACK, UNSAFE, LEFT_RUNNING, BEFORE = (
+INTERRUPTS = "signals"
+KINDS = WRONG_CODE, TRACEBACK, UNSAFE, LEFT_RUNNING, BEFORE = (
     "signals: exit codes other than 130",
     "signals: tracebacks",
     "signals: benches not left safe",
@@ -23,72 +25,68 @@ WRONG_CODE, TRACEBACK, UNSAFE, LEFT_RUNNING, BEFORE = (
     "signals: before the program's first line",
 )
 FIRST_LINE = re.compile(r'.*/(fpplab|benchmarks)/.*(__(init|main)__|board)\.py", line \d+, in <module>')
+ENDING_S = 0.2
+"""After its last work a process is gone so soon."""
 FIRST_MOMENTS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05)
 """Moments in s with which every program begins."""
 
 
-def signal_failures(
-    folder: Path, programs: tuple[DisturbedProgram, ...], signals: int, seed: int
-) -> Failures:
+def signal_programs(campaign: Campaign) -> None:
     """Interrupt programs at random moments, by SIGINT, SIGTERM and SIGHUP in turn.
 
     Before the program's first line Python answers itself, and nothing has begun: such runs are counted apart.
 
     Parameters
     ----------
-    folder : Path
-        What `prepare` filled.
-    programs : tuple of DisturbedProgram
-        Which; each is interrupted by its share.
-    signals : int
-        How many times in all.
-    seed : int
-        Of the moments.
-
-    Returns
-    -------
-    dict of str to list of str
-        Descriptions of what went wrong, by kind.
+    campaign : Campaign
+        Which, and how often.
     """
-    found: dict[str, list[str]] = {kind: [] for kind in (WRONG_CODE, TRACEBACK, UNSAFE, LEFT_RUNNING, BEFORE)}
-    if signals == 0:
-        return {}
-    whole = sum(program.share for program in programs)
-    for program in programs:
-        random = np.random.default_rng([seed, len(program.words), 1])
-        count = max(1, round(signals * program.share / whole))
-        seconds = run_until(program, folder, _place(folder, program, "timed")).seconds
-        early = list(FIRST_MOMENTS)[: max(1, count // 5)]
-        for number, signalled in zip(range(count), cycle(SIGNALS), strict=False):
-            out = _place(folder, program, f"stopped_{number}")
+    for program, left in campaign.due(INTERRUPTS):
+        seconds = run_until(program, campaign.folder, place_of(campaign.folder, program, "timed")).seconds
+        first = len(campaign.record.of(INTERRUPTS, program.name))
+        early = FIRST_MOMENTS[: max(1, (first + left) // 5)]
+        for number in range(first, first + left):
+            if not campaign.record.has_time:
+                break
+            random = np.random.default_rng([campaign.seed, len(program.words), number, 1])
             moment_s = early[number] if number < len(early) else random.uniform(0.0, seconds)
-            ended = run_until(program, folder, out, moment_s, signalled)
+            signalled = SIGNALS[number % len(SIGNALS)]
+            begun = time.monotonic()
+            ended, failures = _interrupt(campaign.folder, program, number, moment_s, signalled)
             seconds *= 1.02 if ended.disturbed else 0.9
-            words = f"{program.name}, {signalled.name} at {moment_s:.3f} s: exit code {ended.code}"
-            _judge(ended, signalled, f"{words}\n{ended.err[-1500:]}", found)
-            if not bench_is_safe(note_of(out)):
-                note_failure(found, UNSAFE, words)
-            for _ in left_running(folder):
-                note_failure(found, LEFT_RUNNING, words)
-        print(f"{program.name}: interrupted {count} times", flush=True)
-    return found
+            took = round(time.monotonic() - begun, 2)
+            campaign.record.add(CrashCase(INTERRUPTS, program.name, number, 1, took, failures))
+        print(f"{program.name}: interrupted {first + left} times", flush=True)
 
 
-def _place(folder: Path, program: DisturbedProgram, name: str) -> Path:
-    out = folder / f"{program.name.replace(' ', '_')}_{name}{program.suffix}"
-    if program.begin:
-        program.begin(folder, out)
-    return out
+def _interrupt(
+    folder: Path, program: DisturbedProgram, number: int, moment_s: float, signalled: signal.Signals
+) -> tuple[EndedRun, list[tuple[str, str]]]:
+    """One run that gets a signal, and what went wrong."""
+    out = place_of(folder, program, f"stopped_{number}")
+    ended = run_until(program, folder, out, moment_s, signalled)
+    words = f"{program.name}, {signalled.name} at {moment_s:.3f} s: exit code {ended.code}"
+    failures = list(_complaints(ended, signalled, words))
+    if not bench_is_safe(note_of(out)):
+        failures.append((UNSAFE, words))
+    failures += [(LEFT_RUNNING, words) for _ in left_running(folder)]
+    return ended, failures
 
 
-def _judge(ended: EndedRun, number: signal.Signals, words: str, found: Failures) -> None:
+def _complaints(ended: EndedRun, number: signal.Signals, words: str) -> Iterator[tuple[str, str]]:
     if _is_before(ended, number):
-        note_failure(found, BEFORE, words.splitlines()[0])
+        yield BEFORE, words
         return
-    if ended.code not in (0, 130):
-        note_failure(found, WRONG_CODE, words)
+    said = f"{words}\n{ended.err[-1500:]}"
+    if ended.code != 130 and not _came_too_late(ended):
+        yield WRONG_CODE, said
     if "Traceback" in ended.err:
-        note_failure(found, TRACEBACK, words)
+        yield TRACEBACK, said
+
+
+def _came_too_late(ended: EndedRun) -> bool:
+    """Whether a run had done its work when the signal came."""
+    return ended.code == 0 and (not ended.disturbed or ended.after_s < ENDING_S)
 
 
 def _is_before(ended: EndedRun, number: signal.Signals) -> bool:

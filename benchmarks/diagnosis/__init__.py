@@ -1,10 +1,10 @@
 """Faults named by their own frames: simulated and emulated benches, at strengths and seeds that set no limit.
 
-    python -m benchmarks.diagnosis [--seed FIRST] [--count N] [--causes A,B,…]
+    python -m benchmarks.diagnosis [--seed FIRST] [--count N] [--causes A,B,…] [--record FILE]
 
-Limits were chosen on seeds 100 to 112, 500 to 559 and 700 to 770, and on the captures of a real rig; these
-are judged on others. Strengths are drawn, like everything else of a bench, by its seed. Methods are developed
-with another first seed than that which judges them.
+Limits were chosen on seeds 100 to 112, 200 to 399, 500 to 559, 700 to 770, 1000 to 1049 and 1100 to 1103,
+and on captures of a real rig; these are judged on others. Strengths are drawn, like everything else of a
+bench, by its seed. Methods are developed with another first seed than that which judges them.
 """
 
 from __future__ import annotations
@@ -13,10 +13,11 @@ import logging
 import os
 from collections import Counter
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from itertools import cycle
 from multiprocessing import get_context
+from pathlib import Path
 from typing import TypeVar
 from unittest.mock import patch
 
@@ -34,6 +35,7 @@ from benchmarks.diagnosis.judging import (
     of_scan,
     of_scene,
 )
+from benchmarks.diagnosis.record import Record
 from fpplab.cli import console
 from fpplab.core.errors import ConfigError
 from fpplab.devices.backends import allow_backends
@@ -41,7 +43,7 @@ from fpplab.diagnosis import Verdict
 from tests.support.faulty_bench import FAULTS, FAULTS_IN_TIME
 from tests.support.faulty_devices import DEVICE_FAULTS
 
-JUDGING_SEED = 1000
+JUDGING_SEED = 1200
 """The first seed of those that nothing was developed with."""
 COUNT = 10
 """Benches of each fault."""
@@ -92,7 +94,7 @@ ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENBLAS_NU
 """Environment of the processes that judge benches side by side."""
 
 log = logging.getLogger("benchmarks")
-T = TypeVar("T")
+T = TypeVar("T", Judged, Followed)
 Work = tuple[Callable[[str, int], T], str, int]
 
 
@@ -108,11 +110,14 @@ class Selection:
         Benches of each fault.
     causes : tuple of str
         The faults, of `JUDGES`; empty for all of them, and for pairs, benches without fault and advice.
+    record : Path or None
+        Where each outcome is written as it comes, and whence those of an earlier run are taken.
     """
 
     seed: int = JUDGING_SEED
     count: int = COUNT
     causes: tuple[str, ...] = ()
+    record: Path | None = None
 
 
 def run() -> list[Result]:
@@ -142,7 +147,7 @@ def measure(part: Selection) -> list[Result]:
     Raises
     ------
     ConfigError
-        There is no such cause.
+        There is no such cause, or the record is of another commit.
     """
     unknown = [cause for cause in part.causes if cause not in JUDGES]
     if unknown:
@@ -150,15 +155,17 @@ def measure(part: Selection) -> list[Result]:
     # The rigs by formulas are backends of the tests.
     allow_backends(["tests"])
     cores = len(os.sched_getaffinity(0))
+    record = Record(part.record) if part.record else None
     with patch.dict(os.environ, ONE_THREAD), ProcessPoolExecutor(cores, get_context("spawn")) as pool:
-        results = _of_faults(_each(pool, _faults(part), "Faults"))
+        each = _Judging(pool, record).each
+        results = _of_faults(each(_faults(part), "Faults"))
         if part.causes:
             return results
         return [
             *results,
-            _of_healthy(_each(pool, _healthy(part), "Benches without fault")),
-            _of_pairs(_each(pool, _pairs(part), "Pairs")),
-            *_of_advice(_each(pool, _advised(part), "Advice")),
+            _of_healthy(each(_healthy(part), "Benches without fault")),
+            _of_pairs(each(_pairs(part), "Pairs")),
+            *_of_advice(each(_advised(part), "Advice")),
         ]
 
 
@@ -184,20 +191,37 @@ def _advised(part: Selection) -> list[Work[Followed]]:
     return [(follow, cause, part.seed + ADVICE_AFTER + k) for k, cause in enumerate(BAD_RIGS)]
 
 
-def _each(pool: ProcessPoolExecutor, work: Sequence[Work[T]], what: str) -> list[T]:
-    """Do work in processes of one thread each."""
-    found = []
-    waiting = [pool.submit(judge, cause, seed) for judge, cause, seed in work]
-    try:
-        with console.progress(what) as progress:
-            for k, one in enumerate(waiting):
-                found.append(one.result())
-                log.info("%s", found[-1])
-                progress((k + 1) / len(waiting))
-    except BaseException:
-        pool.shutdown(wait=False, cancel_futures=True)
-        raise
-    return found
+@dataclass(frozen=True)
+class _Judging:
+    """Processes of one thread each that judge, and where their outcomes are kept."""
+
+    pool: ProcessPoolExecutor
+    record: Record | None
+
+    def each(self, work: Sequence[Work[T]], what: str) -> list[T]:
+        """Judge benches, but for those that the record knows."""
+        found = {k: one for k, job in enumerate(work) if (one := self._known(job)) is not None}
+        waiting = {
+            self.pool.submit(judge, cause, seed): k
+            for k, (judge, cause, seed) in enumerate(work)
+            if k not in found
+        }
+        try:
+            with console.progress(what) as progress:
+                for done in as_completed(waiting):
+                    k = waiting[done]
+                    found[k] = done.result()
+                    log.info("%s", found[k])
+                    if self.record:
+                        self.record.add(*work[k], found[k])
+                    progress(len(found) / len(work))
+        except BaseException:
+            self.pool.shutdown(wait=False, cancel_futures=True)
+            raise
+        return [found[k] for k in range(len(work))]
+
+    def _known(self, job: Work[T]) -> T | None:
+        return self.record.known(*job) if self.record else None
 
 
 def _of_faults(faults: Sequence[Judged]) -> list[Result]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import asdict
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -22,10 +23,14 @@ def diagnosis_command(
     causes: Annotated[
         str, typer.Option(help=f"Only these, with commas between them: {', '.join(JUDGES)}.")
     ] = "",
+    record: Annotated[
+        Path | None,
+        typer.Option(help="Write each outcome here as it comes; the same command goes on from there."),
+    ] = None,
     json: Json = False,
 ) -> None:
     """Judge benches with and without faults, and say which faults were named."""
-    results = measure(Selection(seed, count, tuple(causes.split(",")) if causes else ()))
+    results = measure(Selection(seed, count, tuple(causes.split(",")) if causes else (), record))
     rows = [list(asdict(one).values()) for one in results]
     columns = ["name", "value", "unit", "baseline", "ratio"]
     answer = {"results": [asdict(one) for one in results]}

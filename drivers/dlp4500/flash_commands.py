@@ -44,7 +44,7 @@ def build(
     from drivers.dlp4500.flash.firmware import Firmware, arrange_patterns
     from drivers.dlp4500.index import FlashIndex
     from drivers.dlp4500.sequence import SIZE
-    from fpplab.acquisition.sync_check import marker
+    from fpplab.acquisition.marker import marker
     from fpplab.core import config
     from fpplab.core.conventions import Lattice
     from fpplab.core.files import need_suffix, refuse_existing, write_atomic, write_text
@@ -52,9 +52,7 @@ def build(
     from fpplab.patterns.plan import Plan
 
     need_suffix(out, ".bin")
-    index = out.with_suffix(".yaml")
-    for file in (out, index):
-        refuse_existing(file, force)
+    refuse_existing(out, force)
     chosen = Plan.load(plan)
     chosen.check_projector(SIZE, plan)
     firmware = Firmware.load(base)
@@ -62,9 +60,13 @@ def build(
         greys = sorted({*chosen.greys.shown, *marker().tolist()})
         patterns = [*make_patterns(chosen, SIZE, Lattice.DIAMOND), *uniform_patterns(greys, SIZE)]
         built = firmware.with_patterns(patterns, out)
-        listed = FlashIndex.of(patterns, arrange_patterns(patterns))
+        listed = config.dump(FlashIndex.of(patterns, arrange_patterns(patterns)))
+    index = out.with_suffix(".yaml")
+    if not _holds(index, listed):  # as a command leaves it that was killed between the two files
+        refuse_existing(index, force)
+        out.unlink(missing_ok=True)  # never another file's index beside it
+        write_text(index, listed)
     write_atomic(out, lambda stream: stream.write(built.content))
-    write_text(index, config.dump(listed))
     result = {
         "firmware": str(out),
         "index": str(index),
@@ -74,6 +76,10 @@ def build(
         "seconds": seconds(),
     }
     console.answer(result, json)
+
+
+def _holds(file: Path, text: str) -> bool:
+    return file.is_file() and file.read_bytes() == text.encode("utf-8")
 
 
 @dlp4500.command()

@@ -6,7 +6,7 @@ import math
 import re
 import time
 from collections.abc import Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -14,8 +14,10 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from fpplab.acquisition.acquire import expose
-from fpplab.core.conventions import Image, full_scale
-from fpplab.core.errors import DeviceError
+from fpplab.acquisition.marker import middle_level
+from fpplab.core.conventions import Floats, Image, full_scale
+from fpplab.core.errors import CapabilityError, DeviceError
+from fpplab.core.robust import robust_spread
 from fpplab.devices import CameraSettings, DeviceInfo, Frame
 from fpplab.devices.rig import Rig
 from fpplab.diagnosis import FaultCause, Finding
@@ -41,11 +43,14 @@ WRITTEN = 6
 MAINS_HZ = (100.0, 120.0)
 """Frequencies of light from mains of 50 and 60 Hz."""
 
-MAINS_FRAMES, MAINS_LEVEL = 16, 128
-"""Frames of each exposure that tell the mains, and the grey level that they show."""
+MAINS_FRAMES = 16
+"""Frames of each exposure that tell the mains."""
 
 LEAST_SCATTER = 0.015
-"""Scatter of the frames' brightness that is told."""
+"""Scatter of the frames' brightness that flicker has."""
+
+LEAST_MAINS = 0.0075
+"""Scatter that is told where whole periods of the light calm it: nothing else looks alike."""
 
 CALM_SHARE = 0.4
 """What whole periods of the light leave of its scatter, at most; random light is as restless as before."""
@@ -162,7 +167,7 @@ def mains_finding(rig: Rig, plan: Plan) -> Finding | None:
         A device failed.
     """
     restless = _scatter(rig, plan, plan.exposure_s)
-    if restless is None or restless <= LEAST_SCATTER:
+    if restless is None or restless <= LEAST_MAINS:
         return None
     calm: list[tuple[float, float, float]] = []
     for hertz in MAINS_HZ:
@@ -175,14 +180,41 @@ def mains_finding(rig: Rig, plan: Plan) -> Finding | None:
     words = (
         f"frames differ in brightness by {100 * restless:.1f} % RMS, and by {100 * scatter:.1f} % where "
         f"they are exposed for {1e3 * exposure_s:.4g} ms, whole periods of light of {hertz:g} Hz (at most "
-        f"{100 * LEAST_SCATTER:g} %)"
+        f"{100 * LEAST_MAINS:g} %)"
     )
     return Finding(
         FaultCause.MAINS_FLICKER,
         words,
-        restless / LEAST_SCATTER,
+        restless / LEAST_MAINS,
         f"write `exposure_s: {exposure_s:.5g}` into the plan, or run the lamp from direct current",
     )
+
+
+def flickers(rig: Rig, plan: Plan) -> bool:
+    """Tell whether the light flickers, by frames that all show one grey level: no slip changes these.
+
+    Parameters
+    ----------
+    rig : Rig
+        Open.
+    plan : Plan
+        With the exposure.
+
+    Returns
+    -------
+    bool
+        True where it does; False where the frames saturate.
+
+    Raises
+    ------
+    DeviceError
+        A device failed.
+    """
+    levels = _levels(rig, plan, plan.exposure_s)
+    if levels is None:
+        return False
+    middle = float(np.median(levels))
+    return robust_spread(levels - middle, 0.0) > LEAST_SCATTER * middle
 
 
 def with_mains(findings: Sequence[Finding], mains: Finding | None) -> tuple[Finding, ...]:
@@ -209,13 +241,19 @@ def with_mains(findings: Sequence[Finding], mains: Finding | None) -> tuple[Find
 
 def _scatter(rig: Rig, plan: Plan, exposure_s: float) -> float | None:
     """Standard deviation of the frames' brightness as a share; None where they saturate."""
-    patterns = uniform_patterns([MAINS_LEVEL] * MAINS_FRAMES, rig.projector.caps.size)
+    levels = _levels(rig, plan, exposure_s)
+    return None if levels is None else float(np.std(levels, ddof=1) / np.mean(levels))
+
+
+def _levels(rig: Rig, plan: Plan, exposure_s: float) -> Floats | None:
+    """Mean levels (MAINS_FRAMES,) of frames of one grey level; None where they saturate or are not shown."""
+    patterns = uniform_patterns([middle_level()] * MAINS_FRAMES, rig.projector.caps.size)
     settings = rig.camera_settings(exposure_s, plan.bits)
     stepped = plan.model_copy(update={"trigger": "stepped"})
     top, levels = full_scale(settings.bits), []
-    with closing(expose(rig, patterns, settings, stepped)) as shots:
+    with suppress(CapabilityError), closing(expose(rig, patterns, settings, stepped)) as shots:
         for shot in shots:
             if float((shot.image >= top).mean()) > 0.01:
                 return None
             levels.append(float(shot.image.mean()))
-    return float(np.std(levels, ddof=1) / np.mean(levels))
+    return np.array(levels) if levels else None

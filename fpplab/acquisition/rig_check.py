@@ -20,12 +20,12 @@ from fpplab.acquisition.device_check import (
     mains_finding,
     with_mains,
 )
+from fpplab.acquisition.marker import marker
 from fpplab.acquisition.sync_check import (
     RUINOUS,
     UNCERTAIN,
     MarkerInspection,
     MarkerRun,
-    marker,
     recover_camera,
 )
 from fpplab.acquisition.synchronisation import check_synchronisation, remedy
@@ -178,7 +178,7 @@ def check_rig(
     return RigCheck(
         shown=marker(),
         runs=tuple(marker_seen.runs),
-        findings=_ranked([*failed, *_weighed(marker_seen.findings, seen), *seen]),
+        findings=_ranked([*failed, *marker_seen.findings, *seen]),
         unknown=(*_untold(seen), *fringes.unknown, *(fringes.diagnosis.unknown if fringes.diagnosis else ())),
         settle_s=marker_seen.settle_s,
         timing=timing,
@@ -223,15 +223,6 @@ def _of_transport(rig: Rig, plan: Plan, timing: PulseTiming | None, folder: Path
     return [one for one in found if one is not None]
 
 
-def _weighed(slips: Sequence[Finding], seen: Sequence[Finding]) -> list[Finding]:
-    """What the marker shows, where light that flickers may have looked like a display that is slow."""
-    flickers = any(finding.cause is FaultCause.FLICKER for finding in seen)
-    return [
-        replace(slip, excess=UNCERTAIN) if flickers and slip.cause is FaultCause.SLOW_DISPLAY else slip
-        for slip in slips
-    ]
-
-
 def _ranked(findings: list[Finding]) -> tuple[Finding, ...]:
     """The worst first, each cause once."""
     first: dict[FaultCause, Finding] = {}
@@ -273,9 +264,8 @@ class _FringeInspection:
                 continue
             self.recording = recording
             self.diagnosis = self._judged(recording, rig)
-            if any(one.cause in (FaultCause.FLICKER, FaultCause.BANDS) for one in self.diagnosis.findings):
-                findings = with_mains(self.diagnosis.findings, mains_finding(rig, plan))
-                self.diagnosis = replace(self.diagnosis, findings=findings)
+            findings = with_mains(self.diagnosis.findings, mains_finding(rig, plan))
+            self.diagnosis = replace(self.diagnosis, findings=findings)
             return
         self.unknown.append(f"light, focus and geometry: {missing.found}; {missing.remedy}")
 

@@ -12,7 +12,8 @@ import numpy as np
 
 from fpplab.acquisition.acquire import expose
 from fpplab.acquisition.device_check import device_finding
-from fpplab.acquisition.sync_check import LEAST_RISE, SATURATED, marker, recover_camera
+from fpplab.acquisition.marker import marker
+from fpplab.acquisition.sync_check import LEAST_RISE, SATURATED, recover_camera
 from fpplab.acquisition.timing import PulseTiming, pulse_timing
 from fpplab.core.conventions import Floats, full_scale
 from fpplab.core.errors import DeviceError, DeviceTimeoutError, FrameLossError

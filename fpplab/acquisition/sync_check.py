@@ -19,7 +19,9 @@ from numpy.typing import NDArray
 from scipy.optimize import isotonic_regression
 
 from fpplab.acquisition.acquire import expose
+from fpplab.acquisition.device_check import flickers
 from fpplab.acquisition.exposure_shift import LEAST_SHARE, ExposureShift, exposure_shift
+from fpplab.acquisition.marker import marker
 from fpplab.acquisition.synchronisation import Cause, SyncFault, faults, remedy
 from fpplab.acquisition.timing import PulseTiming, pulse_timing
 from fpplab.core.conventions import Floats, full_scale
@@ -32,11 +34,6 @@ from fpplab.diagnosis.brightness import COLOURS, colour_finding
 from fpplab.patterns.fringes import uniform_patterns
 from fpplab.patterns.plan import Plan
 
-MARKER_ORDER = (7, 0, 5, 9, 4, 8, 3, 10, 1, 6, 2, 11)
-"""Levels by their rank, 0 the darkest. Twelve fill the places of four 24-bit images. Of orders whose
-neighbours differ by four steps or more this one, of many tried, leaves the greatest departure between any two
-slips: 6 % of the range, 2 % at a gamma of 2.2. Both its ends are brighter than the darkness around it.
-"""
 LEAST_RISE = 0.05
 """Share of full scale by which white must be brighter than black."""
 SATURATED = 0.01
@@ -57,6 +54,8 @@ RUINOUS = 1e4
 """Excess of frames that are out of step: everything else follows from it."""
 UNCERTAIN = 1.0
 """Excess of frames that look out of step where another cause may be behind it."""
+SLIPS = (FaultCause.OUT_OF_STEP, FaultCause.SLOW_DISPLAY, FaultCause.CAMERA_NOT_READY)
+"""What is told by levels that do not rise with the grey levels shown."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,17 +86,6 @@ class MarkerRun:
     def frames(self) -> int:
         """Number of frames that came."""
         return int(np.isfinite(self.levels).sum())
-
-
-def marker() -> NDArray[np.int64]:
-    """Compute the grey levels of the marker.
-
-    Returns
-    -------
-    ndarray of int64, (12,)
-        Grey levels of 255 in the order shown.
-    """
-    return np.asarray(np.rint(np.array(MARKER_ORDER) * 255 / (len(MARKER_ORDER) - 1)), np.int64)
 
 
 def matching_faults(shown: Sequence[int] | NDArray[np.int64], levels: Floats) -> tuple[SyncFault, ...] | None:
@@ -207,6 +195,17 @@ class MarkerInspection:
             if run.frames:
                 self.runs.append(run)
             self.findings += self._of_trigger(rig, triggered, shown, run)
+        self._doubt_slips(rig)
+
+    def _doubt_slips(self, rig: Rig) -> None:
+        """Leave slips uncertain where all frames came but light flickers, which looks alike."""
+        whole = all(run.frames == len(run.levels) for run in self.runs)
+        if not whole or not any(one.cause in SLIPS for one in self.findings) or not flickers(rig, self._plan):
+            return
+        self.findings, self._of_stepped = (
+            [replace(one, excess=UNCERTAIN) if one.cause in SLIPS else one for one in found]
+            for found in (self.findings, self._of_stepped)
+        )
 
     @property
     def fringe_plan(self) -> Plan | None:

@@ -200,7 +200,9 @@ def _ratio(residuals: Floats, redundancy: float, leaked: float) -> float:
     if redundancy < 1e-3 * len(residuals):
         return 1.0
     squares = float(np.sum(np.minimum(residuals**2, SOFT**2))) / CLIPPED
-    return float(np.sqrt(max(squares - leaked, LEAST_OWN * squares) / redundancy))
+    # Residuals far beyond the clip must still tell that their size was taken too small.
+    unclipped = max(squares, robust_spread(residuals, 0.0) ** 2 * residuals.size)
+    return float(np.sqrt(max(squares - leaked, LEAST_OWN * unclipped) / redundancy))
 
 
 def uncertainty(

@@ -109,7 +109,7 @@ def _scale(
     here = whitened(pose)
     moved = [(whitened(pose + d) - here) / d.sum() for d in np.diag(step)]
     radial = (observation.camera_px - solution.camera[2:4]) / sizes.camera_px
-    larger = np.concatenate([-radial.ravel(), np.zeros(2 * len(radial))])
+    larger = np.concatenate([radial.ravel(), np.zeros(2 * len(radial))])
     normal = np.stack([*moved, larger])
     inverse = np.linalg.inv(normal @ normal.T)
     return float(-(inverse @ normal @ here)[-1]), float(np.sqrt(inverse[-1, -1]))

@@ -3,7 +3,8 @@
 Python raises it wherever the program is, and three of these places lose it. An import leaves half a module,
 and libraries make another error of it: there it waits until the import is over. In a callback that Python
 calls itself, of a weak reference or before an object is deleted, it is swallowed: there it is raised again.
-While everything is being closed a second one would leave a device open: it counts only after some seconds.
+While everything is being closed one would leave a device open: the first waits until all is closed, and a
+second one counts only after some seconds.
 """
 
 from __future__ import annotations
@@ -14,6 +15,8 @@ import signal
 import sys
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
@@ -31,6 +34,8 @@ _interrupted: list[tuple[float, signal.Signals]] = []
 _again: list[signal.Signals] = []
 """The signal that is to come again."""
 _sending = threading.Lock()
+_held: list[signal.Signals | None] = []
+"""For every `held_back` that is entered: the signal that came meanwhile."""
 
 
 def watch_signals() -> None:
@@ -39,6 +44,34 @@ def watch_signals() -> None:
         if signal.getsignal(number) is not signal.SIG_IGN:  # a background job does not hear Ctrl-C
             signal.signal(number, _interrupt)
     sys.unraisablehook = _unraisable
+
+
+@contextmanager
+def held_back() -> Iterator[None]:
+    """Let what makes the bench safe come to its end: an interruption that comes meanwhile is raised after it.
+
+    Yields
+    ------
+    None
+        Nothing.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        A signal came.
+    """
+    if threading.current_thread() is not threading.main_thread():  # which no signal interrupts
+        yield
+        return
+    _held.append(None)
+    try:
+        yield
+    finally:
+        came = _held.pop()
+        if came is not None:
+            if not _held:
+                raise KeyboardInterrupt
+            _held[-1] = came
 
 
 def leave_at_once() -> None:
@@ -79,6 +112,9 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
     elif _interrupted and now_s - _interrupted[-1][0] < CLOSING_S:
         return
     _interrupted.append((now_s, signal.Signals(number)))
+    if _held and len(_interrupted) == 1:  # who asks again will not wait for what does not end
+        _held[-1] = signal.Signals(number)
+        return
     if _is_importing(frame):
         _come_again()
         return

@@ -131,7 +131,8 @@ def locked_file(path: Path) -> Iterator[bool]:
         yield handle is not None
     finally:
         if handle is not None:
-            with suppress(PermissionError):  # Windows deletes no open file: it stays, unlocked
+            # Windows deletes no open file, nobody one of a disk that is gone: it stays, unlocked.
+            with suppress(OSError):
                 path.unlink(missing_ok=True)  # while it is locked, so that nobody else's is taken away
             os.close(handle)
 

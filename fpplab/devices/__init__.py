@@ -18,7 +18,7 @@ from fpplab.devices.fixture import Fixture, FixtureCaps
 from fpplab.devices.flashing import FlashingProjector
 from fpplab.devices.placing import InstructableFixture, PosableFixture
 from fpplab.devices.projector import PatternLoads, Projector, ProjectorCaps
-from fpplab.devices.stage import Stage, StageCaps
+from fpplab.devices.stage import Stage, StageCaps, StageMove
 
 __all__ = [
     "Camera",
@@ -37,6 +37,7 @@ __all__ = [
     "ProjectorCaps",
     "Stage",
     "StageCaps",
+    "StageMove",
     "State",
     "Trigger",
 ]

@@ -27,7 +27,8 @@ from fpplab.core import config
 from fpplab.core.config import Document
 from fpplab.core.depth import DepthField
 from fpplab.core.errors import ConfigError
-from fpplab.devices import Camera, CameraSettings, Device, Fixture, Projector, Stage, State
+from fpplab.core.interrupts import held_back
+from fpplab.devices import Camera, CameraSettings, Device, Fixture, Projector, Stage, StageMove, State
 from fpplab.devices.backends import load_backend
 from fpplab.devices.rig_lock import using_rig
 from fpplab.devices.shared import SharedBackend
@@ -186,7 +187,8 @@ class Rig:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._stack.close()
+        with held_back():
+            self._stack.close()
 
     @property
     def source(self) -> str:
@@ -296,9 +298,35 @@ class Rig:
         LimitError
             The position lies outside the travel.
         """
+        stage = self._stage_for(mm)
+        stage.check(mm)
+        return stage
+
+    def foresee_stage(self, mm: float) -> StageMove:
+        """Tell what moving the stage to a position would be; nothing moves, and nobody is asked.
+
+        Parameters
+        ----------
+        mm : float
+            The position in mm.
+
+        Returns
+        -------
+        StageMove
+            The move.
+
+        Raises
+        ------
+        ConfigError
+            The rig has no stage.
+        LimitError
+            The position lies outside the travel.
+        """
+        return self._stage_for(mm).foresee(mm)
+
+    def _stage_for(self, mm: float) -> Stage:
         if self.stage is None:
             raise ConfigError(f"{self._source}: 'stage' is missing, and the plan's stage_mm {mm:g} needs one")
-        self.stage.check(mm)
         return self.stage
 
     def place_stage(self, mm: float) -> None:

@@ -25,6 +25,31 @@ class StageCaps:
     travel_mm: tuple[float, float]
 
 
+@dataclass(frozen=True)
+class StageMove:
+    """A move that has not been made.
+
+    Attributes
+    ----------
+    start_mm : float or None
+        Where the stage is, in mm; None where it has to be homed first.
+    target_mm : float
+        Where it would go, in mm.
+    travel_mm : tuple of float
+        (least, most) position in mm that it can reach.
+    soft_limits_mm : tuple of float or None
+        (least, most) position in mm that the rig file allows without consent.
+    needs_consent : bool
+        Whether the target lies beyond the soft limits.
+    """
+
+    start_mm: float | None
+    target_mm: float
+    travel_mm: tuple[float, float]
+    soft_limits_mm: tuple[float, float] | None
+    needs_consent: bool
+
+
 class Stage(Device):
     """A linear stage in mm."""
 
@@ -110,20 +135,50 @@ class Stage(Device):
         self._need(State.IDLE, doing="check")
         self._check_travel("check", mm)
 
+    @final
+    def foresee(self, mm: float) -> StageMove:
+        """Tell what moving to a position would be; nothing moves, and nobody is asked.
+
+        Parameters
+        ----------
+        mm : float
+            The position in mm.
+
+        Returns
+        -------
+        StageMove
+            The move.
+
+        Raises
+        ------
+        LimitError
+            The position lies outside the travel.
+        """
+        self._need(State.IDLE, doing="foresee")
+        self._check_reach("foresee", mm)
+        start_mm = self.position_mm if self._homed else None
+        beyond = self._is_beyond_soft_limits(mm)
+        return StageMove(start_mm, mm, self.caps.travel_mm, self.soft_limits_mm, beyond)
+
     def _check_travel(self, doing: str, mm: float) -> None:
+        self._check_reach(doing, mm)
+        self._check_soft_limits(doing, mm)
+
+    def _check_reach(self, doing: str, mm: float) -> None:
         least, most = self.caps.travel_mm
         if not least <= mm <= most:
             raise LimitError(
                 self.name, doing, f"{mm:g} mm was asked for", f"the travel is {least:g} to {most:g} mm"
             )
-        self._check_soft_limits(doing, mm)
+
+    def _is_beyond_soft_limits(self, mm: float) -> bool:
+        limits = self.soft_limits_mm
+        return limits is not None and not limits[0] <= mm <= limits[1]
 
     def _check_soft_limits(self, doing: str, mm: float) -> None:
-        if self.soft_limits_mm is None or mm in self._agreed_mm:
+        if self.soft_limits_mm is None or mm in self._agreed_mm or not self._is_beyond_soft_limits(mm):
             return
         least, most = self.soft_limits_mm
-        if least <= mm <= most:
-            return
         act = DangerousAct.BEYOND_SOFT_LIMITS
         found = f"{mm:g} mm lies beyond the soft limits of the rig file, {least:g} to {most:g} mm"
         if not agreed(act, f"{self.name}: {found}."):

@@ -220,6 +220,8 @@ class Finding:
         What to do in this very case; by default what the catalogue says.
     factor : float, optional
         By which to multiply the plan's exposure, where that is the remedy or goes with it.
+    ruins_points : bool
+        Whether nobody should use the points, where no finding before it may have brought it about.
     """
 
     cause: FaultCause
@@ -227,6 +229,7 @@ class Finding:
     excess: float
     advice: str | None = None
     factor: float | None = None
+    ruins_points: bool = False
 
     @property
     def sentence(self) -> str:

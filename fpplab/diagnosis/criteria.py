@@ -15,7 +15,6 @@ from fpplab.diagnosis.light import BEST_PEAK, LEAST_HARMONIC_RAD
 from fpplab.diagnosis.sample import FrameSample
 from fpplab.phase import Decoded
 from fpplab.phase.precision import coordinate_spread, uncertain_orders
-from fpplab.phase.quality import phase_uncertainty
 
 LEAST_POINTS = 0.5
 """Share of the pixels that see the fringes which become points."""
@@ -131,7 +130,7 @@ def _of_fringes(sample: FrameSample, decoded: Decoded) -> Iterator[Criterion]:
     yield Criterion(
         "contrast", "the contrast of the finest fringes", contrast, LEAST_CONTRAST, at_least=True
     )  # fmt: skip
-    phase_noise = _phase_noise(sample, finest)
+    phase_noise = sample.phase_noise(finest)
     bent = [float(np.nan_to_num(sample.errors.sets[finest].harmonic_rad)), *ripples(sample)]
     limit = max(LEAST_HARMONIC_RAD, phase_noise)
     yield Criterion("waves", "the phase error of harmonics of the fringes", max(bent), limit, "rad")
@@ -144,12 +143,3 @@ def _of_fringes(sample: FrameSample, decoded: Decoded) -> Iterator[Criterion]:
     if known.size and planned > 0.0:
         meaning = "the noise of the coordinate beside that which the plan has on a white surface"
         yield Criterion("uncertainty", meaning, float(np.median(known)) / planned, MOST_NOISE)
-
-
-def _phase_noise(sample: FrameSample, finest: int) -> float:
-    """Noise of the phase of the finest fringes in rad, at a typical pixel."""
-    fit, steps = sample.fits[finest], sample.recording.plan.fringes[finest].images
-    offset = float(np.median(fit.offset[sample.measured]))
-    modulation = max(float(np.median(fit.modulation[sample.measured])), 1e-6)
-    noise = math.sqrt(float(sample.errors.noise.variance(offset)))
-    return float(phase_uncertainty(noise, modulation, steps))

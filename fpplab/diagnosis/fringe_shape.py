@@ -16,11 +16,14 @@ from fpplab.diagnosis.sample import FrameSample
 LEAST_RIPPLED, MOST_UNEVEN = 500, 0.3
 """Fewest pixels that tell a ripple, and how unevenly they may be spread over its period."""
 
-MOST_STRAY_RAD = 0.045
+MOST_STRAY_RAD = 0.055
 """Phase error of wide fringes in rad RMS that neighbours share and no phase explains."""
 
 BLOCK = 8
 """Side in pixels of the sample of the blocks over which phase errors are averaged."""
+
+LEAST_KNOWN = 0.5
+"""Least share of a block's pixels whose phase error is known."""
 
 MOST_MOIRE_PX = 0.055
 """Amplitude in projector px of an error of the coordinate that repeats with the projector's pixels."""
@@ -142,11 +145,13 @@ def _stray_rad(sample: FrameSample, k: int, expected: Floats, deviation: Floats)
     rows, columns = (n // BLOCK * BLOCK for n in left.shape)
     blocks = left[:rows, :columns].reshape(rows // BLOCK, BLOCK, columns // BLOCK, BLOCK)
     blocks = blocks.transpose(0, 2, 1, 3).reshape(-1, BLOCK * BLOCK)
-    blocks = blocks[np.isfinite(blocks).all(axis=1)]
-    if len(blocks) < 2 * BLOCK:
+    halves = blocks[:, ::2], blocks[:, 1::2]
+    # Where light of two surfaces is mixed, many pixels are masked.
+    whole = np.logical_and(*(np.isfinite(half).mean(axis=1) >= LEAST_KNOWN for half in halves))
+    if whole.sum() < 2 * BLOCK:
         return 0.0
-    # Medians of two halves: noise is independent in them, and edges are few.
-    halves = np.median(blocks[:, ::2], axis=1), np.median(blocks[:, 1::2], axis=1)
+    # Noise is independent in the medians of two halves, and edges are few.
+    halves = np.nanmedian(halves[0][whole], axis=1), np.nanmedian(halves[1][whole], axis=1)
     return math.sqrt(max(float(np.mean(halves[0] * halves[1])), 0.0))
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from fpplab.core.conventions import Axis, Floats, axis_length
+from fpplab.core.conventions import Floats
 from fpplab.diagnosis.brightness import MANY_STRIPES, band_finding, harmonic_waves, missing_colour
 from fpplab.diagnosis.catalogue import FaultCause, Finding
 from fpplab.diagnosis.fringe_shape import LEAST_RIPPLED, MOST_UNEVEN, moire, ripples, stray_light
@@ -26,8 +26,8 @@ WEAK_SIGMAS = 25.0
 LEAST_LEVELS = 0.5
 """Modulation in 8-bit grey levels below which there are no fringes, whatever the noise."""
 
-LEAST_LIT = 0.02
-"""Least share of the image that the fringes should light."""
+LEAST_LIT = 0.03
+"""Least share of the image that the fringes should light: a part of a sixth of its width and height."""
 
 MOST_SATURATED = 0.05
 """Greatest share of the lit pixels that may be saturated: highlights."""
@@ -43,24 +43,6 @@ MOST_AMBIENT = 1.0
 
 LEAST_AMBIENT = 8.0
 """Grey levels of 255 below which what does not change may be the camera's own black level."""
-
-LEAST_CONTRAST = 0.5
-"""Least contrast of the finest fringes, as a share of that of a rig in focus."""
-
-FOCUSED_PX = 0.9
-"""Blur of a rig in focus in projector px: half a mirror of the projector's lens, and the camera's share."""
-
-BLURRED_PX = 1.8
-"""Blur of the camera's image in px that is out of focus."""
-
-CAMERA_SHARE = 0.45
-"""Blur of edges, as a share of that of the fringes, from which on the camera is out of focus."""
-
-EDGE_CONTRAST = 0.25
-"""Least range of grey levels in a tile, of the brightest, that is an edge."""
-
-FULL_CONTRAST = 0.6
-"""Least range in a tile beside the greatest: blur takes contrast from fine detail, which then looks sharp."""
 
 LEAST_HARMONIC_RAD = 0.03
 """Phase error by the response that is worth telling, in rad RMS."""
@@ -344,108 +326,3 @@ def _displacement(one: Floats, other: Floats) -> tuple[float, float]:
     left = change.ravel() - basis @ best
     known = np.linalg.inv(normal)[:2, :2] * left.var()
     return float(np.hypot(*best[:2])), float(np.sqrt(np.trace(known)))
-
-
-def fringe_blur_px(sample: FrameSample, axis: Axis) -> tuple[float, float] | None:
-    """Estimate the blur of the fringes from the modulation of the finest set beside the widest.
-
-    Parameters
-    ----------
-    sample : FrameSample
-        Of the recording.
-    axis : str
-        "x" or "y".
-
-    Returns
-    -------
-    blur_px : float
-        Standard deviation of a Gaussian in projector px; 0 where the finest are as strong as the widest.
-    contrast : float
-        Modulation of the finest over that of the widest.
-        None is returned instead of both where the axis has one number of stripes.
-    """
-    plan, size = sample.recording.plan, axis_length(sample.recording.projector_size, axis)
-    sets = [k for k, fringe in enumerate(plan.fringes) if fringe.axis == axis]
-    frequency = {k: plan.fringes[k].stripes / size for k in sets}
-    if len(sets) < 2 or not sample.measured.any():
-        return None
-    wide, fine = min(sets, key=frequency.__getitem__), max(sets, key=frequency.__getitem__)
-    if frequency[fine] < 1.5 * frequency[wide]:
-        return None
-    ratios = sample.fits[fine].modulation[sample.measured] / sample.fits[wide].modulation[sample.measured]
-    contrast = float(np.median(ratios))
-    square = -math.log(min(max(contrast, 1e-3), 1.0)) / (2 * math.pi**2)
-    return math.sqrt(square / (frequency[fine] ** 2 - frequency[wide] ** 2)), contrast
-
-
-def edge_blur_px(sample: FrameSample) -> float | None:
-    """Estimate the blur of the camera's image from its sharpest strong edges.
-
-    Parameters
-    ----------
-    sample : FrameSample
-        Of the recording.
-
-    Returns
-    -------
-    float or None
-        Standard deviation of a Gaussian in camera px; None where there is no strong edge.
-    """
-    mean = sample.offsets_in_tiles.mean(axis=0)
-    brightest = float(np.percentile(sample.widest.offset, 98))
-    ranges = np.array([np.ptp(np.percentile(tile, (2, 98))) for tile in mean])
-    if len(ranges) < 2:
-        return None
-    least = max(EDGE_CONTRAST * brightest, FULL_CONTRAST * float(np.sort(ranges)[-2]))
-    used = ranges >= least
-    if used.sum() < 2:
-        return None
-    steepest = np.array([np.percentile(np.hypot(*np.gradient(tile)), 99) for tile in mean[used]])
-    return float(np.percentile(ranges[used] / steepest, 20)) / math.sqrt(2 * math.pi)
-
-
-def focus_finding(sample: FrameSample, projector_px_per_px: float | None) -> Finding | None:
-    """Tell which lens is out of focus.
-
-    Parameters
-    ----------
-    sample : FrameSample
-        Of the recording.
-    projector_px_per_px : float or None
-        How many projector px one camera px covers; None where it is not known.
-
-    Returns
-    -------
-    Finding or None
-        None where the fringes have the contrast of a rig in focus.
-    """
-    seen = [
-        (found[1] / _sharp_contrast(sample, axis), found, axis)
-        for axis in sample.recording.plan.axes
-        if (found := fringe_blur_px(sample, axis)) is not None
-    ]
-    if not seen:
-        return None
-    # Fringes of another axis may be so wide that they keep their contrast.
-    _, (blur, contrast), axis = min(seen)
-    sharp = _sharp_contrast(sample, axis)
-    edge = edge_blur_px(sample)
-    scale = projector_px_per_px or 1.0
-    of_camera = edge is not None and scale * edge > CAMERA_SHARE * blur
-    soft = of_camera and edge is not None and edge > BLURRED_PX and blur > 0.7 * scale * BLURRED_PX
-    if contrast >= LEAST_CONTRAST * sharp and not soft:
-        return None
-    cause = FaultCause.CAMERA_FOCUS if of_camera else FaultCause.PROJECTOR_FOCUS
-    edges = "there are no edges to compare with" if edge is None else f"edges in the image by {edge:.1f} px"
-    words = (
-        f"the finest fringes have {100 * contrast:.0f} % of the widest ones' contrast ({100 * sharp:.0f} % "
-        f"in focus): blurred by {blur:.1f} projector px; {edges}"
-    )
-    return Finding(cause, words, max(LEAST_CONTRAST * sharp / max(contrast, 1e-3), 1.0))
-
-
-def _sharp_contrast(sample: FrameSample, axis: Axis) -> float:
-    """Contrast of the finest fringes along an axis of a rig in focus."""
-    finest, _ = sample.recording.finest(axis)
-    frequency = finest.stripes / axis_length(sample.recording.projector_size, axis)
-    return math.exp(-2 * (math.pi * FOCUSED_PX * frequency) ** 2)

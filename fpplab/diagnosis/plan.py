@@ -6,7 +6,7 @@ import numpy as np
 
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
-from fpplab.core.conventions import Axis, Floats
+from fpplab.core.conventions import Axis, Floats, Map
 from fpplab.diagnosis.catalogue import FaultCause, Finding
 from fpplab.diagnosis.sample import FrameSample
 from fpplab.patterns.plan import Plan
@@ -105,26 +105,42 @@ def _is_suspicious(decoded: Decoded, sample: FrameSample, cloud: Cloud | None) -
 
 
 def _runs_against(decoded: Decoded, calibration: Calibration, axes: tuple[Axis, ...]) -> Axis | None:
-    """Find the axis along which the coordinate changes otherwise than on any surface that both devices see.
+    """Find the axis along which the coordinate changes as on no surface that both devices see."""
+    for axis in axes:
+        shares = changes_along_image(decoded.coordinate(axis), calibration, axis, GRADIENT_STRIDE)
+        known = np.isfinite(shares)
+        if known.sum() >= FEWEST and np.median(shares[known]) < LEAST_CHANGE:
+            return axis
+    return None
+
+
+def changes_along_image(coordinate: Map, calibration: Calibration, axis: Axis, stride: int) -> Floats:
+    """Compare the change of the coordinate along the image with that which the calibration tells.
 
     On a surface at constant depth the calibration tells how the coordinate changes along the image. A slope
     of the surface makes it change faster or slower, but never backwards: both devices see its front.
+
+    Parameters
+    ----------
+    coordinate : ndarray of float32, (height, width)
+        Of the projector in px, NaN where it is not measured.
+    calibration : Calibration
+        Of the rig.
+    axis : str
+        Of the coordinate.
+    stride : int
+        Distance in px between the pixels where it is compared.
+
+    Returns
+    -------
+    ndarray of float64, (rows, columns)
+        Change beside that on a surface at constant depth; NaN where it is not known.
     """
-    expected = _change_along_image(calibration)
-    for axis in axes:
-        coordinate = decoded.coordinate(axis)
-        rows, columns = coordinate.shape
-        here = coordinate[: rows - 1 : GRADIENT_STRIDE, : columns - 1 : GRADIENT_STRIDE]
-        right = coordinate[: rows - 1 : GRADIENT_STRIDE, 1::GRADIENT_STRIDE][:, : here.shape[1]] - here
-        down = coordinate[1::GRADIENT_STRIDE, : columns - 1 : GRADIENT_STRIDE][: here.shape[0]] - here
-        known = np.isfinite(right) & np.isfinite(down)
-        if known.sum() < FEWEST:
-            continue
-        wanted = expected["xy".index(axis)]
-        share = (np.median(right[known]) * wanted[0] + np.median(down[known]) * wanted[1]) / (wanted @ wanted)
-        if share < LEAST_CHANGE:
-            return axis
-    return None
+    here = coordinate[:-1:stride, :-1:stride].astype(np.float64)
+    right = coordinate[:-1:stride, 1::stride][:, : here.shape[1]] - here
+    down = coordinate[1::stride, :-1:stride][: here.shape[0]] - here
+    wanted = _change_along_image(calibration)["xy".index(axis)]
+    return np.asarray((right * wanted[0] + down * wanted[1]) / (wanted @ wanted))
 
 
 def _change_along_image(calibration: Calibration) -> Floats:

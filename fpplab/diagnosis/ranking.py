@@ -17,10 +17,8 @@ SIDE_EFFECTS: Mapping[FaultCause, frozenset[FaultCause]] = {
     FaultCause.SATURATED: _ROUGH | {FaultCause.BANDS, FaultCause.STALE_CALIBRATION},
     FaultCause.UNDEREXPOSED: frozenset({FaultCause.BANDS}),
     FaultCause.AMBIENT: frozenset({FaultCause.BANDS}),
-    FaultCause.RESPONSE: frozenset(
-        {FaultCause.BANDS, FaultCause.WRONG_RESOLUTION, FaultCause.STALE_CALIBRATION}
-    ),
-    FaultCause.HARMONICS: frozenset({FaultCause.BANDS, FaultCause.WRONG_RESOLUTION}),
+    FaultCause.RESPONSE: frozenset({FaultCause.WRONG_RESOLUTION, FaultCause.STALE_CALIBRATION}),
+    FaultCause.HARMONICS: frozenset({FaultCause.WRONG_RESOLUTION}),
     FaultCause.BANDS: _ROUGH,
     FaultCause.FLICKER: _ROUGH | {FaultCause.STALE_CALIBRATION},
     FaultCause.CAMERA_FOCUS: frozenset({FaultCause.WRONG_RESOLUTION, FaultCause.STALE_CALIBRATION}),
@@ -30,6 +28,8 @@ SIDE_EFFECTS: Mapping[FaultCause, frozenset[FaultCause]] = {
 
 MUTUAL: Mapping[tuple[FaultCause, FaultCause], float] = {
     (FaultCause.BANDS, FaultCause.FLICKER): 0.65,
+    (FaultCause.BANDS, FaultCause.RESPONSE): 1.0,
+    (FaultCause.BANDS, FaultCause.HARMONICS): 1.0,
     (FaultCause.INTERREFLECTION, FaultCause.HARMONICS): 1.0,
     (FaultCause.INTERREFLECTION, FaultCause.RESPONSE): 1.0,
 }

@@ -18,6 +18,7 @@ from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded
 from fpplab.phase.common_errors import fit_sinusoids
 from fpplab.phase.error_model import ErrorModel, error_model_of
+from fpplab.phase.quality import phase_uncertainty
 
 SPREAD_PIXELS = 40_000
 """Pixels of the sample that is spread over the image, about."""
@@ -30,6 +31,9 @@ LIT_SHARE = 0.15
 
 LIT_SIGMAS = 8.0
 """And at least so many times their own noise."""
+
+MEDIAN = 0.6745
+"""Median size of a normal variable beside its standard deviation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,6 +199,25 @@ class FrameSample:
         seen = float(model.variance(float(self.offsets_in_tiles.mean())))
         share = min(1.0, self.noise_level**2 / max(seen, 1e-12))
         return np.asarray(np.sqrt(2.0 / steps * np.maximum(share * model.variance(offset), 1.0 / 12.0)))
+
+    def phase_noise(self, index: int) -> float:
+        """Compute the noise of the phase of a fringe set at a typical measured pixel; there must be some.
+
+        Parameters
+        ----------
+        index : int
+            Of the set.
+
+        Returns
+        -------
+        float
+            Standard deviation in rad.
+        """
+        fit, steps = self.fits[index], self.recording.plan.fringes[index].images
+        offset = float(np.median(fit.offset[self.measured]))
+        modulation = max(float(np.median(fit.modulation[self.measured])), 1e-6)
+        noise = math.sqrt(float(self.errors.noise.variance(offset)))
+        return float(phase_uncertainty(noise, modulation, steps))
 
     @cached_property
     def coherence(self) -> float:

@@ -11,8 +11,10 @@ from fpplab.clouds import Cloud
 from fpplab.core.errors import DataError
 from fpplab.diagnosis.catalogue import FaultCause, Finding
 from fpplab.diagnosis.criteria import Criterion, criteria_of
+from fpplab.diagnosis.focus import focus_finding
 from fpplab.diagnosis.geometry import PointSample, geometry_findings
-from fpplab.diagnosis.light import focus_finding, light_findings
+from fpplab.diagnosis.light import light_findings
+from fpplab.diagnosis.mirrored import with_mirrors
 from fpplab.diagnosis.plan import plan_finding
 from fpplab.diagnosis.ranking import RUINOUS_OFFSET, ranked
 from fpplab.diagnosis.sample import FrameSample
@@ -244,6 +246,8 @@ def diagnose_scan(
     )
     if cloud is None or points is None:
         return Diagnosis(Verdict.USELESS, "there are no points", ranked([*wrong, *of_frames]))
+    if not wrong:
+        of_frames = with_mirrors(of_frames, sample, calibration)
     findings = ranked([*wrong, *of_frames, *geometry_findings(points, plan)])
     one_axis = "stale_calibration: fringes along one axis alone do not show it"
     unknown = (one_axis,) if cloud.epipolar_px is None else ()
@@ -303,7 +307,8 @@ def _judged(
     share = len(cloud) / seeing
     counted = f"{len(cloud)} points of {seeing:.0f} pixels that see the fringes"
     ruinous = [f for f in findings if f.excess >= USELESS_EXCESS.get(f.cause, float("inf"))]
-    ruinous += [f for f in findings[:1] if f.excess >= USELESS_IF_FIRST.get(f.cause, float("inf"))]
+    first = findings[:1]
+    ruinous += [f for f in first if f.ruins_points or f.excess >= USELESS_IF_FIRST.get(f.cause, float("inf"))]
     if share < USELESS_SHARE or len(cloud) < USELESS_POINTS * pixels:
         return Diagnosis(Verdict.USELESS, counted, findings, unknown)
     if ruinous:

@@ -81,6 +81,22 @@ def _plain(name: str, step: float, lower: float, upper: float) -> AdjustablePara
     return AdjustableParameter(step, lower, upper, read, set_)
 
 
+def _coefficient(index: int) -> AdjustableParameter:
+    """One of the projector's falloff."""
+
+    def set_(parameters: TwinParameters, value: float) -> TwinParameters:
+        x, y, xx, xy, yy = (
+            value if n == index else one for n, one in enumerate(parameters.projector_falloff)
+        )
+        return replace(parameters, projector_falloff=(x, y, xx, xy, yy))
+
+    return AdjustableParameter(0.02, -2.0, 2.0, lambda p: p.projector_falloff[index], set_)
+
+
+FALLOFF = tuple(f"falloff_{term}" for term in ("x", "y", "xx", "xy", "yy"))
+"""Names of the coefficients of the projector's falloff."""
+
+
 def normalised_response(curve: Curve, *, black: float | None = None, g: float | None = None) -> Curve:
     """Scale a response so that its white is 1.
 
@@ -114,6 +130,7 @@ ADJUSTABLE = {
     "camera_focus_mm": _plain("camera_focus_mm", 2.0, 50.0, 5000.0),
     "f_number": _plain("f_number", 0.2, 0.7, 64.0),
     "vignetting": _plain("vignetting", 0.5, 0.0, 40.0),
+    **{name: _coefficient(index) for index, name in enumerate(FALLOFF)},
     "b": AdjustableParameter(
         0.005,
         0.0,
@@ -254,6 +271,38 @@ def mean_square_difference(reference: Reference, twin: Twin, samples: Sequence[P
         In raw levels squared.
     """
     return float(np.mean(light_residuals(reference, twin, samples) ** 2))
+
+
+def information_criterion(
+    reference: Reference, twin: Twin, samples: Sequence[PixelSample], free: int
+) -> float:
+    """Compute Schwarz's criterion (BIC) of the twin with its present parameters; the least is the best.
+
+    Residuals of one tile of an image count as one, for neighbours share what a fit leaves.
+
+    Parameters
+    ----------
+    reference : Reference
+        What was recorded of the bench.
+    twin : Twin
+        With the parameters to judge.
+    samples : sequence of PixelSample
+        Pixels that are compared.
+    free : int
+        Number of parameters that were fitted beyond those of the model it is compared with.
+
+    Returns
+    -------
+    float
+        `n ln(mean square) + k ln(n)`.
+
+    References
+    ----------
+    Schwarz, "Estimating the dimension of a model", 1978
+    """
+    count = sum(len(sample.images) * len(np.unique(sample.tiles)) for sample in samples)
+    left = mean_square_difference(reference, twin, samples)
+    return float(count * np.log(max(left, 1e-12)) + free * np.log(count))
 
 
 def fit_light(

@@ -41,6 +41,7 @@ EXPLAINS = {
     "projector defocus": "blur of the projector that grows with the distance from its focus",
     "depth of field": "blur of the camera that grows with the distance from its focus",
     "vignetting": "light that the camera's lens loses towards the corners of the image",
+    "projector falloff": "light that the projector gives unevenly",
     "ambient light": "light that is not the projector's, and the camera's black level",
     "noise": "noise of the sensor and vibration",
 }

@@ -18,7 +18,7 @@ from fpplab.core.config import Document
 from fpplab.core.errors import DataError
 from fpplab.core.journals import append_line, cut_torn_line, whole_lines
 from fpplab.patterns.curve import Curve
-from fpplab.simulation.matchable import TwinParameters
+from fpplab.simulation.matchable import NO_FALLOFF, TwinParameters
 
 EPOCHS = "match.jsonl"
 """Name of the file."""
@@ -61,6 +61,8 @@ class ParametersFile(Document):
     """Electrons of the unbinned pixel."""
     vibration_mm: float
     """Standard deviation of the item's position from frame to frame in mm."""
+    projector_falloff: tuple[float, float, float, float, float] = NO_FALLOFF
+    """Coefficients of x, y, x², xy and y² of the projector's light, as in a world file."""
     placed: Annotated[dict[str, PoseFile], Field(default_factory=dict)]
     """T_camera_item of other items that were measured on the bench, by name."""
     sigma: Annotated[dict[str, float], Field(default_factory=dict)]

@@ -17,6 +17,7 @@ from fpplab.diagnosis import Diagnosis, FaultCause, Finding
 from fpplab.matching import plausibility
 from fpplab.matching.artefacts import ArtefactComparison, compare_artefacts, fit_scan
 from fpplab.matching.card import card_pose
+from fpplab.matching.discrepancy import discrepancy_of
 from fpplab.matching.evaluation import TwinEvaluation, evaluate
 from fpplab.matching.gamma import GammaMatch, match_gamma
 from fpplab.matching.loss import Weights
@@ -340,6 +341,8 @@ def match_sessions(
     )
     if not result.diagnosis.is_useless:
         twin.become(matched.parameters)
+        tell("comparing noise and scans for the intervals of predictions")
+        discrepancy_of(reference, twin, scans).save(folder)
         twin.save(folder, result.notes)
     return result
 

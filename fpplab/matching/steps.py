@@ -1,8 +1,9 @@
 """The steps of a characterisation matching, each of which proposes parameters of the twin.
 
 Order: geometry by the observed points, light, then one by one the effects that the paper names as missing
-(ambient light, defocus of projector and camera, vignetting, noise); at last all parameters of light together
-and the geometry by the images in turn. Noise is judged by its variance and spectrum, since the similarity of
+(ambient light, defocus of projector and camera, vignetting, the projector's falloff, noise); at last all
+parameters of light together and the geometry by the images in turn. Falloff is kept where it explains more
+than its parameters cost. Noise is judged by its variance and spectrum, since the similarity of
 two independent noises falls when the right one is added.
 """
 
@@ -119,11 +120,18 @@ def _depth_of_field(at: MatchingContext) -> TwinParameters:
 def _fit_together(at: MatchingContext) -> TwinParameters:
     now = at.twin.parameters
     names = ["projector_blur", "vignetting"]
+    if any(now.projector_falloff):
+        names += light.FALLOFF
     if now.projector_focus_mm is not None:
         names += ["projector_focus_mm", "projector_aperture_mm"]
     if now.camera_focus_mm is not None:
         names += ["camera_focus_mm", "f_number"]
     return at.fit(*at.light_parameters(*names))
+
+
+def _evidence_for_falloff(at: MatchingContext) -> float:
+    free = len(light.FALLOFF) if any(at.twin.parameters.projector_falloff) else 0
+    return light.information_criterion(at.reference, at.twin, at.samples, free)
 
 
 def _refine_by_images(at: MatchingContext) -> TwinParameters:
@@ -140,6 +148,11 @@ FIRST_STEPS = (
     MatchingStep("projector defocus", _projector_defocus),
     MatchingStep("depth of field", _depth_of_field),
     MatchingStep("vignetting", lambda at: at.fit(at.white, "vignetting")),
+    MatchingStep(
+        "projector falloff",
+        lambda at: at.fit(at.white, "vignetting", *light.FALLOFF),
+        misfit=_evidence_for_falloff,
+    ),
     MatchingStep(
         "noise",
         lambda at: noise.match_noise(at.reference, at.twin, at.reference.spread_poses(SAMPLED_POSES)),

@@ -7,6 +7,7 @@ from contextlib import ExitStack
 from dataclasses import asdict
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -32,6 +33,7 @@ from fpplab.phase import Decoded, check_unwrapping, decode
 from fpplab.phase.bounds import PossibleCoordinates, widest
 from fpplab.reconstruction.depth_range import depth_bounds, first_stated
 from fpplab.reconstruction.points import points_of
+from fpplab.sessions.origin import SessionOrigin
 
 KEPT_SHAPES = 6
 """True shapes, with what is precomputed for them, that are kept in memory."""
@@ -76,6 +78,21 @@ class RigEvaluator:
         self._first, self._stack = candidate_from_plan(study.start), ExitStack()
         self._true_shapes: OrderedDict[tuple[str, float | None, float | None], TrueShape] = OrderedDict()
         self._placed: dict[str, trimesh.Trimesh] = {}
+
+    def described(self) -> tuple[dict[str, Any], SessionOrigin]:
+        """Describe the rig, as sessions do.
+
+        Returns
+        -------
+        tuple of dict and SessionOrigin
+            Its file as resolved, and its devices.
+
+        Raises
+        ------
+        ConfigError, DeviceError
+            From the rig.
+        """
+        return self._rig.described(), SessionOrigin.of(self._rig)
 
     def measure(self, candidate: Candidate, seed: int) -> tuple[Score, ...]:
         """Measure every artefact of the study, and compare it after aligning the true shape to the cloud.

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from fpplab.acquisition.acquire import FrameObserver, acquire
 from fpplab.acquisition.numbering import next_frame_of, number_frames
 from fpplab.core.progress import Progress, ignore, no_progress
+from fpplab.core.session_names import JOURNAL
 from fpplab.devices import Frame
 from fpplab.devices.rig import Mounted, Rig
 from fpplab.patterns.plan import Plan
@@ -90,6 +93,41 @@ def take(
         acquire(rig, plan, session, seen)
         session.check_kept()
     return session
+
+
+def foresee_scan(rig: Rig, plan: Plan, out: Path, force: bool) -> dict[str, Any]:
+    """Tell what `take` would do; nothing moves, nothing is projected, and nothing is written.
+
+    Parameters
+    ----------
+    rig : Rig
+        Open.
+    plan : Plan
+        What would be projected and captured.
+    out : path
+        Folder of the session.
+    force : bool
+        Whether a session that is there already would be replaced.
+
+    Returns
+    -------
+    dict
+        `images`, how many are taken; `stage`, the move of the stage or None; `replaces`, whether a session is
+        there that would be replaced; `dry_run`, true.
+
+    Raises
+    ------
+    ConfigError
+        The rig lacks what the plan needs.
+    LimitError
+        The stage cannot go there.
+    DataError
+        The session does not fit on the disk.
+    """
+    check_space(rig, plan, [out], force)
+    move = None if plan.stage_mm is None else asdict(rig.foresee_stage(plan.stage_mm))
+    replaces = force and (out / JOURNAL).is_file()
+    return {"images": plan.images, "stage": move, "replaces": replaces, "dry_run": True}
 
 
 def check_space(rig: Rig, plan: Plan, paths: Sequence[Path], force: bool) -> None:

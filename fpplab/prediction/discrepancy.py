@@ -15,6 +15,8 @@ from fpplab.core import config
 from fpplab.core.config import Document
 from fpplab.core.files import write_text
 
+LARGE_NOISE, LARGE_DISTANCE, LARGE_LEVELS = 0.2, 0.4, 0.1
+"""Mean logarithms of noise and distance, and relative difference of levels, from which on they are large."""
 DISCREPANCY = "discrepancy.yaml"
 """Name of the file, beside the rig file of a matched twin."""
 COVERAGE = 1.96
@@ -64,6 +66,19 @@ class Deviation(Document):
         return float(np.sqrt(self.mean**2 + self.spread**2 * (1.0 + 1.0 / self.count) + LEAST**2))
 
 
+class LevelDifferences(Document):
+    """RMS differences of the grey levels over the board, relative to the mean level of each pose."""
+
+    by_pose: dict[str, float]
+    """By name of the session."""
+    by_pattern: dict[str, float]
+    """By pattern; the first of every fringe set is compared."""
+    by_place: tuple[tuple[float | None, ...], ...]
+    """In tiles over the board as the camera sees it, row by row from its top; None where no pose has any."""
+    left_out: tuple[str, ...] = ()
+    """Poses whose images the light was not fitted to."""
+
+
 class Discrepancy(Document):
     """What is left between a matched twin and its bench, as its predictions need it."""
 
@@ -73,6 +88,8 @@ class Discrepancy(Document):
     """Of the logarithm of the distance between points and true surface; from scans."""
     completeness: Deviation | None = None
     """Of the share of lit pixels that became points; from scans."""
+    levels: LevelDifferences | None = None
+    """Of the images of the board."""
     looks_like: str | None = None
     """What the difference looks like, where it is large."""
     not_for: str | None = None
@@ -109,3 +126,41 @@ class Discrepancy(Document):
         """
         path = rig.parent / DISCREPANCY
         return config.load_document(path, cls) if path.is_file() else None
+
+
+def named_effects(found: Discrepancy, part_noise: Sequence[float]) -> tuple[str | None, str | None]:
+    """Name what a large discrepancy looks like, and what the twin must not be believed for.
+
+    Points that are further from the surface than the twin's while their noise is alike have an error that is
+    no noise: something reaches the camera on another way than the twin's light.
+
+    Parameters
+    ----------
+    found : Discrepancy
+        Of bench and twin.
+    part_noise : sequence of float
+        Logarithms of the noise of bench over twin, of the same scans as the distances.
+
+    Returns
+    -------
+    tuple of str or None
+        What it looks like, and for which measurements not; None where nothing is large.
+    """
+    looks_like, not_for = [], []
+    noisy = found.noise is not None and abs(found.noise.mean) > LARGE_NOISE
+    if noisy:
+        looks_like.append("noise that the twin lacks: vibration, flicker, or light of the room on the mains")
+        not_for.append("noise and chance of wrong orders")
+    apart = found.distance is not None and found.distance.mean > LARGE_DISTANCE
+    if apart and part_noise and abs(float(np.mean(part_noise))) < LARGE_NOISE:
+        looks_like.append(
+            "interreflection, light below the surface, parts that moved, or an unknown response"
+        )
+        not_for.append("distances from surfaces of other shapes and materials")
+    elif apart or (part_noise and abs(float(np.mean(part_noise))) > LARGE_NOISE):
+        looks_like.append("a part of another reflectance or gloss than in the twin's world")
+        not_for.append("parts of this surface")
+    if found.levels is not None and max(found.levels.by_pose.values()) > LARGE_LEVELS:
+        looks_like.append("uneven light or reflectance: falloff, gloss, a second lamp, or print")
+        not_for.append("levels and saturation")
+    return ("; ".join(looks_like) or None, "; ".join(not_for) or None)

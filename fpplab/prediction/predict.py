@@ -331,4 +331,5 @@ def _risk_ends(risk: float, relative: float) -> tuple[float, float]:
 
     distance = float(erfcinv(min(max(risk, 1e-300), 1.0)))
     factor = float(np.exp(COVERAGE * relative))
-    return float(erfc(distance * factor)), float(erfc(distance / factor))
+    low, high = float(erfc(distance * factor)), float(erfc(distance / factor))
+    return min(low, risk), max(high, risk)  # the smallest numbers are rounded to nothing

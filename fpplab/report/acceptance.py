@@ -27,6 +27,7 @@ from fpplab.report.drawing import FULL, as_png, colour_bar, draw_map, side_by_si
 from fpplab.report.figures import error_map
 from fpplab.report.page import PageBasis, write_page
 from fpplab.report.parts import PageVerdict, ReportFigure, ReportSection, ReportTable
+from fpplab.report.provenance import Provenance
 from fpplab.report.raster import raster_of, rasterise
 
 JUDGED = (
@@ -61,7 +62,11 @@ class _Drawn:
 
 
 def write_acceptance_report(
-    path: Path, found: Acceptance, diagnosis: Diagnosis, answer: Mapping[str, Any]
+    path: Path,
+    found: Acceptance,
+    diagnosis: Diagnosis,
+    answer: Mapping[str, Any],
+    provenance: Mapping[str, Provenance],
 ) -> None:
     """Write the acceptance test as one HTML file.
 
@@ -75,6 +80,8 @@ def write_acceptance_report(
         The verdict on it.
     answer : mapping of str to object
         What the command prints with `--json`.
+    provenance : mapping of str to Provenance
+        Of each position, by its name.
 
     Raises
     ------
@@ -93,7 +100,7 @@ def write_acceptance_report(
     }
     sections = [_bar_section(bar, k + 1) for k, bar in enumerate(found.bars)]
     sections += [_plane_section(plane, k + 1) for k, plane in enumerate(found.planes)]
-    basis = PageBasis((PageVerdict.of(diagnosis),), answer=answer)
+    basis = PageBasis((PageVerdict.of(diagnosis),), provenance, answer)
     write_page(path, "Acceptance test", _summary(found), sections, facts, basis=basis)
 
 

@@ -11,12 +11,14 @@ from matplotlib.figure import Figure
 
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation import Characterisation, Judgement, Observation
+from fpplab.characterisation.lens import MOST_BREATHING, scales_of_poses
 from fpplab.characterisation.validation import projected_uncertainty
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import DataError
 from fpplab.report.drawing import (
     ACCENT,
     FULL,
+    HALF,
     INK,
     SECOND,
     as_png,
@@ -25,6 +27,7 @@ from fpplab.report.drawing import (
     new_figure,
     sensor_axes,
     side_by_side,
+    single_axes,
 )
 
 BINS = 41
@@ -42,6 +45,11 @@ MAPS = (
     "The model is extrapolated where there are none."
 )
 JUDGED = "RMS error of each pose (bars) and that which the calibration predicts (lines)."
+SCALES = (
+    "Scale of the camera's image in each pose beside that of all, with its standard uncertainty by the noise "
+    "of the points; band: what a locked lens keeps to. The projector tells where the board is, so that the "
+    "board's distance does not explain another scale. One pose alone may be a board that moved."
+)
 BOARD = (
     "Deviation of the refined board from the board as drawn, after removal of position, rotation and scale. "
     "Left: out of its plane, positive away from the viewer. Right: within its plane."
@@ -128,6 +136,35 @@ def _by_pose(axes: Axes, names: Sequence[str], poses: Sequence[Floats], reach: f
     axes.set_xticks(places, names, rotation=35 if rotated else 0, ha="right" if rotated else "center")
     axes.set(ylabel="distance in px", xlim=(-0.6, len(names) - 0.4), ylim=(-reach, reach))
     axes.set_title("by pose, with its mean", fontsize=8.5)
+
+
+@as_png
+def scales_by_pose(found: Characterisation) -> Figure:
+    """Draw the scale of the camera's image in each pose, which a lens that is not locked changes.
+
+    Parameters
+    ----------
+    found : Characterisation
+        With its solution and the sizes of errors.
+
+    Returns
+    -------
+    bytes
+        PNG file.
+    """
+    assert found.solution is not None
+    assert found.sizes is not None
+    scales, sigmas = scales_of_poses(found.observations, found.solution, found.sizes)
+    names, places = [o.name for o in found.observations], np.arange(len(scales))
+    figure, axes = single_axes(HALF, 2.9)
+    axes.axhspan(-100 * MOST_BREATHING, 100 * MOST_BREATHING, color=SECOND, alpha=0.2, linewidth=0)
+    axes.errorbar(
+        places, 100 * (scales - np.median(scales)), 100 * sigmas, fmt="o", color=ACCENT, markersize=4
+    )
+    rotated = len(names) > CROWDED
+    axes.set_xticks(places, names, rotation=35 if rotated else 0, ha="right" if rotated else "center")
+    axes.set(ylabel="scale beside the median, in %")
+    return figure
 
 
 def board_deviation(found: Characterisation) -> tuple[Floats, Floats]:

@@ -121,6 +121,9 @@ def characterisation_section(found: Characterisation) -> ReportSection:
     pictures.append(
         ReportFigure.of(drawn.epipolar_figure(found), "Epipolar distances by pose", drawn.EPIPOLAR, wide=True)
     )
+    if found.solution is not None and found.sizes is not None:
+        scales = drawn.scales_by_pose(found)
+        pictures.append(ReportFigure.of(scales, "Scale of the camera's image by pose", drawn.SCALES))
     if found.drawn is not None:
         shape = drawn.board_shape(found)
         pictures.append(ReportFigure.of(shape, "Shape of the board as refined", drawn.BOARD, wide=True))

@@ -30,6 +30,8 @@ from fpplab.report.drawing import (
 from fpplab.report.figures import error_map
 from fpplab.report.page import PageBasis, write_page
 from fpplab.report.parts import PageVerdict, ReportFigure, ReportSection, ReportTable
+from fpplab.report.provenance import Provenance, poses_provenance, session_provenance
+from fpplab.sessions.session import Session
 from fpplab.simulation.matchable import Twin, TwinParameters
 
 GreyPicture = NDArray[np.float32]
@@ -41,7 +43,11 @@ SHOWN_POSES = 5
 
 
 def write_matching_report(
-    path: Path, found: MatchingResult, twin: Twin, answer: Mapping[str, Any] | None = None
+    path: Path,
+    found: MatchingResult,
+    twin: Twin,
+    answer: Mapping[str, Any] | None = None,
+    provenance: Mapping[str, Provenance] | None = None,
 ) -> None:
     """Write a matching as one HTML file. The twin is left with the matched parameters.
 
@@ -55,6 +61,8 @@ def write_matching_report(
         Renders the images before and after the matching.
     answer : mapping of str to object, optional
         What the command prints with `--json`.
+    provenance : mapping of str to Provenance, optional
+        Of the bench's recordings, as `matching_provenance` gives it.
 
     Raises
     ------
@@ -71,8 +79,33 @@ def write_matching_report(
         "Poses": str(len(found.matched.parameters.poses)),
         "Unexplained difference": f"{found.matched.unexplained:.2f} levels RMS over the board",
     }
-    basis = PageBasis((PageVerdict.of(found.diagnosis),), answer=answer or {})
+    basis = PageBasis((PageVerdict.of(found.diagnosis),), provenance or {}, answer or {})
     write_page(path, "Matching of a twin", _summary(found), sections, facts, basis=basis)
+
+
+def matching_provenance(found: MatchingResult, scans: Mapping[str, Session]) -> dict[str, Provenance]:
+    """Tell which recordings a twin was matched to and judged by.
+
+    Parameters
+    ----------
+    found : MatchingResult
+        Result of the matching.
+    scans : mapping of str to Session
+        The bench's scans of artefacts, by item.
+
+    Returns
+    -------
+    dict of str to Provenance
+        Of the bench's poses, and of each scan.
+
+    Raises
+    ------
+    ConfigError
+        A record of a session is damaged.
+    """
+    known = found.reference.characterisation.calibration
+    poses = poses_provenance(found.reference.sessions, known)
+    return {"poses": poses, **{item: session_provenance(scan, known) for item, scan in scans.items()}}
 
 
 def _summary(found: MatchingResult) -> list[ReportTable]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +26,7 @@ from fpplab.report.drawing import ACCENT, ALARM, FULL, HALF, INK, SECOND, as_png
 from fpplab.report.figures import error_map
 from fpplab.report.page import PageBasis, write_page
 from fpplab.report.parts import PageVerdict, ReportFigure, ReportSection, ReportTable
+from fpplab.report.provenance import Provenance, rig_provenance
 
 DISTANCE = "mean distance to the surface, µm"
 """Label of the axes."""
@@ -61,10 +62,13 @@ class SearchMaps:
         Of every artefact.
     angles : mapping of float to float
         Angles of triangulation in degrees by the stage's position in mm; empty where nothing moves it.
+    provenance : mapping of str to Provenance
+        Of the rig, with the start's plan.
     """
 
     error_maps: ErrorMaps
     angles: Mapping[float, float]
+    provenance: Mapping[str, Provenance] = field(default_factory=dict)
 
 
 CONFIRMED = (
@@ -117,7 +121,7 @@ def write_optimisation_report(
         *(_map_section(name, *both) for name, both in maps.error_maps.items()),
     ]
     verdict = PageVerdict.of(diagnose_search(found, confirmed))
-    basis = PageBasis((verdict,), answer=answer or {})
+    basis = PageBasis((verdict,), maps.provenance, answer or {})
     write_page(path, f"Search: {found.study.name}", _summary(found), sections, _facts(found), basis=basis)
 
 
@@ -157,7 +161,8 @@ def measure_search_maps(rig: str, found: SearchResult) -> SearchMaps:
         angles = {
             mm: evaluator.triangulation_angle_deg(one) for mm, one in candidates.items() if mm is not None
         }
-    return SearchMaps(maps, angles)
+        provenance = {"rig": rig_provenance(*evaluator.described(), found.study.start)}
+    return SearchMaps(maps, angles, provenance)
 
 
 def _errors(evaluator: RigEvaluator, name: str, candidate: Candidate, seed: int) -> bytes:

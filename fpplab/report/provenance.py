@@ -12,6 +12,7 @@ from pathlib import Path
 
 from fpplab.calibration.model import Calibration
 from fpplab.core.origin import DeviceIdentity, Origin
+from fpplab.core.session_names import CALIBRATION
 from fpplab.core.units import readable_bytes
 from fpplab.devices.rig import Rig
 from fpplab.patterns.plan import Plan
@@ -149,7 +150,9 @@ def session_provenance(
     return Provenance(values)
 
 
-def poses_provenance(poses: Sequence[Session], calibration: Calibration, file: Path) -> Provenance:
+def poses_provenance(
+    poses: Sequence[Session], calibration: Calibration, file: Path | None = None
+) -> Provenance:
     """Tell which poses of a board a calibration was made from, or is judged by.
 
     Parameters
@@ -158,8 +161,8 @@ def poses_provenance(poses: Sequence[Session], calibration: Calibration, file: P
         At least one.
     calibration : Calibration
         Made of them, or judged by them.
-    file : Path
-        Of the calibration.
+    file : Path, optional
+        Of the calibration, where it has one.
 
     Returns
     -------
@@ -282,6 +285,39 @@ def cloud_provenance(cloud: Path, calibration: Calibration | None = None) -> Pro
         return session_provenance(Session.open(cloud.parent), calibration).with_values(**own)
     unknown = dict.fromkeys(("rig", "camera", "projector", "plan", "exposure", "taken", "host"))
     return Provenance({**unknown, **own, **calibration_values(calibration, None, None), **written_now()})
+
+
+def source_provenance(
+    source: Path, calibration: Calibration | None = None, file: Path | None = None
+) -> Provenance:
+    """Tell where a cloud or a session comes from.
+
+    Parameters
+    ----------
+    source : Path
+        A session, or a cloud's file.
+    calibration : Calibration, optional
+        That is used with it; by default the one beside the points.
+    file : Path, optional
+        That the calibration was read from, where it does not say itself what it is called.
+
+    Returns
+    -------
+    Provenance
+        As recorded.
+
+    Raises
+    ------
+    CalibrationError
+        The calibration beside the points cannot be read.
+    ConfigError
+        A record of the session is damaged.
+    """
+    beside = (source if source.is_dir() else source.parent) / CALIBRATION
+    used = calibration or (Calibration.load(beside) if beside.is_file() else None)
+    if source.is_dir():
+        return session_provenance(Session.open(source), used, file or beside)
+    return cloud_provenance(source, used)
 
 
 def calibration_values(

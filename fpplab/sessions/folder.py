@@ -150,7 +150,7 @@ def need_space_for_frames(
     plan: Plan,
     size: tuple[int, int],
     bits: int,
-    force: bool = False,
+    force: bool,
     *,
     replaced_last: bool = False,
 ) -> None:

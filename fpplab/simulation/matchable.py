@@ -22,6 +22,8 @@ from fpplab.patterns.curve import Curve
 from fpplab.patterns.fringes import Pattern
 from fpplab.targets import Target
 
+NO_FALLOFF = (0.0, 0.0, 0.0, 0.0, 0.0)
+"""Of a projector whose light is even."""
 ExpectedLevels = NDArray[np.float32]
 """Raw levels without noise and without rounding, (n, h, w), clipped to 0 … full scale."""
 
@@ -64,6 +66,8 @@ class TwinParameters:
         Electrons of the unbinned pixel.
     vibration_mm : float
         Standard deviation of the item's position from frame to frame.
+    projector_falloff : tuple of float
+        Coefficients of x, y, x², xy and y², as in a world file.
     placed : mapping of str to RigidTransform
         `T_camera_item` of other items that were measured on the bench, by name; the others stand where the
         twin's own file says.
@@ -88,6 +92,7 @@ class TwinParameters:
     read_noise_e: float
     full_well_e: float
     vibration_mm: float
+    projector_falloff: tuple[float, float, float, float, float] = NO_FALLOFF
     placed: Mapping[str, RigidTransform] = field(default_factory=dict)
     sigma: Mapping[str, float] = field(default_factory=dict)
 

@@ -27,6 +27,7 @@ from sim.build import Setup, build_scene
 from sim.light.basis import Basis, PatternLevels, smallest_basis
 from sim.light.byte_limited_cache import ByteLimitedCache
 from sim.light.cache import TableCache, digest
+from sim.light.falloff import projector_falloff
 from sim.light.lens import lens_points
 from sim.light.plane import can_compute, computed
 from sim.light.table import LightTable
@@ -138,6 +139,7 @@ class Light:
         self._basis: tuple[MirrorStates, Basis] | None = None
         self._scene: tuple[Setup, RenderScene, MirrorTexture] | None = None
         self._falloff = vignetting(world)
+        self._of_mirrors = projector_falloff(world.projector)
         if world.render.path == "auto" and world.indirect:
             _log.warning(
                 "the twin takes the light path '%s', because there is %s", world.path, world.indirect
@@ -370,21 +372,28 @@ class Light:
         return self._loaded[1]
 
     def _level(self, pattern: Pattern) -> PatternLevels:
+        return self._fallen_off(self._even_level(pattern))
+
+    def _even_level(self, pattern: Pattern) -> PatternLevels:
         table = self._world.projector.response.curve().apply(np.linspace(0, 1, 256))
         return table.astype(np.float32)[pattern.image]
+
+    def _fallen_off(self, light: PatternLevels) -> PatternLevels:
+        return light if self._of_mirrors is None else light * self._of_mirrors
 
     def _levels_of_planes(self, pattern: Pattern) -> MirrorStates:
         """Light that closed mirrors leak (state 0), and of the binary planes, the least significant first."""
         if self._planes is None or self._planes[0] is not pattern:
             response, bits = self._world.projector.response, pattern.bit_depth
             greys = full_scale(bits)
-            codes = np.rint((self._level(pattern) - response.b) / response.a * greys).astype(np.int64)
+            codes = np.rint((self._even_level(pattern) - response.b) / response.a * greys).astype(np.int64)
 
             def of(n: int) -> PatternLevels:
                 if n == 0:
-                    return np.full(codes.shape, response.b, np.float32)
+                    return self._fallen_off(np.full(codes.shape, response.b, np.float32))
                 bit = n - 1
-                return np.asarray((codes >> bit & 1) * (response.a * 2**bit / greys), np.float32)
+                share = np.asarray((codes >> bit & 1) * (response.a * 2**bit / greys), np.float32)
+                return self._fallen_off(share)
 
             self._planes = (pattern, MirrorStates(bits + 1, of, 0.0))
         return self._planes[1]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fpplab.acquisition.exposure_shift import ExposureShift, exposure_shift
-from fpplab.acquisition.sync_check import marker
+from fpplab.acquisition.marker import marker
 from fpplab.core.conventions import Floats
 
 OWN = 0.05 + 0.8 * (marker() / 255.0) ** 2.2

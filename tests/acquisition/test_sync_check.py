@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fpplab.acquisition.sync_check import marker, matching_faults
+from fpplab.acquisition.marker import marker
+from fpplab.acquisition.sync_check import matching_faults
 from fpplab.acquisition.synchronisation import Cause, SyncFault, faults
 from fpplab.core.conventions import Floats
 

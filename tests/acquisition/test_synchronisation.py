@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fpplab import pipeline
+from fpplab.acquisition.acquire import _ended
 from fpplab.acquisition.synchronisation import (
     Cause,
     SyncFault,
@@ -216,6 +217,23 @@ def test_the_brightness_of_a_frame_is_nobodys_fault() -> None:
 def test_frames_of_another_plan_do_not_fit() -> None:
     verdict = judged(Scene().frames(sets(("x", 1, 8), ("y", 6.5, 4))), sets(("x", 1, 6), ("x", 8, 6)))
     assert not verdict.in_step
+
+
+@pytest.mark.parametrize(
+    ("brightness", "is_end"),
+    [
+        ((50, 60, 70, 10, 90), True),
+        ((50, 60, 90, 10, 90), False),  # a fringe as bright as the white that should end it
+        ((50, 60, 95, 10, 90), False),
+        ((50, 10, 70, 10, 90), False),
+        ((50, 5, 70, 10, 90), False),
+        ((50, 60, 70, 90, 10), False),
+    ],
+)
+def test_the_end_is_the_darkest_frame_and_then_the_brightest(
+    brightness: tuple[float, ...], is_end: bool
+) -> None:
+    assert _ended(brightness) is is_end
 
 
 def test_a_torn_frame_is_named() -> None:

@@ -2,43 +2,69 @@
 
 from __future__ import annotations
 
+import signal
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from benchmarks.crash import crash_figures
 from benchmarks.crash.bench import bench_is_safe
 from benchmarks.crash.content import content_of, timeless
-from benchmarks.crash.contests import contest_failures
-from benchmarks.crash.kills import kill_failures
-from benchmarks.crash.programs import IMPORT, SCAN, SCAN_EMULATED, prepare
-from benchmarks.crash.signals import BEFORE, signal_failures
+from benchmarks.crash.programs import IMPORT, SCAN, SCAN_EMULATED, EndedRun
+from benchmarks.crash.record import Campaign, CrashCase, CrashRecord
+from benchmarks.crash.signals import BEFORE, WRONG_CODE, _complaints
 from fpplab.sessions.session import Session
 from tests.support.recorded import record
 
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    place = tmp_path_factory.mktemp("crash")
-    prepare(place, (SCAN, SCAN_EMULATED, IMPORT))
-    return place
+FEW = {"kills": (4, (SCAN, IMPORT)), "signals": (5, (SCAN_EMULATED,)), "contests": (1, (SCAN,))}
+"""How often, and which programs are disturbed."""
 
 
-@pytest.mark.slow
-def test_killed_commands_end_as_undisturbed_ones(folder: Path) -> None:
-    found = kill_failures(folder, (SCAN, IMPORT), kills=4, seed=3)
-    assert found == {kind: [] for kind in found}
+def disturbed(part: str, record: CrashRecord) -> dict[str, float]:
+    """What went wrong, by kind."""
+    count, programs = FEW[part]
+    figures = crash_figures(record, (part,), programs, count, seed=3)
+    return {figure.name: figure.value for figure in figures if figure.value and figure.name != BEFORE}
 
 
 @pytest.mark.slow
-def test_interrupted_commands_leave_a_safe_bench(folder: Path) -> None:
-    found = signal_failures(folder, (SCAN_EMULATED,), signals=5, seed=3)
-    assert {kind: words for kind, words in found.items() if kind != BEFORE and words} == {}
+def test_killed_commands_end_as_undisturbed_ones(tmp_path: Path) -> None:
+    record = CrashRecord(tmp_path / "record.jsonl")
+    assert disturbed("kills", record) == {}
+    assert sum(case.disturbances for case in record.cases) >= 4
 
 
 @pytest.mark.slow
-def test_one_of_two_commands_wins(folder: Path) -> None:
-    found = contest_failures(folder, contests=1)
-    assert found == {kind: [] for kind in found}
+def test_interrupted_commands_leave_a_safe_bench(tmp_path: Path) -> None:
+    assert disturbed("signals", CrashRecord(tmp_path / "record.jsonl")) == {}
+
+
+@pytest.mark.slow
+def test_one_of_two_commands_wins(tmp_path: Path) -> None:
+    assert disturbed("contests", CrashRecord(tmp_path / "record.jsonl")) == {}
+
+
+def test_an_interrupted_benchmark_goes_on(tmp_path: Path) -> None:
+    path = tmp_path / "build" / "record.jsonl"
+    first = CrashRecord(path)
+    first.add(CrashCase("kills", SCAN.name, 0, 3, 1.5, [("lost", "frame 1")]))
+    with path.open("a") as stream:
+        stream.write('{"part": "ki')  # killed while it wrote
+    record = CrashRecord(path)
+    assert record.cases[0].disturbances == 3
+    campaign = Campaign(tmp_path, (SCAN, IMPORT), 10, 1, record)
+    wanted = round(10 * SCAN.share / (SCAN.share + IMPORT.share))
+    assert list(campaign.due("kills")) == [(SCAN, wanted - 3), (IMPORT, 10 - wanted)]
+    assert not CrashRecord(path, seconds=0.0).has_time
+    assert list(Campaign(tmp_path, (SCAN,), 10, 1, CrashRecord(path, 0.0)).due("kills")) == []
+
+
+def test_a_signal_that_is_swallowed_is_noticed() -> None:
+    ended = EndedRun(0, "{}", "", disturbed=True, seconds=3.0, after_s=1.0)
+    assert [kind for kind, _ in _complaints(ended, signal.SIGINT, "x")] == [WRONG_CODE]
+    assert list(_complaints(replace(ended, after_s=0.01), signal.SIGINT, "x")) == []
+    assert list(_complaints(replace(ended, code=130), signal.SIGINT, "x")) == []
 
 
 def test_results_are_compared_without_times_and_names(tmp_path: Path) -> None:

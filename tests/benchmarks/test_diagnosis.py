@@ -6,10 +6,14 @@ import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 from benchmarks.diagnosis import COUNT, JUDGES, JUDGING_SEED, Selection, measure
+from benchmarks.diagnosis.advice import Followed, follow
+from benchmarks.diagnosis.judging import Judged
+from benchmarks.diagnosis.record import Record
 from fpplab.core.errors import ConfigError
 from tests.support.commands import ROOT
 
@@ -19,12 +23,36 @@ ARGUMENTS = ["--seed", "600", "--count", "1", "--causes", "small_angle,no_permis
 def test_more_than_the_faults_asked_for_are_judged_on_seeds_of_their_own() -> None:
     assert len(JUDGES) >= 24
     assert Selection() == Selection(JUDGING_SEED, COUNT, ())
-    assert (JUDGING_SEED, COUNT) == (1000, 10)
+    assert (JUDGING_SEED, COUNT) == (1200, 10)
 
 
 def test_a_cause_that_there_is_not_is_refused() -> None:
     with pytest.raises(ConfigError, match="--causes: 'rain' is none of camera_focus, "):
         measure(Selection(600, 1, ("rain",)))
+
+
+def judged(cause: str, seed: int) -> Judged:
+    return Judged(cause, seed, (cause,), "useless", float("inf"), 0.0)
+
+
+def test_an_interrupted_judging_goes_on_from_its_record(tmp_path: Path) -> None:
+    first, path = judged("bands", 3), tmp_path / "record.jsonl"
+    Record(path).add(judged, "bands", 3, first)
+    Record(path).add(follow, "flicker", 4, Followed("flicker", 1.02, 2))
+    whole = path.read_text()
+    path.write_text(whole + '{"judge": "judged", "of_se')  # killed while it wrote
+    again = Record(path)
+    assert path.read_text() == whole
+    assert again.known(judged, "bands", 3) == first
+    assert again.known(follow, "flicker", 4) == Followed("flicker", 1.02, 2)
+    assert again.known(judged, "bands", 5) is None
+
+
+def test_a_record_of_another_commit_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "record.jsonl"
+    path.write_text('{"commit": "0000000"}\n')
+    with pytest.raises(ConfigError, match=r"record\.jsonl: is of commit 0000000, and this is commit "):
+        Record(path)
 
 
 @pytest.mark.slow

@@ -143,10 +143,10 @@ def test_uncertainty_is_loaded_as_it_was_saved(tmp_path: Path) -> None:
     assert back.sigma["T_projector_camera.x"] == pytest.approx(np.sqrt(known.covariance[-3, -3]))
     written = yaml.safe_load(path.read_text())["uncertainty"]["covariance"]
     scale = np.degrees(1.0)
-    turn, shift = PARAMETERS.index("T_projector_camera.rx"), PARAMETERS.index("T_projector_camera.z")
-    assert written[turn][turn] == pytest.approx(scale**2 * known.covariance[turn, turn])
-    assert written[turn][0] == pytest.approx(scale * known.covariance[turn, 0])
-    assert written[shift][shift] == pytest.approx(known.covariance[shift, shift])
+    for name in ("rx", "ry", "rz", "x", "y", "z"):
+        k, unit = PARAMETERS.index(f"T_projector_camera.{name}"), scale if name.startswith("r") else 1.0
+        assert written[k][k] == pytest.approx(unit**2 * known.covariance[k, k])
+        assert written[k][0] == pytest.approx(unit * known.covariance[k, 0])
 
 
 def test_a_file_without_uncertainty_is_still_a_calibration(tmp_path: Path) -> None:

@@ -158,10 +158,18 @@ def test_a_bench_is_searched_by_measuring_on_it(fpplab: Command, demo: Demo, tmp
 
 @pytest.mark.slow
 def test_the_page_shows_what_was_found(searched: tuple[Path, dict[str, Any], bytes]) -> None:
-    folder, _, _ = searched
+    folder, answer, _ = searched
     page = (folder / "plan.html").read_text()
-    for words in ("Convergence", "Parameters", "Confirmation", "Artefact pyramid", "stripes[2]"):
+    for words in (
+        "Convergence",
+        "Parameters",
+        "Confirmation",
+        "Artefact pyramid",
+        "stripes[2]",
+        "Provenance",
+    ):
         assert words in page
+    assert answer["provenance"]["rig"]["camera"] in page
 
 
 @pytest.mark.slow

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -26,6 +27,17 @@ def test_a_file_is_written_where_the_command_runs(tmp_path: Path) -> None:
     done = run("artefact", "pyramid", "--out", "pyramid.stl", cwd=tmp_path)
     assert done.code == 0, done.err
     assert [path.name for path in tmp_path.iterdir()] == ["pyramid.stl"]
+
+
+def test_a_command_can_be_killed_and_the_next_one_runs(tmp_path: Path) -> None:
+    ready, given = ReadyProgram(ROOT), dict(os.environ)
+    words = ["artefact", "pyramid", "--out", "pyramid.stl"]
+    try:
+        killed = ready.run(words, tmp_path, given, 60.0, lambda process: os.kill(process, signal.SIGKILL))
+        assert killed.returncode == -signal.SIGKILL
+        assert ready.run(words, tmp_path, given, 60.0).returncode == 0
+    finally:
+        ready.close()
 
 
 def test_an_environment_that_modules_may_have_read_needs_a_process_of_its_own() -> None:

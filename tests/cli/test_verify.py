@@ -81,6 +81,9 @@ def test_the_report_shows_every_position(bench: Bench) -> None:
     page = Path(bench.answer["report"]).read_text(encoding="utf-8")
     assert page.count("data:image/png;base64,") == len(BARS) + len(PLANES)
     assert "Probing error, form PF" in page
+    assert 'id="provenance"' in page
+    assert set(bench.answer["provenance"]) == {*BARS, *PLANES}
+    assert all(one["calibration"] and one["camera"] for one in bench.answer["provenance"].values())
     assert "://" not in page
 
 

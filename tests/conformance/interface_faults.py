@@ -290,7 +290,7 @@ STAGE_AND_FIXTURE = [
     Fault(
         "moves are clamped",
         STAGE_BASE,
-        "Stage._check_travel",
+        "Stage._check_reach",
         "least, most = self.caps.travel_mm",
         "least, most = self.caps.travel_mm\nmm = min(max(mm, least), most)",
     ),

@@ -179,3 +179,17 @@ def test_a_device_error_says_who_what_and_what_to_do() -> None:
     error = errors.LimitError("stage", "move_to", "70 mm was asked for", "the travel is 0 to 50 mm")
     assert str(error) == "stage: move_to: 70 mm was asked for; the travel is 0 to 50 mm"
     assert (error.device, error.operation) == ("stage", "move_to")
+
+
+def test_what_was_meant_is_a_file_of_the_kind_or_of_none(tmp_path: Path) -> None:
+    for name in ("rig_skull.yaml", "skulls.yaml"):
+        (tmp_path / name).touch()
+    with pytest.raises(errors.ConfigError, match=r"did you mean .*/skulls\.yaml\?"):
+        config.find_config(tmp_path / "skull.yaml", "plan")
+    (tmp_path / "plan_skull.yaml").touch()
+    with pytest.raises(errors.ConfigError, match=r"did you mean .*/plan_skull\.yaml\?"):
+        config.find_config(tmp_path / "plan_skul.yaml", "plan")
+    (tmp_path / "plan_skull.yaml").unlink()
+    with pytest.raises(errors.ConfigError) as refused:
+        config.find_config(tmp_path / "ri_skull.yaml", "plan")
+    assert "rig_skull" not in str(refused.value), "a rig file is no plan"

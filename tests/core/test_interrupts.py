@@ -66,6 +66,27 @@ except KeyboardInterrupt:
 camera.StopGrabbing()
 camera.Close()
 """,
+    "while all is closed": """
+try:
+    with interrupts.held_back():
+        with interrupts.held_back():
+            hit(signal.SIGHUP)
+            closed = "stopped"
+    wait()
+except KeyboardInterrupt:
+    print(closed)
+""",
+    "in a device's closing that does not end": """
+interrupts.CLOSING_S = 0.05
+try:
+    with interrupts.held_back():
+        hit()
+        time.sleep(0.1)
+        hit()
+        wait()
+except KeyboardInterrupt:
+    print("stopped")
+""",
     "twice, while all is closed": """
 try:
     hit()

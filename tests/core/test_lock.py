@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -98,6 +99,21 @@ def test_a_lock_names_its_owner_and_leaves_no_file(system: str, tmp_path: Path) 
             assert line(other) == first.replace("True", "False")
         holder.communicate()
     assert not file.exists()
+
+
+def test_a_lock_on_a_disk_that_is_gone_is_let_go(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "lock"
+
+    def gone(path: Path, missing_ok: bool = False) -> None:
+        raise OSError(errno.EIO, "Input/output error", str(path))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "unlink", gone)
+        with locked_file(file) as ours:
+            assert ours
+    assert file.exists()
+    with locked_file(file) as again:
+        assert again, "its file stayed, unlocked"
 
 
 def test_a_file_that_is_deleted_before_it_is_locked_is_made_again(

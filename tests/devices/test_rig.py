@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import os
+import signal
 from pathlib import Path
 
 import pytest
 
+from fpplab.core import interrupts
 from fpplab.core.errors import ConfigError, DeviceError
 from fpplab.devices import State
 from fpplab.devices.rig import Rig
 from tests.conformance import reference
-from tests.conformance.reference import ReferenceBench
+from tests.conformance.reference import ReferenceBench, ReferenceProjector
 
 GOOD = """
 name: test
@@ -138,6 +141,29 @@ def test_a_device_that_cannot_be_made_safe_does_not_keep_the_others_open(
     with pytest.raises(DeviceError, match="projector: close: OSError: stuck"), rig:
         assert rig.camera.state is State.IDLE
     assert str(rig.camera.state) == str(rig.projector.state) == "closed"
+
+
+def test_an_interruption_while_it_closes_waits_until_all_is_closed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = {number: signal.getsignal(number) for number in interrupts.SIGNALS}
+    monkeypatch.setattr(interrupts, "_interrupted", [])
+    close, made_dark = ReferenceProjector._close, list[str]()
+
+    def interrupted(projector: ReferenceProjector) -> None:
+        os.kill(os.getpid(), signal.SIGTERM)
+        close(projector)
+        made_dark.append(projector.name)
+
+    monkeypatch.setattr(ReferenceProjector, "_close", interrupted)
+    interrupts.watch_signals()
+    try:
+        with pytest.raises(KeyboardInterrupt), rig_of(GOOD, tmp_path):
+            assert made_dark == []
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    assert made_dark == ["projector"]
 
 
 def test_files_are_looked_for_beside_the_rig_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

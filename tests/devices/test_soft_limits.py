@@ -8,10 +8,14 @@ from pathlib import Path
 
 import pytest
 
+from fpplab.calibration.model import Calibration
 from fpplab.core import acts
 from fpplab.core.acts import DangerousAct, allow_acts
 from fpplab.core.errors import ConfigError, LimitError
+from fpplab.devices import StageMove
 from fpplab.devices.rig import Rig
+from sim.world import World
+from tests.support.commands import run
 
 RIG = """name: twin
 bench: {backend: "sim.devices:VirtualBench", world: world_demo.yaml, binning: 8, analytic: true}
@@ -59,6 +63,40 @@ def test_the_flag_allows_them_but_never_the_end_of_the_travel(rig_file: Path) ->
                 rig.need_stage(61.0)
     finally:
         allow_acts([])
+
+
+def test_a_move_is_foreseen_without_moving(rig_file: Path) -> None:
+    with Rig.load(rig_file) as rig:
+        assert rig.stage is not None
+        assert rig.foresee_stage(20.0) == StageMove(None, 20.0, (-60.0, 60.0), (-10.0, 20.0), False)
+        rig.place_stage(5.0)
+        assert [rig.foresee_stage(mm).needs_consent for mm in (-10.1, -10.0, 20.1)] == [True, False, True]
+        assert rig.foresee_stage(30.0).start_mm == rig.stage.position_mm == 5.0
+        with pytest.raises(LimitError, match="the travel is -60 to 60 mm"):
+            rig.foresee_stage(60.1)
+
+
+def test_a_dry_run_of_a_scan_says_where_the_stage_would_go(rig_file: Path) -> None:
+    folder, world = rig_file.parent, World.load("world_demo.yaml")
+    rig_file.write_text(RIG.replace("binning: 8, ", ""), encoding="utf-8")
+    known = Calibration(world.camera_model(), world.projector_model(), world.T_projector_camera(), {})
+    known.save(folder / "calibration.yaml")
+    (folder / "plan.yaml").write_text(
+        "stage_mm: 30\nfringes:\n" + "".join(f"- {{axis: x, stripes: {n}, steps: 4}}\n" for n in (1, 8))
+    )
+    words = ("scan", "--rig", "rig.yaml", "--plan", "plan.yaml", "--calibration", "calibration.yaml")
+    done = run(*words, "--out", "s", "--dry-run", "--json", cwd=folder)
+    assert done.code == 0, done.err
+    assert (done.json["images"], done.json["dry_run"], done.json["replaces"]) == (8, True, False)
+    assert done.json["stage"] == {
+        "start_mm": None,
+        "target_mm": 30.0,
+        "travel_mm": [-60.0, 60.0],
+        "soft_limits_mm": [-10.0, 20.0],
+        "needs_consent": True,
+    }
+    assert sorted(path.name for path in folder.iterdir()) == ["calibration.yaml", "plan.yaml", "rig.yaml"]
+    assert "--allow beyond-soft-limits" in run(*words, "--out", "s", cwd=folder).err
 
 
 def test_limits_that_do_not_rise_are_refused(rig_file: Path) -> None:

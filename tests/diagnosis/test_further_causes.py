@@ -15,7 +15,9 @@ from fpplab.core.conventions import Lattice, axis_length
 from fpplab.core.geometry import Pinhole
 from fpplab.diagnosis import FaultCause, diagnose_frames
 from fpplab.diagnosis.brightness import colour_finding
+from fpplab.diagnosis.focus import focus_finding
 from fpplab.diagnosis.geometry import PointSample, geometry_findings
+from fpplab.diagnosis.sample import FrameSample
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
@@ -36,6 +38,23 @@ def test_the_table_of_causes_is_the_catalogue() -> None:
 )
 def test_it_is_named_first(cause: str) -> None:
     assert of_other(faulty(cause, 202)).findings[0].cause == cause
+
+
+def test_points_that_a_mirroring_face_makes_are_useless() -> None:
+    """A third of them stands where there is nothing, and all fringe sets agree on them."""
+    found = of_other(faulty("interreflection", 1001))
+    assert found.findings[0].cause is FaultCause.INTERREFLECTION
+    assert "runs backwards" in found.findings[0].evidence
+    assert found.is_useless
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("seed", "ruined"), [(200, True), (202, False)])
+def test_blur_makes_points_useless_where_it_costs_far_more_than_noise(seed: int, ruined: bool) -> None:
+    found = focus_finding(FrameSample.of(faulty("camera_focus", seed).recording(), None), None)
+    assert found is not None
+    assert found.cause is FaultCause.CAMERA_FOCUS
+    assert found.ruins_points is ruined
 
 
 def test_a_colour_is_missing_only_where_every_third_frame_is_dark() -> None:

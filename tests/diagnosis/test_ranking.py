@@ -29,6 +29,11 @@ def test_of_bands_and_flicker_the_one_that_leaves_more_is_the_cause() -> None:
     assert order(bands=2.0, flicker=2.0) == ["bands", "flicker"]
 
 
+def test_of_bands_and_a_bent_response_the_one_that_leaves_more_is_the_cause() -> None:
+    assert order(bands=5.7, response=1.1) == ["bands", "response"]
+    assert order(bands=1.2, response=4.0) == ["response", "bands"]
+
+
 def test_light_between_surfaces_bends_fringes_but_not_the_other_way_round() -> None:
     assert order(interreflection=2.0, harmonics=1.2) == ["interreflection", "harmonics"]
     assert order(interreflection=1.1, harmonics=4.0) == ["harmonics", "interreflection"]

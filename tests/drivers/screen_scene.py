@@ -73,7 +73,7 @@ def write_scene(folder: Path) -> World:
         "rig.yaml": {
             "name": "A display projector and a video camera",
             "bench": {
-                "backend": "tests.drivers.x_screen:XScreenBench",
+                "backend": "tests.drivers.x_screen:ScreenAndVideoBench",
                 "size": list(DISPLAY_PX),
                 "optics": "optics.yaml",
             },

@@ -12,8 +12,9 @@ import pytest
 from drivers.dlp4500.sequence import SIZE
 from drivers.emulators.bench import BenchFaults
 from fpplab.acquisition import acquire, sync_check
+from fpplab.acquisition.marker import marker
 from fpplab.acquisition.rig_check import RigCheck, check_rig
-from fpplab.acquisition.sync_check import MarkerRun, marker
+from fpplab.acquisition.sync_check import MarkerRun
 from fpplab.acquisition.synchronisation import Cause, SyncFault
 from fpplab.core.progress import ignore
 from fpplab.devices.rig import Rig

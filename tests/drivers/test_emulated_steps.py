@@ -10,8 +10,8 @@ import pytest
 
 from drivers.dlp4500.sequence import SIZE
 from fpplab.acquisition import acquire
+from fpplab.acquisition.marker import marker
 from fpplab.acquisition.step_check import CheckedStep, check_steps
-from fpplab.acquisition.sync_check import marker
 from fpplab.core.progress import ignore
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringes import uniform_patterns

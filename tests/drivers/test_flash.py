@@ -287,6 +287,17 @@ def test_the_command(maker, tmp_path):
     again = run(*words)
     assert again.code == 2
     assert "exists already" in again.err
+    built = out.read_bytes()
+    out.unlink()  # as if killed between the two files
+    assert run(*words).code == 0
+    assert out.read_bytes() == built
+    out.unlink()
+    index_file = Path(answer["index"])
+    index_file.write_text("name: of something else\n")
+    refused = run(*words)
+    assert refused.code == 2
+    assert f"{index_file}: exists already" in refused.err
+    assert not out.exists()
 
 
 @pytest.mark.parametrize(

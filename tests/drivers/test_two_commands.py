@@ -23,7 +23,7 @@ from fpplab.core.conventions import Floats
 from sim.items import item_poses
 from sim.world import World
 from tests.drivers.screen_scene import DISPLAY_PX, write_scene
-from tests.drivers.x_screen import XScreenBench
+from tests.drivers.x_screen import ScreenAndVideoBench
 
 pytestmark = [
     pytest.mark.slow,
@@ -84,7 +84,9 @@ def test_from_what_is_connected_to_a_cloud(tmp_path: Path, monkeypatch: pytest.M
     (listed / "name").write_text("Screen camera")
     (nodes / "video0").touch()
     monkeypatch.chdir(tmp_path)
-    bench = XScreenBench({"size": DISPLAY_PX, "optics": str(tmp_path / "optics.yaml"), "curve": "srgb"})
+    bench = ScreenAndVideoBench(
+        {"size": DISPLAY_PX, "optics": str(tmp_path / "optics.yaml"), "curve": "srgb"}
+    )
     bench.open()
     with closing(bench), monkeypatch.context() as computer:
         for place, there in (("VIDEO_CLASS", listed.parent), ("VIDEO_NODES", nodes)):

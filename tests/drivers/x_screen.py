@@ -125,6 +125,10 @@ class XScreenBench:
             light = self.light()
         return np.rint(collected / total).astype(np.uint8)
 
+
+class ScreenAndVideoBench(XScreenBench):
+    """Also has a video camera that sees the screen, in place of the kernel's."""
+
     def video(self, path: str) -> ScreenVideo:
         """The device of a camera that the kernel offers."""
         return ScreenVideo(self)

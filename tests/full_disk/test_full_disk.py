@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import errno
 from pathlib import Path
 
 import pytest
 
+from benchmarks.crash.programs import SCAN_EMULATED, prepare
 from tests.full_disk.commands import COMMANDS
 from tests.full_disk.disks import can_mount, detach, disk
+from tests.full_disk.every_write import EveryWrite
+from tests.full_disk.inputs import EVERY_COMMAND, prepare_inputs
 from tests.full_disk.trial import try_every_size
+from tests.full_disk.vanishing import can_vanish, vanishing_disks
+from tests.full_disk.writes import can_refuse, refusing_program
 from tests.support.commands import run
 
 
@@ -34,3 +40,25 @@ def test_a_disk_that_is_gone_is_told(place: Path) -> None:
         done = run("decode", place / "session", "--out", place / "decoded.npz")
     assert done.code == 4
     assert "is not a session" in done.err
+
+
+@pytest.mark.slow
+def test_a_disk_that_vanishes_under_a_scan(tmp_path: Path) -> None:
+    if not can_vanish(tmp_path / "trial"):
+        pytest.skip("this process may not mount a loop device")
+    prepare(tmp_path, (SCAN_EMULATED,))
+    assert list(vanishing_disks(tmp_path, SCAN_EMULATED, times=2, seed=2)) == ["", ""]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("error", [errno.ENOSPC, errno.EDQUOT], ids=["full", "quota"])
+def test_full_at_every_write(tmp_path: Path, error: int) -> None:
+    if not can_refuse():
+        pytest.skip("there is no C compiler")
+    prepare_inputs(tmp_path)
+    with refusing_program(tmp_path) as program:
+        for command in EVERY_COMMAND:
+            if command.name in {"scan", "convert", "artefact"}:
+                found = EveryWrite(program, command, tmp_path, tmp_path / "disk", error).run()
+                assert found.tried > 1
+                assert found.complaints == []

@@ -4,13 +4,15 @@
 
 Each target is run by atheris, guided by the branches of what reads, for 30 minutes or so many seconds.
 An exception that is not typed, 5 s without an answer or 2 GB of memory end it, and what did it is left in
-build/fuzz; so does a target that ran nothing. An input that is only slow is tried again by itself first, for
+build/fuzz; so does a target that ran nothing. Inputs that reach new branches are kept there too, in `corpus`,
+and the next run begins with them. An input that is only slow is tried again by itself first, for
 other programs may have been at work.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
 import os
 import re
 import shutil
@@ -27,33 +29,39 @@ from tests.fuzz.targets import TARGETS
 
 ROOT = Path(__file__).parents[2]
 FOUND = ROOT / "build" / "fuzz"
+CORPUS = FOUND / "corpus"
+LEAST_BRANCHES = 20
+"""A target of which fewer are seen is not guided."""
 LONGEST_S, MOST_MB = 5, 2048
 LIMITS = (f"-timeout={LONGEST_S}", f"-rss_limit_mb={MOST_MB}", "-close_fd_mask=1")
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """How often a target ran, the greatest memory in MB, and what is wrong: empty if nothing."""
+    """How often a target ran beyond the inputs that it began with, and what is wrong: empty if nothing."""
 
     name: str
     executions: int
+    begun_with: int
     memory_mb: int
     branches: int
     wrong: str
 
     def __str__(self) -> str:
-        figures = f"{self.executions:9} executions, {self.branches:5} branches, {self.memory_mb:5} MB"
+        figures = f"{self.executions:9} executions beyond {self.begun_with:4} inputs, "
+        figures += f"{self.branches:5} branches, {self.memory_mb:5} MB"
         return f"{self.name:12} {figures}  {self.wrong or 'nothing found'}"
 
 
 def fuzz(name: str, seconds: int) -> Outcome:
     """Run one target for so many seconds."""
     with tempfile.TemporaryDirectory(prefix="fuzz-") as place:
-        corpus, artefacts, count = (Path(place) / part for part in ("corpus", "artefacts", "count"))
-        corpus.mkdir()
+        artefacts, count, corpus = Path(place) / "artefacts", Path(place) / "count", CORPUS / name
+        corpus.mkdir(parents=True, exist_ok=True)
         artefacts.mkdir()
-        for k, data in enumerate([*TARGETS[name].seeds(), *seeds.kept(name)]):
-            (corpus / str(k)).write_bytes(data)
+        for data in (*TARGETS[name].seeds(), *seeds.kept(name)):
+            (corpus / hashlib.sha1(data, usedforsecurity=False).hexdigest()).write_bytes(data)
+        begun = len(list(corpus.iterdir()))
         options = [*LIMITS, f"-max_total_time={seconds}", "-max_len=20000", f"-artifact_prefix={artefacts}/"]
         code, said = _run(name, [*options, str(corpus)], count, Path(place), seconds + 600)
         wrong = ""
@@ -64,12 +72,15 @@ def fuzz(name: str, seconds: int) -> Outcome:
                 kept.parent.mkdir(parents=True, exist_ok=True)
                 shutil.copy(found, kept)
                 wrong = f"{_reason(said)}; see {kept.relative_to(ROOT)}"
-        executions = int(count.read_text() or 0) if count.exists() else 0
+        executions = max(0, (int(count.read_text() or 0) if count.exists() else 0) - begun)
     if code and not wrong and "timeout" not in said:
         wrong = f"ended with {code}: {said.strip()[-300:]}"
+    branches = _last(r"cov: (\d+)", said)
     if executions < 2:
-        wrong = wrong or f"ran {executions} times: {said.strip()[-300:]}"
-    return Outcome(name, executions, _last(r"rss: (\d+)Mb", said), _last(r"cov: (\d+)", said), wrong)
+        wrong = wrong or f"ran {executions} times beyond its corpus: {said.strip()[-300:]}"
+    if branches < LEAST_BRANCHES:
+        wrong = wrong or f"is guided by {branches} branches: what it reads with is not watched"
+    return Outcome(name, executions, begun, _last(r"rss: (\d+)Mb", said), branches, wrong)
 
 
 def _run(name: str, options: list[str], count: Path, place: Path, limit: float) -> tuple[int, str]:

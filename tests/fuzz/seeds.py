@@ -1,4 +1,7 @@
-"""What the fuzzer begins with: files as fpplab and others write them, and what has failed before."""
+"""What the fuzzer begins with: files as fpplab and others write them, and what has failed before.
+
+What guides a target is imported where its seeds are made, for only then are its branches watched.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +13,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import trimesh
-from PIL import Image as Pillow
 
 ROOT = Path(__file__).parents[2]
 CONFIGS = ROOT / "configs"
@@ -83,6 +84,8 @@ def decoded() -> list[bytes]:
 
 
 def mesh() -> list[bytes]:
+    import trimesh
+
     box = trimesh.creation.box((1, 2, 3))
     kinds = ("stl", "ply", "obj")
     found = [bytes([k]) + _bytes(box.export(file_type=kind)) for k, kind in enumerate(kinds)]
@@ -112,6 +115,8 @@ def opencv() -> list[bytes]:
 
 
 def image() -> list[bytes]:
+    from PIL import Image as Pillow
+
     levels = np.arange(48, dtype=np.uint8).reshape(6, 8)
     found = []
     for picture in (levels, levels.astype(np.uint16) * 1000):

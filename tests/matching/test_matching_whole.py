@@ -17,6 +17,7 @@ from fpplab.matching.run import MatchingRequest, MatchingResult, match_sessions
 from fpplab.matching.verdict import diagnose_matching
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
+from fpplab.prediction import Discrepancy
 from fpplab.report.matching import write_matching_report
 from fpplab.sessions.session import Session
 from fpplab.simulation.matchable import TwinParameters
@@ -93,6 +94,11 @@ def test_epochs_and_twin_are_saved(matching: Matching) -> None:
     assert [e.step for e in epochs][:4] == ["start", "points", "light", "ambient light"]
     assert len(epochs) == EPOCHS + 1
     assert (matching.folder / "calibration.yaml").is_file()
+    left = Discrepancy.beside(matching.folder / "rig.yaml")
+    assert left is not None
+    assert left.noise is not None
+    assert abs(left.noise.mean) < 0.1
+    assert left.noise.fitted  # no more poses than the light is fitted to
 
 
 def test_a_matching_continues_from_its_record(matching: Matching) -> None:

@@ -1,16 +1,18 @@
 """Mutation test of the suite.
 
-    python -m tests.mutants [--each N] [--seed S] [--workers W] [--area AREA …] [--remake]
+    python -m tests.mutants [--each N] [--seed S] [--workers W] [--area AREA …] [--minutes M] [--remake]
 
-Draws faults at random on the syntax of every area, tries each by the quick tests that execute it, and fails
-unless 95 % are killed and every survivor is explained in `equivalent.yaml`. Which tests execute what is
-recorded once, by the whole quick suite, and kept in build/mutants.
+Draws faults at random on the syntax of every area, beside those of `named.yaml`, tries each by the quick
+tests that execute it, and fails unless 95 % are killed and every survivor is explained in `equivalent.yaml`.
+Which tests execute what is recorded once, by the whole quick suite, and kept in build/mutants with every
+verdict: an interrupted run goes on where it stopped.
 """
 
 from __future__ import annotations
 
 import argparse
 import queue
+import shutil
 import sys
 import tempfile
 from collections import Counter
@@ -20,9 +22,11 @@ from pathlib import Path
 import yaml
 
 from tests.mutants import coverage_map
-from tests.mutants.areas import AREAS, draw
+from tests.mutants.areas import AREAS, draw, named
 from tests.mutants.choice import Chooser
 from tests.mutants.judge import KILLED, Bench, Trial, Verdict
+from tests.mutants.record import TrialRecord, test_of
+from tests.mutants.seeding import Mutant
 from tests.mutants.tree import ROOT, copy_tree
 
 RECORDED = ROOT / "build" / "mutants"
@@ -38,30 +42,40 @@ def explained() -> dict[str, str]:
 def main(words: list[str]) -> int:
     """Draw faults, judge them, and print what became of each."""
     asked = _parser().parse_args(words)
-    if asked.remake or not (asked.map / "map.json").exists():
-        coverage_map.make(asked.map, ["tests"], asked.workers)
-    chooser = Chooser(ROOT, coverage_map.load(asked.map))
+    if asked.remake:
+        shutil.rmtree(asked.map, ignore_errors=True)
+    if asked.record or not (asked.map / "map.json").exists():
+        coverage_map.make(asked.map, asked.record or ["tests"], asked.workers)
+    by_name = named(ROOT)
+    first = {mutant.name: tests for mutant, tests in by_name.items()}
+    chooser = Chooser(ROOT, coverage_map.load(asked.map), first=first)
     drawn = draw(ROOT, asked.each, asked.seed, tuple(asked.area or AREAS))
-    wanted = set(asked.only.read_text(encoding="utf-8").splitlines()) if asked.only else None
-    chosen = [mutant for mutant in drawn if wanted is None or mutant.name in wanted]
-    free: queue.Queue[Bench] = queue.Queue()
+    every = [*by_name, *drawn][: asked.most]
+    record = TrialRecord(asked.map / "trials.jsonl", 60 * asked.minutes)
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
+        free: queue.Queue[Bench] = queue.Queue()
         for k in range(asked.workers):
             free.put(Bench(copy_tree(Path(folder) / str(k)), chooser))
 
-        def judge(number: int) -> Trial:
+        def judge(mutant: Mutant) -> Trial | None:
+            known = record.known(mutant)
+            if known or not record.has_time:
+                return known
             bench = free.get()
             try:
-                trial = bench.try_fault(chosen[number])
+                trial = bench.try_fault(mutant)
             finally:
                 free.put(bench)
+            record.add(mutant, trial)
             print(f"{trial.verdict:9}  {trial.name}\n{'':11}{trial.evidence}", flush=True)
             return trial
 
         with ThreadPoolExecutor(asked.workers) as pool:
-            trials = list(pool.map(judge, range(len(chosen))))
-        trials = _without_false_kills(trials, free.get())
-    return _summed_up(trials)
+            judged = [(m, t) for m, t in zip(every, pool.map(judge, every), strict=True) if t]
+        trials = _without_false_kills(judged, record, free.get())
+    if len(trials) < len(every):
+        print(f"{len(trials)} of {len(every)} are judged: the time is over, and the same command goes on.")
+    return _summed_up(trials) or int(len(trials) < len(every))
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -72,30 +86,37 @@ def _parser() -> argparse.ArgumentParser:
         "--workers", type=int, default=2, help="copies of the sources that are tested at once"
     )
     parser.add_argument("--area", action="append", choices=list(AREAS), help="only these")
+    parser.add_argument("--most", type=int, help="only so many, the named ones first")
+    parser.add_argument("--minutes", type=float, default=float("inf"), help="try no fault after so long")
+    parser.add_argument("--map", type=Path, default=RECORDED, help="folder of what is recorded")
     parser.add_argument(
-        "--only", type=Path, help="a file of names, one a line: only these of the faults drawn"
+        "--record", action="append", metavar="TESTS", help="first record tests that the map lacks"
     )
-    parser.add_argument("--map", type=Path, default=RECORDED, help="folder of what the tests execute")
-    parser.add_argument("--remake", action="store_true", help="record again what the tests execute")
+    parser.add_argument("--remake", action="store_true", help="forget what is recorded, verdicts too")
     return parser
 
 
-def _without_false_kills(trials: list[Trial], bench: Bench) -> list[Trial]:
+def _without_false_kills(
+    judged: list[tuple[Mutant, Trial]], record: TrialRecord, bench: Bench
+) -> list[Trial]:
     """Run the tests that killed once more on the unharmed sources: one that fails there proves nothing."""
-    killing = sorted({t.evidence.partition(" ")[2] for t in trials if t.verdict is Verdict.KILLED} - {""})
+    killing = sorted({test_of(trial) for _, trial in judged} - {""} - record.passing)
     failing: set[str] = set()
     while killing and (failed := bench.run(killing, 3600)):
         test = failed.partition(" ")[2]
         if test not in killing:
             raise SystemExit(f"the tests that killed do not run on the unharmed sources: {failed}")
         failing.add(test)
-        killing = [one for one in killing if one != test]
-    return [
-        Trial(t.name, Verdict.UNDECIDED, f"{t.evidence} fails without the fault too")
-        if t.verdict is Verdict.KILLED and t.evidence.partition(" ")[2] in failing
-        else t
-        for t in trials
-    ]
+        killing = killing[killing.index(test) + 1 :]
+    trials = []
+    for mutant, found in judged:
+        test = test_of(found)
+        why = f"{found.evidence} fails without the fault too"
+        trial = Trial(found.name, Verdict.UNDECIDED, why) if test in failing else found
+        if test and test not in record.passing:
+            record.confirm(mutant, trial)
+        trials.append(trial)
+    return trials
 
 
 def _summed_up(trials: list[Trial]) -> int:

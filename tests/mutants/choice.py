@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+from collections.abc import Mapping
 from pathlib import Path
 
 from tests.mutants.coverage_map import CoverageMap
@@ -11,6 +12,8 @@ from tests.mutants.seeding import Mutant
 
 SECONDS = 30.0
 """Tests are added as long as they take no longer than this together."""
+UNKNOWN_S = 1.0
+"""What a test takes of which nothing is recorded."""
 DEEPEST = 3
 """Machine code is called by machine code of other modules, so many times over."""
 
@@ -18,8 +21,15 @@ DEEPEST = 3
 class Chooser:
     """Chooses tests by what they execute."""
 
-    def __init__(self, root: Path, known: CoverageMap, seconds: float = SECONDS) -> None:
-        self._root, self._known, self._seconds = root, known, seconds
+    def __init__(
+        self,
+        root: Path,
+        known: CoverageMap,
+        seconds: float = SECONDS,
+        first: Mapping[str, list[str]] | None = None,
+    ) -> None:
+        """`first` names tests that come before all others, by the name of a fault."""
+        self._root, self._known, self._seconds, self._first = root, known, seconds, first or {}
 
     def tests_for(self, mutant: Mutant) -> list[str]:
         """Tests in the order in which they are to run; empty where none executes the fault."""
@@ -27,7 +37,9 @@ class Chooser:
         files = {test.partition("::")[0] for test in direct}
         # What a fixture of a module executes is recorded for the first test that asks for it alone.
         beside = {t for t in self._known.seconds if t.partition("::")[0] in files} - direct
-        chosen: list[str] = []
+        chosen = list(self._first.get(mutant.name, ()))
+        beside -= set(chosen)
+        direct -= set(chosen)
         left = self._seconds
         for tests in (direct, beside):
             for test in sorted(tests, key=lambda test: (not self._is_near(test, mutant), self._time(test))):
@@ -41,7 +53,7 @@ class Chooser:
         return sum(map(self._time, tests))
 
     def _time(self, test: str) -> float:
-        return self._known.seconds[test]
+        return self._known.seconds.get(test, UNKNOWN_S)
 
     def _is_near(self, test: str, mutant: Mutant) -> bool:
         """Whether a test is one of the fault's own package."""
@@ -49,9 +61,7 @@ class Chooser:
         return test.startswith(f"tests/{package}/")
 
     def _indirect(self, mutant: Mutant) -> set[str]:
-        """Tests of machine code, whose lines are not recorded: those that execute what calls it."""
-        if "import njit" not in (self._root / mutant.file).read_text(encoding="utf-8"):
-            return set()
+        """Tests of a line that none is known to execute; of machine code what calls it is recorded alone."""
         files = {mutant.file}
         for _ in range(DEEPEST):
             files |= {importer for file in files for importer in importers(self._root, file)}

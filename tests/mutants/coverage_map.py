@@ -14,7 +14,8 @@ from pathlib import Path
 
 import coverage
 
-from tests.mutants.recording import CONTEXT, RESULTS
+from fpplab.core.files import write_text
+from tests.mutants.recording import CONTEXT, KNOWN, RESULTS
 from tests.mutants.tree import PACKAGES, ROOT, copy_tree
 
 STARTUP = Path(__file__).with_name("startup")
@@ -47,10 +48,18 @@ class CoverageMap:
 
 
 def make(folder: Path, tests: list[str], workers: int) -> None:
-    """Run tests with recording, and write the map to a folder."""
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir(parents=True)
-    tree = copy_tree(folder / "tree")
+    """Run the tests that the map in a folder lacks, with recording, and add what they execute.
+
+    A run that was interrupted is not lost: what it recorded is added by the next one.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    tree = folder / "tree"
+    _gather(folder, tree)
+    known = load(folder)
+    shutil.rmtree(tree, ignore_errors=True)
+    copy_tree(tree)
+    _save(folder, known)
+    (folder / "known").write_text("\n".join(known.seconds), encoding="utf-8")
     sources = "\n    ".join(str(tree / package) for package in PACKAGES)
     settings = folder / "settings"
     settings.write_text(SETTINGS.format(folder=folder, context=CONTEXT, sources=sources), encoding="utf-8")
@@ -62,32 +71,41 @@ def make(folder: Path, tests: list[str], workers: int) -> None:
         "PYTHONPATH": f"{STARTUP}{os.pathsep}{tree}",
         "COVERAGE_PROCESS_START": str(settings),
         RESULTS: str(folder / "results.jsonl"),
+        KNOWN: str(folder / "known"),
     }
     subprocess.run(command, cwd=tree, env=environment, check=False)
-    _write(folder, tree)
+    _gather(folder, tree)
 
 
-def _write(folder: Path, tree: Path) -> None:
-    """Put together what the processes have recorded."""
-    whole = coverage.CoverageData(str(folder / "whole"))
-    for part in sorted(folder.glob("lines.*")):
-        one = coverage.CoverageData(str(part))
-        one.read()
-        whole.update(one)
+def _gather(folder: Path, tree: Path) -> None:
+    """Add to the map what processes have recorded."""
+    parts, results = sorted(folder.glob("lines.*")), folder / "results.jsonl"
+    if not parts or not results.exists():
+        return
+    known = load(folder, tree)
+    found = [json.loads(line) for line in results.read_text("utf-8").splitlines()]
+    seconds = known.seconds | {one["test"]: one["seconds"] for one in found if one["passed"]}
+    lines = {file: {n: set(tests) for n, tests in of.items()} for file, of in known.lines.items()}
+    for part in parts:
+        data = coverage.CoverageData(str(part))
+        data.read()
+        for file in data.measured_files():
+            of = lines.setdefault(str(Path(file).relative_to(tree)), {})
+            for line, tests in data.contexts_by_lineno(file).items():
+                of.setdefault(line, set()).update(test for test in tests if test in seconds)
+    _save(folder, CoverageMap({f: {n: sorted(t) for n, t in of.items()} for f, of in lines.items()}, seconds))
+    for part in (*parts, results):
         part.unlink()
-    results = [json.loads(line) for line in (folder / "results.jsonl").read_text("utf-8").splitlines()]
-    seconds = {found["test"]: found["seconds"] for found in results if found["passed"]}
-    number = {test: k for k, test in enumerate(seconds)}
+
+
+def _save(folder: Path, known: CoverageMap) -> None:
+    number = {test: k for k, test in enumerate(known.seconds)}
     lines = {
-        str(Path(file).relative_to(tree)): {
-            line: found
-            for line, tests in whole.contexts_by_lineno(file).items()
-            if (found := [number[test] for test in tests if test in number])
-        }
-        for file in whole.measured_files()
+        file: {line: [number[test] for test in tests] for line, tests in of.items() if tests}
+        for file, of in known.lines.items()
     }
-    text = json.dumps({"tests": list(seconds.items()), "lines": lines})
-    (folder / "map.json").write_text(text, encoding="utf-8")
+    text = json.dumps({"tests": list(known.seconds.items()), "lines": lines})
+    write_text(folder / "map.json", text)
 
 
 def _lines_now(then: Path, now: Path) -> dict[int, int] | None:
@@ -101,13 +119,18 @@ def _lines_now(then: Path, now: Path) -> dict[int, int] | None:
     return {block.a + k + 1: block.b + k + 1 for block in blocks for k in range(block.size)}
 
 
-def load(folder: Path) -> CoverageMap:
-    """Read the map; of files that changed since it was made, what is the same is found at its new place."""
+def load(folder: Path, root: Path = ROOT) -> CoverageMap:
+    """Read the map; of files that changed since it was made, what is the same is found at its new place.
+
+    Empty where there is none.
+    """
+    if not (folder / "map.json").exists():
+        return CoverageMap({}, {})
     data = json.loads((folder / "map.json").read_text(encoding="utf-8"))
     names = [name for name, _ in data["tests"]]
     lines = {}
     for file, found in data["lines"].items():
-        if (now := _lines_now(folder / "tree" / file, ROOT / file)) is not None:
+        if (now := _lines_now(folder / "tree" / file, root / file)) is not None:
             lines[file] = {
                 now[int(line)]: [names[k] for k in tests] for line, tests in found.items() if int(line) in now
             }

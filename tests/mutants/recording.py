@@ -13,8 +13,14 @@ from pathlib import Path
 import coverage
 import pytest
 
-CONTEXT, RESULTS = "FPPLAB_MUTANTS_TEST", "FPPLAB_MUTANTS_RESULTS"
-"""Environment: the test that runs, and the file of results."""
+CONTEXT, RESULTS, KNOWN = "FPPLAB_MUTANTS_TEST", "FPPLAB_MUTANTS_RESULTS", "FPPLAB_MUTANTS_KNOWN"
+"""Environment: the test that runs, the file of results, and that of tests that need not run again."""
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    known = set(Path(os.environ[KNOWN]).read_text("utf-8").splitlines())
+    config.hook.pytest_deselected(items=[item for item in items if item.nodeid in known])
+    items[:] = [item for item in items if item.nodeid not in known]
 
 
 @pytest.hookimpl(wrapper=True)

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import ast
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import yaml
 
 from tests.mutants.__main__ import EQUIVALENT, explained
-from tests.mutants.areas import AREAS, draw, files_of
+from tests.mutants.areas import AREAS, draw, files_of, named
 from tests.mutants.choice import Chooser, importers
 from tests.mutants.coverage_map import CoverageMap
-from tests.mutants.judge import Bench, Verdict
+from tests.mutants.judge import Bench, Trial, Verdict
+from tests.mutants.record import TrialRecord
 from tests.mutants.seeding import mutants
 from tests.mutants.tree import ROOT, copy_tree
 
@@ -57,6 +59,37 @@ def test_a_draw_is_the_same_twice_and_has_as_many_of_each_area() -> None:
     assert [m.name for m in drawn] == [m.name for m in draw(ROOT, 2, 1, ("core", "sessions"))]
     assert [m.file.split("/")[1] for m in drawn] == ["core", "sessions"] * 2
     assert [m.name for m in drawn] != [m.name for m in draw(ROOT, 2, 2, ("core", "sessions"))]
+
+
+def test_named_faults_are_of_today_s_sources() -> None:
+    for mutant, tests in named(ROOT).items():
+        for file, _, function in (test.partition("::") for test in tests):
+            assert f"def {function.partition('[')[0]}(" in (ROOT / file).read_text(encoding="utf-8")
+        source = (ROOT / mutant.file).read_bytes()
+        assert source[mutant.start : mutant.end].decode() == mutant.old
+        assert mutant.old.splitlines()[0] in source.decode().splitlines()[mutant.line - 1]
+        assert ast.dump(ast.parse(mutant.seeded(source))) != ast.dump(ast.parse(source))
+
+
+def test_what_is_killed_is_not_tried_again(tmp_path: Path) -> None:
+    killed, survivor, hung = list(named(ROOT))[:3]
+    path = tmp_path / "map" / "trials.jsonl"
+    record = TrialRecord(path)
+    record.add(killed, Trial(killed.name, Verdict.KILLED, "FAILED tests/a.py::test_b"))
+    record.add(survivor, Trial(survivor.name, Verdict.SURVIVED, "3 tests"))
+    record.add(hung, Trial(hung.name, Verdict.HUNG, "after 9 s"))
+    with path.open("a") as stream:
+        stream.write('{"name": "torn')
+    later = TrialRecord(path, seconds=0.0)
+    assert not later.has_time
+    assert [later.known(mutant) is not None for mutant in (killed, survivor, hung)] == [True, False, True]
+    assert later.passing == set()
+    later.confirm(killed, Trial(killed.name, Verdict.KILLED, "FAILED tests/a.py::test_b"))
+    later.confirm(hung, Trial(hung.name, Verdict.UNDECIDED, "it hangs without the fault too"))
+    last = TrialRecord(path)
+    assert last.passing == {"tests/a.py::test_b"}
+    assert [last.known(mutant) is not None for mutant in (killed, hung)] == [True, False]
+    assert last.known(replace(killed, file="fpplab/core/units.py")) is None, "another source"
 
 
 def test_explanations_are_of_faults_that_exist() -> None:

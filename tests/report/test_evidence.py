@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image as Pixels
 
-from fpplab.acquisition.sync_check import marker
+from fpplab.acquisition.marker import marker
 from fpplab.diagnosis import FaultCause, Finding
 from fpplab.phase import decode
 from fpplab.reconstruction.points import points_of

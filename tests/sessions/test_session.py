@@ -7,6 +7,7 @@ import os
 import shutil
 import signal
 import sys
+from collections.abc import Callable
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -246,6 +247,33 @@ def test_resuming_with_another_plan_or_rig(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="another rig"):
         Session.resume(path, PLAN, rig | {"name": "two"})
     assert Session.resume(path, PLAN, rig | {"name": "two"}, force=True).missing() == [0, 1, 2, 3]
+
+
+def test_resuming_with_another_item_or_pose(tmp_path: Path) -> None:
+    path = tmp_path / "session"
+    bench: dict[str, Any] = {"name": "one", "resolved": {"camera": {"serial": "21e7"}}}
+
+    def holding(item: str, pose: int) -> dict[str, Any]:
+        return bench | {"resolved": bench["resolved"] | {"mounted": {"item": item, "pose": pose}}}
+
+    Session.create(path, PLAN, holding("board", 1)).write(frame(0))
+    assert Session.resume(path, PLAN, holding("board", 1)).missing() == [1, 2, 3]
+    for other in (holding("pyramid", 1), holding("board", 2), bench):
+        with pytest.raises(DataError, match="another item or pose"):
+            Session.resume(path, PLAN, other)
+
+
+@pytest.mark.parametrize("load", [Session.stack, Session.recording])
+def test_a_session_is_not_loaded_with_an_altered_frame(
+    whole: Path, load: Callable[[Session], object]
+) -> None:
+    path = whole / Session.open(whole).record(2).file
+    data = bytearray(path.read_bytes())
+    data[-7] ^= 1
+    path.write_bytes(data)
+    (whole / "rig.yaml").unlink(missing_ok=True)
+    with pytest.raises(DataError, match=r"frame 2 is corrupt: its checksum"):
+        load(Session.open(whole))
 
 
 def test_what_exists_is_not_overwritten(whole: Path) -> None:

@@ -30,6 +30,8 @@ def main(asked: list[str]) -> int:
             held: list[Held] = []
             for _ in rounds:
                 held.append(Held.now())
+            if not held:
+                continue
             complaints = growth(held)
             first = words(held[min(SETTLED, len(held) - 1)])
             print(f"{len(held)} {name}: at first {first}; at last {words(held[-1])}")

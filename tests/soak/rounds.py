@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import shutil
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from fpplab.acquisition.acquire import acquire
-from fpplab.core.errors import DeviceError
+from fpplab.core.errors import DeviceError, DisconnectedError
 from fpplab.phase import decode
 from fpplab.sessions.session import Session
 from tests.drivers.dlp4500.test_faults import Trial
@@ -17,6 +18,9 @@ from tests.drivers.emulated_rig import PLAN, burn, rig_file
 from tests.drivers.grbl_stage import Bench
 from tests.drivers.projector_bench import Bench as ProjectorBench
 from tests.drivers.projector_bench import greys
+
+SEEN_S = 0.02
+"""After so long an unplugged serial line is seen to be gone."""
 
 
 def scans(folder: Path, count: int) -> Iterator[None]:
@@ -36,17 +40,29 @@ def scans(folder: Path, count: int) -> Iterator[None]:
 def plug_cycles(folder: Path, count: int) -> Iterator[None]:
     """Projector and stage used, pulled out while they are open, and found again, so many times."""
     for number in range(count):
-        place = folder / f"projector_{number}"
-        place.mkdir()
-        trial = Trial(ProjectorBench(greys(4), place))
-        trial.measure()
-        trial.projector.open()
-        trial.hid.unplug()
-        with pytest.raises(DeviceError):
-            trial.projector.show(0)
-        with pytest.raises(DeviceError):  # it could not be told to go dark
-            trial.projector.close()
-        shutil.rmtree(place)
-        with Bench() as stage:
-            stage.homed().move_to(5.0, 30.0)
+        _unplug_projector(folder / f"projector_{number}")
+        _unplug_stage()
         yield
+
+
+def _unplug_projector(place: Path) -> None:
+    place.mkdir()
+    trial = Trial(ProjectorBench(greys(4), place))
+    trial.measure()
+    trial.projector.open()
+    trial.hid.unplug()
+    with pytest.raises(DeviceError):
+        trial.projector.show(0)
+    with pytest.raises(DeviceError):  # it could not be told to go dark
+        trial.projector.close()
+    shutil.rmtree(place)
+
+
+def _unplug_stage() -> None:
+    with Bench() as bench:
+        stage = bench.homed()
+        stage.move_to(5.0, 30.0)
+        bench.terminal.unplug()
+        time.sleep(SEEN_S)
+        with pytest.raises(DisconnectedError):
+            stage.move_to(6.0, 30.0)

@@ -16,8 +16,8 @@ import numpy as np
 
 from drivers.dlp4500.sequence import SIZE
 from fpplab.acquisition import acquire
+from fpplab.acquisition.marker import marker
 from fpplab.acquisition.rig_check import RigCheck, check_rig
-from fpplab.acquisition.sync_check import marker
 from fpplab.core.errors import DeviceError
 from fpplab.core.progress import ignore
 from fpplab.devices import DeviceInfo, Frame

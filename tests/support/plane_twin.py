@@ -185,7 +185,7 @@ class PlaneTwin:
             else:
                 albedo = np.full(u.shape, 0.9, np.float32)
             for n, pattern in enumerate(patterns):
-                light = now.response.apply(pattern.image / 255.0).astype(np.float32)
+                light = (now.response.apply(pattern.image / 255.0) * self._falloff()).astype(np.float32)
                 light = cv2.GaussianBlur(light, (0, 0), sigma)
                 lit = between(light, u, v)
                 out[n] += 0.5 * albedo * (lit * fall.astype(np.float32) + now.ambient)
@@ -198,6 +198,13 @@ class PlaneTwin:
         falloff = (1 + self._slopes() ** 2) ** (-now.vignetting / 2)
         levels = full * (now.black_level + (1 - now.black_level) * 0.8 * now.white * out * falloff)
         return np.asarray(levels.clip(0, full), np.float32)
+
+    def _falloff(self) -> Floats:
+        columns, rows = PROJECTOR.size
+        x = (np.arange(columns) - 0.5 * (columns - 1)) / (0.5 * columns)
+        y = ((np.arange(rows) - 0.5 * (rows - 1)) / (0.5 * columns))[:, None]
+        terms = [x + 0 * y, y + 0 * x, x**2 + 0 * y, x * y, y**2 + 0 * x]
+        return np.asarray(1.0 + np.tensordot(self._now.projector_falloff, terms, axes=1))
 
     def _blur_px(self, z: float, focus: float | None, aperture: float, focal_px: float) -> float:
         return 0.0 if focus is None else float(0.25 * aperture * abs(1 / z - 1 / focus) * focal_px)

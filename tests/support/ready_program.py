@@ -64,15 +64,24 @@ class ReadyProgram:
         return sys.platform == "linux" and _at_loading(environment) == self._environment
 
     def run(
-        self, words: list[str], cwd: Path, environment: dict[str, str], timeout_s: float
+        self,
+        words: list[str],
+        cwd: Path,
+        environment: dict[str, str],
+        timeout_s: float,
+        begun: Callable[[int], object] = bool,
     ) -> subprocess.CompletedProcess[str]:
-        """Run `fpplab WORDS` in a process forked for it; `subprocess.run` with the output captured."""
+        """Run `fpplab WORDS` in a process forked for it; `subprocess.run` with the output captured.
+
+        `begun` is told the number of the process.
+        """
         connection = self._connection()
         with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as err:
             request = json.dumps([["fpplab", *words], str(cwd), environment]).encode()
             socket.send_fds(connection, [request], [out.fileno(), err.fileno()])
             connection.settimeout(timeout_s)
             try:
+                begun(int(connection.recv(64)))
                 answer = connection.recv(64)
             except TimeoutError:
                 answer = b""
@@ -140,6 +149,7 @@ def _serve(connection: socket.socket) -> None:
             return
         for file in files:
             os.close(file)
+        connection.send(str(child).encode())
         _, status = os.waitpid(child, 0)
         connection.send(str(os.waitstatus_to_exitcode(status)).encode())
 
@@ -158,7 +168,8 @@ def main() -> None:
     """Load the program, then run commands until the connection is closed."""
     connection = socket.socket(fileno=int(sys.argv[1]))
     connection.set_inheritable(False)
-    sys.path[:] = [place for place in sys.path if place not in ("", os.getcwd())] + [os.getcwd()]
+    # `-m` put the folder first; a program that is run has it nowhere, unless PYTHONPATH names it
+    sys.path[:] = [*sys.path[1:], os.getcwd()]
     for name in _modules():
         importlib.import_module(name)
     _prepare_numba()

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from multiprocessing.managers import BaseManager
 
 from drivers.clock import RealClock
-from drivers.emulators.dlpc350 import Dlpc350, EmulatedHid, ProjectedLight, Pulse, UsbFault
+from drivers.emulators.dlpc350 import STRICT, Dlpc350, EmulatedHid, ProjectedLight, Pulse, UsbFault
 from drivers.emulators.dlpc350.usbip import UsbIpAttachment
 from fpplab.core import config
 from fpplab.patterns.fringes import Pattern
@@ -29,7 +29,7 @@ class Projector:
     def __init__(self) -> None:
         images, self._index = flash()
         self._caught: deque[ProjectedLight | None] = deque(maxlen=MOST_PULSES)
-        self._controller = Dlpc350(RealClock(), images, on_pulse=self._pulsed)
+        self._controller = Dlpc350(RealClock(), images, STRICT, self._pulsed)
         self._hid = EmulatedHid(self._controller)
         self._cable = UsbIpAttachment(self._hid)
 

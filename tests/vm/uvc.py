@@ -30,12 +30,12 @@ from tests.vm.uvc_descriptors import (
     GAMMA,
     HEADER_BYTES,
     PERIOD_100_NS,
+    REFERENCE_EXPOSURE_S,
     probe,
 )
 
 ADDRESS = "/run/uvc.socket"
 HIGH_SPEED = 3
-REFERENCE_EXPOSURE_S = 0.02
 INFO, LENGTH, CURRENT, SET = 0x86, 0x85, 0x81, 0x01
 SUBMIT, UNLINK, SUBMITTED, UNLINKED = 1, 2, 3, 4
 AUTOMATIC = 8

@@ -12,6 +12,8 @@ import struct
 VENDOR, PRODUCT, NAME = 0x1209, 0x0001, "fpplab test camera"
 WIDTH, HEIGHT = 48, 32
 PERIOD_100_NS = 50_000
+REFERENCE_EXPOSURE_S = 0.02
+"""Exposure at which a share of 1 of the light fills the sensor."""
 TERMINAL, PROCESSING = 1, 2
 """Units whose controls the camera has."""
 EXPOSURE_MODE, EXPOSURE, GAIN, GAMMA = (TERMINAL, 2), (TERMINAL, 4), (PROCESSING, 4), (PROCESSING, 9)

@@ -114,7 +114,7 @@ def match_command(
 
         from fpplab.core.session_names import RECORDING
         from fpplab.matching.record import MatchingEpoch
-        from fpplab.report.matching import write_matching_report
+        from fpplab.report.matching import matching_provenance, write_matching_report
         from fpplab.viewer.matching import MatchingView, show_twin
 
         viewer = open_viewer(context, MatchingView, view, keep_open, out / RECORDING)
@@ -142,14 +142,16 @@ def match_command(
                 )
         except CalibrationError as error:
             raise with_causes(error, sessions) from error
+        sources = matching_provenance(found, wanted.scans)
         result = {
             **found.summary(),
             "seconds": elapsed(),
+            "provenance": {name: one.summary() for name, one in sources.items()},
             "rig": None if found.diagnosis.is_useless else str(out / RIG),
             "report": str(out / REPORT),
         }
         with console.progress("Drawing the report"):
-            write_matching_report(out / REPORT, found, known, result)
+            write_matching_report(out / REPORT, found, known, result, sources)
     console.conclude(found.diagnosis, str(out), result, json, lambda: _show(result))
 
 

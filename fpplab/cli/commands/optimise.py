@@ -131,6 +131,7 @@ def optimise_command(
         }
         with console.progress("Comparing before and after"):
             maps = measure_search_maps(rig, found)
+            result["provenance"] = {name: one.summary() for name, one in maps.provenance.items()}
             write_optimisation_report(page, found, confirmed, maps, result)
     console.conclude(diagnosis, str(out), result, json, lambda: _show(result))
 

@@ -28,9 +28,9 @@ def predict_command(
 ) -> None:
     """Predict a measurement without making it: distance, noise, completeness, wrong orders and time.
 
-    Each figure has an interval of 95 %: of the scatter of the noise and the uncertainty of the calibration.
-    What twin and bench differ by is in it only where a `discrepancy.yaml` beside the rig file tells it, which
-    `fpplab match` does not write yet. A sample of the image's rows is simulated.
+    Each figure has an interval of 95 %: of the scatter of the noise, of the uncertainty of the calibration,
+    and of what twin and bench differ by, which `fpplab match` leaves beside the rig file
+    (`discrepancy.yaml`). A sample of the image's rows is simulated.
 
     Example: `fpplab predict --rig matched/rig.yaml --plan plan_paper --item pyramid`
     """

@@ -32,6 +32,9 @@ def scan_command(
     view: ViewOption = False,
     keep_open: KeepOpen = False,
     depth: DepthOption = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Say where the stage would go, and move and project nothing.")
+    ] = False,
     force: Force = False,
     json: Json = False,
 ) -> None:
@@ -62,6 +65,11 @@ def scan_command(
         known.check_projector(caps.size, caps.lattice, calibration)
         if item:
             bench.need_fixture(f"--item {item}").check(item, pose)
+        if dry_run:
+            from fpplab.pipeline import foresee_scan
+
+            console.answer(foresee_scan(bench, wanted, out, force), json)
+            return
 
         # Only now the heavy modules: wrong input is told at once. The viewer loads its own meanwhile.
         from fpplab.core.session_names import RECORDING

@@ -100,14 +100,18 @@ def verify_command(
         from fpplab.acceptance import verify as judge
         from fpplab.diagnosis.acceptance import diagnose_acceptance
         from fpplab.report.acceptance import write_acceptance_report
+        from fpplab.report.provenance import source_provenance
 
         with console.progress("Verifying"):
             again = None if rig else model
             result = judge(known, _clouds(bars, again), _clouds(flats, again))
             viewer.show(AcceptanceView.result, result)
             diagnosis = diagnose_acceptance(result)
+            all_of = {**bars, **flats}.items()
+            sources = {name: source_provenance(path, model, calibration) for name, path in all_of}
             answer = {**diagnosis.summary(), **result.summary(), "seconds": seconds(), "report": str(out)}
-            write_acceptance_report(out, result, diagnosis, answer)
+            answer["provenance"] = {name: one.summary() for name, one in sources.items()}
+            write_acceptance_report(out, result, diagnosis, answer, sources)
     console.conclude(diagnosis, str(out), answer, json, lambda: _show(result, out))
 
 

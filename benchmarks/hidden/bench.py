@@ -1,0 +1,211 @@
+"""A hidden bench at work: recordings of its board, card and parts, frame by frame with all effects."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.hidden.effects import Effects, drawn_effects
+from benchmarks.hidden.light import HiddenLight
+from benchmarks.hidden.worlds import BOARD, CARD, drawn_world
+from benchmarks.virtual import virtual_bench
+from fpplab.core import config
+from fpplab.core.conventions import Floats, Image
+from fpplab.core.files import write_text
+from fpplab.devices import CameraSettings, Frame
+from fpplab.devices.rig import Rig
+from fpplab.patterns.fringes import Pattern, make_patterns
+from fpplab.patterns.plan import Plan
+from fpplab.patterns.response import Response
+from fpplab.pipeline import measure_response
+from fpplab.sessions.session import Session
+from sim.build import Setup
+from sim.items import item_poses
+from sim.light import Show
+from sim.sensor import SensorModel
+from sim.world import World
+
+MAINS_HZ = 50.0
+FRAME_S = 0.05
+"""From frame to frame."""
+
+
+@dataclass(eq=False)
+class HiddenBench:
+    """An open hidden bench.
+
+    Attributes
+    ----------
+    rig : Rig
+        Of the world, with the light of the effects.
+    world : World
+        The truth.
+    effects : Effects
+        The truth beyond it.
+    light : HiddenLight
+        Of both.
+    frames : int
+        Recorded so far: noise and all that changes with time follow from it.
+    """
+
+    rig: Rig
+    world: World
+    effects: Effects
+    light: HiddenLight
+    frames: int = field(default=0)
+
+    def response(self, exposure_s: float) -> Response:
+        """Measure the response on the card.
+
+        Parameters
+        ----------
+        exposure_s : float
+            In s.
+
+        Returns
+        -------
+        Response
+            As `fpplab gamma` fits it.
+        """
+        self.rig.need_fixture("the benchmark").mount(CARD, 0)
+        return measure_response(self.rig, exposure_s)[0]
+
+    def board(self, plan: Plan, folder: Path) -> list[Session]:
+        """Record all poses of the board.
+
+        Parameters
+        ----------
+        plan : Plan
+            With both axes.
+        folder : Path
+            Gets `pose_00` …
+
+        Returns
+        -------
+        list of Session
+            In the order of the poses.
+        """
+        poses = range(len(item_poses(self.world, BOARD)))
+        return [self.record(plan, folder / f"pose_{pose:02d}", BOARD, pose) for pose in poses]
+
+    def record(self, plan: Plan, path: Path, item: str, pose: int = 0) -> Session:
+        """Record a plan on an item.
+
+        Parameters
+        ----------
+        plan : Plan
+            The plan.
+        path : Path
+            Of the session; one that is there is replaced.
+        item : str
+            Of the world.
+        pose : int
+            Of the item.
+
+        Returns
+        -------
+        Session
+            Complete.
+        """
+        caps, settings = self.rig.projector.caps, self.rig.camera_settings(plan.exposure_s, plan.bits)
+        patterns = tuple(make_patterns(plan, caps.size, caps.lattice))
+        session = Session.create(path, plan, self.rig.described((item, pose)), force=True)
+        for index, image in enumerate(self._images(patterns, settings, item, pose)):
+            session.write(Frame(image, index, settings, time.time(), pattern_id=patterns[index].id))
+        return session
+
+    def _images(
+        self, patterns: tuple[Pattern, ...], settings: CameraSettings, item: str, pose: int
+    ) -> Iterator[Image]:
+        held, sensor = item_poses(self.world, item)[pose], SensorModel.of(self.world)
+        still = Setup(item, held=held)
+        moved = Setup(item, held=held.moved(np.array(self.effects.shaking.mm)))
+        dark, lamp = self.light.irradiance(still, None), self.light.lamp(still)
+        rows = np.arange(self.world.camera.size[1])[:, None]
+        for n in range(len(patterns)):
+            random = np.random.default_rng([self.effects.seed, 4, self.frames])
+            step = self._displacement(random)
+            show = Show(patterns, n)
+            seen = (1.0 - step) * self.light.irradiance(still, show)
+            seen += step * self.light.irradiance(moved, show)
+            flicker = 1.0 + self.effects.flicker * random.standard_normal()
+            ripple = self._ripple(rows)
+            picture = dark + lamp * ripple + flicker * (seen - dark)
+            irradiance = np.maximum(picture, 0.0).astype(np.float32)
+            yield sensor.expose(irradiance, settings, self.frames)
+            self.frames += 1
+
+    def _displacement(self, random: np.random.Generator) -> float:
+        """Of a frame, in units of the standard deviation."""
+        shaking = self.effects.shaking
+        wave = np.sqrt(2.0) * np.sin(2 * np.pi * shaking.hz * FRAME_S * self.frames)
+        alone = random.standard_normal()
+        return float(np.sqrt(shaking.periodic) * wave + np.sqrt(1.0 - shaking.periodic) * alone)
+
+    def _ripple(self, rows: NDArray[np.int64]) -> Floats:
+        """Relative change (height, 1) of the second lamp's light in a frame."""
+        lamp = self.effects.lamp
+        # frames are not in step with the mains: the phase drifts by a tenth of a period for each
+        phase = 2 * np.pi * (2 * MAINS_HZ * lamp.line_time_s * rows + 0.1 * self.frames)
+        return np.asarray(lamp.ripple * np.sin(phase))
+
+
+@contextmanager
+def hidden_bench(seed: int, folder: Path, poses: int = 12, binning: int = 8) -> Iterator[HiddenBench]:
+    """Draw and open a hidden bench.
+
+    Parameters
+    ----------
+    seed : int
+        Of the bench, not negative.
+    folder : Path
+        Gets its rig and world file.
+    poses : int
+        Of the board.
+    binning : int
+        Of the camera.
+
+    Yields
+    ------
+    HiddenBench
+        With the world of `drawn_world` and the effects of `drawn_effects`.
+    """
+    world, effects = drawn_world(seed, poses, binning), drawn_effects(seed)
+    path = write_rig(world, folder, "Hidden bench")
+    with Rig.load(path) as rig:
+        bench = virtual_bench(rig)
+        light = HiddenLight(world, bench.blender, effects)
+        bench.light = light
+        yield HiddenBench(rig, world, effects, light)
+
+
+def write_rig(world: World, folder: Path, name: str) -> Path:
+    """Write a world and a rig file of it.
+
+    Parameters
+    ----------
+    world : World
+        The world.
+    folder : Path
+        Where to.
+    name : str
+        Of the rig.
+
+    Returns
+    -------
+    Path
+        Of the rig file.
+    """
+    world.save(folder)
+    path = config.find_config("rig_hidden", "rig")
+    data = config.parse_yaml(config.read_text(path), path)
+    data |= {"name": name}
+    data["bench"] |= {"world": "world.yaml"}
+    write_text(folder / "rig.yaml", config.to_yaml(data))
+    return folder / "rig.yaml"

@@ -1,0 +1,358 @@
+"""Twins of benches that nobody has seen: what they predict, beside what the benches then measure.
+
+Every bench has all effects of `benchmarks.hidden`, of drawn strength. The twin is given its recordings alone:
+of a card, of a board and of one part. Then it predicts five measurements, which the bench makes afterwards.
+Seeds below `JUDGING` are for development.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks import Result, above, below
+from benchmarks.hidden.bench import HiddenBench, hidden_bench, write_rig
+from benchmarks.hidden.worlds import BOARD, MOVED, PAINTED, SHAPES, nominal_world
+from benchmarks.match import truth_of
+from fpplab.calibration.model import INTRINSICS, POSE, Calibration
+from fpplab.cli import console
+from fpplab.core.conventions import Floats
+from fpplab.core.errors import FppError
+from fpplab.core.geometry import RigidTransform
+from fpplab.devices.rig import Rig
+from fpplab.matching.light import ADJUSTABLE
+from fpplab.matching.match import MatchingLimits
+from fpplab.matching.measured import measured_figures
+from fpplab.matching.run import MatchingRequest, MatchingResult, match_sessions, twin_of
+from fpplab.patterns.plan import Plan
+from fpplab.patterns.response import Response
+from fpplab.prediction import MeasuredFigures, Prediction, predict
+from fpplab.sessions.session import Session, recorded_sessions
+from fpplab.simulation.matchable import TwinParameters
+from fpplab.simulation.predictable import Predictable
+
+JUDGING = 5000
+"""First seed of the benches that judge; to be run once a method is fixed."""
+SIGMAS = 3.0
+MOST_POSES_UM, LEAST_PARAMETERS = 30.0, 0.95
+NEAR, LEAST_NEAR = 0.10, 0.90
+LEAST_COVERED, MOST_COVERED = 0.90, 0.99
+FIGURES = ("distance_um", "noise_um")
+CONFOUNDED = {"ambient", "white", "paper", "vignetting"}
+"""Parameters that stand for more than the world's own: a second lamp, falloffs, or a product."""
+
+
+@dataclass(frozen=True)
+class Question:
+    """One measurement to be predicted.
+
+    Attributes
+    ----------
+    name : str
+        What differs from the part that the twin was given.
+    item : str
+        Of the bench.
+    plan : str
+        Plan file.
+    exposure : float
+        Factor of the plan's exposure.
+    """
+
+    name: str
+    item: str
+    plan: str
+    exposure: float = 1.0
+
+    def loaded(self) -> Plan:
+        """Load the plan with its exposure.
+
+        Returns
+        -------
+        Plan
+            What is shown.
+        """
+        plan = Plan.load(self.plan)
+        return plan.model_copy(update={"exposure_s": self.exposure * plan.exposure_s})
+
+
+@dataclass(frozen=True)
+class PredictSetup:
+    """What is drawn, recorded and predicted.
+
+    Attributes
+    ----------
+    seeds : tuple of int
+        Of the benches.
+    poses, binning : int
+        Of the board, and of the camera.
+    board_plan, part_plan : str
+        Plan files for the board and for the part that the twin is given.
+    other_plan : str
+        Plan file of the first question.
+    limits : MatchingLimits
+        Of each matching.
+    """
+
+    seeds: tuple[int, ...] = tuple(range(JUDGING, JUDGING + 12))
+    poses: int = 12
+    binning: int = 8
+    board_plan: str = "plan_board.yaml"
+    part_plan: str = "plan_nine_images.yaml"
+    other_plan: str = "plan_paper.yaml"
+    limits: MatchingLimits = field(default_factory=MatchingLimits)
+
+    @property
+    def questions(self) -> tuple[Question, ...]:
+        """The five measurements."""
+        return (
+            Question("other_plan", SHAPES[0], self.other_plan),
+            Question("half_exposure", SHAPES[0], self.part_plan, 0.5),
+            Question("other_pose", MOVED, self.part_plan),
+            Question("other_shape", SHAPES[2], self.part_plan),
+            Question("other_surface", PAINTED, self.part_plan),
+        )
+
+
+FULL = PredictSetup()
+
+
+@dataclass(frozen=True, eq=False)
+class JudgedBench:
+    """One hidden bench.
+
+    Attributes
+    ----------
+    seed : int
+        Of the bench.
+    refused : str or None
+        Why nothing was predicted; the rest is then empty.
+    poses_um : ndarray of float64
+        Distance (P,) of every pose of the board from the truth, after a common rigid motion.
+    sigmas : dict of str to float
+        Error of each parameter over its own standard uncertainty.
+    answers : dict of str to tuple of Prediction and MeasuredFigures
+        By question.
+    """
+
+    seed: int
+    refused: str | None = None
+    poses_um: Floats = field(default_factory=lambda: np.zeros(0))
+    sigmas: dict[str, float] = field(default_factory=dict)
+    answers: dict[str, tuple[Prediction, MeasuredFigures]] = field(default_factory=dict)
+
+
+def run() -> list[Result]:
+    """Measure predictions; the baselines are the targets. It takes some hours on two cores.
+
+    Returns
+    -------
+    list of Result
+        A figure each.
+    """
+    with tempfile.TemporaryDirectory(prefix="fpplab-bench-") as folder:
+        return figures([judged(seed, Path(folder) / str(seed)) for seed in FULL.seeds])
+
+
+def judged(seed: int, folder: Path, trial: PredictSetup = FULL) -> JudgedBench:
+    """Record a hidden bench, match a twin to it, predict, measure and compare.
+
+    Parameters
+    ----------
+    seed : int
+        Of the bench.
+    folder : Path
+        Gets recordings and twin.
+    trial : PredictSetup
+        What is recorded and predicted.
+
+    Returns
+    -------
+    JudgedBench
+        With the reason where the matching or a prediction was refused.
+    """
+    with hidden_bench(seed, folder / "bench", trial.poses, trial.binning) as bench:
+        console.say(f"Recording hidden bench {seed}")
+        plan = Plan.load(trial.board_plan)
+        response = bench.response(plan.exposure_s)
+        sessions = bench.board(plan, folder / "board")
+        part = bench.record(Plan.load(trial.part_plan), folder / "part", SHAPES[0])
+        truth = truth_of(bench.rig, bench.world)
+        write_rig(nominal_world(bench.world), folder / "nominal", "Nominal twin")
+        try:
+            found = matched(folder, trial, sessions, part, response)
+            predicted = predictions(folder / "matched" / "rig.yaml", trial.questions)
+        except FppError as error:
+            console.say(f"{seed}: {error}")
+            return JudgedBench(seed, str(error))
+        known = found.reference.characterisation.calibration
+        answers = {
+            one.name: (predicted[one.name], _measured(bench, one, folder, known)) for one in trial.questions
+        }
+    parameters = found.matched.parameters
+    return JudgedBench(
+        seed,
+        None,
+        poses_off_um(parameters.poses, truth.poses),
+        errors_in_sigmas(parameters, truth),
+        answers,
+    )
+
+
+def matched(
+    folder: Path, trial: PredictSetup, sessions: Sequence[Session], part: Session, response: Response
+) -> MatchingResult:
+    """Match the nominal twin to recordings.
+
+    Parameters
+    ----------
+    folder : Path
+        With the nominal twin in `nominal`; the matched one goes to `matched`.
+    trial : PredictSetup
+        Limits.
+    sessions : sequence of Session
+        Of the board.
+    part : Session
+        Of the first of `SHAPES`.
+    response : Response
+        Of the bench.
+
+    Returns
+    -------
+    MatchingResult
+        As `fpplab match` finds it.
+    """
+    wanted = MatchingRequest(response=response, scans={SHAPES[0]: part}, limits=trial.limits)
+    with Rig.load(folder / "nominal" / "rig.yaml") as rig, console.progress("Matching") as report:
+        twin = twin_of(rig, BOARD)
+        ordered = recorded_sessions([session.path for session in sessions])
+        return match_sessions(twin, ordered, twin.target, folder / "matched", wanted, progress=report)
+
+
+def predictions(rig: Path, questions: Sequence[Question]) -> dict[str, Prediction]:
+    """Answer questions by a twin.
+
+    Parameters
+    ----------
+    rig : Path
+        Of the twin.
+    questions : sequence of Question
+        What to predict.
+
+    Returns
+    -------
+    dict of str to Prediction
+        By question.
+    """
+    with Rig.load(rig) as twin:
+        return {one.name: predict(twin, one.loaded(), one.item) for one in questions}
+
+
+def _measured(bench: HiddenBench, one: Question, folder: Path, known: Calibration) -> MeasuredFigures:
+    session = bench.record(one.loaded(), folder / "measured" / one.name, one.item)
+    assert isinstance(bench.rig.simulation, Predictable)
+    return measured_figures(session, known, bench.rig.simulation.sampler().mesh(one.item))
+
+
+def poses_off_um(found: Sequence[RigidTransform], true: Sequence[RigidTransform]) -> Floats:
+    """Compare poses with the truth relative to each other.
+
+    Parameters
+    ----------
+    found, true : sequence of RigidTransform
+        P poses each, in the same order.
+
+    Returns
+    -------
+    ndarray of float64
+        (P,) distances in µm after the rigid motion that brings them closest (Kabsch).
+    """
+    here, there = (np.array([pose.translation for pose in poses]) for poses in (found, true))
+    a, b = here - here.mean(axis=0), there - there.mean(axis=0)
+    left, _, right = np.linalg.svd(a.T @ b)
+    mirror = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
+    return np.asarray(1e3 * np.linalg.norm(a @ left @ mirror @ right - b, axis=1))
+
+
+def errors_in_sigmas(found: TwinParameters, truth: TwinParameters) -> dict[str, float]:
+    """Compare parameters with the truth, in units of their own standard uncertainty.
+
+    Parameters
+    ----------
+    found : TwinParameters
+        With `sigma`, and a calibration with uncertainty.
+    truth : TwinParameters
+        Of the bench.
+
+    Returns
+    -------
+    dict of str to float
+        Of all parameters with an uncertainty and a truth of their own.
+    """
+    errors = {
+        name: (knob.read(found) - knob.read(truth)) / found.sigma[name]
+        for name, knob in ADJUSTABLE.items()
+        if found.sigma.get(name, 0.0) > 0 and name not in CONFOUNDED
+    }
+    for name, sigma in (found.calibration.uncertainty.sigma if found.calibration.uncertainty else {}).items():
+        here, there = (_parameter(one.calibration, name) for one in (found, truth))
+        errors[name] = (here - there) / sigma
+    return errors
+
+
+def _parameter(calibration: Calibration, name: str) -> float:
+    device, _, term = name.partition(".")
+    if device == "T_projector_camera":
+        T = calibration.T_projector_camera
+        return float(np.concatenate([T.rotation_vector, T.translation])[POSE.index(term)])
+    model = getattr(calibration, device)
+    (fx, _, cx), (_, fy, cy) = model.matrix[:2]
+    return float(np.array([fx, fy, cx, cy, *model.distortion])[INTRINSICS.index(term)])
+
+
+def figures(benches: Sequence[JudgedBench]) -> list[Result]:
+    """Sum up hidden benches.
+
+    Parameters
+    ----------
+    benches : sequence of JudgedBench
+        At least one that was not refused.
+
+    Returns
+    -------
+    list of Result
+        Beside the targets.
+    """
+    kept = [one for one in benches if one.refused is None]
+    results = [below("predict_refused", len(benches) - len(kept), "benches", 0.0)]
+    if not kept:
+        return results
+    sigmas = np.array([off for one in kept for off in one.sigmas.values()])
+    within = float(np.mean(np.abs(sigmas) <= SIGMAS))
+    poses = float(np.median(np.concatenate([one.poses_um for one in kept])))
+    results += [
+        below("predict_poses", poses, "µm", MOST_POSES_UM),
+        above("predict_parameters_within_3_sigma", within, "share", LEAST_PARAMETERS),
+    ]
+    pairs = [
+        (question, figure, answer.figures[figure], getattr(measured, figure))
+        for one in kept
+        for question, (answer, measured) in one.answers.items()
+        for figure in FIGURES
+    ]
+    for figure in FIGURES:
+        off = [abs(said.value / got - 1.0) for _, name, said, got in pairs if name == figure]
+        near = float(np.mean(np.array(off) <= NEAR))
+        results.append(above(f"predict_{figure}_within_10_percent", near, "share", LEAST_NEAR))
+    for question in kept[0].answers:
+        off = [abs(said.value / got - 1.0) for name, _, said, got in pairs if name == question]
+        results.append(below(f"predict_{question}_off", float(np.median(off)), "relative", NEAR))
+    covered = float(np.mean([said.contains(got) for _, _, said, got in pairs]))
+    results += [
+        above("predict_intervals_cover", covered, "share", LEAST_COVERED),
+        below("predict_intervals_are_not_too_wide", covered, "share", MOST_COVERED),
+    ]
+    return results

@@ -1,0 +1,37 @@
+"""The marker: uniform grey-level images, the only ones beside a plan's that a check shows."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+MARKER_ORDER = (7, 0, 5, 9, 4, 8, 3, 10, 1, 6, 2, 11)
+"""Levels by their rank, 0 the darkest. Twelve fill the places of four 24-bit images. Of orders whose
+neighbours differ by four steps or more this one, of many tried, leaves the greatest departure between any two
+slips: 6 % of the range, 2 % at a gamma of 2.2. Both its ends are brighter than the darkness around it.
+"""
+
+MIDDLE_RANK = 6
+"""Rank of a level in the middle."""
+
+
+def marker() -> NDArray[np.int64]:
+    """Compute the grey levels of the marker.
+
+    Returns
+    -------
+    ndarray of int64, (12,)
+        Grey levels of 255 in the order shown.
+    """
+    return np.asarray(np.rint(np.array(MARKER_ORDER) * 255 / (len(MARKER_ORDER) - 1)), np.int64)
+
+
+def middle_level() -> int:
+    """Give a grey level of the marker in the middle of the range.
+
+    Returns
+    -------
+    int
+        Of 255; a projector that shows stored patterns has it too.
+    """
+    return int(marker()[MARKER_ORDER.index(MIDDLE_RANK)])

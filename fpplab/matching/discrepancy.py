@@ -1,0 +1,166 @@
+"""What is left between a matched twin and its bench, for the intervals of predictions.
+
+Noise is compared in poses of the board whose images the light was not fitted to, where there are such, and
+distance and completeness in scans, which nothing is fitted to. Both are measured alike on bench and twin.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from fpplab.core.conventions import Floats, Image
+from fpplab.core.errors import DataError
+from fpplab.matching.artefacts import BenchScan
+from fpplab.matching.light import TILES, tile_numbers
+from fpplab.matching.loss import board_mask, subsample_pixels
+from fpplab.matching.measured import measured_figures, recorded_figures
+from fpplab.matching.reference import Reference
+from fpplab.matching.steps import SAMPLED_POSES
+from fpplab.patterns.fringes import make_patterns
+from fpplab.patterns.recording import Recording
+from fpplab.phase import decode
+from fpplab.pipeline import depth_range_of
+from fpplab.prediction import Discrepancy, MeasuredFigures
+from fpplab.prediction.discrepancy import Deviation, LevelDifferences, named_effects
+from fpplab.simulation.matchable import Twin
+
+PIXELS = 5_000
+"""Pixels of each pose at which levels are compared, about."""
+
+
+def discrepancy_of(reference: Reference, twin: Twin, scans: Sequence[BenchScan]) -> Discrepancy:
+    """Compare bench and twin where both are known.
+
+    Parameters
+    ----------
+    reference : Reference
+        What was recorded of the bench.
+    twin : Twin
+        Matched.
+    scans : sequence of BenchScan
+        Recorded on the bench.
+
+    Returns
+    -------
+    Discrepancy
+        Without distance and completeness where there is no scan.
+    """
+    fitted = set(reference.spread_poses(SAMPLED_POSES))
+    others = [pose for pose in range(len(reference.sessions)) if pose not in fitted]
+    noise = [_noise_difference(reference, twin, pose) for pose in others or sorted(fitted)]
+    pairs = [scan_figures(reference, twin, scan) for scan in scans]
+    levels = level_differences(reference, twin)
+    found = Discrepancy(
+        noise=Deviation.of(noise, fitted=not others),
+        distance=_deviation([float(np.log(a.distance_um / b.distance_um)) for a, b in pairs]),
+        completeness=_deviation([a.completeness - b.completeness for a, b in pairs]),
+        levels=levels.model_copy(update={"left_out": tuple(_name(reference, pose) for pose in others)}),
+    )
+    part_noise = [float(np.log(a.noise_um / b.noise_um)) for a, b in pairs]
+    looks_like, not_for = named_effects(found, part_noise)
+    return found.model_copy(update={"looks_like": looks_like, "not_for": not_for})
+
+
+def level_differences(reference: Reference, twin: Twin) -> LevelDifferences:
+    """Compare the levels of bench and twin by pose, pattern and place on the board.
+
+    Parameters
+    ----------
+    reference : Reference
+        What was recorded of the bench.
+    twin : Twin
+        With the parameters to compare.
+
+    Returns
+    -------
+    LevelDifferences
+        Relative to the mean level of each pose; `left_out` is empty.
+    """
+    images = reference.one_of_each_set
+    squares = [_relative_squares(reference, twin, pose, images) for pose in range(len(reference.sessions))]
+    by_image, tiles, pixels = zip(*squares, strict=True)
+    count = np.sum(pixels, axis=0)
+    places = [
+        float(np.sqrt(total / n)) if n else None
+        for total, n in zip(np.sum(tiles, axis=0).tolist(), count.tolist(), strict=True)
+    ]
+    return LevelDifferences(
+        by_pose={_name(reference, pose): float(np.sqrt(one.mean())) for pose, one in enumerate(by_image)},
+        by_pattern={
+            reference.patterns[index].id: float(np.sqrt(one))
+            for index, one in zip(images, np.mean(by_image, axis=0), strict=True)
+        },
+        by_place=tuple(tuple(places[row : row + TILES]) for row in range(0, TILES**2, TILES)),
+    )
+
+
+def _relative_squares(
+    reference: Reference, twin: Twin, pose: int, images: Sequence[int]
+) -> tuple[Floats, Floats, Floats]:
+    """Mean square over the board of every image (n,), and sum and number of pixels of the tiles (TILES²,)."""
+    now = twin.parameters
+    pixels = subsample_pixels(board_mask(now.calibration.camera, now.poses[pose], reference.target), PIXELS)
+    seen = reference.frames(pose, images)[:, *pixels].astype(np.float64)
+    expected = twin.expected_at(pose, reference.shown(images), reference.settings, pixels)
+    square = ((seen - expected) / seen.mean()) ** 2
+    tiles, every = tile_numbers(pixels), square.mean(axis=0)
+    sums, counts = (
+        np.asarray(np.bincount(tiles, one, TILES**2), np.float64) for one in (every, np.ones_like(every))
+    )
+    return square.mean(axis=1), sums, counts
+
+
+def _noise_difference(reference: Reference, twin: Twin, pose: int) -> float:
+    """Logarithm of the bench's noise of the coordinate over the twin's, on the board."""
+    own = twin.frames(pose, reference.patterns, reference.settings)
+    now = twin.parameters
+    board = board_mask(now.calibration.camera, now.poses[pose], reference.target)
+
+    def noise(frames: Sequence[Image]) -> float:
+        name = _name(reference, pose)
+        recording = Recording(frames, reference.plan, reference.projector[0], reference.settings.bits, name)
+        sigma = decode(recording).sigma[board]
+        if not np.isfinite(sigma).any():
+            raise DataError(f"{name}: no pixel of the board was decoded")
+        return float(np.nanmedian(sigma))
+
+    return float(np.log(noise(reference.recorded(pose)) / noise(own)))
+
+
+def scan_figures(
+    reference: Reference, twin: Twin, scan: BenchScan
+) -> tuple[MeasuredFigures, MeasuredFigures]:
+    """Compute the figures of a scan on the bench, and of the same scan on the twin.
+
+    Parameters
+    ----------
+    reference : Reference
+        Its characterisation is what the bench's scan is reconstructed with.
+    twin : Twin
+        Reconstructed with its true calibration, as predictions are.
+    scan : BenchScan
+        Recorded on the bench.
+
+    Returns
+    -------
+    real, own : MeasuredFigures
+        Of bench and twin.
+    """
+    placed = twin.mesh(scan.item).copy().apply_transform(scan.T_camera_item.matrix)
+    real = measured_figures(scan.session, reference.characterisation.calibration, placed)
+    session, known = scan.session, twin.parameters.calibration
+    plan, (size, lattice) = session.plan, session.projector()
+    settings = session.records[0].settings
+    frames = twin.scan(scan.item, scan.T_camera_item, make_patterns(plan, size, lattice), settings)
+    recording = Recording(frames, plan, size, settings.bits, f"the twin's {scan.item}")
+    return real, recorded_figures(recording, known, placed, depth_range_of(session))
+
+
+def _deviation(differences: Sequence[float]) -> Deviation | None:
+    return Deviation.of(differences, fitted=False) if differences else None
+
+
+def _name(reference: Reference, pose: int) -> str:
+    return reference.sessions[pose].path.name

@@ -1,0 +1,96 @@
+"""Figures of a measurement of a known shape, of a bench's session or of frames, as predictions state them.
+
+The shape is aligned with the points, for where a part stood is not known as well as it is measured.
+"""
+
+from __future__ import annotations
+
+import trimesh
+
+from fpplab.calibration.model import Calibration
+from fpplab.clouds import Cloud
+from fpplab.comparison.alignment import align_mesh
+from fpplab.patterns.plan import Plan
+from fpplab.patterns.recording import Recording
+from fpplab.phase import Decoded, decode
+from fpplab.pipeline import depth_range_of, reconstruct
+from fpplab.prediction.figures import MeasuredFigures, figures_of, seen_surface
+from fpplab.reconstruction.depth_range import DepthRange, depth_bounds
+from fpplab.reconstruction.points import points_of
+from fpplab.reconstruction.uncertainty import coordinate_noise, with_uncertainty
+from fpplab.sessions.session import Session
+
+
+def measured_figures(session: Session, calibration: Calibration, mesh: trimesh.Trimesh) -> MeasuredFigures:
+    """Compute the figures of a scan.
+
+    Parameters
+    ----------
+    session : Session
+        A complete scan.
+    calibration : Calibration
+        To triangulate with.
+    mesh : trimesh.Trimesh
+        The true shape in mm; its pose is where the search begins.
+
+    Returns
+    -------
+    MeasuredFigures
+        Of the points whose pixels see the shape.
+
+    Raises
+    ------
+    DataError
+        The session is damaged, or shows something else.
+    CalibrationError
+        The calibration is of another rig.
+    """
+    found = reconstruct(session, calibration)
+    return _figures(found, calibration, mesh, session.plan, depth_range_of(session))
+
+
+def recorded_figures(
+    recording: Recording, calibration: Calibration, mesh: trimesh.Trimesh, depth: DepthRange | None = None
+) -> MeasuredFigures:
+    """Compute the figures of frames that are in no session, as those of a twin.
+
+    Parameters
+    ----------
+    recording : Recording
+        Frames of a plan.
+    calibration : Calibration
+        To triangulate with.
+    mesh : trimesh.Trimesh
+        The true shape in mm; its pose is where the search begins.
+    depth : DepthRange, optional
+        In which the shape lies.
+
+    Returns
+    -------
+    MeasuredFigures
+        Of the points whose pixels see the shape.
+
+    Raises
+    ------
+    DataError
+        The frames show something else.
+    """
+    plan = recording.plan
+    decoded, cloud = points_of(
+        decode(recording, bounds=depth_bounds(plan, calibration, depth)), calibration, plan
+    )
+    cloud = with_uncertainty(cloud, calibration, coordinate_noise(decoded))
+    return _figures((decoded, cloud), calibration, mesh, plan, depth)
+
+
+def _figures(
+    found: tuple[Decoded, Cloud],
+    calibration: Calibration,
+    mesh: trimesh.Trimesh,
+    plan: Plan,
+    depth: DepthRange | None,
+) -> MeasuredFigures:
+    T_camera_mesh = align_mesh(found[1].points.astype(float), mesh).transform
+    placed = mesh.copy().apply_transform(T_camera_mesh.matrix)
+    bounds, seen = depth_bounds(plan, calibration, depth), seen_surface(placed, calibration)
+    return figures_of(*found, placed, calibration, plan, seen, bounds)

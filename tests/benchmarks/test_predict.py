@@ -1,0 +1,100 @@
+"""How predictions of twins of hidden benches are judged."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.predict import JudgedBench, PredictSetup, errors_in_sigmas, figures, poses_off_um
+from fpplab.calibration.model import Uncertainty
+from fpplab.core.geometry import RigidTransform
+from fpplab.prediction import MeasuredFigures, Prediction
+from fpplab.prediction.predict import FigureInterval
+from tests.support.plane_twin import nominal, tilted
+
+
+def test_poses_are_judged_relative_to_each_other() -> None:
+    true = tilted(6)
+    motion = RigidTransform.from_vectors(np.array([0.02, -0.01, 0.03]), np.array([5.0, -2.0, 1.0]))
+    moved = [motion @ pose for pose in true]
+    assert poses_off_um(moved, true).max() < 1e-6
+    moved[2] = moved[2].moved(np.array([0.0, 0.0, 0.1]))
+    off = poses_off_um(moved, true)
+    assert off.argmax() == 2
+    assert 60 < off[2] < 100
+    mirrored = [
+        RigidTransform(pose.rotation, pose.translation * [1, 1, -1]) for pose in true
+    ]  # no rigid motion
+    assert poses_off_um(mirrored, true).max() > 1000
+
+
+def test_parameters_are_judged_by_their_own_uncertainty() -> None:
+    truth = nominal(tilted(2))
+    known = truth.calibration
+    matrix = known.camera.matrix.copy()
+    matrix[0, 2] += 0.6
+    found = replace(
+        truth,
+        ink=truth.ink + 0.01,
+        white=2.0,
+        calibration=replace(
+            known,
+            camera=replace(known.camera, matrix=matrix),
+            T_projector_camera=RigidTransform(
+                known.T_projector_camera.rotation, known.T_projector_camera.translation + [0, 0.3, 0]
+            ),
+            uncertainty=Uncertainty(
+                ("camera.cx", "projector.k1", "T_projector_camera.y"), np.diag([0.04, 1e-6, 0.01])
+            ),
+        ),
+        sigma={"ink": 0.004, "white": 0.01, "poses_um": 3.0},
+    )
+    wanted = {"ink": 2.5, "camera.cx": 3.0, "projector.k1": 0.0, "T_projector_camera.y": 3.0}
+    assert errors_in_sigmas(found, truth) == pytest.approx(wanted)
+
+
+def prediction(value: float) -> Prediction:
+    known = {
+        "distance_um": FigureInterval(value, 0.9 * value, 1.1 * value),
+        "noise_um": FigureInterval(1, 0.5, 2),
+    }
+    return Prediction("part", known, 9, 1000, None)
+
+
+def measured(distance: float) -> MeasuredFigures:
+    return MeasuredFigures(distance, 1.3, 1.0, 0.0)
+
+
+def test_shares_of_predictions_are_counted() -> None:
+    one = JudgedBench(
+        1, None, np.array([10.0, 20.0, 60.0]), {"a": 1.0, "b": -4.0},
+        {"plan": (prediction(10.0), measured(10.5)), "pose": (prediction(10.0), measured(14.0))},
+    )  # fmt: skip
+    found = {result.name: result for result in figures([one, JudgedBench(2, "no")])}
+    values = {name: result.value for name, result in found.items()}
+    assert values == pytest.approx(
+        {
+            "predict_refused": 1,
+            "predict_poses": 20,
+            "predict_parameters_within_3_sigma": 0.5,
+            "predict_distance_um_within_10_percent": 0.5,
+            "predict_noise_um_within_10_percent": 0.0,
+            "predict_plan_off": (1 - 10 / 10.5 + 1 - 1 / 1.3) / 2,
+            "predict_pose_off": (1 - 10 / 14 + 1 - 1 / 1.3) / 2,
+            "predict_intervals_cover": 0.75,
+            "predict_intervals_are_not_too_wide": 0.75,
+        }
+    )
+    assert found["predict_refused"].ratio < 1
+    assert found["predict_poses"].ratio == pytest.approx(1.5)
+    assert len(figures([JudgedBench(2, "no")])) == 1
+
+
+def test_development_and_judging_do_not_meet() -> None:
+    assert min(PredictSetup().seeds) >= 5000
+    assert len(PredictSetup().seeds) == 12
+    assert len(PredictSetup().questions) == 5
+    half = PredictSetup().questions[1].loaded()
+    assert half.exposure_s == pytest.approx(0.01)
