@@ -48,9 +48,9 @@ class Record:
                 f"{path}: is of commit {theirs}, and this is commit {commit['commit']}; name another file"
             )
         for line in lines:
-            judge, seed = line.pop("judge"), line.pop("of_seed")
+            judge, cause, seed = line["of"]
             kind = Followed if judge == follow.__name__ else Judged
-            self._known[judge, line["cause"], seed] = TypeAdapter[Any](kind).validate_python(line)
+            self._known[judge, cause, seed] = TypeAdapter[Any](kind).validate_python(line["outcome"])
 
     def known(self, judge: Callable[[str, int], T], cause: str, seed: int) -> T | None:
         """Find an outcome that an earlier run has left.
@@ -85,7 +85,7 @@ class Record:
         outcome : Judged or Followed
             What the judge returned.
         """
-        line = {"judge": judge.__name__, "of_seed": seed, **asdict(outcome), "cause": cause}
+        line = {"of": [judge.__name__, cause, seed], "outcome": asdict(outcome)}
         with self._path.open("a") as file:
             file.write(json.dumps(line) + "\n")
 

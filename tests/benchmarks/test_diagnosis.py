@@ -40,7 +40,7 @@ def test_an_interrupted_judging_goes_on_from_its_record(tmp_path: Path) -> None:
     Record(path).add(judged, "bands", 3, first)
     Record(path).add(follow, "flicker", 4, Followed("flicker", 1.02, 2))
     whole = path.read_text()
-    path.write_text(whole + '{"judge": "judged", "of_se')  # killed while it wrote
+    path.write_text(whole + '{"of": ["judged", "ba')  # killed while it wrote
     again = Record(path)
     assert path.read_text() == whole
     assert again.known(judged, "bands", 3) == first
