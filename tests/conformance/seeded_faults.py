@@ -32,7 +32,7 @@ from tests.conformance.fragments import replace
 ROOT = Path(__file__).parents[2]
 COPIED = ("fpplab", "drivers", "sim", "configs", "tests", "pyproject.toml")
 NOT_COPIED = shutil.ignore_patterns(".*", "*.pyc.*", "*.tmp.*")
-"""What is compiled is copied, for it is valid in a copy whose files are as old; not what is just being written."""
+"""What is compiled is copied too, for it is valid in a copy whose files are as old; not drafts of it."""
 SECONDS = 900
 FIRST_TO_FAIL = Path(__file__).with_name("first_to_fail.json")
 """By fault, the test that failed first."""
