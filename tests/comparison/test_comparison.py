@@ -225,7 +225,7 @@ def test_a_cloud_without_pixels_has_no_surface_figure() -> None:
     assert result.completeness > 0.5
 
 
-@pytest.mark.parametrize("name", ["pyramid", "pillars"])
+@pytest.mark.parametrize("name", ["pyramid", pytest.param("pillars", marks=pytest.mark.slow)])
 def test_alignment_finds_the_mesh_from_far(name: str) -> None:
     cloud = perfect_cloud(placed(name), 0.01)
     aligned = compare(cloud, artefacts.make(name), CALIBRATION, density=5.0, align=True)

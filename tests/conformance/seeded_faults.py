@@ -31,6 +31,8 @@ from tests.conformance.fragments import replace
 
 ROOT = Path(__file__).parents[2]
 COPIED = ("fpplab", "drivers", "sim", "configs", "tests", "pyproject.toml")
+NOT_COPIED = shutil.ignore_patterns(".*", "*.pyc.*", "*.tmp.*")
+"""What is compiled is copied too, for it is valid in a copy whose files are as old; not drafts of it."""
 SECONDS = 900
 FIRST_TO_FAIL = Path(__file__).with_name("first_to_fail.json")
 """By fault, the test that failed first."""
@@ -125,7 +127,7 @@ def copy_of_the_tree() -> Iterator[Path]:
         for name in COPIED:
             source, copy = ROOT / name, Path(folder) / name
             if source.is_dir():
-                shutil.copytree(source, copy, ignore=shutil.ignore_patterns("__pycache__", ".*"))
+                shutil.copytree(source, copy, ignore=NOT_COPIED)
             else:
                 shutil.copy(source, copy)
         yield Path(folder)
