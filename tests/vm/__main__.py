@@ -15,9 +15,7 @@ LEFT_OUT = (
     "(test_camera and rig_usb)",
     "(test_projector and rig_uvc)",
 )
-THREE = "tests/vm/test_three.py"
-"""Has not passed there yet; to be run by itself, and `rig_three.yaml` with the conformance suite."""
-SUITE = ("tests/vm", f"--ignore={THREE}", *CONFORMANCE, *RIGS, "-k", f"not ({' or '.join(LEFT_OUT)})")
+SUITE = ("tests/vm", *CONFORMANCE, *RIGS, "-k", f"not ({' or '.join(LEFT_OUT)})")
 """Each driver on its own rig; the other device of either is not meant."""
 
 
@@ -26,7 +24,7 @@ def main(words: list[str]) -> int:
     machine, begin = Machine(), time.monotonic()
     try:
         machine.fetch()
-        failed = (machine.compile() if THREE in words else 0) or machine.run(words or SUITE)
+        failed = machine.compile() or machine.run(words or SUITE)
     except NotHere as reason:
         sys.stderr.write(f"{reason}\n")
         return 3
