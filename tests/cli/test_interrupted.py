@@ -34,7 +34,7 @@ def test_a_signal_at_any_moment_of_a_short_command() -> None:
             process.send_signal(number)
             out, err = process.communicate(timeout=60)
         places = [line for line in err.splitlines() if "/fpplab/" in line]
-        first = r'.*/fpplab/(core/)?__(init|main)__\.py", line \d+, in <module>'
+        first = r'.*/fpplab/(core/)?(__(init|main)__|version)\.py", line \d+, in <module>'
         own = "Traceback" in err and all(re.fullmatch(first, line) for line in places)
         assert "Traceback" not in err or own, (moment, err)
         assert process.returncode in (0, 130, -number) or own, (moment, number, err)
@@ -124,3 +124,29 @@ def test_the_working_directory_holds_no_libraries(tmp_path: Path) -> None:
     )
     assert done.returncode == 2, done.stderr
     assert "cannot be loaded (No module named 'mine')" in done.stderr
+
+
+FIRST = """
+import sys
+sys.path.insert(0, sys.argv[1])
+before = {*sys.modules}
+import signal
+def heard(*_):
+    print(*sorted({*sys.modules} - before))
+    sys.exit()
+signal.signal = heard
+from fpplab.__main__ import main
+main()
+"""
+
+
+def test_signals_are_heard_before_anything_is_loaded() -> None:
+    """Until then a signal ends Python itself, by its number: little may lie before."""
+    done = subprocess.run(
+        [sys.executable, "-I", "-S", "-c", FIRST, str(ROOT)], capture_output=True, text=True, check=True
+    )
+    loaded = done.stdout.split()
+    assert "fpplab.__main__" in loaded
+    assert not {"typing", "re", "threading", "contextlib"} & {*loaded}
+    own = {name for name in loaded if name.startswith("fpplab")}
+    assert own == {"fpplab", "fpplab.__main__", "fpplab.core", "fpplab.core.version"}
