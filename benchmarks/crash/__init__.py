@@ -3,7 +3,7 @@
 `python -m benchmarks.crash` ends 200 runs by SIGKILL and 200 by SIGINT, SIGTERM or SIGHUP, and starts two and
 four processes into one folder 50 times, with and without `--force`. It takes an hour; an interrupted run is
 gone on with. Every figure is a number of failures, and its baseline 0; but for the runs that a signal ended
-before the program's first line, which may be all of those that got one.
+before the program's first line or after its answer, which may be all of those that got one.
 """
 
 from __future__ import annotations
@@ -97,5 +97,5 @@ def crash_figures(
         figures += [below(kind, found[kind], "", 0) for kind in PARTS[name].kinds]
         if name == signals.INTERRUPTS:
             runs = sum(case.disturbances for case in record.of(name))
-            figures.append(below(signals.BEFORE, found[signals.BEFORE], "", runs))
+            figures += [below(kind, found[kind], "", runs) for kind in signals.NO_FAULTS]
     return figures

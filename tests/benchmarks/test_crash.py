@@ -13,7 +13,7 @@ from benchmarks.crash.bench import bench_is_safe
 from benchmarks.crash.content import content_of, timeless
 from benchmarks.crash.programs import IMPORT, SCAN, SCAN_EMULATED, EndedRun
 from benchmarks.crash.record import Campaign, CrashCase, CrashRecord
-from benchmarks.crash.signals import BEFORE, EARLY_TRACE, WRONG_CODE, _complaints
+from benchmarks.crash.signals import AFTER, BEFORE, EARLY_TRACE, WRONG_CODE, _complaints
 from fpplab.sessions.session import Session
 from tests.support.recorded import record
 
@@ -73,6 +73,16 @@ def test_who_dies_before_the_first_line_may_not_have_left_anything() -> None:
         assert [kind for kind, _ in _complaints(ended, signal.SIGTERM, "x", wrote)] == kinds
     within = replace(ended, err='  File "/x/fpplab/cli/app.py", line 3, in <module>\n')
     assert [kind for kind, _ in _complaints(within, signal.SIGTERM, "x")] == [WRONG_CODE]
+    working = replace(ended, err="Scanning …\n")
+    assert [kind for kind, _ in _complaints(working, signal.SIGTERM, "x")] == [WRONG_CODE]
+
+
+def test_who_dies_after_the_answer_has_given_all_of_it() -> None:
+    ended = EndedRun(-signal.SIGINT, '{"file": "a"}\n', "", disturbed=True, seconds=3.0, after_s=0.1)
+    assert [kind for kind, _ in _complaints(ended, signal.SIGINT, "x", wrote=True)] == [AFTER]
+    for answer in ('{"file": ', '{"error": "x"}'):
+        torn = replace(ended, out=answer)
+        assert [kind for kind, _ in _complaints(torn, signal.SIGINT, "x", wrote=True)] == [WRONG_CODE]
 
 
 def test_ends_before_the_first_line_are_a_figure_but_no_fault(tmp_path: Path) -> None:
