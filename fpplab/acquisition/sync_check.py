@@ -229,7 +229,7 @@ class MarkerInspection:
         if not run.frames:
             return [_no_pulse(len(shown))]
         apart = _run(rig, plan, shown, plan.exposure_s + APART_S)
-        if apart.frames and np.ptp(apart.levels[: apart.frames][:-1]) < SAME_LEVEL * self.runs[0].rise:
+        if _shows_darkness(apart, SAME_LEVEL * self.runs[0].rise):
             return [_wrong_edge()]
         if shift is not None:
             return [_shifted(shift, plan.exposure_s)]
@@ -343,6 +343,11 @@ def _of_display(
 
 def _is_in_step(shown: NDArray[np.int64], run: MarkerRun) -> bool:
     return run.frames == len(shown) and matching_faults(shown, run.levels) == ()
+
+
+def _shows_darkness(run: MarkerRun, least: float) -> bool:
+    """Whether frames, most of which came, are all alike but the last, behind which nothing is shown."""
+    return run.frames > len(run.levels) // 2 and float(np.ptp(run.levels[: run.frames][:-1])) < least
 
 
 def _timing(rig: Rig, plan: Plan, shown: NDArray[np.int64], gap_s: float) -> PulseTiming:

@@ -53,7 +53,7 @@ MUCH_BENT = 2.0
 MOST_HARMONICS = 0.15
 """Harmonics as a share of the fringes beyond which pixels are masked as no sinusoids, or soon will be."""
 
-MOST_FLICKER = 0.015
+MOST_FLICKER = 0.01
 """Scatter of the frames' brightness that is told."""
 
 LEAST_FREEDOM = 3
@@ -68,7 +68,7 @@ FAINT = 0.15
 GAIN_PIXELS = 10_000
 """About so many pixels tell the brightness of a frame: their noise changes it by less than 0.1 %."""
 
-MOST_SHIFT_PX = 0.15
+MOST_SHIFT_PX = 0.08
 """Motion between fringe sets that is told, in camera px."""
 
 SHIFT_SIGMAS = 8.0
@@ -211,13 +211,17 @@ def _scatter_of_gains(sample: FrameSample) -> float:
     """Standard deviation of the frames' brightness, as a share.
 
     A sinusoid fitted to the N images of a set takes three of their N gains with it; N - 3 are left in the
-    residuals. Three images leave none: there the phases tell.
+    residuals, and two are seen where pixels of all phases are compared. Sets of three are compared together.
     """
     total, freedom = 0.0, 0
     for k, fringe in enumerate(sample.recording.plan.fringes):
         gains = _gains_left(sample, k) if fringe.images > 3 else None
-        if gains is not None:
-            total, freedom = total + float(gains @ gains), freedom + fringe.images - 3
+        if gains is None:
+            continue
+        total, freedom = total + float(gains @ gains), freedom + fringe.images - 3
+        first = sample.errors.sets[k].gain_first
+        if not math.isnan(first):
+            total, freedom = total + 2.0 * first**2 / fringe.images, freedom + 2
     if freedom >= LEAST_FREEDOM:
         return math.sqrt(total / freedom)
     # Gains ε_n of N frames that are independent: the mean of |Σ ε_n exp(iδ_n)|² is N times their variance.
