@@ -30,7 +30,7 @@ from fpplab.core.progress import Progress
 from fpplab.devices import State
 from fpplab.devices.rig import Rig
 from fpplab.diagnosis import FaultCause, Finding
-from fpplab.diagnosis.brightness import COLOURS, colour_finding
+from fpplab.diagnosis.brightness import COLOURS, colour_finding, light_elsewhere
 from fpplab.patterns.fringes import uniform_patterns
 from fpplab.patterns.plan import Plan
 
@@ -325,7 +325,8 @@ def _of_light(run: MarkerRun) -> list[Finding]:
     if run.rise < LEAST_RISE:
         seen = f"white is brighter than black by {100 * run.rise:.2g} % of full scale"
         advice = "check the lens caps, the projector's light, where both look, and the plan's exposure_s"
-        return [Finding(FaultCause.PROJECTOR_DARK, seen, LEAST_RISE / max(run.rise, 1e-4), advice)]
+        excess = LEAST_RISE / max(run.rise, 1e-4)
+        return [Finding(FaultCause.PROJECTOR_DARK, seen, excess, advice), light_elsewhere(excess)]
     return []
 
 

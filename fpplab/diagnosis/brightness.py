@@ -65,6 +65,23 @@ def frame_levels(sample: FrameSample) -> Floats:
     return np.asarray(np.percentile(sample.spread[:, bright], CREST_PERCENTILE, axis=1))
 
 
+def light_elsewhere(excess: float) -> Finding:
+    """Give what else than a dark projector shows no light anywhere in the image.
+
+    Parameters
+    ----------
+    excess : float
+        That of the darkness.
+
+    Returns
+    -------
+    Finding
+        Which ranks behind that of the dark projector.
+    """
+    words = "no light of the projector anywhere: it may be dark, or light another place; images do not tell"
+    return Finding(FaultCause.NO_OVERLAP, words, excess)
+
+
 def missing_colour(sample: FrameSample) -> Finding | None:
     """Look for a colour that is missing or weak: every third frame is darker than the others.
 

@@ -8,7 +8,13 @@ from collections.abc import Iterator
 import numpy as np
 
 from fpplab.core.conventions import Floats
-from fpplab.diagnosis.brightness import MANY_STRIPES, band_finding, harmonic_waves, missing_colour
+from fpplab.diagnosis.brightness import (
+    MANY_STRIPES,
+    band_finding,
+    harmonic_waves,
+    light_elsewhere,
+    missing_colour,
+)
 from fpplab.diagnosis.catalogue import FaultCause, Finding
 from fpplab.diagnosis.fringe_shape import LEAST_RIPPLED, MOST_UNEVEN, moire, ripples, stray_light
 from fpplab.diagnosis.sample import FrameSample
@@ -88,9 +94,9 @@ def light_findings(sample: FrameSample) -> Iterator[Finding]:
     Finding
         In no order.
     """
-    darkness = _darkness(sample)
-    if darkness is not None:
-        yield darkness
+    darkness = list(_darkness(sample))
+    if darkness:
+        yield from darkness
         return
     colour = missing_colour(sample)
     if colour is not None:
@@ -104,7 +110,7 @@ def light_findings(sample: FrameSample) -> Iterator[Finding]:
     yield from (one for one in (*found, stray_light(sample, bent_rad)) if one is not None)
 
 
-def _darkness(sample: FrameSample) -> Finding | None:
+def _darkness(sample: FrameSample) -> Iterator[Finding]:
     """No fringes at all, or hardly anywhere."""
     noise = float(np.median(sample.noise(sample.widest.offset)))
     strength = sample.strongest / noise
@@ -113,16 +119,19 @@ def _darkness(sample: FrameSample) -> Finding | None:
     seen = f"the fringes' modulation is {level}, {strength:.1f} times its noise"
     if (incoherent or sample.strongest < LEAST_LEVELS) and sample.saturated.mean() <= MOST_SATURATED:
         words = f"{seen} (at least {DARK_SIGMAS:g})"
-        return Finding(FaultCause.PROJECTOR_DARK, words, DARK_SIGMAS / max(strength, 0.01))
+        excess = DARK_SIGMAS / max(strength, 0.01)
+        yield Finding(FaultCause.PROJECTOR_DARK, words, excess)
+        yield light_elsewhere(excess)
+        return
     share = float(sample.lit.mean())
     if share < LEAST_LIT and strength < WEAK_SIGMAS:
         words = f"{seen} (at least {WEAK_SIGMAS:g})"
         factor = BEST_PEAK * 255.0 / max(2.0 * sample.strongest, 1.0)
-        return Finding(FaultCause.UNDEREXPOSED, words, WEAK_SIGMAS / strength, factor=factor)
+        yield Finding(FaultCause.UNDEREXPOSED, words, WEAK_SIGMAS / strength, factor=factor)
+        return
     if share < LEAST_LIT:
         words = f"the fringes light {100 * share:.2g} % of the image (at least {100 * LEAST_LIT:g} %)"
-        return Finding(FaultCause.NO_OVERLAP, words, LEAST_LIT / max(share, 1e-4))
-    return None
+        yield Finding(FaultCause.NO_OVERLAP, words, LEAST_LIT / max(share, 1e-4))
 
 
 def _saturation(sample: FrameSample) -> Finding | None:

@@ -11,6 +11,7 @@ _ROUGH = frozenset({FaultCause.INTERREFLECTION, FaultCause.WRONG_RESOLUTION})
 """What errors of the phase from place to place look like."""
 
 SIDE_EFFECTS: Mapping[FaultCause, frozenset[FaultCause]] = {
+    FaultCause.PROJECTOR_DARK: frozenset({FaultCause.NO_OVERLAP}),
     FaultCause.WRONG_PLAN: frozenset({FaultCause.STALE_CALIBRATION}),
     FaultCause.MISSING_COLOUR: frozenset({FaultCause.STALE_CALIBRATION}),
     FaultCause.VIBRATION: _ROUGH | {FaultCause.FLICKER, FaultCause.STALE_CALIBRATION},
