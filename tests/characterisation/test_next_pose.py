@@ -12,7 +12,9 @@ from fpplab.calibration.model import Calibration
 from fpplab.characterisation import Observation
 from fpplab.characterisation.bundle import uncertainty
 from fpplab.characterisation.candidate_poses import (
+    DIRECTIONS,
     MOST_SLANT_DEG,
+    _paths,
     board_grid,
     candidate_poses,
     share_seen,
@@ -65,6 +67,15 @@ def volume(estimate: JointEstimate) -> WorkingVolume:
 @pytest.fixture(scope="module")
 def candidates(estimate: JointEstimate) -> list[RigidTransform]:
     return candidate_poses(estimate.calibration, TARGET.size_mm, DEPTH)
+
+
+def test_paths_of_candidates_end_at_the_edges_of_the_image() -> None:
+    paths = _paths(Calibration(CAMERA, PROJECTOR, PAIR, {}), 450.0)
+    ends = CAMERA.project(paths[:, -1])
+    middle, (width, height) = ends[0], CAMERA.size
+    for end, (x, y) in zip(ends[1:], DIRECTIONS, strict=True):
+        edges = [[0.0, middle[0], width - 1.0][x + 1], [0.0, middle[1], height - 1.0][y + 1]]
+        np.testing.assert_allclose(end, edges, atol=1e-3)
 
 
 def with_expected(estimate: JointEstimate, pose: RigidTransform) -> tuple[float, Floats]:

@@ -33,7 +33,7 @@ class Chooser:
 
     def tests_for(self, mutant: Mutant) -> list[str]:
         """Tests in the order in which they are to run; empty where none executes the fault."""
-        direct = self._known.tests_of(mutant.file, [mutant.line]) or self._indirect(mutant)
+        direct = self._known.tests_of(mutant.file, self._lines(mutant)) or self._indirect(mutant)
         files = {test.partition("::")[0] for test in direct}
         # What a fixture of a module executes is recorded for the first test that asks for it alone.
         beside = {t for t in self._known.seconds if t.partition("::")[0] in files} - direct
@@ -59,6 +59,14 @@ class Chooser:
         """Whether a test is one of the fault's own package."""
         package = next(part for part in Path(mutant.file).parts if part != "fpplab")
         return test.startswith(f"tests/{package}/")
+
+    def _lines(self, mutant: Mutant) -> list[int]:
+        """Lines that tell a test: of a default argument, which runs at import, those of its function."""
+        lines = [mutant.line]
+        for node in ast.walk(ast.parse((self._root / mutant.file).read_text(encoding="utf-8"))):
+            if isinstance(node, ast.FunctionDef) and node.lineno <= mutant.line < node.body[0].lineno:
+                lines += range(node.body[0].lineno, (node.end_lineno or 0) + 1)
+        return lines
 
     def _indirect(self, mutant: Mutant) -> set[str]:
         """Tests of a line that none is known to execute; of machine code what calls it is recorded alone."""

@@ -106,6 +106,17 @@ def test_modules_that_import_another() -> None:
     assert "fpplab/clouds/cloud.py" in importers(ROOT, "fpplab/clouds/ply.py")
 
 
+def test_a_default_argument_is_judged_by_who_calls_its_function(tmp_path: Path) -> None:
+    folder = tmp_path / "fpplab" / "core"
+    folder.mkdir(parents=True)
+    (folder / "m.py").write_text("def f(a: int = 1) -> int:\n    return a\n\n\nprint(f())\n")
+    known = CoverageMap(
+        {"fpplab/core/m.py": {1: ["t.py::first"], 2: ["t.py::calls"], 5: ["t.py::other"]}}, {}
+    )
+    fault = next(m for m in mutants(tmp_path, "fpplab/core/m.py") if m.old == "1")
+    assert set(Chooser(tmp_path, known).tests_for(fault)) == {"t.py::first", "t.py::calls"}
+
+
 @pytest.mark.slow
 def test_a_fault_is_killed_a_harmless_one_survives_and_the_copy_is_mended(tmp_path: Path) -> None:
     file, test = "fpplab/core/strict_json.py", "tests/core/test_reading.py::test_json_of_an_object_is_one"

@@ -131,3 +131,23 @@ def test_modulation_is_the_reference_s() -> None:
     seen = decoded.valid
     grey = wrapped.modulation[seen] * recording.grey
     np.testing.assert_allclose(decoded.modulation[seen], grey, rtol=1e-4)
+
+
+def test_errors_that_all_pixels_share_are_the_reference_s_at_any_contrast() -> None:
+    """Of a lamp that flickers: they grow with the offset over the modulation, far beyond the noise."""
+    random = np.random.default_rng(4)
+    plan = Plan(fringes=tuple(Sinusoid(axis="x", stripes=s, steps=8) for s in (1.0, 6.0)), masks=LENIENT)
+    contrast = np.linspace(0.25, 0.9, SIZE[1])[:, None]
+    images: list[Image] = []
+    for index, step, _ in plan.steps():
+        fringe = plan.fringes[index].level(step, SIZE, Lattice.SQUARE) - 0.5
+        level = (0.45 + 0.8 * contrast * fringe) * (1.0 + random.normal(0.0, 0.02))
+        level += random.normal(0.0, 0.001, level.shape)
+        images.append(np.rint(np.clip(level, 0.0, 0.999) * 4095).astype(np.uint16))
+    recording = Recording(images, plan, SIZE, 12)
+    decoded, known = decode(recording), decode_axis(recording, "x")
+    both = np.isfinite(decoded.u) & np.isfinite(known.coordinate)
+    assert both.mean() > 0.9
+    np.testing.assert_allclose(decoded.sigma[both], known.sigma[both], rtol=1e-3)
+    by_row = np.nanmedian(np.where(both, known.sigma, np.nan), axis=1)
+    assert by_row[0] > 1.5 * by_row[-1]
