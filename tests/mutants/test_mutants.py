@@ -5,11 +5,12 @@ from __future__ import annotations
 import ast
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import pytest
 import yaml
 
-from tests.mutants.__main__ import EQUIVALENT, explained
+from tests.mutants.__main__ import EQUIVALENT, _without_false_kills, explained
 from tests.mutants.areas import AREAS, draw, files_of, named
 from tests.mutants.choice import Chooser, importers
 from tests.mutants.coverage_map import CoverageMap
@@ -90,6 +91,39 @@ def test_what_is_killed_is_not_tried_again(tmp_path: Path) -> None:
     assert last.passing == {"tests/a.py::test_b"}
     assert [last.known(mutant) is not None for mutant in (killed, hung)] == [True, False]
     assert last.known(replace(killed, file="fpplab/core/units.py")) is None, "another source"
+
+
+class SoundBench:
+    """The unharmed sources, where some tests fail too."""
+
+    def __init__(self, failing: list[str]) -> None:
+        self.failing = failing
+
+    def run(self, tests: list[str], limit: float) -> str:
+        failed = [f for f in self.failing if any(f == test or f.startswith(f"{test}::") for test in tests)]
+        return f"FAILED {failed[0]}" if failed else ""
+
+
+def test_a_kill_by_what_fails_anyway_proves_nothing(tmp_path: Path) -> None:
+    by_test, by_file, sound = list(named(ROOT))[:3]
+    killers = {
+        by_test: "FAILED tests/a.py::test_a",
+        by_file: "ERROR tests/b.py",
+        sound: "FAILED tests/c.py::c",
+    }
+    judged = [(mutant, Trial(mutant.name, Verdict.KILLED, words)) for mutant, words in killers.items()]
+    bench = SoundBench(["tests/a.py::test_a", "tests/b.py::test_of_it"])
+    trials = _without_false_kills(judged, TrialRecord(tmp_path / "trials.jsonl"), cast(Bench, bench))
+    assert [t.verdict for t in trials] == [Verdict.UNDECIDED, Verdict.UNDECIDED, Verdict.KILLED]
+
+
+def test_tests_that_do_not_run_are_no_verdict(tmp_path: Path) -> None:
+    mutant = next(iter(named(ROOT)))
+    bench = SoundBench([])
+    bench.run = lambda tests, limit: "no tests ran"  # type: ignore[method-assign]
+    judged = [(mutant, Trial(mutant.name, Verdict.KILLED, "FAILED tests/a.py::test_a"))]
+    with pytest.raises(SystemExit, match="no tests ran"):
+        _without_false_kills(judged, TrialRecord(tmp_path / "trials.jsonl"), cast(Bench, bench))
 
 
 def test_explanations_are_of_faults_that_exist() -> None:
