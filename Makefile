@@ -6,7 +6,7 @@ WORKERS ?= 2
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: setup demo test test-slow test-usb crash fuzz soak mutants full-disk lint bench clean
+.PHONY: setup demo test test-slow test-usb crash fuzz soak mutants full-disk faults lint bench clean
 
 setup: $(READY)
 
@@ -46,6 +46,10 @@ mutants: setup
 # Writing commands on disks that are full at every write or vanish midway; root alone can mount such disks.
 full-disk: setup
 	$(BIN)/python -m tests.full_disk
+
+# Mistakes of drivers, put into copies of the sources one by one: the conformance suite has to fail on each.
+faults: setup
+	$(BIN)/python -m tests.conformance.seeded_faults
 
 lint: setup
 	$(BIN)/ruff check .

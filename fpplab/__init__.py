@@ -15,12 +15,16 @@ coordinates, `characterisation` and `reconstruction` those into points, and `com
 against the true shape. `pipeline` has the steps together.
 """
 
+from __future__ import annotations
+
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
 
 from fpplab.core.version import __version__
 
+TYPE_CHECKING = False  # of `typing`, which takes longer to load than the program to hear its first signal
 if TYPE_CHECKING:
+    from typing import Any
+
     from fpplab.calibration.model import Calibration
     from fpplab.clouds import Cloud, load_cloud, load_mesh
     from fpplab.comparison import compare

@@ -7,9 +7,7 @@ import sys
 
 def main() -> None:
     """Run the command that `sys.argv` names; an interruption while the program is loaded ends it too."""
-    for number in {signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)}:
-        if signal.getsignal(number) is not signal.SIG_IGN:
-            signal.signal(number, lambda *_: os._exit(130))  # nothing has begun
+    hear_signals()
     from fpplab.core import interrupts
 
     interrupts.watch_signals()
@@ -24,6 +22,13 @@ def main() -> None:
         if "--json" in sys.argv:
             os.write(1, b'{"error": "cancelled", "exit_code": 130}\n')
         os._exit(interrupts.CANCELLED)
+
+
+def hear_signals() -> None:
+    """Have an interruption end the process: nothing has begun. Before this Python itself dies of it."""
+    for number in {signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)}:
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, lambda *_: os._exit(130))
 
 
 def open_standard_streams() -> None:

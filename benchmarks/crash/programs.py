@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -116,7 +117,7 @@ DATASET = DisturbedProgram(
 )
 UPLOAD = DisturbedProgram(
     "upload",
-    "-m benchmarks.crash.board maker.bin {out} dlp4500 upload built.bin --yes --json",
+    "-P board.py maker.bin {out} dlp4500 upload built.bin --yes --json",
     6,
     ".bin",
     begin=_new_flash,
@@ -165,6 +166,7 @@ def prepare(folder: Path, programs: tuple[DisturbedProgram, ...]) -> None:
             poses = take_poses(rig, plan, "board", 3, folder / "poses", force=False)
         _write_images(poses[0], folder / "images")
     if UPLOAD in programs:
+        shutil.copy(Path(__file__).with_name("board.py"), folder)
         (folder / "maker.bin").write_bytes(maker_firmware())
         patterns = uniform_patterns(list(range(100, 109)), (912, 1140))
         built = Firmware.load(folder / "maker.bin").with_patterns(patterns, folder / "built.bin")

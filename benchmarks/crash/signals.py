@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import signal
 import time
@@ -17,14 +18,20 @@ from benchmarks.crash.record import Campaign, CrashCase
 from fpplab.core.interrupts import SIGNALS
 
 INTERRUPTS = "signals"
-KINDS = WRONG_CODE, TRACEBACK, UNSAFE, LEFT_RUNNING, BEFORE = (
+KINDS = WRONG_CODE, TRACEBACK, UNSAFE, LEFT_RUNNING, EARLY_TRACE = (
     "signals: exit codes other than 130",
     "signals: tracebacks",
     "signals: benches not left safe",
     "signals: processes left running",
-    "signals: before the program's first line",
+    "signals: traces of a run that ended before the first line",
 )
-FIRST_LINE = re.compile(r'.*/(fpplab|benchmarks)/.*(__(init|main)__|board)\.py", line \d+, in <module>')
+NO_FAULTS = BEFORE, AFTER = (
+    "signals: ends before the program's first line",
+    "signals: ends after the program's whole answer",
+)
+"""By the signal, as of any program: with no device open and nothing written, or with all closed and told,
+while Python takes itself down and has no handlers any more."""
+FIRST_LINE = re.compile(r'.*/fpplab/(core/)?(__(init|main)__|version)\.py", line \d+, in <module>')
 ENDING_S = 0.2
 """After its last work a process is gone so soon."""
 FIRST_MOMENTS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05)
@@ -34,7 +41,8 @@ FIRST_MOMENTS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05)
 def signal_programs(campaign: Campaign) -> None:
     """Interrupt programs at random moments, by SIGINT, SIGTERM and SIGHUP in turn.
 
-    Before the program's first line Python answers itself, and nothing has begun: such runs are counted apart.
+    Before the program's first line, and after its last, Python itself dies of the signal, as any program
+    does. Such runs are counted apart: they may not have left a trace, or have to have done all.
 
     Parameters
     ----------
@@ -64,18 +72,32 @@ def _interrupt(
 ) -> tuple[EndedRun, list[tuple[str, str]]]:
     """One run that gets a signal, and what went wrong."""
     out = place_of(folder, program, f"stopped_{number}")
+    before = _files(folder)
     ended = run_until(program, folder, out, moment_s, signalled)
     words = f"{program.name}, {signalled.name} at {moment_s:.3f} s: exit code {ended.code}"
-    failures = list(_complaints(ended, signalled, words))
+    failures = list(_complaints(ended, signalled, words, _files(folder) != before))
     if not bench_is_safe(note_of(out)):
         failures.append((UNSAFE, words))
     failures += [(LEFT_RUNNING, words) for _ in left_running(folder)]
     return ended, failures
 
 
-def _complaints(ended: EndedRun, number: signal.Signals, words: str) -> Iterator[tuple[str, str]]:
+def _files(folder: Path) -> dict[Path, tuple[int, int]]:
+    """Size and time of every file, notes of the bench among them."""
+    found = {path: path.stat() for path in folder.rglob("*") if path.is_file()}
+    return {path: (status.st_size, status.st_mtime_ns) for path, status in found.items()}
+
+
+def _complaints(
+    ended: EndedRun, number: signal.Signals, words: str, wrote: bool = False
+) -> Iterator[tuple[str, str]]:
     if _is_before(ended, number):
         yield BEFORE, words
+        if wrote:
+            yield EARLY_TRACE, words
+        return
+    if ended.code == -number and _has_answered(ended):
+        yield AFTER, words
         return
     said = f"{words}\n{ended.err[-1500:]}"
     if ended.code != 130 and not _came_too_late(ended):
@@ -89,9 +111,19 @@ def _came_too_late(ended: EndedRun) -> bool:
     return ended.code == 0 and (not ended.disturbed or ended.after_s < ENDING_S)
 
 
+def _has_answered(ended: EndedRun) -> bool:
+    """Whether stdout holds one whole answer, of a run that did its work."""
+    try:
+        answer = json.loads(ended.out)
+    except ValueError:
+        return False
+    return "error" not in answer and "Traceback" not in ended.err
+
+
 def _is_before(ended: EndedRun, number: signal.Signals) -> bool:
     """Whether Python was still loading itself, or the first line of the program's first module."""
-    own = [line for line in ended.err.splitlines() if "/fpplab/" in line or "/benchmarks/" in line]
+    own = [line for line in ended.err.splitlines() if "/fpplab/" in line]
     if ended.code == -number:
-        return all(FIRST_LINE.fullmatch(line) for line in own)
+        is_silent = not ended.out and (not ended.err or "Traceback" in ended.err)
+        return is_silent and all(FIRST_LINE.fullmatch(line) for line in own)
     return "Traceback" in ended.err and ended.code == 1 and all(FIRST_LINE.fullmatch(line) for line in own)

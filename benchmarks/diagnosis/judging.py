@@ -98,9 +98,9 @@ def of_scan(cause: str, seed: int) -> Judged:
     named = _named(diagnosis.findings)
     if not cause:
         return Judged(cause, seed, named, diagnosis.verdict.value)
-    best_mm, most = _without_fault(seed, bench.plan, bench.window)
     error, share = float("inf"), 0.0
     if cloud is not None and len(cloud):
+        best_mm, most = _without_fault(seed, bench.plan, bench.window)
         error, share = error_mm(bench, cloud) / best_mm, len(cloud) / most
     return Judged(cause, seed, named, diagnosis.verdict.value, error, share)
 

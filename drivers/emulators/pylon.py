@@ -105,10 +105,12 @@ class EmulatedPylon(Pylon):
     ) -> None:
         self.size, self.scene, self.policy, self._cameras = size, scene, policy, cameras
         self._open: dict[str, EmulatedCamera] = {}
+        self._is_plugged = True
 
     def start(self) -> None:
         """Switch pylon's emulation on and plug the cameras in."""
         self._before = os.environ.get(CAMERA_COUNT_VARIABLE)
+        os.environ[CAMERA_COUNT_VARIABLE] = str(self._cameras)
         self._folder = tempfile.TemporaryDirectory(prefix="fpplab-pylon-")
         self.light = EmulatedSensorImage(Path(self._folder.name))
         self.plug_in()
@@ -137,9 +139,14 @@ class EmulatedPylon(Pylon):
         Raises
         ------
         genicam.RuntimeException
-            Another program has opened the camera; the message is pylon's.
+            Another program has opened the camera, or it was unplugged; the messages are pylon's.
         """
         serial = info.GetSerialNumber()
+        if not self._is_plugged:
+            raise genicam.RuntimeException(
+                "The transport layer for device class 'BaslerCamEmu' could not be created. : "
+                "RuntimeException thrown"
+            )
         if self.policy.exclusive and serial in self._open:
             raise genicam.RuntimeException(
                 f"Failed to open device '{serial}' for XML file download. "
@@ -163,14 +170,17 @@ class EmulatedPylon(Pylon):
                 camera.pulse(at_s)
 
     def unplug(self, noticed: bool = True) -> None:
-        """Unplug the cable.
+        """Unplug the cable; the list of pylon's own emulation keeps the camera.
+
+        Without it there, pylon 26.9 would free neither the 14 pipes nor the thread of a camera that is
+        destroyed, not even of one that was closed before.
 
         Parameters
         ----------
         noticed : bool
             Whether pylon notices and calls back; sometimes it does not.
         """
-        os.environ[CAMERA_COUNT_VARIABLE] = "0"
+        self._is_plugged = False
         for camera in self._open.values():
             camera.unplugged = True
             if noticed:
@@ -178,7 +188,7 @@ class EmulatedPylon(Pylon):
 
     def plug_in(self) -> None:
         """Plug the cable in; the camera has to be opened again."""
-        os.environ[CAMERA_COUNT_VARIABLE] = str(self._cameras)
+        self._is_plugged = True
 
     def cameras(self) -> dict[str, Any]:
         """List the emulated cameras, as `Pylon.cameras` does.
@@ -188,7 +198,7 @@ class EmulatedPylon(Pylon):
         dict of str to pylon.DeviceInfo
             By serial number; empty while the cable is unplugged.
         """
-        return super().cameras() if os.environ[CAMERA_COUNT_VARIABLE] != "0" else {}
+        return super().cameras() if self._is_plugged else {}
 
     def _layer(self) -> Any:
         return pylon.TlFactory.GetInstance().CreateTl("BaslerCamEmu")

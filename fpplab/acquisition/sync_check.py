@@ -30,7 +30,7 @@ from fpplab.core.progress import Progress
 from fpplab.devices import State
 from fpplab.devices.rig import Rig
 from fpplab.diagnosis import FaultCause, Finding
-from fpplab.diagnosis.brightness import COLOURS, colour_finding
+from fpplab.diagnosis.brightness import COLOURS, colour_finding, light_elsewhere
 from fpplab.patterns.fringes import uniform_patterns
 from fpplab.patterns.plan import Plan
 
@@ -229,7 +229,7 @@ class MarkerInspection:
         if not run.frames:
             return [_no_pulse(len(shown))]
         apart = _run(rig, plan, shown, plan.exposure_s + APART_S)
-        if apart.frames and np.ptp(apart.levels[: apart.frames][:-1]) < SAME_LEVEL * self.runs[0].rise:
+        if _shows_darkness(apart, SAME_LEVEL * self.runs[0].rise):
             return [_wrong_edge()]
         if shift is not None:
             return [_shifted(shift, plan.exposure_s)]
@@ -325,7 +325,8 @@ def _of_light(run: MarkerRun) -> list[Finding]:
     if run.rise < LEAST_RISE:
         seen = f"white is brighter than black by {100 * run.rise:.2g} % of full scale"
         advice = "check the lens caps, the projector's light, where both look, and the plan's exposure_s"
-        return [Finding(FaultCause.PROJECTOR_DARK, seen, LEAST_RISE / max(run.rise, 1e-4), advice)]
+        excess = LEAST_RISE / max(run.rise, 1e-4)
+        return [Finding(FaultCause.PROJECTOR_DARK, seen, excess, advice), light_elsewhere(excess)]
     return []
 
 
@@ -343,6 +344,11 @@ def _of_display(
 
 def _is_in_step(shown: NDArray[np.int64], run: MarkerRun) -> bool:
     return run.frames == len(shown) and matching_faults(shown, run.levels) == ()
+
+
+def _shows_darkness(run: MarkerRun, least: float) -> bool:
+    """Whether frames, most of which came, are all alike but the last, behind which nothing is shown."""
+    return run.frames > len(run.levels) // 2 and float(np.ptp(run.levels[: run.frames][:-1])) < least
 
 
 def _timing(rig: Rig, plan: Plan, shown: NDArray[np.int64], gap_s: float) -> PulseTiming:

@@ -244,14 +244,19 @@ def run_program(command: Callable[[], object], as_json: bool) -> NoReturn:
         command()
         sys.stdout.flush()
     except BaseException as error:  # noqa: BLE001 - each kind has its own answer
-        interrupts.leave_at_once()
-        if interrupts.comes_of(error, KeyboardInterrupt) and not isinstance(error, Answered):
+        waits = interrupts.leave_at_once() and not _is_answered(error)
+        if waits or (interrupts.comes_of(error, KeyboardInterrupt) and not isinstance(error, Answered)):
             error = Cancelled("cancelled")
         elif isinstance(error, SystemExit) and interrupts.comes_of(error, BrokenPipeError):
             error = BrokenPipeError(errno.EPIPE, os.strerror(errno.EPIPE))  # typer ends with code 1
         _end_with(error, as_json)
     interrupts.leave_at_once()
     sys.exit(0)
+
+
+def _is_answered(error: BaseException) -> bool:
+    """Tell whether a command has given its whole answer, such as its help."""
+    return isinstance(error, Answered) or (isinstance(error, SystemExit) and not error.code)
 
 
 def _check_words(words: Sequence[str]) -> None:

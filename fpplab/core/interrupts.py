@@ -74,13 +74,21 @@ def held_back() -> Iterator[None]:
             _held[-1] = came
 
 
-def leave_at_once() -> None:
-    """Have these signals end the process at once: everything is closed, and its answer given."""
+def leave_at_once() -> bool:
+    """Have these signals end the process at once: everything is closed.
+
+    Returns
+    -------
+    bool
+        Whether an interruption came that waited for a better moment until now, and was not raised.
+    """
     with _sending:
+        waits = bool(_again)
         _again.clear()
     for number in SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, lambda *_: os._exit(CANCELLED))
+    return waits
 
 
 def comes_of(error: BaseException | None, kind: type[BaseException]) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from fpplab.core.conventions import Floats
 from fpplab.diagnosis.catalogue import FaultCause, Finding
+from fpplab.diagnosis.fringe_shape import MOST_UNEVEN
 from fpplab.diagnosis.sample import FrameSample
 
 COLOURS = 3
@@ -31,11 +32,14 @@ MANY_STRIPES = 16.0
 DISTINCT = 4.0
 """How many times the scatter of all frames' brightness a colour must be off."""
 
-MOST_BANDS = 0.02
+MOST_BANDS = 0.01
 """Scatter of the rows' brightness between frames that is told."""
 
 FEWEST_IN_ROW, FEWEST_ROWS = 20, 40
 """Fewest measured pixels of a row, and fewest rows, from which bands are concluded."""
+
+MOST_ROWS = 0.9
+"""Share of the rows over which the phases of a set are spread, if it tells bands from harmonics."""
 
 HARMONICS = (2, 3, 4)
 """Harmonics of the response that residuals of single frames are freed from, rising."""
@@ -61,6 +65,23 @@ def frame_levels(sample: FrameSample) -> Floats:
     return np.asarray(np.percentile(sample.spread[:, bright], CREST_PERCENTILE, axis=1))
 
 
+def light_elsewhere(excess: float) -> Finding:
+    """Give what else than a dark projector shows no light anywhere in the image.
+
+    Parameters
+    ----------
+    excess : float
+        That of the darkness.
+
+    Returns
+    -------
+    Finding
+        Which ranks behind that of the dark projector.
+    """
+    words = "no light of the projector anywhere: it may be dark, or light another place; images do not tell"
+    return Finding(FaultCause.NO_OVERLAP, words, excess)
+
+
 def missing_colour(sample: FrameSample) -> Finding | None:
     """Look for a colour that is missing or weak: every third frame is darker than the others.
 
@@ -82,7 +103,11 @@ def missing_colour(sample: FrameSample) -> Finding | None:
     fine = finest if len(finest) >= 3 * COLOURS else fine
     if len(fine) < COLOURS:
         return None
-    return colour_finding(frame_levels(sample)[fine], np.array(fine))
+    levels = frame_levels(sample)
+    # Fringes of one set may have more contrast than those of another; half the frames have all colours.
+    for a, b in pairwise(plan.set_starts):
+        levels[a:b] /= max(float(np.sort(levels[a:b])[(b - a) // 2 :].mean()), 1.0)
+    return colour_finding(levels[fine], np.array(fine))
 
 
 def colour_finding(levels: Floats, places: NDArray[np.intp]) -> Finding | None:
@@ -136,17 +161,37 @@ def row_gains(sample: FrameSample) -> Floats | None:
     rows = np.flatnonzero(used.sum(axis=1) >= FEWEST_IN_ROW)
     if len(rows) < FEWEST_ROWS:
         return None
-    found = _from_frames(sample, rows) or _between_sets(sample, rows)
+    for sets in (_along_rows(sample, rows), range(len(sample.fits))):
+        found = _from_frames(sample, rows, sets) or _between_sets(sample, rows, sets)
+        if found:
+            break
     if not found:
         return None
     gains = np.stack(found)
     return np.asarray(gains - gains.mean(axis=1, keepdims=True))
 
 
-def _from_frames(sample: FrameSample, rows: NDArray[np.intp]) -> list[Floats]:
+def _along_rows(sample: FrameSample, rows: NDArray[np.intp]) -> list[int]:
+    """Sets whose phases are spread evenly over most rows.
+
+    Where a row has few phases, harmonics of the response change its brightness from frame to frame too.
+    """
+    used = sample.measured[rows]
+    count = used.sum(axis=1)
+    found = []
+    for k, fit in enumerate(sample.fits):
+        turn = np.where(used, np.exp(1j * fit.phase[rows]), 0.0)
+        uneven = np.max([np.abs((turn**m).sum(axis=1)) / count for m in (1, 2, 3)], axis=0)
+        if np.mean(uneven < MOST_UNEVEN) >= MOST_ROWS:
+            found.append(k)
+    return found
+
+
+def _from_frames(sample: FrameSample, rows: NDArray[np.intp], sets: Sequence[int]) -> list[Floats]:
     plan, used = sample.recording.plan, sample.measured[rows]
     found = []
-    for k, fringe in enumerate(plan.fringes):
+    for k in sets:
+        fringe = plan.fringes[k]
         if fringe.images <= 3:
             continue
         fit = sample.fits[k]
@@ -194,15 +239,15 @@ def harmonic_waves(angles: Floats) -> Iterator[Floats]:
         yield harmonic.imag
 
 
-def _between_sets(sample: FrameSample, rows: NDArray[np.intp]) -> list[Floats]:
-    if len(sample.fits) < 2:
+def _between_sets(sample: FrameSample, rows: NDArray[np.intp], sets: Sequence[int]) -> list[Floats]:
+    if len(sets) < 2:
         return []
     used = sample.measured[rows]
-    offsets = np.stack([np.where(used, fit.offset[rows], 0.0) for fit in sample.fits])
+    offsets = np.stack([np.where(used, sample.fits[k].offset[rows], 0.0) for k in sets])
     mean = offsets.mean(axis=0)
     share = (offsets * mean).sum(axis=2) / np.square(mean).sum(axis=1) - 1.0
     count = len(offsets)
-    images = np.array([one.images for one in sample.recording.plan.fringes])
+    images = np.array([sample.recording.plan.fringes[k].images for k in sets])
     return list(share * np.sqrt(images * count / (count - 1.0))[:, None])
 
 

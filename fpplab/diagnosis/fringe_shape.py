@@ -25,7 +25,7 @@ BLOCK = 8
 LEAST_KNOWN = 0.5
 """Least share of a block's pixels whose phase error is known."""
 
-MOST_MOIRE_PX = 0.055
+MOST_MOIRE_PX = 0.04
 """Amplitude in projector px of an error of the coordinate that repeats with the projector's pixels."""
 
 SMOOTHED_PX = 24
@@ -42,6 +42,9 @@ FRINGE_ORDERS = 6
 
 EVEN_SHARE = 0.03
 """Greatest change of brightness from pixel to pixel, as a share, of an even scene."""
+
+FEWEST_FRINGES = 4.0
+"""Periods of a set that have to be seen for its harmonics to be told from a moiré."""
 
 MOIRE_POINTS = 60_000
 """Most coordinates that a moiré is looked for in."""
@@ -207,11 +210,12 @@ def moire_spectrum(sample: FrameSample, axis: Axis) -> tuple[Floats, Floats] | N
     span = float(np.ptp(np.percentile(position, (1, 99))))
     cycles = np.arange(MOIRE_CYCLES[0], MOIRE_CYCLES[1], 0.5 / max(span, 100.0))
     size = axis_length(sample.recording.projector_size, axis)
-    fine = [
-        fringe.stripes / size
-        for fringe in sample.recording.plan.fringes
-        if fringe.axis == axis and fringe.stripes >= 0.02 * size
-    ]
+    sets = [one.stripes / size for one in sample.recording.plan.fringes if one.axis == axis]
+    fine = [own for own in sets if own >= 0.02]
+    finest = max(sets) if max(sets) * span >= FEWEST_FRINGES else MOIRE_CYCLES[1]
+    # All harmonics of coarse fringes lie among the frequencies of a moiré, too close together to be left out.
+    told = [m * own for own in fine for m in range(1, FRINGE_ORDERS + 1)]
+    told = told or [m * finest for m in range(1, int(MOIRE_CYCLES[1] / finest) + 1)]
     for own in fine:
         cycles = cycles[np.abs(cycles / own - np.rint(cycles / own)) * own > OFF_CYCLES]
     if len(cycles) == 0:
@@ -220,14 +224,14 @@ def moire_spectrum(sample: FrameSample, axis: Axis) -> tuple[Floats, Floats] | N
     count = np.bincount(bins)
     total = np.asarray(np.bincount(bins, rough), np.float64)
     places = np.arange(len(total)) / 4.0
-    total = total - count * _of_fringes(places, total, count, fine)
+    total = total - count * _of_fringes(places, total, count, told)
     sums = np.exp(-1j * TWO_PI * np.outer(cycles, places)) @ total
     return cycles, np.asarray(2.0 * np.abs(sums) / count.sum())
 
 
-def _of_fringes(places: Floats, total: Floats, count: NDArray[np.intp], fine: list[float]) -> Floats:
+def _of_fringes(places: Floats, total: Floats, count: NDArray[np.intp], told: list[float]) -> Floats:
     """What harmonics of the fringes explain: of a short span they leak into other frequencies."""
-    cycles = [m * own for own in fine for m in range(1, FRINGE_ORDERS + 1) if m * own < MOIRE_CYCLES[1]]
+    cycles = [one for one in told if one < MOIRE_CYCLES[1]]
     if not cycles:
         return np.zeros(len(places))
     angles = TWO_PI * np.outer(places, cycles)

@@ -8,7 +8,13 @@ from collections.abc import Iterator
 import numpy as np
 
 from fpplab.core.conventions import Floats
-from fpplab.diagnosis.brightness import MANY_STRIPES, band_finding, harmonic_waves, missing_colour
+from fpplab.diagnosis.brightness import (
+    MANY_STRIPES,
+    band_finding,
+    harmonic_waves,
+    light_elsewhere,
+    missing_colour,
+)
 from fpplab.diagnosis.catalogue import FaultCause, Finding
 from fpplab.diagnosis.fringe_shape import LEAST_RIPPLED, MOST_UNEVEN, moire, ripples, stray_light
 from fpplab.diagnosis.sample import FrameSample
@@ -53,7 +59,7 @@ MUCH_BENT = 2.0
 MOST_HARMONICS = 0.15
 """Harmonics as a share of the fringes beyond which pixels are masked as no sinusoids, or soon will be."""
 
-MOST_FLICKER = 0.015
+MOST_FLICKER = 0.01
 """Scatter of the frames' brightness that is told."""
 
 LEAST_FREEDOM = 3
@@ -68,7 +74,7 @@ FAINT = 0.15
 GAIN_PIXELS = 10_000
 """About so many pixels tell the brightness of a frame: their noise changes it by less than 0.1 %."""
 
-MOST_SHIFT_PX = 0.15
+MOST_SHIFT_PX = 0.08
 """Motion between fringe sets that is told, in camera px."""
 
 SHIFT_SIGMAS = 8.0
@@ -88,9 +94,9 @@ def light_findings(sample: FrameSample) -> Iterator[Finding]:
     Finding
         In no order.
     """
-    darkness = _darkness(sample)
-    if darkness is not None:
-        yield darkness
+    darkness = list(_darkness(sample))
+    if darkness:
+        yield from darkness
         return
     colour = missing_colour(sample)
     if colour is not None:
@@ -104,7 +110,7 @@ def light_findings(sample: FrameSample) -> Iterator[Finding]:
     yield from (one for one in (*found, stray_light(sample, bent_rad)) if one is not None)
 
 
-def _darkness(sample: FrameSample) -> Finding | None:
+def _darkness(sample: FrameSample) -> Iterator[Finding]:
     """No fringes at all, or hardly anywhere."""
     noise = float(np.median(sample.noise(sample.widest.offset)))
     strength = sample.strongest / noise
@@ -113,16 +119,19 @@ def _darkness(sample: FrameSample) -> Finding | None:
     seen = f"the fringes' modulation is {level}, {strength:.1f} times its noise"
     if (incoherent or sample.strongest < LEAST_LEVELS) and sample.saturated.mean() <= MOST_SATURATED:
         words = f"{seen} (at least {DARK_SIGMAS:g})"
-        return Finding(FaultCause.PROJECTOR_DARK, words, DARK_SIGMAS / max(strength, 0.01))
+        excess = DARK_SIGMAS / max(strength, 0.01)
+        yield Finding(FaultCause.PROJECTOR_DARK, words, excess)
+        yield light_elsewhere(excess)
+        return
     share = float(sample.lit.mean())
     if share < LEAST_LIT and strength < WEAK_SIGMAS:
         words = f"{seen} (at least {WEAK_SIGMAS:g})"
         factor = BEST_PEAK * 255.0 / max(2.0 * sample.strongest, 1.0)
-        return Finding(FaultCause.UNDEREXPOSED, words, WEAK_SIGMAS / strength, factor=factor)
+        yield Finding(FaultCause.UNDEREXPOSED, words, WEAK_SIGMAS / strength, factor=factor)
+        return
     if share < LEAST_LIT:
         words = f"the fringes light {100 * share:.2g} % of the image (at least {100 * LEAST_LIT:g} %)"
-        return Finding(FaultCause.NO_OVERLAP, words, LEAST_LIT / max(share, 1e-4))
-    return None
+        yield Finding(FaultCause.NO_OVERLAP, words, LEAST_LIT / max(share, 1e-4))
 
 
 def _saturation(sample: FrameSample) -> Finding | None:
@@ -211,13 +220,17 @@ def _scatter_of_gains(sample: FrameSample) -> float:
     """Standard deviation of the frames' brightness, as a share.
 
     A sinusoid fitted to the N images of a set takes three of their N gains with it; N - 3 are left in the
-    residuals. Three images leave none: there the phases tell.
+    residuals, and two are seen where pixels of all phases are compared. Sets of three are compared together.
     """
     total, freedom = 0.0, 0
     for k, fringe in enumerate(sample.recording.plan.fringes):
         gains = _gains_left(sample, k) if fringe.images > 3 else None
-        if gains is not None:
-            total, freedom = total + float(gains @ gains), freedom + fringe.images - 3
+        if gains is None:
+            continue
+        total, freedom = total + float(gains @ gains), freedom + fringe.images - 3
+        first = sample.errors.sets[k].gain_first
+        if not math.isnan(first):
+            total, freedom = total + 2.0 * first**2 / fringe.images, freedom + 2
     if freedom >= LEAST_FREEDOM:
         return math.sqrt(total / freedom)
     # Gains ε_n of N frames that are independent: the mean of |Σ ε_n exp(iδ_n)|² is N times their variance.

@@ -11,9 +11,10 @@ _ROUGH = frozenset({FaultCause.INTERREFLECTION, FaultCause.WRONG_RESOLUTION})
 """What errors of the phase from place to place look like."""
 
 SIDE_EFFECTS: Mapping[FaultCause, frozenset[FaultCause]] = {
+    FaultCause.PROJECTOR_DARK: frozenset({FaultCause.NO_OVERLAP}),
     FaultCause.WRONG_PLAN: frozenset({FaultCause.STALE_CALIBRATION}),
     FaultCause.MISSING_COLOUR: frozenset({FaultCause.STALE_CALIBRATION}),
-    FaultCause.VIBRATION: _ROUGH | {FaultCause.BANDS, FaultCause.FLICKER, FaultCause.STALE_CALIBRATION},
+    FaultCause.VIBRATION: _ROUGH | {FaultCause.FLICKER, FaultCause.STALE_CALIBRATION},
     FaultCause.SATURATED: _ROUGH | {FaultCause.BANDS, FaultCause.STALE_CALIBRATION},
     FaultCause.UNDEREXPOSED: frozenset({FaultCause.BANDS}),
     FaultCause.AMBIENT: frozenset({FaultCause.BANDS}),
@@ -27,9 +28,10 @@ SIDE_EFFECTS: Mapping[FaultCause, frozenset[FaultCause]] = {
 """Causes, and what else the frames or points show because of each."""
 
 MUTUAL: Mapping[tuple[FaultCause, FaultCause], float] = {
-    (FaultCause.BANDS, FaultCause.FLICKER): 0.65,
-    (FaultCause.BANDS, FaultCause.RESPONSE): 1.0,
-    (FaultCause.BANDS, FaultCause.HARMONICS): 1.0,
+    (FaultCause.VIBRATION, FaultCause.BANDS): 0.25,
+    (FaultCause.BANDS, FaultCause.FLICKER): 0.25,
+    (FaultCause.BANDS, FaultCause.RESPONSE): 0.5,
+    (FaultCause.BANDS, FaultCause.HARMONICS): 0.5,
     (FaultCause.INTERREFLECTION, FaultCause.HARMONICS): 1.0,
     (FaultCause.INTERREFLECTION, FaultCause.RESPONSE): 1.0,
 }

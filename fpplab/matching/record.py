@@ -17,6 +17,7 @@ from fpplab.core import config
 from fpplab.core.config import Document
 from fpplab.core.errors import DataError
 from fpplab.core.journals import append_line, cut_torn_line, whole_lines
+from fpplab.matching.light import FALLOFF
 from fpplab.patterns.curve import Curve
 from fpplab.simulation.matchable import NO_FALLOFF, TwinParameters
 
@@ -111,7 +112,25 @@ class ParametersFile(Document):
 
 _WHOLE = ("calibration", "poses", "response", "placed", "sigma")
 PLAIN = tuple(name for name in ParametersFile.model_fields if name not in _WHOLE)
-"""Names of the parameters that are numbers."""
+"""Names of the parameters that are numbers, or few numbers."""
+
+
+def named_numbers(parameters: TwinParameters) -> dict[str, float | None]:
+    """Give every parameter that is a number by its name.
+
+    Parameters
+    ----------
+    parameters : TwinParameters
+        Of a twin.
+
+    Returns
+    -------
+    dict of str to float or None
+        In the unit of the parameter; the coefficients of the projector's falloff each by their own name,
+        None where a lens is sharp at all depths.
+    """
+    numbers = {name: getattr(parameters, name) for name in PLAIN if name != "projector_falloff"}
+    return numbers | dict(zip(FALLOFF, parameters.projector_falloff, strict=True))
 
 
 class MatchingEpoch(Document):

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fpplab.matching.artefacts import ArtefactComparison
 from fpplab.matching.gamma import GammaMatch
 from fpplab.matching.match import EXPLAINS
-from fpplab.matching.record import PLAIN, MatchingEpoch
+from fpplab.matching.record import MatchingEpoch, named_numbers
 from fpplab.matching.reference import Reference
 from fpplab.matching.run import MatchingResult
 from fpplab.report.drawing import (
@@ -350,7 +350,8 @@ def _parameters_section(found: MatchingResult) -> ReportSection:
     def sigma(name: str) -> str:
         return f"{after.sigma[name]:.2g}" if name in after.sigma else ""
 
-    rows = [(n, word(getattr(before, n)), word(getattr(after, n)), sigma(n)) for n in PLAIN]
+    numbers, matched = named_numbers(before), named_numbers(after)
+    rows = [(n, word(value), word(matched[n]), sigma(n)) for n, value in numbers.items()]
     rows += [
         (f"response {k}", word(getattr(before.response, k)), word(getattr(after.response, k)), sigma(k))
         for k in "abg"

@@ -13,7 +13,7 @@ from benchmarks.crash.bench import bench_is_safe
 from benchmarks.crash.content import content_of, timeless
 from benchmarks.crash.programs import IMPORT, SCAN, SCAN_EMULATED, EndedRun
 from benchmarks.crash.record import Campaign, CrashCase, CrashRecord
-from benchmarks.crash.signals import BEFORE, WRONG_CODE, _complaints
+from benchmarks.crash.signals import AFTER, BEFORE, EARLY_TRACE, WRONG_CODE, _complaints
 from fpplab.sessions.session import Session
 from tests.support.recorded import record
 
@@ -25,7 +25,7 @@ def disturbed(part: str, record: CrashRecord) -> dict[str, float]:
     """What went wrong, by kind."""
     count, programs = FEW[part]
     figures = crash_figures(record, (part,), programs, count, seed=3)
-    return {figure.name: figure.value for figure in figures if figure.value and figure.name != BEFORE}
+    return {figure.name: figure.value for figure in figures if figure.value > figure.baseline}
 
 
 @pytest.mark.slow
@@ -65,6 +65,33 @@ def test_a_signal_that_is_swallowed_is_noticed() -> None:
     assert [kind for kind, _ in _complaints(ended, signal.SIGINT, "x")] == [WRONG_CODE]
     assert list(_complaints(replace(ended, after_s=0.01), signal.SIGINT, "x")) == []
     assert list(_complaints(replace(ended, code=130), signal.SIGINT, "x")) == []
+
+
+def test_who_dies_before_the_first_line_may_not_have_left_anything() -> None:
+    ended = EndedRun(-signal.SIGTERM, "", "", disturbed=True, seconds=0.01, after_s=0.01)
+    for wrote, kinds in ((False, [BEFORE]), (True, [BEFORE, EARLY_TRACE])):
+        assert [kind for kind, _ in _complaints(ended, signal.SIGTERM, "x", wrote)] == kinds
+    within = replace(ended, err='  File "/x/fpplab/cli/app.py", line 3, in <module>\n')
+    assert [kind for kind, _ in _complaints(within, signal.SIGTERM, "x")] == [WRONG_CODE]
+    working = replace(ended, err="Scanning …\n")
+    assert [kind for kind, _ in _complaints(working, signal.SIGTERM, "x")] == [WRONG_CODE]
+
+
+def test_who_dies_after_the_answer_has_given_all_of_it() -> None:
+    ended = EndedRun(-signal.SIGINT, '{"file": "a"}\n', "", disturbed=True, seconds=3.0, after_s=0.1)
+    assert [kind for kind, _ in _complaints(ended, signal.SIGINT, "x", wrote=True)] == [AFTER]
+    for answer in ('{"file": ', '{"error": "x"}'):
+        torn = replace(ended, out=answer)
+        assert [kind for kind, _ in _complaints(torn, signal.SIGINT, "x", wrote=True)] == [WRONG_CODE]
+
+
+def test_ends_before_the_first_line_are_a_figure_but_no_fault(tmp_path: Path) -> None:
+    record = CrashRecord(tmp_path / "record.jsonl")
+    for number, kind in enumerate((BEFORE, WRONG_CODE)):
+        record.add(CrashCase("signals", SCAN.name, number, 1, 0.1, [(kind, "x")]))
+    figures = {one.name: one for one in crash_figures(record, ("signals",), (SCAN,), count=2)}
+    assert (figures[BEFORE].value, figures[BEFORE].baseline) == (1, 2)
+    assert (figures[WRONG_CODE].value, figures[WRONG_CODE].baseline) == (1, 0)
 
 
 def test_results_are_compared_without_times_and_names(tmp_path: Path) -> None:

@@ -1,4 +1,7 @@
-"""The conformance suite notices every seeded fault, and nothing where there is none."""
+"""The conformance suite notices seeded faults, and nothing where there is none.
+
+A third of the faults is tried here, and each that is new; `make faults` tries all of them.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ import pytest
 
 from tests.conformance.fault import Fault
 from tests.conformance.fault_list import FAULTS
-from tests.conformance.seeded_faults import SUITES, Verdict, try_fault, try_none
+from tests.conformance.seeded_faults import SUITES, Verdict, first_to_fail, try_fault, try_none
 
 pytestmark = pytest.mark.slow
 
@@ -17,7 +20,11 @@ def test_an_unharmed_copy_passes(place: str) -> None:
     assert trial.verdict is Verdict.SURVIVED, trial.evidence
 
 
-@pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.name)
-def test_every_fault_is_killed(fault: Fault) -> None:
+EVERY = 3
+TRIED = [one for k, one in enumerate(FAULTS) if k % EVERY == 0 or one.name not in first_to_fail()]
+
+
+@pytest.mark.parametrize("fault", TRIED, ids=lambda fault: fault.name)
+def test_a_fault_is_killed(fault: Fault) -> None:
     trial = try_fault(fault)
     assert trial.verdict is Verdict.KILLED, trial.evidence

@@ -12,7 +12,7 @@ def order(**excess: float) -> list[str]:
 
 
 def test_a_side_effect_ranks_behind_its_cause_however_much_it_exceeds_its_limit() -> None:
-    assert order(bands=9.0, vibration=2.0) == ["vibration", "bands"]
+    assert order(flicker=9.0, vibration=2.0) == ["vibration", "flicker"]
     assert order(wrong_resolution=5.0, camera_focus=1.1) == ["camera_focus", "wrong_resolution"]
 
 
@@ -25,8 +25,13 @@ def test_findings_that_have_nothing_to_do_with_each_other_rank_by_their_excess()
 
 
 def test_of_bands_and_flicker_the_one_that_leaves_more_is_the_cause() -> None:
-    assert order(bands=2.0, flicker=4.0) == ["flicker", "bands"]
-    assert order(bands=2.0, flicker=2.0) == ["bands", "flicker"]
+    assert order(bands=2.0, flicker=9.0) == ["flicker", "bands"]
+    assert order(bands=2.0, flicker=4.0) == ["bands", "flicker"]
+
+
+def test_of_bands_and_motion_the_one_that_leaves_more_is_the_cause() -> None:
+    assert order(bands=8.0, vibration=1.1) == ["bands", "vibration"]
+    assert order(bands=1.4, vibration=1.7) == ["vibration", "bands"]
 
 
 def test_of_bands_and_a_bent_response_the_one_that_leaves_more_is_the_cause() -> None:

@@ -65,3 +65,18 @@ def test_no_more_points_are_counted_than_pixels_that_see_the_fringes(
 def test_a_bench_without_fault_shows_neither_bands_nor_a_scaled_picture() -> None:
     recording = healthy(712).recording()
     assert diagnose_frames(recording, decode(recording)) == ()
+
+
+def test_a_bent_response_shows_no_bands() -> None:
+    """A row of few phases is brighter or darker by harmonics; a row of all phases is not."""
+    assert [one.cause.value for one in of_other(faulty("response", 40)).findings] == ["response"]
+
+
+def test_a_weak_colour_is_told_where_contrast_differs_between_sets() -> None:
+    assert of_other(faulty("missing_colour", 1206)).findings[0].cause == "missing_colour"
+
+
+def test_without_any_light_the_projector_may_be_dark_or_light_another_place() -> None:
+    for cause, seed in (("projector_dark", 1301), ("no_overlap", 1309)):
+        found = [one.cause.value for one in of_other(faulty(cause, seed)).findings]
+        assert found == ["projector_dark", "no_overlap"]

@@ -8,7 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 import pytest
+from pypylon import genicam
 
 from drivers.basler import BaslerCamera
 from drivers.emulators.pylon import EmulatedPylon
@@ -26,6 +28,7 @@ from tests.drivers.basler_bench import (
     Counter,
     assert_disarmed,
     assert_mended,
+    driver,
     end,
 )
 
@@ -207,3 +210,25 @@ def test_unplugged_it_can_be_closed_and_does_not_open(camera: BaslerCamera, benc
     with pytest.raises(DisconnectedError, match="there is none"):
         camera.open()
     assert camera.state is State.CLOSED
+
+
+def test_unplugged_again_and_again_it_leaves_nothing(bench: EmulatedPylon) -> None:
+    camera, held = driver(bench), []
+    for _ in range(3):
+        camera.open()
+        camera.configure(SETTINGS)
+        bench.unplug()
+        with pytest.raises(DisconnectedError):
+            camera.snap()
+        camera.close()
+        bench.plug_in()
+        process = psutil.Process()
+        held.append((process.num_fds(), process.num_threads()))
+    assert held[0] == held[1] == held[2]
+
+
+def test_unplugged_after_it_was_listed(bench: EmulatedPylon) -> None:
+    (found,) = bench.cameras().values()
+    bench.unplug()
+    with pytest.raises(genicam.GenericException):
+        bench.attach(found)

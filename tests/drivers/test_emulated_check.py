@@ -55,6 +55,7 @@ def test_a_sound_bench(folder: Path, rig_on: Callable[..., Rig]) -> None:
         ({"doubled": [4]}, SyncFault(Cause.DOUBLED, 5)),
         pytest.param({"extra": True}, SyncFault(Cause.LATE), marks=SLOW),
         pytest.param({"missed": [0]}, SyncFault(Cause.EARLY), marks=SLOW),
+        ({"missed": [2]}, SyncFault(Cause.MISSED, 2)),
         pytest.param({"missed": [6]}, SyncFault(Cause.MISSED, 6), marks=SLOW),
     ],
 )

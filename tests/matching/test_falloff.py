@@ -8,6 +8,7 @@ import numpy as np
 
 from fpplab.core.conventions import Floats
 from fpplab.matching import light
+from fpplab.matching.record import named_numbers
 from fpplab.matching.steps import FIRST_STEPS, MatchingContext, MatchingStep
 from fpplab.simulation.matchable import TwinParameters
 from tests.matching.test_matching import reference_of, truth
@@ -59,3 +60,9 @@ def test_even_light_has_no_falloff(truth: TwinParameters) -> None:
     proposed, gained = judged_falloff(truth, truth)
     assert gained < 0
     assert max(np.abs(proposed.projector_falloff)) < 0.1
+
+
+def test_numbers_of_a_matching_name_each_coefficient(truth: TwinParameters) -> None:
+    numbers = named_numbers(replace(truth, projector_falloff=FALLEN_OFF))
+    assert tuple(numbers[name] for name in light.FALLOFF) == FALLEN_OFF
+    assert all(value is None or isinstance(value, float) for value in numbers.values()), numbers

@@ -23,8 +23,9 @@ def scales(result: Characterisation) -> tuple[np.ndarray, np.ndarray]:
 
 
 def breathing(amount: float, seed: int) -> list[Observation]:
-    centre, random = CAMERA.matrix[:2, 2], np.random.default_rng(seed)
-    grown = 1.0 + amount * random.standard_normal(9)
+    """Nine poses whose scales have that standard deviation, whatever is drawn."""
+    centre, drawn = CAMERA.matrix[:2, 2], np.random.default_rng(seed).standard_normal(9)
+    grown = 1.0 + amount * (drawn - drawn.mean()) / drawn.std(ddof=1)
     return [
         replace(one, camera_px=centre + (one.camera_px - centre) * by)
         for one, by in zip(seen(9, seed), grown, strict=True)

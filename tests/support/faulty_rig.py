@@ -47,13 +47,13 @@ class FormulaBench:
             place = now.parameters.poses[0]
             moved = place.translation + random.normal(0, now.vibration_mm, 3)
             self._twin = PlaneTwin(replace(now.parameters, poses=(RigidTransform(place.rotation, moved),)))
-        still = np.asarray(self._twin.expected(0, [now.reaching(shown)], settings), np.float64)
+        still = np.asarray(self._twin.expected(0, [now.reaching(shown)], settings)[0], np.float64)
         gain = (1 + now.flicker * random.standard_normal()) * now.of_rows(still.shape[0], random)
         self._now_s += settings.exposure_s + random.uniform(0.01, 0.05)
         turns = now.mains_hz * settings.exposure_s
         gain = gain * (1 + now.mains * np.sinc(turns) * np.cos(2 * np.pi * now.mains_hz * self._now_s))
         still = now.with_bounce(still[None])[0] * settings.exposure_s / now.plan.exposure_s
-        return replace(now, bits=settings.bits).digitised(gain * still, random)[0]
+        return replace(now, bits=settings.bits).digitised((gain * still)[None], random)[0]
 
 
 def drawn(cause: str | None, seed: int) -> Bench:

@@ -41,7 +41,7 @@ KERNELS = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": "+sse2"}
 COMPILED_BY = "tests/drivers/test_three_devices.py"
 """What `test_three.py` does in the guest, on this computer."""
 MEMORY_MB = 1536
-LONGEST_S = 900
+LONGEST_S = 1500
 PASSED, FAILED = 33, 35
 """How QEMU ends when the guest writes 16 or 17 to its exit port."""
 
