@@ -24,7 +24,7 @@ from fpplab.core.conventions import Floats
 from fpplab.core.errors import FppError
 from fpplab.core.geometry import RigidTransform
 from fpplab.devices.rig import Rig
-from fpplab.matching.light import ADJUSTABLE
+from fpplab.matching.light import ADJUSTABLE, FALLOFF
 from fpplab.matching.match import MatchingLimits
 from fpplab.matching.measured import measured_figures
 from fpplab.matching.run import MatchingRequest, MatchingResult, match_sessions, twin_of
@@ -42,8 +42,9 @@ MOST_POSES_UM, LEAST_PARAMETERS = 30.0, 0.95
 NEAR, LEAST_NEAR = 0.10, 0.90
 LEAST_COVERED, MOST_COVERED = 0.90, 0.99
 FIGURES = ("distance_um", "noise_um")
-CONFOUNDED = {"ambient", "white", "paper", "vignetting"}
-"""Parameters that stand for more than the world's own: a second lamp, falloffs, or a product."""
+CONFOUNDED = {"ambient", "white", "paper", "vignetting", *FALLOFF}
+"""Parameters that stand for more than the world's own: a second lamp, falloffs, or a product. The world of a
+hidden bench states no falloff of the projector, which is another formula's."""
 
 
 @dataclass(frozen=True)
@@ -280,6 +281,8 @@ def poses_off_um(found: Sequence[RigidTransform], true: Sequence[RigidTransform]
 def errors_in_sigmas(found: TwinParameters, truth: TwinParameters) -> dict[str, float]:
     """Compare parameters with the truth, in units of their own standard uncertainty.
 
+    Images know the print only relative to its ground, so `ink` is compared as a share of `paper`.
+
     Parameters
     ----------
     found : TwinParameters
@@ -297,6 +300,9 @@ def errors_in_sigmas(found: TwinParameters, truth: TwinParameters) -> dict[str, 
         for name, knob in ADJUSTABLE.items()
         if found.sigma.get(name, 0.0) > 0 and name not in CONFOUNDED
     }
+    if "ink" in errors:
+        as_seen = found.paper * truth.ink / truth.paper
+        errors["ink"] = (found.ink - as_seen) / found.sigma["ink"]
     for name, sigma in (found.calibration.uncertainty.sigma if found.calibration.uncertainty else {}).items():
         here, there = (_parameter(one.calibration, name) for one in (found, truth))
         errors[name] = (here - there) / sigma

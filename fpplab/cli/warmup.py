@@ -1,7 +1,8 @@
 """`python -m fpplab.cli.warmup`: compile the kernels once, so that no measurement waits for it.
 
-A small plane is encoded, decoded, triangulated and compared; numba keeps what it compiled beside
-the sources. The set-up runs this, and after a change of the sources the next measurement does.
+A small plane is encoded, decoded, triangulated and compared, and a measurement is predicted; numba keeps
+what it compiled beside the sources. The set-up runs this, and after a change of the sources the next
+measurement does.
 """
 
 from __future__ import annotations
@@ -22,13 +23,17 @@ from fpplab.core.conventions import (
     raw_dtype,
 )
 from fpplab.core.geometry import Pinhole, RigidTransform
+from fpplab.devices.rig import Rig
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode
+from fpplab.prediction import predict
 from fpplab.reconstruction.points import points_of
 
 DISTANCE_MM = 400.0
 SIZE = 96, 64
+PREDICTED = 2000
+"""Pixels of the prediction, about."""
 
 
 def small_rig() -> Calibration:
@@ -94,6 +99,8 @@ def warm_up() -> int:
     plate = trimesh.creation.box((300.0, 200.0, 10.0))
     plate.apply_translation((0.0, 0.0, DISTANCE_MM + 5.0))
     compare(cloud, plate, rig, density=0.5)
+    with Rig.load("rig_matched") as twin:
+        predict(twin, plan, "pyramid", pixels=PREDICTED)
     return len(cloud)
 
 

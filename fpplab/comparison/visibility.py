@@ -79,7 +79,7 @@ class RayTracedShape:
         Parameters
         ----------
         centre : ndarray of float64
-            Start (3,) of the rays in mm.
+            Start of the rays in mm: (3,) of all, or (N, 3) of each.
         directions : ndarray of float64
             Of the rays, (N, 3).
 

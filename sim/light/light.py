@@ -18,6 +18,7 @@ import logging
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -30,6 +31,7 @@ from sim.light.cache import TableCache, digest
 from sim.light.falloff import projector_falloff
 from sim.light.lens import lens_points
 from sim.light.plane import can_compute, computed
+from sim.light.solid import can_trace, traced
 from sim.light.table import LightTable
 from sim.light.vignetting import vignetting
 from sim.scene import COLOURS, Effort, PatternRender, RenderScene, SubpixelView
@@ -187,7 +189,7 @@ class Light:
     ) -> PatternLevels:
         """Compute what `irradiance` gives at some pixels only, under several patterns.
 
-        Where light is computed it is traced for these pixels alone; a rendered table is looked up at them.
+        What is computed, and matt bodies, are traced for these pixels alone; a rendered table is looked up.
 
         Parameters
         ----------
@@ -214,13 +216,14 @@ class Light:
         return seen if self._falloff is None else seen * self._falloff[pixels]
 
     def _table_at(self, setup: Setup, pixels: PixelIndices) -> LightTable:
-        if not self.computes(setup):
+        (_, scene, _), views = self._built(setup), self._views(setup)
+        if self.computes(setup):
+            make = partial(computed, scene, views, spots=True, pixels=pixels)
+        elif can_trace(scene):
+            make = partial(traced, scene, views, pixels)
+        else:
             return self.table(setup).at(pixels)
-        _, scene, _ = self._built(setup)
-        views = self._views(setup)
-        return self._tables.get(
-            digest(scene, views, pixels), lambda: computed(scene, views, spots=True, pixels=pixels)
-        )
+        return self._tables.get(digest(scene, views, pixels), make)
 
     def computes(self, setup: Setup) -> bool:
         """Tell whether the item's light is computed, without a render.

@@ -26,18 +26,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.core.conventions import Floats, PixelIndices
-from fpplab.core.geometry import Pinhole, RigidTransform, distort
+from fpplab.core.geometry import Pinhole, RigidTransform
+from sim.light.rays import cell_noise, distorted, undistorted
 from sim.light.table import Irradiance, LightTable, circle_level
 from sim.scene import Paint, RenderScene, SubpixelView, Surface
 
-NEWTON_STEPS = 20
-"""Greatest number of steps of Newton's method for a ray."""
 SPOT_SIZES = 4
 """Sizes of spots for which the print is blurred beforehand; others are interpolated."""
 RIM_SIGMAS = 4.0
 """Margin of the blurred print beyond the item's edges, in standard deviations of the blur."""
-CONVERGED = 1e-20
-"""Square of a step in slopes below which Newton's method ends; far below what a pixel can resolve."""
 
 
 def can_compute(scene: RenderScene) -> bool:
@@ -242,66 +239,6 @@ def _reflectance(surface: Surface) -> Irradiance:
     return np.asarray(paint.ink + (paint.reflectance - paint.ink) * share, np.float32)
 
 
-_distort = numba.njit(inline="always")(distort)
-
-
-@numba.njit(cache=True, inline="always")
-def _undistorted(xd: float, yd: float, lens: Floats, reach: float) -> tuple[float, float]:
-    """Undistort a ray by Newton's method; a step beyond the distortion model's reach is halved."""
-    x, y, x0, y0 = xd, yd, 0.0, 0.0
-    for _ in range(NEWTON_STEPS):
-        if x * x + y * y >= reach * reach:
-            x, y = 0.5 * (x + x0), 0.5 * (y + y0)
-            continue
-        x0, y0 = x, y
-        bent_x, bent_y, xx, xy, yy = _distort(x, y, lens)
-        off_x, off_y = xd - bent_x, yd - bent_y
-        determinant = xx * yy - xy * xy
-        step_x, step_y = (yy * off_x - xy * off_y) / determinant, (xx * off_y - xy * off_x) / determinant
-        x, y = x + step_x, y + step_y
-        if step_x * step_x + step_y * step_y < CONVERGED:
-            break
-    return x, y
-
-
-@numba.njit(cache=True)
-def _rotated(x: np.uint32, bits: int) -> np.uint32:
-    return np.uint32((x << np.uint32(bits)) | (x >> np.uint32(32 - bits)))
-
-
-@numba.njit(cache=True)
-def cell_noise(column: int, row: int) -> float:
-    """Reproduce `cellnoise` of Open Shading Language at whole numbers.
-
-    Parameters
-    ----------
-    column : int
-        First coordinate.
-    row : int
-        Second coordinate.
-
-    Returns
-    -------
-    float
-        Pseudo-random, 0 to 1.
-
-    References
-    ----------
-    Jenkins's hash of both (lookup3).
-    """
-    a = b = c = np.uint32((0xDEADBEEF + (2 << 2) + 13) & 0xFFFFFFFF)
-    b = np.uint32(b + np.uint32(row & 0xFFFFFFFF))
-    a = np.uint32(a + np.uint32(column & 0xFFFFFFFF))
-    c = np.uint32((c ^ b) - _rotated(b, 14))
-    a = np.uint32((a ^ c) - _rotated(c, 11))
-    b = np.uint32((b ^ a) - _rotated(a, 25))
-    c = np.uint32((c ^ b) - _rotated(b, 16))
-    a = np.uint32((a ^ c) - _rotated(c, 4))
-    b = np.uint32((b ^ a) - _rotated(a, 14))
-    c = np.uint32((c ^ b) - _rotated(b, 24))
-    return float(np.float32(c) * np.float32(1.0 / 4294967295.0))
-
-
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 def _trace(
     columns: NDArray[np.intp],
@@ -354,7 +291,7 @@ def _trace(
             if circle != 0:
                 reached = radius * _opened(circle, len(views), variance)
         for k in range(len(views)):
-            x, y = _undistorted(
+            x, y = undistorted(
                 (u + views[k, 0] - matrix[0, 2]) / matrix[0, 0],
                 (v + views[k, 1] - matrix[1, 2]) / matrix[1, 1],
                 lens,
@@ -389,7 +326,7 @@ def _trace(
             away = np.sqrt(qx * qx + qy * qy + qz * qz)
             if start * lamp[2] <= 0 or qz <= cosine * away or grey <= 0:
                 continue
-            xd, yd, _, _, _ = _distort(qx / qz, qy / qz, lamp_lens)
+            xd, yd, _, _, _ = distorted(qx / qz, qy / qz, lamp_lens)
             sample = samples[k, i]
             sample[0] = to_texel[0, 0] * xd + to_texel[0, 1] * yd + to_texel[0, 2]
             sample[1] = to_texel[1, 0] * xd + to_texel[1, 1] * yd + to_texel[1, 2]

@@ -55,6 +55,16 @@ def test_parameters_are_judged_by_their_own_uncertainty() -> None:
     assert errors_in_sigmas(found, truth) == pytest.approx(wanted)
 
 
+def test_what_images_do_not_tell_is_not_judged() -> None:
+    """The scale of print and ground together, and a falloff that no world states."""
+    truth = nominal(tilted(2))
+    known = replace(truth, paper=1.1 * truth.paper, ink=1.1 * truth.ink, projector_falloff=(0.1, 0, 0, 0, 0))
+    sigma = {"ink": 0.004, "paper": 0.001, "falloff_x": 0.01}
+    assert errors_in_sigmas(replace(known, sigma=sigma), truth) == pytest.approx({"ink": 0.0})
+    darker = replace(known, ink=known.ink - 0.008, sigma=sigma)
+    assert errors_in_sigmas(darker, truth) == pytest.approx({"ink": -2.0})
+
+
 def prediction(value: float) -> Prediction:
     known = {
         "distance_um": FigureInterval(value, 0.9 * value, 1.1 * value),

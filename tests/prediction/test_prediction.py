@@ -13,7 +13,7 @@ from fpplab.core.errors import ConfigError
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import make_patterns
-from fpplab.patterns.plan import Plan
+from fpplab.patterns.plan import FilterRules, Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
 from fpplab.prediction import Discrepancy, MeasuredFigures, figures_of, predict
@@ -30,14 +30,24 @@ ITEM = "steps"
 @pytest.fixture(scope="module")
 def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
     """The virtual bench of the demonstration, at an eighth of the sensor's pixels along each side."""
-    folder = tmp_path_factory.mktemp("rig")
-    found = config.find_config("rig_demo", "rig")
+    with Rig.load(changed("rig_demo", tmp_path_factory.mktemp("rig"), binning=8, subpixels=2)) as opened:
+        yield opened
+
+
+@pytest.fixture(scope="module")
+def vibrating(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
+    """A matched twin, whose lenses blur and whose items vibrate."""
+    with Rig.load(changed("rig_matched", tmp_path_factory.mktemp("matched"), subpixels=2)) as opened:
+        yield opened
+
+
+def changed(name: str, folder: Path, **bench: int) -> Path:
+    found = config.find_config(name, "rig")
     data = config.parse_yaml(config.read_text(found), found)
-    data["bench"] |= {"binning": 8, "subpixels": 2}
+    data["bench"] |= bench
     path = folder / "rig.yaml"
     path.write_text(config.to_yaml(data))
-    with Rig.load(path) as opened:
-        yield opened
+    return path
 
 
 def measured(rig: Rig, plan: Plan, item: str) -> MeasuredFigures:
@@ -67,6 +77,25 @@ def test_a_prediction_is_that_of_a_whole_synthesis(rig: Rig) -> None:
     assert found.figures["seconds"].value == plan_seconds(rig, PLAN)
     assert found.images == 12
     assert found.discrepancy is None
+
+
+@pytest.mark.slow
+def test_a_prediction_of_a_vibrating_twin_is_that_of_a_whole_synthesis(vibrating: Rig) -> None:
+    """Traced in a sample of rows, beside whole frames that are rendered, each with its own displacement."""
+    plan = PLAN.model_copy(update={"filter": FilterRules()})  # keeps single gross errors out of the mean
+    found, whole = predict(vibrating, plan, "pyramid"), measured(vibrating, plan, "pyramid")
+    assert found.figures["distance_um"].value == pytest.approx(whole.distance_um, rel=0.03)
+    assert found.figures["noise_um"].value == pytest.approx(whole.noise_um, rel=0.03)
+    assert found.figures["completeness"].value == pytest.approx(whole.completeness, rel=0.03)
+
+
+def test_a_prediction_of_matt_parts_renders_nothing(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    def render(*_: object) -> None:
+        raise AssertionError("a picture is rendered")
+
+    monkeypatch.setattr("sim.worker.Blender.render", render)
+    found = predict(rig, PLAN, "pillars", pixels=4_000)
+    assert found.figures["completeness"].value > 0.5
 
 
 def test_rows_are_those_of_whole_frames(rig: Rig) -> None:

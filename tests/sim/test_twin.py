@@ -112,7 +112,10 @@ def test_expected_at_some_pixels_agrees_with_the_whole_image(ambient: float) -> 
 
 
 def test_rendered_light_at_some_pixels_agrees_with_the_whole_image(blender: Blender) -> None:
-    of = _bent()
+    """Of a part that is not traced, for its gloss."""
+    data = _bent().model_dump(mode="json")
+    data["material"] = {"kind": "glossy", "reflectance": 0.9, "gloss": 0.04, "gloss_roughness": 0.5}
+    of = config.validate(data, World, "test")
     light, size = Light(of, blender, analytic=True), of.projector.size
     patterns = tuple(uniform_patterns([255, 64], size))
     pixels = np.arange(40, 80), np.arange(90, 130)

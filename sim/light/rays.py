@@ -1,0 +1,89 @@
+"""Rays of the camera shader `sim/blender/camera.osl`, in double precision."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from fpplab.core.conventions import Floats
+from fpplab.core.geometry import distort
+
+NEWTON_STEPS = 20
+"""Greatest number of steps of Newton's method for a ray."""
+CONVERGED = 1e-20
+"""Square of a step in slopes below which Newton's method ends; far below what a pixel can resolve."""
+
+distorted = numba.njit(inline="always")(distort)
+"""`distort`, to be compiled into a caller's loop."""
+
+
+@numba.njit(cache=True, inline="always")
+def undistorted(xd: float, yd: float, lens: Floats, reach: float) -> tuple[float, float]:
+    """Undistort a ray by Newton's method; a step beyond the distortion model's reach is halved.
+
+    Parameters
+    ----------
+    xd, yd : float
+        Distorted slopes.
+    lens : Floats
+        OpenCV's coefficients (8,).
+    reach : float
+        Greatest slope at which the model is monotonous.
+
+    Returns
+    -------
+    tuple of float
+        Undistorted slopes.
+    """
+    x, y, x0, y0 = xd, yd, 0.0, 0.0
+    for _ in range(NEWTON_STEPS):
+        if x * x + y * y >= reach * reach:
+            x, y = 0.5 * (x + x0), 0.5 * (y + y0)
+            continue
+        x0, y0 = x, y
+        bent_x, bent_y, xx, xy, yy = distorted(x, y, lens)
+        off_x, off_y = xd - bent_x, yd - bent_y
+        determinant = xx * yy - xy * xy
+        step_x, step_y = (yy * off_x - xy * off_y) / determinant, (xx * off_y - xy * off_x) / determinant
+        x, y = x + step_x, y + step_y
+        if step_x * step_x + step_y * step_y < CONVERGED:
+            break
+    return x, y
+
+
+@numba.njit(cache=True)
+def _rotated(x: np.uint32, bits: int) -> np.uint32:
+    return np.uint32((x << np.uint32(bits)) | (x >> np.uint32(32 - bits)))
+
+
+@numba.njit(cache=True)
+def cell_noise(column: int, row: int) -> float:
+    """Reproduce `cellnoise` of Open Shading Language at whole numbers.
+
+    Parameters
+    ----------
+    column : int
+        First coordinate.
+    row : int
+        Second coordinate.
+
+    Returns
+    -------
+    float
+        Pseudo-random, 0 to 1.
+
+    References
+    ----------
+    Jenkins's hash of both (lookup3).
+    """
+    a = b = c = np.uint32((0xDEADBEEF + (2 << 2) + 13) & 0xFFFFFFFF)
+    b = np.uint32(b + np.uint32(row & 0xFFFFFFFF))
+    a = np.uint32(a + np.uint32(column & 0xFFFFFFFF))
+    c = np.uint32((c ^ b) - _rotated(b, 14))
+    a = np.uint32((a ^ c) - _rotated(c, 11))
+    b = np.uint32((b ^ a) - _rotated(a, 25))
+    c = np.uint32((c ^ b) - _rotated(b, 16))
+    a = np.uint32((a ^ c) - _rotated(c, 4))
+    b = np.uint32((b ^ a) - _rotated(a, 14))
+    c = np.uint32((c ^ b) - _rotated(b, 24))
+    return float(np.float32(c) * np.float32(1.0 / 4294967295.0))

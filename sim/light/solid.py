@@ -1,0 +1,200 @@
+"""Direct light on matt bodies by ray tracing, for some pixels alone: as Blender renders it.
+
+Every sample is Blender's own: the same points of pixel and lens, and the same turn of the lens in every
+pixel, by the rays of `sim.light.rays`. Which triangle is seen is found by Embree, where by the triangle's
+plane, in double precision. With the unit normal n of the triangle and depth z before the lamp, the law of
+`sim.light.plane` reads
+
+    E = D² |n · (lamp - point)| / z³
+
+where camera and lamp are on the same side of the triangle and nothing is between lamp and point.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numba
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from fpplab.comparison.visibility import RayTracedShape
+from fpplab.core.conventions import Floats, PixelIndices
+from fpplab.core.geometry import Pinhole
+from sim.light.rays import cell_noise, undistorted
+from sim.light.table import Irradiance, LightTable
+from sim.scene import ALBEDO, CHANNELS, DIRECT, Paint, RenderScene, SubpixelView, X, Y, Z
+
+
+def can_trace(scene: RenderScene) -> bool:
+    """Tell whether a scene can be traced: bodies of one evenly matt paint each, without relief or print.
+
+    Parameters
+    ----------
+    scene : RenderScene
+        Camera, lamp and surfaces.
+
+    Returns
+    -------
+    bool
+        Whether `traced` takes it.
+    """
+    return all(one.picture is None and one.paint == Paint(one.paint.reflectance) for one in scene.surfaces)
+
+
+def traced(scene: RenderScene, views: list[SubpixelView], pixels: PixelIndices) -> LightTable:
+    """Trace the table that a survey of this scene gives, see `LightTable.of`, for some pixels.
+
+    Parameters
+    ----------
+    scene : RenderScene
+        One for which `can_trace` is true.
+    views : list of SubpixelView
+        Points of the pixels and of the lens.
+    pixels : PixelIndices
+        Rows and columns of P pixels of the image.
+
+    Returns
+    -------
+    LightTable
+        Of one row of P pixels.
+    """
+    (left, top, right, bottom), (row, column) = scene.window, pixels
+    drawn = np.flatnonzero((row >= top) & (row < bottom) & (column >= left) & (column < right))
+    bodies = _Bodies(scene)
+    survey = np.zeros((len(views), 1, len(row), CHANNELS), np.float32)
+    for view, of_view in zip(views, survey[:, 0], strict=True):
+        bodies.seen_through(view, row[drawn], column[drawn], drawn, of_view)
+    return LightTable.of(survey, replace(scene, window=(0, 0, len(row), 1)))
+
+
+class _Bodies:
+    """All surfaces of a scene as triangles in the camera's frame."""
+
+    def __init__(self, scene: RenderScene) -> None:
+        self._scene = scene
+        placed = [
+            trimesh.Trimesh(one.vertices, one.faces, process=False).apply_transform(one.T_camera_item)
+            for one in scene.surfaces
+        ]
+        whole = trimesh.util.concatenate(placed)
+        assert isinstance(whole, trimesh.Trimesh)
+        self._shape = RayTracedShape(whole)
+        self._reflectance = np.repeat(
+            [one.paint.reflectance for one in scene.surfaces], [len(one.faces) for one in scene.surfaces]
+        )
+
+    def seen_through(
+        self,
+        view: SubpixelView,
+        rows: NDArray[np.intp],
+        columns: NDArray[np.intp],
+        places: NDArray[np.intp],
+        survey: Irradiance,
+    ) -> None:
+        """Fill in the channels (P, CHANNELS) of pixels, which have these places in `survey`."""
+        scene, shape = self._scene, self._shape
+        camera, lamp = scene.camera, scene.lamp
+        starts, directions = np.empty((len(rows), 3)), np.empty((len(rows), 3))
+        _rays(
+            columns,
+            rows,
+            camera.size[1],
+            np.array([*view.shift, *view.lens], np.float64),
+            camera.matrix,
+            camera.distortion,
+            Pinhole(camera.size, camera.matrix, camera.distortion).reach,
+            0.5 * scene.aperture.diameter_mm,
+            scene.aperture.focus_mm,
+            starts,
+            directions,
+        )
+        faces = shape.first_face(starts, directions)
+        hit = np.flatnonzero(faces >= 0)
+        faces, places = faces[hit], places[hit]
+        centre = lamp.T_camera_projector[:3, 3]
+        points, direct = np.empty((len(hit), 3)), np.empty(len(hit))
+        _meet(
+            starts[hit],
+            directions[hit],
+            shape.triangles[faces, 0],
+            shape.normals[faces],
+            self._reflectance[faces],
+            centre,
+            lamp.T_camera_projector[:3, 2],
+            np.cos(lamp.half_angle),
+            lamp.distance_mm,
+            points,
+            direct,
+        )
+        lit = np.flatnonzero(direct)
+        direct[lit] *= shape.unoccluded(centre, points[lit])
+        survey[places, X], survey[places, Y], survey[places, Z] = points.T
+        survey[places, DIRECT] = direct
+        survey[places, ALBEDO] = self._reflectance[faces]
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy")
+def _rays(
+    columns: NDArray[np.intp],
+    rows: NDArray[np.intp],
+    height: int,
+    view: Floats,
+    matrix: Floats,
+    lens: Floats,
+    reach: float,
+    radius: float,
+    focus: float,
+    starts: Floats,
+    directions: Floats,
+) -> None:
+    """Compute where the rays of pixels begin and lead to; view: shift u, v and lens x, y."""
+    for i in numba.prange(len(rows)):
+        u, v = columns[i], rows[i]
+        x, y = undistorted(
+            (u + view[0] - matrix[0, 2]) / matrix[0, 0],
+            (v + view[1] - matrix[1, 2]) / matrix[1, 1],
+            lens,
+            reach,
+        )
+        ox, oy = 0.0, 0.0
+        if radius > 0:
+            turn = 2 * np.pi * cell_noise(u, height - 1 - v)
+            # The shader's y points up.
+            ox = radius * (view[2] * np.cos(turn) - view[3] * np.sin(turn))
+            oy = -radius * (view[2] * np.sin(turn) + view[3] * np.cos(turn))
+        starts[i, 0], starts[i, 1], starts[i, 2] = ox, oy, 0.0
+        dx, dy = x - ox / focus, y - oy / focus
+        length = np.sqrt(dx * dx + dy * dy + 1.0)
+        directions[i, 0], directions[i, 1], directions[i, 2] = dx / length, dy / length, 1.0 / length
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy")
+def _meet(
+    starts: Floats,
+    directions: Floats,
+    corners: Floats,
+    normals: Floats,
+    reflectance: Floats,
+    lamp: Floats,
+    axis: Floats,
+    cosine: float,
+    distance: float,
+    points: Floats,
+    direct: Floats,
+) -> None:
+    """Compute where rays meet the planes of their triangles, and the white light there without shadows."""
+    for i in numba.prange(len(starts)):
+        ahead, fall, facing, z, away = 0.0, 0.0, 0.0, 0.0, 0.0
+        for k in range(3):
+            ahead += normals[i, k] * (corners[i, k] - starts[i, k])
+            fall += normals[i, k] * directions[i, k]
+        for k in range(3):
+            points[i, k] = starts[i, k] + ahead / fall * directions[i, k]
+            towards = points[i, k] - lamp[k]
+            facing += normals[i, k] * towards
+            z += axis[k] * towards
+            away += towards * towards
+        lit = facing * fall > 0 and z > cosine * np.sqrt(away)
+        direct[i] = reflectance[i] * distance * distance * abs(facing) / (z * z * z) if lit else 0.0
