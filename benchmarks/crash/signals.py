@@ -7,6 +7,7 @@ import re
 import signal
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -49,6 +50,11 @@ def signal_programs(campaign: Campaign) -> None:
     campaign : Campaign
         Which, and how often.
     """
+    with _heard_by_children():
+        _interrupt_each(campaign)
+
+
+def _interrupt_each(campaign: Campaign) -> None:
     for program, left in campaign.due(INTERRUPTS):
         seconds = run_until(program, campaign.folder, place_of(campaign.folder, program, "timed")).seconds
         first = len(campaign.record.of(INTERRUPTS, program.name))
@@ -64,7 +70,24 @@ def signal_programs(campaign: Campaign) -> None:
             seconds *= 1.02 if ended.disturbed else 0.9
             took = round(time.monotonic() - begun, 2)
             campaign.record.add(CrashCase(INTERRUPTS, program.name, number, 1, took, failures))
-        print(f"{program.name}: interrupted {first + left} times", flush=True)
+        done = len(campaign.record.of(INTERRUPTS, program.name))
+        print(f"{program.name}: interrupted {done} times", flush=True)
+
+
+@contextmanager
+def _heard_by_children() -> Iterator[None]:
+    """Have programs hear signals that this process ignores, in the background or under `nohup`.
+
+    They would inherit that, and fpplab leaves alone what it is told to ignore. A handler is not inherited.
+    """
+    ignored = [number for number in SIGNALS if signal.getsignal(number) is signal.SIG_IGN]
+    for number in ignored:
+        signal.signal(number, lambda *_: None)
+    try:
+        yield
+    finally:
+        for number in ignored:
+            signal.signal(number, signal.SIG_IGN)
 
 
 def _interrupt(

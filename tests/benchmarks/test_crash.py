@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import signal
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +15,7 @@ from benchmarks.crash.bench import bench_is_safe
 from benchmarks.crash.content import content_of, timeless
 from benchmarks.crash.programs import IMPORT, SCAN, SCAN_EMULATED, EndedRun
 from benchmarks.crash.record import Campaign, CrashCase, CrashRecord
-from benchmarks.crash.signals import AFTER, BEFORE, EARLY_TRACE, WRONG_CODE, _complaints
+from benchmarks.crash.signals import AFTER, BEFORE, EARLY_TRACE, WRONG_CODE, _complaints, _heard_by_children
 from fpplab.sessions.session import Session
 from tests.support.recorded import record
 
@@ -65,6 +67,18 @@ def test_a_signal_that_is_swallowed_is_noticed() -> None:
     assert [kind for kind, _ in _complaints(ended, signal.SIGINT, "x")] == [WRONG_CODE]
     assert list(_complaints(replace(ended, after_s=0.01), signal.SIGINT, "x")) == []
     assert list(_complaints(replace(ended, code=130), signal.SIGINT, "x")) == []
+
+
+def test_programs_hear_what_the_benchmark_ignores_in_the_background() -> None:
+    code = "import signal; print(signal.getsignal(signal.SIGHUP) is signal.SIG_DFL)"
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with _heard_by_children():
+            done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+        assert done.stdout == "True\n"
+        assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)
 
 
 def test_who_dies_before_the_first_line_may_not_have_left_anything() -> None:
