@@ -23,7 +23,7 @@ ARGUMENTS = ["--seed", "600", "--count", "1", "--causes", "small_angle,no_permis
 def test_more_than_the_faults_asked_for_are_judged_on_seeds_of_their_own() -> None:
     assert len(JUDGES) >= 24
     assert Selection() == Selection(JUDGING_SEED, COUNT, ())
-    assert (JUDGING_SEED, COUNT) == (1200, 10)
+    assert (JUDGING_SEED, COUNT) == (1400, 10)
 
 
 def test_a_cause_that_there_is_not_is_refused() -> None:

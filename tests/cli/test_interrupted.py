@@ -45,6 +45,7 @@ def test_a_signal_at_any_moment_of_a_short_command() -> None:
 
 LOADING = """
 import os, signal, sys
+signal.signal(signal.{number}, signal.SIG_DFL)  # it is ignored where the tests run in the background
 sys.argv = ["fpplab", "plan", "--help"{more}]
 class Hit:
     def find_spec(self, name, path=None, target=None):
