@@ -169,9 +169,9 @@ def test_where_there_is_a_display_a_window_is_opened(tmp_path: Path) -> None:
                 assert program.stdout.readline() == "window\n"
                 started = psutil.Process(program.pid).children(recursive=True)
                 next(one for one in started if one.name() == "rerun").kill()  # as closing the window ends it
-                psutil.wait_procs([one for one in started if one.name() == "rerun"], timeout=10)
+                psutil.wait_procs([one for one in started if one.name() == "rerun"], timeout=60)
                 host = next(one for one in started if any("host.py" in word for word in one.cmdline()))
-                psutil.wait_procs([host], timeout=10)
+                psutil.wait_procs([host], timeout=60)
                 program.stdin.write("x")
                 program.stdin.close()
                 assert program.stdout.readline().startswith("True")
