@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fpplab.core.conventions import Floats
 from fpplab.diagnosis.catalogue import FaultCause, Finding
-from fpplab.diagnosis.fringe_shape import MOST_UNEVEN
+from fpplab.diagnosis.fringe_shape import MOST_UNEVEN, unevenness
 from fpplab.diagnosis.sample import FrameSample
 
 COLOURS = 3
@@ -38,8 +38,8 @@ MOST_BANDS = 0.01
 FEWEST_IN_ROW, FEWEST_ROWS = 20, 40
 """Fewest measured pixels of a row, and fewest rows, from which bands are concluded."""
 
-MOST_ROWS = 0.9
-"""Share of the rows over which the phases of a set are spread, if it tells bands from harmonics."""
+LEAST_ROWS = 0.9
+"""Least share of the rows over which the phases of a set are spread, if it tells bands from harmonics."""
 
 HARMONICS = (2, 3, 4)
 """Harmonics of the response that residuals of single frames are freed from, rising."""
@@ -177,14 +177,8 @@ def _along_rows(sample: FrameSample, rows: NDArray[np.intp]) -> list[int]:
     Where a row has few phases, harmonics of the response change its brightness from frame to frame too.
     """
     used = sample.measured[rows]
-    count = used.sum(axis=1)
-    found = []
-    for k, fit in enumerate(sample.fits):
-        turn = np.where(used, np.exp(1j * fit.phase[rows]), 0.0)
-        uneven = np.max([np.abs((turn**m).sum(axis=1)) / count for m in (1, 2, 3)], axis=0)
-        if np.mean(uneven < MOST_UNEVEN) >= MOST_ROWS:
-            found.append(k)
-    return found
+    spread = [unevenness(fit.phase[rows], used) < MOST_UNEVEN for fit in sample.fits]
+    return [k for k, even in enumerate(spread) if np.mean(even) >= LEAST_ROWS]
 
 
 def _from_frames(sample: FrameSample, rows: NDArray[np.intp], sets: Sequence[int]) -> list[Floats]:

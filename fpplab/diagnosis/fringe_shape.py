@@ -50,6 +50,25 @@ MOIRE_POINTS = 60_000
 """Most coordinates that a moiré is looked for in."""
 
 
+def unevenness(phase: Floats, used: Mask) -> Floats:
+    """Measure how unevenly phases are spread over a period.
+
+    Parameters
+    ----------
+    phase : ndarray of float64, (..., P)
+        In rad.
+    used : ndarray of bool, (..., P)
+        Which of them count; at least one in each row.
+
+    Returns
+    -------
+    ndarray of float64, (...)
+        Greatest ``|mean exp(imφ)|`` of m = 1, 2 and 3: 0 for an even spread, 1 for a single phase.
+    """
+    turns = (np.where(used, np.exp(1j * m * phase), 0.0) for m in (1, 2, 3))
+    return np.asarray(np.max([np.abs(turn.sum(axis=-1)) / used.sum(axis=-1) for turn in turns], axis=0))
+
+
 def phase_deviations(sample: FrameSample) -> Iterator[tuple[int, Floats, Floats]]:
     """Compare the phases of wide sets with those that the coordinate gives, in which the finest set rules.
 
@@ -212,10 +231,6 @@ def moire_spectrum(sample: FrameSample, axis: Axis) -> tuple[Floats, Floats] | N
     size = axis_length(sample.recording.projector_size, axis)
     sets = [one.stripes / size for one in sample.recording.plan.fringes if one.axis == axis]
     fine = [own for own in sets if own >= 0.02]
-    finest = max(sets) if max(sets) * span >= FEWEST_FRINGES else MOIRE_CYCLES[1]
-    # All harmonics of coarse fringes lie among the frequencies of a moiré, too close together to be left out.
-    told = [m * own for own in fine for m in range(1, FRINGE_ORDERS + 1)]
-    told = told or [m * finest for m in range(1, int(MOIRE_CYCLES[1] / finest) + 1)]
     for own in fine:
         cycles = cycles[np.abs(cycles / own - np.rint(cycles / own)) * own > OFF_CYCLES]
     if len(cycles) == 0:
@@ -224,14 +239,24 @@ def moire_spectrum(sample: FrameSample, axis: Axis) -> tuple[Floats, Floats] | N
     count = np.bincount(bins)
     total = np.asarray(np.bincount(bins, rough), np.float64)
     places = np.arange(len(total)) / 4.0
-    total = total - count * _of_fringes(places, total, count, told)
+    total = total - count * _of_fringes(places, total, count, _harmonics(sets, fine, span))
     sums = np.exp(-1j * TWO_PI * np.outer(cycles, places)) @ total
     return cycles, np.asarray(2.0 * np.abs(sums) / count.sum())
 
 
-def _of_fringes(places: Floats, total: Floats, count: NDArray[np.intp], told: list[float]) -> Floats:
+def _harmonics(sets: list[float], fine: list[float], span: float) -> list[float]:
+    """Cycles per px of harmonics that are told from a moiré by a fit.
+
+    All those of coarse fringes lie among its frequencies, too close together to be left out.
+    """
+    cycles = [m * own for own in fine for m in range(1, FRINGE_ORDERS + 1)]
+    if not fine and (finest := max(sets)) * span >= FEWEST_FRINGES:
+        cycles = [m * finest for m in range(1, int(MOIRE_CYCLES[1] / finest) + 1)]
+    return [one for one in cycles if one < MOIRE_CYCLES[1]]
+
+
+def _of_fringes(places: Floats, total: Floats, count: NDArray[np.intp], cycles: list[float]) -> Floats:
     """What harmonics of the fringes explain: of a short span they leak into other frequencies."""
-    cycles = [one for one in told if one < MOIRE_CYCLES[1]]
     if not cycles:
         return np.zeros(len(places))
     angles = TWO_PI * np.outer(places, cycles)

@@ -16,7 +16,7 @@ from fpplab.diagnosis.brightness import (
     missing_colour,
 )
 from fpplab.diagnosis.catalogue import FaultCause, Finding
-from fpplab.diagnosis.fringe_shape import LEAST_RIPPLED, MOST_UNEVEN, moire, ripples, stray_light
+from fpplab.diagnosis.fringe_shape import LEAST_RIPPLED, MOST_UNEVEN, moire, ripples, stray_light, unevenness
 from fpplab.diagnosis.sample import FrameSample
 from fpplab.phase.quality import phase_uncertainty
 
@@ -260,8 +260,7 @@ def _gains_left(sample: FrameSample, k: int) -> Floats | None:
     used = np.flatnonzero(sample.measured)
     used = used[:: max(1, len(used) // GAIN_PIXELS)]
     offset, modulation, phase = (part.ravel()[used] for part in (fit.offset, fit.modulation, fit.phase))
-    uneven = [np.abs(np.mean(np.exp(1j * m * phase))) > MOST_UNEVEN for m in (1, 2, 3)]
-    if len(phase) < LEAST_RIPPLED or any(uneven):
+    if len(phase) < LEAST_RIPPLED or unevenness(phase, np.full(phase.shape, True)) > MOST_UNEVEN:
         return None
     frames = sample.spread[plan.set_starts[k] : plan.set_starts[k + 1]]
     images = frames.reshape(len(frames), -1)[:, used]

@@ -112,7 +112,7 @@ class ParametersFile(Document):
 
 _WHOLE = ("calibration", "poses", "response", "placed", "sigma")
 PLAIN = tuple(name for name in ParametersFile.model_fields if name not in _WHOLE)
-"""Names of the parameters that are numbers, or few numbers."""
+"""Names of the parameters that are numbers, or tuples of numbers."""
 
 
 def named_numbers(parameters: TwinParameters) -> dict[str, float | None]:

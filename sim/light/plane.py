@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from fpplab.core.conventions import Floats, PixelIndices
 from fpplab.core.geometry import Pinhole, RigidTransform
-from sim.light.rays import cell_noise, distorted, undistorted
+from sim.light.rays import distorted, lens_turn, on_lens, slopes_at
 from sim.light.table import Irradiance, LightTable, circle_level
 from sim.scene import Paint, RenderScene, SubpixelView, Surface
 
@@ -281,8 +281,7 @@ def _trace(
         u, v = columns[i], rows[i]
         sine, turned = 0.0, 1.0
         if radius > 0 and len(variances) == 1:
-            turn = 2 * np.pi * cell_noise(u, height - 1 - v)
-            sine, turned = np.sin(turn), np.cos(turn)
+            sine, turned = lens_turn(u, v, height)
         reached = radius
         if radius > 0 and len(variances) > 1 and len(views) > 1:
             x, y = (u - matrix[0, 2]) / matrix[0, 0], (v - matrix[1, 2]) / matrix[1, 1]
@@ -291,15 +290,8 @@ def _trace(
             if circle != 0:
                 reached = radius * _opened(circle, len(views), variance)
         for k in range(len(views)):
-            x, y = undistorted(
-                (u + views[k, 0] - matrix[0, 2]) / matrix[0, 0],
-                (v + views[k, 1] - matrix[1, 2]) / matrix[1, 1],
-                lens,
-                reach,
-            )
-            # The shader's y points up.
-            ox = reached * (views[k, 2] * turned - views[k, 3] * sine)
-            oy = -reached * (views[k, 2] * sine + views[k, 3] * turned)
+            x, y = slopes_at(u + views[k, 0], v + views[k, 1], matrix, lens, reach)
+            ox, oy = on_lens(reached, views[k, 2], views[k, 3], sine, turned)
             dx, dy, dz = x - ox / focus, y - oy / focus, 1.0
             start = R[2, 0] * ox + R[2, 1] * oy + t[2]
             fall = -(R[2, 0] * dx + R[2, 1] * dy + R[2, 2] * dz)

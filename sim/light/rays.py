@@ -51,6 +51,27 @@ def undistorted(xd: float, yd: float, lens: Floats, reach: float) -> tuple[float
     return x, y
 
 
+@numba.njit(cache=True, inline="always")
+def slopes_at(u: float, v: float, matrix: Floats, lens: Floats, reach: float) -> tuple[float, float]:
+    """Compute the slopes of the ray from the middle of the lens.
+
+    Parameters
+    ----------
+    u, v : float
+        Place in the image in px.
+    matrix : Floats
+        Camera matrix (3, 3).
+    lens, reach : Floats, float
+        As of `undistorted`.
+
+    Returns
+    -------
+    tuple of float
+        x/z and y/z in the camera's frame.
+    """
+    return undistorted((u - matrix[0, 2]) / matrix[0, 0], (v - matrix[1, 2]) / matrix[1, 1], lens, reach)
+
+
 @numba.njit(cache=True)
 def _rotated(x: np.uint32, bits: int) -> np.uint32:
     return np.uint32((x << np.uint32(bits)) | (x >> np.uint32(32 - bits)))
@@ -87,3 +108,44 @@ def cell_noise(column: int, row: int) -> float:
     b = np.uint32((b ^ a) - _rotated(a, 14))
     c = np.uint32((c ^ b) - _rotated(b, 24))
     return float(np.float32(c) * np.float32(1.0 / 4294967295.0))
+
+
+@numba.njit(cache=True, inline="always")
+def lens_turn(column: int, row: int, height: int) -> tuple[float, float]:
+    """Compute by how much the points of the lens are turned in a pixel.
+
+    Parameters
+    ----------
+    column, row : int
+        Of the pixel.
+    height : int
+        Rows of the image; the shader counts them from below.
+
+    Returns
+    -------
+    tuple of float
+        Sine and cosine of the angle.
+    """
+    turn = 2 * np.pi * cell_noise(column, height - 1 - row)
+    return np.sin(turn), np.cos(turn)
+
+
+@numba.njit(cache=True, inline="always")
+def on_lens(radius: float, x: float, y: float, sine: float, cosine: float) -> tuple[float, float]:
+    """Compute where a ray begins on the lens.
+
+    Parameters
+    ----------
+    radius : float
+        Of the aperture in mm.
+    x, y : float
+        Point of the unit disc, y up as in the shader.
+    sine, cosine : float
+        Of the turn.
+
+    Returns
+    -------
+    tuple of float
+        x and y in mm in the camera's frame, y down.
+    """
+    return radius * (x * cosine - y * sine), -radius * (x * sine + y * cosine)

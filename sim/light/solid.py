@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from fpplab.comparison.visibility import RayTracedShape
 from fpplab.core.conventions import Floats, PixelIndices
 from fpplab.core.geometry import Pinhole
-from sim.light.rays import cell_noise, undistorted
+from sim.light.rays import lens_turn, on_lens, slopes_at
 from sim.light.table import Irradiance, LightTable
 from sim.scene import ALBEDO, CHANNELS, DIRECT, Paint, RenderScene, SubpixelView, X, Y, Z
 
@@ -73,7 +73,8 @@ class _Bodies:
     """All surfaces of a scene as triangles in the camera's frame."""
 
     def __init__(self, scene: RenderScene) -> None:
-        self._scene = scene
+        self._scene, camera = scene, scene.camera
+        self._reach = Pinhole(camera.size, camera.matrix, camera.distortion).reach
         placed = [
             trimesh.Trimesh(one.vertices, one.faces, process=False).apply_transform(one.T_camera_item)
             for one in scene.surfaces
@@ -104,7 +105,7 @@ class _Bodies:
             np.array([*view.shift, *view.lens], np.float64),
             camera.matrix,
             camera.distortion,
-            Pinhole(camera.size, camera.matrix, camera.distortion).reach,
+            self._reach,
             0.5 * scene.aperture.diameter_mm,
             scene.aperture.focus_mm,
             starts,
@@ -152,18 +153,11 @@ def _rays(
     """Compute where the rays of pixels begin and lead to; view: shift u, v and lens x, y."""
     for i in numba.prange(len(rows)):
         u, v = columns[i], rows[i]
-        x, y = undistorted(
-            (u + view[0] - matrix[0, 2]) / matrix[0, 0],
-            (v + view[1] - matrix[1, 2]) / matrix[1, 1],
-            lens,
-            reach,
-        )
+        x, y = slopes_at(u + view[0], v + view[1], matrix, lens, reach)
         ox, oy = 0.0, 0.0
         if radius > 0:
-            turn = 2 * np.pi * cell_noise(u, height - 1 - v)
-            # The shader's y points up.
-            ox = radius * (view[2] * np.cos(turn) - view[3] * np.sin(turn))
-            oy = -radius * (view[2] * np.sin(turn) + view[3] * np.cos(turn))
+            sine, cosine = lens_turn(u, v, height)
+            ox, oy = on_lens(radius, view[2], view[3], sine, cosine)
         starts[i, 0], starts[i, 1], starts[i, 2] = ox, oy, 0.0
         dx, dy = x - ox / focus, y - oy / focus
         length = np.sqrt(dx * dx + dy * dy + 1.0)

@@ -6,10 +6,12 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pytest
 
 from drivers.basler import BaslerCamera
 from drivers.emulators.pylon import EmulatedCamera, EmulatedPylon
 from fpplab.core.conventions import Image, raw_dtype
+from fpplab.core.errors import DisconnectedError
 from fpplab.devices import CameraSettings, Frame, State
 
 SERIAL = "0815-0000"
@@ -50,6 +52,18 @@ def shade(frame: Frame) -> int:
 def assert_disarmed(camera: BaslerCamera) -> None:
     assert camera.state is State.FAULT
     assert not end(camera).IsGrabbing()
+
+
+def unplug_once(camera: BaslerCamera, bench: EmulatedPylon) -> None:
+    """Use a closed camera, pull its cable out while it is open, and plug it in again."""
+    camera.open()
+    camera.configure(SETTINGS)
+    camera.snap()
+    bench.unplug()
+    with pytest.raises(DisconnectedError):
+        camera.snap()
+    camera.close()
+    bench.plug_in()
 
 
 def assert_mended(camera: BaslerCamera, bench: EmulatedPylon, scene: Counter) -> None:

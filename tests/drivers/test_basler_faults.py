@@ -30,6 +30,7 @@ from tests.drivers.basler_bench import (
     assert_mended,
     driver,
     end,
+    unplug_once,
 )
 
 # Time-outs
@@ -215,13 +216,7 @@ def test_unplugged_it_can_be_closed_and_does_not_open(camera: BaslerCamera, benc
 def test_unplugged_again_and_again_it_leaves_nothing(bench: EmulatedPylon) -> None:
     camera, held = driver(bench), []
     for _ in range(3):
-        camera.open()
-        camera.configure(SETTINGS)
-        bench.unplug()
-        with pytest.raises(DisconnectedError):
-            camera.snap()
-        camera.close()
-        bench.plug_in()
+        unplug_once(camera, bench)
         process = psutil.Process()
         held.append((process.num_fds(), process.num_threads()))
     assert held[0] == held[1] == held[2]

@@ -28,6 +28,14 @@ projector: {backend: "sim.devices:SimProjector"}
 fixture: {backend: "sim.devices:SimFixture"}
 """
 """A rig file that stands beside the file of `write_world`."""
+OTHER_MATERIALS: tuple[dict[str, Any], ...] = (
+    {"roughness": 0.3},
+    {"kind": "glossy"},
+    {"kind": "translucent"},
+    {"ridges": {"depth_mm": 0.1}},
+    {"grain": {"slope": 0.1}},
+)
+"""Changes of a material after which light on it is not traced: it is not evenly matt."""
 
 
 def plain(**changes: Any) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from sim.scene import SubpixelView
 from sim.worker import Blender
 from sim.world import World
 from sim.world.render import shifts
-from tests.sim.conftest import plain, world
+from tests.sim.conftest import OTHER_MATERIALS, plain, world
 from tests.sim.raycaster import Caster, Plane
 
 PLAN = Plan(fringes=tuple(Sinusoid(axis="x", stripes=s, steps=3) for s in (1, 64)))
@@ -148,16 +148,7 @@ def test_a_white_surface_that_faces_the_projector_has_irradiance_1() -> None:
     np.testing.assert_allclose(shade[shade > 0], 1.0, rtol=1e-6)
 
 
-@pytest.mark.parametrize(
-    "material",
-    [
-        {"roughness": 0.3},
-        {"kind": "glossy"},
-        {"kind": "translucent"},
-        {"ridges": {"depth_mm": 0.1}},
-        {"grain": {"slope": 0.1}},
-    ],
-)
+@pytest.mark.parametrize("material", OTHER_MATERIALS)
 def test_other_materials_are_left_to_blender(material: dict[str, Any]) -> None:
     assert not can_compute(build_scene(world(material=material), Setup("card"))[0])
 

@@ -18,7 +18,7 @@ from sim.scene import SubpixelView
 from sim.worker import Blender
 from sim.world import World
 from sim.world.render import shifts
-from tests.sim.conftest import plain, world
+from tests.sim.conftest import OTHER_MATERIALS, plain, world
 
 PLAN = Plan(fringes=tuple(Sinusoid(axis="x", stripes=s, steps=3) for s in (1, 64)))
 SIZE = [384, 256]
@@ -100,16 +100,7 @@ def test_no_pixel_is_seen_outside_the_window() -> None:
     assert table.samples[:, 0, inside, 3].any()
 
 
-@pytest.mark.parametrize(
-    "material",
-    [
-        {"roughness": 0.3},
-        {"kind": "glossy"},
-        {"kind": "translucent"},
-        {"ridges": {"depth_mm": 0.1}},
-        {"grain": {"slope": 0.1}},
-    ],
-)
+@pytest.mark.parametrize("material", OTHER_MATERIALS)
 def test_other_materials_are_left_to_blender(material: dict[str, Any]) -> None:
     assert not can_trace(build_scene(world(material=material), Setup("pillars"))[0])
 

@@ -9,13 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from drivers.basler import BaslerCamera
 from drivers.emulators.pylon import EmulatedPylon
 from fpplab.acquisition.acquire import acquire
 from fpplab.core.errors import DeviceError, DisconnectedError
 from fpplab.phase import decode
 from fpplab.sessions.session import Session
-from tests.drivers.basler_bench import SETTINGS, Counter, driver
+from tests.drivers.basler_bench import Counter, driver, unplug_once
 from tests.drivers.dlp4500.test_faults import Trial
 from tests.drivers.emulated_rig import PLAN, burn, rig_file
 from tests.drivers.grbl_stage import Bench
@@ -49,7 +48,7 @@ def plug_cycles(folder: Path, count: int) -> Iterator[None]:
         for number in range(count):
             _unplug_projector(folder / f"projector_{number}")
             _unplug_stage()
-            _unplug_camera(camera, bench)
+            unplug_once(camera, bench)
             yield
     finally:
         bench.close()
@@ -76,14 +75,3 @@ def _unplug_stage() -> None:
         time.sleep(SEEN_S)
         with pytest.raises(DisconnectedError):
             stage.move_to(6.0, 30.0)
-
-
-def _unplug_camera(camera: BaslerCamera, bench: EmulatedPylon) -> None:
-    camera.open()
-    camera.configure(SETTINGS)
-    camera.snap()
-    bench.unplug()
-    with pytest.raises(DisconnectedError):
-        camera.snap()
-    camera.close()
-    bench.plug_in()

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from multiprocessing.managers import BaseManager
 
 from drivers.clock import RealClock
+from drivers.dlp4500.framing import UsbMessage
 from drivers.emulators.dlpc350 import STRICT, Dlpc350, EmulatedHid, ProjectedLight, Pulse, UsbFault
 from drivers.emulators.dlpc350.usbip import UsbIpAttachment
 from fpplab.core import config
@@ -18,6 +19,19 @@ from tests.conformance.dlp4500 import flash, shown
 
 ADDRESS = "/run/projector"
 MOST_PULSES = 10_000
+
+
+class Controller(Dlpc350):
+    """Counts its commands; one that is repeated at once is a program that waits, and counts once."""
+
+    commands = 0
+    _last = b""
+
+    def answer(self, message: UsbMessage) -> UsbMessage | None:
+        """Count and carry out a message."""
+        self.commands += message.payload != self._last
+        self._last = message.payload
+        return super().answer(message)
 
 
 class Projector:
@@ -29,7 +43,7 @@ class Projector:
     def __init__(self) -> None:
         images, self._index = flash()
         self._caught: deque[ProjectedLight | None] = deque(maxlen=MOST_PULSES)
-        self._controller = Dlpc350(RealClock(), images, STRICT, self._pulsed)
+        self._controller = Controller(RealClock(), images, STRICT, self._pulsed)
         self._hid = EmulatedHid(self._controller)
         self._cable = UsbIpAttachment(self._hid)
 
@@ -56,10 +70,10 @@ class Projector:
         with self._cable.lock:
             self._hid.faults = {self._hid.requests + ahead: fault for ahead, fault in faults.items()}
 
-    def requests(self) -> int:
-        """Number of requests so far."""
+    def commands(self) -> int:
+        """Number of commands so far, without repetitions."""
         with self._cable.lock:
-            return self._hid.requests
+            return self._controller.commands
 
     def lit(self) -> Pattern | None:
         """The pattern that is shown at this moment."""
