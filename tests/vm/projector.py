@@ -8,9 +8,10 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping
 from multiprocessing.managers import BaseManager
+from typing import Any
 
 from drivers.clock import RealClock
-from drivers.dlp4500.framing import UsbMessage
+from drivers.dlp4500.framing import READ, UsbMessage
 from drivers.emulators.dlpc350 import STRICT, Dlpc350, EmulatedHid, ProjectedLight, Pulse, UsbFault
 from drivers.emulators.dlpc350.usbip import UsbIpAttachment
 from fpplab.core import config
@@ -22,15 +23,18 @@ MOST_PULSES = 10_000
 
 
 class Controller(Dlpc350):
-    """Counts its commands; one that is repeated at once is a program that waits, and counts once."""
+    """Counts its commands, and reads that are repeated once: a program waits as long as the guest is slow."""
 
-    commands = 0
-    _last = b""
+    def __init__(self, *words: Any) -> None:
+        super().__init__(*words)
+        self.commands = 0
+        self._read: set[bytes] = set()
 
     def answer(self, message: UsbMessage) -> UsbMessage | None:
         """Count and carry out a message."""
-        self.commands += message.payload != self._last
-        self._last = message.payload
+        self.commands += message.payload not in self._read
+        if message.flags & READ:
+            self._read.add(message.payload)
         return super().answer(message)
 
 
@@ -71,7 +75,7 @@ class Projector:
             self._hid.faults = {self._hid.requests + ahead: fault for ahead, fault in faults.items()}
 
     def commands(self) -> int:
-        """Number of commands so far, without repetitions."""
+        """Number of commands so far, repeated reads once."""
         with self._cable.lock:
             return self._controller.commands
 
