@@ -62,6 +62,19 @@ def test_a_draw_is_the_same_twice_and_has_as_many_of_each_area() -> None:
     assert [m.name for m in drawn] != [m.name for m in draw(ROOT, 2, 2, ("core", "sessions"))]
 
 
+def test_what_is_drawn_stays_drawn_while_other_code_changes(tmp_path: Path) -> None:
+    folder = tmp_path / "fpplab" / "core"
+    folder.mkdir(parents=True)
+    lines = [f"    {name} = {name} + 1" for name in "abcdefghij"]
+    (folder / "m.py").write_text("\n".join(["def old():", *lines]))
+    before = [m.name for m in draw(tmp_path, 6, 1, ("core",))]
+    (folder / "m.py").write_text("\n".join(["def new():", *lines, "def old():", *lines]))
+    after = [m.name for m in draw(tmp_path, 6, 1, ("core",))]
+    kept = [name for name in after if " old: " in name]
+    assert 0 < len(kept) < 6
+    assert kept == before[: len(kept)]
+
+
 def test_named_faults_are_of_today_s_sources() -> None:
     for mutant, tests in named(ROOT).items():
         for file, _, function in (test.partition("::") for test in tests):
