@@ -170,6 +170,18 @@ def test_a_default_argument_is_judged_by_who_calls_its_function(tmp_path: Path) 
     assert set(Chooser(tmp_path, known).tests_for(fault)) == {"t.py::first", "t.py::calls"}
 
 
+def test_tests_of_the_module_come_before_those_of_the_package_and_others() -> None:
+    mutant = next(m for m in mutants(ROOT, "sim/light/plane.py"))
+    seconds = {
+        "tests/cli/test_a.py::a": 1.0,
+        "tests/sim/test_b.py::b": 2.0,
+        "tests/sim/test_plane.py::c": 3.0,
+    }
+    known = CoverageMap({mutant.file: {mutant.line: list(seconds)}}, seconds)
+    assert Chooser(ROOT, known).tests_for(mutant) == list(reversed(seconds))
+    assert Chooser(ROOT, known, seconds=5.0).tests_for(mutant) == list(reversed(seconds))[:2]
+
+
 @pytest.mark.slow
 def test_a_fault_is_killed_a_harmless_one_survives_and_the_copy_is_mended(tmp_path: Path) -> None:
     file, test = "fpplab/core/strict_json.py", "tests/core/test_reading.py::test_json_of_an_object_is_one"
