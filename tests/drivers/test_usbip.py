@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import queue
 import socket
 import struct
 from collections.abc import Iterator
@@ -12,7 +13,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from drivers.clock import SteppedClock
+from drivers.clock import RealClock, SteppedClock
 from drivers.dlp4500 import Dlp4500
 from drivers.dlp4500.framing import READ, REPLY_WANTED, join_reports, make_request
 from drivers.dlp4500.protocol import VERSION
@@ -218,6 +219,34 @@ def test_the_kernel_does_not_take_the_cable(
     near, far = socket.socketpair()
     with near, far, pytest.raises(DeviceError, match=words):
         usbip.attach(far)
+
+
+def product_asked_by(cable: socket.socket) -> int:
+    """The product number in the device descriptor, over the kernel's end of a cable."""
+    cable.settimeout(20.0)
+    setup = struct.pack("<BBHHH", 0x80, 6, 0x0100, 0, 18)
+    cable.sendall(struct.pack(">5I", SUBMIT, 1, 1, IN, 0) + struct.pack(">Iiiii", 0, 18, 0, 0, 0) + setup)
+    answer = cable.recv(48 + 18, socket.MSG_WAITALL)
+    return int(struct.unpack_from("<H", answer, 48 + 10)[0])
+
+
+def test_a_device_that_left_the_bus_comes_back_over_another_cable(monkeypatch: pytest.MonkeyPatch) -> None:
+    cables: queue.Queue[socket.socket] = queue.Queue()
+    monkeypatch.setattr(usbip, "attach", lambda cable: cables.put(cable.dup()))
+    hid = EmulatedHid(Dlpc350(RealClock(), []))
+    with UsbIpAttachment(hid) as attached:
+        with cables.get(timeout=20.0) as first:
+            assert product_asked_by(first) == 0x6401
+            with attached.lock:
+                hid.unplug()
+            assert first.recv(1) == b""
+        assert cables.empty()
+        with attached.lock:
+            hid.plug()
+        second = cables.get(timeout=20.0)
+        assert product_asked_by(second) == 0x6401
+    with second:
+        assert second.recv(1) == b""
 
 
 def test_firmware_is_for_the_projector_alone() -> None:
