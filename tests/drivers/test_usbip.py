@@ -120,6 +120,27 @@ def test_the_descriptors_of_the_configuration_fit_into_each_other(kernel: Kernel
     assert kinds == [2, 4, 0x21, 5, 5, 4, 0x21, 5, 5]
 
 
+@pytest.mark.parametrize(("kind", "value"), [(1, 0x0100), (3, 0x0300), (3, 0x0301), (3, 0x0302), (3, 0x0303)])
+def test_a_descriptor_begins_with_its_length_and_kind(kernel: Kernel, kind: int, value: int) -> None:
+    found = kernel.ask(0x80, 6, value)
+    assert found is not None
+    assert tuple(found[:2]) == (len(found), kind)
+
+
+def test_interfaces_and_endpoints_are_those_of_two_human_interface_devices(kernel: Kernel) -> None:
+    """By the tables of chapter 9 of the USB specification: class 3, interrupt endpoints of 64 bytes."""
+    rest = kernel.ask(0x80, 6, 0x0200)
+    interfaces, endpoints = [], []
+    while rest:
+        if rest[1] == 4:
+            interfaces.append(tuple(rest[2:9]))
+        elif rest[1] == 5:
+            endpoints.append(struct.unpack("<BBHB", rest[2:7]))
+        rest = rest[rest[0] :]
+    assert interfaces == [(n, 0, 2, 3, 0, 0, 0) for n in (0, 1)], "each with its first setting alone"
+    assert endpoints == [(address, 3, 64, 1) for address in (0x81, 0x01, 0x82, 0x02)]
+
+
 @pytest.mark.parametrize(("kind", "what", "value"), [(0x80, 6, 0x0600), (0x80, 8, 0), (0xA1, 1, 0x0100)])
 def test_what_it_does_not_know_is_refused(kernel: Kernel, kind: int, what: int, value: int) -> None:
     assert kernel.ask(kind, what, value) is None
