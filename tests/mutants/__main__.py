@@ -48,7 +48,8 @@ def main(words: list[str]) -> int:
         coverage_map.make(asked.map, asked.record or ["tests"], asked.workers)
     by_name = named(ROOT)
     first = {mutant.name: tests for mutant, tests in by_name.items()}
-    chooser = Chooser(ROOT, coverage_map.load(asked.map), first=first)
+    known = coverage_map.without_gone(coverage_map.load(asked.map), ["tests"])
+    chooser = Chooser(ROOT, known, first=first)
     drawn = draw(ROOT, asked.each, asked.seed, tuple(asked.area or AREAS))
     every = [*by_name, *drawn][: asked.most]
     record = TrialRecord(asked.map / "trials.jsonl", 60 * asked.minutes)

@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 
 from fpplab.core.journals import append_line, cut_torn_line, whole_lines
-from tests.mutants.judge import KILLED, Trial, Verdict
+from tests.mutants.judge import KILLED, Trial, Verdict, failed_test
 from tests.mutants.seeding import Mutant
 from tests.mutants.tree import ROOT
 
@@ -64,7 +64,7 @@ class TrialRecord:
 
 def test_of(trial: Trial) -> str:
     """The test that killed a fault; empty where something else ended it."""
-    return trial.evidence.partition(" ")[2] if trial.verdict is Verdict.KILLED else ""
+    return failed_test(trial.evidence) if trial.verdict is Verdict.KILLED else ""
 
 
 def _sum(file: str) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import cast
 
 import pytest
@@ -13,9 +14,10 @@ import yaml
 from tests.mutants.__main__ import EQUIVALENT, _without_false_kills, explained
 from tests.mutants.areas import AREAS, draw, files_of, named
 from tests.mutants.choice import Chooser, importers
-from tests.mutants.coverage_map import CoverageMap
+from tests.mutants.coverage_map import CoverageMap, without_gone
 from tests.mutants.judge import Bench, Trial, Verdict
 from tests.mutants.record import TrialRecord
+from tests.mutants.record import test_of as killer_of
 from tests.mutants.seeding import mutants
 from tests.mutants.tree import ROOT, copy_tree
 
@@ -115,6 +117,47 @@ class SoundBench:
     def run(self, tests: list[str], limit: float) -> str:
         failed = [f for f in self.failing if any(f == test or f.startswith(f"{test}::") for test in tests)]
         return f"FAILED {failed[0]}" if failed else ""
+
+
+class CrashingBench(Bench):
+    """Tests end by other means than a failure: on the fault alone, or on the unharmed sources too."""
+
+    def __init__(self, tree: Path, chooser: Chooser, endings: list[str]) -> None:
+        super().__init__(tree, chooser)
+        self.endings = endings
+
+    def run(self, tests: list[str], limit: float) -> str:
+        return self.endings.pop(0)
+
+
+@pytest.mark.parametrize(
+    ("endings", "verdict"),
+    [
+        (["Fatal Python error: Segmentation fault", ""], Verdict.KILLED),
+        (["ERROR: not found: tests/a.py::gone", "ERROR: not found: tests/a.py::gone"], Verdict.UNDECIDED),
+        (["ERROR tests/a.py"], Verdict.KILLED),
+        (["FAILED tests/a.py::test[a b]"], Verdict.KILLED),
+        ([""], Verdict.SURVIVED),
+    ],
+)
+def test_an_ending_that_names_no_test_is_compared_with_the_unharmed_sources(
+    tmp_path: Path, endings: list[str], verdict: Verdict
+) -> None:
+    mutant = next(iter(named(ROOT)))
+    (tmp_path / mutant.file).parent.mkdir(parents=True)
+    (tmp_path / mutant.file).write_bytes((ROOT / mutant.file).read_bytes())
+    chooser = SimpleNamespace(tests_for=lambda _: ["tests/a.py::a"], seconds_of=lambda _: 1.0)
+    trial = CrashingBench(tmp_path, cast(Chooser, chooser), endings).try_fault(mutant)
+    assert (trial.verdict, endings) == (verdict, [])
+    assert killer_of(trial) == (trial.evidence.partition(" ")[2] if " tests/" in trial.evidence[:13] else "")
+
+
+@pytest.mark.slow
+def test_tests_that_are_gone_are_not_chosen() -> None:
+    here = "tests/mutants/test_mutants.py::test_modules_that_import_another"
+    known = CoverageMap({"a.py": {1: [here, f"{here}_one"]}}, {here: 1.0, f"{here}_one": 1.0})
+    left = without_gone(known, [here.partition("::")[0]])
+    assert (left.lines, left.seconds) == ({"a.py": {1: [here]}}, {here: 1.0})
 
 
 class EmptyBench(SoundBench):
