@@ -47,15 +47,19 @@ class CoverageMap:
         return {test for line in lines for test in known.get(line, ())}
 
 
-def without_gone(known: CoverageMap, tests: list[str], root: Path = ROOT) -> CoverageMap:
-    """Leave out tests that are no longer there, which would end a run as a failure does."""
+def collected(tests: list[str], root: Path = ROOT) -> set[str]:
+    """The quick tests that there are."""
     command = [sys.executable, "-m", "pytest", *tests, "-m", "not slow", "--collect-only", "-q"]
     command += ["-p", "no:cacheprovider"]
     environment = {**os.environ, "PYTHONPATH": str(root)}
     done = subprocess.run(command, cwd=root, env=environment, capture_output=True, text=True, check=False)
     if done.returncode:
         raise SystemExit(f"the tests cannot be collected:\n{done.stdout}")
-    there = set(done.stdout.splitlines())
+    return set(done.stdout.splitlines())
+
+
+def without_gone(known: CoverageMap, there: set[str]) -> CoverageMap:
+    """Leave out tests that are no longer there, which would end a run as a failure does."""
     return CoverageMap(
         {
             f: {n: [t for t in of if t in there] for n, of in lines.items()}

@@ -14,7 +14,7 @@ import yaml
 from tests.mutants.__main__ import EQUIVALENT, _without_false_kills, explained
 from tests.mutants.areas import AREAS, draw, files_of, named
 from tests.mutants.choice import Chooser, importers
-from tests.mutants.coverage_map import CoverageMap, without_gone
+from tests.mutants.coverage_map import CoverageMap, collected, without_gone
 from tests.mutants.judge import Bench, Trial, Verdict
 from tests.mutants.record import TrialRecord
 from tests.mutants.record import test_of as killer_of
@@ -87,25 +87,29 @@ def test_named_faults_are_of_today_s_sources() -> None:
         assert ast.dump(ast.parse(mutant.seeded(source))) != ast.dump(ast.parse(source))
 
 
+THERE = {"tests/a.py::test_b"}
+
+
 def test_what_is_killed_is_not_tried_again(tmp_path: Path) -> None:
     killed, survivor, hung = list(named(ROOT))[:3]
     path = tmp_path / "map" / "trials.jsonl"
-    record = TrialRecord(path)
+    record = TrialRecord(path, THERE)
     record.add(killed, Trial(killed.name, Verdict.KILLED, "FAILED tests/a.py::test_b"))
     record.add(survivor, Trial(survivor.name, Verdict.SURVIVED, "3 tests"))
     record.add(hung, Trial(hung.name, Verdict.HUNG, "after 9 s"))
     with path.open("a") as stream:
         stream.write('{"name": "torn')
-    later = TrialRecord(path, seconds=0.0)
+    later = TrialRecord(path, THERE, seconds=0.0)
     assert not later.has_time
     assert [later.known(mutant) is not None for mutant in (killed, survivor, hung)] == [True, False, True]
     assert later.passing == set()
     later.confirm(killed, Trial(killed.name, Verdict.KILLED, "FAILED tests/a.py::test_b"))
     later.confirm(hung, Trial(hung.name, Verdict.UNDECIDED, "it hangs without the fault too"))
-    last = TrialRecord(path)
+    last = TrialRecord(path, THERE)
     assert last.passing == {"tests/a.py::test_b"}
     assert [last.known(mutant) is not None for mutant in (killed, hung)] == [True, False]
     assert last.known(replace(killed, file="fpplab/core/units.py")) is None, "another source"
+    assert TrialRecord(path, {"tests/a.py::test_c"}).known(killed) is None, "its test is gone"
 
 
 class SoundBench:
@@ -156,7 +160,7 @@ def test_an_ending_that_names_no_test_is_compared_with_the_unharmed_sources(
 def test_tests_that_are_gone_are_not_chosen() -> None:
     here = "tests/mutants/test_mutants.py::test_modules_that_import_another"
     known = CoverageMap({"a.py": {1: [here, f"{here}_one"]}}, {here: 1.0, f"{here}_one": 1.0})
-    left = without_gone(known, [here.partition("::")[0]])
+    left = without_gone(known, collected([here.partition("::")[0]]))
     assert (left.lines, left.seconds) == ({"a.py": {1: [here]}}, {here: 1.0})
 
 
@@ -176,7 +180,7 @@ def test_a_kill_by_what_fails_anyway_proves_nothing(tmp_path: Path) -> None:
     }
     judged = [(mutant, Trial(mutant.name, Verdict.KILLED, words)) for mutant, words in killers.items()]
     bench = SoundBench(["tests/a.py::test_a", "tests/b.py::test_of_it"])
-    trials = _without_false_kills(judged, TrialRecord(tmp_path / "trials.jsonl"), cast(Bench, bench))
+    trials = _without_false_kills(judged, TrialRecord(tmp_path / "trials.jsonl", set()), cast(Bench, bench))
     assert [t.verdict for t in trials] == [Verdict.UNDECIDED, Verdict.UNDECIDED, Verdict.KILLED]
 
 
@@ -185,7 +189,7 @@ def test_tests_that_do_not_run_are_no_verdict(tmp_path: Path) -> None:
     bench = EmptyBench([])
     judged = [(mutant, Trial(mutant.name, Verdict.KILLED, "FAILED tests/a.py::test_a"))]
     with pytest.raises(SystemExit, match="no tests ran"):
-        _without_false_kills(judged, TrialRecord(tmp_path / "trials.jsonl"), cast(Bench, bench))
+        _without_false_kills(judged, TrialRecord(tmp_path / "trials.jsonl", set()), cast(Bench, bench))
 
 
 def test_explanations_are_of_faults_that_exist() -> None:
