@@ -9,11 +9,13 @@ import numpy as np
 
 from fpplab.core.conventions import Floats
 from fpplab.core.geometry import Pinhole, RigidTransform
-from sim.items import item_poses, item_shape, item_surface
+from sim.items import item_poses, item_shape, item_surface, rim_surface
 from sim.scene import Aperture, Lamp, PinholeOptics, RenderScene, Surface
 from sim.texture import MirrorTexture
 from sim.world import World
 
+NOTHING = "nothing"
+"""What the empty fixture holds."""
 CIRCLE_STEP_TEXELS, CIRCLE_RATIO = 0.75, 1.3
 """Spacing of the circles of confusion that textures are made for: so many texels, or this factor if more."""
 
@@ -38,7 +40,7 @@ class Setup:
         Turn of the projector towards the camera, in degrees.
     """
 
-    item: str = "nothing"
+    item: str = NOTHING
     pose: int = 0
     stage_mm: float = 0.0
     vibration_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -61,7 +63,9 @@ class Setup:
         return world.T_projector_camera(self.stage_mm, self.convergence_deg)
 
 
-def build_scene(world: World, setup: Setup) -> tuple[RenderScene, MirrorTexture]:
+def build_scene(
+    world: World, setup: Setup, around: Surface | None = None
+) -> tuple[RenderScene, MirrorTexture]:
     """Build the scene with the mounted item in its pose.
 
     Parameters
@@ -69,7 +73,9 @@ def build_scene(world: World, setup: Setup) -> tuple[RenderScene, MirrorTexture]
     world : World
         Devices and items.
     setup : Setup
-        State of the moving parts; its item is not "nothing".
+        State of the moving parts; its item is not "nothing", unless there are surroundings.
+    around : Surface, optional
+        Of the surroundings, where they are to be in the scene too.
 
     Returns
     -------
@@ -83,13 +89,66 @@ def build_scene(world: World, setup: Setup) -> tuple[RenderScene, MirrorTexture]
     ConfigError
         The item cannot be made.
     """
+    surfaces = _mounted(world, setup)
+    if around is not None:
+        surfaces = (*surfaces, *_frame(world, setup), around)
+    return _scene(world, setup, surfaces, np.concatenate([_bounding_box(one) for one in surfaces]))
+
+
+def build_background(world: World, setup: Setup, around: Surface) -> tuple[RenderScene, MirrorTexture]:
+    """Build the scene in which the surroundings are seen behind the mounted item and in its shadow.
+
+    Parameters
+    ----------
+    world : World
+        Devices and items.
+    setup : Setup
+        State of the moving parts. Vibration is left out: it hardly moves a shadow.
+    around : Surface
+        Of the surroundings.
+
+    Returns
+    -------
+    scene : RenderScene
+        The surroundings are its first surface, and determine its window.
+    texture : MirrorTexture
+        The texture of the scene's lamp.
+
+    Raises
+    ------
+    ConfigError
+        The item cannot be made.
+    """
+    at_rest = replace(setup, vibration_mm=(0.0, 0.0, 0.0))
+    surfaces = (around, *_mounted(world, at_rest), *_frame(world, at_rest))
+    return _scene(world, setup, surfaces, _bounding_box(around))
+
+
+def _mounted(world: World, setup: Setup) -> tuple[Surface, ...]:
+    """The mounted item in its pose."""
+    return () if setup.item == NOTHING else (item_surface(world, setup.item, _pose(world, setup)),)
+
+
+def _frame(world: World, setup: Setup) -> tuple[Surface, ...]:
+    """The frame of a mounted board that has one."""
+    rim = None if setup.item == NOTHING else rim_surface(world, setup.item, _pose(world, setup))
+    return () if rim is None else (rim,)
+
+
+def _pose(world: World, setup: Setup) -> RigidTransform:
     held = setup.held or item_poses(world, setup.item)[setup.pose]
-    surface = item_surface(world, setup.item, held.moved(np.array(setup.vibration_mm)))
-    box, camera = _bounding_box(surface), world.camera_model()
+    return held.moved(np.array(setup.vibration_mm))
+
+
+def _scene(
+    world: World, setup: Setup, surfaces: tuple[Surface, ...], box: Floats
+) -> tuple[RenderScene, MirrorTexture]:
+    """Build a scene whose window and textures suffice for a box, (N, 3) in the camera's frame."""
+    camera = world.camera_model()
     aperture = Aperture(world.camera.aperture_mm, world.camera.focus_mm or 1.0)
     lamp, texture = _lamp(world, setup.T_projector_camera(world), box)
     window = _window(camera, aperture, box)
-    return RenderScene(_optics(camera), aperture, lamp, (surface,), window), texture
+    return RenderScene(_optics(camera), aperture, lamp, surfaces, window), texture
 
 
 def is_lit_in_view(world: World, setup: Setup) -> bool:

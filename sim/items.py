@@ -24,6 +24,8 @@ from sim.poses import board_poses, plate_corners
 from sim.scene import Paint, Surface
 from sim.world import ArtefactItem, BoardItem, CardItem, MeshItem, PoseRules, World
 
+RIM_BEHIND_MM = 0.1
+"""Distance of a board's frame behind its print."""
 PRINT_PX_PER_MM = (4.0, 32.0)
 """Least and greatest resolution of a board's picture."""
 
@@ -181,6 +183,36 @@ def item_surface(world: World, name: str, pose: RigidTransform) -> Surface:
         printed = Paint(target.background, ink=target.foreground)
         return Surface(vertices, faces, pose.matrix, printed, picture, _PLATE_UV)
     return Surface(vertices, faces, pose.matrix, world.material_of(name).paint())
+
+
+def rim_surface(world: World, name: str, pose: RigidTransform) -> Surface | None:
+    """Make the black frame of a board: a plate just behind it, of which the rim is seen.
+
+    Parameters
+    ----------
+    world : World
+        Devices and items.
+    name : str
+        Name of the item.
+    pose : RigidTransform
+        T_camera_item in mm.
+
+    Returns
+    -------
+    Surface or None
+        None for what has no frame.
+
+    Raises
+    ------
+    ConfigError
+        There is no such item, or its target file cannot be read.
+    """
+    item = world.item(name)
+    if not isinstance(item, BoardItem) or not item.rim_mm:
+        return None
+    width, height = board_target(name, item).size_mm
+    corners = plate_corners((width + 2 * item.rim_mm, height + 2 * item.rim_mm))
+    return Surface(corners + [0.0, 0.0, RIM_BEHIND_MM], _PLATE, pose.matrix, Paint(0.0))
 
 
 @lru_cache(maxsize=64)

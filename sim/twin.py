@@ -25,11 +25,13 @@ from fpplab.core.geometry import RigidTransform
 from fpplab.devices import CameraSettings
 from fpplab.patterns.fringes import Pattern
 from fpplab.simulation.matchable import ExpectedLevels, TwinParameters
+from fpplab.simulation.surroundings import Surroundings
 from fpplab.targets import Target
 from sim.build import Setup
 from sim.items import board_target, item_poses, part_mesh
 from sim.light import Light, PatternLevels, Show
 from sim.sensor import SensorModel
+from sim.surroundings import as_surface, save_surroundings
 from sim.vibration import displaced, with_vibration
 from sim.worker import Blender
 from sim.world import BoardItem, World
@@ -64,6 +66,7 @@ class SimTwin:
         self._world = _world_of(nominal, board, self._parameters)
         self._light = Light(self._world, blender, analytic=True)
         self._next_frame, self._settings = 0, CameraSettings(1.0)
+        self._surroundings: Surroundings | None = None
 
     @property
     def parameters(self) -> TwinParameters:
@@ -98,8 +101,10 @@ class SimTwin:
         ConfigError
             No world can have these parameters.
         """
-        world = _world_of(self._nominal, self._board, parameters)
-        light = Light(world, self._blender, analytic=True)
+        found = self._surroundings
+        world = _world_of(self._nominal, self._board, parameters, found.rim_mm if found else None)
+        around = None if found is None else as_surface(found, world.camera_model())
+        light = Light(world, self._blender, analytic=True, around=around)
         light.inherit(self._light)
         self._parameters, self._world, self._light = parameters, world, light
 
@@ -277,6 +282,17 @@ class SimTwin:
         """
         return item_poses(self._world, item)[0]
 
+    def surround(self, surroundings: Surroundings | None) -> None:
+        """Show something beside the board, or nothing any more; `save` writes it too.
+
+        Parameters
+        ----------
+        surroundings : Surroundings or None
+            In the place of what was there before.
+        """
+        self._surroundings = surroundings
+        self.become(self._parameters)
+
     def save(self, folder: Path, notes: Sequence[str] = ()) -> Path:
         """Write `rig.yaml`, `world.yaml` and `calibration.yaml`.
 
@@ -300,7 +316,10 @@ class SimTwin:
             The folder cannot be written to.
         """
         calibration = CalibrationFile.of(self._parameters.calibration)
-        world = self._world.model_copy(update={"calibration": calibration}).save(folder)
+        changed: dict[str, Any] = {"calibration": calibration}
+        if self._surroundings is not None:
+            changed["surroundings"] = save_surroundings(self._surroundings, folder).relative_to(folder)
+        world = self._world.model_copy(update=changed).save(folder)
         devices: dict[str, dict[str, Any]] = {
             name: {"backend": f"sim.devices:Sim{name.capitalize()}"} for name in _DEVICES
         }
@@ -357,7 +376,7 @@ def _parameters_of(world: World, board: str, target: Target) -> TwinParameters:
     )
 
 
-def _world_of(nominal: World, board: str, parameters: TwinParameters) -> World:
+def _world_of(nominal: World, board: str, parameters: TwinParameters, rim_mm: float | None = None) -> World:
     """The nominal world with other parameters. Raises `ConfigError` for what no world can have."""
     p, data = parameters, nominal.model_dump(mode="json")
     data["calibration"] = config.plain(CalibrationFile.of(replace(p.calibration, uncertainty=None)))
@@ -366,6 +385,8 @@ def _world_of(nominal: World, board: str, parameters: TwinParameters) -> World:
         "reflectance": p.paper,
         "ink": p.ink,
     }
+    if rim_mm is not None:
+        data["items"][board]["rim_mm"] = rim_mm
     for name, pose in p.placed.items():
         data["items"][name]["pose"] = config.plain(PoseFile.of(pose))
     data["projector"] |= {

@@ -25,6 +25,7 @@ from fpplab.matching.match import EpochObserver, MatchedTwin, MatchingLimits, ma
 from fpplab.matching.record import PLAIN, MatchingRecord
 from fpplab.matching.reference import Reference
 from fpplab.matching.refusal import Refusals
+from fpplab.matching.surroundings import SurroundingsTrial, add_surroundings
 from fpplab.matching.verdict import accepted_findings, diagnose_matching
 from fpplab.patterns.response import Response
 from fpplab.pipeline import characterise_sessions
@@ -135,6 +136,8 @@ class MatchingResult:
         Whether the pose of the grey card was measured on the bench.
     late : tuple of Finding
         What only the matched twin shows: poses with another focus, images that stay unlike.
+    surroundings : SurroundingsTrial or None
+        Whether the twin shows what stands beside the board.
     """
 
     reference: Reference
@@ -149,6 +152,7 @@ class MatchingResult:
     noted: tuple[str, ...] = ()
     card_measured: bool = False
     late: tuple[Finding, ...] = ()
+    surroundings: SurroundingsTrial | None = None
 
     @cached_property
     def diagnosis(self) -> Diagnosis:
@@ -183,6 +187,7 @@ class MatchingResult:
             "parameters": {**light, "response": found.response.model_dump()},
             "sigma": dict(found.sigma),
             "notes": list(self.notes),
+            "surroundings": self.surroundings.summary() if self.surroundings else None,
             "baseline_mm": found.calibration.baseline_mm,
             "poses": self.by_pose(),
             "artefacts": [one.summary() for one in self.artefacts],
@@ -322,6 +327,10 @@ def match_sessions(
     before = evaluate(reference, twin, request.weights, progress=lambda share: progress(0.8 + 0.04 * share))
     rows = _table(reference, twin, request.weights, nominal, before, matched, gamma is not None)
     twin.become(matched.parameters)
+    tell("rebuilding the surroundings")
+    around = add_surroundings(reference, twin)
+    if around.accepted:
+        matched = _evaluated_again(reference, twin, request.weights, matched)
     own = matched.final.characterisation
     assert own is not None  # the last evaluation characterises
     artefacts = compare_artefacts(twin, scans, own.calibration, lambda share: progress(0.85 + 0.15 * share))
@@ -338,6 +347,7 @@ def match_sessions(
         tuple(refusals.notes),
         request.card_scan is not None,
         tuple(one for one in (late, blurred) if one is not None),
+        around,
     )
     if not result.diagnosis.is_useless:
         twin.become(matched.parameters)
@@ -357,6 +367,12 @@ def _check_inputs(twin: Twin, sessions: Sequence[Session], target: Target, reque
         twin.mesh(item)
     if request.response is not None:
         twin.pose_of(request.card)
+
+
+def _evaluated_again(reference: Reference, twin: Twin, weights: Weights, matched: MatchedTwin) -> MatchedTwin:
+    """Compare the images once more; the characterisation stays as it was."""
+    loss = evaluate(reference, twin, weights, matched.final.loss.epsilon_v).loss
+    return replace(matched, final=replace(matched.final, loss=loss))
 
 
 def _placed(

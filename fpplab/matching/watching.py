@@ -12,6 +12,7 @@ from fpplab.core.geometry import RigidTransform
 from fpplab.devices import CameraSettings
 from fpplab.patterns.fringes import Pattern
 from fpplab.simulation.matchable import ExpectedLevels, Twin, TwinParameters
+from fpplab.simulation.surroundings import Surroundings
 from fpplab.targets import Target
 
 
@@ -82,6 +83,9 @@ class _WatchedTwin:
 
     def pose_of(self, item: str) -> RigidTransform:
         return self._twin.pose_of(item)
+
+    def surround(self, surroundings: Surroundings | None) -> None:
+        self._twin.surround(surroundings)
 
     def save(self, folder: Path, notes: Sequence[str] = ()) -> Path:
         return self._twin.save(folder, notes)

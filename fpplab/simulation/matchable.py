@@ -20,6 +20,7 @@ from fpplab.core.geometry import RigidTransform
 from fpplab.devices import CameraSettings
 from fpplab.patterns.curve import Curve
 from fpplab.patterns.fringes import Pattern
+from fpplab.simulation.surroundings import Surroundings
 from fpplab.targets import Target
 
 NO_FALLOFF = (0.0, 0.0, 0.0, 0.0, 0.0)
@@ -318,6 +319,17 @@ class Twin(Protocol):
         ------
         ConfigError
             The world has no such item.
+        """
+
+    def surround(self, surroundings: Surroundings | None) -> None:
+        """Show something beside the board, or nothing any more; `save` writes it too.
+
+        Called for trials, and at last with what the saved twin has.
+
+        Parameters
+        ----------
+        surroundings : Surroundings or None
+            In the place of what was there before.
         """
 
     def save(self, folder: Path, notes: Sequence[str] = ()) -> Path:

@@ -24,7 +24,8 @@ import numpy as np
 
 from fpplab.core.conventions import Floats, PixelIndices, full_scale
 from fpplab.patterns.fringes import Pattern
-from sim.build import Setup, build_scene
+from sim.build import NOTHING, Setup, build_scene
+from sim.light.background import Background
 from sim.light.basis import Basis, PatternLevels, smallest_basis
 from sim.light.byte_limited_cache import ByteLimitedCache
 from sim.light.cache import TableCache, digest
@@ -34,7 +35,8 @@ from sim.light.plane import can_compute, computed
 from sim.light.solid import can_trace, traced
 from sim.light.table import LightTable
 from sim.light.vignetting import vignetting
-from sim.scene import COLOURS, Effort, PatternRender, RenderScene, SubpixelView
+from sim.scene import COLOURS, Effort, PatternRender, RenderScene, SubpixelView, Surface
+from sim.surroundings import surroundings_surface
 from sim.texture import MirrorTexture
 from sim.worker import Blender
 from sim.world import World
@@ -124,10 +126,17 @@ class Light:
         Tables on disk; None for the user's cache directory, or none at all where the world says so.
     analytic : bool
         Whether tables of flat, matt items are computed by `sim.light.plane` instead of rendered.
+    around : Surface, optional
+        Of surroundings, in place of those that the world names.
     """
 
     def __init__(
-        self, world: World, blender: Blender, cache: TableCache | None = None, analytic: bool = False
+        self,
+        world: World,
+        blender: Blender,
+        cache: TableCache | None = None,
+        analytic: bool = False,
+        around: Surface | None = None,
     ) -> None:
         self._world, self._blender, self._analytic = world, blender, analytic
         self._cache = cache if cache or not world.render.cache else TableCache()
@@ -140,6 +149,10 @@ class Light:
         self._planes: tuple[Pattern, MirrorStates] | None = None
         self._basis: tuple[MirrorStates, Basis] | None = None
         self._scene: tuple[Setup, RenderScene, MirrorTexture] | None = None
+        self._around = surroundings_surface(world) if around is None else around
+        # On the path `transport` items and surroundings have tables of their own.
+        beside = self._around if world.path == "transport" else None
+        self._background = None if beside is None else Background(world, beside)
         self._falloff = vignetting(world)
         self._of_mirrors = projector_falloff(world.projector)
         if world.render.path == "auto" and world.indirect:
@@ -173,7 +186,8 @@ class Light:
             The item cannot be made.
         """
         width, height = self._world.camera.size
-        if setup.item == "nothing" or (show is None and not self._world.ambient):
+        is_empty = setup.item == NOTHING and self._around is None
+        if is_empty or (show is None and not self._world.ambient):
             return np.zeros((height, width), np.float32)
         picture = np.zeros((height, width), np.float32)
         if show is not None:
@@ -213,6 +227,10 @@ class Light:
             [self._seen(setup, table, [self._level(one) for one in part])[:, 0] for part in parts]
         )
         seen += np.float32(self._world.ambient) * table.albedo[0]
+        if self._background is not None:
+            seen += self._background.irradiance(
+                setup, [self._level(one) for one in patterns], self._world.ambient, pixels
+            )
         return seen if self._falloff is None else seen * self._falloff[pixels]
 
     def _table_at(self, setup: Setup, pixels: PixelIndices) -> LightTable:
@@ -330,12 +348,16 @@ class Light:
     def _look_up(
         self, setup: Setup, levels: MirrorStates, states: range, basis: Basis | None
     ) -> PatternLevels:
-        if basis is None:
-            table, light = self.table(setup), [levels.of(n) for n in states]
-        else:
-            table = self._basis_under(setup, basis).table
+        if basis is not None:
             light = [levels.of(n) - basis.level(n) for n in states]
-        return self._seen(setup, table, light)
+            return self._seen(setup, self._basis_under(setup, basis).table, light)
+        light = [levels.of(n) for n in states]
+        if self._background is None:
+            return self._seen(setup, self.table(setup), light)
+        seen = self._background.pictures(setup, light)
+        if setup.item != NOTHING:
+            seen += self._seen(setup, self.table(setup), light)
+        return seen
 
     def _seen(self, setup: Setup, table: LightTable, light: Sequence[PatternLevels]) -> PatternLevels:
         """Look up pictures under mirrors at these light levels, (levels, height, width)."""
@@ -359,8 +381,14 @@ class Light:
 
     def _albedo(self, setup: Setup) -> PatternLevels:
         """Get the mean reflectance of what every pixel sees, from any render of the set-up."""
-        albedo: PatternLevels = self._albedos.get(setup, lambda: self.table(setup).albedo)
+        albedo: PatternLevels = self._albedos.get(setup, lambda: self._albedo_now(setup))
         return albedo
+
+    def _albedo_now(self, setup: Setup) -> PatternLevels:
+        if self._background is None:
+            return self.table(setup).albedo
+        behind = self._background.albedo(setup)
+        return behind if setup.item == NOTHING else behind + self.table(setup).albedo
 
     def _levels(self, patterns: tuple[Pattern, ...]) -> MirrorStates:
         if self._loaded is None or self._loaded[0] is not patterns:
@@ -442,9 +470,10 @@ class Light:
             The item cannot be made.
         """
         render, world = self._world.render, self._world
+        scene, texture = build_scene(world, setup, self._around)
         return PatternRender(
-            self._built(setup)[1],
-            self._fine(setup, self._level(pattern)[None])[..., 0],
+            scene,
+            _fine(scene, texture, self._level(pattern)[None])[..., 0],
             tuple(self._views(setup)),
             self._effort(render.bounces, render.samples, survey=False),
             world.ambient,
@@ -454,17 +483,8 @@ class Light:
     def _rendered(self, setup: Setup, channels: PatternLevels, survey: bool = False) -> PatternLevels:
         """Render (views, height, width, …) under mirrors (up to three channels, rows, columns)."""
         render = self._world.render
-        fine = self._fine(setup, channels)
+        fine = _fine(*self._built(setup)[1:], channels)
         return self._render(setup, fine, self._effort(render.bounces, render.samples, survey))
-
-    def _fine(self, setup: Setup, channels: PatternLevels) -> PatternLevels:
-        """Make the lamp's textures (circles, rows, columns, 3) of mirrors (up to three, rows, columns)."""
-        _, scene, texture = self._built(setup)
-        fine = np.zeros((len(scene.lamp.circles), *scene.lamp.texture_shape, COLOURS), np.float32)
-        for of_circle, circle in zip(fine, scene.lamp.circles, strict=True):
-            for colour, light in enumerate(channels):
-                of_circle[..., colour] = texture.fine(light, circle)
-        return fine
 
     def _effort(self, bounces: int, samples: int, survey: bool) -> Effort:
         return Effort(samples, bounces, self._world.seed, self._world.render.device, survey)
@@ -481,7 +501,8 @@ class Light:
 
     def _built(self, setup: Setup) -> tuple[Setup, RenderScene, MirrorTexture]:
         if self._scene is None or self._scene[0] != setup:
-            self._scene = (setup, *build_scene(self._world, setup))
+            around = self._around if self._background is None else None
+            self._scene = (setup, *build_scene(self._world, setup, around))
         return self._scene
 
     def _render(self, setup: Setup, textures: PatternLevels | None, effort: Effort) -> PatternLevels:
@@ -490,6 +511,15 @@ class Light:
         width, height = self._world.camera.size
         paths = width * height * len(views) * effort.samples * (1 + effort.bounces)
         return self._blender.render(scene, textures, views, effort, START_S + paths / PATHS_PER_S)
+
+
+def _fine(scene: RenderScene, texture: MirrorTexture, channels: PatternLevels) -> PatternLevels:
+    """Make the lamp's textures (circles, rows, columns, 3) of mirrors (up to three, rows, columns)."""
+    fine = np.zeros((len(scene.lamp.circles), *scene.lamp.texture_shape, COLOURS), np.float32)
+    for of_circle, circle in zip(fine, scene.lamp.circles, strict=True):
+        for colour, light in enumerate(channels):
+            of_circle[..., colour] = texture.fine(light, circle)
+    return fine
 
 
 def _colours(rendered: PatternLevels) -> list[PatternLevels]:

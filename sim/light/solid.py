@@ -43,17 +43,21 @@ def can_trace(scene: RenderScene) -> bool:
     return all(one.picture is None and one.paint == Paint(one.paint.reflectance) for one in scene.surfaces)
 
 
-def traced(scene: RenderScene, views: list[SubpixelView], pixels: PixelIndices) -> LightTable:
+def traced(
+    scene: RenderScene, views: list[SubpixelView], pixels: PixelIndices, first_alone: bool = False
+) -> LightTable:
     """Trace the table that a survey of this scene gives, see `LightTable.of`, for some pixels.
 
     Parameters
     ----------
     scene : RenderScene
-        One for which `can_trace` is true.
+        Of matt surfaces, each of which may have a picture.
     views : list of SubpixelView
         Points of the pixels and of the lens.
     pixels : PixelIndices
         Rows and columns of P pixels of the image.
+    first_alone : bool
+        Whether the light of the first surface alone is given; the others hide it and cast shadows.
 
     Returns
     -------
@@ -62,7 +66,7 @@ def traced(scene: RenderScene, views: list[SubpixelView], pixels: PixelIndices) 
     """
     (left, top, right, bottom), (row, column) = scene.window, pixels
     drawn = np.flatnonzero((row >= top) & (row < bottom) & (column >= left) & (column < right))
-    bodies = _Bodies(scene)
+    bodies = _Bodies(scene, first_alone)
     survey = np.zeros((len(views), 1, len(row), CHANNELS), np.float32)
     for view, of_view in zip(views, survey[:, 0], strict=True):
         bodies.seen_through(view, row[drawn], column[drawn], drawn, of_view)
@@ -70,9 +74,9 @@ def traced(scene: RenderScene, views: list[SubpixelView], pixels: PixelIndices) 
 
 
 class _Bodies:
-    """All surfaces of a scene as triangles in the camera's frame."""
+    """All surfaces of a scene as triangles in the camera's frame, of which the first alone may reflect."""
 
-    def __init__(self, scene: RenderScene) -> None:
+    def __init__(self, scene: RenderScene, first_alone: bool) -> None:
         self._scene, camera = scene, scene.camera
         self._reach = Pinhole(camera.size, camera.matrix, camera.distortion).reach
         placed = [
@@ -82,9 +86,26 @@ class _Bodies:
         whole = trimesh.util.concatenate(placed)
         assert isinstance(whole, trimesh.Trimesh)
         self._shape = RayTracedShape(whole)
-        self._reflectance = np.repeat(
-            [one.paint.reflectance for one in scene.surfaces], [len(one.faces) for one in scene.surfaces]
-        )
+        counts = [len(one.faces) for one in scene.surfaces]
+        self._first_of = np.cumsum([0, *counts])
+        self._last_seen = counts[0] if first_alone else len(self._shape.triangles)
+
+    def _reflectance(self, faces: NDArray[np.int64], points: Floats) -> Irradiance:
+        """Reflectance (N,) at points of faces; 0 where the surface is not asked for."""
+        found = np.zeros(len(faces), np.float32)
+        owner = np.searchsorted(self._first_of, faces, side="right") - 1
+        for number, surface in enumerate(self._scene.surfaces):
+            of = np.flatnonzero((owner == number) & (faces < self._last_seen))
+            if surface.picture is None or surface.uv is None:
+                found[of] = surface.paint.reflectance
+                continue
+            own = faces[of] - self._first_of[number]
+            places = np.asarray(surface.uv[surface.faces[own]], np.float64)
+            share = np.empty(len(of), np.float32)
+            _pictured(points[of], self._shape.triangles[faces[of]], places, surface.picture, share)
+            ink = surface.paint.ink
+            found[of] = ink + (surface.paint.reflectance - ink) * share / np.float32(255)
+        return found
 
     def seen_through(
         self,
@@ -121,7 +142,6 @@ class _Bodies:
             directions[hit],
             shape.triangles[faces, 0],
             shape.normals[faces],
-            self._reflectance[faces],
             centre,
             lamp.T_camera_projector[:3, 2],
             np.cos(lamp.half_angle),
@@ -129,11 +149,40 @@ class _Bodies:
             points,
             direct,
         )
+        reflectance = self._reflectance(faces, points)
+        direct *= reflectance
         lit = np.flatnonzero(direct)
         direct[lit] *= shape.unoccluded(centre, points[lit])
         survey[places, X], survey[places, Y], survey[places, Z] = points.T
         survey[places, DIRECT] = direct
-        survey[places, ALBEDO] = self._reflectance[faces]
+        survey[places, ALBEDO] = reflectance
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy")
+def _pictured(
+    points: Floats, corners: Floats, places: Floats, picture: NDArray[np.uint8], grey: Irradiance
+) -> None:
+    """Interpolate a picture at points (N, 3) of triangles (N, 3, 3) with corners at places (N, 3, 2)."""
+    rows, columns = picture.shape
+    for i in numba.prange(len(points)):
+        first, second, point = corners[i, 1] - corners[i, 0], corners[i, 2] - corners[i, 0], points[i]
+        offset = point - corners[i, 0]
+        aa, ab, bb = np.dot(first, first), np.dot(first, second), np.dot(second, second)
+        ao, bo = np.dot(first, offset), np.dot(second, offset)
+        area = aa * bb - ab * ab
+        s, t = (bb * ao - ab * bo) / area, (aa * bo - ab * ao) / area
+        x = places[i, 0, 0] + s * (places[i, 1, 0] - places[i, 0, 0])
+        x += t * (places[i, 2, 0] - places[i, 0, 0])
+        y = places[i, 0, 1] + s * (places[i, 1, 1] - places[i, 0, 1])
+        y += t * (places[i, 2, 1] - places[i, 0, 1])
+        u = min(max(x * columns - 0.5, 0.0), columns - 1.0)
+        v = min(max(y * rows - 0.5, 0.0), rows - 1.0)
+        left, top = int(u), int(v)
+        right, below = min(left + 1, columns - 1), min(top + 1, rows - 1)
+        across, down = u - left, v - top
+        upper = picture[top, left] * (1 - across) + picture[top, right] * across
+        lower = picture[below, left] * (1 - across) + picture[below, right] * across
+        grey[i] = upper * (1 - down) + lower * down
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")
@@ -170,7 +219,6 @@ def _meet(
     directions: Floats,
     corners: Floats,
     normals: Floats,
-    reflectance: Floats,
     lamp: Floats,
     axis: Floats,
     cosine: float,
@@ -191,4 +239,4 @@ def _meet(
             z += axis[k] * towards
             away += towards * towards
         lit = facing * fall > 0 and z > cosine * np.sqrt(away)
-        direct[i] = reflectance[i] * distance * distance * abs(facing) / (z * z * z) if lit else 0.0
+        direct[i] = distance * distance * abs(facing) / (z * z * z) if lit else 0.0

@@ -9,6 +9,7 @@ from sim.world.items import ArtefactItem, BoardItem, CardItem, Item, MeshItem, P
 from sim.world.materials import Material
 from sim.world.projector import LedWorld, ProjectorWorld, ResponseSection
 from sim.world.render import LightPath, Render, Subpixels
+from sim.world.surroundings import SurroundingsSection
 from sim.world.world import StageWorld, World
 
 __all__ = [
@@ -30,5 +31,6 @@ __all__ = [
     "ShutterSection",
     "StageWorld",
     "Subpixels",
+    "SurroundingsSection",
     "World",
 ]

@@ -41,6 +41,8 @@ class BoardItem(Document):
     """Reflectance of the ground, 0 to 1, in place of the target file's."""
     ink: Share | None = None
     """Reflectance of what is printed, 0 to 1, in place of the target file's."""
+    rim_mm: NotNegative = 0.0
+    """Width of a black frame around the board, in mm, which hides and shades the surroundings."""
     poses: PoseRules | Annotated[tuple[PoseFile, ...], Field(min_length=1)] = PoseRules()
     """Poses T_camera_item, or rules for random ones."""
 

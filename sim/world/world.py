@@ -22,6 +22,7 @@ from sim.world.materials.diffuse import Diffuse
 from sim.world.numbers import NotNegative
 from sim.world.projector import ProjectorWorld
 from sim.world.render import LightPath, Render
+from sim.world.surroundings import SurroundingsSection
 
 
 class StageWorld(Document):
@@ -81,6 +82,8 @@ class World(Document):
     """Material of items that name none of `materials`."""
     materials: Annotated[dict[str, MaterialSection], Field(default_factory=dict)]
     """Further materials, by name."""
+    surroundings: SurroundingsSection | None = None
+    """What is seen and lit beside the items."""
     ambient: Annotated[float, Field(ge=0, le=10)] = 0.0
     """Uniform ambient light on everything in view, relative to the projector's white."""
     vibration_mm: Annotated[NotNegative, Field(le=10)] = 0.0
@@ -176,7 +179,8 @@ class World(Document):
     def load(cls, path: Path | str) -> World:
         """Read a world file.
 
-        A relative name of a mesh, target or calibration file is looked for beside the world file first.
+        A relative name of a mesh, picture, target or calibration file is looked for beside the world file
+        first.
 
         Parameters
         ----------
@@ -202,7 +206,8 @@ class World(Document):
             data["calibration"] = config.plain(measured)
         world = config.validate(data, cls, found)
         items = {name: with_file_beside(item, found.parent) for name, item in world.items.items()}
-        return world.model_copy(update={"items": items})
+        around = world.surroundings and world.surroundings.beside(found.parent)
+        return world.model_copy(update={"items": items, "surroundings": around})
 
     def save(self, folder: Path, name: str = "world.yaml") -> Path:
         """Write the world file, with a calibration beside it as `calibration.yaml`.

@@ -1,0 +1,155 @@
+"""Direct light on the surroundings, behind the mounted item and in its shadow.
+
+The surroundings stand still, so their table is traced once for each pose of the item. What light they throw
+on the item is left out, as all light by way of other surfaces is on the path `transport`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from fpplab.core.conventions import PixelIndices
+from sim.build import Setup, build_background
+from sim.light.basis import PatternLevels
+from sim.light.byte_limited_cache import ByteLimitedCache
+from sim.light.cache import digest
+from sim.light.lens import lens_points
+from sim.light.solid import traced
+from sim.light.table import Irradiance, LightTable
+from sim.scene import RenderScene, SubpixelView, Surface
+from sim.texture import MirrorTexture
+from sim.world import World
+from sim.world.render import shifts
+
+KEEP_BYTES = 1 << 29
+"""Size of the tables in memory."""
+SIDE = 2
+"""Points of a pixel along each side."""
+BAND_PIXELS = 1 << 18
+"""Pixels that are traced at once."""
+
+
+class Background:
+    """The light of the surroundings of one world.
+
+    Parameters
+    ----------
+    world : World
+        Devices and items.
+    surface : Surface
+        Of the surroundings.
+    """
+
+    def __init__(self, world: World, surface: Surface) -> None:
+        self._world, self._surface, self._views = world, surface, _views(world)
+        self._tables: ByteLimitedCache[LightTable] = ByteLimitedCache(KEEP_BYTES)
+        self._scene: tuple[Setup, RenderScene, MirrorTexture] | None = None
+
+    def pictures(
+        self,
+        setup: Setup,
+        light: Sequence[PatternLevels],
+        pixels: PixelIndices | None = None,
+    ) -> PatternLevels:
+        """Compute the irradiance that the camera sees of the surroundings, without vignetting.
+
+        Parameters
+        ----------
+        setup : Setup
+            State of the moving parts.
+        light : sequence of PatternLevels
+            Light (rows, columns) of the mirrors in n states.
+        pixels : PixelIndices, optional
+            Rows and columns of P pixels; all by default.
+
+        Returns
+        -------
+        PatternLevels
+            (n, height, width), or (n, P).
+        """
+        _, scene, texture = self._built(setup)
+        table = self._table(setup, pixels)
+        seen = table.look_up(texture.textures(light, scene.lamp.circles, table.part(texture.shape)))
+        return seen if pixels is None else seen[:, 0]
+
+    def albedo(self, setup: Setup, pixels: PixelIndices | None = None) -> Irradiance:
+        """Give the reflectance of the surroundings that the camera sees, 0 where the item hides them.
+
+        Parameters
+        ----------
+        setup : Setup
+            State of the moving parts.
+        pixels : PixelIndices, optional
+            Rows and columns of P pixels; all by default.
+
+        Returns
+        -------
+        Irradiance
+            (height, width), or (P,).
+        """
+        found = self._table(setup, pixels).albedo
+        return found if pixels is None else found[0]
+
+    def irradiance(
+        self, setup: Setup, light: Sequence[PatternLevels], ambient: float, pixels: PixelIndices
+    ) -> PatternLevels:
+        """Compute the irradiance of the surroundings at some pixels, with ambient light.
+
+        Parameters
+        ----------
+        setup : Setup
+            State of the moving parts.
+        light : sequence of PatternLevels
+            Light (rows, columns) of the mirrors in n states.
+        ambient : float
+            Uniform ambient light, relative to the projector's white.
+        pixels : PixelIndices
+            Rows and columns of P pixels.
+
+        Returns
+        -------
+        PatternLevels
+            (n, P), without vignetting.
+        """
+        seen = self.pictures(setup, light, pixels)
+        seen += np.float32(ambient) * self.albedo(setup, pixels)
+        return seen
+
+    def _table(self, setup: Setup, pixels: PixelIndices | None) -> LightTable:
+        _, scene, _ = self._built(setup)
+        if pixels is None:
+            return self._tables.get(digest(scene, self._views), lambda: _whole(scene, self._views))
+        return self._tables.get(
+            digest(scene, self._views, pixels), lambda: traced(scene, self._views, pixels, first_alone=True)
+        )
+
+    def _built(self, setup: Setup) -> tuple[Setup, RenderScene, MirrorTexture]:
+        at_rest = replace(setup, vibration_mm=(0.0, 0.0, 0.0))
+        if self._scene is None or self._scene[0] != at_rest:
+            self._scene = (at_rest, *build_background(self._world, at_rest, self._surface))
+        return self._scene
+
+
+def _whole(scene: RenderScene, views: list[SubpixelView]) -> LightTable:
+    """Trace all pixels of the scene's window, some rows at a time."""
+    (width, height), (left, top, right, bottom) = scene.camera.size, scene.window
+    samples = np.zeros((len(views), bottom - top, right - left, 4), np.float32)
+    albedo = np.zeros((height, width), np.float32)
+    step = max(1, BAND_PIXELS // max(right - left, 1))
+    for first in range(top, bottom, step):
+        rows, columns = np.mgrid[first : min(first + step, bottom), left:right]
+        band = traced(scene, views, (rows.ravel(), columns.ravel()), first_alone=True)
+        samples[:, rows[:, 0] - top] = band.samples.reshape(len(views), *rows.shape, 4)
+        albedo[rows, columns] = band.albedo.reshape(rows.shape)
+    return LightTable(samples, albedo, (left, top))
+
+
+def _views(world: World) -> list[SubpixelView]:
+    """Few points of every pixel: surfaces far behind the item are not sharp."""
+    places = shifts(SIDE)
+    if not world.camera.aperture_mm:
+        return [SubpixelView(place) for place in places]
+    return [SubpixelView(place, lens) for place, lens in zip(places, lens_points(len(places)), strict=True)]

@@ -1,0 +1,143 @@
+"""The surroundings of a world as a surface, and the files that hold them."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image as Pillow
+from trimesh.exchange.ply import export_ply
+
+from fpplab.clouds import load_mesh
+from fpplab.core.conventions import Floats
+from fpplab.core.errors import ConfigError, FppError
+from fpplab.core.files import write_atomic
+from fpplab.core.geometry import Pinhole
+from fpplab.sessions.image_files import grey_images, places_in
+from fpplab.simulation.surroundings import Surroundings
+from sim.scene import Paint, Surface
+from sim.world import SurroundingsSection, World
+
+
+def surroundings_surface(world: World) -> Surface | None:
+    """Make the surface of a world's surroundings.
+
+    Parameters
+    ----------
+    world : World
+        Devices and items.
+
+    Returns
+    -------
+    Surface or None
+        Printed with the reflectance that the camera sees; None where the world has none.
+
+    Raises
+    ------
+    ConfigError
+        A file is missing or damaged; the message names the field.
+    """
+    section = world.surroundings
+    if section is None:
+        return None
+    vertices, faces = _mesh(Path(section.mesh), _changed_ns(section.mesh))
+    picture = _picture(Path(section.picture), _changed_ns(section.picture))
+    return _surface(vertices, faces, picture, section.reflectance, world.camera_model())
+
+
+def as_surface(surroundings: Surroundings, camera: Pinhole) -> Surface:
+    """Make the surface of surroundings that are in memory.
+
+    Parameters
+    ----------
+    surroundings : Surroundings
+        Shape and reflectance.
+    camera : Pinhole
+        That sees the reflectance.
+
+    Returns
+    -------
+    Surface
+        As `surroundings_surface` makes of the same surroundings, once they are saved.
+    """
+    vertices = np.asarray(surroundings.mesh.vertices, np.float64)
+    faces = np.asarray(surroundings.mesh.faces, np.int64)
+    return _surface(vertices, faces, *_grey(surroundings), camera)
+
+
+def _surface(
+    vertices: Floats, faces: NDArray[np.int64], picture: NDArray[np.uint8], white: float, camera: Pinhole
+) -> Surface:
+    uv = np.asarray((camera.project(vertices) + 0.5) / np.array(camera.size))
+    return Surface(vertices, faces, np.eye(4), Paint(white), picture, uv)
+
+
+def _grey(surroundings: Surroundings) -> tuple[NDArray[np.uint8], float]:
+    """The reflectance as a picture, and that of its white."""
+    white = max(float(surroundings.reflectance.max()), LEAST_REFLECTANCE)
+    return np.rint(surroundings.reflectance * np.float32(255 / white)).astype(np.uint8), white
+
+
+def save_surroundings(surroundings: Surroundings, folder: Path) -> SurroundingsSection:
+    """Write the files of surroundings.
+
+    Parameters
+    ----------
+    surroundings : Surroundings
+        Shape and reflectance.
+    folder : Path
+        Gets `surroundings.ply` and `surroundings.png`.
+
+    Returns
+    -------
+    SurroundingsSection
+        With the absolute names of both.
+
+    Raises
+    ------
+    DataError
+        The folder cannot be written to.
+    """
+    mesh, picture = (folder.resolve() / f"surroundings{suffix}" for suffix in (".ply", ".png"))
+    grey, white = _grey(surroundings)
+    content = export_ply(surroundings.mesh)
+    write_atomic(mesh, lambda stream: stream.write(content))
+    write_atomic(picture, lambda stream: Pillow.fromarray(grey).save(stream, "PNG"))
+    return SurroundingsSection(mesh=str(mesh), picture=str(picture), reflectance=white)
+
+
+LEAST_REFLECTANCE = 1e-3
+"""Of what is white in the picture; below it surroundings are black."""
+
+
+def _changed_ns(name: str) -> int:
+    path = Path(name)
+    return path.stat().st_mtime_ns if path.is_file() else 0
+
+
+@lru_cache(maxsize=4)
+def _mesh(path: Path, changed_ns: int) -> tuple[Floats, NDArray[np.int64]]:
+    try:
+        mesh = load_mesh(path)
+    except FppError as error:
+        raise ConfigError(f"world: 'surroundings.mesh': {error}") from error
+    vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
+    if vertices[:, 2].min() <= 0:
+        raise ConfigError(
+            f"world: 'surroundings.mesh': {path} has a corner with z = {vertices[:, 2].min():g} mm: must be "
+            "before the camera, z > 0"
+        )
+    return vertices, faces
+
+
+@lru_cache(maxsize=4)
+def _picture(path: Path, changed_ns: int) -> NDArray[np.uint8]:
+    try:
+        pictures = list(grey_images(places_in(path)))
+    except (FppError, OSError) as error:
+        raise ConfigError(f"world: 'surroundings.picture': {error}") from error
+    if len(pictures) != 1 or pictures[0][1].dtype != np.uint8:
+        raise ConfigError(f"world: 'surroundings.picture': {path} must be one grey image of 8 bits")
+    return np.asarray(pictures[0][1], np.uint8)
