@@ -99,7 +99,7 @@ def test_a_good_bench_has_no_findings(bench: Fault) -> None:
 def test_faults_of_many_seeds() -> None:
     """The right cause first in at least 95 % of all, among the first two in all."""
     placed = []
-    for seed in range(100, 103):
+    for seed in range(100, 102):
         for cause, fault in ALL:
             named = causes(replace(Bench(seed=seed), **fault))
             placed.append(named.index(cause) if cause in named else 99)
@@ -109,7 +109,7 @@ def test_faults_of_many_seeds() -> None:
 
 @pytest.mark.slow
 def test_good_benches_of_many_seeds() -> None:
-    for seed in range(200, 204):
+    for seed in range(200, 202):
         for bench in GOOD:
             assert causes(replace(Bench(seed=seed), **bench)) == [], (seed, bench)
 

@@ -28,13 +28,13 @@ class Controller(Dlpc350):
     def __init__(self, *words: Any) -> None:
         super().__init__(*words)
         self.commands = 0
-        self._read: set[bytes] = set()
+        self._known_reads: set[bytes] = set()
 
     def answer(self, message: UsbMessage) -> UsbMessage | None:
         """Count and carry out a message."""
-        self.commands += message.payload not in self._read
+        self.commands += message.payload not in self._known_reads
         if message.flags & READ:
-            self._read.add(message.payload)
+            self._known_reads.add(message.payload)
         return super().answer(message)
 
 

@@ -22,7 +22,7 @@ from tests.vm.conftest import is_gone, is_on_usb, wait_until
 from tests.vm.projector import Projector
 
 ROUND_TRIPS = 300
-MOST_COMMANDS = 60
+MOST_COMMANDS = 40
 EXPOSURE_S = 0.02
 AT_MOST_S = 4 * TIMEOUT_S
 """One command that is not answered, and more time than switching the LEDs off takes."""
