@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -17,13 +18,16 @@ from fpplab.clouds.pixelgrid import PixelGrid, are_within
 from fpplab.clouds.selection import are_finite, select
 from fpplab.core import buffers
 from fpplab.core.archives import load_arrays
-from fpplab.core.conventions import Mask
+from fpplab.core.conventions import Map, Mask
 from fpplab.core.errors import ConfigError, DataError
+from fpplab.core.extras import need_extra
 from fpplab.core.files import open_regular, write_large
 from fpplab.core.foreign import read_apart
+from fpplab.core.notebook import axes_or_new, grey_picture, html_table, plot_map
 
 if TYPE_CHECKING:
     import trimesh
+    from matplotlib.axes import Axes
 
 CLOUD_SUFFIXES = (".ply", ".xyz", ".npz")
 """Of files that `load_cloud` reads and `save_cloud` writes."""
@@ -34,6 +38,8 @@ CloudPoints = NDArray[np.float32]
 """Values of every point of a cloud, (N,) or (N, 3)."""
 
 _SIGMAS = ("sigma_noise_mm", "sigma_phase_error_mm", "sigma_calibration_mm", "sigma_form_mm")
+_PLOTTED = ("colour", "sigma_mm", *_SIGMAS, "epipolar_px")
+"""Attributes of one value for each point."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +119,157 @@ class Cloud:
         low, high = self.points.min(axis=0), self.points.max(axis=0)
         extent = " x ".join(f"{length:.1f}" for length in high - low)
         return f"<Cloud: {len(self)} points, {extent} mm{'; ' * bool(known)}{', '.join(known)}>"
+
+    def _repr_html_(self) -> str:
+        low, high = self.points.min(axis=0), self.points.max(axis=0)
+        rows: dict[str, object] = {"points": f"{len(self):,}"}
+        rows |= {name: f"{a:.2f} … {b:.2f} mm" for name, a, b in zip(("x", "y", "z"), low, high, strict=True)}
+        rows["camera"] = f"{self.size[0]} x {self.size[1]} px" if self.size else None
+        for name in ("sigma_mm", *_SIGMAS):
+            values = getattr(self, name)
+            rows[name] = None if values is None else f"median {1e3 * float(np.median(values)):.1f} µm"
+        rows["normals"] = "known" if self.normals is not None else None
+        picture = grey_picture(-self.map_of(self.points[:, 2])) if self.size else None
+        return html_table("Cloud", rows, picture)
+
+    def map_of(self, values: NDArray[Any]) -> Map:
+        """Arrange values of the points over the camera's pixels.
+
+        Parameters
+        ----------
+        values : ndarray
+            One (N,) for each point.
+
+        Returns
+        -------
+        ndarray of float32, (height, width)
+            Indexed [v, u], NaN where there is no point.
+
+        Raises
+        ------
+        DataError
+            The pixels of the points are not known, or there are more or fewer values.
+        """
+        if self.pixels is None or self.size is None:
+            raise DataError("cloud: its points are not known by camera pixel; use a cloud that fpplab made")
+        if values.shape != (len(self),):
+            raise DataError(f"cloud: values of {values.shape} do not fit {len(self)} points")
+        found = np.full((self.size[1], self.size[0]), np.nan, np.float32)
+        found[self.pixels[:, 1], self.pixels[:, 0]] = values
+        return found
+
+    def plot(self, values: str = "z", axes: Axes | None = None) -> Axes:
+        """Draw the cloud, coloured: over the camera's pixels, or from the camera where they are not known.
+
+        Parameters
+        ----------
+        values : str
+            What gives the colour: "x", "y", "z", or an attribute of one value for each point, such as
+            "sigma_mm".
+        axes : matplotlib.axes.Axes, optional
+            Where to draw; new ones by default.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+            With the drawing.
+
+        Raises
+        ------
+        ConfigError
+            There is no such attribute.
+        DataError
+            It is not known.
+        """
+        if values in ("x", "y", "z"):
+            colours, label = self.points[:, "xyz".index(values)], f"{values}, mm"
+        elif values in _PLOTTED:
+            colours, label = getattr(self, values), values
+        else:
+            raise ConfigError(f"values: '{values}' must be one of x, y, z, {', '.join(_PLOTTED)}")
+        if colours is None:
+            raise DataError(f"cloud: {values} is not known")
+        if self.size:
+            return plot_map(self.map_of(colours), label, axes)
+        chosen = axes_or_new(axes)
+        drawn = chosen.scatter(self.points[:, 0], self.points[:, 1], c=colours, s=0.5, linewidths=0)
+        chosen.figure.colorbar(drawn, ax=chosen, label=label)
+        chosen.set(xlabel="x, mm", ylabel="y, mm", aspect="equal")
+        if not chosen.yaxis_inverted():
+            chosen.invert_yaxis()
+        return chosen
+
+    def to_trimesh(self) -> trimesh.Trimesh:
+        """Convert to a mesh of trimesh: the surface over the pixel grid, cut at jumps in depth.
+
+        Returns
+        -------
+        trimesh.Trimesh
+            Corners are the points in mm, in their order; faces towards the camera.
+
+        Raises
+        ------
+        DataError
+            The pixels of the points are not known.
+        """
+        import trimesh
+
+        vertices, faces = self.grid_mesh()
+        return trimesh.Trimesh(vertices, faces, process=False)
+
+    def to_open3d(self) -> Any:
+        """Convert to a point cloud of Open3D.
+
+        Returns
+        -------
+        open3d.geometry.PointCloud
+            Points in mm, with normals and grey colours where they are known.
+
+        Raises
+        ------
+        MissingExtraError
+            Open3D is not installed.
+        """
+        need_extra("open3d")
+        geometry, utility = import_module("open3d.geometry"), import_module("open3d.utility")
+
+        found = geometry.PointCloud(utility.Vector3dVector(self.points.astype(np.float64)))
+        if self.normals is not None:
+            found.normals = utility.Vector3dVector(self.normals.astype(np.float64))
+        if self.colour is not None:
+            grey = np.repeat(self.colour[:, None] / 255.0, 3, axis=1)
+            found.colors = utility.Vector3dVector(grey)
+        return found
+
+    def to_xarray(self) -> Any:
+        """Convert to a data set of xarray.
+
+        Returns
+        -------
+        xarray.Dataset
+            `x`, `y`, `z` and all that is known of each point: over the pixels `v`, `u` of the camera, NaN
+            where there is no point; or over `point` where pixels are not known. Units are attributes.
+
+        Raises
+        ------
+        MissingExtraError
+            xarray is not installed.
+        """
+        need_extra("xarray")
+        xarray = import_module("xarray")
+
+        columns = {name: (self.points[:, i], "mm") for i, name in enumerate(("x", "y", "z"))}
+        if self.normals is not None:
+            columns |= {name: (self.normals[:, i], "1") for i, name in enumerate(("nx", "ny", "nz"))}
+        for name in _PLOTTED:
+            if (values := getattr(self, name)) is not None:
+                columns[name] = values, name.rpartition("_")[2] if "_" in name else "grey level"
+        dims = ("v", "u") if self.size else ("point",)
+        arranged = {
+            name: (dims, self.map_of(values) if self.size else values, {"units": unit})
+            for name, (values, unit) in columns.items()
+        }
+        return xarray.Dataset(arranged, attrs={"frame": "camera: x right, y down, z forward"})
 
     @property
     def sigma_mm(self) -> CloudPoints | None:
