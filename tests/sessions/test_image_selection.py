@@ -95,6 +95,8 @@ def test_no_file_of_the_name_says_what_is_there(tmp_path: Path) -> None:
     refuses(wrong, r"7 of the plan's 7 frames .*; the folder has 00.png, 01.png, .* …$")
     with pytest.raises(DataError, match=r"has no image 'f_.*' from index 0; the folder has 00.png, "):
         read_images(wrong)
+    with pytest.raises(DataError, match=r"has no image 's.*' from set 0 and step 0; the folder has 00.png, "):
+        read_images(Chosen((folder,), "s{set}_{step}.png"))
 
 
 def test_a_pattern_is_sorted_by_numbers_and_says_so(tmp_path: Path) -> None:
@@ -106,6 +108,16 @@ def test_a_pattern_is_sorted_by_numbers_and_says_so(tmp_path: Path) -> None:
     assert said == [
         "7 files are taken in the order of the numbers in their names: f_8.png, f_9.png, f_10.png … f_101.png"
     ]
+
+
+@pytest.mark.parametrize(
+    ("last", "said"), [(4, "1.png, 2.png, 3.png, 4.png"), (5, "1.png, 2.png, 3.png … 5.png")]
+)
+def test_more_than_four_names_are_cut_short(tmp_path: Path, last: int, said: str) -> None:
+    put(tmp_path / "images", [f"{k}.png" for k in range(1, last + 1)], IMAGES[:last])
+    words: list[str] = []
+    read_images(Chosen((tmp_path / "images",), "*.png"), tell=words.append)
+    assert words[0].endswith(f": {said}")
 
 
 def test_a_pattern_with_more_or_fewer_files(tmp_path: Path) -> None:
