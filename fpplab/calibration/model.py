@@ -10,13 +10,13 @@ import numpy as np
 from pydantic import AfterValidator, AwareDatetime, Field, model_validator
 
 from fpplab.calibration.board import FittedBoard, FittedBoardFile
+from fpplab.calibration.drawing import calibration_table, draw_from_above
 from fpplab.core import config
 from fpplab.core.config import Document
 from fpplab.core.conventions import Floats, Lattice
 from fpplab.core.errors import CalibrationError
 from fpplab.core.files import write_text
 from fpplab.core.geometry import DISTORTION, POLYNOMIAL, Pinhole, RigidTransform
-from fpplab.core.notebook import axes_or_new, html_table
 from fpplab.core.origin import DeviceIdentity, Origin
 
 if TYPE_CHECKING:
@@ -149,16 +149,7 @@ class Calibration:
         return f"<Calibration: {sizes}, {lattice} lattice, baseline {baseline} mm{rms}>"
 
     def _repr_html_(self) -> str:
-        rows: dict[str, object] = {}
-        for name, one in (("camera", self.camera), ("projector", self.projector)):
-            fx, fy, cx, cy = one.matrix[0, 0], one.matrix[1, 1], one.matrix[0, 2], one.matrix[1, 2]
-            rows[name] = f"{one.size[0]} x {one.size[1]} px, f {fx:.1f}, {fy:.1f} px, c {cx:.1f}, {cy:.1f} px"
-            rows[f"{name} distortion"] = ", ".join(f"{value:.4g}" for value in one.distortion) or None
-        rows["lattice"] = str(self.projector.lattice)
-        rows["baseline"] = f"{self.baseline_mm:.2f} mm"
-        rows |= {f"{name} RMS": f"{value:.3g} px" for name, value in self.rms_px.items()}
-        rows["uncertainty"] = "known" if self.uncertainty else "unknown"
-        return html_table("Calibration", rows)
+        return calibration_table(self)
 
     def plot(self, distance_mm: float | None = None, axes: Axes | None = None) -> Axes:
         """Draw camera and projector from above, with what each of them sees.
@@ -175,19 +166,7 @@ class Calibration:
         matplotlib.axes.Axes
             In mm in the camera's frame: x to the right, z upwards.
         """
-        chosen, reach = axes_or_new(axes), distance_mm or 3.0 * self.baseline_mm
-        poses = {"camera": RigidTransform.identity(), "projector": self.T_projector_camera.inverse()}
-        for name, one in (("camera", self.camera), ("projector", self.projector)):
-            width, height = one.size
-            row = (height - 1) / 2
-            ends = np.array([[-0.5, row], [width - 0.5, row]])
-            rays = reach * np.c_[one.normalise(ends), np.ones(2)]
-            field = poses[name].apply(np.array([rays[0], np.zeros(3), rays[1]]))
-            (line,) = chosen.plot(field[:, 0], field[:, 2], label=name)
-            chosen.fill(field[:, 0], field[:, 2], color=line.get_color(), alpha=0.15)
-        chosen.set(xlabel="x, mm", ylabel="z, mm", aspect="equal")
-        chosen.legend()
-        return chosen
+        return draw_from_above(self, distance_mm or 3.0 * self.baseline_mm, axes)
 
     @property
     def baseline_mm(self) -> float:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -135,9 +134,11 @@ class Decoded:
             xarray is not installed.
         """
         need_extra("xarray")
+        import xarray
+
         named = {"u": "projector_u", "v": "projector_v"}
         maps = {named.get(name, name): (("v", "u"), values) for name, values in self._maps().items()}
-        return import_module("xarray").Dataset(maps)
+        return xarray.Dataset(maps)
 
     def _maps(self) -> dict[str, Map]:
         """The maps of values that are known, by name."""
