@@ -22,6 +22,7 @@ from fpplab.core.geometry import RigidTransform
 from fpplab.targets import Target
 from sim.poses import board_poses, plate_corners
 from sim.scene import Paint, Surface
+from sim.sheet import printed_sheet, sheet_corners
 from sim.world import ArtefactItem, BoardItem, CardItem, MeshItem, PoseRules, World
 
 RIM_BEHIND_MM = 0.1
@@ -147,7 +148,7 @@ def item_shape(world: World, name: str) -> tuple[Floats, NDArray[np.int64]]:
     if isinstance(item, CardItem):
         return plate_corners(item.card_mm), _PLATE
     if isinstance(item, BoardItem):
-        return plate_corners(board_target(name, item).size_mm), _PLATE
+        return sheet_corners(board_target(name, item).size_mm, item.margins_mm), _PLATE
     with _named(f"items.{name}.{'mesh' if isinstance(item, MeshItem) else 'artefact'}"):
         mesh = item_mesh(item)
     return np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
@@ -181,8 +182,17 @@ def item_surface(world: World, name: str, pose: RigidTransform) -> Surface:
         target = board_target(name, item)
         picture = _ground_mask(target, _print_resolution(world, pose))
         printed = Paint(target.background, ink=target.foreground)
+        if any(item.margins_mm) or item.texture is not None:
+            picture, white = _sheet(target, _print_resolution(world, pose), item, name)
+            printed = Paint(white, ink=0.0)
         return Surface(vertices, faces, pose.matrix, printed, picture, _PLATE_UV)
     return Surface(vertices, faces, pose.matrix, world.material_of(name).paint())
+
+
+def _sheet(target: Target, px_per_mm: float, item: BoardItem, name: str) -> tuple[NDArray[np.uint8], float]:
+    return printed_sheet(
+        _ground_mask(target, px_per_mm), target.size_mm, item, (target.background, target.foreground), name
+    )
 
 
 def rim_surface(world: World, name: str, pose: RigidTransform) -> Surface | None:
@@ -210,8 +220,8 @@ def rim_surface(world: World, name: str, pose: RigidTransform) -> Surface | None
     item = world.item(name)
     if not isinstance(item, BoardItem) or not item.rim_mm:
         return None
-    width, height = board_target(name, item).size_mm
-    corners = plate_corners((width + 2 * item.rim_mm, height + 2 * item.rim_mm))
+    left, top, right, bottom = (margin + item.rim_mm for margin in item.margins_mm)
+    corners = sheet_corners(board_target(name, item).size_mm, (left, top, right, bottom))
     return Surface(corners + [0.0, 0.0, RIM_BEHIND_MM], _PLATE, pose.matrix, Paint(0.0))
 
 

@@ -16,7 +16,7 @@ from fpplab.core.errors import ConfigError, FppError
 from fpplab.core.files import write_atomic
 from fpplab.core.geometry import Pinhole
 from fpplab.sessions.image_files import grey_images, places_in
-from fpplab.simulation.surroundings import Surroundings
+from fpplab.simulation.appearance import Surroundings
 from sim.scene import Paint, Surface
 from sim.world import SurroundingsSection, World
 
@@ -45,26 +45,6 @@ def surroundings_surface(world: World) -> Surface | None:
     vertices, faces = _mesh(Path(section.mesh), _changed_ns(section.mesh))
     picture = _picture(Path(section.picture), _changed_ns(section.picture))
     return _surface(vertices, faces, picture, section.reflectance, world.camera_model())
-
-
-def as_surface(surroundings: Surroundings, camera: Pinhole) -> Surface:
-    """Make the surface of surroundings that are in memory.
-
-    Parameters
-    ----------
-    surroundings : Surroundings
-        Shape and reflectance.
-    camera : Pinhole
-        That sees the reflectance.
-
-    Returns
-    -------
-    Surface
-        As `surroundings_surface` makes of the same surroundings, once they are saved.
-    """
-    vertices = np.asarray(surroundings.mesh.vertices, np.float64)
-    faces = np.asarray(surroundings.mesh.faces, np.int64)
-    return _surface(vertices, faces, *_grey(surroundings), camera)
 
 
 def _surface(

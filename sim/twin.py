@@ -7,11 +7,14 @@ it is zero.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from shutil import rmtree
+from tempfile import mkdtemp
 from typing import Any
+from weakref import finalize
 
 import numpy as np
 import trimesh
@@ -24,14 +27,15 @@ from fpplab.core.files import write_text
 from fpplab.core.geometry import RigidTransform
 from fpplab.devices import CameraSettings
 from fpplab.patterns.fringes import Pattern
+from fpplab.simulation.appearance import Appearance
 from fpplab.simulation.matchable import ExpectedLevels, TwinParameters
-from fpplab.simulation.surroundings import Surroundings
 from fpplab.targets import Target
 from sim.build import Setup
 from sim.items import board_target, item_poses, part_mesh
 from sim.light import Light, PatternLevels, Show
 from sim.sensor import SensorModel
-from sim.surroundings import as_surface, save_surroundings
+from sim.sheet import board_relative_to, save_sheet
+from sim.surroundings import save_surroundings
 from sim.vibration import displaced, with_vibration
 from sim.worker import Blender
 from sim.world import BoardItem, World
@@ -66,7 +70,8 @@ class SimTwin:
         self._world = _world_of(nominal, board, self._parameters)
         self._light = Light(self._world, blender, analytic=True)
         self._next_frame, self._settings = 0, CameraSettings(1.0)
-        self._surroundings: Surroundings | None = None
+        self._appearance: Appearance | None = None
+        self._forget_files: Callable[[], object] = lambda: None
 
     @property
     def parameters(self) -> TwinParameters:
@@ -101,10 +106,8 @@ class SimTwin:
         ConfigError
             No world can have these parameters.
         """
-        found = self._surroundings
-        world = _world_of(self._nominal, self._board, parameters, found.rim_mm if found else None)
-        around = None if found is None else as_surface(found, world.camera_model())
-        light = Light(world, self._blender, analytic=True, around=around)
+        world = _world_of(self._nominal, self._board, parameters)
+        light = Light(world, self._blender, analytic=True)
         light.inherit(self._light)
         self._parameters, self._world, self._light = parameters, world, light
 
@@ -282,16 +285,33 @@ class SimTwin:
         """
         return item_poses(self._world, item)[0]
 
-    def surround(self, surroundings: Surroundings | None) -> None:
-        """Show something beside the board, or nothing any more; `save` writes it too.
+    def appear(self, appearance: Appearance) -> None:
+        """Look as a bench does, beside what parameters tell; `save` writes it too.
 
         Parameters
         ----------
-        surroundings : Surroundings or None
-            In the place of what was there before.
+        appearance : Appearance
+            In place of the one before.
         """
-        self._surroundings = surroundings
+        folder = Path(mkdtemp(prefix="fpplab-"))
+        changed = self._with_appearance(self._nominal, appearance, folder)
+        self._forget_files()
+        self._forget_files = finalize(self, rmtree, folder, ignore_errors=True)
+        self._nominal, self._appearance = self._nominal.model_copy(update=changed), appearance
         self.become(self._parameters)
+
+    def _with_appearance(
+        self, world: World, appearance: Appearance, folder: Path, relative: bool = False
+    ) -> dict[str, Any]:
+        """What an appearance, whose files are written to a folder, changes in a world."""
+        around = appearance.surroundings and save_surroundings(appearance.surroundings, folder)
+        board = world.items[self._board]
+        assert isinstance(board, BoardItem)
+        board = board.model_copy(update=save_sheet(appearance.sheet, folder))
+        if relative:
+            around = around and around.relative_to(folder)
+            board = board_relative_to(board, folder)
+        return {"surroundings": around, "items": {**world.items, self._board: board}}
 
     def save(self, folder: Path, notes: Sequence[str] = ()) -> Path:
         """Write `rig.yaml`, `world.yaml` and `calibration.yaml`.
@@ -317,14 +337,12 @@ class SimTwin:
         """
         calibration = CalibrationFile.of(self._parameters.calibration)
         changed: dict[str, Any] = {"calibration": calibration}
-        if self._surroundings is not None:
-            changed["surroundings"] = save_surroundings(self._surroundings, folder).relative_to(folder)
+        if self._appearance is not None:
+            changed |= self._with_appearance(self._world, self._appearance, folder, relative=True)
         world = self._world.model_copy(update=changed).save(folder)
-        devices: dict[str, dict[str, Any]] = {
-            name: {"backend": f"sim.devices:Sim{name.capitalize()}"} for name in _DEVICES
-        }
+        devices: dict[str, dict[str, Any]] = {name: {"backend": f"virtual_{name}"} for name in _DEVICES}
         devices["camera"] |= {"bits": self._settings.bits, "gain_db": self._settings.gain_db}
-        bench = {"backend": "sim.devices:VirtualBench", "world": world.name}
+        bench = {"backend": "virtual_bench", "world": world.name}
         path = folder / "rig.yaml"
         noted = {"notes": list(notes)} if notes else {}
         write_text(path, config.to_yaml({"name": "Matched twin", **noted, "bench": bench, **devices}))
@@ -385,8 +403,6 @@ def _world_of(nominal: World, board: str, parameters: TwinParameters, rim_mm: fl
         "reflectance": p.paper,
         "ink": p.ink,
     }
-    if rim_mm is not None:
-        data["items"][board]["rim_mm"] = rim_mm
     for name, pose in p.placed.items():
         data["items"][name]["pose"] = config.plain(PoseFile.of(pose))
     data["projector"] |= {

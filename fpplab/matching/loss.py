@@ -174,19 +174,45 @@ def board_mask(
     Mask
         [v, u] of the camera's size.
     """
-    half_x, half_y = 0.5 * np.array(target.size_mm)
+    half = 0.5 * np.array(target.size_mm)
+    return rectangle_mask(camera, T_camera_board, -half, half, margin_px)
+
+
+def rectangle_mask(
+    camera: Pinhole, T_camera_board: RigidTransform, low: Floats, high: Floats, margin_px: int = 0
+) -> Mask:
+    """Find the pixels that see a rectangle on a board.
+
+    Parameters
+    ----------
+    camera : Pinhole
+        With distortion.
+    T_camera_board : RigidTransform
+        Pose of the board.
+    low, high : Floats
+        Opposite corners (2,) in mm on the board.
+    margin_px : int
+        Edge margin by which the mask lies inside the rectangle; negative: beyond it.
+
+    Returns
+    -------
+    Mask
+        [v, u] of the camera's size.
+    """
     along = np.linspace(-1.0, 1.0, EDGE_POINTS, endpoint=False)
     one = np.ones_like(along)
-    x = np.concatenate([along, one, -along, -one]) * half_x
-    y = np.concatenate([-one, along, one, -along]) * half_y
-    outline = camera.project(np.stack([x, y, np.zeros_like(x)], axis=-1), T_camera_board)
+    square = np.stack(
+        [np.concatenate([along, one, -along, -one]), np.concatenate([-one, along, one, -along])]
+    )
+    places = 0.5 * (low + high) + 0.5 * (high - low) * square.T
+    outline = camera.project(np.pad(places, ((0, 0), (0, 1))), T_camera_board)
     width, height = camera.size
     area = np.zeros((height, width), np.uint8)
     cv2.fillPoly(area, [np.rint(outline * 16).astype(np.int32)], (1,), shift=4)
     if margin_px:
         reach = 2 * abs(margin_px) + 1
-        square = np.ones((reach, reach), np.uint8)
-        away = cv2.erode(area, square, borderValue=(0,)) if margin_px > 0 else cv2.dilate(area, square)
+        window = np.ones((reach, reach), np.uint8)
+        away = cv2.erode(area, window, borderValue=(0,)) if margin_px > 0 else cv2.dilate(area, window)
         area = np.asarray(away, np.uint8)
     return np.asarray(area, np.bool_)
 

@@ -15,6 +15,7 @@ from fpplab.core.progress import Progress, Say, ignore, no_progress
 from fpplab.devices.rig import Rig
 from fpplab.diagnosis import Diagnosis, FaultCause, Finding
 from fpplab.matching import plausibility
+from fpplab.matching.appearance import AppearanceTrial, match_appearance
 from fpplab.matching.artefacts import ArtefactComparison, compare_artefacts, fit_scan
 from fpplab.matching.card import card_pose
 from fpplab.matching.discrepancy import discrepancy_of
@@ -25,7 +26,6 @@ from fpplab.matching.match import EpochObserver, MatchedTwin, MatchingLimits, ma
 from fpplab.matching.record import PLAIN, MatchingRecord
 from fpplab.matching.reference import Reference
 from fpplab.matching.refusal import Refusals
-from fpplab.matching.surroundings import SurroundingsTrial, add_surroundings
 from fpplab.matching.verdict import accepted_findings, diagnose_matching
 from fpplab.patterns.response import Response
 from fpplab.pipeline import characterise_sessions
@@ -136,8 +136,8 @@ class MatchingResult:
         Whether the pose of the grey card was measured on the bench.
     late : tuple of Finding
         What only the matched twin shows: poses with another focus, images that stay unlike.
-    surroundings : SurroundingsTrial or None
-        Whether the twin shows what stands beside the board.
+    appearance : AppearanceTrial or None
+        What the twin shows of the board's sheet and of what stands beside it.
     """
 
     reference: Reference
@@ -152,7 +152,7 @@ class MatchingResult:
     noted: tuple[str, ...] = ()
     card_measured: bool = False
     late: tuple[Finding, ...] = ()
-    surroundings: SurroundingsTrial | None = None
+    appearance: AppearanceTrial | None = None
 
     @cached_property
     def diagnosis(self) -> Diagnosis:
@@ -187,7 +187,7 @@ class MatchingResult:
             "parameters": {**light, "response": found.response.model_dump()},
             "sigma": dict(found.sigma),
             "notes": list(self.notes),
-            "surroundings": self.surroundings.summary() if self.surroundings else None,
+            "appearance": self.appearance.summary() if self.appearance else None,
             "baseline_mm": found.calibration.baseline_mm,
             "poses": self.by_pose(),
             "artefacts": [one.summary() for one in self.artefacts],
@@ -327,10 +327,9 @@ def match_sessions(
     before = evaluate(reference, twin, request.weights, progress=lambda share: progress(0.8 + 0.04 * share))
     rows = _table(reference, twin, request.weights, nominal, before, matched, gamma is not None)
     twin.become(matched.parameters)
-    tell("rebuilding the surroundings")
-    around = add_surroundings(reference, twin)
-    if around.accepted:
-        matched = _evaluated_again(reference, twin, request.weights, matched)
+    tell("matching the board's sheet and the surroundings")
+    appearance = match_appearance(reference, twin)
+    matched = _evaluated_again(reference, twin, request.weights, matched)
     own = matched.final.characterisation
     assert own is not None  # the last evaluation characterises
     artefacts = compare_artefacts(twin, scans, own.calibration, lambda share: progress(0.85 + 0.15 * share))
@@ -347,7 +346,7 @@ def match_sessions(
         tuple(refusals.notes),
         request.card_scan is not None,
         tuple(one for one in (late, blurred) if one is not None),
-        around,
+        appearance,
     )
     if not result.diagnosis.is_useless:
         twin.become(matched.parameters)

@@ -11,8 +11,8 @@ from fpplab.core.conventions import Image, PixelIndices
 from fpplab.core.geometry import RigidTransform
 from fpplab.devices import CameraSettings
 from fpplab.patterns.fringes import Pattern
+from fpplab.simulation.appearance import Appearance
 from fpplab.simulation.matchable import ExpectedLevels, Twin, TwinParameters
-from fpplab.simulation.surroundings import Surroundings
 from fpplab.targets import Target
 
 
@@ -84,8 +84,8 @@ class _WatchedTwin:
     def pose_of(self, item: str) -> RigidTransform:
         return self._twin.pose_of(item)
 
-    def surround(self, surroundings: Surroundings | None) -> None:
-        self._twin.surround(surroundings)
+    def appear(self, appearance: Appearance) -> None:
+        self._twin.appear(appearance)
 
     def save(self, folder: Path, notes: Sequence[str] = ()) -> Path:
         return self._twin.save(folder, notes)

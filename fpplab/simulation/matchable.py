@@ -20,7 +20,7 @@ from fpplab.core.geometry import RigidTransform
 from fpplab.devices import CameraSettings
 from fpplab.patterns.curve import Curve
 from fpplab.patterns.fringes import Pattern
-from fpplab.simulation.surroundings import Surroundings
+from fpplab.simulation.appearance import Appearance
 from fpplab.targets import Target
 
 NO_FALLOFF = (0.0, 0.0, 0.0, 0.0, 0.0)
@@ -321,15 +321,15 @@ class Twin(Protocol):
             The world has no such item.
         """
 
-    def surround(self, surroundings: Surroundings | None) -> None:
-        """Show something beside the board, or nothing any more; `save` writes it too.
+    def appear(self, appearance: Appearance) -> None:
+        """Look as a bench does, beside what parameters tell; `save` writes it too.
 
         Called for trials, and at last with what the saved twin has.
 
         Parameters
         ----------
-        surroundings : Surroundings or None
-            In the place of what was there before.
+        appearance : Appearance
+            In place of the one before.
         """
 
     def save(self, folder: Path, notes: Sequence[str] = ()) -> Path:

@@ -35,7 +35,7 @@ from sim.light.plane import can_compute, computed
 from sim.light.solid import can_trace, traced
 from sim.light.table import LightTable
 from sim.light.vignetting import vignetting
-from sim.scene import COLOURS, Effort, PatternRender, RenderScene, SubpixelView, Surface
+from sim.scene import COLOURS, Effort, PatternRender, RenderScene, SubpixelView
 from sim.surroundings import surroundings_surface
 from sim.texture import MirrorTexture
 from sim.worker import Blender
@@ -126,17 +126,10 @@ class Light:
         Tables on disk; None for the user's cache directory, or none at all where the world says so.
     analytic : bool
         Whether tables of flat, matt items are computed by `sim.light.plane` instead of rendered.
-    around : Surface, optional
-        Of surroundings, in place of those that the world names.
     """
 
     def __init__(
-        self,
-        world: World,
-        blender: Blender,
-        cache: TableCache | None = None,
-        analytic: bool = False,
-        around: Surface | None = None,
+        self, world: World, blender: Blender, cache: TableCache | None = None, analytic: bool = False
     ) -> None:
         self._world, self._blender, self._analytic = world, blender, analytic
         self._cache = cache if cache or not world.render.cache else TableCache()
@@ -149,7 +142,7 @@ class Light:
         self._planes: tuple[Pattern, MirrorStates] | None = None
         self._basis: tuple[MirrorStates, Basis] | None = None
         self._scene: tuple[Setup, RenderScene, MirrorTexture] | None = None
-        self._around = surroundings_surface(world) if around is None else around
+        self._around = surroundings_surface(world)
         # On the path `transport` items and surroundings have tables of their own.
         beside = self._around if world.path == "transport" else None
         self._background = None if beside is None else Background(world, beside)

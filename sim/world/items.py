@@ -41,8 +41,12 @@ class BoardItem(Document):
     """Reflectance of the ground, 0 to 1, in place of the target file's."""
     ink: Share | None = None
     """Reflectance of what is printed, 0 to 1, in place of the target file's."""
+    margins_mm: tuple[NotNegative, NotNegative, NotNegative, NotNegative] = (0.0, 0.0, 0.0, 0.0)
+    """Width of the blank sheet beyond the target on the left, top, right and bottom, in mm."""
     rim_mm: NotNegative = 0.0
-    """Width of a black frame around the board, in mm, which hides and shades the surroundings."""
+    """Width of a black frame around the sheet, in mm, which hides and shades the surroundings."""
+    texture: FileName | None = None
+    """Grey image over the sheet: factor by which its reflectance differs from place to place, 1 at 128."""
     poses: PoseRules | Annotated[tuple[PoseFile, ...], Field(min_length=1)] = PoseRules()
     """Poses T_camera_item, or rules for random ones."""
 
@@ -117,7 +121,14 @@ def with_file_beside(item: AnyItem, folder: Path) -> AnyItem:
         The same item where it names no file or the file lies elsewhere.
     """
     if isinstance(item, BoardItem):
-        return item.model_copy(update={"target": config.resolve_beside(item.target, folder)})
+        names = (
+            {"target": item.target}
+            if item.texture is None
+            else {"target": item.target, "texture": item.texture}
+        )
+        return item.model_copy(
+            update={key: config.resolve_beside(name, folder) for key, name in names.items()}
+        )
     if isinstance(item, MeshItem):
         return item.model_copy(update={"mesh": config.resolve_beside(item.mesh, folder)})
     return item

@@ -1,0 +1,151 @@
+"""How the bench looks beside what parameters tell: the board's sheet, and what stands around.
+
+Both are found once geometry and light are matched, and proven in a pose from which they were not found: a
+part that does not make the twin's images of it more alike is left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from fpplab.core.progress import Progress, no_progress
+from fpplab.matching.board_sheet import find_sheet
+from fpplab.matching.loss import board_mask, ssim
+from fpplab.matching.reference import Reference
+from fpplab.matching.surroundings import rebuild_surroundings
+from fpplab.simulation.appearance import Appearance, BoardSheet
+from fpplab.simulation.matchable import Twin
+
+MOST_POSES = 8
+"""Poses that are looked at: sheet and surroundings are the same in all."""
+LEAST_GAIN = 0.005
+"""Least gain of the mean SSIM of a pose that was left out."""
+
+
+@dataclass(frozen=True)
+class PartTrial:
+    """Whether a part of the appearance makes images more alike in a pose from which it was not found.
+
+    Attributes
+    ----------
+    ssim_without, ssim_with : float
+        Mean SSIM of the pose's images.
+    """
+
+    ssim_without: float
+    ssim_with: float
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the images are more alike by more than noise makes of it."""
+        return self.ssim_with > self.ssim_without + LEAST_GAIN
+
+
+@dataclass(frozen=True, eq=False)
+class AppearanceTrial:
+    """What was found of the appearance, and whether the twin has it.
+
+    Attributes
+    ----------
+    pose : str
+        Name of the pose that was left out.
+    sheet : PartTrial
+        Of the board's sheet; SSIM over the board as the target outlines it.
+    surroundings : PartTrial
+        SSIM of whole images.
+    found : Appearance
+        What the twin has.
+    """
+
+    pose: str
+    sheet: PartTrial
+    surroundings: PartTrial
+    found: Appearance
+
+    def summary(self) -> dict[str, Any]:
+        """Give plain values.
+
+        Returns
+        -------
+        dict of str to Any
+            Of either part SSIM without and with it and whether it is `accepted`; margins and frame of the
+            sheet in mm, standard deviation of its texture, and number of triangles of the surroundings.
+        """
+        sheet, around = self.found.sheet, self.found.surroundings
+        return {
+            "pose": self.pose,
+            "sheet": {
+                **asdict(self.sheet),
+                "accepted": self.sheet.accepted,
+                "margins_mm": list(sheet.margins_mm),
+                "rim_mm": sheet.rim_mm,
+                "texture": None if sheet.texture is None else float(sheet.texture.std()),
+            },
+            "surroundings": {
+                **asdict(self.surroundings),
+                "accepted": self.surroundings.accepted,
+                "faces": 0 if around is None else len(around.mesh.faces),
+            },
+        }
+
+
+def match_appearance(reference: Reference, twin: Twin, progress: Progress = no_progress) -> AppearanceTrial:
+    """Find the board's sheet and the surroundings, and show what proves itself.
+
+    Parameters
+    ----------
+    reference : Reference
+        What was recorded of the bench, of at least two poses.
+    twin : Twin
+        Matched, with no appearance of its own.
+    progress : Progress
+        Told the share that is done.
+
+    Returns
+    -------
+    AppearanceTrial
+        What came of it. The twin has what is accepted, found from all poses.
+    """
+    *others, held = reference.spread_poses(MOST_POSES)
+    bare = _similarity(reference, twin, held)
+    sheet = find_sheet(reference, twin, others, lambda share: progress(0.2 * share))
+    sheeted = _similarity(reference, twin, held)
+    sheet_trial = PartTrial(bare[1], sheeted[1])
+    if not sheet_trial.accepted:
+        sheet = BoardSheet(sheet.margins_mm, sheet.rim_mm)
+    around = rebuild_surroundings(reference, twin, sheet, others, lambda share: progress(0.2 + 0.3 * share))
+    twin.appear(Appearance(sheet))
+    before = _similarity(reference, twin, held)[0]
+    twin.appear(Appearance(sheet, around))
+    around_trial = PartTrial(before, _similarity(reference, twin, held)[0] if around else before)
+    found = _of_all(reference, twin, [*others, held], sheet_trial, around_trial)
+    progress(1.0)
+    twin.appear(found)
+    return AppearanceTrial(reference.sessions[held].path.name, sheet_trial, around_trial, found)
+
+
+def _of_all(
+    reference: Reference, twin: Twin, poses: Sequence[int], sheet: PartTrial, around: PartTrial
+) -> Appearance:
+    """Find what was accepted once more, from all poses; nothing without either."""
+    if not (sheet.accepted or around.accepted):
+        return Appearance()
+    found = find_sheet(reference, twin, poses)
+    if not sheet.accepted:
+        found = BoardSheet(found.margins_mm, found.rim_mm)
+    beside = rebuild_surroundings(reference, twin, found, poses) if around.accepted else None
+    return Appearance(found, beside)
+
+
+def _similarity(reference: Reference, twin: Twin, pose: int) -> tuple[float, float]:
+    """Mean SSIM of one pose's images, whole and over the board; without noise of the twin's."""
+    now, images = twin.parameters, reference.one_of_each_set
+    computed = twin.expected(pose, reference.shown(images), reference.settings)
+    board = board_mask(now.calibration.camera, now.poses[pose], reference.target)
+    pairs = zip(reference.frames(pose, images), computed, strict=True)
+    found = np.mean([ssim(real, own, reference.full_scale, board) for real, own in pairs], axis=0)
+    return float(found[0]), float(found[1])

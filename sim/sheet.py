@@ -1,0 +1,158 @@
+"""The sheet of a board as a picture, and the file that holds its texture."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image as Pillow
+
+from fpplab.core.conventions import Floats
+from fpplab.core.errors import ConfigError, FppError
+from fpplab.core.files import write_atomic
+from fpplab.sessions.image_files import grey_images, places_in
+from fpplab.simulation.appearance import BoardSheet
+from sim.world import BoardItem
+
+EVEN = 128
+"""Grey level of a texture where the reflectance is that of the print."""
+TEXTURE = "board_texture.png"
+
+
+def save_sheet(sheet: BoardSheet, folder: Path) -> dict[str, Any]:
+    """Write the file of a sheet.
+
+    Parameters
+    ----------
+    sheet : BoardSheet
+        With or without a texture.
+    folder : Path
+        Gets `board_texture.png`.
+
+    Returns
+    -------
+    dict of str to Any
+        Fields of the board's section in a world file; the name of the file is absolute.
+
+    Raises
+    ------
+    DataError
+        The folder cannot be written to.
+    """
+    fields: dict[str, Any] = {"margins_mm": sheet.margins_mm, "rim_mm": sheet.rim_mm, "texture": None}
+    if sheet.texture is not None:
+        grey = np.clip(np.rint(sheet.texture * np.float32(EVEN)), 0, 255).astype(np.uint8)
+        path = folder.resolve() / TEXTURE
+        write_atomic(path, lambda stream: Pillow.fromarray(grey).save(stream, "PNG"))
+        fields["texture"] = str(path)
+    return fields
+
+
+def board_relative_to(board: BoardItem, folder: Path) -> BoardItem:
+    """Make the name of a texture relative that lies in a folder.
+
+    Parameters
+    ----------
+    board : BoardItem
+        Section of the world file.
+    folder : Path
+        Of the world file.
+
+    Returns
+    -------
+    BoardItem
+        The same where it has none there.
+    """
+    if board.texture is None or Path(board.texture).parent != folder.resolve():
+        return board
+    return board.model_copy(update={"texture": Path(board.texture).name})
+
+
+def sheet_corners(size_mm: tuple[float, float], margins_mm: tuple[float, float, float, float]) -> Floats:
+    """List the corners of a sheet, whose target is centred at the origin.
+
+    Parameters
+    ----------
+    size_mm : tuple of float
+        (width, height) of the target.
+    margins_mm : tuple of float
+        On the left, top, right and bottom.
+
+    Returns
+    -------
+    Floats
+        (4, 3) in mm, clockwise from the top left, z = 0.
+    """
+    left, top, right, bottom = margins_mm
+    x, y = 0.5 * size_mm[0], 0.5 * size_mm[1]
+    low, high = (-x - left, -y - top), (x + right, y + bottom)
+    return np.array([[*low, 0], [high[0], low[1], 0], [*high, 0], [low[0], high[1], 0]])
+
+
+def printed_sheet(
+    ground: NDArray[np.uint8],
+    size_mm: tuple[float, float],
+    board: BoardItem,
+    paper_and_ink: tuple[float, float],
+    name: str,
+) -> tuple[NDArray[np.uint8], float]:
+    """Draw the reflectance of a sheet.
+
+    Parameters
+    ----------
+    ground : ndarray of uint8
+        Of the target, 255 where nothing is printed.
+    size_mm : tuple of float
+        (width, height) of the target.
+    board : BoardItem
+        Margins and texture.
+    paper_and_ink : tuple of float
+        Reflectance of ground and print.
+    name : str
+        Of the item, for messages.
+
+    Returns
+    -------
+    picture : ndarray of uint8
+        Over the sheet, 255 at the greatest reflectance.
+    white : float
+        That reflectance.
+
+    Raises
+    ------
+    ConfigError
+        The texture cannot be read; the message names the field.
+    """
+    scale = np.array(ground.shape[::-1]) / np.array(size_mm)
+    left, top, right, bottom = (
+        round(margin * along) for margin, along in zip(board.margins_mm, [*scale, *scale], strict=True)
+    )
+    paper, ink = paper_and_ink
+    wide = np.pad(ground, ((top, bottom), (left, right)), constant_values=255)
+    reflectance = np.float32(ink) + np.float32((paper - ink) / 255) * wide
+    if board.texture is not None:
+        factor = _texture(name, Path(board.texture), _changed_ns(board.texture))
+        reflectance *= cv2.resize(factor, wide.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    reflectance = np.minimum(reflectance, 1.0)
+    white = float(reflectance.max())
+    return np.rint(reflectance * np.float32(255 / white)).astype(np.uint8), white
+
+
+def _changed_ns(name: str) -> int:
+    path = Path(name)
+    return path.stat().st_mtime_ns if path.is_file() else 0
+
+
+@lru_cache(maxsize=4)
+def _texture(name: str, path: Path, changed_ns: int) -> NDArray[np.float32]:
+    try:
+        pictures = list(grey_images(places_in(path)))
+    except (FppError, OSError) as error:
+        raise ConfigError(f"world: 'items.{name}.texture': {error}") from error
+    if len(pictures) != 1 or pictures[0][1].dtype != np.uint8:
+        raise ConfigError(f"world: 'items.{name}.texture': {path} must be one grey image of 8 bits")
+    return np.asarray(pictures[0][1] / np.float32(EVEN), np.float32)
