@@ -3,8 +3,8 @@
 In every pose the levels of bench and twin are compared pixel by pixel, least squares over all images. Where
 the twin shows the same sheet their ratio is the factor by which the bench's reflects more; mapped onto the
 sheet, its median over the poses is what belongs to the board and not to the light. Beyond the target the
-twin's sheet is blank: as far as the bench's levels follow the same fringes it is sheet there as well, and dark
-where a frame is.
+twin's sheet is blank: as far as the bench's levels follow the same fringes it is sheet there as well, and a
+frame where they are dark.
 """
 
 from __future__ import annotations

@@ -39,8 +39,6 @@ MOST_STEP = 0.03
 """Greatest ratio, less 1, of depths at the corners of a face: beyond lies an edge that nothing joins."""
 NEAR_BOARD_MM = 10.0
 """Distance from the board and its frame within which a point may belong to them."""
-LEAST_POSES = 2
-"""In so many poses a surface must have been seen, or it may have moved with the board."""
 LEAST_FACES = 100
 """With fewer there are no surroundings worth the name."""
 TRIAL = 0.1
@@ -105,11 +103,9 @@ def _depths(
         progress((done + 1) / len(poses))
     if not found:
         return np.full((1, 1), np.nan)
-    every = np.stack(found)
-    often = np.isfinite(every).sum(axis=0) >= min(LEAST_POSES, len(every))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # a cell that is known in no pose
-        return np.where(often, np.nanmedian(every, axis=0), np.nan)
+        return np.asarray(np.nanmedian(np.stack(found), axis=0))
 
 
 def _is_beside(cloud: Cloud, pose: RigidTransform, target: Target, sheet: BoardSheet) -> Mask:
