@@ -16,9 +16,10 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -30,12 +31,13 @@ from sim.light.byte_limited_cache import ByteLimitedCache
 from sim.light.cache import TableCache, digest
 from sim.light.falloff import projector_falloff
 from sim.light.lens import lens_points
-from sim.light.plane import can_compute, computed
+from sim.light.plane import can_compute, computed, computed_motion
+from sim.light.slopes import MotionTable
 from sim.light.solid import can_trace, traced
 from sim.light.table import LightTable
 from sim.light.vignetting import vignetting
 from sim.scene import COLOURS, Effort, PatternRender, RenderScene, SubpixelView
-from sim.texture import MirrorTexture
+from sim.texture import MirrorTexture, PatternTextures
 from sim.worker import Blender
 from sim.world import World
 from sim.world.render import shifts
@@ -44,6 +46,8 @@ KEEP_BYTES = 1 << 29
 """Size of the caches in memory; those of tables and bases are twice as large."""
 BATCH_PATTERNS, BATCH_BYTES = 40, 1 << 28
 """Patterns that are looked up at once, and the greatest size of their pictures."""
+MOTION_PATTERNS = 16
+"""Patterns that are looked up at once with derivatives."""
 START_S, PATHS_PER_S = 60.0, 5e4
 """Time limit of a render: a fixed part, and the light paths that any computer traces in a second."""
 
@@ -132,6 +136,8 @@ class Light:
         self._world, self._blender, self._analytic = world, blender, analytic
         self._cache = cache if cache or not world.render.cache else TableCache()
         self._tables: ByteLimitedCache[LightTable] = ByteLimitedCache(2 * KEEP_BYTES)
+        self._motions: ByteLimitedCache[MotionTable] = ByteLimitedCache(2 * KEEP_BYTES)
+        self._levels_of_mirrors: ByteLimitedCache[PatternLevels] = ByteLimitedCache(KEEP_BYTES)
         self._displaced: tuple[str, LightTable] | None = None
         self._pictures: ByteLimitedCache[PatternLevels] = ByteLimitedCache(KEEP_BYTES)
         self._bases: ByteLimitedCache[Rendered] = ByteLimitedCache(2 * KEEP_BYTES)
@@ -208,12 +214,102 @@ class Light:
         if self._world.path != "transport":
             return np.stack([self.irradiance(setup, Show(patterns, n))[pixels] for n in range(len(patterns))])
         table = self._table_at(setup, pixels)
-        parts = (patterns[n : n + BATCH_PATTERNS] for n in range(0, len(patterns), BATCH_PATTERNS))
         seen: PatternLevels = np.concatenate(
-            [self._seen(setup, table, [self._level(one) for one in part])[:, 0] for part in parts]
+            [
+                self._seen(setup, table, [self._level(one) for one in part])[:, 0]
+                for part in _batches(patterns, BATCH_PATTERNS)
+            ]
         )
         seen += np.float32(self._world.ambient) * table.albedo[0]
         return seen if self._falloff is None else seen * self._falloff[pixels]
+
+    def differentiates(self, setup: Setup) -> bool:
+        """Tell whether the derivatives of the item's light are computed.
+
+        Parameters
+        ----------
+        setup : Setup
+            State of the moving parts.
+
+        Returns
+        -------
+        bool
+            Whether its light is computed, direct, and of mirrors without sharp edges.
+        """
+        return self._world.path == "transport" and self.computes(setup) and not self._built(setup)[2].exact
+
+    def irradiance_with_slopes(
+        self, setup: Setup, patterns: tuple[Pattern, ...], pixels: PixelIndices
+    ) -> tuple[PatternLevels, PatternLevels]:
+        """Compute what `irradiance_at` gives, with derivatives by the places that the pixels see.
+
+        Parameters
+        ----------
+        setup : Setup
+            State of the moving parts, for which `differentiates` is true.
+        patterns : tuple of Pattern
+            n patterns.
+        pixels : PixelIndices
+            Rows and columns of P pixels.
+
+        Returns
+        -------
+        irradiance : PatternLevels
+            (n, P), 1 for white.
+        slopes : PatternLevels
+            (n, P, 4): its derivatives by the place x, y on the item in mm, and u, v on the projector in px.
+        """
+        _, scene, texture = self._built(setup)
+        views = self._views(setup)
+        held = self._motions.get(
+            digest(scene, views, pixels), lambda: computed_motion(scene, views, True, pixels)
+        )
+        found = np.concatenate(
+            [held.look_up(self._textures(setup, held, part)) for part in _batches(patterns, MOTION_PATTERNS)]
+        )
+        ambient, per_px = np.float32(self._world.ambient), texture.affine[:, :2].astype(np.float32)
+        seen = found[..., 0] + ambient * held.table.albedo[0]
+        slopes = np.concatenate(
+            [found[..., 1:3] + ambient * held.albedo_slopes, found[..., 3:5] @ per_px], axis=-1
+        )
+        if self._falloff is not None:
+            seen *= self._falloff[pixels]
+            slopes *= self._falloff[pixels][:, None]
+        return seen, slopes
+
+    def displaced(
+        self, setup: Setup, patterns: tuple[Pattern, ...], moves: Floats
+    ) -> Iterator[PatternLevels]:
+        """Compute the irradiance of an item that is displaced under every pattern, to first order.
+
+        Parameters
+        ----------
+        setup : Setup
+            State of the moving parts, for which `differentiates` is true; the item at rest.
+        patterns : tuple of Pattern
+            n patterns.
+        moves : Floats
+            Displacement (n, 3) under each, in mm in the camera's frame.
+
+        Yields
+        ------
+        PatternLevels
+            For each pattern (height, width), 1 for white, not negative.
+        """
+        _, scene, _ = self._built(setup)
+        views = self._views(setup)
+        held = self._motions.get(digest(scene, views), lambda: computed_motion(scene, views, True))
+        done = 0
+        for part in _batches(patterns, MOTION_PATTERNS):
+            found = held.look_up(self._textures(setup, held, part))
+            for picture in held.displaced(found, moves[done : done + len(part)], self._world.ambient):
+                yield picture if self._falloff is None else picture * self._falloff
+            done += len(part)
+
+    def _textures(self, setup: Setup, held: MotionTable, patterns: Sequence[Pattern]) -> PatternTextures:
+        _, scene, texture = self._built(setup)
+        light = [self._level(one) for one in patterns]
+        return texture.textures(light, scene.lamp.circles, held.table.part(texture.shape))
 
     def _table_at(self, setup: Setup, pixels: PixelIndices) -> LightTable:
         (_, scene, _), views = self._built(setup), self._views(setup)
@@ -259,6 +355,8 @@ class Light:
             if self._displaced is None or self._displaced[0] != key:
                 self._displaced = (key, self._load_or_make(setup, key))
             return self._displaced[1]
+        if key in self._motions:  # the same table, with derivatives
+            return self._motions.get(key, lambda: computed_motion(scene, self._views(setup), True)).table
         return self._tables.get(key, lambda: self._load_or_make(setup, key))
 
     def inherit(self, other: Light) -> None:
@@ -272,13 +370,28 @@ class Light:
             Not to be used any more.
         """
         self._tables.take(other._tables)
+        self._motions.take(other._motions)
+        ours, theirs = self._world.projector, other._world.projector
+        if ours.response == theirs.response and ours.falloff == theirs.falloff:
+            self._levels_of_mirrors.take(other._levels_of_mirrors)
         other.forget()
 
     def forget(self) -> None:
         """Drop every picture and table in memory."""
-        for kept in (self._tables, self._pictures, self._bases, self._albedos):
+        for kept in self._caches:
             kept.clear()
         self._displaced = None
+
+    @property
+    def _caches(self) -> tuple[ByteLimitedCache[Any], ...]:
+        return (
+            self._tables,
+            self._motions,
+            self._levels_of_mirrors,
+            self._pictures,
+            self._bases,
+            self._albedos,
+        )
 
     def _projected(self, setup: Setup, show: Show, row_weights: Floats | None) -> PatternLevels:
         if row_weights is None:
@@ -375,7 +488,7 @@ class Light:
         return self._loaded[1]
 
     def _level(self, pattern: Pattern) -> PatternLevels:
-        return self._fallen_off(self._even_level(pattern))
+        return self._levels_of_mirrors.get(pattern, lambda: self._fallen_off(self._even_level(pattern)))
 
     def _even_level(self, pattern: Pattern) -> PatternLevels:
         table = self._world.projector.response.curve().apply(np.linspace(0, 1, 256))
@@ -490,6 +603,10 @@ class Light:
         width, height = self._world.camera.size
         paths = width * height * len(views) * effort.samples * (1 + effort.bounces)
         return self._blender.render(scene, textures, views, effort, START_S + paths / PATHS_PER_S)
+
+
+def _batches(patterns: tuple[Pattern, ...], most: int) -> Iterator[tuple[Pattern, ...]]:
+    return (patterns[n : n + most] for n in range(0, len(patterns), most))
 
 
 def _colours(rendered: PatternLevels) -> list[PatternLevels]:

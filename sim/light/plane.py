@@ -28,11 +28,14 @@ from numpy.typing import NDArray
 from fpplab.core.conventions import Floats, PixelIndices
 from fpplab.core.geometry import Pinhole, RigidTransform
 from sim.light.rays import distorted, lens_turn, on_lens, slopes_at
+from sim.light.slopes import MotionTable
 from sim.light.table import Irradiance, LightTable, circle_level
 from sim.scene import Paint, RenderScene, SubpixelView, Surface
 
 SPOT_SIZES = 4
 """Sizes of spots for which the print is blurred beforehand; others are interpolated."""
+STRAIGHT = 0.1
+"""Least determinant of the distortion's derivatives for which it is straight over one pixel."""
 RIM_SIGMAS = 4.0
 """Margin of the blurred print beyond the item's edges, in standard deviations of the blur."""
 
@@ -78,6 +81,37 @@ def computed(
     LightTable
         As from Blender.
     """
+    return _tables(scene, views, spots, pixels, moving=False).table
+
+
+def computed_motion(
+    scene: RenderScene, views: list[SubpixelView], spots: bool = False, pixels: PixelIndices | None = None
+) -> MotionTable:
+    """Compute the same table, and how it changes as the item moves.
+
+    Parameters
+    ----------
+    scene : RenderScene
+        One for which `can_compute` is true.
+    views : list of SubpixelView
+        Points of the pixels and of the lens.
+    spots : bool
+        As of `computed`.
+    pixels : PixelIndices or None
+        As of `computed`.
+
+    Returns
+    -------
+    MotionTable
+        With the table that `computed` gives.
+    """
+    return _tables(scene, views, spots, pixels, moving=True)
+
+
+def _tables(
+    scene: RenderScene, views: list[SubpixelView], spots: bool, pixels: PixelIndices | None, moving: bool
+) -> MotionTable:
+    """Trace a scene; derivatives are left empty unless it is `moving`."""
     camera, lamp, surface = scene.camera, scene.lamp, scene.surfaces[0]
     width, height = camera.size
     pose = _transform(surface.T_camera_item)
@@ -86,6 +120,10 @@ def computed(
     rows, columns = np.mgrid[top:bottom, left:right] if pixels is None else pixels
     samples = np.zeros((len(views), rows.size, 4), np.float32)
     albedo = np.zeros(rows.size, np.float32)
+    kept = rows.size if moving else 0
+    slopes = np.zeros((len(views), kept, 2), np.float32)
+    albedo_slopes = np.zeros((kept, 2), np.float32)
+    motion = np.zeros((kept, 5, 3), np.float32)
     reach = Pinhole(camera.size, camera.matrix, camera.distortion).reach
     radius = 0.5 * scene.aperture.diameter_mm
     spots = spots and surface.picture is not None  # a uniform surface has nothing to blur
@@ -121,12 +159,17 @@ def computed(
         prints.pictures,
         samples,
         albedo,
+        slopes,
+        albedo_slopes,
+        motion,
     )
     if pixels is not None:
-        return LightTable(samples[:, None], albedo[None])
-    whole = np.zeros((height, width), np.float32)
-    whole[top:bottom, left:right] = albedo.reshape(rows.shape)
-    return LightTable(samples.reshape(len(views), *rows.shape, 4), whole, (left, top))
+        table = LightTable(samples[:, None], albedo[None])
+    else:
+        whole = np.zeros((height, width), np.float32)
+        whole[top:bottom, left:right] = albedo.reshape(rows.shape)
+        table = LightTable(samples.reshape(len(views), *rows.shape, 4), whole, (left, top))
+    return MotionTable(table, slopes, albedo_slopes, motion)
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,16 +310,22 @@ def _trace(
     prints: Irradiance,
     samples: Irradiance,
     albedo: Irradiance,
+    slopes: Irradiance,
+    albedo_slopes: Irradiance,
+    motion: Irradiance,
 ) -> None:
     """Trace all samples of pixels and fill in `samples` (K, P, 4) and `albedo` (P,).
 
     columns, rows: (P,) of an image of that height. views: (K, 4) shift u, v and lens x, y, with their joint
-    `variance`. lamp: in the item's frame. low, high, variances, prints: as in `_Prints`.
+    `variance`. lamp: in the item's frame. low, high, variances, prints: as in `_Prints`. slopes (K, P, 2),
+    albedo_slopes (P, 2), motion (P, 5, 3): as in `MotionTable`, all of them without pixels where they are not
+    wanted.
     """
     R, t = T_item_camera[:, :3], T_item_camera[:, 3]
     P, p = T_projector_item[:, :3], T_projector_item[:, 3]
     share = 1.0 / len(views)
     pixel = 1.0 / (matrix[0, 0] * matrix[1, 1])
+    moving = len(motion) > 0
     for i in numba.prange(len(rows)):
         u, v = columns[i], rows[i]
         sine, turned = 0.0, 1.0
@@ -289,8 +338,22 @@ def _trace(
             circle = radius * (1.0 / middle - 1.0 / focus) / np.sqrt(pixel)
             if circle != 0:
                 reached = radius * _opened(circle, len(views), variance)
+        x0, y0 = slopes_at(u, v, matrix, lens, reach)
+        middle_x, middle_y, xx, xy, yy = distorted(x0, y0, lens)
+        determinant = xx * yy - xy * xy
+        if moving:
+            _fill_motion(x0, y0, R, t, P, p, lamp[2], lamp_lens, to_texel, motion[i])
         for k in range(len(views)):
-            x, y = slopes_at(u + views[k, 0], v + views[k, 1], matrix, lens, reach)
+            if determinant > STRAIGHT:
+                along, upright = views[k, 0] / matrix[0, 0], views[k, 1] / matrix[1, 1]
+                x = x0 + (yy * along - xy * upright) / determinant
+                y = y0 + (xx * upright - xy * along) / determinant
+                bent_x, bent_y, _, _, _ = distorted(x, y, lens)
+                off_x, off_y = middle_x + along - bent_x, middle_y + upright - bent_y
+                x += (yy * off_x - xy * off_y) / determinant
+                y += (xx * off_y - xy * off_x) / determinant
+            else:
+                x, y = slopes_at(u + views[k, 0], v + views[k, 1], matrix, lens, reach)
             ox, oy = on_lens(reached, views[k, 2], views[k, 3], sine, turned)
             dx, dy, dz = x - ox / focus, y - oy / focus, 1.0
             start = R[2, 0] * ox + R[2, 1] * oy + t[2]
@@ -303,15 +366,21 @@ def _trace(
             iy = R[1, 0] * cx + R[1, 1] * cy + R[1, 2] * length + t[1]
             if not (low[0] <= ix <= high[0] and low[1] <= iy <= high[1]):
                 continue
-            across, down = (ix - low[0]) / (high[0] - low[0]), (iy - low[1]) / (high[1] - low[1])
+            wide, tall = high[0] - low[0], high[1] - low[1]
+            across, down = (ix - low[0]) / wide, (iy - low[1]) / tall
             if len(variances) == 1:
-                grey = _between_pixels(prints[0], across, down)
+                grey, by_x, by_y = _between_pixels(prints[0], across, down)
             else:
                 spot = _spot(length, abs(fall), pixel, radius, focus, len(views))
                 size, more = _between_sizes(spot, variances)
-                grey = (1 - more) * _between_pixels(prints[size], across, down)
-                grey += more * _between_pixels(prints[size + 1], across, down)
+                near, near_x, near_y = _between_pixels(prints[size], across, down)
+                far, far_x, far_y = _between_pixels(prints[size + 1], across, down)
+                grey = near + more * (far - near)
+                by_x, by_y = near_x + more * (far_x - near_x), near_y + more * (far_y - near_y)
             albedo[i] += share * grey
+            if moving:
+                albedo_slopes[i, 0] += share * by_x / wide
+                albedo_slopes[i, 1] += share * by_y / tall
             qx = P[0, 0] * ix + P[0, 1] * iy + p[0]
             qy = P[1, 0] * ix + P[1, 1] * iy + p[1]
             qz = P[2, 0] * ix + P[2, 1] * iy + p[2]
@@ -323,7 +392,54 @@ def _trace(
             sample[0] = to_texel[0, 0] * xd + to_texel[0, 1] * yd + to_texel[0, 2]
             sample[1] = to_texel[1, 0] * xd + to_texel[1, 1] * yd + to_texel[1, 2]
             sample[2] = circle_level(qz, circle_scale, inverse_focus, squares)
-            sample[3] = grey * distance * distance * abs(lamp[2]) / (qz * qz * qz)
+            light = distance * distance * abs(lamp[2]) / (qz * qz * qz)
+            sample[3] = grey * light
+            if moving:
+                slopes[k, i, 0], slopes[k, i, 1] = light * by_x / wide, light * by_y / tall
+
+
+@numba.njit(cache=True, inline="always", error_model="numpy")
+def _fill_motion(
+    x: float,
+    y: float,
+    R: Floats,
+    t: Floats,
+    P: Floats,
+    p: Floats,
+    lamp_height: float,
+    lamp_lens: Floats,
+    to_texel: Floats,
+    out: Irradiance,
+) -> None:
+    """Differentiate what the ray with slopes x, y meets by the item's place: (5, 3) of `MotionTable`.
+
+    R, t: from camera to item. P, p: from item to projector.
+    """
+    fall = R[2, 0] * x + R[2, 1] * y + R[2, 2]
+    depth = -t[2] / fall
+    ix = (R[0, 0] * x + R[0, 1] * y + R[0, 2]) * depth + t[0]
+    iy = (R[1, 0] * x + R[1, 1] * y + R[1, 2]) * depth + t[1]
+    qx = P[0, 0] * ix + P[0, 1] * iy + p[0]
+    qy = P[1, 0] * ix + P[1, 1] * iy + p[1]
+    qz = P[2, 0] * ix + P[2, 1] * iy + p[2]
+    sx, sy = qx / qz, qy / qz
+    _, _, xx, xy, yy = distorted(sx, sy, lamp_lens)
+    # A displacement along the normal moves the point along the ray; by so much in the item's frame, per mm.
+    rx = (R[0, 0] * x + R[0, 1] * y + R[0, 2]) / fall
+    ry = (R[1, 0] * x + R[1, 1] * y + R[1, 2]) / fall
+    # and in the projector's
+    fx = P[0, 0] * rx + P[0, 1] * ry + P[0, 2]
+    fy = P[1, 0] * rx + P[1, 1] * ry + P[1, 2]
+    fz = P[2, 0] * rx + P[2, 1] * ry + P[2, 2]
+    by_x, by_y = (fx - sx * fz) / qz, (fy - sy * fz) / qz
+    bent_x, bent_y = xx * by_x + xy * by_y, xy * by_x + yy * by_y
+    for axis in range(3):
+        normal = R[2, axis]
+        out[0, axis] = -normal / lamp_height - 3.0 * fz / qz * normal
+        out[1, axis] = rx * normal - R[0, axis]
+        out[2, axis] = ry * normal - R[1, axis]
+        out[3, axis] = (to_texel[0, 0] * bent_x + to_texel[0, 1] * bent_y) * normal
+        out[4, axis] = (to_texel[1, 0] * bent_x + to_texel[1, 1] * bent_y) * normal
 
 
 @numba.njit(cache=True, inline="always")
@@ -337,14 +453,18 @@ def _between_sizes(spot: float, variances: Floats) -> tuple[int, float]:
 
 
 @numba.njit(cache=True, inline="always")
-def _between_pixels(picture: Irradiance, x: float, y: float) -> float:
-    """Interpolate linearly between the centres of a picture's pixels; x, y: 0 to 1 over the whole of it."""
+def _between_pixels(picture: Irradiance, x: float, y: float) -> tuple[float, float, float]:
+    """Interpolate linearly between the centres of a picture's pixels; x, y: 0 to 1 over the whole of it.
+
+    With the derivatives by x and y.
+    """
     rows, columns = picture.shape
     u = min(max(x * columns - 0.5, 0.0), columns - 1.0)
     v = min(max(y * rows - 0.5, 0.0), rows - 1.0)
     i, j = int(u), int(v)
     right, below = min(i + 1, columns - 1), min(j + 1, rows - 1)
     fu, fv = u - i, v - j
-    upper = picture[j, i] * (1 - fu) + picture[j, right] * fu
-    lower = picture[below, i] * (1 - fu) + picture[below, right] * fu
-    return float(upper * (1 - fv) + lower * fv)
+    a, b, c, d = picture[j, i], picture[j, right], picture[below, i], picture[below, right]
+    upper, lower = a * (1 - fu) + b * fu, c * (1 - fu) + d * fu
+    by_x = ((b - a) * (1 - fv) + (d - c) * fv) * columns
+    return float(upper * (1 - fv) + lower * fv), float(by_x), float((lower - upper) * rows)
