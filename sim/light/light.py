@@ -138,6 +138,7 @@ class Light:
         self._tables: ByteLimitedCache[LightTable] = ByteLimitedCache(2 * KEEP_BYTES)
         self._motions: ByteLimitedCache[MotionTable] = ByteLimitedCache(2 * KEEP_BYTES)
         self._levels_of_mirrors: ByteLimitedCache[PatternLevels] = ByteLimitedCache(KEEP_BYTES)
+        self._textures: ByteLimitedCache[PatternTextures] = ByteLimitedCache(KEEP_BYTES)
         self._displaced: tuple[str, LightTable] | None = None
         self._pictures: ByteLimitedCache[PatternLevels] = ByteLimitedCache(KEEP_BYTES)
         self._bases: ByteLimitedCache[Rendered] = ByteLimitedCache(2 * KEEP_BYTES)
@@ -216,7 +217,7 @@ class Light:
         table = self._table_at(setup, pixels)
         seen: PatternLevels = np.concatenate(
             [
-                self._seen(setup, table, [self._level(one) for one in part])[:, 0]
+                table.look_up(self._textures_of(setup, table, part))[:, 0]
                 for part in _batches(patterns, BATCH_PATTERNS)
             ]
         )
@@ -265,7 +266,10 @@ class Light:
             digest(scene, views, pixels), lambda: computed_motion(scene, views, True, pixels)
         )
         found = np.concatenate(
-            [held.look_up(self._textures(setup, held, part)) for part in _batches(patterns, MOTION_PATTERNS)]
+            [
+                held.look_up(self._textures_of(setup, held.table, part))
+                for part in _batches(patterns, MOTION_PATTERNS)
+            ]
         )
         ambient, per_px = np.float32(self._world.ambient), texture.affine[:, :2].astype(np.float32)
         seen = found[..., 0] + ambient * held.table.albedo[0]
@@ -301,15 +305,19 @@ class Light:
         held = self._motions.get(digest(scene, views), lambda: computed_motion(scene, views, True))
         done = 0
         for part in _batches(patterns, MOTION_PATTERNS):
-            found = held.look_up(self._textures(setup, held, part))
+            found = held.look_up(self._textures_of(setup, held.table, part))
             for picture in held.displaced(found, moves[done : done + len(part)], self._world.ambient):
                 yield picture if self._falloff is None else picture * self._falloff
             done += len(part)
 
-    def _textures(self, setup: Setup, held: MotionTable, patterns: Sequence[Pattern]) -> PatternTextures:
+    def _textures_of(self, setup: Setup, table: LightTable, patterns: Sequence[Pattern]) -> PatternTextures:
+        """Make the textures of patterns that a table needs, unless lamp and table kept theirs."""
         _, scene, texture = self._built(setup)
-        light = [self._level(one) for one in patterns]
-        return texture.textures(light, scene.lamp.circles, held.table.part(texture.shape))
+        circles, part = scene.lamp.circles, table.part(texture.shape)
+        return self._textures.get(
+            (tuple(patterns), texture, circles, part),
+            lambda: texture.textures([self._level(one) for one in patterns], circles, part),
+        )
 
     def _table_at(self, setup: Setup, pixels: PixelIndices) -> LightTable:
         (_, scene, _), views = self._built(setup), self._views(setup)
@@ -374,6 +382,7 @@ class Light:
         ours, theirs = self._world.projector, other._world.projector
         if ours.response == theirs.response and ours.falloff == theirs.falloff:
             self._levels_of_mirrors.take(other._levels_of_mirrors)
+            self._textures.take(other._textures)
         other.forget()
 
     def forget(self) -> None:

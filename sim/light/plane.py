@@ -18,26 +18,22 @@ pixels.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-import cv2
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.core.conventions import Floats, PixelIndices
 from fpplab.core.geometry import Pinhole, RigidTransform
+from sim.light.prints import PrintCache, Prints, sharp_print
 from sim.light.rays import distorted, lens_turn, on_lens, slopes_at
 from sim.light.slopes import MotionTable
 from sim.light.table import Irradiance, LightTable, circle_level
-from sim.scene import Paint, RenderScene, SubpixelView, Surface
+from sim.scene import Paint, RenderScene, SubpixelView
 
-SPOT_SIZES = 4
-"""Sizes of spots for which the print is blurred beforehand; others are interpolated."""
 STRAIGHT = 0.1
 """Least determinant of the distortion's derivatives for which it is straight over one pixel."""
-RIM_SIGMAS = 4.0
-"""Margin of the blurred print beyond the item's edges, in standard deviations of the blur."""
+
+_cache = PrintCache()
 
 
 def can_compute(scene: RenderScene) -> bool:
@@ -127,7 +123,7 @@ def _tables(
     reach = Pinhole(camera.size, camera.matrix, camera.distortion).reach
     radius = 0.5 * scene.aperture.diameter_mm
     spots = spots and surface.picture is not None  # a uniform surface has nothing to blur
-    prints = _blurred_prints(scene, len(views)) if spots else _sharp_print(surface)
+    prints = _prints_of_spots(scene, len(views)) if spots else sharp_print(surface.picture)
     shifts = np.array([view.shift for view in views])
     lens = _correlated_lens(shifts) if spots else np.array([view.lens for view in views])
     if spots and len(views) > 1:
@@ -153,10 +149,14 @@ def _tables(
         lamp.texels_per_slope * lamp.aperture.diameter_mm,
         1.0 / lamp.aperture.focus_mm,
         np.array(lamp.circles, np.float64) ** 2,
-        prints.low,
-        prints.high,
+        surface.vertices[0, :2],
+        surface.vertices[2, :2],
+        np.array([surface.paint.ink, surface.paint.reflectance - surface.paint.ink]),
         prints.variances,
         prints.pictures,
+        prints.across,
+        prints.down,
+        prints.rim,
         samples,
         albedo,
         slopes,
@@ -172,26 +172,10 @@ def _tables(
     return MotionTable(table, slopes, albedo_slopes, motion)
 
 
-@dataclass(frozen=True, eq=False)
-class _Prints:
-    """A rectangle's reflectance (sizes, rows, columns) between its corners low and high (x, y) in mm.
-
-    variances: (sizes,) in mm², of the blur of each; equally spaced.
-    """
-
-    pictures: Irradiance
-    low: Floats
-    high: Floats
-    variances: Floats
-
-
-def _sharp_print(surface: Surface) -> _Prints:
-    return _Prints(_reflectance(surface)[None], surface.vertices[0, :2], surface.vertices[2, :2], np.zeros(1))
-
-
-def _blurred_prints(scene: RenderScene, samples: int) -> _Prints:
-    """Blur the print for all sizes of spots on it; the surroundings reflect nothing."""
+def _prints_of_spots(scene: RenderScene, samples: int) -> Prints:
+    """Blur the print for all sizes of spots on it."""
     surface, aperture, camera = scene.surfaces[0], scene.aperture, scene.camera
+    assert surface.picture is not None
     low, high = surface.vertices[0, :2], surface.vertices[2, :2]
     pose = _transform(surface.T_camera_item)
     places = np.linspace(low, high, 5)
@@ -208,17 +192,8 @@ def _blurred_prints(scene: RenderScene, samples: int) -> _Prints:
         )
         for point in seen
     ]
-    variances = np.linspace(min(spread), max(spread), SPOT_SIZES)
-    grey = _reflectance(surface)
-    scale = np.array(grey.shape[::-1]) / (high - low)
-    rim = np.ceil(RIM_SIGMAS * np.sqrt(variances[-1]) * scale).astype(int) + 1
-    across, down = rim.tolist()
-    wide = np.pad(grey, ((down, down), (across, across)))
-    pictures = []
-    for sigma in np.sqrt(variances).tolist():
-        x, y = sigma * scale
-        pictures.append(cv2.GaussianBlur(wide, (0, 0), x, sigmaY=y, borderType=cv2.BORDER_CONSTANT))
-    return _Prints(np.stack(pictures), low - rim / scale, high + rim / scale, variances)
+    x, y = np.array(surface.picture.shape[::-1]) / (high - low)
+    return _cache.blurred(surface.picture, (float(x), float(y)), min(spread), max(spread))
 
 
 def _correlated_lens(shifts: Floats) -> Floats:
@@ -275,13 +250,6 @@ def _transform(matrix: Floats) -> RigidTransform:
     return RigidTransform(matrix[:3, :3], matrix[:3, 3])
 
 
-def _reflectance(surface: Surface) -> Irradiance:
-    """Reflectance [v, u] over the rectangle; of shape (1, 1) where it is uniform."""
-    paint, picture = surface.paint, surface.picture
-    share = np.ones((1, 1), np.float32) if picture is None else picture / np.float32(255)
-    return np.asarray(paint.ink + (paint.reflectance - paint.ink) * share, np.float32)
-
-
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 def _trace(
     columns: NDArray[np.intp],
@@ -306,8 +274,12 @@ def _trace(
     squares: Floats,
     low: Floats,
     high: Floats,
+    paint: Floats,
     variances: Floats,
     prints: Irradiance,
+    across: Irradiance,
+    down: Irradiance,
+    rim: tuple[int, int],
     samples: Irradiance,
     albedo: Irradiance,
     slopes: Irradiance,
@@ -317,15 +289,19 @@ def _trace(
     """Trace all samples of pixels and fill in `samples` (K, P, 4) and `albedo` (P,).
 
     columns, rows: (P,) of an image of that height. views: (K, 4) shift u, v and lens x, y, with their joint
-    `variance`. lamp: in the item's frame. low, high, variances, prints: as in `_Prints`. slopes (K, P, 2),
-    albedo_slopes (P, 2), motion (P, 5, 3): as in `MotionTable`, all of them without pixels where they are not
-    wanted.
+    `variance`. lamp: in the item's frame. low, high: corners of the item. paint: reflectance of the print,
+    and by how much more the ground reflects. variances, prints, across, down, rim: as in `Prints`; without
+    spots there is one variance and no rim. slopes (K, P, 2), albedo_slopes (P, 2), motion (P, 5, 3): as in
+    `MotionTable`, all of them without pixels where they are not wanted.
     """
     R, t = T_item_camera[:, :3], T_item_camera[:, 3]
     P, p = T_projector_item[:, :3], T_projector_item[:, 3]
     share = 1.0 / len(views)
     pixel = 1.0 / (matrix[0, 0] * matrix[1, 1])
     moving = len(motion) > 0
+    wide, tall = high[0] - low[0], high[1] - low[1]
+    beyond_x = wide * rim[0] / (prints.shape[2] - 2 * rim[0])
+    beyond_y = tall * rim[1] / (prints.shape[1] - 2 * rim[1])
     for i in numba.prange(len(rows)):
         u, v = columns[i], rows[i]
         sine, turned = 0.0, 1.0
@@ -364,17 +340,19 @@ def _trace(
             cx, cy = ox + length * dx, oy + length * dy
             ix = R[0, 0] * cx + R[0, 1] * cy + R[0, 2] * length + t[0]
             iy = R[1, 0] * cx + R[1, 1] * cy + R[1, 2] * length + t[1]
-            if not (low[0] <= ix <= high[0] and low[1] <= iy <= high[1]):
+            if not (low[0] - beyond_x <= ix <= high[0] + beyond_x):
                 continue
-            wide, tall = high[0] - low[0], high[1] - low[1]
-            across, down = (ix - low[0]) / wide, (iy - low[1]) / tall
+            if not (low[1] - beyond_y <= iy <= high[1] + beyond_y):
+                continue
+            sx, sy = (ix - low[0]) / wide, (iy - low[1]) / tall
             if len(variances) == 1:
-                grey, by_x, by_y = _between_pixels(prints[0], across, down)
+                grey, by_x, by_y = _reflected(prints[0], across[0], down[0], rim, sx, sy, paint)
             else:
                 spot = _spot(length, abs(fall), pixel, radius, focus, len(views))
                 size, more = _between_sizes(spot, variances)
-                near, near_x, near_y = _between_pixels(prints[size], across, down)
-                far, far_x, far_y = _between_pixels(prints[size + 1], across, down)
+                near, near_x, near_y = _reflected(prints[size], across[size], down[size], rim, sx, sy, paint)
+                size += 1
+                far, far_x, far_y = _reflected(prints[size], across[size], down[size], rim, sx, sy, paint)
                 grey = near + more * (far - near)
                 by_x, by_y = near_x + more * (far_x - near_x), near_y + more * (far_y - near_y)
             albedo[i] += share * grey
@@ -445,26 +423,41 @@ def _fill_motion(
 @numba.njit(cache=True, inline="always")
 def _between_sizes(spot: float, variances: Floats) -> tuple[int, float]:
     """Index of the next smaller size, and the fraction 0 to 1 of the way to the next larger one."""
-    step = variances[1] - variances[0]
-    at = (spot - variances[0]) / step if step > 0 else 0.0
-    at = min(max(at, 0.0), len(variances) - 1.0)
-    size = min(int(at), len(variances) - 2)
-    return size, at - size
+    size = 0
+    while size < len(variances) - 2 and spot > variances[size + 1]:
+        size += 1
+    share = (spot - variances[size]) / (variances[size + 1] - variances[size])
+    return size, min(max(share, 0.0), 1.0)
 
 
 @numba.njit(cache=True, inline="always")
-def _between_pixels(picture: Irradiance, x: float, y: float) -> tuple[float, float, float]:
-    """Interpolate linearly between the centres of a picture's pixels; x, y: 0 to 1 over the whole of it.
+def _reflected(
+    picture: Irradiance,
+    across: Irradiance,
+    down: Irradiance,
+    rim: tuple[int, int],
+    x: float,
+    y: float,
+    paint: Floats,
+) -> tuple[float, float, float]:
+    """Reflectance at x, y, 0 to 1 over the whole of the item, and its derivatives by them.
 
-    With the derivatives by x and y.
+    Between the centres of pixels everything is linear.
     """
     rows, columns = picture.shape
-    u = min(max(x * columns - 0.5, 0.0), columns - 1.0)
-    v = min(max(y * rows - 0.5, 0.0), rows - 1.0)
-    i, j = int(u), int(v)
-    right, below = min(i + 1, columns - 1), min(j + 1, rows - 1)
+    wide, tall = columns - 2 * rim[0], rows - 2 * rim[1]
+    u, v = x * wide - 0.5, y * tall - 0.5
+    # the rim is added to whole numbers, so that its width changes nothing
+    i, j = int(np.floor(u)), int(np.floor(v))
     fu, fv = u - i, v - j
-    a, b, c, d = picture[j, i], picture[j, right], picture[below, i], picture[below, right]
+    i, j = i + rim[0], j + rim[1]
+    left, right = min(max(i, 0), columns - 1), min(max(i + 1, 0), columns - 1)
+    above, below = min(max(j, 0), rows - 1), min(max(j + 1, 0), rows - 1)
+    a, b, c, d = picture[above, left], picture[above, right], picture[below, left], picture[below, right]
     upper, lower = a * (1 - fu) + b * fu, c * (1 - fu) + d * fu
-    by_x = ((b - a) * (1 - fv) + (d - c) * fv) * columns
-    return float(upper * (1 - fv) + lower * fv), float(by_x), float((lower - upper) * rows)
+    along, upright = across[left] * (1 - fu) + across[right] * fu, down[above] * (1 - fv) + down[below] * fv
+    ink, more = paint[0], paint[1]
+    grey = ink * along * upright + more * (upper * (1 - fv) + lower * fv)
+    by_x = ink * (across[right] - across[left]) * upright + more * ((b - a) * (1 - fv) + (d - c) * fv)
+    by_y = ink * along * (down[below] - down[above]) + more * (lower - upper)
+    return float(grey), float(by_x * wide), float(by_y * tall)
