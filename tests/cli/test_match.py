@@ -83,12 +83,12 @@ def test_a_twin_is_matched_and_runs(fpplab: Command, board: Path, tmp_path: Path
 def _finishes_what_was_killed_before_its_report(
     fpplab: Command, command: tuple[object, ...], out: Path
 ) -> None:
-    kept = [(out / name).read_bytes() for name in ("rig.yaml", "world.yaml", "calibration.yaml")]
+    kept = {name: (out / name).read_bytes() for name in ("rig.yaml", "world.yaml", "calibration.yaml")}
     (out / "report.html").unlink()
     done = fpplab(*command)
     assert done.code == 0, done.err
     assert (out / "report.html").is_file()
-    assert [(out / name).read_bytes() for name in ("rig.yaml", "world.yaml", "calibration.yaml")] == kept
+    assert {name: (out / name).read_bytes() for name in kept} == kept
 
 
 def test_what_was_accepted_is_told_by_the_twin(fpplab: Command, board: Path, tmp_path: Path) -> None:
