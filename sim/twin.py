@@ -171,9 +171,10 @@ class SimTwin:
             on the projector in px, 0 where saturated; None where the board's light is rendered.
         """
         setup = Setup(self._board, held=self._parameters.poses[pose])
-        if not self._light.differentiates(setup):
+        light = self._light.differentiated(setup)
+        if light is None:
             return None
-        irradiance, slopes = self._light.irradiance_with_slopes(setup, tuple(patterns), pixels)
+        irradiance, slopes = light.at(tuple(patterns), pixels)
         self._settings, scale = settings, SensorModel.of(self._world).grey_scale(settings)
         levels = scale.levels(irradiance)
         slopes *= np.float32(scale.slope) * (levels < scale.saturated)[..., None]
@@ -259,8 +260,8 @@ class SimTwin:
         draws = np.array([np.random.default_rng([self._world.seed, n]).standard_normal(3) for n in counters])
         if not step:
             pictures = [self._irradiance(still, shown, n) for n in range(len(shown))]
-        elif self._light.differentiates(still):
-            pictures = list(self._light.displaced(still, shown, step * draws))
+        elif light := self._light.differentiated(still):
+            pictures = list(light.displaced(shown, step * draws))
         else:
             moved = displaced(still, pose, step)
             pictures = [

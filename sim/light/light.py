@@ -16,38 +16,34 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
 
-from fpplab.core.conventions import Floats, PixelIndices, full_scale
+from fpplab.core.conventions import Floats, PixelIndices
 from fpplab.patterns.fringes import Pattern
 from sim.build import Setup, build_scene
-from sim.light.basis import Basis, PatternLevels, smallest_basis
+from sim.light.basis import Basis, PatternLevels
 from sim.light.byte_limited_cache import ByteLimitedCache
 from sim.light.cache import TableCache, digest
-from sim.light.falloff import projector_falloff
+from sim.light.differentiated import DifferentiatedLight
 from sim.light.lens import lens_points
+from sim.light.mirrors import KEEP_BYTES, Mirrors, MirrorStates
 from sim.light.plane import can_compute, computed, computed_motion
 from sim.light.slopes import MotionTable
 from sim.light.solid import can_trace, traced
 from sim.light.table import LightTable
 from sim.light.vignetting import vignetting
 from sim.scene import COLOURS, Effort, PatternRender, RenderScene, SubpixelView
-from sim.texture import MirrorTexture, PatternTextures
+from sim.texture import MirrorTexture
 from sim.worker import Blender
 from sim.world import World
 from sim.world.render import shifts
 
-KEEP_BYTES = 1 << 29
-"""Size of the caches in memory; those of tables and bases are twice as large."""
 BATCH_PATTERNS, BATCH_BYTES = 40, 1 << 28
 """Patterns that are looked up at once, and the greatest size of their pictures."""
-MOTION_PATTERNS = 16
-"""Patterns that are looked up at once with derivatives."""
 START_S, PATHS_PER_S = 60.0, 5e4
 """Time limit of a render: a fixed part, and the light paths that any computer traces in a second."""
 
@@ -73,25 +69,6 @@ class Show:
     def pattern(self) -> Pattern:
         """The pattern on show."""
         return self.patterns[self.index]
-
-
-@dataclass(frozen=True, eq=False)
-class MirrorStates:
-    """Light of the mirrors, relative to the brightest, in each of several states.
-
-    Attributes
-    ----------
-    count : int
-        Number of states.
-    of : callable
-        Gives the light of one state, (rows, columns) float32.
-    rounding : float
-        RMS of the quantisation error of the light.
-    """
-
-    count: int
-    of: Callable[[int], PatternLevels]
-    rounding: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,20 +112,15 @@ class Light:
     ) -> None:
         self._world, self._blender, self._analytic = world, blender, analytic
         self._cache = cache if cache or not world.render.cache else TableCache()
+        self._projector = Mirrors(world.projector)
         self._tables: ByteLimitedCache[LightTable] = ByteLimitedCache(2 * KEEP_BYTES)
         self._motions: ByteLimitedCache[MotionTable] = ByteLimitedCache(2 * KEEP_BYTES)
-        self._levels_of_mirrors: ByteLimitedCache[PatternLevels] = ByteLimitedCache(KEEP_BYTES)
-        self._textures: ByteLimitedCache[PatternTextures] = ByteLimitedCache(KEEP_BYTES)
         self._displaced: tuple[str, LightTable] | None = None
         self._pictures: ByteLimitedCache[PatternLevels] = ByteLimitedCache(KEEP_BYTES)
         self._bases: ByteLimitedCache[Rendered] = ByteLimitedCache(2 * KEEP_BYTES)
         self._albedos: ByteLimitedCache[PatternLevels] = ByteLimitedCache(KEEP_BYTES)
-        self._loaded: tuple[tuple[Pattern, ...], MirrorStates] | None = None
-        self._planes: tuple[Pattern, MirrorStates] | None = None
-        self._basis: tuple[MirrorStates, Basis] | None = None
         self._scene: tuple[Setup, RenderScene, MirrorTexture] | None = None
         self._falloff = vignetting(world)
-        self._of_mirrors = projector_falloff(world.projector)
         if world.render.path == "auto" and world.indirect:
             _log.warning(
                 "the twin takes the light path '%s', because there is %s", world.path, world.indirect
@@ -214,18 +186,21 @@ class Light:
         """
         if self._world.path != "transport":
             return np.stack([self.irradiance(setup, Show(patterns, n))[pixels] for n in range(len(patterns))])
-        table = self._table_at(setup, pixels)
+        (_, scene, texture), table = self._built(setup), self._table_at(setup, pixels)
+        circles, part = scene.lamp.circles, table.part(texture.shape)
         seen: PatternLevels = np.concatenate(
             [
-                table.look_up(self._textures_of(setup, table, part))[:, 0]
-                for part in _batches(patterns, BATCH_PATTERNS)
+                table.look_up(
+                    self._projector.textures(patterns[n : n + BATCH_PATTERNS], texture, circles, part)
+                )[:, 0]
+                for n in range(0, len(patterns), BATCH_PATTERNS)
             ]
         )
         seen += np.float32(self._world.ambient) * table.albedo[0]
         return seen if self._falloff is None else seen * self._falloff[pixels]
 
-    def differentiates(self, setup: Setup) -> bool:
-        """Tell whether the derivatives of the item's light are computed.
+    def differentiated(self, setup: Setup) -> DifferentiatedLight | None:
+        """Give the light of an item with its derivatives.
 
         Parameters
         ----------
@@ -234,89 +209,15 @@ class Light:
 
         Returns
         -------
-        bool
-            Whether its light is computed, direct, and of mirrors without sharp edges.
-        """
-        return self._world.path == "transport" and self.computes(setup) and not self._built(setup)[2].exact
-
-    def irradiance_with_slopes(
-        self, setup: Setup, patterns: tuple[Pattern, ...], pixels: PixelIndices
-    ) -> tuple[PatternLevels, PatternLevels]:
-        """Compute what `irradiance_at` gives, with derivatives by the places that the pixels see.
-
-        Parameters
-        ----------
-        setup : Setup
-            State of the moving parts, for which `differentiates` is true.
-        patterns : tuple of Pattern
-            n patterns.
-        pixels : PixelIndices
-            Rows and columns of P pixels.
-
-        Returns
-        -------
-        irradiance : PatternLevels
-            (n, P), 1 for white.
-        slopes : PatternLevels
-            (n, P, 4): its derivatives by the place x, y on the item in mm, and u, v on the projector in px.
+        DifferentiatedLight or None
+            None unless the item's light is computed, direct, and of mirrors without sharp edges.
         """
         _, scene, texture = self._built(setup)
-        views = self._views(setup)
-        held = self._motions.get(
-            digest(scene, views, pixels), lambda: computed_motion(scene, views, True, pixels)
-        )
-        found = np.concatenate(
-            [
-                held.look_up(self._textures_of(setup, held.table, part))
-                for part in _batches(patterns, MOTION_PATTERNS)
-            ]
-        )
-        ambient, per_px = np.float32(self._world.ambient), texture.affine[:, :2].astype(np.float32)
-        seen = found[..., 0] + ambient * held.table.albedo[0]
-        slopes = np.concatenate(
-            [found[..., 1:3] + ambient * held.albedo_slopes, found[..., 3:5] @ per_px], axis=-1
-        )
-        if self._falloff is not None:
-            seen *= self._falloff[pixels]
-            slopes *= self._falloff[pixels][:, None]
-        return seen, slopes
-
-    def displaced(
-        self, setup: Setup, patterns: tuple[Pattern, ...], moves: Floats
-    ) -> Iterator[PatternLevels]:
-        """Compute the irradiance of an item that is displaced under every pattern, to first order.
-
-        Parameters
-        ----------
-        setup : Setup
-            State of the moving parts, for which `differentiates` is true; the item at rest.
-        patterns : tuple of Pattern
-            n patterns.
-        moves : Floats
-            Displacement (n, 3) under each, in mm in the camera's frame.
-
-        Yields
-        ------
-        PatternLevels
-            For each pattern (height, width), 1 for white, not negative.
-        """
-        _, scene, _ = self._built(setup)
-        views = self._views(setup)
-        held = self._motions.get(digest(scene, views), lambda: computed_motion(scene, views, True))
-        done = 0
-        for part in _batches(patterns, MOTION_PATTERNS):
-            found = held.look_up(self._textures_of(setup, held.table, part))
-            for picture in held.displaced(found, moves[done : done + len(part)], self._world.ambient):
-                yield picture if self._falloff is None else picture * self._falloff
-            done += len(part)
-
-    def _textures_of(self, setup: Setup, table: LightTable, patterns: Sequence[Pattern]) -> PatternTextures:
-        """Make the textures of patterns that a table needs, unless lamp and table kept theirs."""
-        _, scene, texture = self._built(setup)
-        circles, part = scene.lamp.circles, table.part(texture.shape)
-        return self._textures.get(
-            (tuple(patterns), texture, circles, part),
-            lambda: texture.textures([self._level(one) for one in patterns], circles, part),
+        if self._world.path != "transport" or not self.computes(setup) or texture.exact:
+            return None
+        views, ambient = self._views(setup), self._world.ambient
+        return DifferentiatedLight(
+            scene, views, self._projector, texture, ambient, self._falloff, self._motions
         )
 
     def _table_at(self, setup: Setup, pixels: PixelIndices) -> LightTable:
@@ -379,33 +280,20 @@ class Light:
         """
         self._tables.take(other._tables)
         self._motions.take(other._motions)
-        ours, theirs = self._world.projector, other._world.projector
-        if ours.response == theirs.response and ours.falloff == theirs.falloff:
-            self._levels_of_mirrors.take(other._levels_of_mirrors)
-            self._textures.take(other._textures)
+        self._projector.inherit(other._projector)
         other.forget()
 
     def forget(self) -> None:
         """Drop every picture and table in memory."""
-        for kept in self._caches:
+        for kept in (self._tables, self._motions, self._pictures, self._bases, self._albedos):
             kept.clear()
+        self._projector.forget()
         self._displaced = None
-
-    @property
-    def _caches(self) -> tuple[ByteLimitedCache[Any], ...]:
-        return (
-            self._tables,
-            self._motions,
-            self._levels_of_mirrors,
-            self._pictures,
-            self._bases,
-            self._albedos,
-        )
 
     def _projected(self, setup: Setup, show: Show, row_weights: Floats | None) -> PatternLevels:
         if row_weights is None:
-            return self._picture(setup, self._levels(show.patterns), show.index)
-        planes = self._levels_of_planes(show.pattern)
+            return self._picture(setup, self._projector.states(show.patterns), show.index)
+        planes = self._projector.planes(show.pattern)
         picture = self._picture(setup, planes, 0).copy()
         for plane, weights in enumerate(row_weights, start=1):
             picture += weights.astype(np.float32)[:, None] * self._picture(setup, planes, plane)
@@ -421,7 +309,7 @@ class Light:
                 (setup, levels, index),
                 lambda: self._rendered(setup, levels.of(index)[None])[..., 0].mean(axis=0),
             )
-        basis = self._basis_of(levels)
+        basis = self._projector.basis(levels)
         rendered = self._basis_under(setup, basis)
         weights = basis.weights[index].astype(np.float32)
         whole: PatternLevels = np.tensordot(weights, rendered.pictures, axes=1)
@@ -484,51 +372,6 @@ class Light:
         albedo: PatternLevels = self._albedos.get(setup, lambda: self.table(setup).albedo)
         return albedo
 
-    def _levels(self, patterns: tuple[Pattern, ...]) -> MirrorStates:
-        if self._loaded is None or self._loaded[0] is not patterns:
-            response = self._world.projector.response
-            depth = min(p.bit_depth for p in patterns)
-            steepest = 255.0 * float(np.diff(response.curve().shape(np.arange(256) / 255)).max())
-            rounding = response.a * max(steepest, 1.0) / (np.sqrt(12) * full_scale(depth))
-            self._loaded = (
-                patterns,
-                MirrorStates(len(patterns), lambda n: self._level(patterns[n]), rounding),
-            )
-        return self._loaded[1]
-
-    def _level(self, pattern: Pattern) -> PatternLevels:
-        return self._levels_of_mirrors.get(pattern, lambda: self._fallen_off(self._even_level(pattern)))
-
-    def _even_level(self, pattern: Pattern) -> PatternLevels:
-        table = self._world.projector.response.curve().apply(np.linspace(0, 1, 256))
-        return table.astype(np.float32)[pattern.image]
-
-    def _fallen_off(self, light: PatternLevels) -> PatternLevels:
-        return light if self._of_mirrors is None else light * self._of_mirrors
-
-    def _levels_of_planes(self, pattern: Pattern) -> MirrorStates:
-        """Light that closed mirrors leak (state 0), and of the binary planes, the least significant first."""
-        if self._planes is None or self._planes[0] is not pattern:
-            response, bits = self._world.projector.response, pattern.bit_depth
-            greys = full_scale(bits)
-            codes = np.rint((self._even_level(pattern) - response.b) / response.a * greys).astype(np.int64)
-
-            def of(n: int) -> PatternLevels:
-                if n == 0:
-                    return self._fallen_off(np.full(codes.shape, response.b, np.float32))
-                bit = n - 1
-                share = np.asarray((codes >> bit & 1) * (response.a * 2**bit / greys), np.float32)
-                return self._fallen_off(share)
-
-            self._planes = (pattern, MirrorStates(bits + 1, of, 0.0))
-        return self._planes[1]
-
-    def _basis_of(self, levels: MirrorStates) -> Basis:
-        if self._basis is None or self._basis[0] is not levels:
-            basis = smallest_basis(np.stack([levels.of(n) for n in range(levels.count)]), levels.rounding)
-            self._basis = (levels, basis)
-        return self._basis[1]
-
     def _load_or_make(self, setup: Setup, key: str) -> LightTable:
         _, scene, _ = self._built(setup)
         if self.computes(setup):
@@ -566,7 +409,7 @@ class Light:
         render, world = self._world.render, self._world
         return PatternRender(
             self._built(setup)[1],
-            self._fine(setup, self._level(pattern)[None])[..., 0],
+            self._fine(setup, self._projector.level(pattern)[None])[..., 0],
             tuple(self._views(setup)),
             self._effort(render.bounces, render.samples, survey=False),
             world.ambient,
@@ -612,10 +455,6 @@ class Light:
         width, height = self._world.camera.size
         paths = width * height * len(views) * effort.samples * (1 + effort.bounces)
         return self._blender.render(scene, textures, views, effort, START_S + paths / PATHS_PER_S)
-
-
-def _batches(patterns: tuple[Pattern, ...], most: int) -> Iterator[tuple[Pattern, ...]]:
-    return (patterns[n : n + most] for n in range(0, len(patterns), most))
 
 
 def _colours(rendered: PatternLevels) -> list[PatternLevels]:

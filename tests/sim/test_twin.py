@@ -262,14 +262,15 @@ def test_light_of_a_displaced_board_agrees_with_a_moved_one(twin: SimTwin) -> No
     twin.become(replace(_twin(_bent()).parameters, vibration_mm=0.0))
     patterns, pose = _patterns(twin)[:1], twin.parameters.poses[1]
     light, still, step = twin._light, Setup("board", held=pose), 0.003
-    assert light.differentiates(still)
+    with_slopes = light.differentiated(still)
+    assert with_slopes is not None
     here = light.irradiance(still, Show(patterns, 0))
     for axis, move in enumerate(step * np.eye(3)):
         ends = [
             light.irradiance(Setup("board", held=pose.moved(by * move)), Show(patterns, 0)) for by in (1, -1)
         ]
         wanted = 0.5 * (ends[0] - ends[1])
-        (picture,) = light.displaced(still, patterns, move[None])
+        (picture,) = with_slopes.displaced(patterns, move[None])
         assert np.mean(np.abs(picture - here - wanted)) < 0.02 * np.mean(np.abs(wanted)), axis
 
 
