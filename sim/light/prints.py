@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 import threading
-from dataclasses import dataclass, field
+from collections import OrderedDict
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -21,7 +22,7 @@ SIZE_RATIO = 1.2
 RIM_SIGMAS = 4.0
 """Margin of the blurred print beyond the item's edges, in standard deviations of the blur."""
 KEEP_BYTES = 1 << 28
-"""Greatest size of prints that are kept for sizes which are not asked for now."""
+"""Greatest size of a print that is kept for sizes which are not asked for now; all have twice as much."""
 
 _Picture = NDArray[np.float32]
 
@@ -68,15 +69,26 @@ def sharp_print(picture: NDArray[np.uint8] | None) -> Prints:
     return Prints(share[None], one[:, :columns], one[:, :rows], (0, 0), np.zeros(1))
 
 
-@dataclass(eq=False)
-class PrintCache:
-    """The prints of the last picture, for all sizes that were asked for."""
+@dataclass(frozen=True, eq=False)
+class _Kept:
+    """Prints of a picture, for the sizes from `first` to `last` as powers of `SIZE_RATIO`."""
 
-    _lock: threading.Lock = field(default_factory=threading.Lock)
-    _picture: NDArray[np.uint8] | None = None
-    _scale: tuple[float, float] = (0.0, 0.0)
-    _sizes: tuple[int, int] = (0, 0)
-    _prints: Prints | None = None
+    picture: NDArray[np.uint8]
+    first: int
+    last: int
+    prints: Prints
+
+    @property
+    def nbytes(self) -> int:
+        return self.prints.pictures.nbytes
+
+
+class PrintCache:
+    """The prints of the pictures asked for last, for all sizes that were asked for."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._kept: OrderedDict[tuple[int, float, float], _Kept] = OrderedDict()
 
     def blurred(
         self, picture: NDArray[np.uint8], scale: tuple[float, float], least: float, most: float
@@ -98,16 +110,22 @@ class PrintCache:
             At least of these sizes; which others there are changes nothing for spots between them.
         """
         first, last = (math.floor(math.log(v) / math.log(SIZE_RATIO)) for v in (least, most))
-        first, last = first - 1, last + 2
+        first, last, key = first - 1, last + 2, (id(picture), *scale)
         with self._lock:
-            if self._prints is not None and self._picture is picture and self._scale == scale:
-                if self._sizes[0] <= first and last <= self._sizes[1]:
-                    return self._prints
-                widest = min(self._sizes[0], first), max(self._sizes[1], last)
+            kept = self._kept.get(key)
+            if kept is not None:
+                if kept.first <= first and last <= kept.last:
+                    self._kept.move_to_end(key)
+                    return kept.prints
+                widest = min(kept.first, first), max(kept.last, last)
                 if 4 * picture.size * (widest[1] - widest[0] + 1) <= KEEP_BYTES:
                     first, last = widest
             prints = _blurred(picture, scale, SIZE_RATIO ** np.arange(first, last + 1.0))
-            self._picture, self._scale, self._sizes, self._prints = picture, scale, (first, last), prints
+            # with the picture itself, so that no other has its number
+            self._kept[key] = _Kept(picture, first, last, prints)
+            self._kept.move_to_end(key)
+            while len(self._kept) > 1 and sum(one.nbytes for one in self._kept.values()) > 2 * KEEP_BYTES:
+                self._kept.popitem(last=False)
             return prints
 
 
