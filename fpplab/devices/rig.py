@@ -145,6 +145,11 @@ class Rig:
         self.fixture: Fixture | None = None
         self._stack = ExitStack()
 
+    def __repr__(self) -> str:
+        kinds = ("camera", "projector", "stage", "fixture")
+        devices = [f"{kind} {one.backend}" for kind in kinds if (one := getattr(self.file, kind)) is not None]
+        return f"<Rig {self._source}: {', '.join(devices)}>"
+
     @classmethod
     def load(cls, path: Path | str) -> Rig:
         """Read a rig file; its devices are not opened yet.
