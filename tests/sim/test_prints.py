@@ -28,12 +28,13 @@ def _middle_row(prints: Prints, size: int) -> NDArray[np.float32]:
 def test_an_edge_is_blurred_to_the_integral_of_a_normal_distribution() -> None:
     picture = _half()
     prints = PrintCache().blurred(picture, SCALE, 0.04, 0.09)
-    assert prints.variances[0] <= 0.04 and prints.variances[-1] >= 0.09
+    assert prints.variances[0] <= 0.04
+    assert prints.variances[-1] >= 0.09
     place = (np.arange(200) - 99.5) / SCALE[0]
     for size, variance in enumerate(prints.variances):
         inner = np.abs(place) < 5  # beyond, what is not the item is blurred into it
         wanted = norm.cdf(place[inner] / np.sqrt(variance))
-        np.testing.assert_allclose(_middle_row(prints, size)[inner], wanted, atol=2e-3)
+        np.testing.assert_allclose(_middle_row(prints, size)[inner], wanted, atol=5e-3)
 
 
 def test_the_share_of_the_item_falls_to_half_at_its_edge() -> None:
