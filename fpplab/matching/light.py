@@ -354,9 +354,9 @@ def _round(
     cost = float(np.sum(weight * residual**2))
     slopes = []
     for name in names:
-        knob = ADJUSTABLE[name]
+        knob = _bounded(reference, name)
         value = knob.read(start)
-        by = knob.step if value + knob.step <= knob.upper else -knob.step
+        by = knob.step if value + knob.step <= knob.upper or value - knob.step < knob.lower else -knob.step
         twin.become(knob.set(start, value + by))
         slopes.append((residual - light_residuals(reference, twin, samples)) / by)
     matrix = np.stack(slopes, axis=1)
@@ -373,6 +373,14 @@ def _round(
         if gain > 0:
             return gain, tried, after, sigma
     return 0.0, start, residual, sigma
+
+
+def _bounded(reference: Reference, name: str) -> AdjustableParameter:
+    """A parameter within the limits that the recordings set: nothing is darker than the camera's black."""
+    knob = ADJUSTABLE[name]
+    if name != "black_level":
+        return knob
+    return replace(knob, upper=min(knob.upper, reference.darkest_level))
 
 
 def _standard_errors(
@@ -405,7 +413,7 @@ def _step_candidates(
     for halving in range(MAX_HALVINGS):
         tried = start
         for name, by in zip(names, step.tolist(), strict=True):
-            knob = ADJUSTABLE[name]
+            knob = _bounded(reference, name)
             tried = knob.with_value(tried, knob.read(start) + by / 2**halving)
         twin.become(tried)
         yield tried, light_residuals(reference, twin, samples)

@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure as Sheet
 from numpy.typing import NDArray
 
+from fpplab.matching.appearance import AppearanceTrial
 from fpplab.matching.artefacts import ArtefactComparison
 from fpplab.matching.gamma import GammaMatch
 from fpplab.matching.match import EXPLAINS
@@ -32,6 +33,7 @@ from fpplab.report.page import PageBasis, write_page
 from fpplab.report.parts import PageVerdict, ReportFigure, ReportSection, ReportTable
 from fpplab.report.provenance import Provenance, poses_provenance, session_provenance
 from fpplab.sessions.session import Session
+from fpplab.simulation.appearance import Appearance
 from fpplab.simulation.matchable import Twin, TwinParameters
 
 GreyPicture = NDArray[np.float32]
@@ -72,6 +74,8 @@ def write_matching_report(
     sections = [_epochs_section(found)]
     if found.gamma:
         sections.append(_gamma_section(found.gamma))
+    if found.appearance:
+        sections.append(_appearance_section(found.appearance))
     sections += [_poses_section(found), _images_section(found, twin), _parameters_section(found)]
     sections += [_artefact_section(one) for one in found.artefacts]
     facts = {
@@ -171,6 +175,19 @@ def _epochs_section(found: MatchingResult) -> ReportSection:
         wide=True,
     )
     return ReportSection("Epochs", tables=(ReportTable(columns, rows), words), figures=(drawn,))
+
+
+def _appearance_section(found: AppearanceTrial) -> ReportSection:
+    rows = tuple(
+        (name, f"{part.ssim_without:.4f}", f"{part.ssim_with:.4f}", "yes" if part.accepted else "no")
+        for name, part in (("Board's sheet", found.sheet), ("Surroundings", found.surroundings))
+    )
+    words = (
+        f"SSIM in {found.pose}, from which they were not found: of the sheet over the board, of the surroundings "
+        "over whole images. What is accepted is part of the twin."
+    )
+    table = ReportTable(("Part", "SSIM without", "SSIM with", "Accepted"), rows, words)
+    return ReportSection("Sheet and surroundings", tables=(table,))
 
 
 @as_png
@@ -289,9 +306,11 @@ def _flatness(reference: Reference) -> str:
 def _images_section(found: MatchingResult, twin: Twin) -> ReportSection:
     reference, figures = found.reference, []
     images = reference.finest[:1]
+    looks = found.appearance.found if found.appearance else Appearance()
     for pose in reference.spread_poses(SHOWN_POSES):
         before, after = (
-            _seen(reference, twin, at, pose, images) for at in (found.nominal, found.matched.parameters)
+            _seen(reference, twin, *at, pose, images)
+            for at in ((found.nominal, Appearance()), (found.matched.parameters, looks))
         )
         real = reference.frames(pose, images)[0]
         name = reference.sessions[pose].path.name
@@ -305,9 +324,15 @@ def _images_section(found: MatchingResult, twin: Twin) -> ReportSection:
 
 
 def _seen(
-    reference: Reference, twin: Twin, parameters: TwinParameters, pose: int, images: Sequence[int]
+    reference: Reference,
+    twin: Twin,
+    parameters: TwinParameters,
+    appearance: Appearance,
+    pose: int,
+    images: Sequence[int],
 ) -> GreyPicture:
     twin.become(parameters)
+    twin.appear(appearance)
     return np.asarray(twin.expected(pose, reference.shown(images), reference.settings)[0])
 
 

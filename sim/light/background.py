@@ -6,17 +6,19 @@ on the item is left out, as all light by way of other surfaces is on the path `t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from fpplab.core.conventions import PixelIndices
+from fpplab.patterns.fringes import Pattern
 from sim.build import Setup, build_background
 from sim.light.basis import PatternLevels
 from sim.light.byte_limited_cache import ByteLimitedCache
 from sim.light.cache import digest
 from sim.light.lens import lens_points
+from sim.light.mirrors import Mirrors
 from sim.light.solid import traced
 from sim.light.table import Irradiance, LightTable
 from sim.scene import RenderScene, SubpixelView, Surface
@@ -94,9 +96,9 @@ class Background:
         return found if pixels is None else found[0]
 
     def irradiance(
-        self, setup: Setup, light: Sequence[PatternLevels], ambient: float, pixels: PixelIndices
+        self, setup: Setup, light: Sequence[PatternLevels], ambient: float, pixels: PixelIndices | None
     ) -> PatternLevels:
-        """Compute the irradiance of the surroundings at some pixels, with ambient light.
+        """Compute the irradiance of the surroundings with ambient light.
 
         Parameters
         ----------
@@ -106,17 +108,43 @@ class Background:
             Light (rows, columns) of the mirrors in n states.
         ambient : float
             Uniform ambient light, relative to the projector's white.
-        pixels : PixelIndices
-            Rows and columns of P pixels.
+        pixels : PixelIndices or None
+            Rows and columns of P pixels; None for all.
 
         Returns
         -------
         PatternLevels
-            (n, P), without vignetting.
+            (n, P) or (n, height, width), without vignetting.
         """
         seen = self.pictures(setup, light, pixels)
         seen += np.float32(ambient) * self.albedo(setup, pixels)
         return seen
+
+    def behind(
+        self, setup: Setup, mirrors: Mirrors
+    ) -> Callable[[Pattern, PixelIndices | None], PatternLevels]:
+        """Give the light of the surroundings as a function of the pattern, with ambient light.
+
+        Parameters
+        ----------
+        setup : Setup
+            State of the moving parts.
+        mirrors : Mirrors
+            Of the projector.
+
+        Returns
+        -------
+        callable
+            From a pattern, and pixels or None, to irradiance (P,) or (height, width), without vignetting.
+        """
+
+        def light(pattern: Pattern, pixels: PixelIndices | None) -> PatternLevels:
+            seen: PatternLevels = self.irradiance(
+                setup, [mirrors.level(pattern)], self._world.ambient, pixels
+            )[0]
+            return seen
+
+        return light
 
     def _table(self, setup: Setup, pixels: PixelIndices | None) -> LightTable:
         _, scene, _ = self._built(setup)

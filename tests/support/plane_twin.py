@@ -25,6 +25,7 @@ from fpplab.patterns.fringes import Pattern, make_patterns
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.sessions.session import Session
+from fpplab.simulation.appearance import Appearance
 from fpplab.simulation.matchable import ExpectedLevels, TwinParameters
 from fpplab.targets import Target
 
@@ -114,6 +115,11 @@ class PlaneTwin:
     ) -> ExpectedLevels:
         return self.expected(pose, patterns, settings)[:, *pixels]
 
+    def expected_with_slopes(
+        self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings, pixels: PixelIndices
+    ) -> None:
+        return None
+
     def expected_of(self, item: str, patterns: Sequence[Pattern], settings: CameraSettings) -> ExpectedLevels:
         return self._seen(self.pose_of(item), patterns, settings, board=False)
 
@@ -136,6 +142,9 @@ class PlaneTwin:
 
     def mesh(self, item: str) -> trimesh.Trimesh:
         return artefacts.make(item)
+
+    def appear(self, appearance: Appearance) -> None:
+        """Nothing is seen beside the board, and its print is even."""
 
     def pose_of(self, item: str) -> RigidTransform:
         return self._now.placed.get(item, CARD)
