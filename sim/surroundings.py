@@ -16,7 +16,7 @@ from fpplab.core.errors import ConfigError, FppError
 from fpplab.core.files import write_atomic
 from fpplab.core.geometry import Pinhole
 from fpplab.sessions.image_files import grey_images, places_in
-from fpplab.simulation.appearance import Surroundings
+from fpplab.simulation.appearance import BenchSurroundings
 from sim.scene import Paint, Surface
 from sim.world import SurroundingsSection, World
 
@@ -54,18 +54,18 @@ def _surface(
     return Surface(vertices, faces, np.eye(4), Paint(white), picture, uv)
 
 
-def _grey(surroundings: Surroundings) -> tuple[NDArray[np.uint8], float]:
+def _grey(surroundings: BenchSurroundings) -> tuple[NDArray[np.uint8], float]:
     """The reflectance as a picture, and that of its white."""
     white = max(float(surroundings.reflectance.max()), LEAST_REFLECTANCE)
     return np.rint(surroundings.reflectance * np.float32(255 / white)).astype(np.uint8), white
 
 
-def save_surroundings(surroundings: Surroundings, folder: Path) -> SurroundingsSection:
+def save_surroundings(surroundings: BenchSurroundings, folder: Path) -> SurroundingsSection:
     """Write the files of surroundings.
 
     Parameters
     ----------
-    surroundings : Surroundings
+    surroundings : BenchSurroundings
         Shape and reflectance.
     folder : Path
         Gets `surroundings.ply` and `surroundings.png`.

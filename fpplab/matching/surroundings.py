@@ -25,7 +25,7 @@ from fpplab.core.progress import Progress, no_progress
 from fpplab.matching.loss import rectangle_mask
 from fpplab.matching.reference import LevelStack, Reference
 from fpplab.pipeline import reconstruct
-from fpplab.simulation.appearance import Appearance, BoardSheet, Surroundings
+from fpplab.simulation.appearance import Appearance, BenchSurroundings, BoardSheet
 from fpplab.simulation.matchable import Twin
 from fpplab.targets import Target
 
@@ -55,7 +55,7 @@ def rebuild_surroundings(
     sheet: BoardSheet,
     poses: Sequence[int],
     progress: Progress = no_progress,
-) -> Surroundings | None:
+) -> BenchSurroundings | None:
     """Rebuild what stands beside the board.
 
     Parameters
@@ -73,7 +73,7 @@ def rebuild_surroundings(
 
     Returns
     -------
-    Surroundings or None
+    BenchSurroundings or None
         None where the recordings show nothing beside the board.
     """
     depths = _depths(reference, twin, sheet, poses, lambda share: progress(0.6 * share))
@@ -81,7 +81,7 @@ def rebuild_surroundings(
     if len(mesh.faces) < LEAST_FACES:
         return None
     width, height = twin.parameters.calibration.camera.size
-    found = Surroundings(mesh, np.full((height, width), TRIAL, np.float32))
+    found = BenchSurroundings(mesh, np.full((height, width), TRIAL, np.float32))
     twin.appear(Appearance(sheet, found))
     painted = _reflectance(reference, twin, sheet, poses, lambda share: progress(0.6 + 0.4 * share))
     twin.appear(Appearance(sheet))

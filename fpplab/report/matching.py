@@ -183,8 +183,8 @@ def _appearance_section(found: AppearanceTrial) -> ReportSection:
         for name, part in (("Board's sheet", found.sheet), ("Surroundings", found.surroundings))
     )
     words = (
-        f"SSIM in {found.pose}, from which they were not found: of the sheet over the board, of the surroundings "
-        "over whole images. What is accepted is part of the twin."
+        f"SSIM in {found.pose}, from which they were not found: of the sheet over the board, of the "
+        "surroundings over whole images. What is accepted is part of the twin."
     )
     table = ReportTable(("Part", "SSIM without", "SSIM with", "Accepted"), rows, words)
     return ReportSection("Sheet and surroundings", tables=(table,))

@@ -13,7 +13,7 @@ NO_MARGINS = 0.0, 0.0, 0.0, 0.0
 
 
 @dataclass(frozen=True, eq=False)
-class Surroundings:
+class BenchSurroundings:
     """Matt surfaces that stand still in front of camera and projector.
 
     Attributes
@@ -57,9 +57,9 @@ class Appearance:
     ----------
     sheet : BoardSheet
         Of the board.
-    surroundings : Surroundings or None
+    surroundings : BenchSurroundings or None
         None where nothing is known.
     """
 
     sheet: BoardSheet = BoardSheet()
-    surroundings: Surroundings | None = None
+    surroundings: BenchSurroundings | None = None

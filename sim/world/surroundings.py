@@ -9,8 +9,7 @@ from pydantic import Field
 
 from fpplab.core import config
 from fpplab.core.config import Document
-
-FileName = Annotated[str, Field(min_length=1)]
+from sim.world.items import FileName
 
 
 class SurroundingsSection(Document):
@@ -33,7 +32,7 @@ class SurroundingsSection(Document):
 
         Returns
         -------
-        Surroundings
+        BenchSurroundings
             The same where the files lie elsewhere.
         """
         names = {name: config.resolve_beside(getattr(self, name), folder) for name in ("mesh", "picture")}
@@ -49,7 +48,7 @@ class SurroundingsSection(Document):
 
         Returns
         -------
-        Surroundings
+        BenchSurroundings
             The same where the files lie elsewhere.
         """
         named = {name: Path(getattr(self, name)) for name in ("mesh", "picture")}

@@ -1,4 +1,4 @@
-"""Surroundings and sheets of boards: exact against plain cards, hidden and shaded by items, and as files."""
+"""BenchSurroundings and sheets of boards: exact against plain cards, hidden and shaded by items, and as files."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from fpplab.devices import CameraSettings
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import make_patterns, uniform_patterns
 from fpplab.patterns.plan import Plan
-from fpplab.simulation.appearance import Appearance, BoardSheet, Surroundings
+from fpplab.simulation.appearance import Appearance, BenchSurroundings, BoardSheet
 from sim.build import NOTHING, Setup
 from sim.items import item_surface
 from sim.light import Light, PatternLevels, Show
@@ -174,7 +174,7 @@ def test_what_a_twin_looks_like_is_saved_and_read_again(tmp_path: Path) -> None:
     twin = SimTwin(of, "board", Blender("bench"))
     mesh = trimesh.load(write_wall(tmp_path)["mesh"], process=False)
     texture = np.random.default_rng(1).uniform(0.8, 1.2, (40, 60)).astype(np.float32)
-    around = Surroundings(mesh, np.full(SIZE[::-1], 0.3, np.float32))
+    around = BenchSurroundings(mesh, np.full(SIZE[::-1], 0.3, np.float32))
     twin.appear(Appearance(BoardSheet((5.0, 0.0, 0.0, 5.0), 8.0, texture), around))
     shown = twin.expected(0, PATTERNS, SETTINGS)
     twin.save(tmp_path / "saved")
