@@ -22,7 +22,7 @@ from fpplab.core.geometry import RigidTransform
 from fpplab.targets import Target
 from sim.poses import board_poses, plate_corners
 from sim.scene import Paint, Surface
-from sim.sheet import printed_sheet, sheet_corners
+from sim.sheet import drawn_sheet, sheet_corners
 from sim.world import ArtefactItem, BoardItem, CardItem, MeshItem, PoseRules, World
 
 RIM_BEHIND_MM = 0.1
@@ -184,16 +184,11 @@ def item_surface(world: World, name: str, pose: RigidTransform) -> Surface:
         picture = _ground_mask(unpainted, _print_resolution(world, pose))
         printed = Paint(target.background, ink=target.foreground)
         if any(item.margins_mm) or item.texture is not None:
-            picture, white = _sheet(target, _print_resolution(world, pose), item, name)
+            with _named(f"items.{name}.texture"):
+                picture, white = drawn_sheet(picture, target, item.margins_mm, item.texture)
             printed = Paint(white, ink=0.0)
         return Surface(vertices, faces, pose.matrix, printed, picture, _PLATE_UV)
     return Surface(vertices, faces, pose.matrix, world.material_of(name).paint())
-
-
-def _sheet(target: Target, px_per_mm: float, item: BoardItem, name: str) -> tuple[NDArray[np.uint8], float]:
-    return printed_sheet(
-        _ground_mask(target, px_per_mm), target.size_mm, item, (target.background, target.foreground), name
-    )
 
 
 def rim_surface(world: World, name: str, pose: RigidTransform) -> Surface | None:

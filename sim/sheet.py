@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ from fpplab.core.errors import ConfigError, FppError
 from fpplab.core.files import write_atomic
 from fpplab.sessions.image_files import grey_images, places_in
 from fpplab.simulation.appearance import BoardSheet
+from fpplab.targets import Target
 from sim.world import BoardItem
 
 EVEN = 128
@@ -93,12 +93,11 @@ def sheet_corners(size_mm: tuple[float, float], margins_mm: tuple[float, float, 
     return np.array([[*low, 0], [high[0], low[1], 0], [*high, 0], [low[0], high[1], 0]])
 
 
-def printed_sheet(
+def drawn_sheet(
     ground: NDArray[np.uint8],
-    size_mm: tuple[float, float],
-    board: BoardItem,
-    paper_and_ink: tuple[float, float],
-    name: str,
+    target: Target,
+    margins_mm: tuple[float, float, float, float],
+    texture: str | None,
 ) -> tuple[NDArray[np.uint8], float]:
     """Draw the reflectance of a sheet.
 
@@ -106,36 +105,55 @@ def printed_sheet(
     ----------
     ground : ndarray of uint8
         Of the target, 255 where nothing is printed.
-    size_mm : tuple of float
-        (width, height) of the target.
-    board : BoardItem
-        Margins and texture.
-    paper_and_ink : tuple of float
-        Reflectance of ground and print.
-    name : str
-        Of the item, for messages.
+    target : Target
+        With the reflectances of ground and print.
+    margins_mm : tuple of float
+        On the left, top, right and bottom.
+    texture : str or None
+        Name of the file.
 
     Returns
     -------
     picture : ndarray of uint8
-        Over the sheet, 255 at the greatest reflectance.
+        Over the sheet, 255 at the greatest reflectance; shared, so it must not be changed.
     white : float
         That reflectance.
 
     Raises
     ------
     ConfigError
-        The texture cannot be read; the message names the field.
+        The texture cannot be read.
     """
-    scale = np.array(ground.shape[::-1]) / np.array(size_mm)
-    left, top, right, bottom = (
-        round(margin * along) for margin, along in zip(board.margins_mm, [*scale, *scale], strict=True)
+    key = (ground.shape, target, margins_mm, texture, texture and _changed_ns(texture))
+    if key not in _DRAWN:
+        if len(_DRAWN) >= MOST_DRAWN:
+            _DRAWN.clear()
+        _DRAWN[key] = _draw(ground, target, margins_mm, texture)
+    return _DRAWN[key]
+
+
+_DRAWN: dict[Any, tuple[NDArray[np.uint8], float]] = {}
+MOST_DRAWN = 16
+"""Sheets that are kept."""
+
+
+def _draw(
+    ground: NDArray[np.uint8],
+    target: Target,
+    margins_mm: tuple[float, float, float, float],
+    texture: str | None,
+) -> tuple[NDArray[np.uint8], float]:
+    across, down = np.array(ground.shape[::-1]) / np.array(target.size_mm)
+    left, top, right, bottom = margins_mm
+    vertical, horizontal = (
+        (round(top * down), round(bottom * down)),
+        (round(left * across), round(right * across)),
     )
-    paper, ink = paper_and_ink
-    wide = np.pad(ground, ((top, bottom), (left, right)), constant_values=255)
+    wide = np.pad(ground, (vertical, horizontal), constant_values=255)
+    paper, ink = target.background, target.foreground
     reflectance = np.float32(ink) + np.float32((paper - ink) / 255) * wide
-    if board.texture is not None:
-        factor = _texture(name, Path(board.texture), _changed_ns(board.texture))
+    if texture is not None:
+        factor = _factor(Path(texture))
         reflectance *= cv2.resize(factor, wide.shape[::-1], interpolation=cv2.INTER_LINEAR)
     reflectance = np.minimum(reflectance, 1.0)
     white = float(reflectance.max())
@@ -147,12 +165,11 @@ def _changed_ns(name: str) -> int:
     return path.stat().st_mtime_ns if path.is_file() else 0
 
 
-@lru_cache(maxsize=4)
-def _texture(name: str, path: Path, changed_ns: int) -> NDArray[np.float32]:
+def _factor(path: Path) -> NDArray[np.float32]:
     try:
         pictures = list(grey_images(places_in(path)))
     except (FppError, OSError) as error:
-        raise ConfigError(f"world: 'items.{name}.texture': {error}") from error
+        raise ConfigError(str(error)) from error
     if len(pictures) != 1 or pictures[0][1].dtype != np.uint8:
-        raise ConfigError(f"world: 'items.{name}.texture': {path} must be one grey image of 8 bits")
+        raise ConfigError(f"{path} must be one grey image of 8 bits")
     return np.asarray(pictures[0][1] / np.float32(EVEN), np.float32)

@@ -364,7 +364,9 @@ def _round(
     scale[scale == 0] = 1.0
     scaled = matrix / scale
     normal, gradient = scaled.T @ (weight[:, None] * scaled), scaled.T @ (weight * residual)
-    step = np.linalg.lstsq(normal, gradient, rcond=1e-9)[0] / scale
+    knobs = [_bounded(reference, name) for name in names]
+    limits = [(knob.lower - knob.read(start), knob.upper - knob.read(start)) for knob in knobs]
+    step = _step_within(normal, gradient, scale[:, None] * np.array(limits)) / scale
     sigma = dict(
         zip(names, (_standard_errors(scaled, weight, residual, samples) / scale).tolist(), strict=True)
     )
@@ -373,6 +375,22 @@ def _round(
         if gain > 0:
             return gain, tried, after, sigma
     return 0.0, start, residual, sigma
+
+
+def _step_within(normal: Floats, gradient: Floats, limits: Floats) -> Floats:
+    """Solve for the step (C,); what would leave its limits (C, 2) is held there, and the others follow."""
+    step, held = np.zeros(len(gradient)), np.zeros(len(gradient), np.bool_)
+    for _ in range(len(gradient)):
+        rest = gradient[~held] - normal[np.ix_(~held, held)] @ step[held]
+        step[~held] = np.linalg.lstsq(normal[np.ix_(~held, ~held)], rest, rcond=1e-9)[0]
+        beyond = ~held & ((step < limits[:, 0]) | (step > limits[:, 1]))
+        if not beyond.any():
+            break
+        step[beyond] = np.clip(step, limits[:, 0], limits[:, 1])[beyond]
+        held |= beyond
+        if held.all():
+            break
+    return step
 
 
 def _bounded(reference: Reference, name: str) -> AdjustableParameter:

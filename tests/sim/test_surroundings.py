@@ -1,4 +1,4 @@
-"""BenchSurroundings and sheets of boards: exact against plain cards, hidden and shaded by items, and as files."""
+"""Surroundings and sheets of boards: exact against plain cards, hidden and shaded by items, and as files."""
 
 from __future__ import annotations
 
