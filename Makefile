@@ -6,7 +6,7 @@ WORKERS ?= 2
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: setup demo test test-slow test-usb crash fuzz soak mutants full-disk faults lint bench clean
+.PHONY: setup demo docs test test-slow test-usb crash fuzz soak mutants full-disk faults lint bench clean
 
 setup: $(READY)
 
@@ -56,6 +56,11 @@ lint: setup
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+# The documentation as a site, build/docs/site/index.html; its pages are run first, for their pictures.
+docs: setup
+	$(BIN)/python -m docs.generate
+	$(BIN)/mkdocs build --quiet
 
 bench: setup
 	$(BIN)/python -m benchmarks
