@@ -45,9 +45,9 @@ def commands_page() -> str:
     """
     parts = [
         f"{HEAD}# Commands\n",
-        "Every command takes `--json`: stdout is then exactly one JSON object. Exit codes: 0 done, "
-        "2 wrong input, 3 device, 4 data, 5 calibration, 130 cancelled. Names of rigs, plans, targets and studies are "
-        "those of `configs/`, or paths.\n",
+        "Every command takes `--json`: stdout is then exactly one JSON object. Exit codes: 0 done, 2 wrong "
+        "input, 3 device, 4 data, 5 calibration, 130 cancelled. Names of rigs, plans, targets and studies "
+        "are those of `configs/`, or paths.\n",
         _options(typer.main.get_command(app)),
     ]
     for name, command in every_command():
