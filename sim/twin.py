@@ -170,7 +170,6 @@ class SimTwin:
         ConfigError
             The world has no such item.
         """
-        self._world.item(item)
         return self._expected(Setup(item), patterns, settings)
 
     def frames(self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings) -> list[Image]:

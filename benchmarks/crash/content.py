@@ -18,7 +18,7 @@ TIMES = frozenset({"host_time_s", "device_time_s", "seconds", "made", "poses_tak
 DATE = re.compile(r"\d{4}-\d\d-\d\d([T ]\d\d:\d\d(:\d\d(\.\d+)?)?( ?UTC|Z|[+-]\d\d:?\d\d)?)?")
 MADE = re.compile(r"^(\s*)(made|poses_taken): .*$", re.MULTILINE)
 LINK = re.compile(r"data:(application/json|text/csv)[^,\"]*?(;base64)?,([^\"]*)")
-SECONDS = re.compile(r"\b\d+(\.\d+)? (s|seconds|minutes)\b")
+SECONDS = re.compile(r"( ?\b\d+(\.\d+)? (s|min|h|seconds|minutes)\b)+")
 IGNORED = re.compile(r"\..*\.lock|" + re.escape(LOG))
 
 

@@ -460,7 +460,7 @@ def _power_law_harmonics(g: float) -> Floats:
 
 
 def _exponent(group: Group, found: Found) -> tuple[float, float]:
-    """The exponent of the response and its uncertainty, from the harmonic that shows it best.
+    """The exponent of the response and its uncertainty among groups, from the harmonic that shows it best.
 
     Harmonics of a power law are `c_2 = (g - 1)/(g + 2)` and `c_3 = c_2 (g - 2)/(g + 3)` of the fringe.
     """
@@ -468,7 +468,7 @@ def _exponent(group: Group, found: Found) -> tuple[float, float]:
         c, u = found.harmonics[0], found.uncertainty[0]
         return float((1.0 + 2.0 * c) / (1.0 - c)), float(3.0 * u / (1.0 - c) ** 2)
     # Offsets show the third only, which is greatest at g = 1.47 and does not tell what lies beyond.
-    c, u = max(found.harmonics[1], _LEAST_THIRD), found.uncertainty[1]
+    c = max(found.harmonics[1], _LEAST_THIRD)
     half = 3.0 + 5.0 * c
     root = np.sqrt(max(half**2 - 8.0 * (1.0 - c) * (1.0 - 3.0 * c), 0.0))
-    return float((half - root) / (2.0 * (1.0 - c))), float(12.0 * u)
+    return float((half - root) / (2.0 * (1.0 - c))), 1.0  # of the only group: it is weighed against none

@@ -10,6 +10,7 @@ import pytest
 from fpplab.acquisition import device_check
 from fpplab.acquisition.device_check import device_finding, disk_finding, link_finding
 from fpplab.acquisition.rig_check import check_rig
+from fpplab.core.conventions import Floats
 from fpplab.core.errors import DeviceError
 from fpplab.devices import CameraSettings, DeviceInfo
 from fpplab.diagnosis import FaultCause
@@ -70,6 +71,23 @@ def test_a_missing_colour_is_no_slip() -> None:
 def test_light_of_the_mains_is_told_from_random_light() -> None:
     assert causes("mains_flicker", 201)[0] == "mains_flicker"
     assert causes("flicker", 201)[0] == "flicker"
+
+
+def test_the_mains_are_named_by_how_much_whole_periods_calm_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a lamp at 100 Hz, an exposure sees the mean over its time: a ripple times sin(πfT)/πfT."""
+
+    def levels(_rig: object, _plan: Plan, exposure_s: float) -> Floats:
+        starts = 2 * np.pi * np.arange(device_check.MAINS_FRAMES) / device_check.MAINS_FRAMES
+        return np.asarray(1e4 * exposure_s * (1 + 0.3 * np.sinc(100.0 * exposure_s) * np.cos(starts)))
+
+    monkeypatch.setattr(device_check, "_levels", levels)
+    with formula_rig(None, 3) as rig:
+        found = device_check.mains_finding(rig, PLAN.model_copy(update={"exposure_s": 0.013}))
+    assert found is not None
+    assert found.cause is FaultCause.MAINS_FLICKER
+    assert "`exposure_s: 0.01`" in found.remedy
+    restless = 0.3 * abs(np.sinc(1.3)) / np.sqrt(2.0)
+    assert found.excess == pytest.approx(restless / device_check.LEAST_MAINS, rel=0.05)
 
 
 def test_random_light_is_as_restless_with_whole_periods(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,13 +12,20 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.linalg import block_diag
+from scipy.stats import multivariate_normal
 
 from fpplab import pipeline
 from fpplab.acquisition.acquire import _ended
 from fpplab.acquisition.synchronisation import (
+    LINEAR,
+    MISFIT_IN_STEP,
+    PRIOR,
     Cause,
+    Moments,
     SyncFault,
     SyncVerdict,
+    _spaces,
     check_synchronisation,
     faults,
     provable,
@@ -204,6 +211,24 @@ def test_faults_are_told_apart_by_what_they_show() -> None:
 def test_a_plan_says_whether_its_frames_prove_anything(plan: Plan, proves: bool) -> None:
     assert provable(plan) is proves
     assert judged(Scene().frames(plan), plan).provable is proves
+
+
+def test_hypotheses_are_rated_by_their_marginal_likelihood() -> None:
+    """That of Gaussian coefficients and misfit, with one offset for all sets and with one for each."""
+    plan, steps = sets(("x", 4.0, 5), ("y", 6.5, 7)), (5, 7)
+    fringes = [np.exp(2j * np.pi * np.arange(n) / n) for n in steps]
+    waves = block_diag(*(np.stack([wave.real, wave.imag], axis=1) for wave in fringes))
+    own = block_diag(*(np.ones((n, 1)) for n in steps))
+    seen = waves @ [0.8, -0.3, 0.5, 0.9]
+    moments = Moments(np.outer(seen, seen), np.outer(seen, seen))
+
+    def expected(offsets: Floats) -> float:
+        basis = np.hstack([offsets, waves])
+        covariance = PRIOR * basis @ basis.T + MISFIT_IN_STEP**2 * np.eye(len(seen))
+        return float(multivariate_normal(cov=covariance).logpdf(seen))
+
+    rated = [_spaces(plan, LINEAR, (), separate).likelihood(moments)[0] for separate in (False, True)]
+    assert rated[1] - rated[0] == pytest.approx(expected(own) - expected(own.sum(axis=1)[:, None]), abs=0.01)
 
 
 def test_the_brightness_of_a_frame_is_nobodys_fault() -> None:

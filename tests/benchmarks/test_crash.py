@@ -116,7 +116,8 @@ def test_results_are_compared_without_times_and_names(tmp_path: Path) -> None:
     assert len(first) == len(Session.open(tmp_path / "one" / "out").records) + 4
     page = '<p>2026-11-25 14:03, 12.5 s</p><a href="data:application/json,%7B%22seconds%22%3A1%7D">x</a>'
     (tmp_path / "a.html").write_text(page, encoding="utf-8")
-    (tmp_path / "b.html").write_text(page.replace("14:03", "15:04").replace("12.5", "9"), encoding="utf-8")
+    later = page.replace("14:03", "15:04").replace("12.5", "1 min 9")
+    (tmp_path / "b.html").write_text(later, encoding="utf-8")
     (tmp_path / "c.html").write_text(page.replace("<p>", "<p>no "), encoding="utf-8")
     a, b, c = (timeless(tmp_path / f"{name}.html", "OUT") for name in "abc")
     assert a == b != c

@@ -66,6 +66,8 @@ def test_one_tilted_view_tells_the_focal_length_about(tilt: float) -> None:
     pose = RigidTransform(tilted_away((0, -1), tilt), np.array([4.0, -3.0, 450.0]))
     view = RoughView.of([seen(pose, "pose_0", noise_px=0.01)], TARGET, SIZES)
     assert view.camera.matrix[0, 0] == pytest.approx(1216, rel=0.15)
+    corners = np.array([[0, 0], np.array(SIZES[0]) - 1])  # centres of the outermost pixels
+    np.testing.assert_allclose(view.camera.matrix[:2, 2], corners.mean(axis=0))
     known = RoughView.of([seen(pose, "pose_0")], TARGET, SIZES, pose)
     assert known.camera.matrix[0, 0] == pytest.approx(1216, rel=0.03)
 

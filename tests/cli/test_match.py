@@ -73,9 +73,22 @@ def test_a_twin_is_matched_and_runs(fpplab: Command, board: Path, tmp_path: Path
         assert rig.camera.caps.size == (684, 456)
         assert rig.fixture is not None
         assert rig.fixture.caps.items["board"] == POSES
-    again = fpplab("match", "--twin", twin, "--reference", board, "--out", out, "--json")
+    command = ("match", "--twin", twin, "--reference", board, "--out", out, "--epochs", 2, "--json")
+    again = fpplab(*command)
     assert again.code == 2
     assert "exists already" in again.json["error"]
+    _finishes_what_was_killed_before_its_report(fpplab, command, out)
+
+
+def _finishes_what_was_killed_before_its_report(
+    fpplab: Command, command: tuple[object, ...], out: Path
+) -> None:
+    kept = {name: (out / name).read_bytes() for name in ("rig.yaml", "world.yaml", "calibration.yaml")}
+    (out / "report.html").unlink()
+    done = fpplab(*command)
+    assert done.code == 0, done.err
+    assert (out / "report.html").is_file()
+    assert {name: (out / name).read_bytes() for name in kept} == kept
 
 
 def test_what_was_accepted_is_told_by_the_twin(fpplab: Command, board: Path, tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from fpplab import artefacts
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
 from fpplab.comparison import compare, mcd, smcd
-from fpplab.comparison.alignment import align_mesh
+from fpplab.comparison.alignment import AlignmentMesh, align_mesh, refine_pose
 from fpplab.comparison.neighbours import nearest
 from fpplab.comparison.surfaces import distance_to_surface
 from fpplab.comparison.visibility import RayTracedShape
@@ -243,6 +243,15 @@ def test_alignment_does_not_take_the_wrong_side_of_a_plate(seed: int) -> None:
     found = align_mesh(cloud, artefacts.make("pillars"), seed)
     assert found.rms_um < 40
     np.testing.assert_allclose(found.transform.translation, [0, 0, 450], atol=0.05)
+
+
+@pytest.mark.parametrize(("off_mm", "rounds", "iterations"), [(0.0, 5, 1), (0.5, 1, 1)])
+def test_refinement_counts_its_iterations(off_mm: float, rounds: int, iterations: int) -> None:
+    """One finds that nothing is to be changed; no more than the rounds that are granted."""
+    mesh = placed("pyramid")
+    points, target = perfect_cloud(mesh).points.astype(np.float64), AlignmentMesh(mesh)
+    start = RigidTransform(np.eye(3), np.array([0.0, 0.0, off_mm]))
+    assert refine_pose(points, target, start, rounds)[1] == iterations
 
 
 def test_alignment_corrects_a_small_motion_exactly() -> None:

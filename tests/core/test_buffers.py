@@ -54,6 +54,12 @@ def test_a_large_file_holds_what_was_written(tmp_path: Path, size: int) -> None:
     assert (tmp_path / "x").read_bytes() == content
 
 
+def test_a_large_file_is_written_where_a_process_was_killed(tmp_path: Path) -> None:
+    (tmp_path / ".x.ab12_xyz").write_bytes(b"half of it")
+    write_large(tmp_path / "x", lambda stream: stream.write(b"whole"))
+    assert [(p.name, p.read_bytes()) for p in tmp_path.iterdir()] == [("x", b"whole")]
+
+
 def test_what_is_not_approved_leaves_the_file_as_it_was(tmp_path: Path) -> None:
     (tmp_path / "x").write_bytes(b"before")
 

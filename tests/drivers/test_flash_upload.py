@@ -277,6 +277,15 @@ def test_images_that_share_sectors_with_the_program_are_refused(offset):
         check_firmware(_with_images_at(offset))
 
 
+@pytest.mark.parametrize("beyond", [-1, 0, 1])
+def test_sectors_of_the_images_are_those_that_hold_a_byte_of_them(beyond):
+    whole = -(-len(BUILT.content) // SECTOR) * SECTOR
+    content = BUILT.content + bytes(whole + beyond - len(BUILT.content))
+    sectors = check_firmware(firmware(content))
+    held = {offset // SECTOR for offset in range(BUILT.splash.offset, len(content))}
+    assert list(sectors) == sorted(held)
+
+
 def test_a_file_of_the_maker_is_refused():
     with pytest.raises(DataError, match="has no images"):
         check_firmware(firmware(MAKER))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import queue
 import socket
 import struct
 from collections.abc import Iterator
@@ -12,7 +13,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from drivers.clock import SteppedClock
+from drivers.clock import RealClock, SteppedClock
 from drivers.dlp4500 import Dlp4500
 from drivers.dlp4500.framing import READ, REPLY_WANTED, join_reports, make_request
 from drivers.dlp4500.protocol import VERSION
@@ -119,6 +120,27 @@ def test_the_descriptors_of_the_configuration_fit_into_each_other(kernel: Kernel
     assert kinds == [2, 4, 0x21, 5, 5, 4, 0x21, 5, 5]
 
 
+@pytest.mark.parametrize(("kind", "value"), [(1, 0x0100), (3, 0x0300), (3, 0x0301), (3, 0x0302), (3, 0x0303)])
+def test_a_descriptor_begins_with_its_length_and_kind(kernel: Kernel, kind: int, value: int) -> None:
+    found = kernel.ask(0x80, 6, value)
+    assert found is not None
+    assert tuple(found[:2]) == (len(found), kind)
+
+
+def test_interfaces_and_endpoints_are_those_of_two_human_interface_devices(kernel: Kernel) -> None:
+    """By the tables of chapter 9 of the USB specification: class 3, interrupt endpoints of 64 bytes."""
+    rest = kernel.ask(0x80, 6, 0x0200)
+    interfaces, endpoints = [], []
+    while rest:
+        if rest[1] == 4:
+            interfaces.append(tuple(rest[2:9]))
+        elif rest[1] == 5:
+            endpoints.append(struct.unpack("<BBHB", rest[2:7]))
+        rest = rest[rest[0] :]
+    assert interfaces == [(n, 0, 2, 3, 0, 0, 0) for n in (0, 1)], "each with its first setting alone"
+    assert endpoints == [(address, 3, 64, 1) for address in (0x81, 0x01, 0x82, 0x02)]
+
+
 @pytest.mark.parametrize(("kind", "what", "value"), [(0x80, 6, 0x0600), (0x80, 8, 0), (0xA1, 1, 0x0100)])
 def test_what_it_does_not_know_is_refused(kernel: Kernel, kind: int, what: int, value: int) -> None:
     assert kernel.ask(kind, what, value) is None
@@ -218,6 +240,34 @@ def test_the_kernel_does_not_take_the_cable(
     near, far = socket.socketpair()
     with near, far, pytest.raises(DeviceError, match=words):
         usbip.attach(far)
+
+
+def product_asked_by(cable: socket.socket) -> int:
+    """The product number in the device descriptor, over the kernel's end of a cable."""
+    cable.settimeout(20.0)
+    setup = struct.pack("<BBHHH", 0x80, 6, 0x0100, 0, 18)
+    cable.sendall(struct.pack(">5I", SUBMIT, 1, 1, IN, 0) + struct.pack(">Iiiii", 0, 18, 0, 0, 0) + setup)
+    answer = cable.recv(48 + 18, socket.MSG_WAITALL)
+    return int(struct.unpack_from("<H", answer, 48 + 10)[0])
+
+
+def test_a_device_that_left_the_bus_comes_back_over_another_cable(monkeypatch: pytest.MonkeyPatch) -> None:
+    cables: queue.Queue[socket.socket] = queue.Queue()
+    monkeypatch.setattr(usbip, "attach", lambda cable: cables.put(cable.dup()))
+    hid = EmulatedHid(Dlpc350(RealClock(), []))
+    with UsbIpAttachment(hid) as attached:
+        with cables.get(timeout=20.0) as first:
+            assert product_asked_by(first) == 0x6401
+            with attached.lock:
+                hid.unplug()
+            assert first.recv(1) == b""
+        assert cables.empty()
+        with attached.lock:
+            hid.plug()
+        second = cables.get(timeout=20.0)
+        assert product_asked_by(second) == 0x6401
+    with second:
+        assert second.recv(1) == b""
 
 
 def test_firmware_is_for_the_projector_alone() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import random
+import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -57,13 +57,18 @@ def named(root: Path) -> dict[Mutant, list[str]]:
 def draw(root: Path, each: int, seed: int, areas: Sequence[str]) -> list[Mutant]:
     """Draw faults at random: so many of every area, taking turns between them, each of a line of its own.
 
-    A fault of an area may stand in any of its files, each place with the same chance.
+    A fault of an area may stand in any of its files, each place with the same chance. While other code
+    changes, what is drawn stays drawn, unless faults of the new code come before it.
     """
     drawn: list[list[Mutant]] = []
     for area in areas:
-        chance = random.Random(f"{seed} {area}")
-        every = [mutant for file in files_of(root, area) for mutant in mutants(root, file)]
-        chance.shuffle(every)
+        found = [mutant for file in files_of(root, area) for mutant in mutants(root, file)]
+        every = sorted(found, key=lambda mutant: _lot(f"{seed} {area} {mutant.name}"))
         lines = {(mutant.file, mutant.line): mutant for mutant in reversed(every)}
         drawn.append([mutant for mutant in every if lines[mutant.file, mutant.line] is mutant][:each])
     return [mutant for turn in zip(*drawn, strict=True) for mutant in turn]
+
+
+def _lot(words: str) -> bytes:
+    """A random number that is the same for the same words."""
+    return hashlib.sha256(words.encode()).digest()

@@ -42,7 +42,7 @@ class Chooser:
         direct -= set(chosen)
         left = self._seconds
         for tests in (direct, beside):
-            for test in sorted(tests, key=lambda test: (not self._is_near(test, mutant), self._time(test))):
+            for test in sorted(tests, key=lambda test: (self._distance(test, mutant), self._time(test))):
                 if not chosen or self._time(test) <= left:
                     chosen.append(test)
                     left -= self._time(test)
@@ -55,10 +55,12 @@ class Chooser:
     def _time(self, test: str) -> float:
         return self._known.seconds.get(test, UNKNOWN_S)
 
-    def _is_near(self, test: str, mutant: Mutant) -> bool:
-        """Whether a test is one of the fault's own package."""
+    def _distance(self, test: str, mutant: Mutant) -> int:
+        """0 for a test of the fault's own module, 1 for one of its package, 2 for any other."""
         package = next(part for part in Path(mutant.file).parts if part != "fpplab")
-        return test.startswith(f"tests/{package}/")
+        if not test.startswith(f"tests/{package}/"):
+            return 2
+        return 0 if Path(test.partition("::")[0]).name == f"test_{Path(mutant.file).name}" else 1
 
     def _lines(self, mutant: Mutant) -> list[int]:
         """Lines that tell a test: of a default argument, which runs at import, those of its function."""

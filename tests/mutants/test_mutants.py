@@ -62,6 +62,19 @@ def test_a_draw_is_the_same_twice_and_has_as_many_of_each_area() -> None:
     assert [m.name for m in drawn] != [m.name for m in draw(ROOT, 2, 2, ("core", "sessions"))]
 
 
+def test_what_is_drawn_stays_drawn_while_other_code_changes(tmp_path: Path) -> None:
+    folder = tmp_path / "fpplab" / "core"
+    folder.mkdir(parents=True)
+    lines = [f"    {name} = {name} + 1" for name in "abcdefghij"]
+    (folder / "m.py").write_text("\n".join(["def old():", *lines]))
+    before = [m.name for m in draw(tmp_path, 6, 1, ("core",))]
+    (folder / "m.py").write_text("\n".join(["def new():", *lines, "def old():", *lines]))
+    after = [m.name for m in draw(tmp_path, 6, 1, ("core",))]
+    kept = [name for name in after if " old: " in name]
+    assert 0 < len(kept) < 6
+    assert kept == before[: len(kept)]
+
+
 def test_named_faults_are_of_today_s_sources() -> None:
     for mutant, tests in named(ROOT).items():
         for file, _, function in (test.partition("::") for test in tests):
@@ -155,6 +168,18 @@ def test_a_default_argument_is_judged_by_who_calls_its_function(tmp_path: Path) 
     )
     fault = next(m for m in mutants(tmp_path, "fpplab/core/m.py") if m.old == "1")
     assert set(Chooser(tmp_path, known).tests_for(fault)) == {"t.py::first", "t.py::calls"}
+
+
+def test_tests_of_the_module_come_before_those_of_the_package_and_others() -> None:
+    mutant = next(m for m in mutants(ROOT, "sim/light/plane.py"))
+    seconds = {
+        "tests/cli/test_a.py::a": 1.0,
+        "tests/sim/test_b.py::b": 2.0,
+        "tests/sim/test_plane.py::c": 3.0,
+    }
+    known = CoverageMap({mutant.file: {mutant.line: list(seconds)}}, seconds)
+    assert Chooser(ROOT, known).tests_for(mutant) == list(reversed(seconds))
+    assert Chooser(ROOT, known, seconds=5.0).tests_for(mutant) == list(reversed(seconds))[:2]
 
 
 @pytest.mark.slow

@@ -131,8 +131,9 @@ def test_sigma_is_the_scatter(plan, bits):
 @pytest.mark.parametrize("axis", ["x", "y"])
 @pytest.mark.parametrize("steps", [3, 4, 12])
 @pytest.mark.parametrize("stripes", [(1, 8, 64), (1, 9.43, 142.05), (0.9, 7, 50)])
-def test_no_fringe_is_thrown_at_the_edges(stripes, steps, axis):
-    plan = make_plan(*((axis, s, steps) for s in stripes))
+@pytest.mark.parametrize("vote", [None, OrderVote()])  # a vote takes the place of the risk of wrong orders
+def test_no_fringe_is_thrown_at_the_edges(stripes, steps, axis, vote):
+    plan = make_plan(*((axis, s, steps) for s in stripes), order_vote=vote)
     edge = np.array([0, 1, SIZE[0] - 2, SIZE[0] - 1])
     size = (SIZE[0], 2) if axis == "x" else (2, SIZE[0])
     levels = [x[:, edge] if axis == "x" else x[edge].T for x in render(plan, size)]
@@ -209,6 +210,24 @@ def test_the_masks_are_those_of_quality():
     np.testing.assert_array_equal(decoded.valid[~doubtful], expected[~doubtful])
     for values in (decoded.u, decoded.v, decoded.modulation, decoded.sigma):
         np.testing.assert_array_equal(np.isfinite(values), decoded.valid)
+
+
+@pytest.mark.parametrize("steps", [3, 5, 8, 13])
+def test_the_misfit_is_what_least_squares_leave(steps):
+    rules = MaskRules(modulation_min=0, contrast_min=0, residual_max=0.1, wrong_order_max=1)
+    plan = make_plan(("x", 1, steps), masks=rules)
+    noise = np.random.default_rng(steps).standard_normal((steps, SIZE[1], SIZE[0]))
+    noise *= np.linspace(0, 0.05, SIZE[1])[:, None]  # up to twice the limit
+    frames = record(np.array(render(plan, amplitude=0.25)) + noise)
+    shift = 2 * np.pi * np.arange(steps) / steps
+    waves = np.stack([np.ones(steps), np.cos(shift), np.sin(shift)], axis=1)
+    seen = np.reshape(frames, (steps, -1)).astype(float)
+    fitted = np.linalg.lstsq(waves, seen, rcond=None)[0]
+    misfit = np.sqrt(np.mean((seen - waves @ fitted) ** 2, axis=0)) / np.hypot(fitted[1], fitted[2])
+    misfit = misfit.reshape(SIZE[::-1])[:, 100:-100]  # a single stripe is ambiguous at the edges
+    known = np.abs(misfit - 0.1) > 1e-3
+    valid = decode(Recording(frames, plan, SIZE)).valid[:, 100:-100]
+    np.testing.assert_array_equal(valid[known], (misfit < 0.1)[known])
 
 
 def test_every_frequency_must_be_modulated():

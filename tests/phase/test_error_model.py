@@ -9,6 +9,8 @@ from fpplab.core.conventions import phase_steps
 from fpplab.patterns.curve import Curve
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.phase_error import phase_error, relative_harmonics
+from fpplab.phase import error_model
+from fpplab.phase.common_errors import groups_of
 from fpplab.phase.error_model import fit_errors
 from fpplab.phase.noise import QUANTISATION, level_step, repeated_rounding, robust_mean
 
@@ -47,6 +49,32 @@ def test_noise_is_found_whatever_response_and_lamp_do(steps, g, gain):
     noise = fit_errors(frames, sets(*steps), 8).noise
     for level in (50, 100, 150):
         assert noise.variance(level) == pytest.approx(1.5 + 0.05 * level + QUANTISATION, rel=0.1)
+
+
+@pytest.mark.parametrize(("steps", "freedom"), [((3, 3), 1), ((3, 3, 3), 2), ((5,), 2), ((4, 3, 7), 5)])
+def test_as_many_values_tell_the_noise_whatever_the_steps(monkeypatch, steps, freedom):
+    """A pixel of N images tells N - 3 after a sinusoid's fit; of sets of three images, their offsets do."""
+    taken = []
+
+    def grouped(samples, *rest):
+        taken.append(samples[0].shape[1])
+        return groups_of(samples, *rest)
+
+    monkeypatch.setattr(error_model, "groups_of", grouped)
+    generator = np.random.default_rng(1)
+    frames = [np.tile(sample, 7) for sample in noisy(generator, waves(generator, *steps), 1.5)]
+    fit_errors(frames, sets(*steps), 8)
+    assert 32_000 <= taken[0] * freedom < 48_000
+
+
+@pytest.mark.parametrize("steps", [(3, 3), (5,), (4, 7)])
+def test_pixels_that_are_hardly_modulated_tell_nothing(steps):
+    generator = np.random.default_rng(2)
+    strong, weak = (waves(generator, *steps, modulation=m) for m in (21.0, 19.0))
+    levels = [np.where(np.arange(PIXELS) < 5000, *both) for both in zip(strong, weak, strict=True)]
+    for group in groups_of(levels, sets(*steps), modulation_min=20.0):
+        seen = np.concatenate([levels[k] for k in group.members])
+        np.testing.assert_array_equal(group.images, seen[:, :5000])
 
 
 def test_moving_things_and_saturation_do_not_disturb_the_noise():

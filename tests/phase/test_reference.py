@@ -123,6 +123,35 @@ def test_saturated_samples_are_left_out_as_by_the_reference(
     assert np.quantile(np.abs(decoded.u - truth)[both], 0.99) < 0.8
 
 
+def test_the_misfit_is_that_of_the_unsaturated_samples() -> None:
+    steps, random = 9, np.random.default_rng(6)
+    rules = LENIENT.model_copy(update={"residual_max": 0.1})
+    plan = Plan(fringes=(Sinusoid(axis="x", stripes=1.0, steps=steps),), masks=rules)
+    bright = np.array([plan.fringes[0].level(n, SIZE, Lattice.SQUARE) for n in range(steps)])
+    bright = (
+        1.1 * (0.05 + 0.85 * bright)
+        + random.normal(0.0, 1.0, bright.shape) * np.linspace(0, 0.08, 6)[:, None]
+    )
+    shown = np.rint(np.clip(bright, 0.0, 1.0) * 255).astype(np.uint8)
+    found = wrapped_phase(list(shown), plan.fringes[0], 255)
+    shift = 2 * np.pi * np.arange(steps) / steps
+    waves = np.stack([np.ones(steps), np.cos(shift), np.sin(shift)], axis=1)
+    expected = np.full(SIZE[::-1], np.nan)
+    for at in np.argwhere(found.peak < 255):
+        level = shown[(slice(None), *at)].astype(float)
+        own, level = waves[level < 255], level[level < 255]
+        fitted = np.linalg.lstsq(own, level, rcond=None)[0]
+        expected[tuple(at)] = np.sqrt(np.mean((level - own @ fitted) ** 2))
+    refitted = np.isfinite(expected) & (shown == 255).any(axis=0)
+    assert refitted.sum() > 500
+    np.testing.assert_allclose(found.misfit[refitted], expected[refitted], rtol=1e-3, atol=1e-2)
+    share = (expected / found.modulation)[:, 30:-30]
+    clear = refitted[:, 30:-30] & (np.abs(share - 0.1) > 1e-3)
+    valid = decode(Recording(list(shown), plan, SIZE)).valid[:, 30:-30]
+    np.testing.assert_array_equal(valid[clear], (share < 0.1)[clear])
+    assert 0.2 < valid[clear].mean() < 0.8
+
+
 def test_modulation_is_the_reference_s() -> None:
     plan = Plan(fringes=(Sinusoid(axis="x", stripes=1.0, steps=7),), masks=LENIENT)
     recording = Recording(list(frames(plan, 0.01, 12, 1)), plan, SIZE, 12)

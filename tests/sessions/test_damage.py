@@ -111,6 +111,19 @@ def test_force_keeps_what_is_not_fpplabs(whole: Path) -> None:
     assert Session.create(whole, PLAN, force=True).missing() == [0, 1, 2, 3]
 
 
+def test_force_keeps_what_a_link_in_place_of_the_frames_leads_to(whole: Path, tmp_path: Path) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    (whole / "frames").rename(elsewhere)
+    (elsewhere / "notes.txt").write_text("mine")
+    (whole / "frames").symlink_to(elsewhere)
+    with pytest.raises(DataError, match=r"no part of a session \(frames\), so --force does not"):
+        Session.create(whole, PLAN, force=True)
+    assert (elsewhere / "notes.txt").read_text() == "mine"
+    (whole / "frames").unlink()
+    assert Session.create(whole, PLAN, force=True).missing() == [0, 1, 2, 3]
+    assert (elsewhere / "notes.txt").read_text() == "mine"
+
+
 def test_drafts_of_killed_processes_are_taken_away(tmp_path: Path) -> None:
     session = record(tmp_path / "s", 2)
 

@@ -108,6 +108,16 @@ def test_a_pattern_is_sorted_by_numbers_and_says_so(tmp_path: Path) -> None:
     ]
 
 
+@pytest.mark.parametrize(
+    ("last", "said"), [(4, "1.png, 2.png, 3.png, 4.png"), (5, "1.png, 2.png, 3.png … 5.png")]
+)
+def test_more_than_four_names_are_cut_short(tmp_path: Path, last: int, said: str) -> None:
+    put(tmp_path / "images", [f"{k}.png" for k in range(1, last + 1)], IMAGES[:last])
+    words: list[str] = []
+    read_images(Chosen((tmp_path / "images",), "*.png"), tell=words.append)
+    assert words[0].endswith(f": {said}")
+
+
 def test_a_pattern_with_more_or_fewer_files(tmp_path: Path) -> None:
     folder = put(tmp_path / "images", [f"f_{k}.png" for k in range(7)])
     put(folder, ["f_20.png"], [image_of(20)])

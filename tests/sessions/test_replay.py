@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 
 from fpplab.acquisition.acquire import acquire
-from fpplab.core.conventions import Lattice
+from fpplab.core.conventions import Image, Lattice
 from fpplab.core.errors import CapabilityError, ConfigError, DataError, FrameLossError, SettingError
 from fpplab.devices import CameraSettings
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringes import make_patterns, uniform_patterns
+from fpplab.sessions.frame_files import read_frame
+from fpplab.sessions.journal import FrameRecord
 from fpplab.sessions.session import Session
 from tests.support.recorded import PLAN, frame, image_of, record
 
@@ -40,6 +42,26 @@ def test_the_recording_is_measured_again(tmp_path: Path) -> None:
     for index in range(4):
         np.testing.assert_array_equal(again.read(index), image_of(index))
     assert again.projector() == ((64, 48), Lattice.SQUARE)
+
+
+def test_new_frames_are_not_read_back_for_their_checksums(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The proof that they are in step takes a sample of their pixels; checksums would delay the next scan."""
+    record(tmp_path / "recorded")
+    verified: set[Path] = set()
+
+    def reading(path: Path, of: FrameRecord, verify: bool) -> Image:
+        verified.update([path] if verify else [])
+        return read_frame(path, of, verify)
+
+    monkeypatch.setattr("fpplab.sessions.session.read_frame", reading)
+    with rig_of(tmp_path) as rig:
+        again = Session.create(tmp_path / "again", PLAN, rig.described())
+        acquire(rig, PLAN, again)
+    assert not {path for path in verified if path.is_relative_to(again.path)}
+    again.stack()
+    assert len({path for path in verified if path.is_relative_to(again.path)}) == PLAN.images
 
 
 def test_an_incomplete_recording_gives_the_frames_that_it_has(tmp_path: Path) -> None:

@@ -161,7 +161,8 @@ RIG = "rig.yaml"
 
 def _make_way(out: Path, force: bool, record: str, page: str) -> None:
     """Refuse to overwrite a finished matching; an unfinished or refused one is continued."""
-    if (out / RIG).is_file() and not force:
+    finished = (out / RIG).is_file() and (out / page).is_file()  # which is last
+    if finished and not force:
         raise ConfigError(f"{out}: exists already; name another output, or add --force to replace it")
     if out.exists() and not (out / record).is_file() and any(out.iterdir()):
         raise ConfigError(f"{out}: exists and holds no matching; name another output")
