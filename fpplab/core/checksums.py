@@ -62,6 +62,32 @@ class RecordedFile:
         except KeyError as error:
             raise ValueError(f"it has no field {error}") from None
 
+    @classmethod
+    def of_text(cls, file: str, text: str, keep: bool = True) -> RecordedFile:
+        """Record a content.
+
+        Parameters
+        ----------
+        file : str
+            Name of the file in the session's folder.
+        text : str
+            Its content.
+        keep : bool
+            Whether the text is kept too.
+
+        Returns
+        -------
+        RecordedFile
+            With the content's checksum.
+        """
+        return cls(file, _sha256(text.encode("utf-8")), text if keep else None)
+
+    @property
+    def line(self) -> str:
+        """The line of the record, without its newline."""
+        kept = {} if self.text is None else {"text": self.text}
+        return json.dumps({"file": self.file, "sha256": self.sha256, **kept})
+
     @property
     def is_whole(self) -> bool:
         """Whether the text that is kept has the checksum."""
@@ -86,13 +112,12 @@ def write_recorded(path: Path, text: str, keep: bool = False) -> None:
         There is no space left or the place cannot be written.
     """
     record = path.parent / CHECKSUMS
-    sha256 = _sha256(text.encode("utf-8"))
+    written = RecordedFile.of_text(path.name, text, keep)
     with writing(record):
         record.touch()
     cut_torn_line(record)
-    if sha256 not in _recorded(record, path.name):  # what goes on after a crash writes the same again
-        line = {"file": path.name, "sha256": sha256, **({"text": text} if keep else {})}
-        append_line(record, json.dumps(line))
+    if written.sha256 not in _recorded(record, path.name):  # what goes on after a crash writes the same again
+        append_line(record, written.line)
     write_text(path, text)
 
 

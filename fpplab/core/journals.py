@@ -13,6 +13,24 @@ MOST_JOURNAL_BYTES = 256_000_000
 """Greatest size of a journal: some 700,000 frames."""
 
 
+def make_journal(path: Path) -> None:
+    """Make an empty journal with its folder; one that is there stays as it is.
+
+    Parameters
+    ----------
+    path : Path
+        Of the journal.
+
+    Raises
+    ------
+    DataError
+        There is no space left or the place cannot be written.
+    """
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+
+
 def append_line(path: Path, line: str) -> None:
     """Append one line to a journal, on disk before this returns.
 

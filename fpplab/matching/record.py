@@ -16,7 +16,7 @@ from fpplab.calibration.model import CalibrationFile, PoseFile
 from fpplab.core import config
 from fpplab.core.config import Document
 from fpplab.core.errors import DataError
-from fpplab.core.journals import append_line, cut_torn_line, whole_lines
+from fpplab.core.journals import append_line, cut_torn_line, make_journal, whole_lines
 from fpplab.matching.light import FALLOFF
 from fpplab.patterns.curve import Curve
 from fpplab.simulation.matchable import NO_FALLOFF, TwinParameters
@@ -202,8 +202,7 @@ class MatchingRecord:
         epoch : MatchingEpoch
             To be appended.
         """
-        self.folder.mkdir(parents=True, exist_ok=True)
         path = self.folder / EPOCHS
-        path.touch()
+        make_journal(path)
         cut_torn_line(path)
         append_line(path, json.dumps(config.plain(epoch)))

@@ -16,7 +16,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from fpplab.core import config
 from fpplab.core.errors import ConfigError, DataError
-from fpplab.core.journals import append_line, cut_torn_line, whole_lines
+from fpplab.core.journals import append_line, cut_torn_line, make_journal, whole_lines
 from fpplab.core.strict_json import parse_object
 from fpplab.core.version import __version__
 from fpplab.optimisation.candidate import Candidate, Score
@@ -102,8 +102,7 @@ class Journal:
             The file cannot be written.
         """
         if not (self.path.is_file() and self.path.stat().st_size):
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            self.path.touch()
+            make_journal(self.path)
             append_line(self.path, json.dumps({**self._header, "fpplab": __version__}))
         found: dict[str, Any] = (
             {"failed": outcome} if isinstance(outcome, str) else {"scores": [asdict(s) for s in outcome]}

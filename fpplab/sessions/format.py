@@ -89,6 +89,17 @@ def check_format(path: Path) -> None:
             raise DataError(f"{path}: {name} is gone; `fpplab session repair` restores it")
 
 
+def present_format() -> str:
+    """Give the content of `session.yaml` in the present format.
+
+    Returns
+    -------
+    str
+        YAML.
+    """
+    return config.dump(SessionFormat(format=PRESENT))
+
+
 def write_format(path: Path) -> None:
     """Record in a session that it has the present format.
 
@@ -102,7 +113,7 @@ def write_format(path: Path) -> None:
     DataError
         The disk is full.
     """
-    write_recorded(path / FORMAT, config.dump(SessionFormat(format=PRESENT)), keep=True)
+    write_recorded(path / FORMAT, present_format(), keep=True)
 
 
 def upgrade_format(path: Path) -> None:

@@ -1,28 +1,31 @@
 """A damaged session made readable again: what is whole is kept, what is lost is named.
 
-Nothing is deleted: damaged files go to `NAME.damaged` beside the session. Plan, rig and format are restored
-from the copies in `files.jsonl`. A frame that is damaged is taken out of the journal, so that the session
-lacks it; whether it may be taken again, although the part may have moved, is for the operator to decide.
+Nothing is deleted: damaged files go to `NAME.damaged` beside the session. A damaged file stays in its place
+until the one that replaces it is on disk, so that a repair which a full disk ends can be made again. Plan,
+rig and format are restored from the copies in `files.jsonl`. A frame that is damaged is taken out of the
+journal, so that the session lacks it; whether it may be taken again, although the part may have moved, is
+for the operator to decide.
 """
 
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from fpplab.core import config
-from fpplab.core.checksums import RecordedFile, recorded_files, write_recorded
+from fpplab.core.checksums import RecordedFile, recorded_files
 from fpplab.core.errors import DataError, FppError
-from fpplab.core.files import write_text, writing
+from fpplab.core.files import read_bounded, write_text, writing
 from fpplab.core.journals import whole_lines
 from fpplab.core.progress import Progress, no_progress
 from fpplab.core.session_names import CHECKSUMS, FORMAT, JOURNAL, PLAN, RIG
 from fpplab.patterns.plan import Plan
 from fpplab.sessions.folder import tidy
-from fpplab.sessions.format import upgrade_format, write_format
+from fpplab.sessions.format import present_format, upgrade_format
 from fpplab.sessions.inspection import frame_faults, session_faults
 from fpplab.sessions.journal import FrameRecord, readable_lines
 from fpplab.sessions.lock import only_writer
@@ -106,9 +109,7 @@ def _restore_small_files(path: Path, report: RepairReport) -> None:
         copy = newest.get(name)
         if copy is None or copy.text is None or _holds(path / name, copy.text):
             continue
-        if (path / name).exists():
-            _set_aside(path, name, report)
-        write_text(path / name, copy.text)
+        _replace(path, name, copy.text, report)
         report.restored.append(f"{name}, from its copy in {CHECKSUMS}")
 
 
@@ -117,24 +118,28 @@ def _readable_records(path: Path, report: RepairReport) -> Iterable[RecordedFile
     try:
         return recorded_files(path)
     except DataError as error:
-        kept = list(_whole_records(whole_lines(path / CHECKSUMS)))
         report.lost.append(f"{error}; what it proved can no longer be proved")
-        _set_aside(path, CHECKSUMS, report)
-        for one in kept:
-            if one.is_whole and one.text is not None:
-                write_recorded(path / one.file, one.text, keep=True)
-        for name in (PLAN, RIG):
-            if (path / name).is_file() and name not in {one.file for one in kept}:
-                write_recorded(path / name, config.read_text(path / name), keep=True)
-        write_format(path)
+        records = list(_renewed_records(path))
+        _replace(path, CHECKSUMS, "".join(f"{one.line}\n" for one in records), report)
         report.restored.append(CHECKSUMS)
-        return recorded_files(path)
+        return records
 
 
-def _whole_records(lines: list[bytes]) -> Iterator[RecordedFile]:
-    for line in lines:
+def _renewed_records(path: Path) -> Iterator[RecordedFile]:
+    """What is whole of a damaged record, and new records of the files that it lacks."""
+    kept: set[str] = set()
+    for line in whole_lines(path / CHECKSUMS):
         with suppress(ValueError):
-            yield RecordedFile.of_line(line)
+            one = RecordedFile.of_line(line)
+            if one.is_whole:
+                kept.add(one.file)
+                yield one
+    for name in sorted({PLAN, RIG} - kept):
+        with suppress(OSError, UnicodeDecodeError):  # a file that cannot be read is no copy of itself
+            text = read_bounded(path / name, config.MOST_TEXT_BYTES).decode("utf-8")
+            yield RecordedFile.of_text(name, text)
+    if FORMAT not in kept:
+        yield RecordedFile.of_text(FORMAT, present_format())
 
 
 def _holds(file: Path, text: str) -> bool:
@@ -161,27 +166,50 @@ def _restore_journal(path: Path, plan: Plan, report: RepairReport, progress: Pro
     whole = [record for record in lines.records.values() if record.file not in bad]
     report.kept = len(whole)
     report.lost += [*lines.faults, *(one.found for one in damaged)]
-    if lines.faults or bad:
-        _set_aside(path, JOURNAL, report)
-        write_text(path / JOURNAL, "".join(_line(record) for record in whole))
-        report.restored.append(f"{JOURNAL}, with the {len(whole)} frames that are whole")
-    for name in sorted(bad):
+    for name in sorted(bad):  # before the journal forgets them
         if (path / name).exists():
             _set_aside(path, name, report)
+    if lines.faults or bad:
+        _replace(path, JOURNAL, "".join(_line(record) for record in whole), report)
+        report.restored.append(f"{JOURNAL}, with the {len(whole)} frames that are whole")
 
 
 def _line(record: FrameRecord) -> str:
     return json.dumps(record.model_dump()) + "\n"
 
 
+def _replace(path: Path, name: str, text: str, report: RepairReport) -> None:
+    """Write a file of the session anew, and keep what it was beside the session."""
+    if not (path / name).exists():
+        write_text(path / name, text)
+        return
+    place = _place_aside(path, name)
+    with writing(place):
+        place.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        with writing(place):
+            shutil.copyfile(path / name, place)
+        write_text(path / name, text)
+    except BaseException:
+        place.unlink(missing_ok=True)
+        raise
+    report.aside.append(str(place))
+
+
 def _set_aside(path: Path, name: str, report: RepairReport) -> None:
-    """Move a damaged file out of the session, to a name that nothing has there."""
+    """Move a damaged file out of the session."""
+    place = _place_aside(path, name)
+    with writing(place):
+        place.parent.mkdir(parents=True, exist_ok=True)
+        (path / name).rename(place)
+    report.aside.append(str(place))
+
+
+def _place_aside(path: Path, name: str) -> Path:
+    """Where a damaged file is kept: a name that nothing has there."""
     place = path.with_name(f"{path.name}.damaged") / name
     number = 1
     while place.exists():
         place = place.with_name(f"{Path(name).name}.{number}")
         number += 1
-    with writing(place):
-        place.parent.mkdir(parents=True, exist_ok=True)
-        (path / name).rename(place)
-    report.aside.append(str(place))
+    return place

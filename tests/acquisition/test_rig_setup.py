@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -251,6 +252,13 @@ def test_the_operator_chooses_and_may_choose_again(light: Light) -> None:
     assert draft.sections["camera"]["serial"] == "B2"
     assert draft.sections["projector"] == dict(PROJECTOR.section)
     assert draft.summary()["stage"]["homed"]
+
+
+def test_a_backend_of_another_kind_is_refused(light: Light) -> None:
+    section = {"backend": PROJECTOR.section["backend"]}
+    with pytest.raises(ConfigError, match=r"'camera.backend' is '.*LightingProjector': not a camera"):
+        set_up([replace(CAMERA, section=section), PROJECTOR])
+    assert light.log == []
 
 
 def test_the_operator_may_stop() -> None:

@@ -276,6 +276,14 @@ def test_where_nothing_is_seen_nothing_is_proven(scene: Scene) -> None:
     assert not verdict.provable
 
 
+@pytest.mark.parametrize("larger", [2, 5])
+def test_frames_of_any_size_are_judged(larger: int) -> None:
+    plan = sets(("x", 1.0, 4), ("x", 8.0, 6))
+    frames = [np.repeat(np.repeat(frame, larger, axis=0), larger, axis=1) for frame in Scene().frames(plan)]
+    assert judged(frames, plan).in_step
+    assert not judged(spoilt(frames, SyncFault(Cause.MISSED, 3)), plan).in_step
+
+
 def test_a_few_pixels_that_see_fringes_are_enough() -> None:
     """A small part in front of a dark background."""
     plan = sets(("x", 1, 6), ("x", 8, 6))

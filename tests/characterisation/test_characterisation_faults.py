@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from fpplab.characterisation import DistortionModel, Observation, characterise, observe
+from fpplab.characterisation.board_diagnosis import find_description_error
 from fpplab.characterisation.outliers import MOST_REJECTED
 from fpplab.core.errors import CalibrationError
 from fpplab.core.geometry import Pinhole, RigidTransform
@@ -200,6 +201,13 @@ def test_a_board_described_wrongly_is_named(wrong: dict[str, Any], cause: str) -
     target = BOARD.model_copy(update=wrong)
     with pytest.raises(CalibrationError, match=f"do not form the board described.*{cause}"):
         characterise(observed(poses(6), noise_px=0.05), target, CAMERA.size, SQUARE.size)
+
+
+@pytest.mark.parametrize("noise_px", [0.05, 3.0])
+def test_a_board_described_rightly_is_not_blamed_for_a_poor_fit(noise_px: float) -> None:
+    found = observed(poses(6), noise_px=noise_px)
+    assert find_description_error(found, BOARD, CAMERA.size, noise_px) is None
+    assert find_description_error(found, BOARD, CAMERA.size) is None
 
 
 EYE = Pinhole.from_focal((640, 480), (1100, 1100), (315, 244))

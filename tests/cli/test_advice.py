@@ -55,6 +55,22 @@ def test_sub_commands_are_among_those_asked_for_help() -> None:
     assert {("plan", "show"), ("camera", "save"), ("dlp4500", "build")} <= set(PATHS)
 
 
+def options(group: Any) -> Iterator[tuple[str, Any]]:
+    """Name and default of every option of all commands."""
+    for command in getattr(group, "commands", {}).values():
+        yield from ((one.opts[0], one.default) for one in command.params)
+        yield from options(command)
+
+
+@pytest.mark.parametrize(
+    ("name", "default"), [("--json", False), ("--force", False), ("--dry-run", False), ("--echo", True)]
+)
+def test_an_option_has_the_same_default_in_all_commands(name: str, default: bool) -> None:
+    found = [given for one, given in options(get_command(app)) if one == name]
+    assert found
+    assert set(found) == {default}
+
+
 def test_a_synonym_is_answered_with_the_command(fpplab: Command) -> None:
     done = fpplab("calibrate", "--rig", "rig_demo", "--json")
     assert done.code == 2

@@ -159,10 +159,27 @@ def test_every_pixel_within_reach_has_its_ray(lens: tuple[float, ...], angle: fl
 
 
 @pytest.mark.parametrize(
+    "lens",
+    [
+        (-0.03, 0.5, 0.0, 0.0, -0.22, -0.43, -0.43, 0.37),
+        (-0.3, 0.0, 0.0, 0.0, 0.0),
+    ],
+)
+def test_every_pixel_just_within_the_reach_has_its_ray(lens: tuple[float, ...]) -> None:
+    """Where the distorted slope, from which the search begins, is far beyond the reach."""
+    device = wide(lens)
+    angle, share = np.meshgrid(np.linspace(0, 2 * np.pi, 40), np.linspace(0.8, 0.99, 20))
+    rays = device.reach * share[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    pixels = device.project(np.concatenate([rays, np.ones((*share.shape, 1))], axis=-1))
+    np.testing.assert_allclose(device.normalise(pixels), rays, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize(
     ("lens", "reach"),
     [
         ((-0.3, 0.0, 0.0, 0.0, 0.0), np.sqrt(1 / 0.9)),  # d(r - 0.3 r³)/dr = 0
         ((0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0), 1.0),  # a pole
+        ((-(1 / 0.81 + 1 / 1.96) / 3, 0.2 / (0.81 * 1.96), 0.0, 0.0, 0.0), 0.9),  # two folds: 0.9 and 1.4
         ((0.0, 0.0, 0.0, 0.0, 0.0, 4.0, 0.0, 0.0), 0.5),  # d(r / (1 + 4 r²))/dr = 0
         ((0.2, 0.0, 0.0, 0.0, 0.0), np.inf),
         ((0.0,) * 8, np.inf),

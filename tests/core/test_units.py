@@ -1,11 +1,11 @@
-"""Lengths with a unit."""
+"""Lengths with a unit, and numbers of bytes."""
 
 from __future__ import annotations
 
 import pytest
 
 from fpplab.core.errors import ConfigError
-from fpplab.core.units import length_mm
+from fpplab.core.units import length_mm, readable_bytes
 
 
 @pytest.mark.parametrize(
@@ -45,3 +45,22 @@ def test_a_length_is_read_with_its_unit(words: str, mm: float) -> None:
 def test_what_is_no_length_is_refused(words: str, why: str) -> None:
     with pytest.raises(ConfigError, match=f"--until is '{words}': .*{why}"):
         length_mm(words, "--until")
+
+
+@pytest.mark.parametrize(
+    ("count", "words"),
+    [
+        (0, "0 bytes"),
+        (999, "999 bytes"),
+        (1000, "1.00 kB"),
+        (12_345, "12.3 kB"),
+        (999_499, "999 kB"),
+        (999_500, "1.00 MB"),
+        (1_230_000, "1.23 MB"),
+        (45_600_000_000, "45.6 GB"),
+        (7 * 10**12, "7.00 TB"),
+        (1234 * 10**15, "1.23e+03 PB"),
+    ],
+)
+def test_a_number_of_bytes_has_three_digits_and_a_unit(count: int, words: str) -> None:
+    assert readable_bytes(count) == words

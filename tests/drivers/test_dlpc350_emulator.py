@@ -257,6 +257,15 @@ def test_a_client_that_orders_the_start_twice_and_never_polls_runs_its_sequence(
         assert sorted(host.greys(3)) == [1, 2, 3]
 
 
+def test_the_status_says_that_it_runs_a_while_after_it_does() -> None:
+    host = Host(Dlpc350Policy(running_shown_late_s=0.1))
+    host.run()
+    assert sorted(host.greys(3)) == [1, 2, 3]  # which takes 0.03 s
+    assert not host.running
+    host.clock.sleep(0.1)
+    assert host.running
+
+
 # --- running
 
 

@@ -24,13 +24,15 @@ class WritingCommand:
     """A command that writes.
 
     `words` are those that follow `fpplab`; `{out}` is the output, whose suffix is `suffix`. `begin` fills the
-    disk beforehand, given the folder of inputs and the output.
+    disk beforehand, given the folder of inputs and the output. What `mends` begins with a session that cannot
+    be read, and may move what it finds.
     """
 
     name: str
     words: str
     suffix: str = ""
     begin: Callable[[Path, Path], object] | None = None
+    mends: bool = False
 
 
 @dataclass
@@ -87,7 +89,7 @@ class EveryWrite:
         """How the command ends if the disk is full from its so many-th write on."""
         self._prepare()
         self.found.tried += 1
-        before = content_of(self.out)
+        before = content_of(self.disk)
         done = self._command(number, self.error)
         names = sorted(p.relative_to(self.disk).as_posix() for p in self.disk.rglob("*"))
         ending = re.sub(r"[0-9.]+|\.[a-z0-9_]{8}\b", "", f"{done.code} {done.err} {names}")
@@ -104,11 +106,15 @@ class EveryWrite:
             return f"exit {done.code}: {done.err[-300:]}"
         if self.said not in done.err:
             return f"does not say '{self.said}': {done.err[-300:]}"
-        now = content_of(self.out)
-        if lost := [name for name in before if name not in now]:
+        now = content_of(self.disk)
+        if lost := [name for name in before if before[name] not in now.values()]:
             return f"lost {lost}"
         if drafts := [n for n in names if any(part.startswith(".") for part in Path(n).parts)]:
             return f"left {drafts}"
+        return "" if self.command.mends else self._unreadable()
+
+    def _unreadable(self) -> str:
+        """Which session cannot be read; empty if none."""
         try:
             for journal in self.disk.rglob(JOURNAL):
                 session = Session.open(journal.parent)

@@ -30,7 +30,7 @@ def prepare_inputs(folder: Path) -> None:
     done = run(*_words(SCAN, "scan"), cwd=folder)
     assert done.code == 0, done.err
     points = load_cloud(folder / "scan" / "cloud.ply").points[::50]
-    mesh = trimesh.Trimesh(points, Delaunay(points[:, :2].astype(np.float64)).simplices)
+    mesh = trimesh.Trimesh(points, Delaunay(points[:, :2].astype(np.float64)).simplices[:, ::-1])
     mesh.export(folder / "surface.stl")
 
 
@@ -70,8 +70,8 @@ EVERY_COMMAND = (
     WritingCommand("decode", "decode scan --out {out}", ".npz"),
     WritingCommand("reconstruct", "reconstruct scan --calibration calibration.yaml --out {out}", ".ply"),
     WritingCommand("compare", "compare scan/cloud.ply surface.stl --report {out}", ".html"),
-    WritingCommand("report", "report scan poses/00 --out {out}", ".html"),
-    WritingCommand("repair", "session repair {out}", begin=a_damaged_scan),
+    WritingCommand("report", "report scan poses/pose_00 --out {out}", ".html"),
+    WritingCommand("repair", "session repair {out}", begin=a_damaged_scan, mends=True),
     WritingCommand("bug-report", "bug-report scan --out {out}", ".zip"),
     WritingCommand("plan show", "plan show plan.yaml --rig rig.yaml --out {out}", ".png"),
     WritingCommand("target", "target target_paper --out {out}", ".pdf"),

@@ -53,7 +53,7 @@ def test_a_disk_that_vanishes_under_a_scan(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("error", "names"),
-    [(errno.ENOSPC, {"scan", "artefact"}), (errno.EDQUOT, {"convert", "artefact"})],
+    [(errno.ENOSPC, {"scan", "repair"}), (errno.EDQUOT, {"convert", "artefact"})],
     ids=["full", "quota"],
 )
 def test_full_at_every_write(tmp_path: Path, error: int, names: set[str]) -> None:

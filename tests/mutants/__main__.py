@@ -48,10 +48,12 @@ def main(words: list[str]) -> int:
         coverage_map.make(asked.map, asked.record or ["tests"], asked.workers)
     by_name = named(ROOT)
     first = {mutant.name: tests for mutant, tests in by_name.items()}
-    chooser = Chooser(ROOT, coverage_map.load(asked.map), first=first)
+    there = coverage_map.collected(["tests"])
+    known = coverage_map.without_gone(coverage_map.load(asked.map), there)
+    chooser = Chooser(ROOT, known, first=first)
     drawn = draw(ROOT, asked.each, asked.seed, tuple(asked.area or AREAS))
     every = [*by_name, *drawn][: asked.most]
-    record = TrialRecord(asked.map / "trials.jsonl", 60 * asked.minutes)
+    record = TrialRecord(asked.map / "trials.jsonl", there, 60 * asked.minutes)
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
         free: queue.Queue[Bench] = queue.Queue()
         for k in range(asked.workers):

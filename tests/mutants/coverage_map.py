@@ -47,6 +47,28 @@ class CoverageMap:
         return {test for line in lines for test in known.get(line, ())}
 
 
+def collected(tests: list[str], root: Path = ROOT) -> set[str]:
+    """The quick tests that there are."""
+    command = [sys.executable, "-m", "pytest", *tests, "-m", "not slow", "--collect-only", "-q"]
+    command += ["-p", "no:cacheprovider"]
+    environment = {**os.environ, "PYTHONPATH": str(root)}
+    done = subprocess.run(command, cwd=root, env=environment, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise SystemExit(f"the tests cannot be collected:\n{done.stdout}")
+    return set(done.stdout.splitlines())
+
+
+def without_gone(known: CoverageMap, there: set[str]) -> CoverageMap:
+    """Leave out tests that are no longer there, which would end a run as a failure does."""
+    return CoverageMap(
+        {
+            f: {n: [t for t in of if t in there] for n, of in lines.items()}
+            for f, lines in known.lines.items()
+        },
+        {test: seconds for test, seconds in known.seconds.items() if test in there},
+    )
+
+
 def make(folder: Path, tests: list[str], workers: int) -> None:
     """Run the tests that the map in a folder lacks, with recording, and add what they execute.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -43,6 +44,12 @@ class Trial:
     evidence: str
 
 
+def failed_test(ended: str) -> str:
+    """The test, or the file of tests, that ended a run; empty where something else did, such as a crash."""
+    found = re.match(r"(?:FAILED|ERROR) (tests/\S.*)", ended)
+    return found[1] if found else ""
+
+
 class Bench:
     """A copy of the sources in which one fault after the other is tried."""
 
@@ -70,6 +77,8 @@ class Bench:
             return Trial(mutant.name, Verdict.HUNG if ends else Verdict.UNDECIDED, f"after {limit:.0f} s")
         if not ended:
             return Trial(mutant.name, Verdict.SURVIVED, f"{len(tests)} tests")
+        if not failed_test(ended) and self.run(tests, limit):
+            return Trial(mutant.name, Verdict.UNDECIDED, ended)
         return Trial(mutant.name, Verdict.KILLED, ended)
 
     def run(self, tests: list[str], limit: float) -> str | None:

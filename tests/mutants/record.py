@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 
 from fpplab.core.journals import append_line, cut_torn_line, whole_lines
-from tests.mutants.judge import KILLED, Trial, Verdict
+from tests.mutants.judge import KILLED, Trial, Verdict, failed_test
 from tests.mutants.seeding import Mutant
 from tests.mutants.tree import ROOT
 
@@ -16,12 +16,14 @@ from tests.mutants.tree import ROOT
 class TrialRecord:
     """Trials of earlier runs and of this one, in a file of JSON lines.
 
-    A fault that was killed is not tried again as long as its source is the same; one that survived is, for a
-    test may have come that notices it. After `seconds` no further fault is tried.
+    A fault that was killed is not tried again as long as its source is the same and the test that killed it
+    is among those that are `there`; one that survived is, for a test may have come that notices it. After
+    `seconds` no further fault is tried.
     """
 
-    def __init__(self, path: Path, seconds: float = float("inf")) -> None:
+    def __init__(self, path: Path, there: set[str], seconds: float = float("inf")) -> None:
         self._path, self._end = path, time.monotonic() + seconds
+        self._there = there | {test.partition("::")[0] for test in there}
         path.parent.mkdir(parents=True, exist_ok=True)
         path.touch()
         cut_torn_line(path)
@@ -33,8 +35,10 @@ class TrialRecord:
             self.passing.update(kept["passing"])
 
     def known(self, mutant: Mutant) -> Trial | None:
-        """The trial of a fault that was killed in the source as it is now."""
-        return self._killed.get((mutant.name, _sum(mutant.file)))
+        """The trial of a fault that was killed in the source as it is now, by a test that is still there."""
+        trial = self._killed.get((mutant.name, _sum(mutant.file)))
+        gone = trial is not None and test_of(trial) not in {"", *self._there}
+        return None if gone else trial
 
     def add(self, mutant: Mutant, trial: Trial) -> None:
         """Keep a trial."""
@@ -64,7 +68,7 @@ class TrialRecord:
 
 def test_of(trial: Trial) -> str:
     """The test that killed a fault; empty where something else ended it."""
-    return trial.evidence.partition(" ")[2] if trial.verdict is Verdict.KILLED else ""
+    return failed_test(trial.evidence) if trial.verdict is Verdict.KILLED else ""
 
 
 def _sum(file: str) -> str:

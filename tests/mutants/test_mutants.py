@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import cast
 
 import pytest
@@ -13,9 +14,10 @@ import yaml
 from tests.mutants.__main__ import EQUIVALENT, _without_false_kills, explained
 from tests.mutants.areas import AREAS, draw, files_of, named
 from tests.mutants.choice import Chooser, importers
-from tests.mutants.coverage_map import CoverageMap
+from tests.mutants.coverage_map import CoverageMap, collected, without_gone
 from tests.mutants.judge import Bench, Trial, Verdict
 from tests.mutants.record import TrialRecord
+from tests.mutants.record import test_of as killer_of
 from tests.mutants.seeding import mutants
 from tests.mutants.tree import ROOT, copy_tree
 
@@ -85,25 +87,29 @@ def test_named_faults_are_of_today_s_sources() -> None:
         assert ast.dump(ast.parse(mutant.seeded(source))) != ast.dump(ast.parse(source))
 
 
+THERE = {"tests/a.py::test_b"}
+
+
 def test_what_is_killed_is_not_tried_again(tmp_path: Path) -> None:
     killed, survivor, hung = list(named(ROOT))[:3]
     path = tmp_path / "map" / "trials.jsonl"
-    record = TrialRecord(path)
+    record = TrialRecord(path, THERE)
     record.add(killed, Trial(killed.name, Verdict.KILLED, "FAILED tests/a.py::test_b"))
     record.add(survivor, Trial(survivor.name, Verdict.SURVIVED, "3 tests"))
     record.add(hung, Trial(hung.name, Verdict.HUNG, "after 9 s"))
     with path.open("a") as stream:
         stream.write('{"name": "torn')
-    later = TrialRecord(path, seconds=0.0)
+    later = TrialRecord(path, THERE, seconds=0.0)
     assert not later.has_time
     assert [later.known(mutant) is not None for mutant in (killed, survivor, hung)] == [True, False, True]
     assert later.passing == set()
     later.confirm(killed, Trial(killed.name, Verdict.KILLED, "FAILED tests/a.py::test_b"))
     later.confirm(hung, Trial(hung.name, Verdict.UNDECIDED, "it hangs without the fault too"))
-    last = TrialRecord(path)
+    last = TrialRecord(path, THERE)
     assert last.passing == {"tests/a.py::test_b"}
     assert [last.known(mutant) is not None for mutant in (killed, hung)] == [True, False]
     assert last.known(replace(killed, file="fpplab/core/units.py")) is None, "another source"
+    assert TrialRecord(path, {"tests/a.py::test_c"}).known(killed) is None, "its test is gone"
 
 
 class SoundBench:
@@ -115,6 +121,47 @@ class SoundBench:
     def run(self, tests: list[str], limit: float) -> str:
         failed = [f for f in self.failing if any(f == test or f.startswith(f"{test}::") for test in tests)]
         return f"FAILED {failed[0]}" if failed else ""
+
+
+class CrashingBench(Bench):
+    """Tests end by other means than a failure: on the fault alone, or on the unharmed sources too."""
+
+    def __init__(self, tree: Path, chooser: Chooser, endings: list[str]) -> None:
+        super().__init__(tree, chooser)
+        self.endings = endings
+
+    def run(self, tests: list[str], limit: float) -> str:
+        return self.endings.pop(0)
+
+
+@pytest.mark.parametrize(
+    ("endings", "verdict"),
+    [
+        (["Fatal Python error: Segmentation fault", ""], Verdict.KILLED),
+        (["ERROR: not found: tests/a.py::gone", "ERROR: not found: tests/a.py::gone"], Verdict.UNDECIDED),
+        (["ERROR tests/a.py"], Verdict.KILLED),
+        (["FAILED tests/a.py::test[a b]"], Verdict.KILLED),
+        ([""], Verdict.SURVIVED),
+    ],
+)
+def test_an_ending_that_names_no_test_is_compared_with_the_unharmed_sources(
+    tmp_path: Path, endings: list[str], verdict: Verdict
+) -> None:
+    mutant = next(iter(named(ROOT)))
+    (tmp_path / mutant.file).parent.mkdir(parents=True)
+    (tmp_path / mutant.file).write_bytes((ROOT / mutant.file).read_bytes())
+    chooser = SimpleNamespace(tests_for=lambda _: ["tests/a.py::a"], seconds_of=lambda _: 1.0)
+    trial = CrashingBench(tmp_path, cast(Chooser, chooser), endings).try_fault(mutant)
+    assert (trial.verdict, endings) == (verdict, [])
+    assert killer_of(trial) == (trial.evidence.partition(" ")[2] if " tests/" in trial.evidence[:13] else "")
+
+
+@pytest.mark.slow
+def test_tests_that_are_gone_are_not_chosen() -> None:
+    here = "tests/mutants/test_mutants.py::test_modules_that_import_another"
+    known = CoverageMap({"a.py": {1: [here, f"{here}_one"]}}, {here: 1.0, f"{here}_one": 1.0})
+    left = without_gone(known, collected([here.partition("::")[0]]))
+    assert (left.lines, left.seconds) == ({"a.py": {1: [here]}}, {here: 1.0})
 
 
 class EmptyBench(SoundBench):
@@ -133,7 +180,7 @@ def test_a_kill_by_what_fails_anyway_proves_nothing(tmp_path: Path) -> None:
     }
     judged = [(mutant, Trial(mutant.name, Verdict.KILLED, words)) for mutant, words in killers.items()]
     bench = SoundBench(["tests/a.py::test_a", "tests/b.py::test_of_it"])
-    trials = _without_false_kills(judged, TrialRecord(tmp_path / "trials.jsonl"), cast(Bench, bench))
+    trials = _without_false_kills(judged, TrialRecord(tmp_path / "trials.jsonl", set()), cast(Bench, bench))
     assert [t.verdict for t in trials] == [Verdict.UNDECIDED, Verdict.UNDECIDED, Verdict.KILLED]
 
 
@@ -142,7 +189,7 @@ def test_tests_that_do_not_run_are_no_verdict(tmp_path: Path) -> None:
     bench = EmptyBench([])
     judged = [(mutant, Trial(mutant.name, Verdict.KILLED, "FAILED tests/a.py::test_a"))]
     with pytest.raises(SystemExit, match="no tests ran"):
-        _without_false_kills(judged, TrialRecord(tmp_path / "trials.jsonl"), cast(Bench, bench))
+        _without_false_kills(judged, TrialRecord(tmp_path / "trials.jsonl", set()), cast(Bench, bench))
 
 
 def test_explanations_are_of_faults_that_exist() -> None:

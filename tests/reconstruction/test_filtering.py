@@ -137,6 +137,16 @@ def test_smooth_surfaces_are_kept_however_steep(across: float, axes: tuple[str, 
     assert not removed_from(plan(*axes), frames(plan(*axes), light)).any()
 
 
+@pytest.mark.parametrize("ends", ["left", "right", "above", "below"])
+def test_light_that_falls_gradually_towards_an_edge_is_no_shadow(ends: str) -> None:
+    """By 30 % over the whole surface, and by 2 % over as far as a pixel is compared with."""
+    along, length = (U, W) if ends in ("left", "right") else (V, H)
+    along = along if ends in ("right", "below") else length - 1 - along
+    share = np.where(along < 0.6 * length, 1.0 - 0.3 * along / (0.6 * length), 0.0)
+    removed = removed_from(plan(), frames(plan(), Light(plane(NEAR), share)))
+    assert not removed[share > 0].any()
+
+
 def test_ink_on_a_surface_is_kept() -> None:
     ink = np.where((np.abs(U - 60) < 20) & (np.abs(V - 45) < 20), 0.3, 1.0)
     assert not removed_from(plan(), frames(plan(), Light(plane(NEAR), ink))).any()

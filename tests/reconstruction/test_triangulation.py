@@ -115,9 +115,17 @@ def test_rational_lenses_give_the_true_surface_to_a_micron() -> None:
     assert cloud.epipolar_px.max() < 1e-4  # type: ignore[union-attr]
 
 
-@pytest.mark.parametrize("lens", [(-0.25, 0.1, 0.002, -0.001, 0.03), RATIONAL, (-3.0, 0.0, 0.0, 0.0, 0.0)])
-def test_camera_rays_are_those_of_the_model(lens: tuple[float, ...]) -> None:
-    camera = Pinhole.from_focal((W, H), (110.0, 111.0), (77.0, 61.0), lens)
+@pytest.mark.parametrize(
+    ("lens", "focal"),
+    [
+        ((-0.25, 0.1, 0.002, -0.001, 0.03), 110.0),
+        (RATIONAL, 110.0),
+        ((-3.0, 0.0, 0.0, 0.0, 0.0), 110.0),
+        ((-0.03, 0.5, 0.0, 0.0, -0.22, -0.43, -0.43, 0.37), 40.0),  # pixels far beyond the reach of slopes
+    ],
+)
+def test_camera_rays_are_those_of_the_model(lens: tuple[float, ...], focal: float) -> None:
+    camera = Pinhole.from_focal((W, H), (focal, focal + 1.0), (77.0, 61.0), lens)
     v, u = np.mgrid[0:H, 0:W].astype(np.float64)
     pixels = np.stack([u, v], axis=-1)
     rays = camera_rays(camera)

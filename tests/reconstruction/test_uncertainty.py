@@ -333,6 +333,16 @@ def test_a_large_cloud_is_as_uncertain_as_its_points_are(
     assert not np.array_equal(quick.sigma_form_mm, exact.sigma_form_mm)  # type: ignore[arg-type]
 
 
+def test_the_grid_is_hardly_larger_than_what_it_holds() -> None:
+    random = np.random.default_rng(5)
+    low, high = np.array([-0.2, 0.1, 400.0]), np.array([0.1, 0.3, 450.0])
+    x, y, z = random.uniform(low, high, (50_000, 3)).T
+    grid = RayGrid.around(np.stack([x * z, y * z, z], axis=-1))
+    assert grid is not None
+    for edge, end in ((grid.lower, low), (grid.upper, high)):
+        assert np.abs((edge - end) / (high - low)).max() < 0.05
+
+
 def test_the_grid_reproduces_cubic_functions() -> None:
     """Lagrange's cubic is exact for them, up to the grid's edges, and says nothing beyond.
 

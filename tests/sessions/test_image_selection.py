@@ -95,6 +95,8 @@ def test_no_file_of_the_name_says_what_is_there(tmp_path: Path) -> None:
     refuses(wrong, r"7 of the plan's 7 frames .*; the folder has 00.png, 01.png, .* …$")
     with pytest.raises(DataError, match=r"has no image 'f_.*' from index 0; the folder has 00.png, "):
         read_images(wrong)
+    with pytest.raises(DataError, match=r"has no image 's.*' from set 0 and step 0; the folder has 00.png, "):
+        read_images(Chosen((folder,), "s{set}_{step}.png"))
 
 
 def test_a_pattern_is_sorted_by_numbers_and_says_so(tmp_path: Path) -> None:

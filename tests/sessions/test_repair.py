@@ -137,3 +137,25 @@ def test_what_cannot_be_repaired_is_said_and_left(whole: Path, name: str) -> Non
 def test_a_folder_that_is_no_session(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="is not a session"):
         session_faults(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("harm", "name"), [(change, "plan.yaml"), (garbage, "journal.jsonl"), (garbage, "files.jsonl")]
+)
+def test_a_full_disk_leaves_the_damaged_file_in_its_place(
+    whole: Path, harm: Callable[[Path, str], None], name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    harm(whole, name)
+    before = (whole / name).read_bytes()
+
+    def full(path: Path, text: str) -> None:
+        raise DataError(f"{path}: no space left on the disk")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("fpplab.sessions.repair.write_text", full)
+        with pytest.raises(DataError, match="no space left"):
+            repair_session(whole)
+    assert (whole / name).read_bytes() == before
+    assert not (whole.with_name("s.damaged") / name).exists()
+    assert repair_session(whole).kept == 4
+    assert (whole.with_name("s.damaged") / name).read_bytes() == before
