@@ -60,7 +60,6 @@ lint: setup
 # The documentation as a site, build/docs/site/index.html; its pages are run first, for their pictures.
 docs: setup
 	$(BIN)/python -m docs.generate
-	$(BIN)/mkdocs build --quiet
 
 bench: setup
 	$(BIN)/python -m benchmarks

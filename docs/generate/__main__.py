@@ -1,29 +1,24 @@
-"""`python -m docs.generate`: run the pages and scripts whose pictures the site shows."""
+"""`python -m docs.generate`: make the pictures by running the pages, and build the site."""
 
 from __future__ import annotations
 
 import sys
 
-from docs.generate.pages import DOCS, ROOT, PageError
-from docs.generate.running import GALLERY, pictures_of, run_once, verdict_of
+from docs.generate.pages import PageError
+from docs.generate.site import build_site, make_pictures
 
 
 def main() -> int:
-    """Make all pictures; those of pages that have not changed are there already.
+    """Make pictures and site; what has not changed is not run again.
 
     Returns
     -------
     int
-        0 when all have run, 1 when one shows what does not happen.
+        0 when it is built, 1 when a page shows what does not happen or MkDocs warns.
     """
     try:
-        for page in sorted(DOCS.rglob("*.md")):
-            if pictures_of(page) and page.stem != "gallery":
-                print(f"{page.relative_to(DOCS)} …", flush=True)
-                run_once(page)
-        for script in GALLERY:
-            print(f"{script.relative_to(ROOT)} …", flush=True)
-            verdict_of(script)
+        make_pictures()
+        print(build_site())
     except PageError as error:
         print(error, file=sys.stderr)
         return 1

@@ -16,6 +16,7 @@ starts a page in a copy of the folder that another one has left.
 from __future__ import annotations
 
 import fcntl
+import hashlib
 import os
 import re
 import shlex
@@ -23,6 +24,7 @@ import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +32,7 @@ import yaml
 
 DOCS = Path(__file__).parents[1]
 ROOT = DOCS.parent
+SOURCES = ("fpplab", "drivers", "sim", "configs", "docs/generate")
 OMITTED = "…"
 READ_ONLY = ("sh", "text", "toml", "mermaid", "")
 """Languages that are not run."""
@@ -242,8 +245,8 @@ def run_page(page: Path, folders: Path, invoke: Invoke) -> Path:
     page : Path
         Markdown.
     folders : Path
-        Where the folders of pages are; one that is there already was left by the page that it is named after,
-        which is then not run again. Another process that runs the same page is waited for.
+        Where the folders of pages are. One of the same state of the sources is not made again; those of other
+        states are removed. Another process that runs the same page is waited for.
     invoke : callable
         Runs a command.
 
@@ -257,16 +260,15 @@ def run_page(page: Path, folders: Path, invoke: Invoke) -> Path:
     PageError
         A command fails or prints something else, or Python raises.
     """
-    folder = folders / _folder_name(page)
-    folders.mkdir(parents=True, exist_ok=True)
-    with (folders / f".{folder.name}.lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
+    name = page.relative_to(DOCS).with_suffix("").as_posix().replace("/", "__")
+    chain = chain_of(page)
+    with alone(folders / f".{name}.lock"):
+        folder = folders / f"{name}.{state_of(*chain)}"
         if not folder.is_dir():
-            draft = folders / f".{folder.name}"
-            shutil.rmtree(draft, ignore_errors=True)
-            before = front_matter(page).get("begins_after")
-            if before:
-                shutil.copytree(run_page(DOCS / before, folders, invoke), draft)
+            for old in (*folders.glob(f"{name}.*"), draft := folders / f".{name}.draft"):
+                shutil.rmtree(old, ignore_errors=True)
+            if len(chain) > 1:
+                shutil.copytree(run_page(chain[1], folders, invoke), draft)
             else:
                 draft.mkdir()
             PageRun(page, draft, invoke).run()
@@ -274,8 +276,65 @@ def run_page(page: Path, folders: Path, invoke: Invoke) -> Path:
     return folder
 
 
-def _folder_name(page: Path) -> str:
-    return page.relative_to(DOCS).with_suffix("").as_posix().replace("/", "__")
+def chain_of(page: Path) -> list[Path]:
+    """Give a page and those that are run before it.
+
+    Parameters
+    ----------
+    page : Path
+        Markdown.
+
+    Returns
+    -------
+    list of Path
+        The page first.
+    """
+    before = front_matter(page).get("begins_after")
+    return [page, *(chain_of(DOCS / before) if before else ())]
+
+
+def state_of(*files: Path) -> str:
+    """Give a word that changes with these files and with all sources that pages are made by.
+
+    Parameters
+    ----------
+    *files : Path
+        Pages or scripts.
+
+    Returns
+    -------
+    str
+        Hexadecimal digits.
+    """
+    found = hashlib.sha256(_sources())
+    for path in files:
+        found.update(path.read_bytes())
+    return found.hexdigest()[:12]
+
+
+@cache
+def _sources() -> bytes:
+    found = hashlib.sha256()
+    for folder in SOURCES:
+        for path in sorted((ROOT / folder).rglob("*")):
+            if path.suffix in (".py", ".yaml") and "__pycache__" not in path.parts:
+                found.update(path.read_bytes())
+    return found.digest()
+
+
+@contextmanager
+def alone(lock: Path) -> Iterator[None]:
+    """Wait until no other process is in this section.
+
+    Parameters
+    ----------
+    lock : Path
+        File that stands for it; its folder is made.
+    """
+    lock.parent.mkdir(parents=True, exist_ok=True)
+    with lock.open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
 
 
 @contextmanager

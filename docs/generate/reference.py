@@ -141,9 +141,15 @@ def _fields(schema: dict[str, Any], kind: str, named: dict[str, Any]) -> str:
             if "default" in field
             else ""
         )
-        about = _cell(field.get("description", ""))
+        about = _cell(_about(field, named))
         lines.append(f"| `{key}` | {_type(field, kind, named)} | {_cell(default)} | {about} |")
     return "\n".join(lines) + "\n"
+
+
+def _about(field: dict[str, Any], named: dict[str, Any]) -> str:
+    """What is said of a field; a schema leaves it out where its model says the same of itself."""
+    model = named.get(field.get("$ref", "").rpartition("/")[2], {})
+    return str(field.get("description") or model.get("description", ""))
 
 
 def _type(field: dict[str, Any], kind: str, named: dict[str, Any]) -> str:

@@ -5,23 +5,17 @@ So the tests and the site share what either has run first.
 
 from __future__ import annotations
 
-import fcntl
-import hashlib
 import os
 import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
-from functools import cache
 from pathlib import Path
 
-from docs.generate.pages import DOCS, ROOT, PageError, run_page
+from docs.generate.pages import DOCS, ROOT, PageError, alone, run_page, state_of
 
 PLACE = ROOT / "build" / "docs"
 PICTURES = PLACE / "pictures"
-SOURCES = ("fpplab", "drivers", "sim", "configs", "examples", "docs")
 GALLERY = sorted(p for p in (ROOT / "examples" / "gallery").glob("*.py") if p.stem != "bench")
 """Scripts of which each makes one picture."""
 
@@ -44,8 +38,7 @@ def run_once(page: Path) -> Path:
     PageError
         The page shows what does not happen, or a picture that its code does not make.
     """
-    with _state_of_now():
-        folder = run_page(page, PLACE / "pages", invoke)
+    folder = run_page(page, PLACE / "pages", invoke)
     for name in pictures_of(page):
         if not (folder / name).is_file():
             raise PageError(f"{page.relative_to(DOCS)}: its code makes no {name}")
@@ -73,11 +66,13 @@ def verdict_of(script: Path) -> str:
     PageError
         It failed.
     """
-    with _state_of_now():
-        picture, said = PICTURES / "gallery" / f"{script.stem}.png", PLACE / "gallery" / f"{script.stem}.txt"
-        if not said.is_file():
-            for path in (picture, said):
-                path.parent.mkdir(parents=True, exist_ok=True)
+    picture, made = PICTURES / "gallery" / f"{script.stem}.png", PLACE / "gallery"
+    with alone(made / f".{script.stem}.lock"):
+        said = made / f"{script.stem}.{state_of(script, script.parent / 'bench.py')}.txt"
+        if not (said.is_file() and picture.is_file()):
+            for old in made.glob(f"{script.stem}.*"):
+                old.unlink()
+            picture.parent.mkdir(parents=True, exist_ok=True)
             command = [sys.executable, str(script), str(picture)]
             done = subprocess.run(command, capture_output=True, text=True, check=False, env=_environment())
             if done.returncode:
@@ -127,28 +122,3 @@ def invoke(words: list[str]) -> tuple[int, str, str]:
 def _environment() -> dict[str, str]:
     """Of a process that uses this checkout, and has no screen."""
     return {**os.environ, "MPLBACKEND": "Agg", "PYTHONPATH": str(ROOT), "DISPLAY": "", "COLUMNS": "100"}
-
-
-@contextmanager
-def _state_of_now() -> Iterator[None]:
-    """What was run with other sources is removed first; several processes may run pages."""
-    PLACE.mkdir(parents=True, exist_ok=True)
-    with (PLACE / "lock").open("a+") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        made = PLACE / "made_of"
-        if not made.is_file() or made.read_text(encoding="utf-8") != _state():
-            for name in ("pages", "pictures", "gallery"):
-                shutil.rmtree(PLACE / name, ignore_errors=True)
-            made.write_text(_state(), encoding="utf-8")
-    yield
-
-
-@cache
-def _state() -> str:
-    """A number that changes with all that pages and pictures are made of."""
-    found = hashlib.sha256()
-    for folder in SOURCES:
-        for path in sorted((ROOT / folder).rglob("*")):
-            if path.suffix in (".py", ".md", ".yaml") and "__pycache__" not in path.parts:
-                found.update(path.read_bytes())
-    return found.hexdigest()

@@ -13,10 +13,11 @@ import matplotlib as mpl
 import numpy as np
 import yaml
 
-from fpplab import Calibration, Plan, Rig, Session, compare, decode, load_cloud, load_mesh, scan
-from fpplab.artefacts.catalogue import make
+from fpplab import Plan, Rig, Session, decode, load_cloud, scan
+from fpplab.dataset.labels import trace_labels
 from fpplab.diagnosis import UselessScanError
 from fpplab.diagnosis.record import load_diagnosis
+from fpplab.simulation.arrangeable import SceneTruth
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
@@ -62,11 +63,11 @@ def show(
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
         (folder / "rig.yaml").write_text(yaml.safe_dump(RIG), encoding="utf-8")
-        calibration = calibrated(folder, changed)
+        truth = truth_of(folder, changed, item)
         save(folder, merged(changed, moved or {}))
         with Rig.load(folder / "rig.yaml") as rig, suppress(UselessScanError):
-            scan(rig, plan or plan_of(), calibration, folder / "scan", (item, 0))
-        draw(folder, calibration, changed["items"][item]["artefact"], limit_um)
+            scan(rig, plan or plan_of(), truth.calibration, folder / "scan", (item, 0))
+        draw(folder, trace_labels(truth).depth, limit_um)
 
 
 def save(folder: Path, world: Mapping[str, Any]) -> None:
@@ -75,11 +76,12 @@ def save(folder: Path, world: Mapping[str, Any]) -> None:
     (folder / "world.yaml").write_text(text, encoding="utf-8")
 
 
-def calibrated(folder: Path, world: Mapping[str, Any]) -> Calibration:
-    """The exact calibration of a bench."""
+def truth_of(folder: Path, world: Mapping[str, Any], item: str) -> SceneTruth:
+    """The true surface of an item, and the exact calibration of the bench."""
     save(folder, world)
     with Rig.load(folder / "rig.yaml") as rig:
-        return rig.simulation.studio().calibration(0.0)  # type: ignore[union-attr]
+        sampler = rig.simulation.sampler()  # type: ignore[union-attr]
+        return SceneTruth(sampler.mesh(item), sampler.calibration)
 
 
 def part_in(frames: Any) -> tuple[tuple[int, int], tuple[int, int]]:
@@ -90,7 +92,7 @@ def part_in(frames: Any) -> tuple[tuple[int, int], tuple[int, int]]:
     return (rows[0] - 15, rows[-1] + 15), (columns[0] - 15, columns[-1] + 15)
 
 
-def draw(folder: Path, calibration: Calibration, artefact: str, limit_um: float) -> None:
+def draw(folder: Path, true_depth: Any, limit_um: float) -> None:
     """Three pictures beside each other: a frame, what was decoded, and the error, under the verdict."""
     session = Session.open(folder / "scan")
     recording, diagnosis = session.recording(), load_diagnosis(folder / "scan").diagnosis()
@@ -100,16 +102,15 @@ def draw(folder: Path, calibration: Calibration, artefact: str, limit_um: float)
     left.set_title("the last frame")
     figure.colorbar(middle.imshow(decoded.u), ax=middle, label="projector column, px")
     middle.set_title("decoded")
-    error = np.full(decoded.u.shape, np.nan)
+    error_um = np.full(decoded.u.shape, np.nan)
     if (folder / "scan" / "cloud.ply").is_file():
         cloud = load_cloud(folder / "scan" / "cloud.ply")
-        make(artefact).export(folder / "true.stl")
-        result = compare(cloud, load_mesh(folder / "true.stl"), calibration, align=True)
-        error[cloud.pixels[:, 1], cloud.pixels[:, 0]] = 1e3 * result.distances_mm
-        right.set_title(f"error, {result.surface_rms_um:.0f} µm RMS")
+        column, row = cloud.pixels.T
+        error_um[row, column] = 1e3 * (cloud.points[:, 2] - true_depth[row, column])
+        right.set_title(f"error in depth, {np.nanmedian(np.abs(error_um)):.0f} µm in the median")
     else:
         right.set_title("no points are written")
-    shown = right.imshow(error, cmap="RdBu_r", vmin=-limit_um, vmax=limit_um)
+    shown = right.imshow(error_um, cmap="RdBu_r", vmin=-limit_um, vmax=limit_um)
     figure.colorbar(shown, ax=right, label="µm")
     rows, columns = part_in(recording.frames)
     for axis in (left, middle, right):
