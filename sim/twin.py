@@ -301,11 +301,9 @@ class SimTwin:
         """
         calibration = CalibrationFile.of(self._parameters.calibration)
         world = self._world.model_copy(update={"calibration": calibration}).save(folder)
-        devices: dict[str, dict[str, Any]] = {
-            name: {"backend": f"sim.devices:Sim{name.capitalize()}"} for name in _DEVICES
-        }
+        devices: dict[str, dict[str, Any]] = {name: {"backend": f"virtual_{name}"} for name in _DEVICES}
         devices["camera"] |= {"bits": self._settings.bits, "gain_db": self._settings.gain_db}
-        bench = {"backend": "sim.devices:VirtualBench", "world": world.name}
+        bench = {"backend": "virtual_bench", "world": world.name}
         path = folder / "rig.yaml"
         noted = {"notes": list(notes)} if notes else {}
         write_text(path, config.to_yaml({"name": "Matched twin", **noted, "bench": bench, **devices}))
