@@ -25,10 +25,10 @@ from matplotlib import pyplot as plt
 CONFIGS = Path(__file__).parents[2] / "configs"
 RIG = {
     "name": "Gallery",
-    "bench": {"backend": "sim.devices:VirtualBench", "world": "world.yaml"},
-    "camera": {"backend": "sim.devices:SimCamera", "bits": 8},
-    "projector": {"backend": "sim.devices:SimProjector"},
-    "fixture": {"backend": "sim.devices:SimFixture"},
+    "bench": {"backend": "virtual_bench", "world": "world.yaml"},
+    "camera": {"backend": "virtual_camera", "bits": 8},
+    "projector": {"backend": "virtual_projector"},
+    "fixture": {"backend": "virtual_fixture"},
 }
 
 

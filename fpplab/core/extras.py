@@ -18,6 +18,7 @@ EXTRAS = {
     "display": ("sdl2",),
     "gentl": ("genicam", "harvesters"),
     "viewer": ("rerun", "rerun_cli", "pyarrow"),
+    "files": ("pye57", "laspy", "lxml"),
     "optimise": ("optuna", "distributed", "dask"),
 }
 """Modules that each extra of pyproject.toml brings."""
