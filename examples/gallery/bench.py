@@ -11,6 +11,7 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+import trimesh
 import yaml
 
 from fpplab import Plan, Rig, Session, decode, load_cloud, scan
@@ -30,6 +31,7 @@ RIG = {
     "projector": {"backend": "virtual_projector"},
     "fixture": {"backend": "virtual_fixture"},
 }
+STILL = {"rotation_deg": [0, 0, 0], "translation_mm": [0, 0, 0]}
 
 
 def merged(one: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, Any]:
@@ -51,18 +53,23 @@ def show(
     world: Mapping[str, Any] | None = None,
     plan: Plan | None = None,
     item: str = "pyramid",
+    shape: trimesh.Trimesh | None = None,
     moved: Mapping[str, Any] | None = None,
     limit_um: float = 30.0,
 ) -> None:
     """Measure an item on the changed bench, and draw a frame, the errors and the verdict into `sys.argv[1]`.
 
-    `world` is what differs from the demonstration's world file; `moved` what changes after the calibration.
+    `world` is what differs from the demonstration's world file, `shape` a further item in the camera's frame,
+    `moved` what changes after the calibration.
     """
     base = yaml.safe_load((CONFIGS / "world_demo.yaml").read_text(encoding="utf-8"))
     changed = merged(merged(base, {"camera": {"binning": 8}}), world or {})
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
         (folder / "rig.yaml").write_text(yaml.safe_dump(RIG), encoding="utf-8")
+        if shape is not None:
+            shape.export(folder / "shape.stl")
+            changed["items"][item] = {"mesh": "shape.stl", "pose": STILL}
         truth = truth_of(folder, changed, item)
         save(folder, merged(changed, moved or {}))
         with Rig.load(folder / "rig.yaml") as rig, suppress(UselessScanError):

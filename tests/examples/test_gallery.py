@@ -20,7 +20,7 @@ CAUSES = {
     "gloss": "",
     "light_between_walls": "interreflection",
     "response": "response",
-    "wrong_orders": "wrong_order_risk",
+    "wrong_orders": "fringe order",
     "moved_projector": "",
     "flying_points": "",
 }
