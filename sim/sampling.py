@@ -12,12 +12,14 @@ from fpplab.core.conventions import Image
 from fpplab.devices import CameraSettings
 from fpplab.patterns.fringes import Pattern
 from fpplab.simulation.predictable import Rows
+from fpplab.simulation.surface import PartSurface
 from sim.build import Setup
 from sim.items import item_poses, part_mesh
 from sim.light import Light, PatternLevels
 from sim.sensor import SensorModel
 from sim.vibration import displaced
 from sim.world import World
+from sim.world.surface import surface_of
 
 
 class SimSampler:
@@ -61,6 +63,26 @@ class SimSampler:
         """
         mesh = part_mesh(self._world, item)
         return mesh.copy().apply_transform(item_poses(self._world, item)[0].matrix)
+
+    def surface(self, item: str) -> PartSurface | None:
+        """Give the surface of an item as it was matched to a scan.
+
+        Parameters
+        ----------
+        item : str
+            Name of the item.
+
+        Returns
+        -------
+        PartSurface or None
+            None where the world's file alone tells what the item is made of.
+
+        Raises
+        ------
+        ConfigError
+            There is no such item.
+        """
+        return surface_of(self._world.material_of(item))
 
     def frames(
         self, item: str, patterns: Sequence[Pattern], settings: CameraSettings, rows: Rows, seed: int

@@ -33,6 +33,7 @@ from sim.sensor import SensorModel
 from sim.vibration import displaced, with_vibration
 from sim.worker import Blender
 from sim.world import BoardItem, World
+from sim.world.surface import with_surface
 
 
 class SimTwin:
@@ -143,10 +144,8 @@ class SimTwin:
         ExpectedLevels
             Grey levels (n, P), 0 to full scale.
         """
-        setup = Setup(self._board, held=self._parameters.poses[pose])
-        irradiance = self._light.irradiance_at(setup, tuple(patterns), pixels)
         self._settings = settings
-        return SensorModel.of(self._world).expected(irradiance, settings)
+        return self.expected_part(self._board, self._parameters.poses[pose], patterns, settings, pixels)
 
     def expected_of(self, item: str, patterns: Sequence[Pattern], settings: CameraSettings) -> ExpectedLevels:
         """Compute what the camera sees of another item of the world on average.
@@ -171,6 +170,42 @@ class SimTwin:
             The world has no such item.
         """
         return self._expected(Setup(item), patterns, settings)
+
+    def expected_part(
+        self,
+        item: str,
+        pose: RigidTransform,
+        patterns: Sequence[Pattern],
+        settings: CameraSettings,
+        pixels: PixelIndices,
+    ) -> ExpectedLevels:
+        """Compute what the camera sees on average of an item in any pose, at some pixels only.
+
+        Parameters
+        ----------
+        item : str
+            Name of the item.
+        pose : RigidTransform
+            T_camera_item in mm.
+        patterns : sequence of Pattern
+            n patterns to show.
+        settings : CameraSettings
+            Exposure, gain and bit depth.
+        pixels : PixelIndices
+            Rows and columns of P pixels.
+
+        Returns
+        -------
+        ExpectedLevels
+            Grey levels (n, P), 0 to full scale.
+
+        Raises
+        ------
+        ConfigError
+            The world has no such item.
+        """
+        irradiance = self._light.irradiance_at(Setup(item, held=pose), tuple(patterns), pixels)
+        return SensorModel.of(self._world).expected(irradiance, settings)
 
     def frames(self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings) -> list[Image]:
         """Simulate frames of the board with the sensor's noise and the item's vibration.
@@ -333,7 +368,9 @@ def _parameters_of(world: World, board: str, target: Target) -> TwinParameters:
     brightest = response.a + response.b
     return TwinParameters(
         calibration=Calibration(
-            world.camera_model(), world.projector_model(), world.T_projector_camera(), rms_px={}
+            *(world.camera_model(), world.projector_model(), world.T_projector_camera()),
+            rms_px={},
+            uncertainty=world.calibration.calibration().uncertainty if world.calibration else None,
         ),
         poses=item_poses(world, board),
         white=1.0,
@@ -368,6 +405,9 @@ def _world_of(nominal: World, board: str, parameters: TwinParameters) -> World:
     }
     for name, pose in p.placed.items():
         data["items"][name]["pose"] = config.plain(PoseFile.of(pose))
+    for name, surface in p.surfaces.items():
+        data["items"][name]["material"] = own = f"surface of {name}"
+        data["materials"][own] = with_surface(nominal.material_of(name), surface)
     data["projector"] |= {
         "response": config.plain(p.response),
         "blur": p.projector_blur,

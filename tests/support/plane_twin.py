@@ -117,6 +117,16 @@ class PlaneTwin:
     def expected_of(self, item: str, patterns: Sequence[Pattern], settings: CameraSettings) -> ExpectedLevels:
         return self._seen(self.pose_of(item), patterns, settings, board=False)
 
+    def expected_part(
+        self,
+        item: str,
+        pose: RigidTransform,
+        patterns: Sequence[Pattern],
+        settings: CameraSettings,
+        pixels: PixelIndices,
+    ) -> ExpectedLevels:
+        return self._seen(pose, patterns, settings, board=False)[:, *pixels]
+
     def frames(self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings) -> list[Image]:
         expected, random = self.expected(pose, patterns, settings), self._draws(len(patterns))
         if self._now.vibration_mm:
