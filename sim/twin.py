@@ -27,6 +27,7 @@ from fpplab.patterns.fringes import Pattern
 from fpplab.simulation.matchable import ExpectedLevels, TwinParameters
 from fpplab.targets import Target
 from sim.build import Setup
+from sim.fluctuation import Fluctuation
 from sim.items import board_target, item_poses, part_mesh
 from sim.light import Light, PatternLevels, Show
 from sim.sensor import SensorModel
@@ -268,6 +269,12 @@ class SimTwin:
             else:
                 pictures.append(self._irradiance(still, shown, n))
         counters = range(self._next_frame, self._next_frame + len(shown))
+        if (changes := Fluctuation.of(self._world)) is not None:
+            ambient = self._light.irradiance(still, None)
+            rows = np.arange(len(ambient))
+            pictures = [
+                changes.applied(of, ambient, rows, n) for of, n in zip(pictures, counters, strict=True)
+            ]
         self._next_frame = counters.stop
         with ThreadPoolExecutor() as pool:
             return list(pool.map(lambda of, n: sensor.expose(of, settings, n), pictures, counters))
@@ -391,6 +398,9 @@ def _parameters_of(world: World, board: str, target: Target) -> TwinParameters:
         full_well_e=camera.sensor.full_well_e,
         vibration_mm=world.vibration_mm,
         projector_falloff=projector.falloff,
+        projector_flicker=projector.flicker,
+        ambient_ripple=world.ambient_bands.ripple if world.ambient_bands else 0.0,
+        band_period_px=world.ambient_bands.period_px / camera.binning if world.ambient_bands else 0.0,
     )
 
 
@@ -414,6 +424,7 @@ def _world_of(nominal: World, board: str, parameters: TwinParameters) -> World:
         "focus_mm": p.projector_focus_mm,
         "aperture_mm": p.projector_aperture_mm,
         "falloff": list(p.projector_falloff),
+        "flicker": p.projector_flicker,
     }
     data["camera"] |= {
         "focus_mm": p.camera_focus_mm,
@@ -425,6 +436,11 @@ def _world_of(nominal: World, board: str, parameters: TwinParameters) -> World:
         "read_noise_e": p.read_noise_e,
         "full_well_e": p.full_well_e,
     }
+    if p.ambient_ripple:
+        data["ambient_bands"] = {
+            "ripple": p.ambient_ripple,
+            "period_px": p.band_period_px * nominal.camera.binning,
+        }
     data |= {"ambient": p.ambient, "vibration_mm": p.vibration_mm}
     world = config.validate(data, World, "the twin's parameters")
     return _with_light(world, p.white * white_level_per_s(nominal) / white_level_per_s(world))

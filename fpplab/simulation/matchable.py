@@ -69,6 +69,12 @@ class TwinParameters:
         Standard deviation of the item's position from frame to frame.
     projector_falloff : tuple of float
         Coefficients of x, y, x², xy and y², as in a world file.
+    projector_flicker : float
+        Standard deviation of the projector's light from frame to frame, relative.
+    ambient_ripple : float
+        Amplitude of the rolling bands of the ambient light, as a share of it; 0 where it is steady.
+    band_period_px : float
+        From band to band, in rows of the frame; 0 where there are none.
     placed : mapping of str to RigidTransform
         `T_camera_item` of other items that were measured on the bench, by name; the others stand where the
         twin's own file says.
@@ -96,6 +102,9 @@ class TwinParameters:
     full_well_e: float
     vibration_mm: float
     projector_falloff: tuple[float, float, float, float, float] = NO_FALLOFF
+    projector_flicker: float = 0.0
+    ambient_ripple: float = 0.0
+    band_period_px: float = 0.0
     placed: Mapping[str, RigidTransform] = field(default_factory=dict)
     surfaces: Mapping[str, PartSurface] = field(default_factory=dict)
     sigma: Mapping[str, float] = field(default_factory=dict)
