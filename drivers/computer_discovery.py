@@ -11,7 +11,7 @@ from fpplab.devices.discovery import FoundDevice, FoundDevices
 
 VIDEO_CLASS, VIDEO_NODES = Path("/sys/class/video4linux"), Path("/dev")
 """Where Linux lists video devices, and their nodes."""
-GENTL_DRIVER = "drivers.gentl:GentlCamera"
+GENTL_DRIVER = "gentl"
 """Driver of their cameras, as rig files name it."""
 PRODUCER_PATH = "GENICAM_GENTL64_PATH"
 """Environment variable that lists the folders of GenTL producers."""
@@ -39,7 +39,7 @@ def displays() -> FoundDevices:
     found = FoundDevices([], [])
     for one in listed:
         section = {
-            "backend": "drivers.display:DisplayProjector",
+            "backend": "display",
             "display": one.index,
             "size": list(one.size),
             "curve": "srgb",
@@ -69,7 +69,7 @@ def video_cameras() -> FoundDevices:
         if _text(entry / "index") not in ("0", ""):
             continue  # a further node of the same camera: metadata
         node = VIDEO_NODES / entry.name
-        section = {"backend": "drivers.video_camera:VideoCamera", "device": str(node)}
+        section = {"backend": "video_camera", "device": str(node)}
         found.devices.append(
             FoundDevice("camera", _text(entry / "name"), "", f"V4L2 {node}", section, "rig_webcam.yaml")
         )

@@ -14,11 +14,12 @@ from typing import Any
 
 from drivers import computer_discovery
 from drivers.dlp4500.sequence import SIZE as LIGHTCRAFTER
+from fpplab.core.extras import MissingExtraError, missing_extra
 from fpplab.devices.discovery import FoundDevice, FoundDevices
 
 DLP4500_VENDOR, DLP4500_PRODUCT = 0x0451, 0x6401
 """USB identity of the DLPC350, the LightCrafter 4500's controller."""
-LIGHTCRAFTER_DRIVER = "drivers.dlp4500:Dlp4500"
+LIGHTCRAFTER_DRIVER = "dlp4500"
 """Its driver, as rig files name it."""
 BASLER_VENDOR = 0x2676
 """USB vendor id of Basler."""
@@ -107,15 +108,20 @@ def find_devices() -> FoundDevices:
     for kind, search in searches.items():
         try:
             part = search()
-        except ImportError as error:
-            found.missing.append(
-                f"{kind} are not looked for: {error.name or error} does not load; install it"
-            )
+        except (ImportError, MissingExtraError) as error:
+            found.missing.append(f"{kind} are not looked for: {_why_not(error)}")
             continue
         found.devices.extend(part.devices)
         found.missing.extend(part.missing)
     listed = [one for one in found.devices if not _is_again(one, found.devices)]
     return FoundDevices([_with_video_port(one, listed) for one in listed], found.missing)
+
+
+def _why_not(error: ImportError | MissingExtraError) -> str:
+    """What keeps a library from being loaded, and what to do."""
+    if isinstance(error, MissingExtraError):
+        return str(error)
+    return str(missing_extra(error) or f"{error.name or error} does not load; install it")
 
 
 def _is_again(device: FoundDevice, all_found: Iterable[FoundDevice]) -> bool:
@@ -148,8 +154,8 @@ def usb_devices() -> tuple[list[UsbDevice], list[str]]:
     """
     try:
         import usb.core
-    except ImportError:
-        return [], ["USB speeds are unknown: pyusb does not load; install it"]
+    except ImportError as error:
+        return [], [f"USB speeds are unknown: {_why_not(error)}"]
     try:
         return [_usb_device(device) for device in usb.core.find(find_all=True)], []
     except usb.core.NoBackendError:
@@ -210,7 +216,7 @@ def cameras(usb: Iterable[UsbDevice]) -> FoundDevices:
     for camera in seen:
         link = _link(camera.GetDeviceClass(), speeds.get(camera.GetSerialNumber()))
         model, serial = camera.GetModelName(), camera.GetSerialNumber()
-        section = {"backend": "drivers.basler:BaslerCamera", "serial": serial}
+        section = {"backend": "basler", "serial": serial}
         found.devices.append(FoundDevice("camera", model, serial, link, section, BENCH))
     serials = {device.serial for device in found.devices}
     for device in plugged:
@@ -298,7 +304,7 @@ def stages(usb: Iterable[UsbDevice]) -> FoundDevices:
     for port in ports:
         ids = "" if port.vid is None else f" (USB {port.vid:04x}:{port.pid:04x})"
         link = f"serial {port.device}{ids}"
-        section = {"backend": "drivers.stage_grbl:GrblStage", "port": port.device}
+        section = {"backend": "grbl", "port": port.device}
         found.devices.append(
             FoundDevice("stage", port.description, port.serial_number or "", link, section, BENCH, False)
         )

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from typing import Any
 
     from fpplab.calibration.model import Calibration
-    from fpplab.clouds import Cloud, load_cloud, load_mesh
-    from fpplab.comparison import compare
+    from fpplab.clouds import Cloud, load_cloud, load_mesh, save_cloud
+    from fpplab.comparison import Comparison, compare
     from fpplab.devices.rig import Rig
     from fpplab.patterns.plan import Plan
     from fpplab.patterns.recording import Recording
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 _PLACES = {
     "Calibration": "calibration.model",
     "Cloud": "clouds",
+    "Comparison": "comparison",
     "Decoded": "phase",
     "Plan": "patterns.plan",
     "Recording": "patterns.recording",
@@ -51,6 +52,7 @@ _PLACES = {
     "load_cloud": "clouds",
     "load_mesh": "clouds",
     "reconstruct": "pipeline",
+    "save_cloud": "clouds",
     "scan": "pipeline",
 }
 """The public names, and where each is defined; imported when first used, so that the command line stays
@@ -59,6 +61,7 @@ quick."""
 __all__ = [
     "Calibration",
     "Cloud",
+    "Comparison",
     "Decoded",
     "Plan",
     "Recording",
@@ -72,6 +75,7 @@ __all__ = [
     "load_cloud",
     "load_mesh",
     "reconstruct",
+    "save_cloud",
     "scan",
 ]
 

@@ -2,11 +2,11 @@
 
 In a rig file::
 
-    bench:     {backend: "sim.devices:VirtualBench", world: world_demo.yaml}
-    camera:    {backend: "sim.devices:SimCamera"}
-    projector: {backend: "sim.devices:SimProjector"}
-    stage:     {backend: "sim.devices:SimStage"}
-    fixture:   {backend: "sim.devices:SimFixture"}
+    bench:     {backend: virtual_bench, world: world_demo.yaml}
+    camera:    {backend: virtual_camera}
+    projector: {backend: virtual_projector}
+    stage:     {backend: virtual_stage}
+    fixture:   {backend: virtual_fixture}
 """
 
 from __future__ import annotations
@@ -364,7 +364,7 @@ class VirtualBench:
 
 def _shared(bench: Any, name: str, options: dict[str, Any]) -> VirtualBench:
     if not isinstance(bench, VirtualBench):
-        raise ConfigError(f"{name}: needs the bench 'sim.devices:VirtualBench' in the rig file")
+        raise ConfigError(f"{name}: needs the bench 'virtual_bench' in the rig file")
     if options:
         raise ConfigError(f"{name}: has no option '{next(iter(options))}'; the world file describes it")
     return bench

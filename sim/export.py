@@ -43,7 +43,7 @@ def export_preview(preview: Preview, out: Path) -> None:
 
 
 def _run_blender(described: Path, made: Path) -> None:
-    command = [sys.executable, "-P", "-m", "sim.blender.export", str(described), str(made)]
+    command = [sys.executable, "-P", "-m", f"{__package__}.blender.export", str(described), str(made)]
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}
     doing = ("Blender", "export")
     try:

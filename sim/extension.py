@@ -12,6 +12,9 @@ from typing import BinaryIO
 PACKAGE = Path(__file__).parent
 EXTENSION = PACKAGE / "blender" / "extension"
 
+NAME = "sim"
+"""What the package is called in the archive, whatever it is called where it was installed."""
+
 MANIFEST = "blender_manifest.toml"
 
 SHARED = (
@@ -42,7 +45,7 @@ def archive_files() -> dict[str, bytes]:
     """
     own = sorted(EXTENSION.glob("*.py"))
     files = [*(PACKAGE / name for name in SHARED), *own]
-    placed = {f"{PACKAGE.name}/{path.relative_to(PACKAGE).as_posix()}": path.read_bytes() for path in files}
+    placed = {f"{NAME}/{path.relative_to(PACKAGE).as_posix()}": path.read_bytes() for path in files}
     return {MANIFEST: (EXTENSION / MANIFEST).read_bytes(), "__init__.py": ENTRY.encode(), **placed}
 
 

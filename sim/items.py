@@ -177,7 +177,8 @@ def item_surface(world: World, name: str, pose: RigidTransform) -> Surface:
     vertices, faces = item_shape(world, name)
     if isinstance(item, BoardItem):
         target = board_target(name, item)
-        picture = _ground_mask(target, _print_resolution(world, pose))
+        unpainted = target.model_copy(update={"foreground": 0.0, "background": 1.0})
+        picture = _ground_mask(unpainted, _print_resolution(world, pose))
         printed = Paint(target.background, ink=target.foreground)
         return Surface(vertices, faces, pose.matrix, printed, picture, _PLATE_UV)
     return Surface(vertices, faces, pose.matrix, world.material_of(name).paint())
@@ -185,8 +186,8 @@ def item_surface(world: World, name: str, pose: RigidTransform) -> Surface:
 
 @lru_cache(maxsize=64)
 def _ground_mask(target: Target, px_per_mm: float) -> NDArray[np.uint8]:
-    """Draw a board's picture, 255 where nothing is printed; shared, so it must not be changed."""
-    return target.model_copy(update={"foreground": 0.0, "background": 1.0}).image(px_per_mm)
+    """Draw a board's picture, 255 for the white of its ground; shared, so it must not be changed."""
+    return target.image(px_per_mm)
 
 
 def board_target(name: str, item: BoardItem) -> Target:

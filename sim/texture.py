@@ -60,6 +60,11 @@ class PatternTextures:
     fill: float = 1.0
     origin: tuple[int, int] = (0, 0)
 
+    @property
+    def nbytes(self) -> int:
+        """Size in bytes."""
+        return self.texels.nbytes
+
 
 @dataclass(frozen=True)
 class MirrorTexture:

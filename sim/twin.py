@@ -148,6 +148,38 @@ class SimTwin:
         self._settings = settings
         return self.expected_part(self._board, self._parameters.poses[pose], patterns, settings, pixels)
 
+    def expected_with_slopes(
+        self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings, pixels: PixelIndices
+    ) -> tuple[ExpectedLevels, ExpectedLevels] | None:
+        """Compute what `expected_at` gives, with derivatives by the places that the pixels see.
+
+        Parameters
+        ----------
+        pose : int
+            Index into `parameters.poses`.
+        patterns : sequence of Pattern
+            n patterns to show.
+        settings : CameraSettings
+            Exposure, gain and bit depth.
+        pixels : PixelIndices
+            Rows and columns of P pixels.
+
+        Returns
+        -------
+        tuple of ExpectedLevels, or None
+            Grey levels (n, P), and their derivatives (n, P, 4) by the place x, y on the board in mm and u, v
+            on the projector in px, 0 where saturated; None where the board's light is rendered.
+        """
+        setup = Setup(self._board, held=self._parameters.poses[pose])
+        light = self._light.differentiated(setup)
+        if light is None:
+            return None
+        irradiance, slopes = light.at(tuple(patterns), pixels)
+        self._settings, scale = settings, SensorModel.of(self._world).grey_scale(settings)
+        levels = scale.levels(irradiance)
+        slopes *= np.float32(scale.slope) * (levels < scale.saturated)[..., None]
+        return levels, slopes
+
     def expected_of(self, item: str, patterns: Sequence[Pattern], settings: CameraSettings) -> ExpectedLevels:
         """Compute what the camera sees of another item of the world on average.
 
@@ -232,8 +264,8 @@ class SimTwin:
     ) -> list[Image]:
         """Simulate frames of an item in any pose, with the sensor's noise and the item's vibration.
 
-        Vibration is computed to first order in the displacement: four pictures of each pattern serve any
-        number of frames.
+        Vibration is computed to first order in the displacement: by derivatives of the light where it is
+        computed, else from four pictures of each pattern that serve any number of frames.
 
         Parameters
         ----------
@@ -259,15 +291,6 @@ class SimTwin:
         self._world.item(item)
         shown, sensor, self._settings = tuple(patterns), SensorModel.of(self._world), settings
         still, step = Setup(item, held=pose), self._world.vibration_mm
-        moved = displaced(still, pose, step)
-        pictures = []
-        for n in range(len(shown)):
-            if step:
-                random = np.random.default_rng([self._world.seed, self._next_frame + n])
-                steps = random.standard_normal(3)
-                pictures.append(with_vibration(self._light, still, moved, steps, Show(shown, n)))
-            else:
-                pictures.append(self._irradiance(still, shown, n))
         counters = range(self._next_frame, self._next_frame + len(shown))
         if (changes := Fluctuation.of(self._world)) is not None:
             ambient = self._light.irradiance(still, None)
@@ -276,6 +299,17 @@ class SimTwin:
                 changes.applied(of, ambient, rows, n) for of, n in zip(pictures, counters, strict=True)
             ]
         self._next_frame = counters.stop
+        draws = np.array([np.random.default_rng([self._world.seed, n]).standard_normal(3) for n in counters])
+        if not step:
+            pictures = [self._irradiance(still, shown, n) for n in range(len(shown))]
+        elif light := self._light.differentiated(still):
+            pictures = list(light.displaced(shown, step * draws))
+        else:
+            moved = displaced(still, pose, step)
+            pictures = [
+                with_vibration(self._light, still, moved, steps, Show(shown, n))
+                for n, steps in enumerate(draws)
+            ]
         with ThreadPoolExecutor() as pool:
             return list(pool.map(lambda of, n: sensor.expose(of, settings, n), pictures, counters))
 
@@ -343,11 +377,9 @@ class SimTwin:
         """
         calibration = CalibrationFile.of(self._parameters.calibration)
         world = self._world.model_copy(update={"calibration": calibration}).save(folder)
-        devices: dict[str, dict[str, Any]] = {
-            name: {"backend": f"sim.devices:Sim{name.capitalize()}"} for name in _DEVICES
-        }
+        devices: dict[str, dict[str, Any]] = {name: {"backend": f"virtual_{name}"} for name in _DEVICES}
         devices["camera"] |= {"bits": self._settings.bits, "gain_db": self._settings.gain_db}
-        bench = {"backend": "sim.devices:VirtualBench", "world": world.name}
+        bench = {"backend": "virtual_bench", "world": world.name}
         path = folder / "rig.yaml"
         noted = {"notes": list(notes)} if notes else {}
         write_text(path, config.to_yaml({"name": "Matched twin", **noted, "bench": bench, **devices}))

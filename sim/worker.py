@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.core.errors import ConfigError, DeviceError, DeviceTimeoutError, DisconnectedError
+from fpplab.core.extras import need_extra
 from fpplab.core.system import BLENDER
 from sim.scene import Effort, RenderScene, SubpixelView
 
@@ -61,6 +62,8 @@ class Blender:
 
         Raises
         ------
+        MissingExtraError
+            Blender's module is not installed.
         DeviceError
             It cannot start; the message names a system library that is missing.
         DeviceTimeoutError
@@ -68,13 +71,21 @@ class Blender:
         """
         if self.pid is not None:
             return
+        need_extra("bpy")
         self.close()
         ours, theirs = socket.socketpair()
         try:
             self._memory = _anonymous_memory()
             self._log = tempfile.TemporaryFile()  # noqa: SIM115 - it lives as long as the process
             self._process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "sim.blender.server", str(theirs.fileno()), str(self._memory)],
+                [
+                    sys.executable,
+                    "-P",
+                    "-m",
+                    f"{__package__}.blender.server",
+                    str(theirs.fileno()),
+                    str(self._memory),
+                ],
                 pass_fds=(theirs.fileno(), self._memory),
                 stdin=subprocess.DEVNULL,
                 stdout=self._log,

@@ -1,7 +1,7 @@
 """The section of a Basler camera in a rig file.
 
 camera:
-  backend: "drivers.basler:BaslerCamera"
+  backend: basler
   serial: "21734321"                                # as `fpplab devices` shows it
   bits: 12
   roi: [0, 0, 5472, 3648]                           # offset x, offset y, width, height; all without it

@@ -1,7 +1,7 @@
 """A projector with a display input as a projector of a rig: a second screen of the computer, shown 1:1.
 
     projector:
-      backend: "drivers.display:DisplayProjector"
+      backend: display
       display: 1                # number or name, as `fpplab devices` shows it
       size: [1920, 1080]        # the projector's own resolution
       curve: srgb

@@ -19,6 +19,7 @@ from drivers.apart import ask_apart
 from drivers.display import screen
 from drivers.display.screen import DisplayInfo, OpenedScreen, ShowFrame
 from fpplab.core.errors import DeviceError, DeviceTimeoutError, DisconnectedError
+from fpplab.core.extras import need_extra
 
 START_S, SHOW_S, STOP_S = 30.0, 5.0, 5.0
 """Time limits in s for the process to open the display, to show a frame, and to end."""
@@ -99,6 +100,8 @@ class SdlDisplay:
 
         Raises
         ------
+        MissingExtraError
+            SDL is not installed.
         DeviceError
             There is no such display, it has another size (the message lists those present), or drawing does
             not follow its refresh rate.
@@ -107,6 +110,7 @@ class SdlDisplay:
         DeviceTimeoutError
             The process does not answer.
         """
+        need_extra("sdl2")
         self.close()
         context = multiprocessing.get_context("spawn")  # SDL and threads do not survive a fork
         self._connection, theirs = context.Pipe()
@@ -213,9 +217,12 @@ def connected_displays() -> list[DisplayInfo]:
 
     Raises
     ------
+    MissingExtraError
+        SDL is not installed.
     DeviceError
         SDL finds none, or does not answer.
     """
+    need_extra("sdl2")
     found = ask_apart(screen.serve_displays, patience_s=START_S)
     if isinstance(found, screen.ScreenFailure):
         raise DeviceError("displays", "list", found.found, found.remedy)

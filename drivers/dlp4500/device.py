@@ -1,7 +1,7 @@
 """The LightCrafter 4500 as a projector of a rig, with its patterns in flash or from the video port.
 
     projector:
-      backend: "drivers.dlp4500:Dlp4500"
+      backend: dlp4500
       flash: flash_index.yaml              # or video: {display: 1}
       led_levels: {red: 104, green: 135, blue: 130}
       trigger_out_1: {rising_us: 0, falling_us: 0}

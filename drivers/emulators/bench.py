@@ -1,10 +1,10 @@
 """The emulated bench: the real drivers connected to emulators, with another rig in place of the optics.
 
-    bench:     {backend: "drivers.emulators.bench:EmulatedBench", optics: rig_demo.yaml}
-    camera:    {backend: "drivers.basler:BaslerCamera", serial: "0815-0000", roi: [0, 0, 1368, 912]}
-    projector: {backend: "drivers.dlp4500:Dlp4500", video: {display: 0}}
-    stage:     {backend: "drivers.stage_grbl:GrblStage"}
-    fixture:   {backend: "drivers.emulators.bench:EmulatedFixture"}
+    bench:     {backend: emulated_bench, optics: rig_demo.yaml}
+    camera:    {backend: basler, serial: "0815-0000", roi: [0, 0, 1368, 912]}
+    projector: {backend: dlp4500, video: {display: 0}}
+    stage:     {backend: grbl}
+    fixture:   {backend: emulated_fixture}
 
 The emulated projector determines which pattern illuminates the scene, its trigger output 1 triggers the
 emulated camera on Line1, and the rig given as `optics` (a simulation, for instance) renders the image. The
@@ -49,6 +49,7 @@ from fpplab.core.conventions import Image
 from fpplab.core.errors import ConfigError
 from fpplab.core.geometry import RigidTransform
 from fpplab.devices import CameraSettings, DeviceInfo, Fixture, FixtureCaps
+from fpplab.devices.backends import load_backend
 from fpplab.devices.rig import Rig
 from fpplab.simulation.seeded import NumberedFrames
 
@@ -159,7 +160,9 @@ class EmulatedBench:
             The optics are an emulated bench or their projector lacks 8 bits, or a file cannot be read.
         """
         optics_rig = Rig.load(self._options.optics)
-        if optics_rig.file.bench is not None and optics_rig.file.bench.backend.startswith(__name__):
+        if optics_rig.file.bench is not None and issubclass(
+            load_backend(optics_rig.file.bench.backend, optics_rig.source, "bench"), EmulatedBench
+        ):
             raise ConfigError(
                 f"bench: 'optics' is '{self._options.optics}': must not be an emulated bench itself"
             )
@@ -291,7 +294,7 @@ class EmulatedFixture(Fixture):
     def _setup(self, options: dict[str, Any], shared: Any) -> None:
         super()._setup(options, shared)
         if not isinstance(shared, EmulatedBench):
-            raise ConfigError(f"{self.name}: needs the bench '{__name__}:EmulatedBench' in the rig file")
+            raise ConfigError(f"{self.name}: needs the bench 'emulated_bench' in the rig file")
         self._bench = shared
 
     @property

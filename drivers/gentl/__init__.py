@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from fpplab.core.extras import how_to_install
+
 if TYPE_CHECKING:
     from drivers.gentl.camera import GentlCamera
 
@@ -21,8 +23,6 @@ def __getattr__(name: str) -> Any:
     try:
         from drivers.gentl import camera
     except ModuleNotFoundError as error:
-        raise ImportError(
-            f"{error.name} is not installed; install it with: pip install harvesters", name=error.name
-        ) from error
+        raise ImportError(how_to_install(error.name or "genicam"), name=error.name) from error
 
     return getattr(camera, name)

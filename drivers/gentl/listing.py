@@ -7,6 +7,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 from drivers.apart import ask_apart
+from fpplab.core.extras import how_to_install
 
 PATIENCE_S = 20.0
 """Time in s for a producer to look for its cameras."""
@@ -58,7 +59,7 @@ def send_cameras(connection: Connection, path: Path) -> None:
     try:
         from drivers.gentl.producer import GentlProducer, told_of
     except ImportError as error:
-        connection.send(f"{error.name or error} is not installed; install it with: pip install harvesters")
+        connection.send(how_to_install(error.name or str(error)))
         return
     try:
         producer = GentlProducer(path)

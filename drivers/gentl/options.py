@@ -1,7 +1,7 @@
 """The section of a GenTL camera in a rig file.
 
 camera:
-  backend: "drivers.gentl:GentlCamera"
+  backend: gentl
   producer: /opt/maker/lib/maker.cti                # of the maker's software
   serial: "21734321"                                # as the maker's software shows it
   bits: 12

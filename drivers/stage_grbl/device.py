@@ -1,6 +1,6 @@
 """A linear stage behind a GRBL 1.1 controller.
 
-stage: {backend: "drivers.stage_grbl:GrblStage", port: /dev/ttyACM0, axis: X}
+stage: {backend: grbl, port: /dev/ttyACM0, axis: X}
 
 The stage's zero is the position where homing ends, and its coordinate increases away from the home switch,
 whichever way the controller's own axis points. Moves use machine coordinates (G53), so that a work offset

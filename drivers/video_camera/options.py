@@ -1,7 +1,7 @@
 """The section of a video camera in a rig file.
 
 camera:
-  backend: "drivers.video_camera:VideoCamera"
+  backend: video_camera
   device: /dev/v4l/by-id/usb-Maker_Camera-video-index0
   bits: 12
   size: [1920, 1080]                                # as it was left without it

@@ -33,7 +33,7 @@ from fpplab.core.errors import ConfigError
 from fpplab.core.foreign import read_apart
 from fpplab.core.geometry import DISTORTION, Pinhole, RigidTransform
 
-Format = Literal["yaml", "xml"]
+Format = Literal["yaml", "xml", "json"]
 
 NAMES: dict[str, tuple[str, ...]] = {
     "M1": ("M1", "cam_K", "Kc", "cameraMatrix1", "camera_matrix_1", "K1"),
@@ -106,7 +106,7 @@ def is_opencv(path: Path) -> bool:
 
 
 def _begins_as_opencv(text: str) -> bool:
-    return text.lstrip("\ufeff \r\n\t").startswith(("%YAML", "<?xml"))
+    return text.lstrip("\ufeff \r\n\t").startswith(("%YAML", "<?xml", "{"))
 
 
 def to_opencv(calibration: Calibration, kind: Format) -> str:
@@ -116,7 +116,7 @@ def to_opencv(calibration: Calibration, kind: Format) -> str:
     ----------
     calibration : Calibration
         Its uncertainty is not written.
-    kind : {"yaml", "xml"}
+    kind : {"yaml", "xml", "json"}
         Format of the text.
 
     Returns
@@ -124,7 +124,8 @@ def to_opencv(calibration: Calibration, kind: Format) -> str:
     str
         The file's text.
     """
-    flags = {"yaml": cv2.FILE_STORAGE_FORMAT_YAML, "xml": cv2.FILE_STORAGE_FORMAT_XML}[kind]
+    formats = cv2.FILE_STORAGE_FORMAT_YAML, cv2.FILE_STORAGE_FORMAT_XML, cv2.FILE_STORAGE_FORMAT_JSON
+    flags = dict(zip(("yaml", "xml", "json"), formats, strict=True))[kind]
     storage = cv2.FileStorage("", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY | flags)
     for number, device in enumerate((calibration.camera, calibration.projector), start=1):
         storage.write(f"M{number}", device.matrix)
@@ -216,7 +217,7 @@ def _read(path: Path) -> dict[str, Any]:
     """Read the top-level entries of a FileStorage file: matrices, numbers, strings and lists of numbers."""
     text = config.read_text(path)
     if not _begins_as_opencv(text):
-        raise ConfigError(f"{path}: is not a file of OpenCV; those begin with %YAML:1.0 or <?xml")
+        raise ConfigError(f"{path}: is not a file of OpenCV; those begin with %YAML:1.0, <?xml or {{")
     try:
         return {
             name: value if value.ndim else value.item() for name, value in read_apart("opencv", path).items()

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from pydantic import AfterValidator, AwareDatetime, Field, model_validator
 
 from fpplab.calibration.board import FittedBoard, FittedBoardFile
+from fpplab.calibration.drawing import calibration_table, draw_from_above
 from fpplab.core import config
 from fpplab.core.config import Document
 from fpplab.core.conventions import Floats, Lattice
@@ -17,6 +18,9 @@ from fpplab.core.errors import CalibrationError
 from fpplab.core.files import write_text
 from fpplab.core.geometry import DISTORTION, POLYNOMIAL, Pinhole, RigidTransform
 from fpplab.core.origin import DeviceIdentity, Origin
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 INTRINSICS = ("fx", "fy", "cx", "cy", *DISTORTION)
 """The intrinsic parameters of a device, in the order of every vector that holds them."""
@@ -143,6 +147,26 @@ class Calibration:
         rms = "".join(f", {name} RMS {value:.3g} px" for name, value in self.rms_px.items())
         lattice, baseline = self.projector.lattice, f"{self.baseline_mm:.2f}"
         return f"<Calibration: {sizes}, {lattice} lattice, baseline {baseline} mm{rms}>"
+
+    def _repr_html_(self) -> str:
+        return calibration_table(self)
+
+    def plot(self, distance_mm: float | None = None, axes: Axes | None = None) -> Axes:
+        """Draw camera and projector from above, with what each of them sees.
+
+        Parameters
+        ----------
+        distance_mm : float, optional
+            How far the fields of view are drawn; by default three baselines.
+        axes : matplotlib.axes.Axes, optional
+            Where to draw; new ones by default.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+            In mm in the camera's frame: x to the right, z upwards.
+        """
+        return draw_from_above(self, distance_mm or 3.0 * self.baseline_mm, axes)
 
     @property
     def baseline_mm(self) -> float:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from fpplab.core.config import ConfigKind, shipped_configs
+if TYPE_CHECKING:
+    from fpplab.core.config import ConfigKind
 
 
 def names_of(kind: ConfigKind) -> Callable[[str], list[str]]:
@@ -23,6 +25,8 @@ def names_of(kind: ConfigKind) -> Callable[[str], list[str]]:
     """
 
     def complete(incomplete: str) -> list[str]:
+        from fpplab.core.config import shipped_configs  # which `--help` does not need
+
         shipped = [name for name in shipped_configs(kind) if name.startswith(incomplete)]
         before = Path(incomplete)
         folder, start = (before, "") if incomplete.endswith("/") else (before.parent, before.name)

@@ -16,12 +16,10 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from rich.progress import Progress as ProgressBars
-from rich.table import Table
 
 from fpplab.core import interrupts
 from fpplab.core.errors import Cancelled, ConfigError, DataError, FppError
+from fpplab.core.extras import missing_extra
 from fpplab.core.progress import Progress, Say, ignore, no_progress
 
 if TYPE_CHECKING:
@@ -96,6 +94,10 @@ def _words_and_bar(what: str) -> Iterator[tuple[Progress, Say]]:
         say(f"{what} …")
         yield no_progress, ignore
         return
+    # Most commands end without, and `--help` does.
+    from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.progress import Progress as ProgressBars
+
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
     with ProgressBars(*columns, console=stderr, transient=True) as bars:
         task = bars.add_task(what, total=1.0)
@@ -184,6 +186,8 @@ def table(title: str, columns: list[str], rows: list[list[Any]]) -> None:
     rows : list of list
         Their cells.
     """
+    from rich.table import Table
+
     grid = Table(title=title, title_justify="left")
     for i, column in enumerate(columns):
         grid.add_column(column, justify="left" if i == 0 else "right")
@@ -277,6 +281,9 @@ def _end_with(error: BaseException, as_json: bool) -> NoReturn:
             if as_json and error.code and not isinstance(error, Answered):
                 _answer_fault("wrong usage; see stderr", int(error.code))
             _leave(error.code if isinstance(error.code, int) else int(bool(error.code)))
+        case ModuleNotFoundError() if missing := missing_extra(error):
+            _log.debug("an extra is missing", exc_info=error)
+            _fail(str(missing), missing.exit_code, as_json)
         case MemoryError():
             _log.debug("refused for want of memory", exc_info=error)
             _fail(f"there is not enough memory for this ({error})", DataError.exit_code, as_json)

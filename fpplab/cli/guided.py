@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from fpplab.cli import console
-from fpplab.core.depth import DepthInterval
 from fpplab.core.errors import ConfigError
 from fpplab.core.units import length_mm
 
 if TYPE_CHECKING:
     from fpplab.acquisition.acquire import FrameObserver
     from fpplab.characterisation import DistortionModel
+    from fpplab.core.depth import DepthInterval
     from fpplab.devices.rig import Rig
     from fpplab.guidance import GuidedRun
     from fpplab.patterns.plan import Plan

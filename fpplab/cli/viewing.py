@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 import typer
 
 from fpplab.cli import console
+from fpplab.core.extras import need_extra
 
 if TYPE_CHECKING:
     from fpplab.viewer.server import Shown
@@ -51,7 +52,14 @@ def open_viewer(
     -------
     Viewer
         Starts when there is something to show.
+
+    Raises
+    ------
+    MissingExtraError
+        It is wanted, and rerun is not installed.
     """
+    if wanted or keep_open:
+        need_extra("rerun")
     from fpplab.viewer.viewer import Viewer
 
     shown: Shown | None = "anywhere" if wanted or keep_open else None

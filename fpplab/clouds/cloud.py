@@ -1,39 +1,33 @@
-"""Point clouds with per-point attributes, in PLY, XYZ or NPZ files; reading meshes of true shapes."""
+"""Point clouds with attributes of each point, as tables, drawings, and objects of other libraries."""
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from fpplab.clouds import ply
 from fpplab.clouds.pixelgrid import PixelGrid, are_within
 from fpplab.clouds.selection import are_finite, select
 from fpplab.core import buffers
-from fpplab.core.archives import load_arrays
-from fpplab.core.conventions import Mask
+from fpplab.core.conventions import Map, Mask
 from fpplab.core.errors import ConfigError, DataError
-from fpplab.core.files import open_regular, write_large
-from fpplab.core.foreign import read_apart
+from fpplab.core.extras import need_extra
+from fpplab.core.notebook import axes_or_new, grey_picture, html_table, plot_map
 
 if TYPE_CHECKING:
     import trimesh
-
-CLOUD_SUFFIXES = (".ply", ".xyz", ".npz")
-"""Of files that `load_cloud` reads and `save_cloud` writes."""
-MESH_SUFFIXES = (".stl", ".ply", ".obj")
-"""Of files that `load_mesh` reads."""
+    from matplotlib.axes import Axes
 
 CloudPoints = NDArray[np.float32]
 """Values of every point of a cloud, (N,) or (N, 3)."""
 
-_SIGMAS = ("sigma_noise_mm", "sigma_phase_error_mm", "sigma_calibration_mm", "sigma_form_mm")
+SIGMAS = ("sigma_noise_mm", "sigma_phase_error_mm", "sigma_calibration_mm", "sigma_form_mm")
+"""Attributes of a cloud that are standard uncertainties."""
+_PLOTTED = ("colour", "sigma_mm", *SIGMAS, "epipolar_px")
+"""Attributes of one value for each point."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +83,7 @@ class Cloud:
     def __post_init__(self) -> None:
         n = len(self.points)
         shapes: dict[str, tuple[int, ...]] = {"points": (n, 3), "pixels": (n, 2), "normals": (n, 3)}
-        shapes |= dict.fromkeys(("colour", *_SIGMAS, "epipolar_px"), (n,))
+        shapes |= dict.fromkeys(("colour", *SIGMAS, "epipolar_px"), (n,))
         for name, shape in shapes.items():
             values = getattr(self, name)
             if values is not None and values.shape != shape:
@@ -107,12 +101,161 @@ class Cloud:
         return len(self.points)
 
     def __repr__(self) -> str:
-        known = [
-            name for name in ("pixels", "normals", "colour", *_SIGMAS) if getattr(self, name) is not None
-        ]
+        known = [name for name in ("pixels", "normals", "colour", *SIGMAS) if getattr(self, name) is not None]
         low, high = self.points.min(axis=0), self.points.max(axis=0)
         extent = " x ".join(f"{length:.1f}" for length in high - low)
         return f"<Cloud: {len(self)} points, {extent} mm{'; ' * bool(known)}{', '.join(known)}>"
+
+    def _repr_html_(self) -> str:
+        low, high = self.points.min(axis=0), self.points.max(axis=0)
+        rows: dict[str, object] = {"points": f"{len(self):,}"}
+        rows |= {name: f"{a:.2f} … {b:.2f} mm" for name, a, b in zip(("x", "y", "z"), low, high, strict=True)}
+        rows["camera"] = f"{self.size[0]} x {self.size[1]} px" if self.size else None
+        for name in ("sigma_mm", *SIGMAS):
+            values = getattr(self, name)
+            rows[name] = None if values is None else f"median {1e3 * float(np.median(values)):.1f} µm"
+        rows["normals"] = "known" if self.normals is not None else None
+        picture = grey_picture(-self.map_of(self.points[:, 2])) if self.size else None
+        return html_table("Cloud", rows, picture)
+
+    def map_of(self, values: NDArray[Any]) -> Map:
+        """Arrange values of the points over the camera's pixels.
+
+        Parameters
+        ----------
+        values : ndarray
+            One (N,) for each point.
+
+        Returns
+        -------
+        ndarray of float32, (height, width)
+            Indexed [v, u], NaN where there is no point.
+
+        Raises
+        ------
+        DataError
+            The pixels of the points are not known, or there are more or fewer values.
+        """
+        if self.pixels is None or self.size is None:
+            raise DataError("cloud: its points are not known by camera pixel; use a cloud that fpplab made")
+        if values.shape != (len(self),):
+            raise DataError(f"cloud: values of {values.shape} do not fit {len(self)} points")
+        found = np.full((self.size[1], self.size[0]), np.nan, np.float32)
+        found[self.pixels[:, 1], self.pixels[:, 0]] = values
+        return found
+
+    def plot(self, values: str = "z", axes: Axes | None = None) -> Axes:
+        """Draw the cloud, coloured: over the camera's pixels, or from the camera where they are not known.
+
+        Parameters
+        ----------
+        values : str
+            What gives the colour: "x", "y", "z", or an attribute of one value for each point, such as
+            "sigma_mm".
+        axes : matplotlib.axes.Axes, optional
+            Where to draw; new ones by default.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+            With the drawing.
+
+        Raises
+        ------
+        ConfigError
+            There is no such attribute.
+        DataError
+            It is not known.
+        """
+        if values in ("x", "y", "z"):
+            colours, label = self.points[:, "xyz".index(values)], f"{values}, mm"
+        elif values in _PLOTTED:
+            colours, label = getattr(self, values), values
+        else:
+            raise ConfigError(f"values: '{values}' must be one of x, y, z, {', '.join(_PLOTTED)}")
+        if colours is None:
+            raise DataError(f"cloud: {values} is not known")
+        if self.size:
+            return plot_map(self.map_of(colours), label, axes)
+        chosen = axes_or_new(axes)
+        drawn = chosen.scatter(self.points[:, 0], self.points[:, 1], c=colours, s=0.5, linewidths=0)
+        chosen.figure.colorbar(drawn, ax=chosen, label=label)
+        chosen.set(xlabel="x, mm", ylabel="y, mm", aspect="equal")
+        if not chosen.yaxis_inverted():
+            chosen.invert_yaxis()
+        return chosen
+
+    def to_trimesh(self) -> trimesh.Trimesh:
+        """Convert to a mesh of trimesh: the surface over the pixel grid, cut at jumps in depth.
+
+        Returns
+        -------
+        trimesh.Trimesh
+            Corners are the points in mm, in their order; faces towards the camera.
+
+        Raises
+        ------
+        DataError
+            The pixels of the points are not known.
+        """
+        import trimesh
+
+        vertices, faces = self.grid_mesh()
+        return trimesh.Trimesh(vertices, faces, process=False)
+
+    def to_open3d(self) -> Any:
+        """Convert to a point cloud of Open3D.
+
+        Returns
+        -------
+        open3d.geometry.PointCloud
+            Points in mm, with normals and grey colours where they are known.
+
+        Raises
+        ------
+        MissingExtraError
+            Open3D is not installed.
+        """
+        need_extra("open3d")
+        from open3d import geometry, utility
+
+        found = geometry.PointCloud(utility.Vector3dVector(self.points.astype(np.float64)))
+        if self.normals is not None:
+            found.normals = utility.Vector3dVector(self.normals.astype(np.float64))
+        if self.colour is not None:
+            grey = np.repeat(self.colour[:, None] / 255.0, 3, axis=1)
+            found.colors = utility.Vector3dVector(grey)
+        return found
+
+    def to_xarray(self) -> Any:
+        """Convert to a data set of xarray.
+
+        Returns
+        -------
+        xarray.Dataset
+            `x`, `y`, `z` and all that is known of each point: over the pixels `v`, `u` of the camera, NaN
+            where there is no point; or over `point` where pixels are not known. Units are attributes.
+
+        Raises
+        ------
+        MissingExtraError
+            xarray is not installed.
+        """
+        need_extra("xarray")
+        import xarray
+
+        columns = {name: (self.points[:, i], "mm") for i, name in enumerate(("x", "y", "z"))}
+        if self.normals is not None:
+            columns |= {name: (self.normals[:, i], "1") for i, name in enumerate(("nx", "ny", "nz"))}
+        for name in _PLOTTED:
+            if (values := getattr(self, name)) is not None:
+                columns[name] = values, name.rpartition("_")[2] if "_" in name else "grey level"
+        dims = ("v", "u") if self.size else ("point",)
+        arranged = {
+            name: (dims, self.map_of(values) if self.size else values, {"units": unit})
+            for name, (values, unit) in columns.items()
+        }
+        return xarray.Dataset(arranged, attrs={"frame": "camera: x right, y down, z forward"})
 
     @property
     def sigma_mm(self) -> CloudPoints | None:
@@ -236,205 +379,3 @@ def local_quadric_distance(cloud: Cloud, window: int = 15) -> CloudPoints:
     if window < 5 or window % 2 == 0:
         raise ConfigError(f"window: {window} px must be an odd number, at least 5")
     return cloud.grid().quadric_distances(window)
-
-
-def save_cloud(cloud: Cloud, path: Path | str, approve: Callable[[], object] | None = None) -> None:
-    """Write a cloud in the format of the path's suffix, atomically: the file is complete or unchanged.
-
-    Parameters
-    ----------
-    cloud : Cloud
-        What to write.
-    path : path or str
-        With the suffix `.ply` (binary), `.xyz` (text, points only) or `.npz`.
-    approve : callable, optional
-        Called once everything is written, before the file takes its name; what it raises leaves the file
-        unchanged.
-
-    Raises
-    ------
-    ConfigError
-        The path has another suffix.
-    DataError
-        The file cannot be written.
-    """
-    path = Path(path)
-    writers = {".ply": _write_ply, ".xyz": _write_xyz, ".npz": _write_npz}
-    suffix = _known_suffix(path, CLOUD_SUFFIXES)
-    write_large(path, lambda stream: writers[suffix](cloud, stream), approve)
-
-
-def load_cloud(path: Path | str) -> Cloud:
-    """Read a cloud in the format of the path's suffix.
-
-    Parameters
-    ----------
-    path : path or str
-        With the suffix `.ply`, `.xyz` or `.npz`; written by fpplab or another program, in mm.
-
-    Returns
-    -------
-    Cloud
-        Attributes that the file does not hold are None.
-
-    Raises
-    ------
-    ConfigError
-        The path has another suffix.
-    DataError
-        The file is missing or damaged.
-    """
-    path = Path(path)
-    readers = {".ply": _read_ply, ".xyz": _read_xyz, ".npz": _read_npz}
-    suffix = _known_suffix(path, CLOUD_SUFFIXES)
-    try:
-        return readers[suffix](path)
-    except DataError as error:
-        raise DataError(f"{path}: {error}") from error
-    except OSError as error:
-        raise DataError(f"{path}: cannot be read ({error.strerror or error})") from error
-    except (ValueError, KeyError, IndexError, TypeError) as error:
-        raise DataError(f"{path}: is no readable {suffix[1:].upper()} cloud ({error})") from error
-
-
-def load_mesh(path: Path | str) -> trimesh.Trimesh:
-    """Read the mesh of a true shape.
-
-    Only the faces are read, without colours or texture; corners that coincide are joined.
-
-    Parameters
-    ----------
-    path : path or str
-        STL, PLY or OBJ file in mm.
-
-    Returns
-    -------
-    trimesh.Trimesh
-        Corners in mm in the frame of the file.
-
-    Raises
-    ------
-    ConfigError
-        The path has another suffix.
-    DataError
-        The file is missing, damaged, no mesh, or has corners that are not finite.
-    """
-    path = Path(path)
-    kind = _known_suffix(path, MESH_SUFFIXES)[1:]
-    try:
-        parts = read_apart(kind, path)
-    except OSError as error:
-        raise DataError(f"{path}: cannot be read ({error.strerror or error})") from error
-    except ValueError as error:
-        raise DataError(f"{path}: is no readable {kind.upper()} mesh ({error}); export it again") from error
-    if not parts or not len(parts["faces"]):
-        raise DataError(f"{path}: holds no faces; give a mesh of the true shape, not a cloud")
-    vertices, faces = parts["vertices"], parts["faces"]
-    if faces.min() < 0 or faces.max() >= len(vertices):
-        raise DataError(
-            f"{path}: a face names corner {faces.max() if faces.min() >= 0 else faces.min()}, but there are "
-            f"corners 0 to {len(vertices) - 1}; export it again"
-        )
-    if not np.isfinite(vertices).all():
-        raise DataError(f"{path}: has corners that are not finite; export it again")
-    import trimesh  # half a second that measuring does not need
-
-    return trimesh.Trimesh(vertices, faces)
-
-
-def _known_suffix(path: Path, known: tuple[str, ...]) -> str:
-    suffix = path.suffix.lower()
-    if suffix not in known:
-        raise ConfigError(f"{path}: the suffix must be one of {', '.join(known)}")
-    return suffix
-
-
-def _write_npz(cloud: Cloud, stream: BinaryIO) -> None:
-    parts = {f.name: getattr(cloud, f.name) for f in fields(cloud)}
-    np.savez(stream, **{name: values for name, values in parts.items() if values is not None})
-
-
-def _read_npz(path: Path) -> Cloud:
-    known = load_arrays(path, [f.name for f in fields(Cloud)])
-    if "points" not in known:
-        raise ValueError("it has no 'points'")
-    if "size" not in known:
-        return Cloud(**known)  # type: ignore[arg-type]
-    width, height = known.pop("size").tolist()
-    return Cloud(**known, size=(int(width), int(height)))
-
-
-def _write_xyz(cloud: Cloud, stream: BinaryIO) -> None:
-    np.savetxt(stream, cloud.points, fmt="%.5f")
-
-
-def _read_xyz(path: Path) -> Cloud:
-    with warnings.catch_warnings(), open_regular(path) as stream:
-        warnings.simplefilter("ignore", UserWarning)  # an empty file is refused as a cloud without points
-        values = np.loadtxt(stream, np.float32, ndmin=2, comments=("#", "//"), usecols=(0, 1, 2))
-    return Cloud(np.ascontiguousarray(values))
-
-
-_XYZ, _NORMAL, _RGB, _PIXEL = (
-    ("x", "y", "z"),
-    ("nx", "ny", "nz"),
-    ("red", "green", "blue"),
-    ("pixel_u", "pixel_v"),
-)
-_SIZE = "camera_size"
-_SIGMAS_EXPLAINED = (
-    "sigma_noise_mm is independent from point to point, sigma_calibration_mm common to all",
-    "sigma_phase_error_mm is common to all points of one phase, so that averaging does not lessen it",
-    "sigma_form_mm is what the best rigid motion of all points leaves of sigma_calibration_mm",
-    "sigma_mm is noise, phase error and calibration together: root mean square distance from the true point",
-)
-
-
-def _write_ply(cloud: Cloud, stream: BinaryIO) -> None:
-    columns: dict[str, NDArray[Any]] = {}
-    parts = [(_XYZ, cloud.points), (_NORMAL, cloud.normals), (_PIXEL, cloud.pixels)]
-    for names, values in parts:
-        if values is not None:
-            columns |= dict(zip(names, np.asarray(values).T, strict=True))
-    if cloud.colour is not None:
-        columns |= dict.fromkeys(_RGB, cloud.colour)
-    for name in (*_SIGMAS, "sigma_mm"):
-        if (sigma := getattr(cloud, name)) is not None:
-            columns[name] = sigma
-    if cloud.epipolar_px is not None:
-        columns["epipolar"] = cloud.epipolar_px
-    comments = ["points in mm in the camera's frame"]
-    if cloud.sigma_calibration_mm is not None:
-        comments += _SIGMAS_EXPLAINED
-    if cloud.size is not None:
-        comments.append(f"{_SIZE} {cloud.size[0]} {cloud.size[1]}")
-    ply.write(columns, comments, stream)
-
-
-def _read_ply(path: Path) -> Cloud:
-    table, comments = ply.read(path)
-    sizes = [text.split()[1:] for text in comments if text.split()[:1] == [_SIZE]]
-    size = (int(sizes[0][0]), int(sizes[0][1])) if sizes else None
-    points = _columns(table, _XYZ, np.float32)
-    if points is None:
-        raise ValueError("a vertex has no x, y, z")
-    rgb = _columns(table, _RGB, np.uint8)
-    return Cloud(
-        points=points,
-        pixels=_columns(table, _PIXEL, np.int32) if size else None,
-        size=size,
-        normals=_columns(table, _NORMAL, np.float32),
-        colour=None if rgb is None else np.rint(rgb.mean(axis=1)).astype(np.uint8),
-        **{name: _column(table, name) for name in _SIGMAS},
-        epipolar_px=_column(table, "epipolar"),
-    )
-
-
-def _columns(table: ply.VertexTable, names: tuple[str, ...], dtype: Any) -> NDArray[Any] | None:
-    if not set(names) <= set(table.dtype.names or ()):
-        return None
-    return np.asarray(np.stack([table[name] for name in names], axis=1), dtype)
-
-
-def _column(table: ply.VertexTable, name: str) -> CloudPoints | None:
-    return np.asarray(table[name], np.float32) if name in (table.dtype.names or ()) else None

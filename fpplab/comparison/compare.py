@@ -16,6 +16,7 @@ the true shape, wherever the point itself was measured; outliers are counted and
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import igl
 import numpy as np
@@ -33,6 +34,10 @@ from fpplab.comparison.surfaces import distance_to_surface
 from fpplab.comparison.visibility import RayTracedShape
 from fpplab.core.conventions import Floats, Map, Mask
 from fpplab.core.errors import ConfigError, DataError
+from fpplab.core.notebook import axes_or_new, html_table
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 DENSITY_PER_MM2 = 200.0
 """Samples of the true surface."""
@@ -115,6 +120,56 @@ class Comparison:
     counted: Mask
     scale: FittedScale | None = None
     lengths: tuple[MeasuredLength, ...] = ()
+
+    def __repr__(self) -> str:
+        mean_um, kind = self.surface_smcd_um, "surface SMCD"
+        if mean_um is None:
+            mean_um, kind = self.smcd_um, "SMCD"
+        aligned = "aligned" if self.alignment else "not aligned"
+        return (
+            f"<Comparison: {mean_um:.1f} µm {kind}, {self.surface_rms_um:.1f} µm RMS, {self.points} points, "
+            f"{100 * self.completeness:.1f} % complete, {aligned}>"
+        )
+
+    def _repr_html_(self) -> str:
+        smcd_um = self.surface_smcd_um
+        rows: dict[str, object] = {
+            "surface SMCD": None if smcd_um is None else f"{smcd_um:.1f} µm",
+            "SMCD": f"{self.smcd_um:.1f} µm, at best {self.smcd_floor_um:.1f} µm",
+            "RMS": f"{self.surface_rms_um:.1f} µm",
+            "95th percentile": f"{self.surface_p95_um:.1f} µm",
+            "complete": f"{100 * self.completeness:.1f} %",
+            "points": f"{self.points:,}, and {self.off_part:,} beside the part",
+            "outliers": f"{self.outliers:,} beyond {self.outlier_mm:g} mm",
+            "aligned": "yes" if self.alignment else "no",
+        }
+        if self.scale:
+            rows["scale"] = f"{self.scale.ppm:.0f} ± {self.scale.sigma_ppm:.0f} ppm"
+        for length in self.lengths:
+            if length.error_um is not None:
+                rows[length.name] = f"{length.error_um:+.1f} ± {length.sigma_um:.1f} µm"
+        rows |= {f"warning {i}": words for i, words in enumerate(self.warnings(), 1)}
+        return html_table("Comparison", rows)
+
+    def plot(self, axes: Axes | None = None) -> Axes:
+        """Draw how often each distance occurs, among the points that are evaluated.
+
+        Parameters
+        ----------
+        axes : matplotlib.axes.Axes, optional
+            Where to draw; new ones by default.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+            With a histogram over signed distances in µm, positive outside the true shape.
+        """
+        chosen = axes_or_new(axes)
+        distances_um = 1e3 * self.distances_mm[self.counted]
+        reach = max(4.0 * self.surface_rms_um, 1e-3)
+        chosen.hist(np.clip(distances_um, -reach, reach), bins=100)
+        chosen.set(xlabel="distance from the true surface, µm", ylabel="points")
+        return chosen
 
     def warnings(self) -> list[str]:
         """List what contradicts the distances, which a rigid alignment makes blind to scale and shear.

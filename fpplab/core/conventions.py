@@ -28,11 +28,12 @@ Frames of a camera
 
 from __future__ import annotations
 
-from enum import StrEnum
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+
+from fpplab.core.lattice import Lattice as Lattice
 
 TWO_PI = 2.0 * np.pi
 
@@ -48,13 +49,6 @@ PixelIndices = tuple[NDArray[np.intp], NDArray[np.intp]]
 """Rows and columns (P,) of some pixels of an image."""
 Image = NDArray[np.uint8] | NDArray[np.uint16]
 """Raw integers of a camera or grey levels of a projector, indexed [v, u]."""
-
-
-class Lattice(StrEnum):
-    """Arrangement of a projector's mirrors."""
-
-    SQUARE = "square"
-    DIAMOND = "diamond"
 
 
 def mirror_centres(size: tuple[int, int], lattice: Lattice) -> tuple[Floats, Floats]:

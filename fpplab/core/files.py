@@ -277,6 +277,32 @@ def make_directory(path: Path, fill: Callable[[Path], object]) -> None:
         raise DataError(_cannot_write(path, error)) from error
 
 
+def write_by_name(path: Path, write: Callable[[Path], object]) -> None:
+    """Write a file that appears only once it is complete, with a library that opens files itself.
+
+    Parameters
+    ----------
+    path : Path
+        Of the file; missing folders are made.
+    write : Callable[[Path], object]
+        Writes the content to the path that it is given, of the same name in another folder.
+
+    Raises
+    ------
+    DataError
+        There is no space left or the place cannot be written.
+    """
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as hidden:
+            draft = Path(hidden) / path.name
+            write(draft)
+            with draft.open("rb+") as stream:
+                os.fsync(stream.fileno())
+            os.replace(draft, path)
+            flush_folder(path.parent)
+
+
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
     """Turn the system's refusal to write a path into `DataError`.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 
-LOGGERS = ("fpplab", "drivers", "sim")
+LOGGERS = ("fpplab", "drivers", "sim", "fpplab_drivers", "fpplab_sim")
 """Packages whose loggers are listened to; libraries keep what they say to themselves."""
 _traffic = logging.getLogger("fpplab.traffic")
 _state = {"traced": False}

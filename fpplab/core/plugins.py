@@ -14,12 +14,13 @@ from importlib.metadata import entry_points
 from typing import Any
 
 from fpplab.core.errors import ConfigError
+from fpplab.core.extras import missing_extra
 
 COMMANDS = "fpplab.commands"
 """`typer.Typer` programs, added to the command line under the entry's name."""
 
 BACKENDS = "fpplab.backends"
-"""Classes of devices and benches that rig files may name, each by the same `module:Class`."""
+"""Classes of devices and benches that rig files may name, by the entry's name or its `module:Class`."""
 
 EMULATORS = "fpplab.emulators"
 """Context managers that serve a device until they end and give how to use it, a `dict[str, str]`.
@@ -74,4 +75,6 @@ def load_plugin(group: str, name: str) -> Any:
     try:
         return next(iter(found)).load()
     except (ImportError, AttributeError) as error:
+        if missing := missing_extra(error):
+            raise missing from error
         raise ConfigError(f"the {kind} '{name}' cannot be loaded ({error})") from error

@@ -1,5 +1,7 @@
 """Backends of rig files: which modules a rig file may have imported, and the classes in them.
 
+A rig file names a backend as an installed package announces it, such as `basler`, or by `module:Class`.
+
 To import a module is to run it. A rig file may come from a stranger, so it chooses among what was installed
 as a backend: fpplab's own modules, what an installed package announces as such, and what the user allows.
 """
@@ -8,15 +10,18 @@ from __future__ import annotations
 
 import importlib
 import os
-from importlib.metadata import entry_points
+from difflib import get_close_matches
+from importlib.metadata import EntryPoint, entry_points
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from fpplab.core.errors import ConfigError
+from fpplab.core.extras import missing_extra
 from fpplab.core.plugins import BACKENDS
 
-OWN_PACKAGES = ("fpplab", "drivers", "sim")
-"""Packages whose modules are always allowed."""
+IN_WHEELS = {"drivers": "fpplab_drivers", "sim": "fpplab_sim"}
+"""Packages beside fpplab by their names in a checkout, and what they are called in a wheel."""
 ALLOWED = "FPPLAB_ALLOW_BACKEND"
 """The environment variable that names further modules or packages, with commas between them."""
 
@@ -26,7 +31,7 @@ RENAMED_BACKENDS = {
     "fpplab.replay:ReplayCamera": "fpplab.sessions.replay:ReplayCamera",
     "fpplab.replay:ReplayProjector": "fpplab.sessions.replay:ReplayProjector",
 }
-"""Backends by the names that rig files of version 0.1.0 have for them."""
+"""Backends by the names that early rig files have for them."""
 
 
 def allow_backends(names: list[str]) -> None:
@@ -46,7 +51,7 @@ def load_backend(name: str, source: Path | str, device: str) -> type[Any]:
     Parameters
     ----------
     name : str
-        `module:Class`, as the rig file has it.
+        As the rig file has it: the name of an entry point of the group `fpplab.backends`, or `module:Class`.
     source : path or str
         What the rig file is called in messages.
     device : str
@@ -60,14 +65,15 @@ def load_backend(name: str, source: Path | str, device: str) -> type[Any]:
     Raises
     ------
     ConfigError
-        The module is not allowed, cannot be imported, or has no such class.
+        There is no such backend, its module is not allowed, cannot be imported, or has no such class. Where a
+        package of an extra is missing, it says how to install it.
     """
-    name, named = RENAMED_BACKENDS.get(name, name), name
-    module, _, attribute = name.partition(":")
-    where = f"{source}: '{device}.backend' is '{named}'"
+    where = f"{source}: '{device}.backend' is '{name}'"
+    place = _place(name, where)
+    module, _, attribute = place.partition(":")
     if module.rpartition(".")[2] == "__main__":
         raise ConfigError(f"{where}: is a program and not a backend")
-    if not _is_allowed(module, name):
+    if not _is_allowed(module, place):
         raise ConfigError(
             f"{where}: {module} is not part of fpplab, and no installed package announces it as a backend; "
             f"if you trust it, add --allow-backend {module}, or set {ALLOWED}={module}"
@@ -75,6 +81,8 @@ def load_backend(name: str, source: Path | str, device: str) -> type[Any]:
     try:
         backend = getattr(importlib.import_module(module), attribute)
     except (ImportError, SystemExit) as error:
+        if missing := missing_extra(error):
+            raise ConfigError(f"{where}: {missing}") from error
         raise ConfigError(f"{where}: cannot be loaded ({error})") from error
     except AttributeError:
         raise ConfigError(f"{where}: {module} has no {attribute}") from None
@@ -83,8 +91,45 @@ def load_backend(name: str, source: Path | str, device: str) -> type[Any]:
     return backend
 
 
-def _is_allowed(module: str, name: str) -> bool:
-    allowed = (*OWN_PACKAGES, *os.environ.get(ALLOWED, "").split(","))
+def _place(name: str, where: str) -> str:
+    """Where a backend is, as `module:Class`."""
+    if ":" in name:
+        return _as_installed(RENAMED_BACKENDS.get(name, name))
+    announced = _announced()
+    for entry in announced:
+        if entry.name == name:
+            return entry.value
+    names = sorted({entry.name for entry in announced})
+    meant = get_close_matches(name, names, n=1, cutoff=0.6)
+    question = f"did you mean {meant[0]}? " if meant else ""
+    raise ConfigError(
+        f"{where}: there is no such backend; {question}installed are {', '.join(names) or 'none'}; "
+        "any other is named as 'module:Class'"
+    )
+
+
+def _announced() -> list[EntryPoint]:
+    """Backends that installed packages announce, fpplab's own first."""
+    return sorted(
+        entry_points(group=BACKENDS), key=lambda entry: not entry.value.startswith(tuple(_own_packages()))
+    )
+
+
+def _own_packages() -> list[str]:
+    """The packages of fpplab as they are called here."""
+    return ["fpplab", *(new if find_spec(new) else old for old, new in IN_WHEELS.items())]
+
+
+def _as_installed(place: str) -> str:
+    """Rename what rig files of a checkout name, where fpplab was installed from a wheel."""
+    for old, new in IN_WHEELS.items():
+        if place.startswith((f"{old}.", f"{old}:")) and find_spec(new):
+            return new + place.removeprefix(old)
+    return place
+
+
+def _is_allowed(module: str, place: str) -> bool:
+    allowed = (*_own_packages(), *os.environ.get(ALLOWED, "").split(","))
     if any(one and (module == one or module.startswith(f"{one}.")) for one in allowed):
         return True
-    return any(entry.value == name for entry in entry_points(group=BACKENDS))
+    return any(entry.value == place for entry in entry_points(group=BACKENDS))

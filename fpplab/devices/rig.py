@@ -1,9 +1,9 @@
 """A rig file -> open devices, closed safely.
 
     name: Virtual bench
-    bench:     {backend: "sim.devices:VirtualBench", world: world_demo.yaml}
-    camera:    {backend: "sim.devices:SimCamera", bits: 8}
-    projector: {backend: "sim.devices:SimProjector"}
+    bench:     {backend: virtual_bench, world: world_demo.yaml}
+    camera:    {backend: virtual_camera, bits: 8}
+    projector: {backend: virtual_projector}
 
 `backend` names the class that drives the device: `module:Class`. `bench` is what the devices
 share, where they share anything; `stage` and `fixture` are optional. `bits`, `gain_db` and `dead_time_s` are
@@ -48,8 +48,8 @@ class DeviceSection(Document):
 
     model_config = ConfigDict(extra="allow")
 
-    backend: Annotated[str, Field(pattern=r"^\w+(\.\w+)*:\w+$")]
-    """The class that drives the device: `module:Class`."""
+    backend: Annotated[str, Field(pattern=r"^([\w-]+|\w+(\.\w+)*:\w+)$")]
+    """The class that drives the device: by an announced name, such as `basler`, or as `module:Class`."""
 
     @property
     def options(self) -> dict[str, Any]:
@@ -144,6 +144,11 @@ class Rig:
         self.stage: Stage | None = None
         self.fixture: Fixture | None = None
         self._stack = ExitStack()
+
+    def __repr__(self) -> str:
+        kinds = ("camera", "projector", "stage", "fixture")
+        devices = [f"{kind} {one.backend}" for kind in kinds if (one := getattr(self.file, kind)) is not None]
+        return f"<Rig {self._source}: {', '.join(devices)}>"
 
     @classmethod
     def load(cls, path: Path | str) -> Rig:

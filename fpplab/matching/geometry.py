@@ -1,10 +1,10 @@
 """Fit of the twin's geometry, by reprojection of the observed points and by the images themselves.
 
 By images: a pixel's level is the reflectance at the point (x, y) of the board that it sees, times the light
-of the point (u, v) of the projector's image that illuminates it. The derivatives of the level by these four
-are found by finite differences: the twin is rendered with board and projector image slightly shifted. The
-derivatives of the four by every parameter are plain geometry. So five renders of a pose give the Jacobian by
-all parameters: Gauss-Newton on image residuals, as in image alignment.
+of the point (u, v) of the projector's image that illuminates it. The twin gives the derivatives of the level
+by these four with the level itself. (Those of a twin that has none are found by finite differences: it is
+rendered with board and projector image slightly shifted.) The derivatives of the four by every parameter are
+plain geometry (`fpplab.matching.places`): Gauss-Newton on image residuals, as in image alignment.
 
 References
 ----------
@@ -13,14 +13,14 @@ Baker and Matthews, "Lucas-Kanade 20 years on", 2004
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.calibration.model import INTRINSICS, Calibration
+from fpplab.calibration.model import Calibration
 from fpplab.characterisation import Characterisation
 from fpplab.characterisation.bundle import adjust_bundle
 from fpplab.characterisation.parameters import DistortionModel, Model, Solution, vectors_of
@@ -29,6 +29,7 @@ from fpplab.core.conventions import Floats, PixelIndices
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.matching.light import TILES, tile_numbers
 from fpplab.matching.loss import SURROUNDINGS_PX, board_mask, level_weights, subsample_pixels
+from fpplab.matching.places import place_jacobian
 from fpplab.matching.reference import Reference
 from fpplab.simulation.matchable import ExpectedLevels, Twin, TwinParameters
 
@@ -36,8 +37,6 @@ SHIFT_MM, SHIFT_PX = 0.02, 0.05
 """Shifts of board and projector image for finite differences, smaller than any detail of either."""
 MAX_PIXELS = 40_000
 """Pixels of each pose that are compared, evenly subsampled."""
-STEPS = {"fx": 0.1, "fy": 0.1, "cx": 0.1, "cy": 0.1} | dict.fromkeys(INTRINSICS[4:], 1e-5)
-TURN_RAD, MOVE_MM = 1e-6, 1e-3
 NUISANCE_PARAMETERS = 6
 """Parameters of each pose for what light and sharpness still lack: gain (3), offset, response, blur."""
 
@@ -298,7 +297,7 @@ class PoseResidual:
             nuisance parameters.
         """
         points = np.stack(self.pixels[::-1], axis=-1).astype(np.float64)
-        places = _place_jacobian(points, at.calibration, at.poses[self.pose], free)
+        places = place_jacobian(points, at.calibration, at.poses[self.pose], free)
         across, down = ((points - points.mean(axis=0)) / np.ptp(points, axis=0)).T
         for seen, laplacian, level_gradient in zip(
             self.expected, self.laplacian, self.level_gradient, strict=True
@@ -317,15 +316,11 @@ def _residual_of_pose(reference: Reference, twin: Twin, start: TwinParameters, p
     def picked(levels: ExpectedLevels) -> Floats:
         return np.asarray(levels[:, *pixels], np.float64)
 
-    def seen_from(there: TwinParameters) -> Floats:
-        twin.become(there)
-        return twin.expected_at(pose, patterns, reference.settings, pixels).astype(np.float64)
-
     twin.become(start)
     whole = twin.expected(pose, patterns, reference.settings)
     here = picked(whole)
     laplacian = picked(np.stack([cv2.Laplacian(one, cv2.CV_32F) for one in whole]))
-    gradient = [(sign * (seen_from(there) - here) / by) for there, by, sign in _shifted(start, pose)]
+    gradient = level_gradient(reference, twin, pose, images, pixels)
     # Where there is no light there is no noise either, and rounding errors are all the same.
     dark = start.black_level * reference.full_scale + 1.0
     valid = (seen < reference.full_scale) & (here < reference.full_scale) & (here > dark)
@@ -337,8 +332,47 @@ def _residual_of_pose(reference: Reference, twin: Twin, start: TwinParameters, p
         here,
         np.where(valid, seen - here, 0.0),
         laplacian * valid,
-        np.stack(gradient, axis=-1) * valid[..., None],
+        gradient * valid[..., None],
     )
+
+
+def level_gradient(
+    reference: Reference, twin: Twin, pose: int, images: Sequence[int], pixels: PixelIndices
+) -> Floats:
+    """Differentiate levels by the places on board and projector that pixels see.
+
+    Parameters
+    ----------
+    reference : Reference
+        Patterns and settings of its images.
+    twin : Twin
+        With the parameters at which the derivatives are taken; it is left with them.
+    pose : int
+        Index of the pose.
+    images : sequence of int
+        Indices of the n images in the plan.
+    pixels : PixelIndices
+        Rows and columns of the P pixels.
+
+    Returns
+    -------
+    Floats
+        (n, P, 4) by x, y on the board in mm and u, v of the projector in px; those of the twin, or finite
+        differences where it has none.
+    """
+    start, patterns = twin.parameters, reference.shown(images)
+    own = twin.expected_with_slopes(pose, patterns, reference.settings, pixels)
+    if own is not None:
+        return own[1].astype(np.float64)
+
+    def seen_from(there: TwinParameters) -> Floats:
+        twin.become(there)
+        return twin.expected_at(pose, patterns, reference.settings, pixels).astype(np.float64)
+
+    here = seen_from(start)
+    gradient = [sign * (seen_from(there) - here) / by for there, by, sign in _shifted(start, pose)]
+    twin.become(start)
+    return np.stack(gradient, axis=-1)
 
 
 def _shifted(start: TwinParameters, pose: int) -> list[tuple[TwinParameters, float, float]]:
@@ -358,55 +392,3 @@ def _shifted(start: TwinParameters, pose: int) -> list[tuple[TwinParameters, flo
         moved = replace(known, projector=replace(known.projector, matrix=matrix))
         found.append((replace(start, calibration=moved), SHIFT_PX, 1.0))
     return found
-
-
-def _place_jacobian(pixels: Floats, known: Calibration, pose: RigidTransform, free: int) -> Floats:
-    """Differentiate the points (x, y, u, v) that pixels see by every parameter, (P, 4, C)."""
-    camera, projector, pair = known.camera, known.projector, known.T_projector_camera
-    normalised = camera.normalise(pixels)
-    here = _place_seen(normalised, projector, pair, pose)
-
-    def change(there: Floats, step: float) -> Floats:
-        return (there - here) / step
-
-    columns = []
-    for term in INTRINSICS[:free]:
-        seen = _with_changed_term(camera, term).normalise(pixels)
-        columns.append(change(_place_seen(seen, projector, pair, pose), STEPS[term]))
-    for term in INTRINSICS[:free]:
-        columns.append(
-            change(_place_seen(normalised, _with_changed_term(projector, term), pair, pose), STEPS[term])
-        )
-    for move, step in _small_moves():
-        columns.append(
-            change(
-                _place_seen(normalised, projector, transform(_perturbed(vectors_of(pair), move)), pose), step
-            )
-        )
-    for move, step in _small_moves():
-        columns.append(
-            change(
-                _place_seen(normalised, projector, pair, transform(_perturbed(vectors_of(pose), move))), step
-            )
-        )
-    return np.stack(columns, axis=-1)
-
-
-def _small_moves() -> list[tuple[Floats, float]]:
-    steps = [TURN_RAD] * 3 + [MOVE_MM] * 3
-    return [(step * row, step) for step, row in zip(steps, np.eye(6), strict=True)]
-
-
-def _with_changed_term(device: Pinhole, term: str) -> Pinhole:
-    intrinsics = _intrinsics(device)
-    intrinsics[INTRINSICS.index(term)] += STEPS[term]
-    return replace(device, matrix=matrix_of(intrinsics), distortion=intrinsics[4:])
-
-
-def _place_seen(normalised: Floats, projector: Pinhole, pair: RigidTransform, pose: RigidTransform) -> Floats:
-    """Intersect rays of the camera (P, 2) with the board and project these points: (x, y, u, v), (P, 4)."""
-    rays = np.concatenate([normalised, np.ones((len(normalised), 1))], axis=-1)
-    normal = pose.rotation[:, 2]
-    points = rays * ((normal @ pose.translation) / (rays @ normal))[:, None]
-    on_board = pose.inverse().apply(points)
-    return np.concatenate([on_board[:, :2], projector.project(points, pair)], axis=-1)

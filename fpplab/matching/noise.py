@@ -22,14 +22,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.core.conventions import Floats, Image, PixelIndices
+from fpplab.matching.geometry import level_gradient
 from fpplab.matching.loss import board_mask, subsample_pixels
+from fpplab.matching.places import place_jacobian
 from fpplab.matching.reference import LevelStack, Reference
 from fpplab.patterns.recording import Recording
 from fpplab.phase.error_model import error_model_of
 from fpplab.phase.noise import QUANTISATION, NoiseModel
 from fpplab.simulation.matchable import Twin, TwinParameters
 
-SHIFT_MM = 0.02
 MAX_PIXELS = 30_000
 SIGNIFICANT = 3.0
 """Standard errors by which the noise of bench and twin must differ for the twin's to be changed."""
@@ -230,17 +231,12 @@ class _View:
             board_mask(now.calibration.camera, now.poses[pose], reference.target), MAX_PIXELS
         )
 
-        def expected(parameters: TwinParameters) -> Floats:
-            twin.become(parameters)
-            levels = twin.expected_at(pose, reference.shown(images), reference.settings, pixels)
-            return levels.astype(np.float64)
-
-        here, held = expected(now), now.poses[pose]
-        slopes = []
-        for axis in np.eye(3):
-            shifted = now.with_pose(pose, held.moved(SHIFT_MM * axis))
-            slopes.append((expected(shifted) - here) / SHIFT_MM)
-        return cls(pixels, here, np.stack(slopes, axis=-1))
+        twin.become(now)
+        here = twin.expected_at(pose, reference.shown(images), reference.settings, pixels)
+        points = np.stack(pixels[::-1], axis=-1).astype(np.float64)
+        moves = place_jacobian(points, now.calibration, now.poses[pose], 0)[..., -3:]
+        slopes = np.einsum("npk,pka->npa", level_gradient(reference, twin, pose, images, pixels), moves)
+        return cls(pixels, here.astype(np.float64), slopes)
 
     def displacements(self, frames: LevelStack) -> tuple[Floats, Floats]:
         """Estimate the displacement of every frame in mm (n, 3), and its variance (n, 3)."""

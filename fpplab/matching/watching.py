@@ -65,6 +65,12 @@ class _WatchedTwin:
         self._watch()
         return self._twin.expected_at(pose, patterns, settings, pixels)
 
+    def expected_with_slopes(
+        self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings, pixels: PixelIndices
+    ) -> tuple[ExpectedLevels, ExpectedLevels] | None:
+        self._watch()
+        return self._twin.expected_with_slopes(pose, patterns, settings, pixels)
+
     def frames(self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings) -> list[Image]:
         self._watch()
         return self._twin.frames(pose, patterns, settings)

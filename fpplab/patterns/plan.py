@@ -162,6 +162,10 @@ class Plan(Document):
             self.response.check_correctable()
         return self
 
+    def __repr__(self) -> str:
+        sets = ", ".join(f"{one.axis} {one.stripes:g} x {one.images}" for one in self.fringes)
+        return f"<Plan: {sets}; {self.images} images, {self.unwrapping}>"
+
     @classmethod
     def load(cls, path: Path | str) -> Plan:
         """Read a plan file, by path or by the name of one that comes with fpplab.

@@ -51,6 +51,11 @@ class Recording:
     name: str = "frames"
     response: Curve | None = None
 
+    def __repr__(self) -> str:
+        height, width = self.frames[0].shape if self.frames else (0, 0)
+        frames = f"{len(self.frames)} frames of {width} x {height} px, {self.bits} bits"
+        return f"<Recording {self.name}: {frames}; {self.plan!r}>"
+
     @property
     def grey(self) -> float:
         """8-bit grey levels to one unit of the raw frames."""

@@ -6,16 +6,21 @@ import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.core.archives import load_arrays
 from fpplab.core.conventions import Axis, Map, Mask
-from fpplab.core.errors import DataError
+from fpplab.core.errors import ConfigError, DataError
+from fpplab.core.extras import need_extra
 from fpplab.core.files import write_large
+from fpplab.core.notebook import grey_picture, html_table, plot_map
 from fpplab.phase.outside import OutsideShare
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 _PART_BYTES = 1 << 20
 
@@ -69,6 +74,76 @@ class Decoded:
     uncertain_order: NDArray[np.uint8] | None = None
     outside: OutsideShare | None = None
     sigma_phase_error: Map | None = None
+
+    def __repr__(self) -> str:
+        height, width = self.sigma.shape
+        share = 100.0 * self.valid.mean()
+        return f"<Decoded: {width} x {height} px, {int(self.valid.sum())} measured ({share:.1f} %)>"
+
+    def _repr_html_(self) -> str:
+        some = self.sigma[self.valid]
+        axis: Axis = "x" if np.isfinite(self.u).any() else "y"
+        rows: dict[str, object] = {
+            "camera": f"{self.sigma.shape[1]} x {self.sigma.shape[0]} px",
+            "measured": f"{some.size:,} pixels ({100.0 * self.valid.mean():.1f} %)",
+            "sigma": f"median {float(np.median(some)):.4f} px" if some.size else None,
+            "modulation": f"median {float(np.median(self.modulation[self.valid])):.1f}"
+            if some.size
+            else None,
+        }
+        return html_table("Decoded", rows, grey_picture(np.where(self.valid, self.coordinate(axis), np.nan)))
+
+    def plot(self, values: str = "u", axes: Axes | None = None) -> Axes:
+        """Draw one of the maps.
+
+        Parameters
+        ----------
+        values : str
+            Which: "u", "v", "modulation", "sigma", "sigma_total" or another map that is known.
+        axes : matplotlib.axes.Axes, optional
+            Where to draw; new ones by default.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+            With the map.
+
+        Raises
+        ------
+        ConfigError
+            There is no such map, or it is not known.
+        """
+        maps = {**self._maps(), "sigma_total": self.sigma_total}
+        if values not in maps:
+            raise ConfigError(f"values: '{values}' must be one of {', '.join(maps)}")
+        unit = {"modulation": "grey levels", "disagreement": "in units of noise"}.get(values, "px")
+        return plot_map(maps[values], f"{values}, {unit}", axes)
+
+    def to_xarray(self) -> Any:
+        """Convert to a data set of xarray.
+
+        Returns
+        -------
+        xarray.Dataset
+            The maps that are known, over the camera's pixels `v`, `u`; the projector's coordinates are
+            called `projector_u` and `projector_v`.
+
+        Raises
+        ------
+        MissingExtraError
+            xarray is not installed.
+        """
+        need_extra("xarray")
+        import xarray
+
+        named = {"u": "projector_u", "v": "projector_v"}
+        maps = {named.get(name, name): (("v", "u"), values) for name, values in self._maps().items()}
+        return xarray.Dataset(maps)
+
+    def _maps(self) -> dict[str, Map]:
+        """The maps of values that are known, by name."""
+        names = ("u", "v", "modulation", "sigma", "disagreement", "sigma_phase_error")
+        return {name: values for name in names if (values := getattr(self, name)) is not None}
 
     @property
     def sigma_total(self) -> Map:

@@ -21,6 +21,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -29,6 +30,7 @@ from fpplab.core.conventions import Image, Lattice
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.files import make_directory, refuse_existing
 from fpplab.core.journals import append_line
+from fpplab.core.notebook import axes_or_new, grey_picture, html_table
 from fpplab.core.progress import Progress, no_progress
 from fpplab.core.session_names import FRAMES, JOURNAL, PLAN, RIG
 from fpplab.devices import Frame
@@ -56,6 +58,9 @@ from fpplab.sessions.journal import (
     read_journal,
 )
 from fpplab.sessions.rig_record import RigRecord, check_same_rig, recorded_projector, recorded_response
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 __all__ = [
     "FRAMES",
@@ -91,13 +96,53 @@ class Session:
     def __repr__(self) -> str:
         return f"<Session {self.path}: {len(self._records)} of {self.plan.images} frames>"
 
+    def _repr_html_(self) -> str:
+        missing = len(self.missing())
+        rows: dict[str, object] = {
+            "folder": self.path,
+            "frames": f"{len(self._records)} of {self.plan.images}",
+            "plan": repr(self.plan),
+            "rig": "images from elsewhere" if self.is_imported else (self.rig() or {}).get("name"),
+            "state": "complete" if not missing else f"{missing} frames are missing",
+        }
+        if not self._records:
+            return html_table("Session", rows)
+        width, height, bits = self.format
+        rows["camera"] = f"{width} x {height} px, {bits} bits"
+        return html_table("Session", rows, grey_picture(self.read(self.records[0].index, verify=False)))
+
+    def plot(self, index: int = 0, axes: Axes | None = None) -> Axes:
+        """Draw one frame.
+
+        Parameters
+        ----------
+        index : int
+            Of the image in the plan.
+        axes : matplotlib.axes.Axes, optional
+            Where to draw; new ones by default.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+            With the frame in grey.
+
+        Raises
+        ------
+        DataError
+            The frame is not recorded, or damaged.
+        """
+        frame, chosen = self.read(index), axes_or_new(axes)
+        chosen.imshow(frame, cmap="gray", vmin=0, vmax=2.0**self.bits - 1, interpolation="nearest")
+        chosen.set(title=f"frame {index}", xlabel="camera column, px", ylabel="camera row, px")
+        return chosen
+
     @classmethod
-    def create(cls, path: Path, plan: Plan, rig: RigRecord = None, force: bool = False) -> Session:
+    def create(cls, path: Path | str, plan: Plan, rig: RigRecord = None, force: bool = False) -> Session:
         """Make a new, empty session.
 
         Parameters
         ----------
-        path : Path
+        path : Path or str
             Its directory.
         plan : Plan
             What will be projected.
@@ -118,6 +163,7 @@ class Session:
         DataError
             What is there is no session, or the disk is full.
         """
+        path = Path(path)
         refuse_existing(path, force)
         if path.exists():
             remove_session(path)
@@ -127,13 +173,13 @@ class Session:
 
     @classmethod
     def create_whole(
-        cls, path: Path, plan: Plan, rig: RigRecord, force: bool, fill: Callable[[Session], object]
+        cls, path: Path | str, plan: Plan, rig: RigRecord, force: bool, fill: Callable[[Session], object]
     ) -> Session:
         """Make a session that appears only once it has all its frames.
 
         Parameters
         ----------
-        path : Path
+        path : Path or str
             Its directory.
         plan : Plan
             What was projected.
@@ -154,6 +200,7 @@ class Session:
         ConfigError, DataError
             As `create`; what `fill` raises. Nothing is left behind then, and what was there stays.
         """
+        path = Path(path)
         refuse_existing(path, force)
         if path.exists():
             require_session(path)
@@ -202,7 +249,7 @@ class Session:
     @classmethod
     def resume(
         cls,
-        path: Path,
+        path: Path | str,
         plan: Plan,
         rig: RigRecord = None,
         force: bool = False,
@@ -212,7 +259,7 @@ class Session:
 
         Parameters
         ----------
-        path : Path
+        path : Path or str
             Its directory.
         plan : Plan
             What is to be projected.
@@ -235,6 +282,7 @@ class Session:
         DataError
             It is of another plan, rig or mounted item.
         """
+        path = Path(path)
         if force or not (path / JOURNAL).is_file():
             return cls.create(path, plan, rig, force)
         session = cls.open(path)

@@ -218,6 +218,32 @@ class Twin(Protocol):
             (n, P).
         """
 
+    def expected_with_slopes(
+        self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings, pixels: PixelIndices
+    ) -> tuple[ExpectedLevels, ExpectedLevels] | None:
+        """Give what `expected_at` gives, with its derivatives by the places that the pixels see.
+
+        Called by the fit of the geometry. A simulation that has no derivatives returns None; they are then
+        found by finite differences, with four more calls of `expected_at`.
+
+        Parameters
+        ----------
+        pose : int
+            Index of the pose.
+        patterns : sequence of Pattern
+            That the projector shows, n.
+        settings : CameraSettings
+            Of the camera.
+        pixels : PixelIndices
+            Rows and columns of P pixels.
+
+        Returns
+        -------
+        tuple of ExpectedLevels, or None
+            (n, P), and the derivatives (n, P, 4) by x, y on the board in mm and u, v on the projector in px.
+            A level is the reflectance at (x, y) times the light of the projector's image at (u, v).
+        """
+
     def frames(self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings) -> list[Image]:
         """Take frames of the board with the sensor's noise and the item's vibration.
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from fpplab.core.errors import DeviceError
+from fpplab.core.extras import MissingExtraError
 from fpplab.viewer import host
 
 ServerKind = Literal["window", "browser"]
@@ -47,7 +48,9 @@ class ViewerServer:
     Raises
     ------
     DeviceError
-        The program is not installed, or does not start.
+        The program does not start.
+    MissingExtraError
+        It is not installed.
     """
 
     def __init__(self, kind: ServerKind, files: Sequence[Path] = ()) -> None:
@@ -146,5 +149,5 @@ def _program() -> str:
     """Find the program itself, not the script around it, which would not end the program with it."""
     found = importlib.util.find_spec("rerun_cli")
     if found is None or found.origin is None:
-        raise DeviceError("viewer", "open", "rerun-sdk is not installed", "install fpplab again")
+        raise MissingExtraError("rerun_cli")
     return str(Path(found.origin).parent / ("rerun.exe" if sys.platform == "win32" else "rerun"))

@@ -22,6 +22,7 @@ from typing import IO, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from fpplab.core.extras import need_extra
 from fpplab.core.system import cache_directory
 from sim.light.table import LightTable
 from sim.scene import RenderScene, SubpixelView
@@ -87,6 +88,7 @@ def renderer() -> str:
         [*(sim / "blender").glob("*.py"), *(sim / "blender").glob("*.osl"), sim / "light/table.py"]
     ):
         hashed.update(path.read_bytes())
+    need_extra("bpy")
     return f"Blender {version('bpy')} with shaders {hashed.hexdigest()[:12]}"
 
 

@@ -16,21 +16,23 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
-from fpplab.core.conventions import Floats, PixelIndices, full_scale
+from fpplab.core.conventions import Floats, PixelIndices
 from fpplab.patterns.fringes import Pattern
 from sim.build import Setup, build_scene
-from sim.light.basis import Basis, PatternLevels, smallest_basis
+from sim.light.basis import Basis, PatternLevels
 from sim.light.byte_limited_cache import ByteLimitedCache
 from sim.light.cache import TableCache, digest
-from sim.light.falloff import projector_falloff
+from sim.light.differentiated import DifferentiatedLight
 from sim.light.lens import lens_points
-from sim.light.plane import can_compute, computed
+from sim.light.mirrors import KEEP_BYTES, Mirrors, MirrorStates
+from sim.light.plane import can_compute, computed, computed_motion
+from sim.light.slopes import MotionTable
 from sim.light.solid import can_trace, traced
 from sim.light.table import LightTable
 from sim.light.vignetting import vignetting
@@ -40,8 +42,6 @@ from sim.worker import Blender
 from sim.world import World
 from sim.world.render import shifts
 
-KEEP_BYTES = 1 << 29
-"""Size of the caches in memory; those of tables and bases are twice as large."""
 BATCH_PATTERNS, BATCH_BYTES = 40, 1 << 28
 """Patterns that are looked up at once, and the greatest size of their pictures."""
 START_S, PATHS_PER_S = 60.0, 5e4
@@ -69,25 +69,6 @@ class Show:
     def pattern(self) -> Pattern:
         """The pattern on show."""
         return self.patterns[self.index]
-
-
-@dataclass(frozen=True, eq=False)
-class MirrorStates:
-    """Light of the mirrors, relative to the brightest, in each of several states.
-
-    Attributes
-    ----------
-    count : int
-        Number of states.
-    of : callable
-        Gives the light of one state, (rows, columns) float32.
-    rounding : float
-        RMS of the quantisation error of the light.
-    """
-
-    count: int
-    of: Callable[[int], PatternLevels]
-    rounding: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,17 +112,15 @@ class Light:
     ) -> None:
         self._world, self._blender, self._analytic = world, blender, analytic
         self._cache = cache if cache or not world.render.cache else TableCache()
+        self._projector = Mirrors(world.projector)
         self._tables: ByteLimitedCache[LightTable] = ByteLimitedCache(2 * KEEP_BYTES)
+        self._motions: ByteLimitedCache[MotionTable] = ByteLimitedCache(2 * KEEP_BYTES)
         self._displaced: tuple[str, LightTable] | None = None
         self._pictures: ByteLimitedCache[PatternLevels] = ByteLimitedCache(KEEP_BYTES)
         self._bases: ByteLimitedCache[Rendered] = ByteLimitedCache(2 * KEEP_BYTES)
         self._albedos: ByteLimitedCache[PatternLevels] = ByteLimitedCache(KEEP_BYTES)
-        self._loaded: tuple[tuple[Pattern, ...], MirrorStates] | None = None
-        self._planes: tuple[Pattern, MirrorStates] | None = None
-        self._basis: tuple[MirrorStates, Basis] | None = None
         self._scene: tuple[Setup, RenderScene, MirrorTexture] | None = None
         self._falloff = vignetting(world)
-        self._of_mirrors = projector_falloff(world.projector)
         if world.render.path == "auto" and world.indirect:
             _log.warning(
                 "the twin takes the light path '%s', because there is %s", world.path, world.indirect
@@ -207,13 +186,39 @@ class Light:
         """
         if self._world.path != "transport":
             return np.stack([self.irradiance(setup, Show(patterns, n))[pixels] for n in range(len(patterns))])
-        table = self._table_at(setup, pixels)
-        parts = (patterns[n : n + BATCH_PATTERNS] for n in range(0, len(patterns), BATCH_PATTERNS))
+        (_, scene, texture), table = self._built(setup), self._table_at(setup, pixels)
+        circles, part = scene.lamp.circles, table.part(texture.shape)
         seen: PatternLevels = np.concatenate(
-            [self._seen(setup, table, [self._level(one) for one in part])[:, 0] for part in parts]
+            [
+                table.look_up(
+                    self._projector.textures(patterns[n : n + BATCH_PATTERNS], texture, circles, part)
+                )[:, 0]
+                for n in range(0, len(patterns), BATCH_PATTERNS)
+            ]
         )
         seen += np.float32(self._world.ambient) * table.albedo[0]
         return seen if self._falloff is None else seen * self._falloff[pixels]
+
+    def differentiated(self, setup: Setup) -> DifferentiatedLight | None:
+        """Give the light of an item with its derivatives.
+
+        Parameters
+        ----------
+        setup : Setup
+            State of the moving parts.
+
+        Returns
+        -------
+        DifferentiatedLight or None
+            None unless the item's light is computed, direct, and of mirrors without sharp edges.
+        """
+        _, scene, texture = self._built(setup)
+        if self._world.path != "transport" or not self.computes(setup) or texture.exact:
+            return None
+        views, ambient = self._views(setup), self._world.ambient
+        return DifferentiatedLight(
+            scene, views, self._projector, texture, ambient, self._falloff, self._motions
+        )
 
     def _table_at(self, setup: Setup, pixels: PixelIndices) -> LightTable:
         (_, scene, _), views = self._built(setup), self._views(setup)
@@ -259,6 +264,8 @@ class Light:
             if self._displaced is None or self._displaced[0] != key:
                 self._displaced = (key, self._load_or_make(setup, key))
             return self._displaced[1]
+        if key in self._motions:  # the same table, with derivatives
+            return self._motions.get(key, lambda: computed_motion(scene, self._views(setup), True)).table
         return self._tables.get(key, lambda: self._load_or_make(setup, key))
 
     def inherit(self, other: Light) -> None:
@@ -272,18 +279,21 @@ class Light:
             Not to be used any more.
         """
         self._tables.take(other._tables)
+        self._motions.take(other._motions)
+        self._projector.inherit(other._projector)
         other.forget()
 
     def forget(self) -> None:
         """Drop every picture and table in memory."""
-        for kept in (self._tables, self._pictures, self._bases, self._albedos):
+        for kept in (self._tables, self._motions, self._pictures, self._bases, self._albedos):
             kept.clear()
+        self._projector.forget()
         self._displaced = None
 
     def _projected(self, setup: Setup, show: Show, row_weights: Floats | None) -> PatternLevels:
         if row_weights is None:
-            return self._picture(setup, self._levels(show.patterns), show.index)
-        planes = self._levels_of_planes(show.pattern)
+            return self._picture(setup, self._projector.states(show.patterns), show.index)
+        planes = self._projector.planes(show.pattern)
         picture = self._picture(setup, planes, 0).copy()
         for plane, weights in enumerate(row_weights, start=1):
             picture += weights.astype(np.float32)[:, None] * self._picture(setup, planes, plane)
@@ -299,7 +309,7 @@ class Light:
                 (setup, levels, index),
                 lambda: self._rendered(setup, levels.of(index)[None])[..., 0].mean(axis=0),
             )
-        basis = self._basis_of(levels)
+        basis = self._projector.basis(levels)
         rendered = self._basis_under(setup, basis)
         weights = basis.weights[index].astype(np.float32)
         whole: PatternLevels = np.tensordot(weights, rendered.pictures, axes=1)
@@ -362,51 +372,6 @@ class Light:
         albedo: PatternLevels = self._albedos.get(setup, lambda: self.table(setup).albedo)
         return albedo
 
-    def _levels(self, patterns: tuple[Pattern, ...]) -> MirrorStates:
-        if self._loaded is None or self._loaded[0] is not patterns:
-            response = self._world.projector.response
-            depth = min(p.bit_depth for p in patterns)
-            steepest = 255.0 * float(np.diff(response.curve().shape(np.arange(256) / 255)).max())
-            rounding = response.a * max(steepest, 1.0) / (np.sqrt(12) * full_scale(depth))
-            self._loaded = (
-                patterns,
-                MirrorStates(len(patterns), lambda n: self._level(patterns[n]), rounding),
-            )
-        return self._loaded[1]
-
-    def _level(self, pattern: Pattern) -> PatternLevels:
-        return self._fallen_off(self._even_level(pattern))
-
-    def _even_level(self, pattern: Pattern) -> PatternLevels:
-        table = self._world.projector.response.curve().apply(np.linspace(0, 1, 256))
-        return table.astype(np.float32)[pattern.image]
-
-    def _fallen_off(self, light: PatternLevels) -> PatternLevels:
-        return light if self._of_mirrors is None else light * self._of_mirrors
-
-    def _levels_of_planes(self, pattern: Pattern) -> MirrorStates:
-        """Light that closed mirrors leak (state 0), and of the binary planes, the least significant first."""
-        if self._planes is None or self._planes[0] is not pattern:
-            response, bits = self._world.projector.response, pattern.bit_depth
-            greys = full_scale(bits)
-            codes = np.rint((self._even_level(pattern) - response.b) / response.a * greys).astype(np.int64)
-
-            def of(n: int) -> PatternLevels:
-                if n == 0:
-                    return self._fallen_off(np.full(codes.shape, response.b, np.float32))
-                bit = n - 1
-                share = np.asarray((codes >> bit & 1) * (response.a * 2**bit / greys), np.float32)
-                return self._fallen_off(share)
-
-            self._planes = (pattern, MirrorStates(bits + 1, of, 0.0))
-        return self._planes[1]
-
-    def _basis_of(self, levels: MirrorStates) -> Basis:
-        if self._basis is None or self._basis[0] is not levels:
-            basis = smallest_basis(np.stack([levels.of(n) for n in range(levels.count)]), levels.rounding)
-            self._basis = (levels, basis)
-        return self._basis[1]
-
     def _load_or_make(self, setup: Setup, key: str) -> LightTable:
         _, scene, _ = self._built(setup)
         if self.computes(setup):
@@ -444,7 +409,7 @@ class Light:
         render, world = self._world.render, self._world
         return PatternRender(
             self._built(setup)[1],
-            self._fine(setup, self._level(pattern)[None])[..., 0],
+            self._fine(setup, self._projector.level(pattern)[None])[..., 0],
             tuple(self._views(setup)),
             self._effort(render.bounces, render.samples, survey=False),
             world.ambient,

@@ -56,6 +56,40 @@ def _add_row(
     window[start + np.uint64(4)] += weight * taps[4]
 
 
+@numba.njit(inline="always", fastmath=_FAST, error_model="numpy")
+def _tap_slopes(
+    weights: NDArray[np.float32], level: int, offset: np.float32
+) -> tuple[np.float32, np.float32, np.float32, np.float32, np.float32]:
+    """Differentiate `_taps` by the offset."""
+    step = (offset + np.float32(0.5)) * np.float32(STEPS)
+    n = np.int64(step) if step < STEPS else np.int64(STEPS - 1)
+    a = np.uint64((level * (STEPS + 1) + n) * TAPS)
+    b = a + np.uint64(TAPS)
+    times = np.float32(STEPS)
+    return (
+        times * (weights[b] - weights[a]),
+        times * (weights[b + np.uint64(1)] - weights[a + np.uint64(1)]),
+        times * (weights[b + np.uint64(2)] - weights[a + np.uint64(2)]),
+        times * (weights[b + np.uint64(3)] - weights[a + np.uint64(3)]),
+        times * (weights[b + np.uint64(4)] - weights[a + np.uint64(4)]),
+    )
+
+
+@numba.njit(inline="always", fastmath=_FAST, error_model="numpy")
+def _add_square(
+    window: NDArray[np.float32],
+    start: np.uint64,
+    weight: np.float32,
+    across: tuple[np.float32, np.float32, np.float32, np.float32, np.float32],
+    down: tuple[np.float32, np.float32, np.float32, np.float32, np.float32],
+) -> None:
+    _add_row(window, start, weight * down[0], across)
+    _add_row(window, start + np.uint64(WINDOW), weight * down[1], across)
+    _add_row(window, start + np.uint64(2 * WINDOW), weight * down[2], across)
+    _add_row(window, start + np.uint64(3 * WINDOW), weight * down[3], across)
+    _add_row(window, start + np.uint64(4 * WINDOW), weight * down[4], across)
+
+
 @numba.njit(fastmath=_FAST, error_model="numpy")
 def _empty(
     windows: NDArray[np.float32],
@@ -165,16 +199,88 @@ def interpolated_light(
                     weight = samples[k, p, 3] * (farther if side else np.float32(1.0) - farther)
                     across = _taps(table, level + side, x - np.float32(i))
                     down = _taps(table, level + side, y - np.float32(j))
-                    window = windows[side]
-                    _add_row(window, start, weight * down[0], across)
-                    _add_row(window, start + np.uint64(WINDOW), weight * down[1], across)
-                    _add_row(window, start + np.uint64(2 * WINDOW), weight * down[2], across)
-                    _add_row(window, start + np.uint64(3 * WINDOW), weight * down[3], across)
-                    _add_row(window, start + np.uint64(4 * WINDOW), weight * down[4], across)
+                    _add_square(windows[side], start, weight, across, down)
             if level >= 0:
                 _empty(windows, sides, low, high, texels, first, rows * stride, stride, total)
             for n in range(patterns):
                 out[n, p] = total[n] * share
+
+
+@numba.njit(parallel=True, cache=True, fastmath=_FAST, error_model="numpy")
+def light_with_slopes(
+    textures: NDArray[np.float32],
+    weights: NDArray[np.float32],
+    samples: NDArray[np.float32],
+    slopes: NDArray[np.float32],
+    left: np.float32,
+    top: np.float32,
+    out: NDArray[np.float32],
+) -> None:
+    """Look up samples as `interpolated_light` does, with the derivatives of the light.
+
+    Parameters
+    ----------
+    textures : ndarray of float32
+        (circles, rows, columns, patterns).
+    weights : ndarray of float32
+        (circles, STEPS + 1, TAPS) of the interpolation.
+    samples : ndarray of float32
+        (views, pixels, 4): texture column and row, fractional index of the circle, and shade.
+    slopes : ndarray of float32
+        (views, pixels, 2): derivatives of the shade by two other variables.
+    left, top : float
+        Column and row of the whole texture at which `textures` begins.
+    out : ndarray of float32
+        (patterns, pixels, 5), filled in: the mean over views, and its derivatives by those two variables and
+        by column and row.
+    """
+    _, rows, columns, patterns = textures.shape
+    views, pixels, _ = samples.shape
+    texels, table = textures.reshape(-1), weights.reshape(-1)
+    share, stride, reach = np.float32(1.0 / views), columns * patterns, WINDOW // 2
+    for block in numba.prange((pixels + _PIXELS - 1) // _PIXELS):
+        windows = np.zeros((5, 2, WINDOW * WINDOW), np.float32)
+        total = np.zeros((5, patterns), np.float32)
+        for p in range(block * _PIXELS, min((block + 1) * _PIXELS, pixels)):
+            total[:] = 0
+            level, column, row, first, low, high, sides = -1, 0, 0, 0, WINDOW, 0, 1
+            for k in range(views):
+                x, y, circle = samples[k, p, 0] - left, samples[k, p, 1] - top, samples[k, p, 2]
+                i, j = int(np.floor(x + np.float32(0.5))), int(np.floor(y + np.float32(0.5)))
+                inside = reach <= i < columns - reach and reach <= j < rows - reach
+                if not (samples[k, p, 3] > 0 and inside):
+                    continue
+                if int(circle) != level or abs(i - column) > 1 or abs(j - row) > 1:
+                    if level >= 0:
+                        for c in range(5):
+                            _empty(
+                                windows[c], sides, low, high, texels, first, rows * stride, stride, total[c]
+                            )
+                    level, column, row, low, high, sides = int(circle), i, j, WINDOW, 0, 1
+                    first = ((level * rows + row - reach) * columns + column - reach) * patterns
+                upper = j - row + 1
+                low, high = min(low, upper), max(high, upper + TAPS)
+                start = np.uint64(upper * WINDOW + i - column + 1)
+                farther = circle - np.float32(level)
+                sides = max(sides, 2 if farther > 0 else 1)
+                for side in range(2 if farther > 0 else 1):
+                    part = farther if side else np.float32(1.0) - farther
+                    weight = samples[k, p, 3] * part
+                    across = _taps(table, level + side, x - np.float32(i))
+                    down = _taps(table, level + side, y - np.float32(j))
+                    steep = _tap_slopes(table, level + side, x - np.float32(i))
+                    _add_square(windows[0, side], start, weight, across, down)
+                    _add_square(windows[1, side], start, slopes[k, p, 0] * part, across, down)
+                    _add_square(windows[2, side], start, slopes[k, p, 1] * part, across, down)
+                    _add_square(windows[3, side], start, weight, steep, down)
+                    steep = _tap_slopes(table, level + side, y - np.float32(j))
+                    _add_square(windows[4, side], start, weight, across, steep)
+            if level >= 0:
+                for c in range(5):
+                    _empty(windows[c], sides, low, high, texels, first, rows * stride, stride, total[c])
+            for n in range(patterns):
+                for c in range(5):
+                    out[n, p, c] = total[c, n] * share
 
 
 @numba.njit(parallel=True, cache=True)

@@ -18,23 +18,22 @@ pixels.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-import cv2
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.core.conventions import Floats, PixelIndices
 from fpplab.core.geometry import Pinhole, RigidTransform
+from sim.light.prints import PrintCache, Prints, sharp_print
 from sim.light.rays import distorted, lens_turn, on_lens, slopes_at
+from sim.light.slopes import MotionTable
 from sim.light.table import Irradiance, LightTable, circle_level
-from sim.scene import Paint, RenderScene, SubpixelView, Surface
+from sim.scene import Paint, RenderScene, SubpixelView
 
-SPOT_SIZES = 4
-"""Sizes of spots for which the print is blurred beforehand; others are interpolated."""
-RIM_SIGMAS = 4.0
-"""Margin of the blurred print beyond the item's edges, in standard deviations of the blur."""
+STRAIGHT = 0.1
+"""Least determinant of the distortion's derivatives for which it is straight over one pixel."""
+
+_cache = PrintCache()
 
 
 def can_compute(scene: RenderScene) -> bool:
@@ -78,6 +77,37 @@ def computed(
     LightTable
         As from Blender.
     """
+    return _tables(scene, views, spots, pixels, moving=False).table
+
+
+def computed_motion(
+    scene: RenderScene, views: list[SubpixelView], spots: bool = False, pixels: PixelIndices | None = None
+) -> MotionTable:
+    """Compute the same table, and how it changes as the item moves.
+
+    Parameters
+    ----------
+    scene : RenderScene
+        One for which `can_compute` is true.
+    views : list of SubpixelView
+        Points of the pixels and of the lens.
+    spots : bool
+        As of `computed`.
+    pixels : PixelIndices or None
+        As of `computed`.
+
+    Returns
+    -------
+    MotionTable
+        With the table that `computed` gives.
+    """
+    return _tables(scene, views, spots, pixels, moving=True)
+
+
+def _tables(
+    scene: RenderScene, views: list[SubpixelView], spots: bool, pixels: PixelIndices | None, moving: bool
+) -> MotionTable:
+    """Trace a scene; derivatives are left empty unless it is `moving`."""
     camera, lamp, surface = scene.camera, scene.lamp, scene.surfaces[0]
     width, height = camera.size
     pose = _transform(surface.T_camera_item)
@@ -86,10 +116,14 @@ def computed(
     rows, columns = np.mgrid[top:bottom, left:right] if pixels is None else pixels
     samples = np.zeros((len(views), rows.size, 4), np.float32)
     albedo = np.zeros(rows.size, np.float32)
+    kept = rows.size if moving else 0
+    slopes = np.zeros((len(views), kept, 2), np.float32)
+    albedo_slopes = np.zeros((kept, 2), np.float32)
+    motion = np.zeros((kept, 5, 3), np.float32)
     reach = Pinhole(camera.size, camera.matrix, camera.distortion).reach
     radius = 0.5 * scene.aperture.diameter_mm
     spots = spots and surface.picture is not None  # a uniform surface has nothing to blur
-    prints = _blurred_prints(scene, len(views)) if spots else _sharp_print(surface)
+    prints = _prints_of_spots(scene, len(views)) if spots else sharp_print(surface.picture)
     shifts = np.array([view.shift for view in views])
     lens = _correlated_lens(shifts) if spots else np.array([view.lens for view in views])
     if spots and len(views) > 1:
@@ -115,40 +149,33 @@ def computed(
         lamp.texels_per_slope * lamp.aperture.diameter_mm,
         1.0 / lamp.aperture.focus_mm,
         np.array(lamp.circles, np.float64) ** 2,
-        prints.low,
-        prints.high,
+        surface.vertices[0, :2],
+        surface.vertices[2, :2],
+        np.array([surface.paint.ink, surface.paint.reflectance - surface.paint.ink]),
         prints.variances,
         prints.pictures,
+        prints.across,
+        prints.down,
+        prints.rim,
         samples,
         albedo,
+        slopes,
+        albedo_slopes,
+        motion,
     )
     if pixels is not None:
-        return LightTable(samples[:, None], albedo[None])
-    whole = np.zeros((height, width), np.float32)
-    whole[top:bottom, left:right] = albedo.reshape(rows.shape)
-    return LightTable(samples.reshape(len(views), *rows.shape, 4), whole, (left, top))
+        table = LightTable(samples[:, None], albedo[None])
+    else:
+        whole = np.zeros((height, width), np.float32)
+        whole[top:bottom, left:right] = albedo.reshape(rows.shape)
+        table = LightTable(samples.reshape(len(views), *rows.shape, 4), whole, (left, top))
+    return MotionTable(table, slopes, albedo_slopes, motion)
 
 
-@dataclass(frozen=True, eq=False)
-class _Prints:
-    """A rectangle's reflectance (sizes, rows, columns) between its corners low and high (x, y) in mm.
-
-    variances: (sizes,) in mm², of the blur of each; equally spaced.
-    """
-
-    pictures: Irradiance
-    low: Floats
-    high: Floats
-    variances: Floats
-
-
-def _sharp_print(surface: Surface) -> _Prints:
-    return _Prints(_reflectance(surface)[None], surface.vertices[0, :2], surface.vertices[2, :2], np.zeros(1))
-
-
-def _blurred_prints(scene: RenderScene, samples: int) -> _Prints:
-    """Blur the print for all sizes of spots on it; the surroundings reflect nothing."""
+def _prints_of_spots(scene: RenderScene, samples: int) -> Prints:
+    """Blur the print for all sizes of spots on it."""
     surface, aperture, camera = scene.surfaces[0], scene.aperture, scene.camera
+    assert surface.picture is not None
     low, high = surface.vertices[0, :2], surface.vertices[2, :2]
     pose = _transform(surface.T_camera_item)
     places = np.linspace(low, high, 5)
@@ -165,17 +192,8 @@ def _blurred_prints(scene: RenderScene, samples: int) -> _Prints:
         )
         for point in seen
     ]
-    variances = np.linspace(min(spread), max(spread), SPOT_SIZES)
-    grey = _reflectance(surface)
-    scale = np.array(grey.shape[::-1]) / (high - low)
-    rim = np.ceil(RIM_SIGMAS * np.sqrt(variances[-1]) * scale).astype(int) + 1
-    across, down = rim.tolist()
-    wide = np.pad(grey, ((down, down), (across, across)))
-    pictures = []
-    for sigma in np.sqrt(variances).tolist():
-        x, y = sigma * scale
-        pictures.append(cv2.GaussianBlur(wide, (0, 0), x, sigmaY=y, borderType=cv2.BORDER_CONSTANT))
-    return _Prints(np.stack(pictures), low - rim / scale, high + rim / scale, variances)
+    x, y = np.array(surface.picture.shape[::-1]) / (high - low)
+    return _cache.blurred(surface.picture, (float(x), float(y)), min(spread), max(spread))
 
 
 def _correlated_lens(shifts: Floats) -> Floats:
@@ -232,13 +250,6 @@ def _transform(matrix: Floats) -> RigidTransform:
     return RigidTransform(matrix[:3, :3], matrix[:3, 3])
 
 
-def _reflectance(surface: Surface) -> Irradiance:
-    """Reflectance [v, u] over the rectangle; of shape (1, 1) where it is uniform."""
-    paint, picture = surface.paint, surface.picture
-    share = np.ones((1, 1), np.float32) if picture is None else picture / np.float32(255)
-    return np.asarray(paint.ink + (paint.reflectance - paint.ink) * share, np.float32)
-
-
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 def _trace(
     columns: NDArray[np.intp],
@@ -263,20 +274,34 @@ def _trace(
     squares: Floats,
     low: Floats,
     high: Floats,
+    paint: Floats,
     variances: Floats,
     prints: Irradiance,
+    across: Irradiance,
+    down: Irradiance,
+    rim: tuple[int, int],
     samples: Irradiance,
     albedo: Irradiance,
+    slopes: Irradiance,
+    albedo_slopes: Irradiance,
+    motion: Irradiance,
 ) -> None:
     """Trace all samples of pixels and fill in `samples` (K, P, 4) and `albedo` (P,).
 
     columns, rows: (P,) of an image of that height. views: (K, 4) shift u, v and lens x, y, with their joint
-    `variance`. lamp: in the item's frame. low, high, variances, prints: as in `_Prints`.
+    `variance`. lamp: in the item's frame. low, high: corners of the item. paint: reflectance of the print,
+    and by how much more the ground reflects. variances, prints, across, down, rim: as in `Prints`; without
+    spots there is one variance and no rim. slopes (K, P, 2), albedo_slopes (P, 2), motion (P, 5, 3): as in
+    `MotionTable`, all of them without pixels where they are not wanted.
     """
     R, t = T_item_camera[:, :3], T_item_camera[:, 3]
     P, p = T_projector_item[:, :3], T_projector_item[:, 3]
     share = 1.0 / len(views)
     pixel = 1.0 / (matrix[0, 0] * matrix[1, 1])
+    moving = len(motion) > 0
+    wide, tall = high[0] - low[0], high[1] - low[1]
+    beyond_x = wide * rim[0] / (prints.shape[2] - 2 * rim[0])
+    beyond_y = tall * rim[1] / (prints.shape[1] - 2 * rim[1])
     for i in numba.prange(len(rows)):
         u, v = columns[i], rows[i]
         sine, turned = 0.0, 1.0
@@ -289,8 +314,22 @@ def _trace(
             circle = radius * (1.0 / middle - 1.0 / focus) / np.sqrt(pixel)
             if circle != 0:
                 reached = radius * _opened(circle, len(views), variance)
+        x0, y0 = slopes_at(u, v, matrix, lens, reach)
+        middle_x, middle_y, xx, xy, yy = distorted(x0, y0, lens)
+        determinant = xx * yy - xy * xy
+        if moving:
+            _fill_motion(x0, y0, R, t, P, p, lamp[2], lamp_lens, to_texel, motion[i])
         for k in range(len(views)):
-            x, y = slopes_at(u + views[k, 0], v + views[k, 1], matrix, lens, reach)
+            if determinant > STRAIGHT:
+                along, upright = views[k, 0] / matrix[0, 0], views[k, 1] / matrix[1, 1]
+                x = x0 + (yy * along - xy * upright) / determinant
+                y = y0 + (xx * upright - xy * along) / determinant
+                bent_x, bent_y, _, _, _ = distorted(x, y, lens)
+                off_x, off_y = middle_x + along - bent_x, middle_y + upright - bent_y
+                x += (yy * off_x - xy * off_y) / determinant
+                y += (xx * off_y - xy * off_x) / determinant
+            else:
+                x, y = slopes_at(u + views[k, 0], v + views[k, 1], matrix, lens, reach)
             ox, oy = on_lens(reached, views[k, 2], views[k, 3], sine, turned)
             dx, dy, dz = x - ox / focus, y - oy / focus, 1.0
             start = R[2, 0] * ox + R[2, 1] * oy + t[2]
@@ -301,17 +340,25 @@ def _trace(
             cx, cy = ox + length * dx, oy + length * dy
             ix = R[0, 0] * cx + R[0, 1] * cy + R[0, 2] * length + t[0]
             iy = R[1, 0] * cx + R[1, 1] * cy + R[1, 2] * length + t[1]
-            if not (low[0] <= ix <= high[0] and low[1] <= iy <= high[1]):
+            if not (low[0] - beyond_x <= ix <= high[0] + beyond_x):
                 continue
-            across, down = (ix - low[0]) / (high[0] - low[0]), (iy - low[1]) / (high[1] - low[1])
+            if not (low[1] - beyond_y <= iy <= high[1] + beyond_y):
+                continue
+            sx, sy = (ix - low[0]) / wide, (iy - low[1]) / tall
             if len(variances) == 1:
-                grey = _between_pixels(prints[0], across, down)
+                grey, by_x, by_y = _reflected(prints[0], across[0], down[0], rim, sx, sy, paint)
             else:
                 spot = _spot(length, abs(fall), pixel, radius, focus, len(views))
                 size, more = _between_sizes(spot, variances)
-                grey = (1 - more) * _between_pixels(prints[size], across, down)
-                grey += more * _between_pixels(prints[size + 1], across, down)
+                near, near_x, near_y = _reflected(prints[size], across[size], down[size], rim, sx, sy, paint)
+                size += 1
+                far, far_x, far_y = _reflected(prints[size], across[size], down[size], rim, sx, sy, paint)
+                grey = near + more * (far - near)
+                by_x, by_y = near_x + more * (far_x - near_x), near_y + more * (far_y - near_y)
             albedo[i] += share * grey
+            if moving:
+                albedo_slopes[i, 0] += share * by_x / wide
+                albedo_slopes[i, 1] += share * by_y / tall
             qx = P[0, 0] * ix + P[0, 1] * iy + p[0]
             qy = P[1, 0] * ix + P[1, 1] * iy + p[1]
             qz = P[2, 0] * ix + P[2, 1] * iy + p[2]
@@ -323,28 +370,94 @@ def _trace(
             sample[0] = to_texel[0, 0] * xd + to_texel[0, 1] * yd + to_texel[0, 2]
             sample[1] = to_texel[1, 0] * xd + to_texel[1, 1] * yd + to_texel[1, 2]
             sample[2] = circle_level(qz, circle_scale, inverse_focus, squares)
-            sample[3] = grey * distance * distance * abs(lamp[2]) / (qz * qz * qz)
+            light = distance * distance * abs(lamp[2]) / (qz * qz * qz)
+            sample[3] = grey * light
+            if moving:
+                slopes[k, i, 0], slopes[k, i, 1] = light * by_x / wide, light * by_y / tall
+
+
+@numba.njit(cache=True, inline="always", error_model="numpy")
+def _fill_motion(
+    x: float,
+    y: float,
+    R: Floats,
+    t: Floats,
+    P: Floats,
+    p: Floats,
+    lamp_height: float,
+    lamp_lens: Floats,
+    to_texel: Floats,
+    out: Irradiance,
+) -> None:
+    """Differentiate what the ray with slopes x, y meets by the item's place: (5, 3) of `MotionTable`.
+
+    R, t: from camera to item. P, p: from item to projector.
+    """
+    fall = R[2, 0] * x + R[2, 1] * y + R[2, 2]
+    depth = -t[2] / fall
+    ix = (R[0, 0] * x + R[0, 1] * y + R[0, 2]) * depth + t[0]
+    iy = (R[1, 0] * x + R[1, 1] * y + R[1, 2]) * depth + t[1]
+    qx = P[0, 0] * ix + P[0, 1] * iy + p[0]
+    qy = P[1, 0] * ix + P[1, 1] * iy + p[1]
+    qz = P[2, 0] * ix + P[2, 1] * iy + p[2]
+    sx, sy = qx / qz, qy / qz
+    _, _, xx, xy, yy = distorted(sx, sy, lamp_lens)
+    # A displacement along the normal moves the point along the ray; by so much in the item's frame, per mm.
+    rx = (R[0, 0] * x + R[0, 1] * y + R[0, 2]) / fall
+    ry = (R[1, 0] * x + R[1, 1] * y + R[1, 2]) / fall
+    # and in the projector's
+    fx = P[0, 0] * rx + P[0, 1] * ry + P[0, 2]
+    fy = P[1, 0] * rx + P[1, 1] * ry + P[1, 2]
+    fz = P[2, 0] * rx + P[2, 1] * ry + P[2, 2]
+    by_x, by_y = (fx - sx * fz) / qz, (fy - sy * fz) / qz
+    bent_x, bent_y = xx * by_x + xy * by_y, xy * by_x + yy * by_y
+    for axis in range(3):
+        normal = R[2, axis]
+        out[0, axis] = -normal / lamp_height - 3.0 * fz / qz * normal
+        out[1, axis] = rx * normal - R[0, axis]
+        out[2, axis] = ry * normal - R[1, axis]
+        out[3, axis] = (to_texel[0, 0] * bent_x + to_texel[0, 1] * bent_y) * normal
+        out[4, axis] = (to_texel[1, 0] * bent_x + to_texel[1, 1] * bent_y) * normal
 
 
 @numba.njit(cache=True, inline="always")
 def _between_sizes(spot: float, variances: Floats) -> tuple[int, float]:
     """Index of the next smaller size, and the fraction 0 to 1 of the way to the next larger one."""
-    step = variances[1] - variances[0]
-    at = (spot - variances[0]) / step if step > 0 else 0.0
-    at = min(max(at, 0.0), len(variances) - 1.0)
-    size = min(int(at), len(variances) - 2)
-    return size, at - size
+    size = 0
+    while size < len(variances) - 2 and spot > variances[size + 1]:
+        size += 1
+    share = (spot - variances[size]) / (variances[size + 1] - variances[size])
+    return size, min(max(share, 0.0), 1.0)
 
 
 @numba.njit(cache=True, inline="always")
-def _between_pixels(picture: Irradiance, x: float, y: float) -> float:
-    """Interpolate linearly between the centres of a picture's pixels; x, y: 0 to 1 over the whole of it."""
+def _reflected(
+    picture: Irradiance,
+    across: Irradiance,
+    down: Irradiance,
+    rim: tuple[int, int],
+    x: float,
+    y: float,
+    paint: Floats,
+) -> tuple[float, float, float]:
+    """Reflectance at x, y, 0 to 1 over the whole of the item, and its derivatives by them.
+
+    Between the centres of pixels everything is linear.
+    """
     rows, columns = picture.shape
-    u = min(max(x * columns - 0.5, 0.0), columns - 1.0)
-    v = min(max(y * rows - 0.5, 0.0), rows - 1.0)
-    i, j = int(u), int(v)
-    right, below = min(i + 1, columns - 1), min(j + 1, rows - 1)
+    wide, tall = columns - 2 * rim[0], rows - 2 * rim[1]
+    u, v = x * wide - 0.5, y * tall - 0.5
+    # the rim is added to whole numbers, so that its width changes nothing
+    i, j = int(np.floor(u)), int(np.floor(v))
     fu, fv = u - i, v - j
-    upper = picture[j, i] * (1 - fu) + picture[j, right] * fu
-    lower = picture[below, i] * (1 - fu) + picture[below, right] * fu
-    return float(upper * (1 - fv) + lower * fv)
+    i, j = i + rim[0], j + rim[1]
+    left, right = min(max(i, 0), columns - 1), min(max(i + 1, 0), columns - 1)
+    above, below = min(max(j, 0), rows - 1), min(max(j + 1, 0), rows - 1)
+    a, b, c, d = picture[above, left], picture[above, right], picture[below, left], picture[below, right]
+    upper, lower = a * (1 - fu) + b * fu, c * (1 - fu) + d * fu
+    along, upright = across[left] * (1 - fu) + across[right] * fu, down[above] * (1 - fv) + down[below] * fv
+    ink, more = paint[0], paint[1]
+    grey = ink * along * upright + more * (upper * (1 - fv) + lower * fv)
+    by_x = ink * (across[right] - across[left]) * upright + more * ((b - a) * (1 - fv) + (d - c) * fv)
+    by_y = ink * along * (down[below] - down[above]) + more * (lower - upper)
+    return float(grey), float(by_x * wide), float(by_y * tall)

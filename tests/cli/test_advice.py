@@ -87,7 +87,8 @@ def test_a_synonym_is_answered_with_the_command(fpplab: Command) -> None:
     [
         ("calibration", "characterise"), ("capture", "scan"), ("measure", "scan"), ("acquire", "scan"),
         ("triangulate", "reconstruct"), ("unwrap", "decode"), ("simulate", "demo"), ("optimize", "optimise"),
-        ("evaluate", "compare"), ("export", "convert"), ("export", "reconstruct"), ("show", "view"),
+        ("evaluate", "compare"), ("save", "export"), ("save", "reconstruct"), ("e57", "export"),
+        ("show", "view"), ("environment", "doctor"),
         ("Calibrate", "characterise"), ("version", "--version"), ("help", "--help"),
         ("scna", "scan"), ("calibarte", "characterise"), ("recon", "reconstruct"),
         ("characterize", "characterise"),

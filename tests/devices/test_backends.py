@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import sys
 from importlib.metadata import EntryPoint
 from pathlib import Path
@@ -11,6 +12,8 @@ import pytest
 from fpplab.core.errors import ConfigError
 from fpplab.devices import backends
 from fpplab.devices.backends import ALLOWED, load_backend
+
+OPERATOR = "fpplab.devices.operator:Operator"
 
 
 @pytest.fixture
@@ -63,3 +66,34 @@ def test_a_module_that_ends_the_program(tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.setenv(ALLOWED, "leaving")
     with pytest.raises(ConfigError, match="cannot be loaded"):
         load_backend("leaving:X", "rig.yaml", "camera")
+
+
+@pytest.mark.parametrize(
+    ("name", "found"),
+    [("virtual_camera", "SimCamera"), ("operator", "Operator"), ("sim.devices:SimCamera", "SimCamera")],
+)
+def test_one_by_its_announced_name_or_by_module_and_class(name: str, found: str) -> None:
+    assert load_backend(name, "rig.yaml", "camera").__name__ == found
+
+
+def test_an_unknown_name_is_answered_with_the_one_that_was_meant() -> None:
+    with pytest.raises(ConfigError, match=r"'basler2': there is no such backend; did you mean basler\? inst"):
+        load_backend("basler2", "rig.yaml", "camera")
+
+
+def test_fpplabs_own_names_come_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    entries = [EntryPoint("operator", place, "fpplab.backends") for place in ("abc:X", OPERATOR)]
+    monkeypatch.setattr(backends, "entry_points", lambda group: entries)
+    assert load_backend("operator", "rig.yaml", "fixture").__name__ == "Operator"
+
+
+def test_a_package_that_happens_to_be_called_as_one_of_the_checkout(
+    foreign: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where a wheel is installed, `sim` may be somebody else's; the name leads to fpplab's own."""
+    monkeypatch.setattr(backends, "IN_WHEELS", {"foreign_optics": "foreign_renamed"})
+    (foreign.parent / "foreign_renamed.py").write_text("class Lamp: pass\n", encoding="utf-8")
+    importlib.invalidate_caches()
+    found = load_backend("foreign_optics:Lamp", "rig.yaml", "camera")
+    assert found.__module__ == "foreign_renamed"
+    assert not foreign.exists()

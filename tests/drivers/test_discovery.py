@@ -258,9 +258,9 @@ def test_every_device_has_a_section_that_its_driver_takes_and_an_example(compute
     computer.plug_projector()
     computer.plug_stage("/dev/ttyACM0")
     camera, projector, stage = discovery.find_devices().devices
-    assert camera.section == {"backend": "drivers.basler:BaslerCamera", "serial": "23456789"}
+    assert camera.section == {"backend": "basler", "serial": "23456789"}
     assert projector.section["flash"] == "patterns.yaml"
-    assert stage.section == {"backend": "drivers.stage_grbl:GrblStage", "port": "/dev/ttyACM0"}
+    assert stage.section == {"backend": "grbl", "port": "/dev/ttyACM0"}
     assert (camera.is_certain, projector.is_certain, stage.is_certain) == (True, True, False)
     for device in (camera, projector, stage):
         used = Rig.load(device.example).file
@@ -328,7 +328,7 @@ def test_video_cameras_are_listed_by_their_first_node(
     found = discovery.find_devices()
     assert [d.model for d in found.devices] == ["HD Webcam", "First", "Second"]
     assert found.devices[0].section == {
-        "backend": "drivers.video_camera:VideoCamera",
+        "backend": "video_camera",
         "device": str(nodes / "video0"),
     }
     assert only(found.missing).startswith(f"camera on {nodes / 'video10'}: this user may not open it")
@@ -357,7 +357,7 @@ def test_cameras_of_a_producer_are_listed_with_the_section_that_opens_them(
     first = found.devices[0]
     assert first.model.endswith("Viky")
     assert first.link.endswith(", viky.cti")
-    assert first.section == {"backend": "drivers.gentl:GentlCamera", "producer": str(producer), "serial": "0"}
+    assert first.section == {"backend": "gentl", "producer": str(producer), "serial": "0"}
     with pytest.raises(CapabilityError, match="its exposure cannot be set"):
         GentlCamera("camera", {key: v for key, v in first.section.items() if key != "backend"}).open()
 
@@ -370,8 +370,8 @@ def test_a_camera_that_has_a_driver_of_its_own_is_not_listed_again(
     both = [ListedCamera(serial, "Basler", "acA5472-17um", "U3V") for serial in ("21734321", "7")]
     monkeypatch.setattr(listing, "listed_cameras", lambda path: both)
     assert [(d.serial, d.section["backend"]) for d in discovery.find_devices().devices] == [
-        ("21734321", "drivers.basler:BaslerCamera"),
-        ("7", "drivers.gentl:GentlCamera"),
+        ("21734321", "basler"),
+        ("7", "gentl"),
     ]
 
 

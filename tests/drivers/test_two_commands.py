@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 from drivers import computer_discovery
 from fpplab.calibration.model import Calibration
 from fpplab.cli import app
-from fpplab.clouds.cloud import load_cloud
+from fpplab.clouds import load_cloud
 from fpplab.core.conventions import Floats
 from sim.items import item_poses
 from sim.world import World

@@ -76,6 +76,7 @@ EVERY_COMMAND = (
     WritingCommand("plan show", "plan show plan.yaml --rig rig.yaml --out {out}", ".png"),
     WritingCommand("target", "target target_paper --out {out}", ".pdf"),
     WritingCommand("convert", "convert calibration.yaml --out {out}", ".yml"),
+    WritingCommand("export", "export scan/cloud.ply --out {out}", ".csv"),
     WritingCommand("artefact", "artefact pyramid --out {out}", ".stl"),
     WritingCommand("build", "dlp4500 build plan.yaml --base maker.bin --out {out}", ".bin"),
 )

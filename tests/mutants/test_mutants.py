@@ -203,7 +203,7 @@ def test_explanations_are_of_faults_that_exist() -> None:
 
 def test_modules_that_import_another() -> None:
     assert "fpplab/core/config.py" in importers(ROOT, "fpplab/core/strict_yaml.py")
-    assert "fpplab/clouds/cloud.py" in importers(ROOT, "fpplab/clouds/ply.py")
+    assert "fpplab/clouds/files.py" in importers(ROOT, "fpplab/clouds/ply.py")
 
 
 def test_a_default_argument_is_judged_by_who_calls_its_function(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -125,6 +126,26 @@ def test_computed_light_agrees_with_the_ray_caster(turned: list[float]) -> None:
     assert (seen.shade[0][lit] > 0).all()
     np.testing.assert_allclose(table.samples[0, inside, :2], place[inside], atol=2e-4)
     np.testing.assert_allclose(table.samples[0, inside, 3], seen.shade[0][inside], rtol=1e-6)
+
+
+def test_a_lens_is_straight_over_one_pixel() -> None:
+    """With the strong distortion of a wide lens, against rays that are undistorted one by one."""
+    camera = plain()["camera"] | {"sensor_size": SIZE, "pixel_um": 60.0, "focal_mm": 12.0}
+    camera["distortion"] = [-0.25, 0.08, 1e-3, -1e-3, 0.0]
+    pose = {"rotation_deg": [8, -5, 0], "translation_mm": [0, 0, 450]}
+    of = world(camera=camera, items={"card": {"card_mm": [2000, 2000], "pose": pose}})
+    scene = build_scene(of, Setup("card"))[0]
+    views = [SubpixelView(place) for place in ((0.5, 0.5), (-0.5, 0.5))]
+    at_once = computed(scene, views).samples
+    for view, table in zip(views, at_once, strict=True):
+        shifted = scene.camera.matrix.copy()
+        shifted[:2, 2] -= view.shift
+        camera_of_view = replace(scene.camera, matrix=shifted)
+        alone = computed(replace(scene, camera=camera_of_view), [SubpixelView((0.0, 0.0))]).samples[0]
+        lit = (table[..., 3] > 0) & (alone[..., 3] > 0)
+        assert lit.sum() > 1000
+        # places of 2000 texels are rounded to 1e-4
+        np.testing.assert_allclose(table[lit][:, :2], alone[lit][:, :2], atol=3e-4)
 
 
 @pytest.mark.parametrize(("turned", "is_lit"), [(-75, True), (75, False)])

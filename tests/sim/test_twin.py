@@ -207,6 +207,73 @@ def test_vibration_is_that_of_a_moved_item(twin: SimTwin) -> None:
     assert frames.var(axis=0)[strong].sum() == pytest.approx(variance[strong].sum(), rel=0.35)
 
 
+def _grid() -> tuple[Any, Any]:
+    rows, columns = np.mgrid[0 : SIZE[1] : 4, 0 : SIZE[0] : 4]
+    return rows.ravel(), columns.ravel()
+
+
+def test_slopes_by_the_projector_s_place_agree_with_central_differences() -> None:
+    twin, pixels, step = _twin(_bent()), _grid(), 0.05
+    start, patterns = twin.parameters, _patterns(twin)
+    found = twin.expected_with_slopes(2, patterns, SETTINGS, pixels)
+    assert found is not None
+    np.testing.assert_array_equal(found[0], twin.expected_at(2, patterns, SETTINGS, pixels))
+    known = start.calibration
+    for axis in range(2):
+        ends = []
+        for by in (step, -step):
+            matrix = known.projector.matrix.copy()
+            matrix[axis, 2] += by
+            moved = replace(known, projector=replace(known.projector, matrix=matrix))
+            twin.become(replace(start, calibration=moved))
+            ends.append(twin.expected_at(2, patterns, SETTINGS, pixels).astype(np.float64))
+        wanted = (ends[0] - ends[1]) / (2 * step)
+        # Places are rounded to 24 bits, at column 1000 to 3e-5 texels, as often as there are samples of a
+        # pixel; an axis without fringes is rounded too.
+        rounding = 3e-5 / step * np.abs(found[1][..., 2:]).max()
+        assert np.sqrt(np.mean((found[1][..., 2 + axis] - wanted) ** 2)) < rounding
+    assert np.abs(found[1][..., 2]).max() > 1000 * rounding
+
+
+def test_slopes_by_the_board_s_place_add_up_to_the_change_of_level() -> None:
+    """Of a print between whose pixels light is interpolated, so that derivatives jump there."""
+    twin, pixels, step = _twin(_bent()), _grid(), 0.02
+    start, patterns = twin.parameters, _patterns(twin)
+    pose = start.poses[2]
+
+    def at(axis: int, by: float) -> tuple[Any, Any]:
+        twin.become(start.with_pose(2, pose.moved(by * pose.rotation[:, axis])))
+        found = twin.expected_with_slopes(2, patterns, SETTINGS, pixels)
+        assert found is not None
+        return found
+
+    for axis in range(2):
+        ends = [at(axis, by)[0].astype(np.float64) for by in (step, -step)]
+        along = np.linspace(-step, step, 41)
+        slopes = np.mean([at(axis, by)[1][..., axis] for by in along], axis=0)
+        wanted = (ends[1] - ends[0]) / (2 * step)
+        # the board's edge is a jump, which no derivative shows
+        inside = np.abs(slopes - wanted) < 0.1 * np.abs(wanted).max()
+        assert inside.mean() > 0.99
+        assert np.abs(slopes - wanted)[inside].mean() < 0.01 * np.abs(wanted).mean()
+
+
+def test_light_of_a_displaced_board_agrees_with_a_moved_one(twin: SimTwin) -> None:
+    twin.become(replace(_twin(_bent()).parameters, vibration_mm=0.0))
+    patterns, pose = _patterns(twin)[:1], twin.parameters.poses[1]
+    light, still, step = twin._light, Setup("board", held=pose), 0.003
+    with_slopes = light.differentiated(still)
+    assert with_slopes is not None
+    here = light.irradiance(still, Show(patterns, 0))
+    for axis, move in enumerate(step * np.eye(3)):
+        ends = [
+            light.irradiance(Setup("board", held=pose.moved(by * move)), Show(patterns, 0)) for by in (1, -1)
+        ]
+        wanted = 0.5 * (ends[0] - ends[1])
+        (picture,) = with_slopes.displaced(patterns, move[None])
+        assert np.mean(np.abs(picture - here - wanted)) < 0.02 * np.mean(np.abs(wanted)), axis
+
+
 def test_a_saved_twin_is_a_rig_that_gives_the_same_pictures(twin: SimTwin, tmp_path: Path) -> None:
     bench = _twin(_bent()).parameters
     twin.become(replace(bench, vibration_mm=0.0, calibration=_unequal(bench.calibration)))

@@ -114,6 +114,11 @@ class PlaneTwin:
     ) -> ExpectedLevels:
         return self.expected(pose, patterns, settings)[:, *pixels]
 
+    def expected_with_slopes(
+        self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings, pixels: PixelIndices
+    ) -> None:
+        return None
+
     def expected_of(self, item: str, patterns: Sequence[Pattern], settings: CameraSettings) -> ExpectedLevels:
         return self._seen(self.pose_of(item), patterns, settings, board=False)
 

@@ -63,7 +63,7 @@ def serve_projector(firmware: Path | None = None) -> Iterator[dict[str, str]]:
         with UsbIpAttachment(EmulatedHid(controller)) as attachment, _state_messages(attachment):
             yield {
                 "serial": attachment.hid.serial,
-                "projector": f'{{backend: "drivers.dlp4500:Dlp4500"{flash}}}',
+                "projector": f"{{backend: dlp4500{flash}}}",
                 "try": "fpplab devices; fpplab dlp4500 status",
             }
 

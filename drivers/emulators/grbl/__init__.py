@@ -39,5 +39,5 @@ def serve_stage() -> Iterator[dict[str, str]]:
         The system has no pseudo-terminals.
     """
     with PseudoTerminal(GrblController()) as terminal:
-        backend = f'{{backend: "drivers.stage_grbl:GrblStage", port: {terminal.port}}}'
+        backend = f"{{backend: grbl, port: {terminal.port}}}"
         yield {"port": terminal.port, "stage": backend}

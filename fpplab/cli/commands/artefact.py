@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from fpplab import artefacts
 from fpplab.cli import console
 from fpplab.cli.app import JUDGE, Force, Json, Out, app
 from fpplab.core.errors import ConfigError
 
-_NAMES = [*artefacts.artefact_types()]
+_SHAPES = Path(__file__).parents[2] / "artefacts" / "shapes"
+_NAMES = sorted(path.stem for path in _SHAPES.glob("[!_]*.py"))
+"""Names of the artefacts by their files, for `--help`: to import them takes longer."""
 
 
 @app.command("artefact", rich_help_panel=JUDGE)
@@ -35,6 +37,7 @@ def artefact_command(
     Example: `fpplab artefact pyramid --out pyramid.stl`, and once it is printed
     `fpplab artefact pyramid --layer 0.2 --bead 0.03 --out printed.stl`
     """
+    from fpplab import artefacts
     from fpplab.core.files import need_suffix, refuse_existing
 
     need_suffix(out, ".stl")

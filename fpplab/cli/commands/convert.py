@@ -9,8 +9,8 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import PREPARE, Force, Json, Out, app
-from fpplab.core.conventions import Lattice
 from fpplab.core.errors import ConfigError
+from fpplab.core.lattice import Lattice
 
 
 @app.command("convert", rich_help_panel=PREPARE)

@@ -21,7 +21,7 @@ from fpplab.cli.app import (
     SkippedImages,
     app,
 )
-from fpplab.core.conventions import Lattice
+from fpplab.core.lattice import Lattice
 
 
 @app.command("import", rich_help_panel=MEASURE)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from contextlib import ExitStack
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,6 +15,7 @@ from fpplab.cli import console
 from fpplab.cli.app import PREPARE, Force, Json, RigName, app
 from fpplab.cli.completion import names_of
 from fpplab.core.errors import ConfigError
+from fpplab.core.extras import how_to_install, need_extra
 
 if TYPE_CHECKING:
     from fpplab.core.conventions import Mask
@@ -111,6 +113,7 @@ def live_command(
     if out:
         need_suffix(out, ".rrd")
         refuse_existing(out, force)
+        need_extra("rerun")
     working = _working_point(bench, wanted, name, calibration, distance)
 
     from queue import SimpleQueue
@@ -186,7 +189,10 @@ def _working_point(
 def _viewer(
     stack: ExitStack, wanted: bool, out: Path | None, working: WorkingPoint | None
 ) -> Viewer[LiveView]:
-    """The viewer, once it is open: its page is part of the set-up's."""
+    """The viewer, once it is open; its page is part of the set-up's. Without rerun it shows nothing."""
+    if wanted and find_spec("rerun") is None:
+        console.say(f"Without images: {how_to_install('rerun')}")
+        wanted = False
     from fpplab.viewer.live import MOST_WAITING, LiveView
     from fpplab.viewer.viewer import Viewer
 

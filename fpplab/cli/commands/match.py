@@ -15,6 +15,7 @@ from fpplab.cli.lists import TakesLists
 from fpplab.cli.pose_causes import with_causes
 from fpplab.cli.viewing import KeepOpen, ViewOption, open_viewer
 from fpplab.core.errors import CalibrationError, ConfigError
+from fpplab.core.extras import need_extra
 
 if TYPE_CHECKING:
     from fpplab.diagnosis import FaultCause
@@ -109,6 +110,7 @@ def match_command(
         _match_surfaces_alone(twin, item, surfaces, out, accepted, force, json)
         return
     _make_way(out, force, EPOCHS, REPORT)
+    need_extra("skimage")
     sessions = recorded_sessions(reference)
     card_item, _, card_session = card.partition("=")
     wanted = MatchingRequest(

@@ -12,6 +12,7 @@ from fpplab.cli.app import TWIN, Force, Json, RigName, app
 from fpplab.cli.completion import names_of
 from fpplab.cli.viewing import KeepOpen, ViewOption, open_viewer
 from fpplab.core.errors import ConfigError
+from fpplab.core.extras import need_extra
 from fpplab.optimisation.scope import SearchScope
 
 if TYPE_CHECKING:
@@ -83,6 +84,8 @@ def optimise_command(
             "--workers counts processes of this computer, and a --scheduler has its own: give one"
         )
     _make_way(what, out, force)
+    need_extra("optuna")
+    need_extra("distributed")
 
     from fpplab.optimisation import confirm_result, run
     from fpplab.optimisation.verdict import diagnose_search

@@ -10,6 +10,7 @@ import typer
 from fpplab.cli import console
 from fpplab.cli.app import MEASURE, Force, Json, app
 from fpplab.core.errors import ConfigError
+from fpplab.core.extras import need_extra
 
 if TYPE_CHECKING:
     from fpplab.viewer.recorded import CloudErrors
@@ -51,6 +52,7 @@ def view_command(
     def announce(where: str) -> None:
         console.say(f"Shown at {where}")
 
+    need_extra("rerun")
     recording = session if session.suffix == ".rrd" else session / RECORDING
     if recording.is_file() and not (session / JOURNAL).is_file():
         if out or mesh or calibration:

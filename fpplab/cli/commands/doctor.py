@@ -1,0 +1,75 @@
+"""`fpplab doctor`: whether this computer has what fpplab needs."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fpplab.cli import console
+from fpplab.cli.app import START, Json, app
+from fpplab.core.errors import DeviceError
+
+if TYPE_CHECKING:
+    from fpplab.core.doctor import DoctorFinding
+
+
+@app.command("doctor", rich_help_panel=START)
+def doctor_command(
+    folder: Annotated[
+        Path, typer.Argument(help="Where scans are to be written.", exists=True, file_okay=False)
+    ] = Path(),
+    json: Json = False,
+) -> None:
+    """See whether this computer has what fpplab needs, and say what to do where it has not.
+
+    Packages and extras, system libraries, permissions of devices and folders, graphics processors, the speed
+    of the disk, and all versions. An extra that was not installed is no fault: it says how to add it. Nothing
+    is sent to a device. The exit code is 3 where something has to be corrected.
+
+    Example: `fpplab doctor --json > doctor.json`, to send with a question
+    """
+    from fpplab.core import doctor
+
+    with console.progress("Looking"):
+        found = [
+            *doctor.check_packages(),
+            *doctor.check_libraries(),
+            *_permissions(),
+            *doctor.check_folders([folder]),
+            doctor.check_graphics(),
+            doctor.check_disk(folder),
+        ]
+    versions = doctor.installed_versions()
+    wrong = [one for one in found if one.state == "wrong"]
+
+    def words() -> None:
+        rows = [[one.name, one.state, one.seen] for one in found]
+        console.table(f"fpplab {versions['fpplab']}, Python {versions['python']}", ["", "", ""], rows)
+        for one in found:
+            if one.remedy:
+                console.stdout.print(f"{one.name}: {one.remedy}", markup=False)
+        console.stdout.print("All is well." if not wrong else f"To correct: {len(wrong)}.", markup=False)
+
+    answer = {"ok": not wrong, "checks": [asdict(one) for one in found], "versions": versions}
+    console.answer(answer, json, words)
+    if wrong:
+        raise console.Answered(DeviceError.exit_code)
+
+
+def _permissions() -> list[DoctorFinding]:
+    """What keeps devices from showing, besides packages that were left out."""
+    from fpplab.core import plugins
+    from fpplab.core.doctor import DoctorFinding
+    from fpplab.devices.discovery import FoundDevices
+
+    found = FoundDevices.together(
+        plugins.load_plugin(plugins.DISCOVERY, name)() for name in plugins.plugin_names(plugins.DISCOVERY)
+    )
+    barred = [one for one in found.missing if "may not open" in one]
+    if not barred:
+        return [DoctorFinding("permissions", "ok", f"{len(found.devices)} devices seen")]
+    parts = [one.partition("; ") for one in barred]
+    return [DoctorFinding("permissions", "wrong", seen, remedy) for seen, _, remedy in parts]

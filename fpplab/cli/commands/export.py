@@ -1,0 +1,140 @@
+"""`fpplab export`: clouds, calibrations and tables in the files of other programs."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from fpplab.cli import console
+from fpplab.cli.app import MEASURE, Force, Json, app
+from fpplab.core.errors import ConfigError, DataError
+
+if TYPE_CHECKING:
+    from fpplab.core.tables import Row
+
+
+_NOT_IN_NAMES = re.compile(r"[^\w.-]")
+"""Of files: the keys of a foreign answer may lead anywhere."""
+
+
+@app.command("export", rich_help_panel=MEASURE)
+def export_command(
+    source: Annotated[
+        Path,
+        typer.Argument(
+            help="A cloud, a session with its cloud, a calibration, or a --json answer or journal of fpplab."
+        ),
+    ],
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="The file; its suffix says the format. Some are folders.")
+    ],
+    layout: Annotated[
+        str | None,
+        typer.Option("--layout", help="Of a calibration: opencv, slstudio, matlab, bouguet, ros, or table."),
+    ] = None,
+    table: Annotated[
+        str | None, typer.Option("--table", help="Which table of an answer, where --out is one file.")
+    ] = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Write a cloud, a calibration or tables as other programs read them.
+
+    Clouds: .e57 and .las or .laz (in m), .ply, .xyz, .npz, and .csv with all that is known of each point;
+    .obj, .stl and .3mf of the surface along the pixel grid (in mm). Calibrations: .xml, .yml or .json of
+    OpenCV, .xml of SLStudio, .mat for MATLAB or Bouguet's toolbox, a folder with `camera_info` of ROS, .csv.
+    Answers of `--json` and journals (.jsonl): .csv of one table, or a folder with all.
+
+    Examples: `fpplab export scan --out part.e57`;
+    `fpplab export calibration.yaml --layout ros --out ros`; `fpplab export compare.json --out tables`
+    """
+    from fpplab.core.files import refuse_existing
+
+    refuse_existing(out, force and bool(out.suffix))
+    kind = _kind_of(source)
+    if layout is not None and kind != "calibration":
+        raise ConfigError(f"{source}: is no calibration, and only a calibration has a --layout")
+    if table is not None and kind != "tables":
+        raise ConfigError(f"{source}: is no answer or journal, and only these have a --table")
+    with console.progress("Exporting"):
+        if kind == "cloud":
+            answer = _export_cloud(source, out)
+        elif kind == "calibration":
+            answer = _export_calibration(source, out, layout)
+        else:
+            answer = _export_tables(source, out, table)
+    console.answer({"file": out, **answer}, json)
+
+
+def _kind_of(source: Path) -> str:
+    from fpplab.clouds import CLOUD_SUFFIXES
+
+    suffix = source.suffix.lower()
+    if not source.exists():
+        raise ConfigError(f"{source}: does not exist")
+    if source.is_dir() or suffix in CLOUD_SUFFIXES:
+        return "cloud"
+    if suffix in (".yaml", ".yml"):
+        return "calibration"
+    if suffix in (".json", ".jsonl"):
+        return "tables"
+    raise ConfigError(
+        f"{source}: its name must end in {', '.join(CLOUD_SUFFIXES)} (clouds), .yaml (calibrations), .json "
+        "or .jsonl (answers and journals), or it must be a session"
+    )
+
+
+def _export_cloud(source: Path, out: Path) -> dict[str, Any]:
+    from fpplab.clouds import load_cloud
+    from fpplab.clouds.exchange import check_exported, export_cloud
+
+    check_exported(out)
+    file = source / "cloud.ply" if source.is_dir() else source
+    if not file.is_file():
+        raise DataError(f"{source}: has no cloud.ply; run fpplab reconstruct first")
+    cloud = load_cloud(file)
+    export_cloud(cloud, out)
+    return {"points": len(cloud)}
+
+
+def _export_calibration(source: Path, out: Path, layout: str | None) -> dict[str, Any]:
+    from fpplab.calibration.model import Calibration
+    from fpplab.calibration.variants import export_calibration, layout_of
+
+    chosen = layout or layout_of(out)
+    export_calibration(Calibration.load(source), out, chosen)
+    return {"layout": chosen}
+
+
+def _export_tables(source: Path, out: Path, name: str | None) -> dict[str, Any]:
+    from fpplab.core.files import make_directory, need_suffix
+    from fpplab.core.tables import read_tables, write_csv
+
+    tables = read_tables(source)
+    if name is not None and name not in tables:
+        raise ConfigError(f"--table: '{name}' must be one of {', '.join(tables)}")
+    if out.suffix:
+        need_suffix(out, ".csv")
+        chosen = name or _only(tables, source)
+        write_csv(out, tables[chosen])
+        return {"tables": {chosen: len(tables[chosen])}}
+    wanted = {name: tables[name]} if name else tables
+
+    def fill(draft: Path) -> None:
+        for each, rows in wanted.items():
+            write_csv(draft / f"{_NOT_IN_NAMES.sub('_', each)}.csv", rows)
+
+    make_directory(out, fill)
+    return {"tables": {each: len(rows) for each, rows in wanted.items()}}
+
+
+def _only(tables: dict[str, list[Row]], source: Path) -> str:
+    if len(tables) > 1:
+        raise ConfigError(
+            f"{source}: holds {len(tables)} tables ({', '.join(tables)}); choose one with --table, or give a "
+            "folder, without suffix, for all"
+        )
+    return next(iter(tables))

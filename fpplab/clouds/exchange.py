@@ -1,0 +1,202 @@
+"""Clouds for other programs: E57 and LAS of points, OBJ, STL and 3MF of the surface, CSV of all attributes.
+
+E57 is in metres by its standard (ASTM E2807), and LAS as surveying programs take it where no other unit is
+stated; OBJ, STL, 3MF and CSV are in mm. All are in the camera's frame.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.clouds.cloud import SIGMAS, Cloud
+from fpplab.clouds.files import CLOUD_SUFFIXES, save_cloud
+from fpplab.core.conventions import Floats
+from fpplab.core.errors import ConfigError, DataError
+from fpplab.core.extras import need_extra
+from fpplab.core.files import write_atomic, write_by_name
+
+MM_PER_M = 1000.0
+FINEST_LAS_M = 1e-9
+"""Step in m of coordinates in LAS files, which are whole numbers of 32 bits; larger for parts beyond 2 m."""
+LARGEST_LAS = 2**31 - 1
+GREY_TO_16 = 257
+"""LAS has 16 bits for what is 8 here: 255 becomes 65535."""
+_OWN_IN_LAS = ("x_mm", "y_mm", "z_mm", "grey")
+LARGEST_E57_PIXEL = 2**16 - 1
+
+
+def export_cloud(cloud: Cloud, path: Path | str) -> None:
+    """Write a cloud, or its surface, in the format of the path's suffix: the file is complete or unchanged.
+
+    Parameters
+    ----------
+    cloud : Cloud
+        What to write.
+    path : Path or str
+        With a suffix of `EXPORTED`.
+
+    Raises
+    ------
+    ConfigError
+        The path has another suffix.
+    MissingExtraError
+        A library for the format is not installed.
+    DataError
+        The file cannot be written, or the format is one of surfaces and the pixels of the points are not
+        known.
+    """
+    path = Path(path)
+    check_exported(path)
+    _WRITERS[path.suffix.lower()](cloud, path)
+
+
+def check_exported(path: Path) -> None:
+    """Refuse at once what `export_cloud` would refuse whatever the cloud.
+
+    Parameters
+    ----------
+    path : Path
+        Of the output.
+
+    Raises
+    ------
+    ConfigError
+        It has none of the suffixes `EXPORTED`.
+    MissingExtraError
+        A library for the format is not installed.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in EXPORTED:
+        raise ConfigError(f"{path}: its name must end in {', '.join(EXPORTED[:-1])} or {EXPORTED[-1]}")
+    if suffix in _LIBRARIES:
+        need_extra(_LIBRARIES[suffix])
+
+
+def point_columns(cloud: Cloud) -> dict[str, NDArray[Any]]:
+    """List all that is known of the points, by column.
+
+    Parameters
+    ----------
+    cloud : Cloud
+        Whose points.
+
+    Returns
+    -------
+    dict of str to ndarray
+        Values (N,) by name, with the unit in the name where there is one: `x_mm`, `pixel_u`, `nx`, `grey`,
+        `sigma_mm` and so on.
+    """
+    columns: dict[str, NDArray[Any]] = dict(zip(("x_mm", "y_mm", "z_mm"), cloud.points.T, strict=True))
+    if cloud.pixels is not None:
+        columns |= dict(zip(("pixel_u", "pixel_v"), cloud.pixels.T, strict=True))
+    if cloud.normals is not None:
+        columns |= dict(zip(("nx", "ny", "nz"), cloud.normals.T, strict=True))
+    more = {"grey": cloud.colour, "sigma_mm": cloud.sigma_mm, "epipolar_px": cloud.epipolar_px}
+    more |= {name: getattr(cloud, name) for name in SIGMAS}
+    return columns | {name: values for name, values in more.items() if values is not None}
+
+
+def _write_csv(cloud: Cloud, path: Path) -> None:
+    columns = point_columns(cloud)
+    formats = ["%d" if np.issubdtype(values.dtype, np.integer) else "%.9g" for values in columns.values()]
+    table = np.stack([values.astype(np.float64) for values in columns.values()], axis=1)
+    header = ",".join(columns)
+    write_atomic(
+        path, lambda stream: np.savetxt(stream, table, formats, delimiter=",", header=header, comments="")
+    )
+
+
+def _write_surface(cloud: Cloud, path: Path) -> None:
+    kind = path.suffix.lower()[1:]
+    mesh = cloud.to_trimesh()
+    if not len(mesh.faces):
+        raise DataError(f"{path}: no three neighbouring pixels have points, so there is no surface to write")
+    if kind == "3mf":
+        mesh.units = "mm"
+    made: Any = mesh.export(file_type=kind)
+    content: bytes = made.encode("utf-8") if isinstance(made, str) else made
+    write_atomic(path, lambda stream: stream.write(content))
+
+
+def _write_e57(cloud: Cloud, path: Path) -> None:
+    import pye57
+
+    data: dict[str, NDArray[Any]] = dict(
+        zip(("cartesianX", "cartesianY", "cartesianZ"), _metres(cloud).T.copy(), strict=True)
+    )
+    if cloud.colour is not None:
+        data["intensity"] = cloud.colour.astype(np.float32)
+        data |= {name: cloud.colour.copy() for name in ("colorRed", "colorGreen", "colorBlue")}
+    if cloud.pixels is not None and cloud.pixels.max() <= LARGEST_E57_PIXEL:
+        data["columnIndex"], data["rowIndex"] = cloud.pixels.T.astype(np.uint16)
+
+    def write(draft: Path) -> None:
+        try:
+            with pye57.E57(str(draft), mode="w") as file:
+                file.write_scan_raw(data, name=path.stem)
+        except pye57.libe57.E57Exception as error:
+            raise DataError(f"{path}: cannot be written ({error})") from error
+
+    write_by_name(path, write)
+
+
+def _write_las(cloud: Cloud, path: Path) -> None:
+    import laspy
+
+    points = _metres(cloud)
+    low, high = points.min(axis=0), points.max(axis=0)
+    header = laspy.LasHeader(version="1.4", point_format=7)
+    header.generating_software = "fpplab"
+    header.offsets = (low + high) / 2.0
+    header.scales = np.full(3, _las_step(float((high - low).max()) / 2.0))
+    extra = {
+        name: values
+        for name, values in point_columns(cloud).items()
+        if name not in ("x_mm", "y_mm", "z_mm", "grey")
+    }
+    header.add_extra_dims(
+        [laspy.ExtraBytesParams(name=name, type=values.dtype) for name, values in extra.items()]
+    )
+    las = laspy.LasData(header)
+    las.x, las.y, las.z = points.T
+    if cloud.colour is not None:
+        grey = cloud.colour.astype(np.uint16) * np.uint16(GREY_TO_16)
+        las.intensity = las.red = las.green = las.blue = grey
+    for name, values in extra.items():
+        las[name] = values
+    content = io.BytesIO()
+    las.write(content, do_compress=path.suffix.lower() == ".laz")
+    write_atomic(path, lambda stream: stream.write(content.getbuffer()))
+
+
+def _las_step(reach_m: float) -> float:
+    """The step in m, a power of ten, with which 32 bits reach so far from the middle."""
+    step = FINEST_LAS_M
+    while reach_m / step > LARGEST_LAS:
+        step *= 10.0
+    return step
+
+
+def _metres(cloud: Cloud) -> Floats:
+    return cloud.points.astype(np.float64) / MM_PER_M
+
+
+_LIBRARIES = {".e57": "pye57", ".las": "laspy", ".laz": "laspy", ".3mf": "lxml"}
+_WRITERS: dict[str, Callable[[Cloud, Path], None]] = {
+    **dict.fromkeys(CLOUD_SUFFIXES, save_cloud),
+    ".e57": _write_e57,
+    ".las": _write_las,
+    ".laz": _write_las,
+    ".obj": _write_surface,
+    ".stl": _write_surface,
+    ".3mf": _write_surface,
+    ".csv": _write_csv,
+}
+EXPORTED = tuple(_WRITERS)
+"""Suffixes that `export_cloud` writes."""

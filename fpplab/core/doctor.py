@@ -1,0 +1,250 @@
+"""What `fpplab doctor` looks at: packages, system libraries, graphics processors, folders and the disk."""
+
+from __future__ import annotations
+
+import os
+import platform
+import re
+import shutil
+import tempfile
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass
+from importlib import metadata
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Literal
+
+from fpplab.core.extras import EXTRAS
+from fpplab.core.system import BLENDER, USB, cache_directory, missing
+from fpplab.core.units import readable_bytes
+from fpplab.core.version import __version__
+
+Condition = Literal["ok", "absent", "wrong"]
+"""Whether something is as it should be, was left out when fpplab was installed, or has to be corrected."""
+
+TRIED_BYTES = 64 << 20
+"""How much is written to tell the speed of a disk."""
+SLOWEST_DISK = 50e6
+"""Bytes/s below which a disk keeps up with no camera: 1.2 million pixels 40 times a second."""
+LEAST_FREE = 2 << 30
+"""Bytes below which a disk holds no data set and few scans."""
+RENDER_NODES, NVIDIA = Path("/dev/dri"), Path("/proc/driver/nvidia/version")
+"""Where Linux lists graphics processors that compute, and NVIDIA's driver its version."""
+
+
+@dataclass(frozen=True)
+class DoctorFinding:
+    """One thing that was looked at.
+
+    Attributes
+    ----------
+    name : str
+        What it is.
+    state : str
+        "ok", "absent" or "wrong".
+    seen : str
+        What was found.
+    remedy : str
+        What to do; empty where nothing has to be done.
+    """
+
+    name: str
+    state: Condition
+    seen: str
+    remedy: str = ""
+
+
+def installed_versions() -> dict[str, str]:
+    """List the versions of fpplab, of Python, and of all packages that fpplab asks for.
+
+    Returns
+    -------
+    dict of str to str
+        By name; those that are not installed are left out.
+    """
+    versions = {"fpplab": __version__, "python": platform.python_version(), "platform": platform.platform()}
+    for name, _ in _required():
+        try:
+            versions[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    return versions
+
+
+def check_packages() -> list[DoctorFinding]:
+    """Look for the packages that fpplab always needs, and for those of each extra.
+
+    Returns
+    -------
+    list of DoctorFinding
+        One for the core, one for each extra.
+    """
+    lacking = [name for name, extra in _required() if not extra and not _has(name)]
+    remedy = "install fpplab again: pip install --force-reinstall fpplab"
+    found = [
+        DoctorFinding("packages", "wrong", f"without {', '.join(lacking)}", remedy)
+        if lacking
+        else DoctorFinding("packages", "ok", "all that recorded scans need")
+    ]
+    for extra, modules in EXTRAS.items():
+        absent = [name for name in modules if find_spec(name) is None]
+        found.append(
+            DoctorFinding(extra, "absent", f"without {', '.join(absent)}", f"pip install 'fpplab[{extra}]'")
+            if absent
+            else DoctorFinding(extra, "ok", "installed")
+        )
+    return found
+
+
+def check_libraries() -> list[DoctorFinding]:
+    """Look for the system libraries of what is installed.
+
+    Returns
+    -------
+    list of DoctorFinding
+        For Blender and for USB, each where its packages are installed.
+    """
+    found = []
+    for name, module, libraries in (("Blender's libraries", "bpy", BLENDER), ("USB", "usb", USB)):
+        if find_spec(module) is not None:
+            lacking = missing(libraries)
+            found.append(
+                DoctorFinding(
+                    *(name, "wrong", f"without {', '.join(lacking)}"),
+                    f"sudo apt-get install {' '.join(lacking)}",
+                )
+                if lacking
+                else DoctorFinding(name, "ok", "all are there")
+            )
+    return found
+
+
+def check_folders(folders: Iterable[Path]) -> list[DoctorFinding]:
+    """See whether files can be written where fpplab writes, and how much space is free there.
+
+    Parameters
+    ----------
+    folders : iterable of Path
+        Where results go; the folder of cached results is added.
+
+    Returns
+    -------
+    list of DoctorFinding
+        One for each.
+    """
+    found = []
+    for folder in dict.fromkeys(path.absolute() for path in (*folders, cache_directory())):
+        place = next(path for path in (folder, *folder.parents) if path.exists())
+        free = shutil.disk_usage(place).free
+        seen = f"{readable_bytes(free)} are free"
+        if not os.access(place, os.W_OK | os.X_OK):
+            found.append(DoctorFinding(str(folder), "wrong", "cannot be written", "choose another folder"))
+        elif free < LEAST_FREE:
+            found.append(DoctorFinding(str(folder), "wrong", seen, "free some space, or use another disk"))
+        else:
+            found.append(DoctorFinding(str(folder), "ok", seen))
+    return found
+
+
+def check_graphics(nodes: Path = RENDER_NODES, nvidia: Path = NVIDIA) -> DoctorFinding:
+    """Look for graphics processors that Blender can render with.
+
+    Parameters
+    ----------
+    nodes : Path
+        Where the system lists them.
+    nvidia : Path
+        Where NVIDIA's driver tells its version.
+
+    Returns
+    -------
+    DoctorFinding
+        Those that there are; one that this user may not use is wrong.
+    """
+    devices = sorted(nodes.glob("renderD*"))
+    closed = [str(device) for device in devices if not os.access(device, os.R_OK | os.W_OK)]
+    names = [str(device) for device in devices]
+    if nvidia.is_file():
+        version = re.search(r"Kernel Module\s+(?:for \S+\s+)?([\d.]+)", nvidia.read_text(encoding="utf-8"))
+        names.append(f"NVIDIA's driver {version.group(1) if version else 'of unknown version'}")
+    if closed:
+        remedy = "add yourself to its group (sudo usermod -aG render $USER), and log in again"
+        return DoctorFinding("graphics", "wrong", f"this user may not open {', '.join(closed)}", remedy)
+    if not names:
+        return DoctorFinding("graphics", "absent", "none; Blender renders on the processor, which is enough")
+    return DoctorFinding("graphics", "ok", ", ".join(names))
+
+
+def check_disk(folder: Path, size: int = TRIED_BYTES) -> DoctorFinding:
+    """Measure how fast a disk takes frames, by a file that is deleted again.
+
+    Parameters
+    ----------
+    folder : Path
+        On the disk; it exists.
+    size : int
+        Bytes to write.
+
+    Returns
+    -------
+    DoctorFinding
+        The speed in MB/s, with what is written forced to the disk.
+    """
+    block = os.urandom(1 << 20)
+    try:
+        with tempfile.TemporaryFile(dir=folder) as stream:
+            start = time.perf_counter()
+            for _ in range(max(1, size >> 20)):
+                stream.write(block)
+            stream.flush()
+            os.fsync(stream.fileno())
+            speed = stream.tell() / (time.perf_counter() - start)
+    except OSError as error:
+        seen = f"{folder}: cannot be written ({error.strerror})"
+        return DoctorFinding("disk", "wrong", seen, "free some space")
+    return disk_speed_finding(folder, speed)
+
+
+def disk_speed_finding(folder: Path, speed: float) -> DoctorFinding:
+    """Judge the speed of a disk.
+
+    Parameters
+    ----------
+    folder : Path
+        On the disk.
+    speed : float
+        In bytes/s.
+
+    Returns
+    -------
+    DoctorFinding
+        Wrong below `SLOWEST_DISK`.
+    """
+    seen = f"{folder.absolute()}: {speed / 1e6:.0f} MB/s written"
+    if speed < SLOWEST_DISK:
+        return DoctorFinding("disk", "wrong", seen, "measure onto a faster disk, or frames may be lost")
+    return DoctorFinding("disk", "ok", seen)
+
+
+def _required() -> list[tuple[str, str]]:
+    """Packages that fpplab asks for, each with its extra; empty where it is always needed."""
+    try:
+        lines = metadata.requires("fpplab") or []
+    except metadata.PackageNotFoundError:
+        return []
+    found: dict[str, str] = {}
+    for line in lines:
+        name = re.split(r"[^\w.-]", line, maxsplit=1)[0]
+        extra = re.search(r"""extra == ['"]([\w-]+)['"]""", line)
+        if name != "fpplab" and not (extra and extra.group(1) == "dev"):
+            found.setdefault(name, extra.group(1) if extra else "")
+    return list(found.items())
+
+
+def _has(distribution: str) -> bool:
+    try:
+        metadata.version(distribution)
+    except metadata.PackageNotFoundError:
+        return False
+    return True

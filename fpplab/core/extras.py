@@ -1,0 +1,113 @@
+"""Extras: parts of fpplab whose packages are installed only where they are wanted, such as `fpplab[viewer]`.
+
+What recorded scans are measured with is always installed. Where a package of an extra is missing, the command
+that needs it says which one, and how to install it.
+"""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+
+from fpplab.core.errors import ConfigError
+
+EXTRAS = {
+    "twin": ("bpy", "skimage"),
+    "basler": ("pypylon",),
+    "lightcrafter": ("hid", "usb"),
+    "stage": ("serial",),
+    "display": ("sdl2",),
+    "gentl": ("genicam", "harvesters"),
+    "viewer": ("rerun", "rerun_cli", "pyarrow"),
+    "files": ("pye57", "laspy", "lxml"),
+    "optimise": ("optuna", "distributed", "dask"),
+}
+"""Modules that each extra of pyproject.toml brings."""
+
+
+class MissingExtraError(ConfigError):
+    """A package of an extra is not installed.
+
+    Parameters
+    ----------
+    module : str
+        The module that was not found; one of `EXTRAS`.
+    """
+
+    def __init__(self, module: str) -> None:
+        self.module = module
+        super().__init__(how_to_install(module))
+
+    def __reduce__(self) -> tuple[type[MissingExtraError], tuple[str]]:
+        """Pickle by the argument, since errors also come from other processes."""
+        return type(self), (self.module,)
+
+
+def extra_of(module: str) -> str:
+    """Name the extra that brings a module.
+
+    Parameters
+    ----------
+    module : str
+        The module, or one in it.
+
+    Returns
+    -------
+    str
+        Name of the extra; empty where none brings it.
+    """
+    first = module.partition(".")[0]
+    return next((extra for extra, modules in EXTRAS.items() if first in modules), "")
+
+
+def how_to_install(module: str) -> str:
+    """Say that a module is missing, and how to install it.
+
+    Parameters
+    ----------
+    module : str
+        Its name.
+
+    Returns
+    -------
+    str
+        One sentence.
+    """
+    first = module.partition(".")[0]
+    extra = extra_of(module)
+    wanted = f"'fpplab[{extra}]'" if extra else first
+    return f"{first} is not installed; install it with: pip install {wanted}"
+
+
+def missing_extra(error: BaseException) -> MissingExtraError | None:
+    """Tell whether an error is that a package of an extra is missing.
+
+    Parameters
+    ----------
+    error : BaseException
+        What was raised.
+
+    Returns
+    -------
+    MissingExtraError or None
+        What to say instead; None where the error is another one.
+    """
+    if isinstance(error, ModuleNotFoundError) and error.name and extra_of(error.name):
+        return MissingExtraError(error.name)
+    return None
+
+
+def need_extra(module: str) -> None:
+    """Refuse at once what would fail later for want of a package.
+
+    Parameters
+    ----------
+    module : str
+        A module of `EXTRAS`; it is looked for and not imported.
+
+    Raises
+    ------
+    MissingExtraError
+        It is not installed.
+    """
+    if find_spec(module) is None:
+        raise MissingExtraError(module)

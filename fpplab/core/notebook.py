@@ -1,0 +1,123 @@
+"""What objects show in a notebook: tables as HTML, small pictures, and axes to draw into."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Mapping
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+PICTURE_PX = 240
+"""Longest side of a picture in a table."""
+CUT = (2.0, 98.0)
+"""Percentiles of the values that are drawn black and white."""
+
+
+def html_table(title: str, rows: Mapping[str, object], picture: bytes | None = None) -> str:
+    """Write a table of names and values, with a picture beside it.
+
+    Parameters
+    ----------
+    title : str
+        Above it.
+    rows : mapping of str to object
+        Values by name, in the order shown; those that are None are left out.
+    picture : bytes, optional
+        A PNG file.
+
+    Returns
+    -------
+    str
+        HTML that needs no other file.
+    """
+    cells = "".join(
+        f"<tr><th style='text-align:left'>{escape(name)}</th>"
+        f"<td style='text-align:left'>{escape(str(value))}</td></tr>"
+        for name, value in rows.items()
+        if value is not None
+    )
+    table = f"<table><caption><b>{escape(title)}</b></caption>{cells}</table>"
+    if picture is None:
+        return f"<div>{table}</div>"
+    data = base64.b64encode(picture).decode("ascii")
+    image = f"<img alt='{escape(title, quote=True)}' src='data:image/png;base64,{data}'/>"
+    return f"<div style='display:flex;gap:1em'>{table}{image}</div>"
+
+
+def grey_picture(values: NDArray[Any]) -> bytes:
+    """Draw a small picture of a map or frame.
+
+    Parameters
+    ----------
+    values : ndarray, (height, width)
+        Drawn from black to white between the percentiles `CUT`; what is not finite is transparent.
+
+    Returns
+    -------
+    bytes
+        A PNG file, of at most `PICTURE_PX` columns and rows.
+    """
+    from PIL import Image as Pixels
+
+    step = max(1, -(-max(values.shape) // PICTURE_PX))
+    shown = np.asarray(values[::step, ::step], np.float64)
+    known = np.isfinite(shown)
+    low, high = np.percentile(shown[known], CUT) if known.any() else (0.0, 1.0)
+    share = np.clip((np.where(known, shown, low) - low) / max(high - low, 1e-12), 0.0, 1.0)
+    layers = np.stack([np.rint(255 * share), 255.0 * known], axis=-1).astype(np.uint8)
+    stream = io.BytesIO()
+    Pixels.fromarray(layers, "LA").save(stream, "PNG")
+    return stream.getvalue()
+
+
+def axes_or_new(axes: Axes | None) -> Axes:
+    """Give the axes to draw into.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes or None
+        Those that the caller was given.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        The same, or new ones in a figure of their own.
+    """
+    if axes is not None:
+        return axes
+    from matplotlib import pyplot as plt
+
+    return plt.subplots(layout="constrained")[1]
+
+
+def plot_map(values: NDArray[Any], label: str, axes: Axes | None = None) -> Axes:
+    """Draw a map over the camera's pixels, with its scale.
+
+    Parameters
+    ----------
+    values : ndarray, (height, width)
+        NaN where nothing is drawn. Values beyond the percentiles `CUT` have the colours of its ends.
+    label : str
+        Of the scale.
+    axes : matplotlib.axes.Axes, optional
+        Where to draw; new ones by default.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        With the map.
+    """
+    chosen = axes_or_new(axes)
+    known = values[np.isfinite(values)]
+    low, high = np.percentile(known, CUT) if known.size else (0.0, 1.0)
+    image = chosen.imshow(values, vmin=float(low), vmax=float(high), interpolation="nearest")
+    chosen.figure.colorbar(image, ax=chosen, label=label)
+    chosen.set(xlabel="camera column, px", ylabel="camera row, px")
+    return chosen

@@ -1,0 +1,139 @@
+"""Tables as CSV: of rows, and of all that a command's `--json` answer holds."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from fpplab.core.errors import DataError
+from fpplab.core.files import open_regular, write_text
+
+Row = dict[str, Any]
+"""Values by column; None is an empty cell."""
+
+SUMMARY = "summary"
+"""The table of what an answer says once."""
+
+
+def write_csv(path: Path, rows: Iterable[Row]) -> None:
+    """Write rows as CSV (RFC 4180, UTF-8): the file is complete or unchanged.
+
+    Parameters
+    ----------
+    path : Path
+        Of the file.
+    rows : iterable of dict
+        Their columns stand in the order in which they first occur; what a row lacks is empty.
+
+    Raises
+    ------
+    DataError
+        The file cannot be written.
+    """
+    write_text(path, csv_text(rows))
+
+
+def csv_text(rows: Iterable[Row]) -> str:
+    """Write rows as the text of a CSV file.
+
+    Parameters
+    ----------
+    rows : iterable of dict
+        As in `write_csv`.
+
+    Returns
+    -------
+    str
+        With a header, and all digits of each number.
+    """
+    rows = list(rows)
+    columns = dict.fromkeys(name for row in rows for name in row)
+    stream = io.StringIO(newline="")
+    writer = csv.DictWriter(stream, list(columns), restval="")
+    writer.writeheader()
+    writer.writerows(rows)
+    return stream.getvalue()
+
+
+def read_tables(path: Path) -> dict[str, list[Row]]:
+    """Read the tables of a `--json` answer, or of a journal with one JSON object in each line.
+
+    Parameters
+    ----------
+    path : Path
+        `.json` or `.jsonl`.
+
+    Returns
+    -------
+    dict of str to list of dict
+        As `tables_of`; a journal is one table of its own name.
+
+    Raises
+    ------
+    DataError
+        The file cannot be read, or holds no objects.
+    """
+    try:
+        with open_regular(path) as stream:
+            text = stream.read().decode("utf-8")
+        if path.suffix.lower() == ".jsonl":
+            found = tables_of({path.stem: [json.loads(line) for line in text.splitlines() if line.strip()]})
+        else:
+            answer = json.loads(text)
+            found = tables_of(answer if isinstance(answer, Mapping) else {path.stem: answer})
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read ({error.strerror or error})") from error
+    except (ValueError, RecursionError) as error:
+        raise DataError(f"{path}: is no JSON of fpplab ({error})") from error
+    if not found:
+        raise DataError(f"{path}: holds no table")
+    return found
+
+
+def tables_of(answer: Mapping[str, Any]) -> dict[str, list[Row]]:
+    """Arrange nested values as tables.
+
+    A list of objects is a table, named by the keys that lead to it; a list in its rows is another one, whose
+    rows say in the first column to which row they belong, counted from 0. What is said once is a row of the
+    table `SUMMARY`. Keys of objects within objects are joined by dots, as are the places in lists of numbers.
+
+    Parameters
+    ----------
+    answer : mapping
+        As parsed from JSON.
+
+    Returns
+    -------
+    dict of str to list of dict
+        Rows by name of the table.
+    """
+    tables: dict[str, list[Row]] = {SUMMARY: []}
+    row: Row = {}
+    _arrange(answer, "", "", row, tables)
+    if row:
+        tables[SUMMARY].append(row)
+    return {name: rows for name, rows in tables.items() if rows}
+
+
+def _arrange(value: Any, key: str, table: str, row: Row, tables: dict[str, list[Row]]) -> None:
+    """Put a value into the row under its key, and objects in lists into tables of their own."""
+    if isinstance(value, Mapping):
+        for name, part in value.items():
+            _arrange(part, f"{key}.{name}" if key else str(name), table, row, tables)
+    elif isinstance(value, list) and any(isinstance(part, Mapping) for part in value):
+        name = f"{table}.{key}" if table else key
+        rows = tables.setdefault(name, [])
+        above = {table: len(tables[table])} if table else {}
+        for part in value:
+            made: Row = dict(above)
+            _arrange(part, "" if isinstance(part, Mapping) else "value", name, made, tables)
+            rows.append(made)
+    elif isinstance(value, list):
+        for i, part in enumerate(value):
+            _arrange(part, f"{key}.{i}", table, row, tables)
+    else:
+        row[key] = value

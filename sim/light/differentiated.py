@@ -1,0 +1,118 @@
+"""Computed light with its derivatives, for an item in one pose."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from fpplab.core.conventions import Floats, PixelIndices
+from fpplab.patterns.fringes import Pattern
+from sim.light.basis import PatternLevels
+from sim.light.byte_limited_cache import ByteLimitedCache
+from sim.light.cache import digest
+from sim.light.mirrors import Mirrors
+from sim.light.plane import computed_motion
+from sim.light.slopes import MotionTable
+from sim.scene import RenderScene, SubpixelView
+from sim.texture import MirrorTexture
+
+BATCH_PATTERNS = 16
+"""Patterns that are looked up at once."""
+
+
+@dataclass(frozen=True, eq=False)
+class DifferentiatedLight:
+    """Light of a scene that is computed.
+
+    Attributes
+    ----------
+    scene : RenderScene
+        One flat, matt item.
+    views : list of SubpixelView
+        Points of the pixels and of the lens.
+    mirrors : Mirrors
+        Of the projector.
+    texture : MirrorTexture
+        How mirrors become a texture.
+    ambient : float
+        Even light from elsewhere.
+    falloff : PatternLevels or None
+        Of the camera's lens, (height, width).
+    motions : ByteLimitedCache of MotionTable
+        Tables of last time.
+    """
+
+    scene: RenderScene
+    views: list[SubpixelView]
+    mirrors: Mirrors
+    texture: MirrorTexture
+    ambient: float
+    falloff: PatternLevels | None
+    motions: ByteLimitedCache[MotionTable]
+
+    def at(self, patterns: tuple[Pattern, ...], pixels: PixelIndices) -> tuple[PatternLevels, PatternLevels]:
+        """Compute what `Light.irradiance_at` gives, with derivatives by the places that the pixels see.
+
+        Parameters
+        ----------
+        patterns : tuple of Pattern
+            n patterns.
+        pixels : PixelIndices
+            Rows and columns of P pixels.
+
+        Returns
+        -------
+        irradiance : PatternLevels
+            (n, P), 1 for white.
+        slopes : PatternLevels
+            (n, P, 4): its derivatives by the place x, y on the item in mm, and u, v on the projector in px.
+        """
+        table = self._motion(pixels)
+        found = np.concatenate([light for _, light in self._looked_up(table, patterns)])
+        ambient, per_px = np.float32(self.ambient), self.texture.affine[:, :2].astype(np.float32)
+        seen = found[..., 0] + ambient * table.table.albedo[0]
+        slopes = np.concatenate(
+            [found[..., 1:3] + ambient * table.albedo_slopes, found[..., 3:5] @ per_px], axis=-1
+        )
+        if self.falloff is not None:
+            seen *= self.falloff[pixels]
+            slopes *= self.falloff[pixels][:, None]
+        return seen, slopes
+
+    def displaced(self, patterns: tuple[Pattern, ...], moves: Floats) -> Iterator[PatternLevels]:
+        """Compute the irradiance of an item that is displaced under every pattern, to first order.
+
+        Parameters
+        ----------
+        patterns : tuple of Pattern
+            n patterns.
+        moves : Floats
+            Displacement (n, 3) under each, in mm in the camera's frame.
+
+        Yields
+        ------
+        PatternLevels
+            For each pattern (height, width), 1 for white, not negative.
+        """
+        table = self._motion(None)
+        for first, found in self._looked_up(table, patterns):
+            for picture in table.displaced(found, moves[first : first + len(found)], self.ambient):
+                yield picture if self.falloff is None else picture * self.falloff
+
+    def _motion(self, pixels: PixelIndices | None) -> MotionTable:
+        """Trace the scene at some pixels; a table of the whole image has the key of the plain table."""
+        key = digest(self.scene, self.views, *(() if pixels is None else (pixels,)))
+        return self.motions.get(key, lambda: computed_motion(self.scene, self.views, True, pixels))
+
+    def _looked_up(
+        self, table: MotionTable, patterns: tuple[Pattern, ...]
+    ) -> Iterator[tuple[int, PatternLevels]]:
+        part = table.table.part(self.texture.shape)
+        for first in range(0, len(patterns), BATCH_PATTERNS):
+            few = patterns[first : first + BATCH_PATTERNS]
+            yield (
+                first,
+                table.look_up(self.mirrors.textures(few, self.texture, self.scene.lamp.circles, part)),
+            )

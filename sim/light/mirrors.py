@@ -1,0 +1,193 @@
+"""The light of the projector's mirrors under patterns, and the textures that it becomes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fpplab.core.conventions import full_scale
+from fpplab.patterns.fringes import Pattern
+from sim.light.basis import Basis, PatternLevels, smallest_basis
+from sim.light.byte_limited_cache import ByteLimitedCache
+from sim.light.falloff import projector_falloff
+from sim.texture import MirrorTexture, Part, PatternTextures
+from sim.world import ProjectorWorld
+
+KEEP_BYTES = 1 << 29
+"""Size of each cache in memory."""
+
+
+@dataclass(frozen=True, eq=False)
+class MirrorStates:
+    """Light of the mirrors, relative to the brightest, in each of several states.
+
+    Attributes
+    ----------
+    count : int
+        Number of states.
+    of : callable
+        Gives the light of one state, (rows, columns) float32.
+    rounding : float
+        RMS of the quantisation error of the light.
+    """
+
+    count: int
+    of: Callable[[int], PatternLevels]
+    rounding: float
+
+
+class Mirrors:
+    """Mirrors of a projector, with its response and falloff.
+
+    Parameters
+    ----------
+    projector : ProjectorWorld
+        The projector.
+    """
+
+    def __init__(self, projector: ProjectorWorld) -> None:
+        self._projector, self._falloff = projector, projector_falloff(projector)
+        self._kept: ByteLimitedCache[PatternLevels] = ByteLimitedCache(KEEP_BYTES)
+        self._textures: ByteLimitedCache[PatternTextures] = ByteLimitedCache(KEEP_BYTES)
+        self._loaded: tuple[tuple[Pattern, ...], MirrorStates] | None = None
+        self._planes: tuple[Pattern, MirrorStates] | None = None
+        self._basis: tuple[MirrorStates, Basis] | None = None
+
+    def level(self, pattern: Pattern) -> PatternLevels:
+        """Compute the light under a pattern.
+
+        Parameters
+        ----------
+        pattern : Pattern
+            As the projector shows it.
+
+        Returns
+        -------
+        PatternLevels
+            (rows, columns); shared, not to be changed.
+        """
+        return self._kept.get(pattern, lambda: self._fallen_off(self._even(pattern)))
+
+    def textures(
+        self, patterns: Sequence[Pattern], texture: MirrorTexture, circles: tuple[float, ...], part: Part
+    ) -> PatternTextures:
+        """Make the textures of patterns, or take those of last time.
+
+        Parameters
+        ----------
+        patterns : sequence of Pattern
+            n patterns.
+        texture : MirrorTexture
+            How mirrors become a texture.
+        circles : tuple of float
+            Diameters of circles of confusion in texels.
+        part : Part
+            Region of the texture.
+
+        Returns
+        -------
+        PatternTextures
+            Shared; not to be changed.
+        """
+        return self._textures.get(
+            (tuple(patterns), texture, circles, part),
+            lambda: texture.textures([self.level(one) for one in patterns], circles, part),
+        )
+
+    def states(self, patterns: tuple[Pattern, ...]) -> MirrorStates:
+        """Give the states of the mirrors under loaded patterns.
+
+        Parameters
+        ----------
+        patterns : tuple of Pattern
+            One for each state.
+
+        Returns
+        -------
+        MirrorStates
+            The same object as long as the same tuple is asked for.
+        """
+        if self._loaded is None or self._loaded[0] is not patterns:
+            response = self._projector.response
+            depth = min(p.bit_depth for p in patterns)
+            steepest = 255.0 * float(np.diff(response.curve().shape(np.arange(256) / 255)).max())
+            rounding = response.a * max(steepest, 1.0) / (np.sqrt(12) * full_scale(depth))
+            self._loaded = (
+                patterns,
+                MirrorStates(len(patterns), lambda n: self.level(patterns[n]), rounding),
+            )
+        return self._loaded[1]
+
+    def planes(self, pattern: Pattern) -> MirrorStates:
+        """Give the light that closed mirrors leak, and that of the binary planes of a pattern.
+
+        Parameters
+        ----------
+        pattern : Pattern
+            As the projector shows it.
+
+        Returns
+        -------
+        MirrorStates
+            State 0 of closed mirrors, then the planes, the least significant first.
+        """
+        if self._planes is None or self._planes[0] is not pattern:
+            response, bits = self._projector.response, pattern.bit_depth
+            greys = full_scale(bits)
+            codes = np.rint((self._even(pattern) - response.b) / response.a * greys).astype(np.int64)
+
+            def of(n: int) -> PatternLevels:
+                if n == 0:
+                    return self._fallen_off(np.full(codes.shape, response.b, np.float32))
+                bit = n - 1
+                share = np.asarray((codes >> bit & 1) * (response.a * 2**bit / greys), np.float32)
+                return self._fallen_off(share)
+
+            self._planes = (pattern, MirrorStates(bits + 1, of, 0.0))
+        return self._planes[1]
+
+    def basis(self, levels: MirrorStates) -> Basis:
+        """Find the smallest basis of all states.
+
+        Parameters
+        ----------
+        levels : MirrorStates
+            The states.
+
+        Returns
+        -------
+        Basis
+            The same object as long as the same states are asked for.
+        """
+        if self._basis is None or self._basis[0] is not levels:
+            basis = smallest_basis(np.stack([levels.of(n) for n in range(levels.count)]), levels.rounding)
+            self._basis = (levels, basis)
+        return self._basis[1]
+
+    def inherit(self, other: Mirrors) -> None:
+        """Take over what other mirrors keep, where their light is the same.
+
+        Parameters
+        ----------
+        other : Mirrors
+            Of any projector.
+        """
+        ours, theirs = self._projector, other._projector
+        if (ours.response, ours.falloff) == (theirs.response, theirs.falloff):
+            self._kept.take(other._kept)
+            self._textures.take(other._textures)
+
+    def forget(self) -> None:
+        """Drop all that is kept."""
+        self._kept.clear()
+        self._textures.clear()
+        self._loaded = self._planes = self._basis = None
+
+    def _even(self, pattern: Pattern) -> PatternLevels:
+        table = self._projector.response.curve().apply(np.linspace(0, 1, 256))
+        return table.astype(np.float32)[pattern.image]
+
+    def _fallen_off(self, light: PatternLevels) -> PatternLevels:
+        return light if self._falloff is None else light * self._falloff

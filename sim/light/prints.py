@@ -1,0 +1,151 @@
+"""The print of a flat item, blurred by spots of several sizes.
+
+Sizes are the same for all items, so that a board that moves, or a lens that is focused, keeps what was
+blurred before. What is blurred is where the item is and where its ground is; reflectances come in afterwards.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections import OrderedDict
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.core.conventions import Floats
+
+SIZE_RATIO = 1.2
+"""Ratio of the variances of successive sizes of spots; between them the print is interpolated."""
+RIM_SIGMAS = 4.0
+"""Margin of the blurred print beyond the item's edges, in standard deviations of the blur."""
+KEEP_BYTES = 1 << 28
+"""Greatest size of a print that is kept for sizes which are not asked for now; all have twice as much."""
+
+_Picture = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Prints:
+    """What is printed on a rectangle, for several sizes of spots.
+
+    Attributes
+    ----------
+    pictures : ndarray of float32
+        (sizes, rows, columns): share of the ground in what is seen, 0 beyond the item.
+    across, down : ndarray of float32
+        (sizes, columns) and (sizes, rows): the share of the item in what is seen is their product.
+    rim : tuple of int
+        Columns on either side, and rows above and below, that lie beyond the item.
+    variances : Floats
+        (sizes,) in mm², rising.
+    """
+
+    pictures: _Picture
+    across: _Picture
+    down: _Picture
+    rim: tuple[int, int]
+    variances: Floats
+
+
+def sharp_print(picture: NDArray[np.uint8] | None) -> Prints:
+    """Make the print without blur.
+
+    Parameters
+    ----------
+    picture : ndarray of uint8 or None
+        255 for the ground [v, u]; None where all of the item is ground.
+
+    Returns
+    -------
+    Prints
+        Of one size, without a rim.
+    """
+    share = np.ones((1, 1), np.float32) if picture is None else picture / np.float32(255)
+    rows, columns = share.shape
+    one = np.ones((1, max(rows, columns)), np.float32)
+    return Prints(share[None], one[:, :columns], one[:, :rows], (0, 0), np.zeros(1))
+
+
+@dataclass(frozen=True, eq=False)
+class _Kept:
+    """Prints of a picture, for the sizes from `first` to `last` as powers of `SIZE_RATIO`."""
+
+    picture: NDArray[np.uint8]
+    first: int
+    last: int
+    prints: Prints
+
+    @property
+    def nbytes(self) -> int:
+        return self.prints.pictures.nbytes
+
+
+class PrintCache:
+    """The prints of the pictures asked for last, for all sizes that were asked for."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._kept: OrderedDict[tuple[int, float, float], _Kept] = OrderedDict()
+
+    def blurred(
+        self, picture: NDArray[np.uint8], scale: tuple[float, float], least: float, most: float
+    ) -> Prints:
+        """Blur a print for all spots between two sizes, unless it is there.
+
+        Parameters
+        ----------
+        picture : ndarray of uint8
+            255 for the ground [v, u]; not to be changed afterwards.
+        scale : tuple of float
+            Pixels per mm along u and v.
+        least, most : float
+            Variances of the spots in mm².
+
+        Returns
+        -------
+        Prints
+            At least of these sizes; which others there are changes nothing for spots between them.
+        """
+        first, last = (math.floor(math.log(v) / math.log(SIZE_RATIO)) for v in (least, most))
+        first, last, key = first - 1, last + 2, (id(picture), *scale)
+        with self._lock:
+            kept = self._kept.get(key)
+            if kept is not None:
+                if kept.first <= first and last <= kept.last:
+                    self._kept.move_to_end(key)
+                    return kept.prints
+                widest = min(kept.first, first), max(kept.last, last)
+                if 4 * picture.size * (widest[1] - widest[0] + 1) <= KEEP_BYTES:
+                    first, last = widest
+            prints = _blurred(picture, scale, SIZE_RATIO ** np.arange(first, last + 1.0))
+            # with the picture itself, so that no other has its number
+            self._kept[key] = _Kept(picture, first, last, prints)
+            self._kept.move_to_end(key)
+            while len(self._kept) > 1 and sum(one.nbytes for one in self._kept.values()) > 2 * KEEP_BYTES:
+                self._kept.popitem(last=False)
+            return prints
+
+
+def _blurred(picture: NDArray[np.uint8], scale: tuple[float, float], variances: Floats) -> Prints:
+    rim_x, rim_y = (math.ceil(RIM_SIGMAS * math.sqrt(variances[-1]) * of_axis) + 1 for of_axis in scale)
+    share = np.pad(picture / np.float32(255), ((rim_y, rim_y), (rim_x, rim_x)))
+    rows, columns = picture.shape
+    along, upright = (np.pad(np.ones(n), rim) for n, rim in ((columns, rim_x), (rows, rim_y)))
+    pictures = np.empty((len(variances), *share.shape), np.float32)
+    across, down = [], []
+    for out, sigma in zip(pictures, np.sqrt(variances).tolist(), strict=True):
+        x, y = (_gaussian(sigma * of_axis) for of_axis in scale)
+        cv2.sepFilter2D(share, -1, x, y, out, borderType=cv2.BORDER_CONSTANT)
+        across.append(np.convolve(along, x, "same"))
+        down.append(np.convolve(upright, y, "same"))
+    return Prints(
+        pictures, np.array(across, np.float32), np.array(down, np.float32), (rim_x, rim_y), variances
+    )
+
+
+def _gaussian(sigma: float) -> Floats:
+    reach = math.ceil(RIM_SIGMAS * sigma)
+    return np.asarray(cv2.getGaussianKernel(2 * reach + 1, sigma)[:, 0], np.float64)

@@ -1,0 +1,119 @@
+"""How the light on a flat item changes with what its pixels see, and as it moves.
+
+A pixel's light is the reflectance at the place (x, y) of the item that it sees, times the light of the place
+(u, v) of the projector's image that falls there. Both derivatives come with the light from one pass over its
+samples. The derivatives of the four places by the item's place are plain geometry, alike for all samples of a
+pixel.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+
+from fpplab.core.conventions import Floats
+from sim.light.look_up import light_with_slopes
+from sim.light.table import Irradiance, LightTable
+from sim.texture import PatternTextures
+
+
+@dataclass(frozen=True, eq=False)
+class MotionTable:
+    """A table of light with its derivatives.
+
+    Attributes
+    ----------
+    table : LightTable
+        Of K samples of each of its h * w = P pixels.
+    slopes : Irradiance
+        (K, P, 2), of the shade by the place (x, y) on the item that is seen, per mm.
+    albedo_slopes : Irradiance
+        (P, 2), of the reflectance, averaged over samples.
+    motion : Irradiance
+        (P, 5, 3), by the item's place in the camera's frame in mm: of the logarithm of the white light that
+        falls there, of x and y in mm, and of column and row of the texture.
+    """
+
+    table: LightTable
+    slopes: Irradiance
+    albedo_slopes: Irradiance
+    motion: Irradiance
+
+    @property
+    def nbytes(self) -> int:
+        """Size in bytes."""
+        own = self.slopes.nbytes + self.albedo_slopes.nbytes + self.motion.nbytes
+        return self.table.nbytes + own
+
+    def look_up(self, textures: PatternTextures) -> Irradiance:
+        """Compute the light under patterns with its derivatives.
+
+        Parameters
+        ----------
+        textures : PatternTextures
+            Of n patterns, at least the part that the table's `part` gives; mirrors without sharp edges.
+
+        Returns
+        -------
+        Irradiance
+            (n, P, 5): the light, and its derivatives by x and y in mm and by column and row of the texture.
+        """
+        assert textures.weights is not None
+        views, h, w, _ = self.table.samples.shape
+        found = np.empty((textures.texels.shape[-1], h * w, 5), np.float32)
+        x, y = map(np.float32, textures.origin)
+        flat = self.table.samples.reshape(views, h * w, 4)
+        light_with_slopes(textures.texels, textures.weights, flat, self.slopes, x, y, found)
+        return found
+
+    def displaced(self, found: Irradiance, moves: Floats, ambient: float) -> Irradiance:
+        """Compute the light on the displaced item to first order, ambient light included.
+
+        Parameters
+        ----------
+        found : Irradiance
+            (n, P, 5), from `look_up`.
+        moves : Floats
+            Displacement (n, 3) under each pattern, in mm in the camera's frame.
+        ambient : float
+            Even light from elsewhere.
+
+        Returns
+        -------
+        Irradiance
+            (n, height, width) of the whole image, not negative.
+        """
+        _, h, w, _ = self.table.samples.shape
+        left, top = self.table.corner
+        height, width = self.table.albedo.shape
+        seen = np.empty((len(found), h * w), np.float32)
+        albedo = self.table.albedo[top : top + h, left : left + w].ravel()
+        _displace(found, self.motion, moves, np.float32(ambient), albedo, self.albedo_slopes, seen)
+        pictures = np.zeros((len(found), height, width), np.float32)
+        pictures[:, top : top + h, left : left + w] = seen.reshape(-1, h, w)
+        return pictures
+
+
+@numba.njit(parallel=True, cache=True)
+def _displace(
+    found: Irradiance,
+    motion: Irradiance,
+    moves: Floats,
+    ambient: np.float32,
+    albedo: Irradiance,
+    albedo_slopes: Irradiance,
+    out: Irradiance,
+) -> None:
+    for p in numba.prange(len(albedo)):
+        for n in range(len(out)):
+            total = found[n, p, 0] + ambient * albedo[p]
+            for axis in range(3):
+                by = found[n, p, 0] * motion[p, 0, axis]
+                for place in range(1, 5):
+                    by += found[n, p, place] * motion[p, place, axis]
+                for place in range(2):
+                    by += ambient * albedo_slopes[p, place] * motion[p, 1 + place, axis]
+                total += np.float32(moves[n, axis]) * by
+            out[n, p] = max(total, np.float32(0))
