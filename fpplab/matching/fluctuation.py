@@ -221,7 +221,18 @@ class Variances:
     weight: Floats
 
     def misfit(self, further: float) -> float:
-        """Twice the negative logarithm of the likelihood of a further variance, but for a constant."""
+        """Compute twice the negative logarithm of the likelihood of a further variance.
+
+        Parameters
+        ----------
+        further : float
+            The variance.
+
+        Returns
+        -------
+        float
+            But for a constant.
+        """
         whole = self.noise + further
         return float(np.sum(self.weight * (np.log(whole) + self.squares / whole)))
 
@@ -245,7 +256,20 @@ class Variances:
         return float(1.0 / np.sqrt(2.0 * max(np.sum(self.weight * share**2), 1e-12)))
 
     def criterion(self, further: float, free: int) -> float:
-        """Schwarz's criterion of a model with this further variance and so many parameters more."""
+        """Compute Schwarz's criterion of a further variance.
+
+        Parameters
+        ----------
+        further : float
+            The variance.
+        free : int
+            Number of parameters that it takes.
+
+        Returns
+        -------
+        float
+            The least is the best.
+        """
         return self.misfit(further) + free * float(np.log(np.sum(self.weight)))
 
 
@@ -380,7 +404,18 @@ class Bands:
         return float(self.frequency[k] + 0.5 * step * (before - after) / (before - 2 * here + after))
 
     def at(self, frequency: float) -> Variances:
-        """Give the power nearest to a frequency; its further variance is a quarter of ρ²."""
+        """Give the power at a frequency.
+
+        Parameters
+        ----------
+        frequency : float
+            In periods per row; the nearest that is known is taken.
+
+        Returns
+        -------
+        Variances
+            Its further variance is a quarter of ρ².
+        """
         index = int(np.argmin(np.abs(self.frequency - frequency)))
         return Variances(self.power[:, index], self.floor[:, index], 2.0 * self.freedom)
 
