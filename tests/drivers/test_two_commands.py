@@ -98,7 +98,7 @@ def test_from_what_is_connected_to_a_cloud(tmp_path: Path, monkeypatch: pytest.M
         )
         assert seen["camera"]["saturated"] < 0.01
         assert seen["projector"]["white"] > 0.2
-        assert "drivers.video_camera:VideoCamera" in (tmp_path / "new.yaml").read_text()
+        assert "backend: video_camera" in (tmp_path / "new.yaml").read_text()
         plan = ("--rig", "new.yaml", "--plan", "plan_card.yaml")
         assert answer("check", *plan)["ok"]
         calibrated = ("--calibration", "calibration.yaml", "--out", "card")

@@ -163,7 +163,7 @@ def test_wrong_options_are_refused(bench: Bench) -> None:
         VirtualBench({"world": "nowhere.yaml"})
     with pytest.raises(ConfigError, match="'subpixels'"):
         VirtualBench({"world": "world_demo.yaml", "subpixels": 9})
-    with pytest.raises(ConfigError, match=r"needs the bench 'sim\.devices:VirtualBench'"):
+    with pytest.raises(ConfigError, match=r"needs the bench 'virtual_bench'"):
         SimCamera("camera", {}, None)
     with pytest.raises(ConfigError, match="no option 'serial'"):
         SimStage("stage", {"serial": "1"}, bench.shared)

@@ -64,7 +64,7 @@ def test_it_is_a_projector_until_it_is_ended(
     assert served.stdout is not None
     told = json.loads(served.stdout.readline())
     index = base.source.with_suffix(".yaml")
-    assert told["projector"] == f'{{backend: "drivers.dlp4500:Dlp4500", flash: {index}}}'
+    assert told["projector"] == f"{{backend: dlp4500, flash: {index}}}"
     wait_until(is_on_usb)
     with Dlp4500("projector", {"flash": str(index)}, None) as projector:
         projector.load(PATTERNS[:3])
