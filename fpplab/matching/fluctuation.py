@@ -451,6 +451,8 @@ def match_bands(reference: Reference, twin: Twin, poses: Sequence[int]) -> TwinP
     if bands is None or share <= 0:
         return now
     told = bands.at(bands.best_frequency)
+    if not told.further:
+        return now
     ripple = min(2.0 * float(np.sqrt(told.further)) / share, 1.0)
     period = 1.0 / bands.best_frequency
     sigma = {

@@ -356,7 +356,7 @@ def match_sessions(
     if not result.diagnosis.is_useless:
         twin.become(complete)
         tell("comparing noise and scans for the intervals of predictions")
-        discrepancy_of(reference, twin, [*scans, *parts]).save(folder)
+        discrepancy_of(reference, twin, scans).save(folder)
         twin.save(folder, result.notes)
     return result
 
