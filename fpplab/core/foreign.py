@@ -162,7 +162,8 @@ def read_opencv(content: bytes) -> Parts:
     """
     import cv2
 
-    cv2.setLogLevel(0)  # or OpenCV would print what the error says
+    logging: Any = cv2.utils.logging  # type: ignore[attr-defined]  # OpenCV's stubs lack it
+    logging.setLogLevel(logging.LOG_LEVEL_SILENT)  # or OpenCV would print what the error says
     try:
         storage = cv2.FileStorage(content.decode("utf-8"), cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
         root = storage.root()  # valid only as long as `storage` exists

@@ -15,7 +15,7 @@ from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.pipeline import take_poses
 from tests.support.commands import NO_DISPLAY, Command
-from tests.viewer.test_viewer import Recording
+from tests.support.recordings import Recording
 
 PLAN = Plan(
     fringes=tuple(
