@@ -45,3 +45,8 @@ def on_page_markdown(markdown: str, *, page: Any, config: Any, files: Files) -> 
         return f"{words} (`{path.relative_to(ROOT).as_posix()}`)"
 
     return re.sub(r"(?<!!)\[([^\]]+)\]\(([^)\s]+)\)", plain, markdown)
+
+
+def on_post_page(output: str, *, page: Any, config: Any) -> str:
+    """Leave out the script that the theme would fetch to search pages from the disk: nothing is fetched."""
+    return re.sub(r'<script src="https://unpkg\.com/[^"]+"></script>', "", output)

@@ -67,16 +67,6 @@ def test_the_site_shows_its_pages(site: Path, browser: Browser) -> None:
 
 
 @pytest.mark.slow
-def test_the_site_is_searched_without_a_server(site: Path, browser: Browser) -> None:
-    browser.open(site / "index.html")
-    browser.run("var words = document.querySelector('input[name=query]'); words.focus()")
-    browser.run("words.value = 'interreflection'; words.dispatchEvent(new Event('keyup', {bubbles: true}))")
-    browser.until(
-        "[...document.querySelectorAll('.md-search-result__link')].some(a => /verdicts/.test(a.href))"
-    )
-
-
-@pytest.mark.slow
 def test_reports_of_the_tutorial_are_shown(browser: Browser) -> None:
     folder = run_once(DOCS / "tutorial" / "first-scan.md")
     for width, (across, down) in WIDTHS.items():
