@@ -1,18 +1,22 @@
-# `make demo` and `make test` set everything up first, on a fresh machine with Python 3.11.
-PYTHON ?= python3.11
+# `make demo` and `make test` set everything up first, on a fresh machine with Python 3.13 or 3.11: the newest of
+# these that runs, or the one that PYTHON names.
+PYTHON := $(or $(PYTHON),$(shell for each in python3.13 python3.11; do $$each -c '' 2>/dev/null && echo $$each && break; done))
 VENV := .venv
 # Tests run side by side in so many processes; a process that has none left takes some of the other's.
 WORKERS ?= 2
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: setup demo test test-slow test-usb crash fuzz soak mutants full-disk faults lint bench clean
+.PHONY: setup demo docs test test-slow test-twin test-usb crash fuzz soak mutants full-disk faults lint release bench clean
 
 setup: $(READY)
 
-$(READY): pyproject.toml constraints.txt
+$(READY): pyproject.toml constraints-3.11.txt constraints-3.13.txt
+	@test -n "$(PYTHON)" || { echo "neither python3.13 nor python3.11 runs here; install one, or give PYTHON=/path/to/it"; exit 1; }
+	@echo "Setting up $(VENV) with $(PYTHON), $$($(PYTHON) --version)"
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[all,dev]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[all,dev]' \
+		--constraint constraints-$$($(BIN)/python -c 'import sys; print("%d.%d" % sys.version_info[:2])').txt
 	$(BIN)/python -m fpplab.core.system
 	$(BIN)/python -m fpplab.cli.warmup
 	touch $(READY)
@@ -25,6 +29,10 @@ test: setup
 
 test-slow: setup
 	$(BIN)/python -m pytest -m slow -n $(WORKERS) --dist worksteal
+
+# What depends on the versions of NumPy and Blender: all devices, the simulation, and the demonstration.
+test-twin: setup
+	$(BIN)/python -m pytest -m 'not slow' -n $(WORKERS) --dist worksteal tests/conformance tests/sim tests/cli/test_demo.py
 
 # The projector's driver through a real kernel: a virtual machine of Debian's packages, unpacked into build/vm.
 test-usb: setup
@@ -57,6 +65,14 @@ lint: setup
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
+# The documentation as a site, build/docs/site/index.html; its pages are run first, for their pictures.
+docs: setup
+	$(BIN)/python -m docs.generate
+
+# What has to hold before a release; leaves wheel and bill of materials in dist/.
+release: setup
+	$(BIN)/python -m tests.release
+
 bench: setup
 	$(BIN)/python -m benchmarks
 
@@ -65,4 +81,4 @@ crash: setup
 	$(BIN)/python -m benchmarks.crash
 
 clean:
-	rm -rf $(VENV) out build dist
+	rm -rf $(VENV) .venv-other out build dist

@@ -35,7 +35,8 @@ from fpplab.pipeline import measure_response, take, take_poses
 from fpplab.sessions.session import Session, recorded_sessions
 from fpplab.simulation.matchable import Twin, TwinParameters
 from fpplab.targets import Target
-from sim.twin import SimTwin, white_level_per_s
+from sim.parameters import white_level_per_s
+from sim.twin import SimTwin
 from sim.world import World
 
 BOARD, CARD = "board", "grey_card"

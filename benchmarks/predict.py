@@ -1,14 +1,15 @@
 """Twins of benches that nobody has seen: what they predict, beside what the benches then measure.
 
 Every bench has all effects of `benchmarks.hidden`, of drawn strength. The twin is given its recordings alone:
-of a card, of a board and of one part. Then it predicts five measurements, which the bench makes afterwards.
+of a card, of a board, of one part, and of a part of another surface by another plan. Then it predicts five
+measurements, which the bench makes afterwards.
 Seeds below `JUDGING` are for development.
 """
 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -181,10 +182,11 @@ def judged(seed: int, folder: Path, trial: PredictSetup = FULL) -> JudgedBench:
         response = bench.response(plan.exposure_s)
         sessions = bench.board(plan, folder / "board")
         part = bench.record(Plan.load(trial.part_plan), folder / "part", SHAPES[0])
+        painted = bench.record(Plan.load(trial.other_plan), folder / "painted", PAINTED)
         truth = truth_of(bench.rig, bench.world)
         write_rig(nominal_world(bench.world), folder / "nominal", "Nominal twin")
         try:
-            found = matched(folder, trial, sessions, part, response)
+            found = matched(folder, trial, sessions, {SHAPES[0]: part}, {PAINTED: painted}, response)
             predicted = predictions(folder / "matched" / "rig.yaml", trial.questions)
         except FppError as error:
             console.say(f"{seed}: {error}")
@@ -204,7 +206,12 @@ def judged(seed: int, folder: Path, trial: PredictSetup = FULL) -> JudgedBench:
 
 
 def matched(
-    folder: Path, trial: PredictSetup, sessions: Sequence[Session], part: Session, response: Response
+    folder: Path,
+    trial: PredictSetup,
+    sessions: Sequence[Session],
+    scans: Mapping[str, Session],
+    surfaces: Mapping[str, Session],
+    response: Response,
 ) -> MatchingResult:
     """Match the nominal twin to recordings.
 
@@ -216,8 +223,8 @@ def matched(
         Limits.
     sessions : sequence of Session
         Of the board.
-    part : Session
-        Of the first of `SHAPES`.
+    scans, surfaces : mapping of str to Session
+        Of parts, for the comparison and for their surfaces.
     response : Response
         Of the bench.
 
@@ -226,7 +233,7 @@ def matched(
     MatchingResult
         As `fpplab match` finds it.
     """
-    wanted = MatchingRequest(response=response, scans={SHAPES[0]: part}, limits=trial.limits)
+    wanted = MatchingRequest(response=response, scans=scans, surfaces=surfaces, limits=trial.limits)
     with Rig.load(folder / "nominal" / "rig.yaml") as rig, console.progress("Matching") as report:
         twin = twin_of(rig, BOARD)
         ordered = recorded_sessions([session.path for session in sessions])

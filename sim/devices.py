@@ -45,6 +45,7 @@ from fpplab.simulation.arrangeable import SceneStudio
 from fpplab.simulation.matchable import Twin
 from fpplab.simulation.predictable import FrameSampler
 from sim.build import Setup, build_scene, is_lit_in_view
+from sim.fluctuation import Fluctuation
 from sim.items import item_poses
 from sim.light import Light, PatternLevels, Show
 from sim.sampling import SimSampler
@@ -308,11 +309,18 @@ class VirtualBench:
         steps, start = random.standard_normal(3), random.uniform()
         weights, step_mm = self._row_weights(show, settings, start), self.world.vibration_mm
         if step_mm and setup.item != "nothing" and not self.light.computes(setup):
-            return with_vibration(self.light, setup, self._displaced(setup), steps, show, weights)
+            picture = with_vibration(self.light, setup, self._displaced(setup), steps, show, weights)
+            return self._fluctuating(setup, picture, frame)
         if step_mm:  # computed light is exact for every displacement at no greater cost
             x, y, z = (step_mm * steps).tolist()
             setup = replace(setup, vibration_mm=(x, y, z))
-        return self.light.irradiance(setup, show, weights)
+        return self._fluctuating(setup, self.light.irradiance(setup, show, weights), frame)
+
+    def _fluctuating(self, setup: Setup, picture: PatternLevels, frame: int) -> PatternLevels:
+        changes = Fluctuation.of(self.world)
+        if changes is None:
+            return picture
+        return changes.applied(picture, self.light.irradiance(setup, None), np.arange(len(picture)), frame)
 
     def _displaced(self, setup: Setup) -> tuple[Setup, ...]:
         if self._vibrating is None or self._vibrating[0] != setup:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from pathlib import Path
 from shutil import rmtree
 from tempfile import mkdtemp
@@ -19,7 +18,7 @@ from weakref import finalize
 import numpy as np
 import trimesh
 
-from fpplab.calibration.model import Calibration, CalibrationFile, PoseFile
+from fpplab.calibration.model import CalibrationFile
 from fpplab.core import config
 from fpplab.core.conventions import Image, PixelIndices
 from fpplab.core.errors import ConfigError
@@ -29,10 +28,11 @@ from fpplab.devices import CameraSettings
 from fpplab.patterns.fringes import Pattern
 from fpplab.simulation.appearance import Appearance
 from fpplab.simulation.matchable import ExpectedLevels, TwinParameters
-from fpplab.targets import Target
 from sim.build import Setup
+from sim.fluctuation import Fluctuation
 from sim.items import board_target, item_poses, part_mesh
 from sim.light import Light, PatternLevels, Show
+from sim.parameters import parameters_of, world_of
 from sim.sensor import SensorModel
 from sim.sheet import board_relative_to, save_sheet
 from sim.surroundings import save_surroundings
@@ -66,8 +66,8 @@ class SimTwin:
             raise ConfigError(f"world: 'items.{board}' is no board; there are {boards or 'none'}")
         self._nominal, self._board, self._blender = nominal, board, blender
         self.target = board_target(board, item)
-        self._parameters = _parameters_of(nominal, board, self.target)
-        self._world = _world_of(nominal, board, self._parameters)
+        self._parameters = parameters_of(nominal, board, self.target)
+        self._world = world_of(nominal, board, self._parameters)
         self._light = Light(self._world, blender, analytic=True)
         self._next_frame, self._settings = 0, CameraSettings(1.0)
         self._appearance: Appearance | None = None
@@ -106,7 +106,7 @@ class SimTwin:
         ConfigError
             No world can have these parameters.
         """
-        world = _world_of(self._nominal, self._board, parameters)
+        world = world_of(self._nominal, self._board, parameters)
         light = Light(world, self._blender, analytic=True)
         light.inherit(self._light)
         self._parameters, self._world, self._light = parameters, world, light
@@ -151,10 +151,8 @@ class SimTwin:
         ExpectedLevels
             Grey levels (n, P), 0 to full scale.
         """
-        setup = Setup(self._board, held=self._parameters.poses[pose])
-        irradiance = self._light.irradiance_at(setup, tuple(patterns), pixels)
         self._settings = settings
-        return SensorModel.of(self._world).expected(irradiance, settings)
+        return self.expected_part(self._board, self._parameters.poses[pose], patterns, settings, pixels)
 
     def expected_with_slopes(
         self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings, pixels: PixelIndices
@@ -211,6 +209,42 @@ class SimTwin:
             The world has no such item.
         """
         return self._expected(Setup(item), patterns, settings)
+
+    def expected_part(
+        self,
+        item: str,
+        pose: RigidTransform,
+        patterns: Sequence[Pattern],
+        settings: CameraSettings,
+        pixels: PixelIndices,
+    ) -> ExpectedLevels:
+        """Compute what the camera sees on average of an item in any pose, at some pixels only.
+
+        Parameters
+        ----------
+        item : str
+            Name of the item.
+        pose : RigidTransform
+            T_camera_item in mm.
+        patterns : sequence of Pattern
+            n patterns to show.
+        settings : CameraSettings
+            Exposure, gain and bit depth.
+        pixels : PixelIndices
+            Rows and columns of P pixels.
+
+        Returns
+        -------
+        ExpectedLevels
+            Grey levels (n, P), 0 to full scale.
+
+        Raises
+        ------
+        ConfigError
+            The world has no such item.
+        """
+        irradiance = self._light.irradiance_at(Setup(item, held=pose), tuple(patterns), pixels)
+        return SensorModel.of(self._world).expected(irradiance, settings)
 
     def frames(self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings) -> list[Image]:
         """Simulate frames of the board with the sensor's noise and the item's vibration.
@@ -275,6 +309,12 @@ class SimTwin:
             pictures = [
                 with_vibration(self._light, still, moved, steps, Show(shown, n))
                 for n, steps in enumerate(draws)
+            ]
+        if (changes := Fluctuation.of(self._world)) is not None:
+            ambient = self._light.irradiance(still, None)
+            rows = np.arange(len(ambient))
+            pictures = [
+                changes.applied(of, ambient, rows, n) for of, n in zip(pictures, counters, strict=True)
             ]
         with ThreadPoolExecutor() as pool:
             return list(pool.map(lambda of, n: sensor.expose(of, settings, n), pictures, counters))
@@ -397,91 +437,3 @@ class SimTwin:
 
 
 _DEVICES = ("camera", "projector", "stage", "fixture")
-
-
-def _parameters_of(world: World, board: str, target: Target) -> TwinParameters:
-    camera, projector, response = world.camera, world.projector, world.projector.response
-    brightest = response.a + response.b
-    return TwinParameters(
-        calibration=Calibration(
-            world.camera_model(), world.projector_model(), world.T_projector_camera(), rms_px={}
-        ),
-        poses=item_poses(world, board),
-        white=1.0,
-        response=response.curve().model_copy(
-            update={"a": response.a / brightest, "b": response.b / brightest}
-        ),
-        ambient=world.ambient / brightest,
-        paper=target.background,
-        ink=target.foreground,
-        projector_blur=projector.blur,
-        projector_focus_mm=projector.focus_mm,
-        projector_aperture_mm=projector.aperture_mm,
-        camera_focus_mm=camera.focus_mm,
-        f_number=camera.f_number,
-        vignetting=camera.vignetting,
-        black_level=camera.sensor.black_level,
-        read_noise_e=camera.sensor.read_noise_e,
-        full_well_e=camera.sensor.full_well_e,
-        vibration_mm=world.vibration_mm,
-        projector_falloff=projector.falloff,
-    )
-
-
-def _world_of(nominal: World, board: str, parameters: TwinParameters, rim_mm: float | None = None) -> World:
-    """The nominal world with other parameters. Raises `ConfigError` for what no world can have."""
-    p, data = parameters, nominal.model_dump(mode="json")
-    data["calibration"] = config.plain(CalibrationFile.of(replace(p.calibration, uncertainty=None)))
-    data["items"][board] |= {
-        "poses": [config.plain(PoseFile.of(pose)) for pose in p.poses],
-        "reflectance": p.paper,
-        "ink": p.ink,
-    }
-    for name, pose in p.placed.items():
-        data["items"][name]["pose"] = config.plain(PoseFile.of(pose))
-    data["projector"] |= {
-        "response": config.plain(p.response),
-        "blur": p.projector_blur,
-        "focus_mm": p.projector_focus_mm,
-        "aperture_mm": p.projector_aperture_mm,
-        "falloff": list(p.projector_falloff),
-    }
-    data["camera"] |= {
-        "focus_mm": p.camera_focus_mm,
-        "f_number": p.f_number,
-        "vignetting": p.vignetting,
-    }
-    data["camera"]["sensor"] |= {
-        "black_level": p.black_level,
-        "read_noise_e": p.read_noise_e,
-        "full_well_e": p.full_well_e,
-    }
-    data |= {"ambient": p.ambient, "vibration_mm": p.vibration_mm}
-    world = config.validate(data, World, "the twin's parameters")
-    return _with_light(world, p.white * white_level_per_s(nominal) / white_level_per_s(world))
-
-
-def white_level_per_s(world: World) -> float:
-    """Compute the level above black of a white surface under the projector's white, per second at 0 dB.
-
-    Parameters
-    ----------
-    world : World
-        Its projector, distance, lens and sensor determine the level.
-
-    Returns
-    -------
-    float
-        Grey levels of 8-bit frames per second of exposure, without saturation.
-    """
-    sensor, response = SensorModel.of(world), world.projector.response
-    return (response.a + response.b) * sensor.gain(CameraSettings(1.0)) * sensor.electrons(1.0, 1.0)
-
-
-def _with_light(world: World, factor: float) -> World:
-    """Make the same world with `factor` times the light."""
-    leds = {
-        name: led.model_copy(update={"lumens": factor * led.lumens})
-        for name, led in world.projector.leds.items()
-    }
-    return world.model_copy(update={"projector": world.projector.model_copy(update={"leds": leds})})

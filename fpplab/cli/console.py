@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from rich.console import Console
 from rich.markup import escape
 
+from fpplab.cli.tables import as_table, readable
 from fpplab.core import interrupts
 from fpplab.core.errors import Cancelled, ConfigError, DataError, FppError
 from fpplab.core.extras import missing_extra
@@ -129,7 +130,7 @@ def answer(result: dict[str, Any], as_json: bool, words: Callable[[], None] | No
     as_json : bool
         Whether `--json` was given.
     words : callable, optional
-        Prints the result for a person; by default a line for each key.
+        Prints the result for a person; by default a line or a table for each key.
     """
     if as_json:
         sys.stdout.write(json.dumps(result, default=_plain, allow_nan=False) + "\n")
@@ -139,7 +140,11 @@ def answer(result: dict[str, Any], as_json: bool, words: Callable[[], None] | No
         for key, value in result.items():
             if key == "provenance":  # the report shows it as a table
                 continue
-            stdout.print(f"{key}: {_readable(value)}", markup=False)
+            laid_out = as_table(value)
+            if laid_out:
+                table(key, *laid_out)
+            else:
+                stdout.print(f"{key}: {readable(value)}", markup=False)
 
 
 def conclude(
@@ -192,16 +197,8 @@ def table(title: str, columns: list[str], rows: list[list[Any]]) -> None:
     for i, column in enumerate(columns):
         grid.add_column(column, justify="left" if i == 0 else "right")
     for row in rows:
-        grid.add_row(*(_readable(cell) for cell in row))
+        grid.add_row(*(readable(cell) for cell in row))
     stdout.print(grid)
-
-
-def _readable(value: Any) -> str:
-    if isinstance(value, dict):
-        return ", ".join(f"{k} {_readable(v)}" for k, v in value.items())
-    if isinstance(value, list):
-        return ", ".join(_readable(v) for v in value)
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def _plain(value: Any) -> Any:

@@ -13,7 +13,7 @@ from typer.core import TyperCommand
 
 from fpplab.core.errors import ConfigError
 
-LISTS = ("--spheres", "--planes", "--reference", "--scan")
+LISTS = ("--spheres", "--planes", "--reference", "--scan", "--surface")
 
 
 class TakesLists(TyperCommand):

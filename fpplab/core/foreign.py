@@ -162,7 +162,9 @@ def read_opencv(content: bytes) -> Parts:
     """
     import cv2
 
-    cv2.setLogLevel(0)  # or OpenCV would print what the error says
+    # OpenCV would print what the error says; versions 4 and 5 keep the switch in different places.
+    switch: Any = cv2 if hasattr(cv2, "setLogLevel") else getattr(cv2.utils, "logging")  # noqa: B009
+    switch.setLogLevel(0)
     try:
         storage = cv2.FileStorage(content.decode("utf-8"), cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
         root = storage.root()  # valid only as long as `storage` exists

@@ -354,9 +354,9 @@ def _round(
     cost = float(np.sum(weight * residual**2))
     slopes = []
     for name in names:
-        knob = _bounded(reference, name)
+        knob = ADJUSTABLE[name]
         value = knob.read(start)
-        by = knob.step if value + knob.step <= knob.upper or value - knob.step < knob.lower else -knob.step
+        by = knob.step if value + knob.step <= knob.upper else -knob.step
         twin.become(knob.set(start, value + by))
         slopes.append((residual - light_residuals(reference, twin, samples)) / by)
     matrix = np.stack(slopes, axis=1)
@@ -364,9 +364,7 @@ def _round(
     scale[scale == 0] = 1.0
     scaled = matrix / scale
     normal, gradient = scaled.T @ (weight[:, None] * scaled), scaled.T @ (weight * residual)
-    knobs = [_bounded(reference, name) for name in names]
-    limits = [(knob.lower - knob.read(start), knob.upper - knob.read(start)) for knob in knobs]
-    step = _step_within(normal, gradient, scale[:, None] * np.array(limits)) / scale
+    step = np.linalg.lstsq(normal, gradient, rcond=1e-9)[0] / scale
     sigma = dict(
         zip(names, (_standard_errors(scaled, weight, residual, samples) / scale).tolist(), strict=True)
     )
@@ -375,30 +373,6 @@ def _round(
         if gain > 0:
             return gain, tried, after, sigma
     return 0.0, start, residual, sigma
-
-
-def _step_within(normal: Floats, gradient: Floats, limits: Floats) -> Floats:
-    """Solve for the step (C,); what would leave its limits (C, 2) is held there, and the others follow."""
-    step, held = np.zeros(len(gradient)), np.zeros(len(gradient), np.bool_)
-    for _ in range(len(gradient)):
-        rest = gradient[~held] - normal[np.ix_(~held, held)] @ step[held]
-        step[~held] = np.linalg.lstsq(normal[np.ix_(~held, ~held)], rest, rcond=1e-9)[0]
-        beyond = ~held & ((step < limits[:, 0]) | (step > limits[:, 1]))
-        if not beyond.any():
-            break
-        step[beyond] = np.clip(step, limits[:, 0], limits[:, 1])[beyond]
-        held |= beyond
-        if held.all():
-            break
-    return step
-
-
-def _bounded(reference: Reference, name: str) -> AdjustableParameter:
-    """A parameter within the limits that the recordings set: nothing is darker than the camera's black."""
-    knob = ADJUSTABLE[name]
-    if name != "black_level":
-        return knob
-    return replace(knob, upper=min(knob.upper, reference.darkest_level))
 
 
 def _standard_errors(
@@ -431,7 +405,7 @@ def _step_candidates(
     for halving in range(MAX_HALVINGS):
         tried = start
         for name, by in zip(names, step.tolist(), strict=True):
-            knob = _bounded(reference, name)
+            knob = ADJUSTABLE[name]
             tried = knob.with_value(tried, knob.read(start) + by / 2**halving)
         twin.become(tried)
         yield tried, light_residuals(reference, twin, samples)

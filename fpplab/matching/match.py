@@ -43,9 +43,13 @@ EXPLAINS = {
     "vignetting": "light that the camera's lens loses towards the corners of the image",
     "projector falloff": "light that the projector gives unevenly",
     "ambient light": "light that is not the projector's, and the camera's black level",
+    "flicker": "light of the projector that changes from frame to frame",
+    "rolling bands": "light on the mains in the rows of a rolling shutter",
     "noise": "noise of the sensor and vibration",
 }
 """The effects that are matched beyond the paper, by step."""
+CHANGING = {"flicker", "rolling bands", "noise"}
+"""Those that differ from frame to frame: no expected image shows them."""
 USUAL_IMAGES = 60
 """About as many times a step has the twin compute images: the scale of its progress, which is an estimate."""
 FOCUS_STEPS = {"projector defocus", "depth of field"}
@@ -83,8 +87,8 @@ class MatchedTwin:
     final : TwinEvaluation
         Of the best parameters, with a new characterisation.
     explained : dict of str to float
-        By step: share of the mean square difference that it removed. For noise: the share of what is left at
-        the end that the twin's own noise makes.
+        By step: share of the mean square difference that it removed. For noise, flicker and bands: the share
+        of what is left at the end that the twin's own make.
     unexplained : float
         RMS difference over the board that is left, in raw levels.
     ended : str
@@ -233,7 +237,7 @@ def match_twin(
     final = evaluate(reference, twin, weights)
     state.at = replace(state.at, samples=_samples_of_poses(reference, twin.parameters))
     left = _difference(state)
-    explained = explained_shares(state.epochs) | {"noise": _noise(state) / left**2}
+    explained = explained_shares(state.epochs) | _changing_shares(state, left**2)
     return MatchedTwin(twin.parameters, tuple(state.epochs), final, explained, left, ended)
 
 
@@ -243,7 +247,7 @@ def _best(epochs: Sequence[MatchingEpoch]) -> MatchingEpoch:
 
 
 def explained_shares(epochs: Sequence[MatchingEpoch]) -> dict[str, float]:
-    """Compute the share of the difference that each step of `EXPLAINS`, except noise, removed.
+    """Compute the share of the difference that each step of `EXPLAINS` removed, but for those of `CHANGING`.
 
     Shadows need relief: a flat board has none, so `shadowing` explains nothing.
 
@@ -259,7 +263,7 @@ def explained_shares(epochs: Sequence[MatchingEpoch]) -> dict[str, float]:
     """
     found, last = {"shadowing": 0.0}, epochs[0]
     for epoch in epochs[1:]:
-        if epoch.step in EXPLAINS and epoch.step != "noise" and last.difference > 0:
+        if epoch.step in EXPLAINS.keys() - CHANGING and last.difference > 0:
             gained = 1.0 - (epoch.difference / last.difference) ** 2
             found[epoch.step] = gained if epoch.accepted else 0.0
         if epoch.accepted:
@@ -365,6 +369,26 @@ def _accepted(best: MatchingEpoch, found: TwinEvaluation, difference: float) -> 
 
 def _difference(state: _State) -> float:
     return float(np.sqrt(light.mean_square_difference(state.at.reference, state.at.twin, state.at.samples)))
+
+
+def _changing_shares(state: _State, left: float) -> dict[str, float]:
+    """Shares of what is left that flicker, bands, and all else that changes from frame to frame make."""
+    twin, now = state.at.twin, state.at.twin.parameters
+    whole = _noise(state)
+    without = {
+        "flicker": replace(now, projector_flicker=0.0),
+        "rolling bands": replace(now, ambient_ripple=0.0),
+    }
+    shares = {}
+    for step, steady in without.items():
+        twin.become(steady)
+        changed = (steady.projector_flicker, steady.ambient_ripple) != (
+            now.projector_flicker,
+            now.ambient_ripple,
+        )
+        shares[step] = (whole - _noise(state)) / left if changed else 0.0
+    twin.become(now)
+    return {**shares, "noise": whole / left - sum(shares.values())}
 
 
 def _noise(state: _State) -> float:

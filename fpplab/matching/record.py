@@ -64,6 +64,12 @@ class ParametersFile(Document):
     """Standard deviation of the item's position from frame to frame in mm."""
     projector_falloff: tuple[float, float, float, float, float] = NO_FALLOFF
     """Coefficients of x, y, x², xy and y² of the projector's light, as in a world file."""
+    projector_flicker: float = 0.0
+    """Standard deviation of the projector's light from frame to frame, relative."""
+    ambient_ripple: float = 0.0
+    """Amplitude of the rolling bands of the ambient light, as a share of it."""
+    band_period_px: float = 0.0
+    """From band to band, in rows of the frame; 0 where there are none."""
     placed: Annotated[dict[str, PoseFile], Field(default_factory=dict)]
     """T_camera_item of other items that were measured on the bench, by name."""
     sigma: Annotated[dict[str, float], Field(default_factory=dict)]

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,8 +21,6 @@ from fpplab.targets import Target
 LevelStack = NDArray[np.float32]
 """Raw levels of frames, (n, h, w)."""
 
-DARK_WINDOW_PX = 15
-"""Side of the window over which the darkest level is averaged."""
 SPREAD = 4
 """Images of a fringe set that `Reference.finest_spread` takes at most."""
 
@@ -103,20 +100,6 @@ class Reference:
     def projector(self) -> tuple[tuple[int, int], Lattice]:
         """Size (width, height) in mirrors and lattice of the projector."""
         return self.sessions[0].projector()
-
-    @cached_property
-    def darkest_level(self) -> float:
-        """Mean level of the darkest place of `DARK_WINDOW_PX` square in any image, as a share of full scale.
-
-        The camera's black level is at most this.
-        """
-        window = (DARK_WINDOW_PX, DARK_WINDOW_PX)
-        least = [
-            float(cv2.blur(frame, window).min())
-            for pose in range(len(self.sessions))
-            for frame in self.frames(pose, self.one_of_each_set)
-        ]
-        return min(least) / self.full_scale
 
     @cached_property
     def patterns(self) -> tuple[Pattern, ...]:

@@ -16,16 +16,18 @@ from fpplab.devices.rig import Rig
 from fpplab.diagnosis import Diagnosis, FaultCause, Finding
 from fpplab.matching import plausibility
 from fpplab.matching.appearance import AppearanceTrial, match_appearance
-from fpplab.matching.artefacts import ArtefactComparison, compare_artefacts, fit_scan
+from fpplab.matching.artefacts import ArtefactComparison, compare_artefacts
 from fpplab.matching.card import card_pose
 from fpplab.matching.discrepancy import discrepancy_of
 from fpplab.matching.evaluation import TwinEvaluation, evaluate
 from fpplab.matching.gamma import GammaMatch, match_gamma
 from fpplab.matching.loss import Weights
 from fpplab.matching.match import EpochObserver, MatchedTwin, MatchingLimits, match_twin
+from fpplab.matching.parts import check_scans, fit_scans, match_surfaces
 from fpplab.matching.record import PLAIN, MatchingRecord
 from fpplab.matching.reference import Reference
 from fpplab.matching.refusal import Refusals
+from fpplab.matching.surface import SurfaceMatch
 from fpplab.matching.verdict import accepted_findings, diagnose_matching
 from fpplab.patterns.response import Response
 from fpplab.pipeline import characterise_sessions
@@ -64,6 +66,8 @@ class MatchingRequest:
         Measured on the bench.
     scans : mapping of str to Session
         Recorded scans of artefacts by name, for the comparison of bench and twin.
+    surfaces : mapping of str to Session
+        Recorded scans of parts by name, by which their surfaces are matched.
     weights : Weights
         Of the loss.
     limits : MatchingLimits
@@ -80,6 +84,7 @@ class MatchingRequest:
     card: str = "grey_card"
     response: Response | None = None
     scans: Mapping[str, Session] = field(default_factory=dict)
+    surfaces: Mapping[str, Session] = field(default_factory=dict)
     weights: Weights = field(default_factory=Weights)
     limits: MatchingLimits = field(default_factory=MatchingLimits)
     accepted: frozenset[FaultCause] = frozenset()
@@ -136,6 +141,8 @@ class MatchingResult:
         Whether the pose of the grey card was measured on the bench.
     late : tuple of Finding
         What only the matched twin shows: poses with another focus, images that stay unlike.
+    surfaces : tuple of SurfaceMatch
+        One for each part whose surface was matched.
     appearance : AppearanceTrial or None
         What the twin shows of the board's sheet and of what stands beside it.
     """
@@ -152,6 +159,7 @@ class MatchingResult:
     noted: tuple[str, ...] = ()
     card_measured: bool = False
     late: tuple[Finding, ...] = ()
+    surfaces: tuple[SurfaceMatch, ...] = ()
     appearance: AppearanceTrial | None = None
 
     @cached_property
@@ -170,8 +178,8 @@ class MatchingResult:
         Returns
         -------
         dict of str to Any
-            The verdict, the final loss with its parts, epochs, table, explained shares, parameters, poses and
-            artefacts.
+            The verdict, the final loss with its parts, epochs, table, explained shares, parameters, poses,
+            artefacts and surfaces.
         """
         loss, found = self.matched.final.loss.summary(), self.matched.parameters
         light = {name: getattr(found, name) for name in PLAIN}
@@ -191,6 +199,7 @@ class MatchingResult:
             "baseline_mm": found.calibration.baseline_mm,
             "poses": self.by_pose(),
             "artefacts": [one.summary() for one in self.artefacts],
+            "surfaces": [one.summary() for one in self.surfaces],
         }
 
     def by_pose(self) -> list[dict[str, Any]]:
@@ -300,7 +309,9 @@ def match_sessions(
     if request.response is not None:
         plausibility.check_response(request.response, sessions, refusals)
     tell("comparing the scans with the artefacts' shapes")
-    scans = [fit_scan(twin, *scan, found.calibration, refusals) for scan in request.scans.items()]
+    scans, parts = (
+        fit_scans(twin, of, found.calibration, refusals) for of in (request.scans, request.surfaces)
+    )
     reference = Reference.of(sessions, target, found, request.response)
     prepared(reference)
     nominal = request.start(_placed(with_reference_geometry(nominal, found), request, found, twin))
@@ -327,6 +338,8 @@ def match_sessions(
     before = evaluate(reference, twin, request.weights, progress=lambda share: progress(0.8 + 0.04 * share))
     rows = _table(reference, twin, request.weights, nominal, before, matched, gamma is not None)
     twin.become(matched.parameters)
+    surfaces = match_surfaces(twin, parts, tell)
+    complete = twin.parameters
     tell("matching the board's sheet and the surroundings")
     appearance = match_appearance(reference, twin)
     matched = _evaluated_again(reference, twin, request.weights, matched)
@@ -346,10 +359,11 @@ def match_sessions(
         tuple(refusals.notes),
         request.card_scan is not None,
         tuple(one for one in (late, blurred) if one is not None),
+        tuple(surfaces),
         appearance,
     )
     if not result.diagnosis.is_useless:
-        twin.become(matched.parameters)
+        twin.become(complete)
         tell("comparing noise and scans for the intervals of predictions")
         discrepancy_of(reference, twin, scans).save(folder)
         twin.save(folder, result.notes)
@@ -358,12 +372,11 @@ def match_sessions(
 
 def _check_inputs(twin: Twin, sessions: Sequence[Session], target: Target, request: MatchingRequest) -> None:
     """Refuse what can be told before any work: other devices, another board, items that are not there."""
-    given = [*sessions, *request.scans.values()]
-    for session in [*given, request.card_scan] if request.card_scan else given:
+    for session in [*sessions, request.card_scan] if request.card_scan else sessions:
         plausibility.check_devices(twin, session)
     plausibility.check_board(twin, target, "--target")
-    for item in request.scans:
-        twin.mesh(item)
+    for scans in (request.scans, request.surfaces):
+        check_scans(twin, scans)
     if request.response is not None:
         twin.pose_of(request.card)
 

@@ -1,10 +1,10 @@
 """The steps of a characterisation matching, each of which proposes parameters of the twin.
 
 Order: geometry by the observed points, light, then one by one the effects that the paper names as missing
-(ambient light, defocus of projector and camera, vignetting, the projector's falloff, noise); at last all
-parameters of light together and the geometry by the images in turn. Falloff is kept where it explains more
-than its parameters cost. Noise is judged by its variance and spectrum, since the similarity of
-two independent noises falls when the right one is added.
+(ambient light, defocus of projector and camera, vignetting, the projector's falloff and flicker, rolling
+bands, noise); at last all parameters of light together and the geometry by the images in turn. Falloff,
+flicker and bands are kept where they explain more than their parameters cost. Noise is judged by its variance
+and spectrum, since the similarity of two independent noises falls when the right one is added.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from fpplab.matching import geometry, light, noise
+from fpplab.matching import fluctuation, geometry, light, noise
 from fpplab.matching.light import PixelSample
 from fpplab.matching.reference import Reference
 from fpplab.simulation.matchable import Twin, TwinParameters
@@ -138,6 +138,10 @@ def _refine_by_images(at: MatchingContext) -> TwinParameters:
     return geometry.refine_by_images(at.reference, at.twin, at.reference.characterisation.level)
 
 
+def _spread(at: MatchingContext) -> tuple[int, ...]:
+    return at.reference.spread_poses(SAMPLED_POSES)
+
+
 FIRST_STEPS = (
     MatchingStep(
         "points",
@@ -154,10 +158,20 @@ FIRST_STEPS = (
         misfit=_evidence_for_falloff,
     ),
     MatchingStep(
+        "flicker",
+        lambda at: fluctuation.match_flicker(at.reference, at.twin.parameters, _spread(at)),
+        misfit=lambda at: fluctuation.flicker_misfit(at.reference, at.twin.parameters, _spread(at)),
+    ),
+    MatchingStep(
+        "rolling bands",
+        lambda at: fluctuation.match_bands(at.reference, at.twin, _spread(at)),
+        misfit=lambda at: fluctuation.bands_misfit(at.reference, at.twin, _spread(at)),
+    ),
+    MatchingStep(
         "noise",
-        lambda at: noise.match_noise(at.reference, at.twin, at.reference.spread_poses(SAMPLED_POSES)),
+        lambda at: noise.match_noise(at.reference, at.twin, _spread(at)),
         True,
-        lambda at: noise.noise_misfit(at.reference, at.twin, at.reference.spread_poses(SAMPLED_POSES)),
+        lambda at: noise.noise_misfit(at.reference, at.twin, _spread(at)),
     ),
 )
 REPEATED_STEPS = (MatchingStep("together", _fit_together), MatchingStep("images", _refine_by_images))

@@ -79,6 +79,16 @@ class _WatchedTwin:
     def expected_of(self, item: str, patterns: Sequence[Pattern], settings: CameraSettings) -> ExpectedLevels:
         return self._twin.expected_of(item, patterns, settings)
 
+    def expected_part(
+        self,
+        item: str,
+        pose: RigidTransform,
+        patterns: Sequence[Pattern],
+        settings: CameraSettings,
+        pixels: PixelIndices,
+    ) -> ExpectedLevels:
+        return self._twin.expected_part(item, pose, patterns, settings, pixels)
+
     def scan(
         self, item: str, pose: RigidTransform, patterns: Sequence[Pattern], settings: CameraSettings
     ) -> list[Image]:

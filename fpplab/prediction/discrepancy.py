@@ -158,7 +158,7 @@ def named_effects(found: Discrepancy, part_noise: Sequence[float]) -> tuple[str 
         )
         not_for.append("distances from surfaces of other shapes and materials")
     elif apart or (part_noise and abs(float(np.mean(part_noise))) > LARGE_NOISE):
-        looks_like.append("a part of another reflectance or gloss than in the twin's world")
+        looks_like.append("a part of another reflectance or gloss than in the twin's world (match --surface)")
         not_for.append("parts of this surface")
     if found.levels is not None and max(found.levels.by_pose.values()) > LARGE_LEVELS:
         looks_like.append("uneven light or reflectance: falloff, gloss, a second lamp, or print")

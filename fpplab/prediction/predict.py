@@ -31,6 +31,7 @@ from fpplab.reconstruction.depth_range import depth_bounds, first_stated
 from fpplab.reconstruction.points import points_of
 from fpplab.reconstruction.uncertainty import coordinate_noise, with_uncertainty
 from fpplab.simulation.predictable import FrameSampler, Predictable, Rows
+from fpplab.simulation.surface import PartSurface
 
 PIXELS = 40_000
 """Number of pixels on the item that are simulated, about."""
@@ -96,6 +97,8 @@ class Prediction:
         Number of pixels on the item that were simulated.
     discrepancy : Discrepancy or None
         That the intervals contain; None for a rig that is no matched twin.
+    surface : PartSurface or None
+        Of the item as it was matched to a scan; None where it was not.
     """
 
     item: str
@@ -103,6 +106,7 @@ class Prediction:
     images: int
     pixels: int
     discrepancy: Discrepancy | None
+    surface: PartSurface | None = None
 
     def summary(self) -> dict[str, Any]:
         """Give plain values, as the command line prints them.
@@ -110,8 +114,8 @@ class Prediction:
         Returns
         -------
         dict of str to Any
-            The figures with their intervals, `item`, `images`, `pixels`, and of the discrepancy `looks_like`
-            and `not_for`.
+            The figures with their intervals, `item`, `images`, `pixels`, `surface`, and of the discrepancy
+            `looks_like` and `not_for`.
         """
         known = self.discrepancy
         return {
@@ -120,6 +124,7 @@ class Prediction:
             "images": self.images,
             "pixels": self.pixels,
             "matched": known is not None,
+            "surface": self.surface.summary() if self.surface else None,
             "looks_like": known.looks_like if known else None,
             "not_for": known.not_for if known else None,
         }
@@ -170,11 +175,13 @@ def predict(
     study = _Sampled(rig, plan, item, known, sampler, mesh, rows, (seen & counted, lit & counted))
     draws = [study.measured(seed) for seed in range(DRAWS)]
     discrepancy = Discrepancy.beside(Path(rig.source))
-    figures = _intervals([one for one, _ in draws], draws[0][1], discrepancy)
+    surface = sampler.surface(item)
+    of_surface = surface.relative_sigma if surface else 0.0
+    figures = _intervals([one for one, _ in draws], draws[0][1], discrepancy, of_surface)
     seconds = plan_seconds(rig, plan)
     figures["seconds"] = FigureInterval(seconds, seconds, seconds)
-    images = len(study.patterns)
-    return Prediction(item, figures, images, int(np.count_nonzero(seen & counted)), discrepancy)
+    sampled = int(np.count_nonzero(seen & counted))
+    return Prediction(item, figures, len(study.patterns), sampled, discrepancy, surface)
 
 
 def _with_uncertainty_beside(true: Calibration, folder: Path) -> Calibration:
@@ -296,9 +303,12 @@ class _Sampled:
 
 
 def _intervals(
-    draws: list[MeasuredFigures], cloud: Cloud, discrepancy: Discrepancy | None
+    draws: list[MeasuredFigures], cloud: Cloud, discrepancy: Discrepancy | None, of_surface: float
 ) -> dict[str, FigureInterval]:
-    """Intervals by the scatter of the draws, the calibration, and what bench and twin differed by."""
+    """Intervals by the scatter of the draws, calibration, surface, and what bench and twin differed by.
+
+    The noise of a surface is at most inversely proportional to its reflectance.
+    """
     known = discrepancy or Discrepancy()
     values = {name: np.array([getattr(one, name) for one in draws]) for name in vars(draws[0])}
     spread = {name: float(one.std(ddof=1)) for name, one in values.items()}
@@ -310,8 +320,8 @@ def _intervals(
         value, factor = mean[name], float(np.exp(COVERAGE * relative))
         return FigureInterval(value, value / factor, float(np.hypot(value * factor, COVERAGE * least_above)))
 
-    noise = known.noise.sigma if known.noise else 0.0
-    distance = known.distance.sigma if known.distance else noise
+    noise = float(np.hypot(known.noise.sigma if known.noise else 0.0, of_surface))
+    distance = float(np.hypot(known.distance.sigma, of_surface)) if known.distance else noise
     share = known.completeness.sigma if known.completeness else 0.0
     reach = COVERAGE * float(np.hypot(spread["completeness"], share))
     complete = mean["completeness"]

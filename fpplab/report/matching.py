@@ -17,6 +17,7 @@ from fpplab.matching.match import EXPLAINS
 from fpplab.matching.record import MatchingEpoch, named_numbers
 from fpplab.matching.reference import Reference
 from fpplab.matching.run import MatchingResult
+from fpplab.matching.surface import SurfaceMatch
 from fpplab.report.drawing import (
     ACCENT,
     FULL,
@@ -77,6 +78,8 @@ def write_matching_report(
     if found.appearance:
         sections.append(_appearance_section(found.appearance))
     sections += [_poses_section(found), _images_section(found, twin), _parameters_section(found)]
+    if found.surfaces:
+        sections.append(_surfaces_section(found.surfaces))
     sections += [_artefact_section(one) for one in found.artefacts]
     facts = {
         "Ended": found.matched.ended,
@@ -388,6 +391,25 @@ def _parameters_section(found: MatchingResult) -> ReportSection:
     columns = ("Parameter", "Before", "Matched", "Standard uncertainty")
     notes = "; ".join(found.notes)
     return ReportSection("Parameters", notes, (ReportTable(columns, tuple(rows)),))
+
+
+def _surfaces_section(surfaces: Sequence[SurfaceMatch]) -> ReportSection:
+    columns = ("Part", "Kind", "Property", "Value", "Standard uncertainty", "Explained", "Left of the levels")
+    rows = tuple(
+        (
+            one.scan.item,
+            one.surface.kind,
+            name,
+            f"{getattr(one.surface, name):.4g}",
+            f"{sigma:.2g}",
+            f"{100 * one.explained:.0f} %",
+            f"{100 * one.unexplained:.1f} %",
+        )
+        for one in surfaces
+        for name, sigma in one.surface.sigma.items()
+    )
+    note = "Explained: share of the mean square difference to the surface of the twin's own file."
+    return ReportSection("Surfaces of parts", note, (ReportTable(columns, rows),))
 
 
 def _artefact_section(one: ArtefactComparison) -> ReportSection:

@@ -21,6 +21,7 @@ from fpplab.devices import CameraSettings
 from fpplab.patterns.curve import Curve
 from fpplab.patterns.fringes import Pattern
 from fpplab.simulation.appearance import Appearance
+from fpplab.simulation.surface import PartSurface
 from fpplab.targets import Target
 
 NO_FALLOFF = (0.0, 0.0, 0.0, 0.0, 0.0)
@@ -69,9 +70,17 @@ class TwinParameters:
         Standard deviation of the item's position from frame to frame.
     projector_falloff : tuple of float
         Coefficients of x, y, x², xy and y², as in a world file.
+    projector_flicker : float
+        Standard deviation of the projector's light from frame to frame, relative.
+    ambient_ripple : float
+        Amplitude of the rolling bands of the ambient light, as a share of it; 0 where it is steady.
+    band_period_px : float
+        From band to band, in rows of the frame; 0 where there are none.
     placed : mapping of str to RigidTransform
         `T_camera_item` of other items that were measured on the bench, by name; the others stand where the
         twin's own file says.
+    surfaces : mapping of str to PartSurface
+        Of items whose surface was matched, by name; the others are what the twin's own file says.
     sigma : mapping of str to float
         Standard uncertainties that a fit stated, by name of the parameter, in its unit.
     """
@@ -94,7 +103,11 @@ class TwinParameters:
     full_well_e: float
     vibration_mm: float
     projector_falloff: tuple[float, float, float, float, float] = NO_FALLOFF
+    projector_flicker: float = 0.0
+    ambient_ripple: float = 0.0
+    band_period_px: float = 0.0
     placed: Mapping[str, RigidTransform] = field(default_factory=dict)
+    surfaces: Mapping[str, PartSurface] = field(default_factory=dict)
     sigma: Mapping[str, float] = field(default_factory=dict)
 
     def with_pose(self, index: int, pose: RigidTransform) -> TwinParameters:
@@ -271,6 +284,42 @@ class Twin(Protocol):
         -------
         ExpectedLevels
             (n, h, w).
+
+        Raises
+        ------
+        ConfigError
+            The world has no such item.
+        """
+
+    def expected_part(
+        self,
+        item: str,
+        pose: RigidTransform,
+        patterns: Sequence[Pattern],
+        settings: CameraSettings,
+        pixels: PixelIndices,
+    ) -> ExpectedLevels:
+        """Give what the camera sees on average of an item of the world at another pose, at some pixels.
+
+        Called to match the item's surface. Levels that are not clipped are linear in light and exposure.
+
+        Parameters
+        ----------
+        item : str
+            Name of the item in the world.
+        pose : RigidTransform
+            `T_camera_item`.
+        patterns : sequence of Pattern
+            That the projector shows, n.
+        settings : CameraSettings
+            Of the camera; the exposure may be shorter than that of any camera.
+        pixels : PixelIndices
+            Rows and columns of P pixels.
+
+        Returns
+        -------
+        ExpectedLevels
+            (n, P).
 
         Raises
         ------

@@ -16,6 +16,7 @@ from fpplab.calibration.model import Calibration
 from fpplab.core.conventions import Image
 from fpplab.devices import CameraSettings
 from fpplab.patterns.fringes import Pattern
+from fpplab.simulation.surface import PartSurface
 
 Rows = NDArray[np.intp]
 """Rows of the camera's image, (R,), in rising order."""
@@ -45,6 +46,25 @@ class FrameSampler(Protocol):
         ------
         ConfigError
             There is no such item, or it is flat.
+        """
+
+    def surface(self, item: str) -> PartSurface | None:
+        """Give the surface of an item as it was matched to a scan.
+
+        Parameters
+        ----------
+        item : str
+            Name of the item.
+
+        Returns
+        -------
+        PartSurface or None
+            None where it was not matched.
+
+        Raises
+        ------
+        ConfigError
+            There is no such item.
         """
 
     def frames(

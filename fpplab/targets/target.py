@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import create_model, model_validator
+from pydantic import Field, create_model, model_validator
 
 from fpplab.core import config
 from fpplab.core.conventions import Floats
@@ -36,7 +36,8 @@ def _own_fields() -> dict[str, Any]:
         layout = next(iter(owners.values()))
         field = layout.model_fields[name]
         hint = get_type_hints(layout, include_extras=True)[name]
-        found[name] = (hint | None, None) if field.is_required() else (hint, field.default)
+        hint, default = (hint | None, None) if field.is_required() else (hint, field.default)
+        found[name] = (hint, Field(default, description=field.description))
     return found
 
 

@@ -68,7 +68,7 @@ class Canvas:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         for stream in self._streams:
-            stream.flush(blocking=True)
+            stream.flush()  # waits until all is out
             stream.disconnect()
         self._live = self._kept = None
 

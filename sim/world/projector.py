@@ -108,6 +108,9 @@ class ProjectorWorld(Document):
     """Coefficients of x, y, x², xy and y² of the light relative to the middle of the image; x and y are from
     there, in halves of the image's width."""
 
+    flicker: Annotated[float, Field(ge=0, le=0.2)] = 0.0
+    """Standard deviation of the light from frame to frame, relative."""
+
     @model_validator(mode="after")
     def _blur_can_be_drawn(self) -> ProjectorWorld:
         if 0 < self.blur < LEAST_BLUR:

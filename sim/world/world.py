@@ -58,6 +58,15 @@ class StageWorld(Document):
         return position_mm * axis / np.linalg.norm(axis)
 
 
+class AmbientBands(Document):
+    """Bands of ambient light that ripples with the mains, in the rows of a rolling shutter."""
+
+    ripple: Annotated[float, Field(ge=0, le=1)]
+    """Amplitude, as a share of the ambient light."""
+    period_px: Annotated[float, Field(gt=1, le=1e5)]
+    """From band to band, in rows of the sensor without binning."""
+
+
 class World(Document):
     """A world file: devices, items, light and how pictures are rendered."""
 
@@ -86,6 +95,8 @@ class World(Document):
     """What is seen and lit beside the items."""
     ambient: Annotated[float, Field(ge=0, le=10)] = 0.0
     """Uniform ambient light on everything in view, relative to the projector's white."""
+    ambient_bands: AmbientBands | None = None
+    """Bands of the ambient light, at another place in each frame; None where it is steady."""
     vibration_mm: Annotated[NotNegative, Field(le=10)] = 0.0
     """Standard deviation of the item's displacement along each axis from frame to frame, in mm."""
     render: Render = Render()

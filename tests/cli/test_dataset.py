@@ -14,7 +14,7 @@ from fpplab.core import config
 from fpplab.dataset import Dataset
 from tests.sim.conftest import RIG, plain, write_world
 from tests.support.commands import NO_DISPLAY, Command
-from tests.viewer.test_viewer import Recording
+from tests.support.recordings import Recording
 
 PLAN = {"fringes": [{"axis": "x", "stripes": stripes, "steps": 3} for stripes in (0.9, 8)]}
 

@@ -10,7 +10,7 @@ import yaml
 from fpplab.patterns.plan import Plan
 from tests.sim.conftest import RIG, plain, write_world
 from tests.support.commands import NO_DISPLAY, Command
-from tests.viewer.test_viewer import Recording
+from tests.support.recordings import Recording
 
 PLAN = """
 fringes: [{axis: x, stripes: 16, steps: 3}]

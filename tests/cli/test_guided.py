@@ -9,7 +9,7 @@ import pytest
 from fpplab.cli.guided import wanted_mm
 from fpplab.core.errors import ConfigError
 from tests.support.commands import NO_DISPLAY, Command
-from tests.viewer.test_viewer import Recording
+from tests.support.recordings import Recording
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.pipeline import take_poses
 from tests.support.commands import NO_DISPLAY, Command
-from tests.viewer.test_viewer import Recording
+from tests.support.recordings import Recording
 
 PLAN = Plan(
     fringes=tuple(
@@ -122,8 +123,9 @@ def test_unknown_items_are_told_before_the_work(fpplab: Command, board: Path, tm
     twin = small("rig_twin", tmp_path)
     call = ("match", "--twin", twin, "--reference", board, "--out", tmp_path / "no", "--json")
     pose = next(board.iterdir())
-    for option, words in (("cup", "no item 'cup'"), ("board", "only artefacts and parts")):
-        done = fpplab(*call, "--scan", f"{option}={pose}")
+    wrong = (("cup", "no item 'cup'"), ("board", "only artefacts and parts"))
+    for option, (item, words) in product(("--scan", "--surface"), wrong):
+        done = fpplab(*call, option, f"{item}={pose}")
         assert done.code == 2
         assert words in done.json["error"]
         assert not (tmp_path / "no").exists()

@@ -17,7 +17,7 @@ from fpplab.core import config
 from fpplab.optimisation.study import Study
 from fpplab.patterns.plan import Plan
 from tests.support.commands import NO_DISPLAY, ROOT, Command, Demo
-from tests.viewer.test_viewer import Recording
+from tests.support.recordings import Recording
 
 FRINGES = [{"axis": "x", "stripes": s, "steps": 3} for s in (1, 6, 24)]
 SMALL: dict[str, Any] = {

@@ -88,6 +88,48 @@ def test_a_bench_is_compared_with_its_twin(fpplab: Command, folder: Path) -> Non
     assert "outside of the predicted interval: distance_um" in shown.err
 
 
+@pytest.mark.slow
+def test_the_surface_of_a_part_is_matched_and_told(fpplab: Command, folder: Path, tmp_path: Path) -> None:
+    call = ("match", "--twin", folder / "rig.yaml", "--out", tmp_path / "twin")
+    done = fpplab(*call, "--surface", f"{ITEM}={folder / 'scan'}", "--json")
+    assert done.code == 0, done.err
+    (found,) = done.json["surfaces"]
+    assert (found["item"], found["kind"]) == (ITEM, "diffuse")
+    found_world = config.find_config("world_demo", "world")
+    true = config.parse_yaml(config.read_text(found_world), found_world)["material"]["reflectance"]
+    assert found["reflectance"] == pytest.approx(true, abs=0.01)
+    assert 0 < found["sigma"]["reflectance"] < 0.02
+    predicted = fpplab(
+        "predict", "--rig", tmp_path / "twin" / "rig.yaml", "--plan", folder / "plan.yaml",
+        "--item", ITEM, "--json",
+    )  # fmt: skip
+    assert predicted.code == 0, predicted.err
+    surface = predicted.json["surface"]
+    assert surface == {name: found[name] for name in surface}
+    again = fpplab(*call, "--surface", f"{ITEM}={folder / 'scan'}", "--json")
+    assert again.code == 2
+    assert "exists already" in again.json["error"]
+
+
+@pytest.mark.slow
+def test_a_surface_that_cannot_be_matched_is_told_before_the_work(
+    fpplab: Command, folder: Path, tmp_path: Path
+) -> None:
+    call = ("match", "--twin", folder / "rig.yaml", "--out", tmp_path / "twin", "--json")
+    wrong = {
+        "cup": (2, "no item 'cup'"),
+        "board": (2, "only artefacts and parts"),
+        "pillars": (5, "points are"),
+    }
+    for item, (code, words) in wrong.items():
+        done = fpplab(*call, "--surface", f"{item}={folder / 'scan'}")
+        assert (done.code, words in done.json["error"]) == (code, True), done.err
+    neither = fpplab(*call)
+    assert neither.code == 2
+    assert "name the bench's sessions of a board, or a --surface" in neither.json["error"]
+    assert not (tmp_path / "twin").exists()
+
+
 def test_what_cannot_be_predicted_is_told(fpplab: Command, folder: Path) -> None:
     call = ("predict", "--rig", folder / "rig.yaml", "--plan", folder / "plan.yaml", "--json")
     missing = fpplab(*call, "--item", "cup")

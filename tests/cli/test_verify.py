@@ -12,7 +12,7 @@ import yaml
 from fpplab.calibration.model import Calibration
 from sim.world import World
 from tests.support.commands import NO_DISPLAY, ROOT, Command
-from tests.viewer.test_viewer import Recording
+from tests.support.recordings import Recording
 
 BARS, PLANES = ("ball_bar_2", "ball_bar_3"), ("plane_4",)
 

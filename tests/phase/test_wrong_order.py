@@ -66,7 +66,7 @@ def test_the_probability_is_the_frequency(stripes, steps, unwrapping, ratio) -> 
     recording, truth, bounds = noisy(stripes, steps, unwrapping, ratio, seed=31)
     found = decode_axis(recording, "x", bounds)
     seen = np.isfinite(found.coordinate) & (found.wrong_order < 0.2)
-    p = found.wrong_order[seen]
+    p = found.wrong_order[seen].astype(np.float64)
     is_wrong = wrong(found.coordinate, truth, recording.plan)[seen]
     # The noise is estimated from the frames, to some percent; it stands in the exponent.
     assert is_wrong.sum() == pytest.approx(p.sum(), abs=0.1 * p.sum() + 4 * np.sqrt(p.sum()) + 1)

@@ -22,6 +22,8 @@ from fpplab.prediction.figures import seen_surface
 from fpplab.prediction.predict import BAND, MARGIN, plan_seconds, sampled_rows
 from fpplab.reconstruction.points import points_of
 from fpplab.simulation.predictable import Predictable
+from sim.build import Setup
+from sim.devices import VirtualBench
 
 PLAN = Plan(fringes=tuple(Sinusoid(axis="x", stripes=n, steps=4) for n in (1, 8, 48)), exposure_s=0.02)
 ITEM = "steps"
@@ -116,6 +118,14 @@ def test_rows_are_those_of_whole_frames(rig: Rig) -> None:
         off = np.mean([draw[n] for draw in draws], axis=0) - whole
         assert abs(off.mean()) < 0.1
         assert off.std() < 3.0
+
+
+def test_ambient_light_of_rows_is_that_of_whole_frames(rig: Rig) -> None:
+    assert isinstance(rig.simulation, VirtualBench)
+    rows = np.arange(180, 240, 7)
+    whole = rig.simulation.light.irradiance(Setup(ITEM), None)[rows]
+    assert whole.max() > 0.005
+    np.testing.assert_allclose(rig.simulation.sampler()._ambient(ITEM, rows), whole, atol=2e-4)
 
 
 def test_bands_are_spread_over_the_item() -> None:

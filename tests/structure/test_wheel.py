@@ -26,6 +26,7 @@ WORDS = {"drivers": "fpplab_drivers", "sim": "fpplab_sim"}
 LARGEST_MB = 860
 """What an environment with the core may take. docs/decisions/0060-installs.md tells what takes it."""
 LONGEST_S = 500
+CONSTRAINTS = ROOT / f"constraints-{sys.version_info.major}.{sys.version_info.minor}.txt"
 
 
 SOURCE = b"""from __future__ import annotations
@@ -93,7 +94,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, float]:
     venv.create(folder / "env", with_pip=True)
     python = folder / "env" / "bin" / "python"
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    install = [python, "-m", "pip", "install", *quietly, "--constraint", ROOT / "constraints.txt", wheel]
+    install = [python, "-m", "pip", "install", *quietly, "--constraint", CONSTRAINTS, wheel]
     subprocess.run(install, check=True, cwd=folder, env=clean(), timeout=LONGEST_S)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     return python, after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime

@@ -123,11 +123,43 @@ class PlaneTwin:
     def expected_of(self, item: str, patterns: Sequence[Pattern], settings: CameraSettings) -> ExpectedLevels:
         return self._seen(self.pose_of(item), patterns, settings, board=False)
 
+    def expected_part(
+        self,
+        item: str,
+        pose: RigidTransform,
+        patterns: Sequence[Pattern],
+        settings: CameraSettings,
+        pixels: PixelIndices,
+    ) -> ExpectedLevels:
+        return self._seen(pose, patterns, settings, board=False)[:, *pixels]
+
     def frames(self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings) -> list[Image]:
         expected, random = self.expected(pose, patterns, settings), self._draws(len(patterns))
-        if self._now.vibration_mm:
+        now = self._now
+        if now.projector_flicker or now.ambient_ripple:
+            expected = self._changing(pose, patterns, settings, expected, random)
+        if now.vibration_mm:
             expected = expected + self._shaken(pose, patterns, settings, expected, random)
         return self._digitised(expected, settings, random)
+
+    def _changing(
+        self,
+        pose: int,
+        patterns: Sequence[Pattern],
+        settings: CameraSettings,
+        expected: ExpectedLevels,
+        random: np.random.Generator,
+    ) -> NDArray[np.float32]:
+        now = self._now
+        self._now = replace(now, ambient=0.0)
+        projected = self.expected(pose, patterns, settings)
+        self._now = now
+        black, (count, rows, _) = np.float32(full_scale(settings.bits) * now.black_level), expected.shape
+        factor = 1 + now.projector_flicker * random.standard_normal((count, 1, 1))
+        phase = np.arange(rows)[:, None] / (now.band_period_px or 1.0) + random.random((count, 1, 1))
+        wave = 1 + now.ambient_ripple * np.sin(2 * np.pi * phase)
+        changed = black + factor * (projected - black) + wave * (expected - projected)
+        return changed.astype(np.float32)
 
     def _draws(self, frames: int) -> np.random.Generator:
         """The noise of the next frames follows from their number."""

@@ -19,7 +19,7 @@ import yaml
 from tests.sim.conftest import RIG, plain, write_world
 from tests.support.browser import SOFTWARE_WEBGL, chromium
 from tests.support.commands import NO_DISPLAY, ROOT, Command, Demo
-from tests.viewer.test_viewer import Recording
+from tests.support.recordings import Recording
 
 pytestmark = pytest.mark.slow
 
@@ -49,7 +49,7 @@ def test_a_scan_ends_with_its_work_and_leaves_its_recording(
     assert "Watch it at http://127.0.0.1:" in done.err
     shown = Recording(out / "view.rrd")
     assert len(shown.value("world/cloud", "Position3D")) == done.json["points"]
-    coloured = {c.entity_path for c in shown.data.schema().component_columns()}
+    coloured = shown.entities()
     names = ("Uncertainty", "Order_risk", "Depth")
     assert {f"/world/coloured/{name}" for name in names} <= coloured
     assert {f"/bars/world/coloured/{name}" for name in names} <= coloured

@@ -14,7 +14,7 @@ from fpplab.viewer.live import DARK, SATURATED, LitImage, LiveFrames, LiveView
 from fpplab.viewer.viewer import Viewer
 from tests.live.benches import PLAN, Operator, operate, rig_file
 from tests.live.test_expectation import converging
-from tests.viewer.test_viewer import Recording
+from tests.support.recordings import Recording
 
 
 def test_saturated_and_dark_pixels_are_painted_in() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import logging
 import os
 import re
@@ -21,7 +20,6 @@ import numpy as np
 import psutil
 import pytest
 from numpy.typing import NDArray
-from PIL import Image as Pixels
 
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud, save_cloud
@@ -47,6 +45,7 @@ from fpplab.viewer.recorded import view_recording, view_session
 from fpplab.viewer.server import ViewerServer, has_display
 from fpplab.viewer.viewer import Viewer
 from tests.support.plane_twin import CAMERA, nominal, tilted
+from tests.support.recordings import Recording
 
 SIZE, MIRRORS = (64, 48), (90, 70)
 PLAN = Plan(fringes=(Sinusoid(axis="x", stripes=1.0, steps=3), Sinusoid(axis="x", stripes=6.0, steps=4)))
@@ -82,41 +81,10 @@ def decoded() -> Decoded:
     return Decoded(u, np.full_like(u, np.nan), 0 * u + 50, 0 * u + 0.02)
 
 
-class Recording:
-    """A recording file, by entity and component."""
-
-    def __init__(self, path: Path) -> None:
-        import rerun as rr
-
-        self.data = rr.dataframe.load_recording(path)
-
-    def frames(self, entity: str, index: str = "frame") -> list[int]:
-        """When an entity was logged."""
-        table = self.data.view(index=index, contents=f"/{entity}").select().read_all()
-        return [int(n) for n in table.column(index).to_pylist()]
-
-    def value(self, entity: str, component: str, row: int | None = None, index: str = "frame") -> Any:
-        """What was logged: static, or in one row."""
-        view = self.data.view(index=index, contents=f"/{entity}")
-        table = (view.select_static() if row is None else view.select()).read_all()
-        found = table.column(f"/{entity}:{component}").to_pylist()[row or 0]
-        return found if len(found) > 1 else found[0]
-
-    def jpeg(self, entity: str, row: int) -> NDArray[np.int64]:
-        """A compressed picture."""
-        data = bytes(self.value(entity, "Blob", row))
-        return np.asarray(Pixels.open(io.BytesIO(data)).convert("L")).astype(np.int64)
-
-    def rgb(self, entity: str, row: int | None = None) -> NDArray[np.int64]:
-        """A coloured map (h, w, 3)."""
-        form = self.value(entity, "ImageFormat", row)
-        data = np.array(self.value(entity, "ImageBuffer", row))
-        return data.reshape(form["height"], form["width"], 3).astype(np.int64)
-
-    def map(self, entity: str, row: int | None = None) -> NDArray[np.int64]:
-        """A coloured map without its colour bar, at one pixel for each of its own."""
-        larger = -(-BAR_SIZE[0] // SIZE[0])
-        return self.rgb(entity, row)[: larger * SIZE[1] : larger, ::larger]
+def coloured(recording: Recording, entity: str, row: int | None = None) -> NDArray[np.int64]:
+    """A coloured map without its colour bar, at one pixel for each of its own."""
+    larger = -(-BAR_SIZE[0] // SIZE[0])
+    return recording.rgb(entity, row)[: larger * SIZE[1] : larger, ::larger]
 
 
 @pytest.fixture(scope="module")
@@ -144,7 +112,7 @@ def test_every_frame_is_there_with_its_pattern(recording: Recording) -> None:
 def test_the_phase_follows_the_last_frame_of_each_set(recording: Recording) -> None:
     assert recording.frames("maps/phase") == [2, 6]
     # Six stripes over 90 mirrors: the phase, and so its colour, repeats every 15 pixels.
-    fine = recording.map("maps/phase", 1)
+    fine = coloured(recording, "maps/phase", 1)
     assert np.abs(fine[:, 15:60] - fine[:, :45]).mean() < 6
     assert np.abs(fine[:, 7:52] - fine[:, :45]).mean() > 30
 
@@ -168,7 +136,7 @@ def test_devices_are_placed_by_the_calibration(recording: Recording) -> None:
 def test_results_are_logged_as_static(recording: Recording) -> None:
     points = np.array(recording.value("world/cloud", "Position3D"), np.float32)
     assert np.array_equal(points, cloud().points)
-    u = recording.map("maps/u")
+    u = coloured(recording, "maps/u")
     assert np.array_equal(u[5, 5], UNMEASURED)
     assert not np.array_equal(u[20, 5], u[20, 60])
 
@@ -231,15 +199,14 @@ def test_a_session_is_shown_with_its_results(tmp_path: Path) -> None:
     found = Recording(tmp_path / "s.rrd")
     assert found.frames("world/projector/pattern") == list(range(7))
     assert len(found.value("world/cloud", "Position3D")) == 200
-    assert found.map("maps/modulation").shape == (48, 64, 3)
+    assert coloured(found, "maps/modulation").shape == (48, 64, 3)
 
 
 def test_a_session_of_an_unknown_projector_has_its_pictures(tmp_path: Path) -> None:
     view_session(session(tmp_path / "scan", PLAN), None, tmp_path / "s.rrd")
     found = Recording(tmp_path / "s.rrd")
     assert found.frames("world/camera/image") == list(range(7))
-    entities = {c.entity_path for c in found.data.schema().component_columns()}
-    assert not {"/world/projector/pattern", "/world/cloud", "/maps/u"} & entities
+    assert not {"/world/projector/pattern", "/world/cloud", "/maps/u"} & found.entities()
 
 
 # The server

@@ -18,6 +18,7 @@ from fpplab.core.errors import CalibrationError, ConfigError
 from fpplab.core.extras import need_extra
 
 if TYPE_CHECKING:
+    from fpplab.diagnosis import FaultCause
     from fpplab.matching.reference import Reference
 
 
@@ -32,17 +33,25 @@ def match_command(
             autocompletion=names_of("rig"),
         ),
     ],
-    reference: Annotated[
-        list[Path],
-        typer.Option("--reference", help="The bench's sessions of a board, or the folder that holds them."),
-    ],
     out: Out,
+    reference: Annotated[
+        list[Path] | None,
+        typer.Option("--reference", help="The bench's sessions of a board, or the folder that holds them."),
+    ] = None,
     gamma: Annotated[
         Path | None, typer.Option("--gamma", help="The bench's response, written by `fpplab gamma`.")
     ] = None,
     scan: Annotated[
         list[str] | None,
         typer.Option("--scan", help="ITEM=SESSION: the bench's scan of an artefact, for the judgement."),
+    ] = None,
+    surface: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--surface",
+            help="ITEM=SESSION: the bench's scan of a part, by which its reflectance and gloss are matched; "
+            "without --reference on a twin that is matched already.",
+        ),
     ] = None,
     card: Annotated[
         str,
@@ -78,7 +87,8 @@ def match_command(
 ) -> None:
     """Match a twin to a bench, from the bench's recordings alone.
 
-    Gamma matching, then characterisation matching by `L = α log(1 + |ε_d|) + β (1 - SSIM)`. OUT gets the
+    Gamma matching, then characterisation matching by `L = α log(1 + |ε_d|) + β (1 - SSIM)`, then the surfaces
+    of parts: reflectance and gloss, for this part and not for the board's paper. OUT gets the
     matched twin (`rig.yaml`, which every command takes), `match.jsonl` with every epoch, and `report.html`.
     `verdict` says whether to believe the twin, `findings` why not; a useless one is not written, and the exit
     code is 4. The same command continues an interrupted matching, and with `--accept CAUSE` a refused one;
@@ -95,6 +105,10 @@ def match_command(
     from fpplab.sessions.session import Session, recorded_sessions
     from fpplab.targets import Target
 
+    surfaces, accepted = _scans(surface or [], "--surface"), acceptable_causes(accept or [])
+    if not reference:
+        _match_surfaces_alone(twin, item, surfaces, out, accepted, force, json)
+        return
     _make_way(out, force, EPOCHS, REPORT)
     need_extra("skimage")
     sessions = recorded_sessions(reference)
@@ -103,9 +117,10 @@ def match_command(
         board=item,
         card=card_item,
         card_scan=Session.open(Path(card_session)) if card_session else None,
-        accepted=acceptable_causes(accept or []),
+        accepted=accepted,
         response=_response(gamma),
-        scans=_scans(scan or []),
+        scans=_scans(scan or [], "--scan"),
+        surfaces=surfaces,
         weights=_weights(alpha, beta),
         limits=_limits(epochs, seconds),
     )
@@ -144,7 +159,7 @@ def match_command(
                 )
         except CalibrationError as error:
             raise with_causes(error, sessions) from error
-        sources = matching_provenance(found, wanted.scans)
+        sources = matching_provenance(found, {**wanted.scans, **wanted.surfaces})
         result = {
             **found.summary(),
             "seconds": elapsed(),
@@ -179,16 +194,60 @@ def _response(gamma: Path | None) -> Any:
     return None if gamma is None else Response.load(gamma)
 
 
-def _scans(words: list[str]) -> dict[str, Any]:
+def _match_surfaces_alone(
+    twin: str,
+    board: str,
+    surfaces: dict[str, Any],
+    out: Path,
+    accepted: frozenset[FaultCause],
+    force: bool,
+    json: bool,
+) -> None:
+    """Match surfaces of parts on a twin that was matched to its board before."""
+    from fpplab.devices.rig import Rig
+    from fpplab.matching.parts import match_parts
+    from fpplab.matching.refusal import Refusals
+    from fpplab.matching.run import twin_of
+
+    if not surfaces:
+        raise ConfigError("--reference: is missing; name the bench's sessions of a board, or a --surface")
+    if out.exists() and any(out.iterdir()) and not force:
+        raise ConfigError(f"{out}: exists already; name another output, or add --force to replace it")
+    with console.stopwatch() as elapsed, Rig.load(twin) as rig:
+        refusals, source = Refusals(accepted), Path(rig.source)
+        known = twin_of(rig, board)
+        with console.telling_progress("Matching") as (report, tell):
+            notes = rig.file.notes or ()
+            found = match_parts(*(known, surfaces, out, source, refusals, notes), progress=report, tell=tell)
+    surfaces_found = [one.summary() for one in found]
+    answer = {
+        "surfaces": surfaces_found,
+        "notes": [*notes, *refusals.notes],
+        "seconds": elapsed(),
+        "rig": str(out / RIG),
+    }
+    console.answer(answer, json, lambda: _show_surfaces(surfaces_found))
+
+
+def _show_surfaces(surfaces: list[dict[str, Any]]) -> None:
+    rows = [
+        [one["item"], one["kind"], name, one[name], sigma]
+        for one in surfaces
+        for name, sigma in one["sigma"].items()
+    ]
+    console.table("Surfaces", ["item", "kind", "property", "value", "standard uncertainty"], rows)
+
+
+def _scans(words: list[str], option: str) -> dict[str, Any]:
     from fpplab.sessions.session import Session
 
     found = {}
     for word in words:
         name, equals, path = word.partition("=")
         if not (name and equals and path):
-            raise ConfigError(f"--scan: '{word}' must be ITEM=SESSION, such as pyramid=scans/pyramid")
+            raise ConfigError(f"{option}: '{word}' must be ITEM=SESSION, such as pyramid=scans/pyramid")
         if name in found:
-            raise ConfigError(f"--scan: {name} is given twice")
+            raise ConfigError(f"{option}: {name} is given twice")
         found[name] = Session.open(Path(path))
     return found
 
@@ -218,6 +277,8 @@ def _show(result: dict[str, Any]) -> None:
         columns = ["item", "bench_um", "twin_um", "delta_um", "delta_percent"]
         scans = [[one[name] for name in columns] for one in result["artefacts"]]
         console.table("Artefacts", ["item", "bench µm", "twin µm", "Δ µm", "Δ %"], scans)
+    if result["surfaces"]:
+        _show_surfaces(result["surfaces"])
     console.stdout.print(
         f"{result['epochs']} epochs, {result['seconds']:.0f} s, {result['ended']}; twin: {result['rig']}, "
         f"report: {result['report']}",

@@ -69,5 +69,11 @@ def _show(answer: dict[str, Any]) -> None:
         console.say(
             "no discrepancy.yaml beside the rig file: what the simulation lacks is not in the intervals"
         )
+    if answer["matched"] and answer["surface"] is None:
+        item = answer["item"]
+        console.say(
+            f"the surface of the {item} is that of the twin's file: `fpplab match --surface {item}=SESSION` "
+            "matches it to a scan"
+        )
     if answer["looks_like"]:
         console.say(f"the twin's discrepancy looks like {answer['looks_like']}; not for {answer['not_for']}")

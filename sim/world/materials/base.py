@@ -5,6 +5,8 @@ from __future__ import annotations
 from abc import abstractmethod
 from typing import ClassVar
 
+from pydantic import Field
+
 from fpplab.core.config import Document
 from sim.scene import Paint
 
@@ -20,6 +22,8 @@ class Material(Document):
 
     kind: str
     """Name of the kind of material."""
+    sigma: dict[str, float] = Field(default_factory=dict)
+    """Standard uncertainties of a surface that was matched to a scan, by field, in its unit."""
 
     @abstractmethod
     def paint(self) -> Paint:

@@ -1,0 +1,1 @@
+"""What makes the documentation: pages are run, reference pages and pictures are generated."""

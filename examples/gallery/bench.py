@@ -1,0 +1,129 @@
+"""What the scripts of the gallery share: the virtual bench with something changed, measured and drawn."""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import trimesh
+import yaml
+
+from fpplab import Plan, Rig, Session, decode, load_cloud, scan
+from fpplab.dataset.labels import trace_labels
+from fpplab.diagnosis import UselessScanError
+from fpplab.diagnosis.record import load_diagnosis
+from fpplab.simulation.arrangeable import SceneTruth
+
+mpl.use("Agg")
+from matplotlib import pyplot as plt
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+RIG = {
+    "name": "Gallery",
+    "bench": {"backend": "virtual_bench", "world": "world.yaml"},
+    "camera": {"backend": "virtual_camera", "bits": 8},
+    "projector": {"backend": "virtual_projector"},
+    "fixture": {"backend": "virtual_fixture"},
+}
+STILL = {"rotation_deg": [0, 0, 0], "translation_mm": [0, 0, 0]}
+
+
+def merged(one: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, Any]:
+    """A mapping with the values of another one, level by level."""
+    both = dict(one)
+    for key, value in other.items():
+        inner = isinstance(value, Mapping) and isinstance(both.get(key), Mapping)
+        both[key] = merged(both[key], value) if inner else value
+    return both
+
+
+def plan_of(stripes: tuple[float, ...] = (1, 8, 64), steps: int = 6, **more: Any) -> Plan:
+    """A plan of fringes along the baseline."""
+    fringes = tuple({"axis": "x", "stripes": float(one), "steps": steps} for one in stripes)
+    return Plan.model_validate({"fringes": fringes, "exposure_s": 0.02, "filter": {}, **more})
+
+
+def show(
+    world: Mapping[str, Any] | None = None,
+    plan: Plan | None = None,
+    item: str = "pyramid",
+    shape: trimesh.Trimesh | None = None,
+    moved: Mapping[str, Any] | None = None,
+    limit_um: float = 30.0,
+) -> None:
+    """Measure an item on the changed bench, and draw a frame, the errors and the verdict into `sys.argv[1]`.
+
+    `world` is what differs from the demonstration's world file, `shape` a further item in the camera's frame,
+    `moved` what changes after the calibration.
+    """
+    base = yaml.safe_load((CONFIGS / "world_demo.yaml").read_text(encoding="utf-8"))
+    changed = merged(merged(base, {"camera": {"binning": 8}}), world or {})
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        (folder / "rig.yaml").write_text(yaml.safe_dump(RIG), encoding="utf-8")
+        if shape is not None:
+            shape.export(folder / "shape.stl")
+            changed["items"][item] = {"mesh": "shape.stl", "pose": STILL}
+        truth = truth_of(folder, changed, item)
+        save(folder, merged(changed, moved or {}))
+        with Rig.load(folder / "rig.yaml") as rig, suppress(UselessScanError):
+            scan(rig, plan or plan_of(), truth.calibration, folder / "scan", (item, 0))
+        draw(folder, trace_labels(truth).depth, limit_um)
+
+
+def save(folder: Path, world: Mapping[str, Any]) -> None:
+    """Write the world file, with the boards that it names found in `configs`."""
+    text = yaml.safe_dump(dict(world)).replace("target_paper.yaml", str(CONFIGS / "target_paper.yaml"))
+    (folder / "world.yaml").write_text(text, encoding="utf-8")
+
+
+def truth_of(folder: Path, world: Mapping[str, Any], item: str) -> SceneTruth:
+    """The true surface of an item, and the exact calibration of the bench."""
+    save(folder, world)
+    with Rig.load(folder / "rig.yaml") as rig:
+        sampler = rig.simulation.sampler()  # type: ignore[union-attr]
+        return SceneTruth(sampler.mesh(item), sampler.calibration)
+
+
+def part_in(frames: Any) -> tuple[tuple[int, int], tuple[int, int]]:
+    """First and last row and column of what changes with the fringes, with a margin."""
+    changes = np.ptp(np.stack([np.asarray(frame, float) for frame in frames]), axis=0)
+    found = changes > 0.3 * np.quantile(changes, 0.99)
+    rows, columns = (np.flatnonzero(np.mean(found, axis=axis) > 0.05) for axis in (1, 0))
+    return (rows[0] - 15, rows[-1] + 15), (columns[0] - 15, columns[-1] + 15)
+
+
+def draw(folder: Path, true_depth: Any, limit_um: float) -> None:
+    """Three pictures beside each other: a frame, what was decoded, and the error, under the verdict."""
+    session = Session.open(folder / "scan")
+    recording, diagnosis = session.recording(), load_diagnosis(folder / "scan").diagnosis()
+    decoded = decode(recording)
+    figure, (left, middle, right) = plt.subplots(1, 3, figsize=(13, 3.6), layout="constrained")
+    left.imshow(recording.frames[-1], cmap="gray", vmin=0, vmax=recording.full_scale)
+    left.set_title("the last frame")
+    figure.colorbar(middle.imshow(decoded.u), ax=middle, label="projector column, px")
+    middle.set_title("decoded")
+    error_um = np.full(decoded.u.shape, np.nan)
+    if (folder / "scan" / "cloud.ply").is_file():
+        cloud = load_cloud(folder / "scan" / "cloud.ply")
+        column, row = cloud.pixels.T
+        error_um[row, column] = 1e3 * (cloud.points[:, 2] - true_depth[row, column])
+        right.set_title(f"error in depth, {np.nanmedian(np.abs(error_um)):.0f} µm in the median")
+    else:
+        right.set_title("no points are written")
+    shown = right.imshow(error_um, cmap="RdBu_r", vmin=-limit_um, vmax=limit_um)
+    figure.colorbar(shown, ax=right, label="µm")
+    rows, columns = part_in(recording.frames)
+    for axis in (left, middle, right):
+        axis.axis("off")
+        axis.set(xlim=columns, ylim=rows[::-1])
+    causes = ", ".join(finding.cause for finding in diagnosis.findings)
+    figure.suptitle(f"{diagnosis.verdict}{': ' + causes if causes else ''}", fontweight="bold")
+    figure.savefig(sys.argv[1], dpi=80)
+    print(diagnosis.sentence)

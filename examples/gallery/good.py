@@ -1,0 +1,5 @@
+"""A good scan: nothing is wrong."""
+
+from bench import show
+
+show()

@@ -1,0 +1,61 @@
+"""How a result of nested lists and dictionaries is shown to a person."""
+
+from __future__ import annotations
+
+from typing import Any
+
+
+def readable(value: Any) -> str:
+    """Write a value in one line.
+
+    Parameters
+    ----------
+    value : object
+        Of a command's result.
+
+    Returns
+    -------
+    str
+        Numbers with four digits; `none` where there is nothing.
+    """
+    if isinstance(value, dict) and value:
+        return ", ".join(f"{k} {readable(v)}" for k, v in value.items())
+    if isinstance(value, list | tuple) and value:
+        return ", ".join(readable(v) for v in value)
+    if value is None or (isinstance(value, dict | list | tuple) and not value):
+        return "none"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def as_table(value: Any) -> tuple[list[str], list[list[Any]]] | None:
+    """Lay out what has the form of a table: dictionaries in a list, or by name.
+
+    Parameters
+    ----------
+    value : object
+        Of a command's result.
+
+    Returns
+    -------
+    columns : list of str
+        Their heads; the first is empty where rows have names.
+    rows : list of list
+        Their cells. None instead of both where the value is no table.
+    """
+    if isinstance(value, dict) and value and all(isinstance(row, dict) for row in value.values()):
+        rows = [{"": name, **_flat(row)} for name, row in value.items()]
+    elif isinstance(value, list | tuple) and value and all(isinstance(row, dict) for row in value):
+        rows = [_flat(row) for row in value]
+    else:
+        return None
+    columns = list(dict.fromkeys(key for row in rows for key in row))
+    return columns, [[row.get(column, "") for column in columns] for row in rows]
+
+
+def _flat(row: dict[str, Any]) -> dict[str, Any]:
+    """A row without dictionaries in it: their keys stand behind the row's own."""
+    found: dict[str, Any] = {}
+    for key, value in row.items():
+        inner = {f"{key} {k}": v for k, v in value.items()} if isinstance(value, dict) else {key: value}
+        found |= inner
+    return found

@@ -1,0 +1,65 @@
+"""What the surface of a part does to light, as it is matched to a scan and told to a simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+
+@dataclass(frozen=True)
+class PartSurface:
+    """A matt or translucent body under a gloss coat.
+
+    Attributes
+    ----------
+    reflectance : float
+        Share of the light that the body reflects of what reaches it, 0 to 1.
+    gloss : float
+        Share of the light that meets the gloss coat, 0 to 1; 0 for no coat.
+    gloss_roughness : float
+        Square root of the width parameter of GGX, of the coat.
+    radius_mm : float
+        Mean free path of light in the body in mm; 0 where light leaves it where it entered.
+    sigma : mapping of str to float
+        Standard uncertainties by attribute, in its unit; only of what was fitted.
+    """
+
+    reflectance: float
+    gloss: float = 0.0
+    gloss_roughness: float = 0.3
+    radius_mm: float = 0.0
+    sigma: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def kind(self) -> str:
+        """Name of the kind of material: `diffuse`, `glossy` or `translucent`."""
+        if self.radius_mm > 0:
+            return "translucent"
+        return "glossy" if self.gloss > 0 else "diffuse"
+
+    @property
+    def relative_sigma(self) -> float:
+        """Standard uncertainty of the reflectance, relative to it; 0 where it is not stated."""
+        return self.sigma.get("reflectance", 0.0) / max(self.reflectance, 1e-6)
+
+    def numbers(self) -> dict[str, float]:
+        """Give what describes a surface of this kind.
+
+        Returns
+        -------
+        dict of str to float
+            By attribute, without those that its kind does not have.
+        """
+        further = {"glossy": ("gloss", "gloss_roughness"), "translucent": ("radius_mm",)}
+        return {name: getattr(self, name) for name in ("reflectance", *further.get(self.kind, ()))}
+
+    def summary(self) -> dict[str, Any]:
+        """Give plain values.
+
+        Returns
+        -------
+        dict of str to Any
+            `kind`, `numbers()`, and `sigma` by name.
+        """
+        return {"kind": self.kind, **self.numbers(), "sigma": dict(self.sigma)}

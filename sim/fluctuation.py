@@ -1,0 +1,90 @@
+"""Light that changes from frame to frame: flicker of the projector, and rolling bands of light on the mains.
+
+The projector's light has another factor in each frame. Light of the room that ripples with the mains makes
+bands in the rows of a rolling shutter, whose place is another in each frame, since frames are not in step
+with the mains.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.light import PatternLevels
+from sim.world import World
+
+STREAM = 1
+"""Tells the random numbers of these changes from those of vibration."""
+
+
+@dataclass(frozen=True)
+class Fluctuation:
+    """How light changes from frame to frame.
+
+    Attributes
+    ----------
+    flicker : float
+        Standard deviation of the projector's light, relative.
+    ripple : float
+        Amplitude of the ambient light's ripple, as a share of it.
+    period : float
+        Rows of the frame from band to band.
+    seed : int
+        Of the random numbers.
+    """
+
+    flicker: float
+    ripple: float
+    period: float
+    seed: int
+
+    @classmethod
+    def of(cls, world: World) -> Fluctuation | None:
+        """Take the changes of light from a world.
+
+        Parameters
+        ----------
+        world : World
+            Projector, ambient light and binning.
+
+        Returns
+        -------
+        Fluctuation or None
+            None where all light is steady.
+        """
+        bands, flicker = world.ambient_bands, world.projector.flicker
+        ripple = bands.ripple if bands and world.ambient else 0.0
+        if not (flicker or ripple):
+            return None
+        period = bands.period_px / world.camera.binning if bands else 1.0
+        return cls(flicker, ripple, period, world.seed)
+
+    def applied(
+        self, picture: PatternLevels, ambient: PatternLevels, rows: NDArray[np.intp], frame: int
+    ) -> PatternLevels:
+        """Change the light of one frame.
+
+        Parameters
+        ----------
+        picture : PatternLevels
+            Steady irradiance (R, width) of R rows.
+        ambient : PatternLevels
+            The part of it that is not the projector's, of the same shape.
+        rows : ndarray of intp
+            Numbers (R,) of the rows.
+        frame : int
+            Number of the frame, from which factor and place of the bands follow.
+
+        Returns
+        -------
+        PatternLevels
+            Irradiance (R, width), not negative.
+        """
+        random = np.random.default_rng([self.seed, frame, STREAM])
+        factor, phase = 1.0 + self.flicker * random.standard_normal(), random.uniform()
+        wave = 1.0 + self.ripple * np.sin(2 * np.pi * (rows / self.period + phase))
+        changed: PatternLevels = np.float32(factor) * (picture - ambient)
+        changed += wave.astype(np.float32)[:, None] * ambient
+        return np.maximum(changed, 0, out=changed)

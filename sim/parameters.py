@@ -1,0 +1,153 @@
+"""The parameters of a twin and the world that has them: what can be matched, as fields of a world file."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from fpplab.calibration.model import Calibration, CalibrationFile, PoseFile
+from fpplab.core import config
+from fpplab.devices import CameraSettings
+from fpplab.simulation.matchable import TwinParameters
+from fpplab.targets import Target
+from sim.items import item_poses
+from sim.sensor import SensorModel
+from sim.world import World
+from sim.world.surface import with_surface
+
+
+def parameters_of(world: World, board: str, target: Target) -> TwinParameters:
+    """Read the parameters that can be matched from a world.
+
+    Parameters
+    ----------
+    world : World
+        Of a twin.
+    board : str
+        Name of the board in it.
+    target : Target
+        The board as it is printed.
+
+    Returns
+    -------
+    TwinParameters
+        Of which `world_of` makes the same world.
+    """
+    camera, projector, response = world.camera, world.projector, world.projector.response
+    brightest = response.a + response.b
+    return TwinParameters(
+        calibration=Calibration(
+            *(world.camera_model(), world.projector_model(), world.T_projector_camera()),
+            rms_px={},
+            uncertainty=world.calibration.calibration().uncertainty if world.calibration else None,
+        ),
+        poses=item_poses(world, board),
+        white=1.0,
+        response=response.curve().model_copy(
+            update={"a": response.a / brightest, "b": response.b / brightest}
+        ),
+        ambient=world.ambient / brightest,
+        paper=target.background,
+        ink=target.foreground,
+        projector_blur=projector.blur,
+        projector_focus_mm=projector.focus_mm,
+        projector_aperture_mm=projector.aperture_mm,
+        camera_focus_mm=camera.focus_mm,
+        f_number=camera.f_number,
+        vignetting=camera.vignetting,
+        black_level=camera.sensor.black_level,
+        read_noise_e=camera.sensor.read_noise_e,
+        full_well_e=camera.sensor.full_well_e,
+        vibration_mm=world.vibration_mm,
+        projector_falloff=projector.falloff,
+        projector_flicker=projector.flicker,
+        ambient_ripple=world.ambient_bands.ripple if world.ambient_bands else 0.0,
+        band_period_px=world.ambient_bands.period_px / camera.binning if world.ambient_bands else 0.0,
+    )
+
+
+def world_of(nominal: World, board: str, parameters: TwinParameters) -> World:
+    """Make the nominal world with other parameters.
+
+    Parameters
+    ----------
+    nominal : World
+        What the twin's own file says.
+    board : str
+        Name of the board in it.
+    parameters : TwinParameters
+        All of them.
+
+    Returns
+    -------
+    World
+        A changed copy.
+
+    Raises
+    ------
+    ConfigError
+        No world can have these parameters.
+    """
+    p, data = parameters, nominal.model_dump(mode="json")
+    data["calibration"] = config.plain(CalibrationFile.of(replace(p.calibration, uncertainty=None)))
+    data["items"][board] |= {
+        "poses": [config.plain(PoseFile.of(pose)) for pose in p.poses],
+        "reflectance": p.paper,
+        "ink": p.ink,
+    }
+    for name, pose in p.placed.items():
+        data["items"][name]["pose"] = config.plain(PoseFile.of(pose))
+    for name, surface in p.surfaces.items():
+        data["items"][name]["material"] = own = f"surface of {name}"
+        data["materials"][own] = with_surface(nominal.material_of(name), surface)
+    data["projector"] |= {
+        "response": config.plain(p.response),
+        "blur": p.projector_blur,
+        "focus_mm": p.projector_focus_mm,
+        "aperture_mm": p.projector_aperture_mm,
+        "falloff": list(p.projector_falloff),
+        "flicker": p.projector_flicker,
+    }
+    data["camera"] |= {
+        "focus_mm": p.camera_focus_mm,
+        "f_number": p.f_number,
+        "vignetting": p.vignetting,
+    }
+    data["camera"]["sensor"] |= {
+        "black_level": p.black_level,
+        "read_noise_e": p.read_noise_e,
+        "full_well_e": p.full_well_e,
+    }
+    if p.ambient_ripple:
+        data["ambient_bands"] = {
+            "ripple": p.ambient_ripple,
+            "period_px": p.band_period_px * nominal.camera.binning,
+        }
+    data |= {"ambient": p.ambient, "vibration_mm": p.vibration_mm}
+    world = config.validate(data, World, "the twin's parameters")
+    return _with_light(world, p.white * white_level_per_s(nominal) / white_level_per_s(world))
+
+
+def white_level_per_s(world: World) -> float:
+    """Compute the level above black of a white surface under the projector's white, per second at 0 dB.
+
+    Parameters
+    ----------
+    world : World
+        Its projector, distance, lens and sensor determine the level.
+
+    Returns
+    -------
+    float
+        Grey levels of 8-bit frames per second of exposure, without saturation.
+    """
+    sensor, response = SensorModel.of(world), world.projector.response
+    return (response.a + response.b) * sensor.gain(CameraSettings(1.0)) * sensor.electrons(1.0, 1.0)
+
+
+def _with_light(world: World, factor: float) -> World:
+    """Make the same world with `factor` times the light."""
+    leds = {
+        name: led.model_copy(update={"lumens": factor * led.lumens})
+        for name, led in world.projector.leds.items()
+    }
+    return world.model_copy(update={"projector": world.projector.model_copy(update={"leds": leds})})

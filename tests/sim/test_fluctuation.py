@@ -1,0 +1,45 @@
+"""Flicker and rolling bands of a world, in frames and in what predictions are made of."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fpplab.core.errors import ConfigError
+from sim.fluctuation import Fluctuation
+from tests.sim.conftest import world
+
+AMBIENT, FLICKER, RIPPLE, PERIOD = 0.2, 0.02, 0.4, 24.0
+
+
+def test_steady_light_is_left_alone() -> None:
+    assert Fluctuation.of(world()) is None
+
+
+def test_a_frame_has_its_own_factor_and_its_own_bands() -> None:
+    changes = Fluctuation(FLICKER, RIPPLE, PERIOD, seed=3)
+    ambient, rows = np.full((480, 4), AMBIENT, np.float32), np.arange(480)
+    frames = np.stack([changes.applied(ambient + 0.5, ambient, rows, n) for n in range(200)])
+    whole = frames.mean(axis=(1, 2)) - AMBIENT  # 480 rows are 20 whole periods
+    assert whole.mean() == pytest.approx(0.5, rel=0.005)
+    assert whole.std() == pytest.approx(0.5 * FLICKER, rel=0.15)
+    waves = np.fft.rfft(frames[:, :, 0], axis=1) / 240
+    assert np.abs(waves[:, 20]) == pytest.approx(RIPPLE * AMBIENT, rel=1e-3)
+    assert np.abs(np.exp(1j * np.angle(waves[:, 20])).mean()) < 0.2
+    some = changes.applied((ambient + 0.5)[100:110], ambient[100:110], rows[100:110], 7)
+    np.testing.assert_array_equal(some, frames[7, 100:110])
+
+
+def test_bands_need_ambient_light_and_are_scaled_with_the_binning() -> None:
+    bands = {"ripple": RIPPLE, "period_px": PERIOD}
+    assert Fluctuation.of(world(ambient_bands=bands)) is None
+    lit = world(ambient_bands=bands, ambient=AMBIENT)
+    for binning in (1, 2):
+        found = Fluctuation.of(lit.binned(binning))
+        assert found is not None
+        assert found.period == PERIOD / binning
+
+
+def test_impossible_bands_are_refused() -> None:
+    with pytest.raises(ConfigError, match="ripple"):
+        world(ambient_bands={"ripple": 1.5, "period_px": PERIOD}, ambient=AMBIENT)
