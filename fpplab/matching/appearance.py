@@ -66,6 +66,11 @@ class AppearanceTrial:
     surroundings: PartTrial
     found: Appearance
 
+    @property
+    def accepted(self) -> bool:
+        """Whether the twin has any of it."""
+        return self.sheet.accepted or self.surroundings.accepted
+
     def summary(self) -> dict[str, Any]:
         """Give plain values.
 

@@ -342,7 +342,8 @@ def match_sessions(
     complete = twin.parameters
     tell("matching the board's sheet and the surroundings")
     appearance = match_appearance(reference, twin)
-    matched = _evaluated_again(reference, twin, request.weights, matched)
+    if appearance.accepted:
+        matched = _evaluated_again(reference, twin, request.weights, matched)
     own = matched.final.characterisation
     assert own is not None  # the last evaluation characterises
     artefacts = compare_artefacts(twin, scans, own.calibration, lambda share: progress(0.85 + 0.15 * share))
