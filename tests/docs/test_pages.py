@@ -25,6 +25,7 @@ from docs.generate.reference import every_command
 from docs.generate.running import run_once
 from fpplab.cli import app
 
+pytestmark = pytest.mark.timeout(1800)  # pages are run as they stand, some for minutes
 PAGES = sorted(page for page in DOCS.rglob("*.md") if "decisions" not in page.parts)
 TESTED_BY_THEMSELVES = {"first-day.md": "test_first_day.py", "write-a-driver.md": "test_write_a_driver.py"}
 """Pages of instruments that have to be emulated."""

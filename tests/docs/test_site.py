@@ -16,6 +16,7 @@ from docs.generate.running import run_once
 from docs.generate.site import build_site, make_pictures
 from tests.support.browser import Browser, chromium, number_of_colours, pixels_of
 
+pytestmark = pytest.mark.timeout(1800)  # the pictures take minutes
 SCREENS = ROOT / "build" / "docs" / "screens"
 WIDTHS = {"wide": (1280, 900), "phone": (390, 844)}
 SHOWN = {
