@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,6 +24,10 @@ LevelStack = NDArray[np.float32]
 
 SPREAD = 4
 """Images of a fringe set that `Reference.finest_spread` takes at most."""
+DARK_POSES = 8
+"""Poses in whose images the darkest places are looked for."""
+DARK_PX, DARKEST = 5, 1e-3
+"""Side of the squares whose mean is a place's level, and the share of places that may be darker."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +100,15 @@ class Reference:
     def full_scale(self) -> int:
         """The greatest raw level of the frames."""
         return full_scale(self.settings.bits)
+
+    @cached_property
+    def darkest_level(self) -> float:
+        """Mean raw level of the darkest places of all recordings, which the camera's black level is not above."""
+        darkest = []
+        for pose in self.spread_poses(DARK_POSES):
+            mean = np.mean(self.recorded(pose), axis=0, dtype=np.float64)
+            darkest.append(float(np.quantile(cv2.blur(mean, (DARK_PX, DARK_PX)), DARKEST)))
+        return min(darkest)
 
     @property
     def projector(self) -> tuple[tuple[int, int], Lattice]:

@@ -10,7 +10,7 @@ and spectrum, since the similarity of two independent noises falls when the righ
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from fpplab.matching import fluctuation, geometry, light, noise
 from fpplab.matching.light import PixelSample
@@ -59,10 +59,20 @@ class MatchingContext:
             Keys of `fpplab.matching.light.ADJUSTABLE`; the response is free only where it was not measured.
         """
         response = () if self.reference.response is not None else ("b", "g")
-        return (self.white, "ink", "ambient", "black_level", *response, *more)
+        black = () if self._black_is_held else ("black_level",)
+        return (self.white, "ink", "ambient", *black, *response, *more)
+
+    @property
+    def _most_black(self) -> float:
+        """The greatest black level that the recordings allow, relative to full scale."""
+        return self.reference.darkest_level / self.reference.full_scale
+
+    @property
+    def _black_is_held(self) -> bool:
+        return abs(self.twin.parameters.black_level - self._most_black) < 1e-9
 
     def fit(self, *names: str) -> TwinParameters:
-        """Fit parameters of light and sharpness to the samples.
+        """Fit parameters of light and sharpness to the samples; black is at most what the darkest places have.
 
         Parameters
         ----------
@@ -74,7 +84,13 @@ class MatchingContext:
         TwinParameters
             As `fpplab.matching.light.fit_light` finds them; the twin is left with them.
         """
-        return light.fit_light(self.reference, self.twin, names, self.samples)
+        found = light.fit_light(self.reference, self.twin, names, self.samples)
+        if "black_level" not in names or found.black_level <= self._most_black:
+            return found
+        # Light that the parameters lack was taken for black: held, black leaves it to the ambient light.
+        self.twin.become(replace(found, black_level=self._most_black))
+        others = [name for name in names if name != "black_level"]
+        return light.fit_light(self.reference, self.twin, others, self.samples)
 
 
 @dataclass(frozen=True)
