@@ -48,13 +48,12 @@ def test_all_is_well_with_a_good_rig() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("cause", [cause for cause in FAULTS if cause != "wrong_plan"])  # a recording's
 def test_every_cause_is_named_first_at_other_strengths(cause: str) -> None:
-    for seed in (4, 5):
-        found = causes(checked(cause, seed))
-        assert cause in found[: 2 if cause in HAVE_EFFECTS else 1]
+    found = causes(checked(cause, 4))
+    assert cause in found[: 2 if cause in HAVE_EFFECTS else 1]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(8, 14))
+@pytest.mark.parametrize("seed", range(8, 11))
 def test_other_good_rigs_are_left_in_peace(seed: int) -> None:
     assert causes(checked(None, seed)) == []
 

@@ -43,6 +43,7 @@ def test_every_example_is_run_here() -> None:
     assert [name for name in scripts if f'"{name}"' not in here] == []
 
 
+@pytest.mark.slow
 def test_frames_of_ones_own_are_decoded() -> None:
     said = run("decode_own_frames.py")
     assert number(said, "pixels") == 912 * 64
@@ -55,6 +56,7 @@ def test_a_session_is_decoded_and_plotted(demo: Demo, tmp_path: Path) -> None:
     assert (tmp_path / "maps.png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_a_session_is_reconstructed_and_compared(demo: Demo, tmp_path: Path) -> None:
     folder = demo.folder / "pyramid"
     words = (demo.folder / "calibration.yaml", folder / "truth.stl", tmp_path / "errors.png")

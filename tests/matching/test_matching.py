@@ -118,6 +118,7 @@ def test_board_mask_is_the_projected_outline_less_the_edge_margin() -> None:
         assert (u.mean(), v.mean()) == pytest.approx((230, 150), abs=0.6)
 
 
+@pytest.mark.slow
 def test_refinement_by_images_finds_the_geometry(truth: TwinParameters, reference: Reference) -> None:
     # The start is off by a tenth of a pixel; light and everything else is true.
     start = moved(truth, 0.04, 0.01)
@@ -184,6 +185,7 @@ def test_light_is_found(truth: TwinParameters, reference: Reference) -> None:
 NOISY_PLAN = Plan(fringes=(Sinusoid(axis="x", stripes=12, steps=8), Sinusoid(axis="y", stripes=8, steps=8)))
 
 
+@pytest.mark.slow
 def test_noise_is_found(truth: TwinParameters) -> None:
     noisy = replace(truth, vibration_mm=0.01, full_well_e=4000.0)
     twin = PlaneTwin(truth, 5)
@@ -211,6 +213,7 @@ def test_great_read_noise_is_found(truth: TwinParameters) -> None:
     assert found.read_noise_e == pytest.approx(600.0, rel=0.1)
 
 
+@pytest.mark.slow
 def test_the_right_noise_is_better_although_images_are_less_alike(truth: TwinParameters) -> None:
     moving = replace(truth, vibration_mm=0.02)
     held = reference_of(moving, 4, NOISY_PLAN)
@@ -457,6 +460,7 @@ def test_a_round_that_still_moves_poses_has_not_converged(truth: TwinParameters)
     assert not match._changed(before, after(replace(now, white=now.white + 0.001)), limits)
 
 
+@pytest.mark.slow
 def test_standard_uncertainties_of_light_cover_the_truth(truth: TwinParameters) -> None:
     names = ("white", "ink", "ambient", "projector_blur")
     pulls = []

@@ -240,7 +240,7 @@ def test_points_seen_through_a_wide_lens_project_to_their_pixels(
     ("lens", "lattice"),
     [
         pytest.param(PROJECTOR, Lattice.DIAMOND, id="five-diamond"),
-        pytest.param(RATIONAL, Lattice.SQUARE, id="eight-square"),
+        pytest.param(RATIONAL, Lattice.SQUARE, id="eight-square", marks=pytest.mark.slow),
         pytest.param(PROJECTOR, Lattice.SQUARE, id="five-square", marks=pytest.mark.slow),
         pytest.param(RATIONAL, Lattice.DIAMOND, id="eight-diamond", marks=pytest.mark.slow),
     ],
