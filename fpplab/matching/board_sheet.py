@@ -3,8 +3,8 @@
 In every pose the levels of bench and twin are compared pixel by pixel, least squares over all images. Where
 the twin shows the same sheet their ratio is the factor by which the bench's reflects more; mapped onto the
 sheet, its median over the poses is what belongs to the board and not to the light. Beyond the target the
-twin's sheet is blank: as far as the bench's levels follow the same fringes it is sheet there as well, and a
-frame where they are dark.
+twin's sheet is blank: as far as the bench's levels follow the same fringes and are about as bright, it is
+sheet there as well, and a frame where they are dark.
 """
 
 from __future__ import annotations
@@ -35,8 +35,12 @@ LEAST_RING = 50
 """Pixels that must be seen lit of a ring."""
 ALIKE = 0.97
 """Correlation of levels from which they follow the same fringes."""
-DARK = 0.1
+BLANK = 0.5
+"""Share of the light of a blank sheet from which a pixel is of the sheet."""
+DARK = 0.2
 """Share of the sheet's light below which a pixel is of the frame, or hidden."""
+BLURRED_MM = 1.0
+"""Width along the sheet's edge where a frame is not yet dark."""
 LIT = 0.04
 """Mean level, as a share of full scale, from which a pixel of the sheet counts as lit."""
 FINEST_PX = 1.0
@@ -60,6 +64,11 @@ class _Compared:
     ratio: LevelStack
     correlation: LevelStack
     pose: RigidTransform
+
+    @property
+    def as_sheet(self) -> LevelStack:
+        """The ratio where levels follow the same fringes, 0 where they do not."""
+        return self.ratio * (self.correlation > ALIKE)
 
 
 def find_sheet(
@@ -117,8 +126,8 @@ def _margins(reference: Reference, twin: Twin, compared: Sequence[_Compared], re
     for side in range(4):
         widths = []
         for one in compared:
-            away, values = _beside(reference, twin, one, one.correlation, NO_MARGINS, side)
-            widths.append(_until(away, values > ALIKE, reach))
+            away, values = _beside(reference, twin, one, one.as_sheet, NO_MARGINS, side)
+            widths.append(_until(away, values > BLANK, reach))
         known = [width for width in widths if width is not None]
         found.append(float(np.median(known)) if known else 0.0)
     return found[0], found[1], found[2], found[3]
@@ -133,16 +142,16 @@ def _rim_mm(
         widths = []
         for side in range(4):
             away, values = _beside(reference, twin, one, one.ratio, margins, side)
-            widths.append(_until(away, values < DARK, reach))
+            widths.append(_until(away, values < DARK, reach, BLURRED_MM))
         known = [width for width in widths if width is not None]
         if known:
-            found.append(min(known))
+            found.append(min(known) if min(known) > BLURRED_MM else 0.0)
     return float(np.median(found)) if found else 0.0
 
 
-def _until(away_mm: Floats, holds: Mask, reach: float) -> float | None:
-    """Distance up to which something holds for most pixels; None where that end is not seen."""
-    for width in np.arange(0.0, reach, RING_MM):
+def _until(away_mm: Floats, holds: Mask, reach: float, first: float = 0.0) -> float | None:
+    """Distance, from the first on, up to which something holds for most pixels; None where no end is seen."""
+    for width in np.arange(first, reach, RING_MM):
         ring = (away_mm >= width) & (away_mm < width + RING_MM)
         if ring.sum() < LEAST_RING:
             return None

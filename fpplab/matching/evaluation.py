@@ -1,4 +1,4 @@
-"""Evaluation of a twin: its noisy frames are compared with the reference and characterised alike."""
+"""Evaluation of a twin: expected images are compared with the reference, noisy frames characterised."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from fpplab.core.conventions import Image
 from fpplab.core.errors import CalibrationError
 from fpplab.core.progress import Progress, no_progress
 from fpplab.matching.loss import Loss, Similarity, Weights, board_mask, ssim
-from fpplab.matching.reference import Reference
+from fpplab.matching.reference import LevelStack, Reference
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
 from fpplab.simulation.matchable import Twin
@@ -85,7 +85,9 @@ def evaluate(
     images: Sequence[int] | None = None,
     progress: Progress = no_progress,
 ) -> TwinEvaluation:
-    """Compare the twin's noisy frames with the reference, pose by pose.
+    """Compare the twin's expected images with the reference, pose by pose.
+
+    They have no noise: that of twin and bench are never alike, and noise is judged by its variance.
 
     Parameters
     ----------
@@ -97,7 +99,7 @@ def evaluate(
         Of the loss.
     epsilon_v : float, optional
         Joint RMS reprojection error of the twin in px, where it is known. Without it all frames of the plan
-        are simulated and characterised.
+        are simulated with their noise and characterised.
     images : sequence of int, optional
         Indices of the images that are compared; the first of every fringe set by default.
     progress : Progress
@@ -114,21 +116,19 @@ def evaluate(
         The twin's own frames cannot be characterised.
     """
     compared = reference.one_of_each_set if images is None else tuple(images)
-    every = tuple(range(len(reference.patterns)))
-    taken = every if epsilon_v is None else compared
+    shown, settings = reference.shown(compared), reference.settings
     poses = len(twin.parameters.poses)
     pairs: list[tuple[float, float]] = []
     seen: list[Observation] = []
     left_out: dict[str, str] = {}
     with ThreadPoolExecutor(2) as pool:
         for pose in range(poses):
-            frames = dict(
-                zip(taken, twin.frames(pose, reference.shown(taken), reference.settings), strict=True)
-            )
-            pairs += pool.map(_Compared(reference, twin, pose, frames), compared)
+            expected = twin.expected(pose, shown, settings)
+            pairs += pool.map(_Compared(reference, twin, pose), compared, expected)
             if epsilon_v is None:
+                frames = twin.frames(pose, reference.patterns, settings)
                 try:
-                    seen.append(_observed(reference, pose, [frames[i] for i in every]))
+                    seen.append(_observed(reference, pose, frames))
                 except CalibrationError as error:
                     left_out[reference.sessions[pose].path.name] = str(error)
             progress((pose + 1) / poses)
@@ -142,14 +142,14 @@ def evaluate(
 class _Compared:
     """The SSIM of one image, for a pool of threads."""
 
-    def __init__(self, reference: Reference, twin: Twin, pose: int, frames: dict[int, Image]) -> None:
+    def __init__(self, reference: Reference, twin: Twin, pose: int) -> None:
         now = twin.parameters
         self._board = board_mask(now.calibration.camera, now.poses[pose], reference.target)
-        self._reference, self._pose, self._frames = reference, pose, frames
+        self._reference, self._pose = reference, pose
 
-    def __call__(self, index: int) -> tuple[float, float]:
+    def __call__(self, index: int, expected: LevelStack) -> tuple[float, float]:
         real = self._reference.frames(self._pose, [index])[0]
-        return ssim(real, self._frames[index], self._reference.full_scale, self._board)
+        return ssim(real, expected, self._reference.full_scale, self._board)
 
 
 def _observed(reference: Reference, pose: int, frames: Sequence[Image]) -> Observation:

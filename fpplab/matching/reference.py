@@ -103,7 +103,7 @@ class Reference:
 
     @cached_property
     def darkest_level(self) -> float:
-        """Mean raw level of the darkest places of all recordings, which the camera's black level is not above."""
+        """Mean raw level of the darkest places of all recordings: the camera's black is not above it."""
         darkest = []
         for pose in self.spread_poses(DARK_POSES):
             mean = np.mean(self.recorded(pose), axis=0, dtype=np.float64)

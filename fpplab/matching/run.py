@@ -343,7 +343,8 @@ def match_sessions(
     tell("matching the board's sheet and the surroundings")
     appearance = match_appearance(reference, twin)
     if appearance.accepted:
-        matched = _evaluated_again(reference, twin, request.weights, matched)
+        # Grain of the print moves what is found of the board, on the twin as on the bench.
+        matched = replace(matched, final=evaluate(reference, twin, request.weights))
     own = matched.final.characterisation
     assert own is not None  # the last evaluation characterises
     artefacts = compare_artefacts(twin, scans, own.calibration, lambda share: progress(0.85 + 0.15 * share))
@@ -380,12 +381,6 @@ def _check_inputs(twin: Twin, sessions: Sequence[Session], target: Target, reque
         check_scans(twin, scans)
     if request.response is not None:
         twin.pose_of(request.card)
-
-
-def _evaluated_again(reference: Reference, twin: Twin, weights: Weights, matched: MatchedTwin) -> MatchedTwin:
-    """Compare the images once more; the characterisation stays as it was."""
-    loss = evaluate(reference, twin, weights, matched.final.loss.epsilon_v).loss
-    return replace(matched, final=replace(matched.final, loss=loss))
 
 
 def _placed(

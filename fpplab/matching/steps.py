@@ -72,7 +72,7 @@ class MatchingContext:
         return abs(self.twin.parameters.black_level - self._most_black) < 1e-9
 
     def fit(self, *names: str) -> TwinParameters:
-        """Fit parameters of light and sharpness to the samples; black is at most what the darkest places have.
+        """Fit parameters of light and sharpness to the samples; the darkest places limit the black level.
 
         Parameters
         ----------

@@ -2,7 +2,8 @@
 
 Camera and projector stand still, so whatever is beside the board is seen in the same pixels again. Its shape
 is triangulated where the fringes decode, and merged over the poses by the median of the depths along every
-pixel's ray. Its reflectance is the ratio of the levels that were recorded to those of the twin, least squares
+pixel's ray. Where none decodes, surfaces go on along their planes for a while, and a backdrop stands behind
+all. The reflectance is the ratio of the levels that were recorded to those of the twin, least squares
 over all images of a pose and the median over the poses: what hides or shades a surface in some poses does not
 count. A surface is believed to be matt, and light that reaches it by way of others counts as its own.
 """
@@ -12,7 +13,9 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import cast
 
+import cv2
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
@@ -39,11 +42,21 @@ MOST_STEP = 0.03
 """Greatest ratio, less 1, of depths at the corners of a face: beyond lies an edge that nothing joins."""
 NEAR_BOARD_MM = 10.0
 """Distance from the board and its frame within which a point may belong to them."""
-LEAST_FACES = 100
-"""With fewer there are no surroundings worth the name."""
+FURTHER = 1.02
+"""How much further than all that is known the backdrop stands."""
+BACKDROP_PX = 32
+"""Side of the backdrop's squares in the image."""
+LEAST_CELLS = 100
+"""With fewer that are known there are no surroundings worth the name."""
+CONTINUED_CELLS = 40
+"""How far known surfaces go on where nothing is known, in cells."""
+LEAST_SPREAD = 1e-3
+"""Added to the squared distances of known cells, so that a single one is enough for a fit."""
+PLANE_CELLS = 9
+"""Side of the window of cells whose plane they go on along."""
 TRIAL = 0.1
 """Reflectance with which levels are computed: dark enough that none is saturated."""
-LEAST_LEVEL = 0.01
+LEAST_LEVEL = 0.001
 """Level of the twin at the trial's reflectance, a share of full scale, below which a surface is not lit."""
 HIDDEN_PX = 12
 """Pixels beyond the board's outline that are not used for the reflectance."""
@@ -77,9 +90,12 @@ def rebuild_surroundings(
         None where the recordings show nothing beside the board.
     """
     depths = _depths(reference, twin, sheet, poses, lambda share: progress(0.6 * share))
-    mesh = grid_mesh(depths, twin.parameters.calibration.camera)
-    if len(mesh.faces) < LEAST_FACES:
+    camera = twin.parameters.calibration.camera
+    depths = _smoothed(depths)
+    if np.isfinite(depths).sum() < LEAST_CELLS:
         return None
+    backdrop = backdrop_mesh(FURTHER * float(np.nanmax(depths)), camera)
+    mesh = cast(trimesh.Trimesh, trimesh.util.concatenate([grid_mesh(continued(depths), camera), backdrop]))
     width, height = twin.parameters.calibration.camera.size
     found = BenchSurroundings(mesh, np.full((height, width), TRIAL, np.float32))
     twin.appear(Appearance(sheet, found))
@@ -146,23 +162,100 @@ def grid_mesh(depths: Floats, camera: Pinhole) -> trimesh.Trimesh:
     trimesh.Trimesh
         In the camera's frame in mm, front sides towards the camera.
     """
-    smooth = _smoothed(depths)
-    number = np.full(smooth.shape, -1)
-    known = np.isfinite(smooth)
+    number = np.full(depths.shape, -1)
+    known = np.isfinite(depths)
     number[known] = np.arange(known.sum())
     v, u = np.nonzero(known)
     middle = CELL_PX * (np.stack([u, v], axis=-1) + 0.5) - 0.5
     slopes = camera.normalise(middle.astype(np.float64))
-    vertices = smooth[known][:, None] * np.column_stack([slopes, np.ones(len(slopes))])
+    vertices = depths[known][:, None] * np.column_stack([slopes, np.ones(len(slopes))])
     corners = np.stack([number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]], axis=-1)
     corners = corners.reshape(-1, 4)
     corners = corners[(corners >= 0).all(axis=1)]
     depth = vertices[:, 2][corners]
     corners = corners[depth.max(axis=1) < (1.0 + MOST_STEP) * depth.min(axis=1)]
-    faces = np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]])
-    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    mesh = trimesh.Trimesh(vertices, _triangles(corners), process=False)
     mesh.remove_unreferenced_vertices()
     return mesh
+
+
+def continued(depths: Floats) -> Floats:
+    """Let surfaces go on along their planes, up to `CONTINUED_CELLS`, where nothing is known.
+
+    The inverse depth of a plane is linear in the image, so each ring of cells around what is known gets the
+    value of the linear fit to the known cells of its window.
+
+    Parameters
+    ----------
+    depths : Floats
+        (rows, columns) in mm along the camera's axis; NaN where unknown, but not everywhere.
+
+    Returns
+    -------
+    Floats
+        Of the same shape, never nearer or further than what is known.
+    """
+    inverse = 1.0 / depths
+    least, most = np.nanmin(inverse), np.nanmax(inverse)
+    for _ in range(CONTINUED_CELLS):
+        known = np.isfinite(inverse)
+        ring = cv2.dilate(known.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(np.bool_) & ~known
+        if not ring.any():
+            break
+        inverse[ring] = np.clip(_linear_fits(inverse, known, ring), least, most)
+    return np.asarray(1.0 / inverse)
+
+
+def _linear_fits(values: Floats, known: Mask, wanted: Mask) -> Floats:
+    """Values (N,) of wanted cells by linear fits to the known ones around each."""
+    weight = known.astype(np.float64)
+    filled = np.where(known, values, 0.0)
+    to_left = np.arange(PLANE_CELLS) - PLANE_CELLS // 2
+
+    def moment(of: Floats, x: int, y: int) -> Floats:
+        """Sum over the window of a value times powers of the distance from its middle."""
+        powers = to_left.astype(np.float64)
+        return np.asarray(
+            cv2.sepFilter2D(of, -1, powers**x, powers**y, borderType=cv2.BORDER_CONSTANT)[wanted]
+        )
+
+    n, x, y, xx, xy, yy = (moment(weight, *k) for k in ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)))
+    right = np.stack([moment(filled, *k) for k in ((0, 0), (1, 0), (0, 1))], axis=-1)
+    normal = np.stack([n, x, y, x, xx, xy, y, xy, yy], axis=-1).reshape(-1, 3, 3)
+    normal = normal + np.diag([0.0, LEAST_SPREAD, LEAST_SPREAD])
+    return np.asarray(np.linalg.solve(normal, right[..., None])[:, 0, 0])
+
+
+def backdrop_mesh(depth_mm: float, camera: Pinhole) -> trimesh.Trimesh:
+    """Make a plane that faces the camera and fills its image: what is seen where no shape is known.
+
+    It stands behind all else, so that it neither hides nor shades anything.
+
+    Parameters
+    ----------
+    depth_mm : float
+        Along the camera's axis.
+    camera : Pinhole
+        Whose image is filled.
+
+    Returns
+    -------
+    trimesh.Trimesh
+        In the camera's frame in mm, its front side towards the camera.
+    """
+    width, height = camera.size
+    columns, rows = (-(-side // BACKDROP_PX) + 1 for side in (width, height))
+    grid = np.meshgrid(np.linspace(-1, width, columns), np.linspace(-1, height, rows))
+    slopes = camera.normalise(np.stack(grid, axis=-1).reshape(-1, 2))
+    number = np.arange(rows * columns).reshape(rows, columns)
+    corners = np.stack([number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]], axis=-1)
+    vertices = depth_mm * np.column_stack([slopes, np.ones(len(slopes))])
+    return trimesh.Trimesh(vertices, _triangles(corners.reshape(-1, 4)), process=False)
+
+
+def _triangles(corners: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Two triangles (2 N, 3) of each quadrilateral (N, 4)."""
+    return np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]])
 
 
 def _smoothed(depths: Floats) -> Floats:
