@@ -110,7 +110,7 @@ def build_background(world: World, setup: Setup, around: Surface) -> tuple[Rende
     Returns
     -------
     scene : RenderScene
-        The surroundings are its first surface, and determine its window.
+        Surroundings, frame and item, as far as there are such. The surroundings determine its window.
     texture : MirrorTexture
         The texture of the scene's lamp.
 
@@ -120,7 +120,7 @@ def build_background(world: World, setup: Setup, around: Surface) -> tuple[Rende
         The item cannot be made.
     """
     at_rest = replace(setup, vibration_mm=(0.0, 0.0, 0.0))
-    surfaces = (around, *_mounted(world, at_rest), *_frame(world, at_rest))
+    surfaces = (around, *_frame(world, at_rest), *_mounted(world, at_rest))
     return _scene(world, setup, surfaces, _bounding_box(around))
 
 

@@ -192,7 +192,7 @@ def item_surface(world: World, name: str, pose: RigidTransform) -> Surface:
 
 
 def rim_surface(world: World, name: str, pose: RigidTransform) -> Surface | None:
-    """Make the black frame of a board: a plate just behind it, of which the rim is seen.
+    """Make the dark frame of a board: a plate just behind it, of which the rim is seen.
 
     Parameters
     ----------
@@ -218,7 +218,7 @@ def rim_surface(world: World, name: str, pose: RigidTransform) -> Surface | None
         return None
     left, top, right, bottom = (margin + item.rim_mm for margin in item.margins_mm)
     corners = sheet_corners(board_target(name, item).size_mm, (left, top, right, bottom))
-    return Surface(corners + [0.0, 0.0, RIM_BEHIND_MM], _PLATE, pose.matrix, Paint(0.0))
+    return Surface(corners + [0.0, 0.0, RIM_BEHIND_MM], _PLATE, pose.matrix, Paint(item.rim_reflectance))
 
 
 @lru_cache(maxsize=64)

@@ -43,7 +43,12 @@ def save_sheet(sheet: BoardSheet, folder: Path) -> dict[str, Any]:
     DataError
         The folder cannot be written to.
     """
-    fields: dict[str, Any] = {"margins_mm": sheet.margins_mm, "rim_mm": sheet.rim_mm, "texture": None}
+    fields: dict[str, Any] = {
+        "margins_mm": sheet.margins_mm,
+        "rim_mm": sheet.rim_mm,
+        "rim_reflectance": sheet.rim_reflectance,
+        "texture": None,
+    }
     if sheet.texture is not None:
         grey = np.clip(np.rint(sheet.texture * np.float32(EVEN)), 0, 255).astype(np.uint8)
         path = folder.resolve() / TEXTURE

@@ -7,7 +7,7 @@ part that does not make the twin's images of it more alike is left out.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from fpplab.matching.board_sheet import find_sheet
 from fpplab.matching.loss import board_mask, ssim
 from fpplab.matching.reference import Reference
 from fpplab.matching.surroundings import rebuild_surroundings
-from fpplab.simulation.appearance import Appearance, BoardSheet
+from fpplab.simulation.appearance import Appearance
 from fpplab.simulation.matchable import Twin
 
 MOST_POSES = 8
@@ -88,6 +88,7 @@ class AppearanceTrial:
                 "accepted": self.sheet.accepted,
                 "margins_mm": list(sheet.margins_mm),
                 "rim_mm": sheet.rim_mm,
+                "rim_reflectance": sheet.rim_reflectance,
                 "texture": None if sheet.texture is None else float(sheet.texture.std()),
             },
             "surroundings": {
@@ -121,7 +122,7 @@ def match_appearance(reference: Reference, twin: Twin, progress: Progress = no_p
     sheeted = _similarity(reference, twin, held)
     sheet_trial = PartTrial(bare[1], sheeted[1])
     if not sheet_trial.accepted:
-        sheet = BoardSheet(sheet.margins_mm, sheet.rim_mm)
+        sheet = replace(sheet, texture=None)
     around = rebuild_surroundings(reference, twin, sheet, others, lambda share: progress(0.2 + 0.3 * share))
     twin.appear(Appearance(sheet))
     before = _similarity(reference, twin, held)[0]
@@ -141,7 +142,7 @@ def _of_all(
         return Appearance()
     found = find_sheet(reference, twin, poses)
     if not sheet.accepted:
-        found = BoardSheet(found.margins_mm, found.rim_mm)
+        found = replace(found, texture=None)
     beside = rebuild_surroundings(reference, twin, found, poses) if around.accepted else None
     return Appearance(found, beside)
 

@@ -99,7 +99,8 @@ def find_sheet(
         compared.append(_compare(reference, twin, pose))
         progress((done + 1) / len(poses))
     margins = _margins(reference, twin, compared, reach)
-    sheet = BoardSheet(margins, _rim_mm(reference, twin, compared, margins, reach))
+    rim = _rim_mm(reference, twin, compared, margins, reach)
+    sheet = BoardSheet(margins, rim, _rim_reflectance(reference, twin, compared, margins, rim))
     found = replace(sheet, texture=_texture(reference, twin, compared, margins))
     twin.appear(Appearance(found))
     return found
@@ -147,6 +148,19 @@ def _rim_mm(
         if known:
             found.append(min(known) if min(known) > BLURRED_MM else 0.0)
     return float(np.median(found)) if found else 0.0
+
+
+def _rim_reflectance(
+    reference: Reference, twin: Twin, compared: Sequence[_Compared], margins: Margins, rim_mm: float
+) -> float:
+    """Reflectance of the frame, whose light the ratios compare with that of a blank sheet in its place."""
+    found = [np.empty(0, np.float32)]
+    for one in compared:
+        for side in range(4):
+            away, values = _beside(reference, twin, one, one.ratio, margins, side)
+            found.append(values[(away > BLURRED_MM) & (away < rim_mm - BLURRED_MM)])
+    values = np.concatenate(found)
+    return float(np.clip(np.median(values) * twin.parameters.paper, 0.0, 1.0)) if len(values) else 0.0
 
 
 def _until(away_mm: Floats, holds: Mask, reach: float, first: float = 0.0) -> float | None:

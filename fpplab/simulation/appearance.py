@@ -38,7 +38,9 @@ class BoardSheet:
         Width of the blank sheet beyond the target on the left, top, right and bottom, as the target is
         printed, in mm.
     rim_mm : float
-        Width of a black frame around the sheet, in mm.
+        Width of a dark frame around the sheet, in mm.
+    rim_reflectance : float
+        Of the frame, 0 to 1.
     texture : ndarray of float32 or None
         Factor by which the reflectance differs from place to place, [v, u] over the sheet with its margins;
         None where it is 1.
@@ -46,6 +48,7 @@ class BoardSheet:
 
     margins_mm: tuple[float, float, float, float] = NO_MARGINS
     rim_mm: float = 0.0
+    rim_reflectance: float = 0.0
     texture: NDArray[np.float32] | None = None
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from fpplab.core.conventions import PixelIndices
 from fpplab.patterns.fringes import Pattern
-from sim.build import Setup, build_background
+from sim.build import NOTHING, Setup, build_background
 from sim.light.basis import PatternLevels
 from sim.light.byte_limited_cache import ByteLimitedCache
 from sim.light.cache import digest
@@ -148,10 +148,11 @@ class Background:
 
     def _table(self, setup: Setup, pixels: PixelIndices | None) -> LightTable:
         _, scene, _ = self._built(setup)
+        shown = len(scene.surfaces) - (setup.item != NOTHING)  # the item's own light is added elsewhere
         if pixels is None:
-            return self._tables.get(digest(scene, self._views), lambda: _whole(scene, self._views))
+            return self._tables.get(digest(scene, self._views), lambda: _whole(scene, self._views, shown))
         return self._tables.get(
-            digest(scene, self._views, pixels), lambda: traced(scene, self._views, pixels, first_alone=True)
+            digest(scene, self._views, pixels), lambda: traced(scene, self._views, pixels, shown)
         )
 
     def _built(self, setup: Setup) -> tuple[Setup, RenderScene, MirrorTexture]:
@@ -161,15 +162,15 @@ class Background:
         return self._scene
 
 
-def _whole(scene: RenderScene, views: list[SubpixelView]) -> LightTable:
-    """Trace all pixels of the scene's window, some rows at a time."""
+def _whole(scene: RenderScene, views: list[SubpixelView], shown: int) -> LightTable:
+    """Trace all pixels of the scene's window, some rows at a time; the light of the first surfaces shown."""
     (width, height), (left, top, right, bottom) = scene.camera.size, scene.window
     samples = np.zeros((len(views), bottom - top, right - left, 4), np.float32)
     albedo = np.zeros((height, width), np.float32)
     step = max(1, BAND_PIXELS // max(right - left, 1))
     for first in range(top, bottom, step):
         rows, columns = np.mgrid[first : min(first + step, bottom), left:right]
-        band = traced(scene, views, (rows.ravel(), columns.ravel()), first_alone=True)
+        band = traced(scene, views, (rows.ravel(), columns.ravel()), shown)
         samples[:, rows[:, 0] - top] = band.samples.reshape(len(views), *rows.shape, 4)
         albedo[rows, columns] = band.albedo.reshape(rows.shape)
     return LightTable(samples, albedo, (left, top))

@@ -44,7 +44,7 @@ def can_trace(scene: RenderScene) -> bool:
 
 
 def traced(
-    scene: RenderScene, views: list[SubpixelView], pixels: PixelIndices, first_alone: bool = False
+    scene: RenderScene, views: list[SubpixelView], pixels: PixelIndices, shown: int | None = None
 ) -> LightTable:
     """Trace the table that a survey of this scene gives, see `LightTable.of`, for some pixels.
 
@@ -56,8 +56,8 @@ def traced(
         Points of the pixels and of the lens.
     pixels : PixelIndices
         Rows and columns of P pixels of the image.
-    first_alone : bool
-        Whether the light of the first surface alone is given; the others hide it and cast shadows.
+    shown : int, optional
+        Number of first surfaces whose light is given; the others hide them and cast shadows. All by default.
 
     Returns
     -------
@@ -66,7 +66,7 @@ def traced(
     """
     (left, top, right, bottom), (row, column) = scene.window, pixels
     drawn = np.flatnonzero((row >= top) & (row < bottom) & (column >= left) & (column < right))
-    bodies = _Bodies(scene, first_alone)
+    bodies = _Bodies(scene, shown)
     survey = np.zeros((len(views), 1, len(row), CHANNELS), np.float32)
     for view, of_view in zip(views, survey[:, 0], strict=True):
         bodies.seen_through(view, row[drawn], column[drawn], drawn, of_view)
@@ -74,9 +74,9 @@ def traced(
 
 
 class _Bodies:
-    """All surfaces of a scene as triangles in the camera's frame, of which the first alone may reflect."""
+    """All surfaces of a scene as triangles in the camera's frame, of which some of the first may reflect."""
 
-    def __init__(self, scene: RenderScene, first_alone: bool) -> None:
+    def __init__(self, scene: RenderScene, shown: int | None) -> None:
         self._scene, camera = scene, scene.camera
         self._reach = Pinhole(camera.size, camera.matrix, camera.distortion).reach
         placed = [
@@ -86,9 +86,8 @@ class _Bodies:
         whole = trimesh.util.concatenate(placed)
         assert isinstance(whole, trimesh.Trimesh)
         self._shape = RayTracedShape(whole)
-        counts = [len(one.faces) for one in scene.surfaces]
-        self._first_of = np.cumsum([0, *counts])
-        self._last_seen = counts[0] if first_alone else len(self._shape.triangles)
+        self._first_of = np.cumsum([0, *(len(one.faces) for one in scene.surfaces)])
+        self._last_seen = self._first_of[-1 if shown is None else shown]
 
     def _reflectance(self, faces: NDArray[np.int64], points: Floats) -> Irradiance:
         """Reflectance (N,) at points of faces; 0 where the surface is not asked for."""

@@ -44,7 +44,9 @@ class BoardItem(Document):
     margins_mm: tuple[NotNegative, NotNegative, NotNegative, NotNegative] = (0.0, 0.0, 0.0, 0.0)
     """Width of the blank sheet beyond the target on the left, top, right and bottom, in mm."""
     rim_mm: NotNegative = 0.0
-    """Width of a black frame around the sheet, in mm, which hides and shades the surroundings."""
+    """Width of a dark frame around the sheet, in mm, which hides and shades the surroundings."""
+    rim_reflectance: Share = 0.0
+    """Reflectance of the frame, 0 to 1; it is seen where the world has surroundings."""
     texture: FileName | None = None
     """Grey image over the sheet: factor by which its reflectance differs from place to place, 1 at 128."""
     poses: PoseRules | Annotated[tuple[PoseFile, ...], Field(min_length=1)] = PoseRules()

@@ -122,19 +122,35 @@ def test_all_light_paths_agree(blender: Blender, tmp_path: Path, path: str) -> N
     assert np.quantile(np.abs(found - expected), 0.97) < 2e-3
 
 
+def with_board(of: World, **fields: Any) -> World:
+    """The world with further fields of its board."""
+    data = of.model_dump(mode="json")
+    board = plain()["items"]["board"] | fields
+    return config.validate(data | {"items": data["items"] | {"board": board}}, World, "test")
+
+
 def test_a_frame_hides_and_shades_and_is_black(tmp_path: Path) -> None:
     of = walled(tmp_path)
-    framed = plain()["items"]["board"] | {"rim_mm": 12.0}
-    with_frame = config.validate(
-        of.model_dump(mode="json") | {"items": of.model_dump(mode="json")["items"] | {"board": framed}},
-        World,
-        "test",
-    )
-    bare, found = seen(of, Setup("board")), seen(with_frame, Setup("board"))
+    bare, found = seen(of, Setup("board")), seen(with_board(of, rim_mm=12.0), Setup("board"))
     changed = np.abs(found - bare) > 1e-6
     assert changed.sum() > 500
     assert (found[changed] <= bare[changed]).all()
     assert (found[changed] < 1e-6).mean() > 0.3, "the frame itself is black in ambient light too"
+
+
+def test_a_frame_reflects_as_a_sheet_in_its_place(tmp_path: Path) -> None:
+    of = walled(tmp_path)
+    black, grey, sheet = (
+        seen(with_board(of, **fields), Setup("board"))
+        for fields in (
+            {"rim_mm": 12.0},
+            {"rim_mm": 12.0, "rim_reflectance": 0.2},
+            {"margins_mm": (12.0, 12.0, 12.0, 12.0), "reflectance": 0.8},
+        )
+    )
+    frame = (black < 1e-6) & (grey > 1e-3) & (sheet > 0)
+    assert frame.sum() > 200
+    assert np.median(grey[frame] / sheet[frame]) == pytest.approx(0.25, rel=0.02)
 
 
 def test_a_sheet_has_margins_and_texture(tmp_path: Path) -> None:
@@ -175,7 +191,7 @@ def test_what_a_twin_looks_like_is_saved_and_read_again(tmp_path: Path) -> None:
     mesh = trimesh.load(write_wall(tmp_path)["mesh"], process=False)
     texture = np.random.default_rng(1).uniform(0.8, 1.2, (40, 60)).astype(np.float32)
     around = BenchSurroundings(mesh, np.full(SIZE[::-1], 0.3, np.float32))
-    twin.appear(Appearance(BoardSheet((5.0, 0.0, 0.0, 5.0), 8.0, texture), around))
+    twin.appear(Appearance(BoardSheet((5.0, 0.0, 0.0, 5.0), 8.0, 0.06, texture), around))
     shown = twin.expected(0, PATTERNS, SETTINGS)
     twin.save(tmp_path / "saved")
     again = SimTwin(World.load(tmp_path / "saved" / "world.yaml"), "board", Blender("bench"))
