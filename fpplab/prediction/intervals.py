@@ -58,7 +58,7 @@ class FigureInterval:
         return {"value": self.value, "low": self.low, "high": self.high}
 
 
-def intervals(
+def figure_intervals(
     draws: Sequence[MeasuredFigures], by_calibration: Floats, discrepancy: Discrepancy, of_surface: float
 ) -> dict[str, FigureInterval]:
     """Compute intervals by noise, calibration, surface, and what bench and twin differed by.

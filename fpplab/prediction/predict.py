@@ -28,7 +28,7 @@ from fpplab.phase.bounds import PossibleCoordinates
 from fpplab.prediction.discrepancy import Discrepancy
 from fpplab.prediction.figures import MeasuredFigures, figures_of, seen_surface
 from fpplab.prediction.form import distance_factors
-from fpplab.prediction.intervals import FigureInterval, intervals
+from fpplab.prediction.intervals import FigureInterval, figure_intervals
 from fpplab.reconstruction.depth_range import depth_bounds, first_stated
 from fpplab.reconstruction.points import points_of
 from fpplab.reconstruction.uncertainty import coordinate_noise
@@ -139,7 +139,7 @@ def predict(
     _, decoded, cloud = draws[0]
     discrepancy = Discrepancy.beside(Path(rig.source))
     surface = sampler.surface(item)
-    figures = intervals(
+    figures = figure_intervals(
         [one for one, _, _ in draws],
         distance_factors(cloud, seen & counted, mesh, known, coordinate_noise(decoded)),
         discrepancy or Discrepancy(),

@@ -14,7 +14,7 @@ from fpplab.clouds import Cloud
 from fpplab.prediction.discrepancy import Deviation, Discrepancy
 from fpplab.prediction.figures import MeasuredFigures
 from fpplab.prediction.form import distance_factors
-from fpplab.prediction.intervals import FigureInterval, intervals
+from fpplab.prediction.intervals import FigureInterval, figure_intervals
 from fpplab.reconstruction.triangulation import triangulate
 from fpplab.reconstruction.uncertainty import coordinate_noise
 from tests.reconstruction.test_triangulation import CALIBRATION, maps_of, plane
@@ -64,20 +64,20 @@ def test_intervals_of_distance_hold_benches_with_calibrations_of_known_covarianc
 
 def interval_of(distance_mm: float, factors: NDArray[np.float64]) -> FigureInterval:
     one = MeasuredFigures(1e3 * distance_mm, 1.0, 1.0, 0.0)
-    return intervals([one, one], factors, Discrepancy(), 0.0)["distance_um"]
+    return figure_intervals([one, one], factors, Discrepancy(), 0.0)["distance_um"]
 
 
 def test_an_interval_mixes_calibrations_and_what_bench_and_twin_differed_by() -> None:
     one = MeasuredFigures(10.0, 5.0, 0.9, 1e-6)
     off = Discrepancy(distance=Deviation.of([0.1, -0.1, 0.1, -0.1], fitted=False))
     assert off.distance is not None
-    alone = intervals([one, one], np.ones(1), off, 0.0)["distance_um"]
+    alone = figure_intervals([one, one], np.ones(1), off, 0.0)["distance_um"]
     assert alone.value == 10.0
     assert np.log(alone.high / 10.0) == pytest.approx(1.96 * off.distance.sigma, rel=0.01)
     assert alone.high * alone.low == pytest.approx(100.0)
     # The product of independent log-normal factors is log-normal, and variances add.
     factors = np.exp(0.2 * np.random.default_rng(0).standard_normal(20_000))
-    both = intervals([one, one], factors, off, 0.0)["distance_um"]
+    both = figure_intervals([one, one], factors, off, 0.0)["distance_um"]
     assert np.log(both.high / both.low) == pytest.approx(
         2 * 1.96 * np.hypot(0.2, off.distance.sigma), rel=0.03
     )
