@@ -82,7 +82,8 @@ def figure_intervals(
         By attribute of `MeasuredFigures`.
     """
     values = {name: np.array([getattr(one, name) for one in draws]) for name in draws[0].summary()}
-    spread = {name: float(one.std(ddof=1)) for name, one in values.items()}
+    # Of one measurement beside the mean of the draws.
+    spread = {name: float(one.std(ddof=1) * np.sqrt(1.0 + 1.0 / len(one))) for name, one in values.items()}
     mean = {name: float(one.mean()) for name, one in values.items()}
     relative = {name: spread[name] / max(mean[name], 1e-12) for name in mean}
     noise = float(np.hypot(discrepancy.noise.sigma if discrepancy.noise else 0.0, of_surface))

@@ -39,8 +39,8 @@ PIXELS = 40_000
 """Number of pixels on the item that are simulated, about."""
 BAND, MARGIN = 12, 2
 """Rows of a band, and how many at each of its ends serve as neighbours alone."""
-DRAWS = 3
-"""Number of draws of the noise."""
+DRAWS = 8
+"""Number of draws of noise, flicker and vibration; the last two are common to a whole frame."""
 
 
 @dataclass(frozen=True)
