@@ -83,6 +83,14 @@ def test_an_interval_mixes_calibrations_and_what_bench_and_twin_differed_by() ->
     )
 
 
+def test_an_interval_is_of_one_measurement_beside_the_mean_of_the_draws() -> None:
+    draws = [MeasuredFigures(x, 5.0, 0.9, 0.0) for x in (9.0, 10.0, 11.0)]
+    found = figure_intervals(draws, np.ones(1), Discrepancy(), 0.0)
+    relative = 0.1 * np.sqrt(1 + 1 / 3)
+    assert np.log(found["distance_um"].high / 10.0) == pytest.approx(1.96 * relative, rel=0.01)
+    assert found["noise_um"].summary() == pytest.approx({"value": 5.0, "low": 5.0, "high": 5.0})
+
+
 def test_a_calibration_without_covariance_changes_nothing() -> None:
     everywhere = np.ones(plane().shape[:2], bool)
     cloud = measured(CALIBRATION, 0.02, 0)
