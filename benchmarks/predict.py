@@ -96,7 +96,7 @@ class PredictSetup:
     other_plan : str
         Plan file of the first question.
     limits : MatchingLimits
-        Of each matching.
+        Of each matching; so long that how busy the machine is does not end it.
     """
 
     seeds: tuple[int, ...] = tuple(range(JUDGING, JUDGING + 12))
@@ -105,7 +105,7 @@ class PredictSetup:
     board_plan: str = "plan_board.yaml"
     part_plan: str = "plan_nine_images.yaml"
     other_plan: str = "plan_paper.yaml"
-    limits: MatchingLimits = field(default_factory=MatchingLimits)
+    limits: MatchingLimits = field(default_factory=lambda: MatchingLimits(seconds=3600.0))
 
     @property
     def questions(self) -> tuple[Question, ...]:

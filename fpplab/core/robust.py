@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,8 @@ HUBER = 1.345
 """Residual, in standard deviations, from which Huber's weight usually falls."""
 NEGLIGIBLE_RESIDUAL = 1e-12
 """Residual and standard deviation that stand for 0, where something fits exactly."""
+FEWEST_CLUSTERS = 3
+"""Number of clusters up to which their scatter has no finite variance."""
 
 
 def robust_spread(residuals: Floats, least: float = NEGLIGIBLE_RESIDUAL) -> float:
@@ -120,3 +123,42 @@ def error_limit(errors: NDArray[np.floating[Any]]) -> float:
     """
     known = np.abs(errors[np.isfinite(errors)])
     return max(float(np.percentile(known, 98)), 1e-6) if len(known) else 1.0
+
+
+def multiway_covariance(
+    inverse: Floats, scores: Floats, groupings: Sequence[NDArray[np.integer[Any]]]
+) -> Floats:
+    """Compute the covariance of a least-squares fit whose residuals depend on each other within clusters.
+
+    Of the sandwich form, as a sum over groupings. A residual may depend on others by several of them, and no
+    part is subtracted for those that two groupings have in common, so that the sum is not too small. A few
+    clusters tell their scatter badly: the error is then distributed as Student's t is, with one degree of
+    freedom less than there are clusters, and its variance is given. Groupings of three clusters or fewer say
+    nothing and are left out.
+
+    Parameters
+    ----------
+    inverse : ndarray of float64
+        (C, C), inverse of the normal matrix.
+    scores : ndarray of float64
+        (N, C), derivatives of the residuals by the parameters, times weights and residuals.
+    groupings : sequence of ndarray of int
+        (N,) each, the number of the cluster of every residual, not negative.
+
+    Returns
+    -------
+    ndarray of float64
+        (C, C).
+
+    References
+    ----------
+    Cameron, Gelbach and Miller, "Robust inference with multiway clustering", 2011; JCGM 101:2008, 6.4.9.4.
+    """
+    middle = np.zeros_like(inverse)
+    for clusters in groupings:
+        present, numbers = np.unique(clusters, return_inverse=True)
+        if (count := len(present)) > FEWEST_CLUSTERS:
+            sums = np.stack([np.bincount(numbers, column) for column in scores.T])
+            # count / (count - 1) for the mean that is fitted, (count - 1) / (count - 3) for Student's t.
+            middle += count / (count - 3) * sums @ sums.T
+    return np.asarray(inverse @ middle @ inverse)

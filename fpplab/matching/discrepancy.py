@@ -15,7 +15,7 @@ from fpplab.core.errors import DataError
 from fpplab.matching.artefacts import BenchScan
 from fpplab.matching.light import TILES, tile_numbers
 from fpplab.matching.loss import board_mask, subsample_pixels
-from fpplab.matching.measured import measured_figures, recorded_figures
+from fpplab.matching.measured import expected_figures, measured_figures
 from fpplab.matching.reference import Reference
 from fpplab.matching.steps import SAMPLED_POSES
 from fpplab.patterns.fringes import make_patterns
@@ -139,7 +139,7 @@ def scan_figures(
     reference : Reference
         Its characterisation is what the bench's scan is reconstructed with.
     twin : Twin
-        Reconstructed with its true calibration, as predictions are.
+        Reconstructed as predictions are: with its true calibration and what the errors of the bench's add.
     scan : BenchScan
         Recorded on the bench.
 
@@ -155,7 +155,7 @@ def scan_figures(
     settings = session.records[0].settings
     frames = twin.scan(scan.item, scan.T_camera_item, make_patterns(plan, size, lattice), settings)
     recording = Recording(frames, plan, size, settings.bits, f"the twin's {scan.item}")
-    return real, recorded_figures(recording, known, placed, depth_range_of(session))
+    return real, expected_figures(recording, known, placed, depth_range_of(session))
 
 
 def _deviation(differences: Sequence[float]) -> Deviation | None:

@@ -120,8 +120,7 @@ def match_gamma(twin: Twin, response: Response, item: str, settings: CameraSetti
     """
     if len(response.measured) == 0:
         raise CalibrationError("the response file holds no levels; measure it again with `fpplab gamma`")
-    shown = np.array([level.shown for level in response.measured])
-    seen = np.array([level.seen for level in response.measured])
+    shown, seen = _measured(response)
     card = GreyCard(twin, item, settings, response)
     start = _normalised_response(response)
     twin.become(replace(twin.parameters, response=start))
@@ -142,6 +141,57 @@ def match_gamma(twin: Twin, response: Response, item: str, settings: CameraSetti
             "look at a white card"
         )
     return GammaMatch(shown, seen, tuple(epochs))
+
+
+def with_level_of_card(twin: Twin, response: Response, item: str, settings: CameraSettings) -> TwinParameters:
+    """Scale the lamp so that the twin sees the card as bright as the bench did, and its board as before.
+
+    Vignetting and falloff are found on the board, after the response. They change what the card shows, and
+    the board's reflectance alone would make up for that: every other part would be too dark or too bright.
+
+    Parameters
+    ----------
+    twin : Twin
+        With matched light; left as it is.
+    response : Response
+        Measured on the bench, with the levels that were fitted.
+    item : str
+        The card, as the twin's fixture calls it.
+    settings : CameraSettings
+        Of the reference's frames.
+
+    Returns
+    -------
+    TwinParameters
+        With another level of white, and reflectances of the board and their uncertainties to match.
+
+    Raises
+    ------
+    ConfigError
+        The twin's world has no such item.
+    """
+    now, card = twin.parameters, GreyCard(twin, item, settings, response)
+    shown, seen = _measured(response)
+    own_dark = card.dark_level()
+    own = card.levels(shown) - own_dark
+    lit = seen - (response.dark[0] if response.dark else own_dark)
+    # No board reflects more than all light.
+    factor = max(float(own @ lit / (own @ own)), now.paper)
+    scaled = {name: now.sigma[name] / factor for name in ("paper", "ink") if name in now.sigma}
+    return replace(
+        now,
+        white=now.white * factor,
+        paper=now.paper / factor,
+        ink=now.ink / factor,
+        sigma={**now.sigma, **scaled},
+    )
+
+
+def _measured(response: Response) -> tuple[Floats, Floats]:
+    """Levels (L,) shown and seen."""
+    return np.array([one.shown for one in response.measured]), np.array(
+        [one.seen for one in response.measured]
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.core.conventions import Floats, PixelIndices
+from fpplab.core.robust import multiway_covariance
 from fpplab.matching.loss import SURROUNDINGS_PX, board_mask, level_weights, subsample_pixels
 from fpplab.matching.reference import Reference
 from fpplab.patterns.curve import Curve
@@ -378,19 +379,19 @@ def _round(
 def _standard_errors(
     matrix: Floats, weight: Floats, residual: Floats, samples: Sequence[PixelSample]
 ) -> Floats:
-    """Standard uncertainties (C,) that allow residuals of one tile of a pose to be as dependent as they are.
+    """Standard uncertainties (C,) that allow residuals to be as dependent as they are.
 
-    What remains of a fit is not noise but what the twin lacks, which neighbours and images of a pose share.
+    What remains of a fit is not noise but what the twin lacks. Places of the board share it over all poses,
+    poses over all of their places and images, and images of one pattern over all poses. Their parts are
+    added, since one of them may make up for another by chance only (`multiway_covariance`).
     """
-    first, clusters = 0, []
-    for sample in samples:
-        clusters.append(np.tile(first + sample.tiles, len(sample.images)))
-        first += TILES**2
+    tiles = [np.tile(sample.tiles, len(sample.images)) for sample in samples]
+    poses = [np.full(len(one), pose) for pose, one in enumerate(tiles)]
+    images = [np.repeat(sample.images, len(sample.tiles)) for sample in samples]
+    clusters = [np.concatenate(one) for one in (tiles, poses, images)]
     scores = matrix * (weight * residual)[:, None]
-    numbers = np.concatenate(clusters)
-    sums = np.stack([np.bincount(numbers, column) for column in scores.T])
     inverse = np.linalg.pinv(matrix.T @ (weight[:, None] * matrix))
-    return np.asarray(np.sqrt(np.diag(inverse @ (sums @ sums.T) @ inverse)))
+    return np.sqrt(np.diag(multiway_covariance(inverse, scores, clusters)))
 
 
 def _step_candidates(

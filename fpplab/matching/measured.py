@@ -5,6 +5,9 @@ The shape is aligned with the points, for where a part stood is not known as wel
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
 import trimesh
 
 from fpplab.calibration.model import Calibration
@@ -15,9 +18,10 @@ from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode
 from fpplab.pipeline import depth_range_of, reconstruct
 from fpplab.prediction.figures import MeasuredFigures, figures_of, seen_surface
+from fpplab.prediction.form import distance_factors
 from fpplab.reconstruction.depth_range import DepthRange, depth_bounds
 from fpplab.reconstruction.points import points_of
-from fpplab.reconstruction.uncertainty import coordinate_noise, with_uncertainty
+from fpplab.reconstruction.uncertainty import coordinate_noise
 from fpplab.sessions.session import Session
 
 
@@ -46,7 +50,7 @@ def measured_figures(session: Session, calibration: Calibration, mesh: trimesh.T
         The calibration is of another rig.
     """
     found = reconstruct(session, calibration)
-    return _figures(found, calibration, mesh, session.plan, depth_range_of(session))
+    return _figures(found, calibration, _aligned(found, mesh), session.plan, depth_range_of(session))
 
 
 def recorded_figures(
@@ -75,22 +79,62 @@ def recorded_figures(
     DataError
         The frames show something else.
     """
-    plan = recording.plan
-    decoded, cloud = points_of(
-        decode(recording, bounds=depth_bounds(plan, calibration, depth)), calibration, plan
-    )
-    cloud = with_uncertainty(cloud, calibration, coordinate_noise(decoded))
-    return _figures((decoded, cloud), calibration, mesh, plan, depth)
+    found = _points(recording, calibration, depth)
+    return _figures(found, calibration, _aligned(found, mesh), recording.plan, depth)
+
+
+def expected_figures(
+    recording: Recording, calibration: Calibration, mesh: trimesh.Trimesh, depth: DepthRange | None = None
+) -> MeasuredFigures:
+    """Compute the figures of frames as a bench would see them, whose calibration is in error.
+
+    Parameters
+    ----------
+    recording : Recording
+        Frames of a plan.
+    calibration : Calibration
+        The true one, with the uncertainty of the bench's.
+    mesh : trimesh.Trimesh
+        The true shape in mm; its pose is where the search begins.
+    depth : DepthRange, optional
+        In which the shape lies.
+
+    Returns
+    -------
+    MeasuredFigures
+        Of the points whose pixels see the shape; the distance is the median over the bench's calibrations.
+
+    Raises
+    ------
+    DataError
+        The frames show something else.
+    """
+    found = decoded, cloud = _points(recording, calibration, depth)
+    placed = _aligned(found, mesh)
+    figures = _figures(found, calibration, placed, recording.plan, depth)
+    on_shape, _ = seen_surface(placed, calibration)
+    factors = distance_factors(cloud, on_shape, placed, calibration, coordinate_noise(decoded))
+    return replace(figures, distance_um=figures.distance_um * float(np.median(factors)))
+
+
+def _points(
+    recording: Recording, calibration: Calibration, depth: DepthRange | None
+) -> tuple[Decoded, Cloud]:
+    bounds = depth_bounds(recording.plan, calibration, depth)
+    return points_of(decode(recording, bounds=bounds), calibration, recording.plan)
+
+
+def _aligned(found: tuple[Decoded, Cloud], mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    T_camera_mesh = align_mesh(found[1].points.astype(float), mesh).transform
+    return mesh.copy().apply_transform(T_camera_mesh.matrix)
 
 
 def _figures(
     found: tuple[Decoded, Cloud],
     calibration: Calibration,
-    mesh: trimesh.Trimesh,
+    placed: trimesh.Trimesh,
     plan: Plan,
     depth: DepthRange | None,
 ) -> MeasuredFigures:
-    T_camera_mesh = align_mesh(found[1].points.astype(float), mesh).transform
-    placed = mesh.copy().apply_transform(T_camera_mesh.matrix)
     bounds, seen = depth_bounds(plan, calibration, depth), seen_surface(placed, calibration)
     return figures_of(*found, placed, calibration, plan, seen, bounds)

@@ -20,7 +20,7 @@ from fpplab.matching.artefacts import ArtefactComparison, compare_artefacts
 from fpplab.matching.card import card_pose
 from fpplab.matching.discrepancy import discrepancy_of
 from fpplab.matching.evaluation import TwinEvaluation, evaluate
-from fpplab.matching.gamma import GammaMatch, match_gamma
+from fpplab.matching.gamma import GammaMatch, match_gamma, with_level_of_card
 from fpplab.matching.loss import Weights
 from fpplab.matching.match import EpochObserver, MatchedTwin, MatchingLimits, match_twin
 from fpplab.matching.parts import check_scans, fit_scans, match_surfaces
@@ -331,6 +331,9 @@ def match_sessions(
         observe=observe,
         tell=tell,
     )
+    if request.response is not None:
+        levelled = with_level_of_card(twin, request.response, request.card, reference.settings)
+        matched = replace(matched, parameters=levelled)
     late = plausibility.similarity_finding(matched.final.loss, matched.unexplained)
     blurred = plausibility.sharpness_finding(reference, twin) if matched.refined_focus else None
     twin.become(nominal)

@@ -21,7 +21,7 @@ from scipy.optimize import minimize_scalar, nnls
 
 from fpplab.core.conventions import Floats, PixelIndices, full_scale
 from fpplab.core.errors import DataError
-from fpplab.core.robust import HUBER, huber_weights, robust_spread
+from fpplab.core.robust import HUBER, huber_weights, multiway_covariance, robust_spread
 from fpplab.matching.artefacts import BenchScan
 from fpplab.matching.light import tile_numbers
 from fpplab.matching.loss import subsample_pixels
@@ -356,6 +356,5 @@ class _View:
         """Of the sandwich form: residuals of one tile of the part count as dependent, over all images."""
         weight = self._weights(fit)
         scores = slopes * (weight * fit.residual)[:, None]
-        sums = np.stack([np.bincount(self.tiles, column) for column in scores.T])
         inverse = np.linalg.pinv(slopes.T @ (weight[:, None] * slopes))
-        return np.asarray(inverse @ (sums @ sums.T) @ inverse)
+        return multiway_covariance(inverse, scores, [self.tiles])

@@ -25,11 +25,13 @@ from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode
 from fpplab.phase.bounds import PossibleCoordinates
-from fpplab.prediction.discrepancy import COVERAGE, Discrepancy
+from fpplab.prediction.discrepancy import Discrepancy
 from fpplab.prediction.figures import MeasuredFigures, figures_of, seen_surface
+from fpplab.prediction.form import distance_factors
+from fpplab.prediction.intervals import FigureInterval, figure_intervals
 from fpplab.reconstruction.depth_range import depth_bounds, first_stated
 from fpplab.reconstruction.points import points_of
-from fpplab.reconstruction.uncertainty import coordinate_noise, with_uncertainty
+from fpplab.reconstruction.uncertainty import coordinate_noise
 from fpplab.simulation.predictable import FrameSampler, Predictable, Rows
 from fpplab.simulation.surface import PartSurface
 
@@ -37,48 +39,8 @@ PIXELS = 40_000
 """Number of pixels on the item that are simulated, about."""
 BAND, MARGIN = 12, 2
 """Rows of a band, and how many at each of its ends serve as neighbours alone."""
-DRAWS = 3
-"""Number of draws of the noise."""
-
-
-@dataclass(frozen=True)
-class FigureInterval:
-    """A predicted figure with its interval of 95 %.
-
-    Attributes
-    ----------
-    value, low, high : float
-        In the unit of the figure.
-    """
-
-    value: float
-    low: float
-    high: float
-
-    def contains(self, measured: float) -> bool:
-        """Tell whether a measured figure lies within.
-
-        Parameters
-        ----------
-        measured : float
-            In the unit of the figure.
-
-        Returns
-        -------
-        bool
-            Ends included.
-        """
-        return self.low <= measured <= self.high
-
-    def summary(self) -> dict[str, float]:
-        """Give plain values.
-
-        Returns
-        -------
-        dict of str to float
-            `value`, `low` and `high`.
-        """
-        return {"value": self.value, "low": self.low, "high": self.high}
+DRAWS = 8
+"""Number of draws of noise, flicker and vibration; the last two are common to a whole frame."""
 
 
 @dataclass(frozen=True)
@@ -174,10 +136,15 @@ def predict(
     counted[inner] = True
     study = _Sampled(rig, plan, item, known, sampler, mesh, rows, (seen & counted, lit & counted))
     draws = [study.measured(seed) for seed in range(DRAWS)]
+    _, decoded, cloud = draws[0]
     discrepancy = Discrepancy.beside(Path(rig.source))
     surface = sampler.surface(item)
-    of_surface = surface.relative_sigma if surface else 0.0
-    figures = _intervals([one for one, _ in draws], draws[0][1], discrepancy, of_surface)
+    figures = figure_intervals(
+        [one for one, _, _ in draws],
+        distance_factors(cloud, seen & counted, mesh, known, coordinate_noise(decoded)),
+        discrepancy or Discrepancy(),
+        surface.relative_sigma if surface else 0.0,
+    )
     seconds = plan_seconds(rig, plan)
     figures["seconds"] = FigureInterval(seconds, seconds, seconds)
     sampled = int(np.count_nonzero(seen & counted))
@@ -262,7 +229,7 @@ class _Sampled:
         )
         self._bounds = depth_bounds(self.plan, self.calibration, depth)
 
-    def measured(self, seed: int) -> tuple[MeasuredFigures, Cloud]:
+    def measured(self, seed: int) -> tuple[MeasuredFigures, Decoded, Cloud]:
         settings = self.rig.camera_settings(self.plan.exposure_s, self.plan.bits)
         frames = self.sampler.frames(self.item, self.patterns, settings, self.rows, seed)
         size, name = self.calibration.projector.size, f"the sample of the {self.item}"
@@ -270,9 +237,8 @@ class _Sampled:
         recording = Recording(frames, self.plan, size, settings.bits, name)
         decoded = self._placed(decode(recording, bounds=of_rows))
         decoded, cloud = points_of(decoded, self.calibration, self.plan)
-        cloud = with_uncertainty(cloud, self.calibration, coordinate_noise(decoded))
         figures = figures_of(decoded, cloud, self.mesh, self.calibration, self.plan, self.seen, self._bounds)
-        return figures, cloud
+        return figures, decoded, cloud
 
     def _bounds_of_rows(self) -> dict[Axis, PossibleCoordinates] | None:
         if self._bounds is None:
@@ -300,46 +266,3 @@ class _Sampled:
         return replace(
             decoded, outside=None, removed=None, **{name: placed(getattr(decoded, name)) for name in names}
         )
-
-
-def _intervals(
-    draws: list[MeasuredFigures], cloud: Cloud, discrepancy: Discrepancy | None, of_surface: float
-) -> dict[str, FigureInterval]:
-    """Intervals by the scatter of the draws, calibration, surface, and what bench and twin differed by.
-
-    The noise of a surface is at most inversely proportional to its reflectance.
-    """
-    known = discrepancy or Discrepancy()
-    values = {name: np.array([getattr(one, name) for one in draws]) for name in vars(draws[0])}
-    spread = {name: float(one.std(ddof=1)) for name, one in values.items()}
-    mean = {name: float(one.mean()) for name, one in values.items()}
-    form_um = 0.0 if cloud.sigma_form_mm is None else 1e3 * float(np.median(cloud.sigma_form_mm))
-
-    def scale(name: str, further: float, least_above: float = 0.0) -> FigureInterval:
-        relative = float(np.hypot(spread[name] / max(mean[name], 1e-12), further))
-        value, factor = mean[name], float(np.exp(COVERAGE * relative))
-        return FigureInterval(value, value / factor, float(np.hypot(value * factor, COVERAGE * least_above)))
-
-    noise = float(np.hypot(known.noise.sigma if known.noise else 0.0, of_surface))
-    distance = float(np.hypot(known.distance.sigma, of_surface)) if known.distance else noise
-    share = known.completeness.sigma if known.completeness else 0.0
-    reach = COVERAGE * float(np.hypot(spread["completeness"], share))
-    complete = mean["completeness"]
-    risk = mean["wrong_order"]
-    return {
-        "distance_um": scale("distance_um", distance, form_um),
-        "noise_um": scale("noise_um", noise),
-        "completeness": FigureInterval(complete, max(0.0, complete - reach), min(1.0, complete + reach)),
-        # The risk falls like exp(-d²/2) in the noise: it is bounded by that of a noise that is off.
-        "wrong_order": FigureInterval(risk, *_risk_ends(risk, noise + spread["noise_um"] / mean["noise_um"])),
-    }
-
-
-def _risk_ends(risk: float, relative: float) -> tuple[float, float]:
-    """Ends of the probability of a wrong order, where the noise is off by a relative standard deviation."""
-    from scipy.special import erfc, erfcinv
-
-    distance = float(erfcinv(min(max(risk, 1e-300), 1.0)))
-    factor = float(np.exp(COVERAGE * relative))
-    low, high = float(erfc(distance * factor)), float(erfc(distance / factor))
-    return min(low, risk), max(high, risk)  # the smallest numbers are rounded to nothing

@@ -102,7 +102,7 @@ def with_uncertainty(
         variances = np.empty((2, len(points)))
         for part in _blocks(len(points)):
             moved = modes.moved(points[part])
-            left = moved - _rigid_motions(points[part] - centre) @ motion
+            left = moved - rigid_motions(points[part] - centre) @ motion
             variances[0, part], variances[1, part] = _squares(moved), _squares(left)
             progress(part.stop / len(points))
         return variances
@@ -197,6 +197,34 @@ def calibration_jacobian(points: AnyPoints, calibration: Calibration, noise: Coo
     return -_inverse(seen_by_point[:, 0], seen_by_point[:, 1], depth_by_point) @ slopes
 
 
+def displacements_by_mode(points: AnyPoints, calibration: Calibration, noise: CoordinateNoise) -> Floats:
+    """Compute how the independent modes of calibration error displace points.
+
+    Any error of the calibration is a sum of the modes, each times a number drawn from the standard normal
+    distribution.
+
+    Parameters
+    ----------
+    points : AnyPoints
+        (N, 3) in mm in the camera's frame.
+    calibration : Calibration
+        Its covariance has the modes.
+    noise : CoordinateNoise
+        From `coordinate_noise` of the maps.
+
+    Returns
+    -------
+    Floats
+        (N, 3, n) in mm by n modes of one standard deviation.
+
+    Raises
+    ------
+    CalibrationError
+        The calibration has no covariance.
+    """
+    return _Modes.of(calibration, noise).moved(points)
+
+
 def _slopes(points: AnyPoints, device: Pinhole, pose: RigidTransform) -> tuple[Floats, Floats]:
     """Differentiate the projected pixels by `POSE`, (N, 2, 6), and by `INTRINSICS`, (N, 2, n)."""
     local = np.ascontiguousarray(points, np.float64)
@@ -248,18 +276,29 @@ class _Modes:
 
 
 def _rigid_part(modes: _Modes, sample: Floats, centre: Floats) -> Floats:
-    """Fit a rigid motion of a sample of the cloud, (6, n) for `_rigid_motions`, to each mode."""
+    """Fit a rigid motion of a sample of the cloud, (6, n) for `rigid_motions`, to each mode."""
     normal, right = np.zeros((6, 6)), np.zeros((6, modes.changes.shape[1]))
     for part in _blocks(len(sample)):
-        motions = _rigid_motions(sample[part] - centre).reshape(-1, 6)
+        motions = rigid_motions(sample[part] - centre).reshape(-1, 6)
         normal += motions.T @ motions
         right += motions.T @ modes.moved(sample[part]).reshape(len(motions), -1)
     # Points on one line leave a rotation undetermined; then the smallest is taken.
     return np.asarray(np.linalg.lstsq(normal, right, rcond=None)[0])
 
 
-def _rigid_motions(points: AnyPoints) -> Floats:
-    """Return the displacement of points (N, 3) by small translations and rotations: (N, 3, 6)."""
+def rigid_motions(points: AnyPoints) -> Floats:
+    """Give the displacement of points by small translations and rotations.
+
+    Parameters
+    ----------
+    points : AnyPoints
+        (N, 3) in mm, from the centre of the rotations.
+
+    Returns
+    -------
+    Floats
+        (N, 3, 6) in mm: by 1 mm along each axis, then by 1 rad about each.
+    """
     x, y, z = points.T
     motions = np.zeros((len(points), 3, 6))
     motions[:, range(3), range(3)] = 1.0

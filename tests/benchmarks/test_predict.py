@@ -11,7 +11,7 @@ from benchmarks.predict import JudgedBench, PredictSetup, errors_in_sigmas, figu
 from fpplab.calibration.model import Uncertainty
 from fpplab.core.geometry import RigidTransform
 from fpplab.prediction import MeasuredFigures, Prediction
-from fpplab.prediction.predict import FigureInterval
+from fpplab.prediction.intervals import FigureInterval
 from tests.support.plane_twin import nominal, tilted
 
 

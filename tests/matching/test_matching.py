@@ -21,7 +21,7 @@ from fpplab.diagnosis import FaultCause
 from fpplab.matching import geometry, light, match, noise, plausibility
 from fpplab.matching.card import fitted_plane, moved_into_plane
 from fpplab.matching.evaluation import evaluate
-from fpplab.matching.gamma import match_gamma
+from fpplab.matching.gamma import match_gamma, with_level_of_card
 from fpplab.matching.loss import Loss, Similarity, Weights, board_mask, ssim
 from fpplab.matching.match import MatchingLimits, explained_shares
 from fpplab.matching.record import EPOCHS, MatchingEpoch, MatchingRecord, ParametersFile
@@ -253,6 +253,25 @@ def test_gamma_is_matched(truth: TwinParameters) -> None:
     assert summary["b"] == pytest.approx(truth.response.b, rel=0.01)
     assert summary["g"] == pytest.approx(truth.response.g, rel=1e-3)
     assert twin.parameters is found.parameters
+
+
+def test_falloff_that_the_board_shows_leaves_the_level_of_the_card(truth: TwinParameters) -> None:
+    bench = replace(truth, vignetting=4.0, projector_falloff=(0.1, 0.0, -0.3, 0.0, -0.3))
+    twin, response = PlaneTwin(nominal(truth.poses)), response_of(bench)
+    first = match_gamma(twin, response, "grey_card", SETTINGS).parameters
+    assert first.white < 0.97 * bench.white
+    paper = bench.white * bench.paper / first.white  # as the board then tells it
+    sigma = {"paper": 0.01, "projector_blur": 0.02}
+    twin.become(replace(bench, white=first.white, paper=paper, ink=0.1 * paper, sigma=sigma))
+    found = with_level_of_card(twin, response, "grey_card", SETTINGS)
+    assert found.white == pytest.approx(bench.white, rel=1e-3)
+    assert found.paper == pytest.approx(bench.paper, rel=1e-3)
+    assert found.ink == pytest.approx(0.1 * found.paper)
+    assert found.sigma["paper"] == pytest.approx(0.01 * bench.paper / paper, rel=1e-3)
+    assert found.sigma["projector_blur"] == 0.02
+    bright = replace(bench, white=0.5 * bench.white, paper=1.0)
+    twin.become(bright)  # the card asks for twice as much: a paper that reflects half
+    assert with_level_of_card(twin, response, "grey_card", SETTINGS).paper == pytest.approx(0.5, rel=1e-3)
 
 
 def test_a_response_that_the_twin_cannot_have_is_refused(truth: TwinParameters) -> None:

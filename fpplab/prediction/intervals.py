@@ -1,0 +1,117 @@
+"""Intervals of predicted figures: what is not known of the bench, drawn many times."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import erfc, erfcinv, ndtri
+
+from fpplab.core.conventions import Floats
+from fpplab.prediction.discrepancy import COVERAGE, Discrepancy
+from fpplab.prediction.figures import MeasuredFigures
+
+TAIL = 0.025
+"""Share of the draws beyond each end of an interval."""
+STEPS = 1_000
+"""Number of equally likely steps of a normal distribution."""
+
+
+@dataclass(frozen=True)
+class FigureInterval:
+    """A predicted figure with its interval of 95 %.
+
+    Attributes
+    ----------
+    value, low, high : float
+        In the unit of the figure.
+    """
+
+    value: float
+    low: float
+    high: float
+
+    def contains(self, measured: float) -> bool:
+        """Tell whether a measured figure lies within.
+
+        Parameters
+        ----------
+        measured : float
+            In the unit of the figure.
+
+        Returns
+        -------
+        bool
+            Ends included.
+        """
+        return self.low <= measured <= self.high
+
+    def summary(self) -> dict[str, float]:
+        """Give plain values.
+
+        Returns
+        -------
+        dict of str to float
+            `value`, `low` and `high`.
+        """
+        return {"value": self.value, "low": self.low, "high": self.high}
+
+
+def figure_intervals(
+    draws: Sequence[MeasuredFigures], by_calibration: Floats, discrepancy: Discrepancy, of_surface: float
+) -> dict[str, FigureInterval]:
+    """Compute intervals by noise, calibration, surface, and what bench and twin differed by.
+
+    The noise of a surface is at most inversely proportional to its reflectance.
+
+    Parameters
+    ----------
+    draws : sequence of MeasuredFigures
+        At least two, which differ by noise alone.
+    by_calibration : ndarray of float64
+        (K,) factors of the distance, drawn as calibrations may be off.
+    discrepancy : Discrepancy
+        Of bench and twin.
+    of_surface : float
+        Relative standard uncertainty of the surface.
+
+    Returns
+    -------
+    dict of str to FigureInterval
+        By attribute of `MeasuredFigures`.
+    """
+    values = {name: np.array([getattr(one, name) for one in draws]) for name in draws[0].summary()}
+    # Of one measurement beside the mean of the draws.
+    spread = {name: float(one.std(ddof=1) * np.sqrt(1.0 + 1.0 / len(one))) for name, one in values.items()}
+    mean = {name: float(one.mean()) for name, one in values.items()}
+    relative = {name: spread[name] / max(mean[name], 1e-12) for name in mean}
+    noise = float(np.hypot(discrepancy.noise.sigma if discrepancy.noise else 0.0, of_surface))
+    distance = float(np.hypot(discrepancy.distance.sigma, of_surface)) if discrepancy.distance else noise
+    share = discrepancy.completeness.sigma if discrepancy.completeness else 0.0
+    reach = COVERAGE * float(np.hypot(spread["completeness"], share))
+    complete, risk = mean["completeness"], mean["wrong_order"]
+    return {
+        "distance_um": _scaled(
+            mean["distance_um"] * by_calibration, float(np.hypot(relative["distance_um"], distance))
+        ),
+        "noise_um": _scaled(np.array([mean["noise_um"]]), float(np.hypot(relative["noise_um"], noise))),
+        "completeness": FigureInterval(complete, max(0.0, complete - reach), min(1.0, complete + reach)),
+        # The risk falls like exp(-d²/2) in the noise: it is bounded by that of a noise that is off.
+        "wrong_order": FigureInterval(risk, *_risk_ends(risk, noise + relative["noise_um"])),
+    }
+
+
+def _scaled(values: Floats, relative: float) -> FigureInterval:
+    """Median and interval of equally likely values that a log-normal factor multiplies."""
+    factors = np.exp(relative * ndtri((np.arange(STEPS) + 0.5) / STEPS))
+    low, high = np.quantile(values[:, None] * factors, (TAIL, 1.0 - TAIL))
+    return FigureInterval(float(np.median(values)), float(low), float(high))
+
+
+def _risk_ends(risk: float, relative: float) -> tuple[float, float]:
+    """Ends of the probability of a wrong order, where the noise is off by a relative standard deviation."""
+    distance = float(erfcinv(min(max(risk, 1e-300), 1.0)))
+    factor = float(np.exp(COVERAGE * relative))
+    low, high = float(erfc(distance * factor)), float(erfc(distance / factor))
+    return min(low, risk), max(high, risk)  # the smallest numbers are rounded to nothing
