@@ -35,7 +35,7 @@ class TwinEvaluation:
     characterisation: Characterisation | None
 
     def by_pose_name(self, reference: Reference) -> dict[str, dict[str, float]]:
-        """Give the figures of every pose.
+        """Give the figures of every pose; the images of all have been compared.
 
         Parameters
         ----------
@@ -83,6 +83,7 @@ def evaluate(
     weights: Weights,
     epsilon_v: float | None = None,
     images: Sequence[int] | None = None,
+    poses: Sequence[int] | None = None,
     progress: Progress = no_progress,
 ) -> TwinEvaluation:
     """Compare the twin's expected images with the reference, pose by pose.
@@ -102,6 +103,8 @@ def evaluate(
         are simulated with their noise and characterised.
     images : sequence of int, optional
         Indices of the images that are compared; the first of every fringe set by default.
+    poses : sequence of int, optional
+        Indices of the poses whose images are compared; all by default. All are characterised.
     progress : Progress
         Told the share of the poses that are done.
 
@@ -117,21 +120,23 @@ def evaluate(
     """
     compared = reference.one_of_each_set if images is None else tuple(images)
     shown, settings = reference.shown(compared), reference.settings
-    poses = len(twin.parameters.poses)
+    every = range(len(twin.parameters.poses))
+    chosen = set(every if poses is None else poses)
     pairs: list[tuple[float, float]] = []
     seen: list[Observation] = []
     left_out: dict[str, str] = {}
     with ThreadPoolExecutor(2) as pool:
-        for pose in range(poses):
-            expected = twin.expected(pose, shown, settings)
-            pairs += pool.map(_Compared(reference, twin, pose), compared, expected)
+        for pose in every:
+            if pose in chosen:
+                expected = twin.expected(pose, shown, settings)
+                pairs += pool.map(_Compared(reference, twin, pose), compared, expected)
             if epsilon_v is None:
                 frames = twin.frames(pose, reference.patterns, settings)
                 try:
                     seen.append(_observed(reference, pose, frames))
                 except CalibrationError as error:
                     left_out[reference.sessions[pose].path.name] = str(error)
-            progress((pose + 1) / poses)
+            progress((pose + 1) / len(every))
     similarity = Similarity(*(np.array(one) for one in zip(*pairs, strict=True)))
     found = _characterised(reference, seen, left_out) if epsilon_v is None else None
     own = found.calibration.rms_px["joint"] if found else epsilon_v

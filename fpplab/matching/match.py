@@ -35,6 +35,8 @@ CONVERGED = "converged"
 """Why a matching ends that need not go on."""
 LEAST_CHANGE = 1e-3
 """Relative change of a parameter below which it has converged, however well it is known."""
+COMPARED_POSES = 8
+"""Greatest number of poses whose images judge an epoch; those of all poses judge the result."""
 EQUAL_LOSS = 2e-4
 """Losses that differ by less are equal but for noise; the images' mean square difference then decides."""
 EXPLAINS = {
@@ -229,7 +231,7 @@ def match_twin(
     twin = at.twin
     if not epochs:
         watch.begin(0, "epoch 0, start", may_end=False)
-        first = evaluate(reference, twin, weights)
+        first = evaluate(reference, twin, weights, poses=reference.spread_poses(COMPARED_POSES))
         _record_epoch(state, "start", ParametersFile.of(start), first, _difference(state), True, observe)
     ended = _run(state, limits, observe)
     watch.begin(len(FIRST_STEPS) + 2 * len(REPEATED_STEPS) + 1, "judging the result", may_end=False)
@@ -351,7 +353,9 @@ def _take_step(state: _State, step: MatchingStep, observe: EpochObserver) -> Non
     twin.become(tried)
     after = step.misfit(state.at) if step.misfit else None
     known = None if step.characterises else best.loss["epsilon_v_px"]
-    found = evaluate(state.at.reference, twin, state.weights, known)
+    reference = state.at.reference
+    compared = reference.spread_poses(COMPARED_POSES)
+    found = evaluate(reference, twin, state.weights, known, poses=compared)
     state.at = replace(state.at, samples=_samples_of_poses(state.at.reference, tried))
     difference = _difference(state)
     better = after <= before if before is not None and after is not None else None
