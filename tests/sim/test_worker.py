@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import psutil
 import pytest
@@ -55,7 +56,9 @@ def descriptors() -> int:
     return len(os.listdir("/proc/self/fd"))
 
 
-def test_death_in_the_middle_of_a_render_faults_the_camera_until_it_is_reopened(tmp_path: Path) -> None:
+def test_death_in_the_middle_of_a_render_faults_the_camera_until_it_is_reopened(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     data = plain(render={"subpixels": 8, "samples": 64, "bounces": 4})
     before = shared_memory()
     bench = VirtualBench({"world": write_world(tmp_path, data)})
@@ -70,9 +73,17 @@ def test_death_in_the_middle_of_a_render_faults_the_camera_until_it_is_reopened(
         bench.blender.start()
         pid = bench.blender.pid
         assert pid is not None
-        threading.Timer(0.7, os.kill, (pid, signal.SIGKILL)).start()
+        send = bench.blender._send
+
+        def send_and_kill(verb: str, content: Any) -> None:
+            send(verb, content)
+            if verb == "render":
+                threading.Timer(0.7, os.kill, (pid, signal.SIGKILL)).start()
+
+        monkeypatch.setattr(bench.blender, "_send", send_and_kill)
         with pytest.raises(DisconnectedError, match=r"Blender process has died.*run the same command again"):
             camera.snap()
+        monkeypatch.undo()
         assert camera.state is State.FAULT
         assert gone(pid)
         with pytest.raises(StateError):
