@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 from drivers.emulators.grbl.gcode import GcodeError
 
@@ -14,6 +15,10 @@ DEFAULTS: dict[int, float] = {
 }  # fmt: skip
 """Settings by number, for a rail of 200 mm with a screw of 4 mm pitch and 1600 microsteps per revolution."""
 
+_DIVISORS = {*range(100, 103), *range(110, 113), *range(120, 123)}
+"""Settings that positions and times are divided by: a board takes 0 and is lost, so here it is refused."""
+_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)", re.ASCII)
+"""GRBL reads no exponents."""
 _WITH_DECIMALS = {11, 12, 24, 25, 27, *range(100, 133)}
 
 
@@ -48,13 +53,10 @@ class GrblSettings(dict[int, float]):
         name, equals, text = line[1:].partition("=")
         if not name.isdecimal() or not equals:
             raise GcodeError(3)
-        try:
-            number, value = int(name), float(text)
-        except ValueError:
-            raise GcodeError(2) from None
-        if not math.isfinite(value):
+        if not _NUMBER.fullmatch(text):
             raise GcodeError(2)
-        if value < 0:
+        number, value = int(name), float(text)
+        if value < 0 or (value == 0 and number in _DIVISORS):
             raise GcodeError(4)
         if number not in self:
             raise GcodeError(3)
