@@ -17,6 +17,7 @@ from tests.matching.test_matching import reference_of, truth
 from tests.support.plane_twin import CAMERA, SETTINGS, TARGET, PlaneTwin
 
 __all__ = ["truth"]  # a fixture
+pytestmark = pytest.mark.slow
 
 FULL = full_scale(SETTINGS.bits)
 
