@@ -15,7 +15,7 @@ DEFAULTS: dict[int, float] = {
 }  # fmt: skip
 """Settings by number, for a rail of 200 mm with a screw of 4 mm pitch and 1600 microsteps per revolution."""
 
-_DIVISORS = {*range(100, 103), *range(110, 113), *range(120, 123)}
+_DIVISORS = {24, 25, *range(100, 103), *range(110, 113), *range(120, 123)}
 """Settings that positions and times are divided by: a board takes 0 and is lost, so here it is refused."""
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)", re.ASCII)
 """GRBL reads no exponents."""
