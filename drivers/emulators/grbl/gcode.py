@@ -28,7 +28,9 @@ _GROUP = {
     94.0: "feed",
 }
 _IN_A_JOG = {"units", "distance"}
-_WORD = re.compile(r"([A-Z])([-+]?(?:\d+\.?\d*|\.\d+))?")
+NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)"
+"""How GRBL writes and reads numbers: without exponents."""
+_WORD = re.compile(rf"([A-Z])({NUMBER})?")
 
 
 class GcodeError(Exception):

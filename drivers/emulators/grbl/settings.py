@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 
-from drivers.emulators.grbl.gcode import GcodeError
+from drivers.emulators.grbl.gcode import NUMBER, GcodeError
 
 DEFAULTS: dict[int, float] = {
     0: 10, 1: 25, 2: 0, 3: 0, 4: 0, 5: 0, 6: 0, 10: 1, 11: 0.010, 12: 0.002, 13: 0,
@@ -17,8 +17,6 @@ DEFAULTS: dict[int, float] = {
 
 _DIVISORS = {24, 25, *range(100, 103), *range(110, 113), *range(120, 123)}
 """Settings that positions and times are divided by: a board takes 0 and is lost, so here it is refused."""
-_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)", re.ASCII)
-"""GRBL reads no exponents."""
 _WITH_DECIMALS = {11, 12, 24, 25, 27, *range(100, 133)}
 
 
@@ -53,7 +51,7 @@ class GrblSettings(dict[int, float]):
         name, equals, text = line[1:].partition("=")
         if not name.isdecimal() or not equals:
             raise GcodeError(3)
-        if not _NUMBER.fullmatch(text):
+        if not re.fullmatch(NUMBER, text):
             raise GcodeError(2)
         number, value = int(name), float(text)
         if value < 0 or (value == 0 and number in _DIVISORS):
