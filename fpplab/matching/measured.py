@@ -13,6 +13,7 @@ import trimesh
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
 from fpplab.comparison.alignment import align_mesh
+from fpplab.core.conventions import Mask
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode
@@ -50,7 +51,7 @@ def measured_figures(session: Session, calibration: Calibration, mesh: trimesh.T
         The calibration is of another rig.
     """
     found = reconstruct(session, calibration)
-    return _figures(found, calibration, _aligned(found, mesh), session.plan, depth_range_of(session))
+    return _figures(found, calibration, mesh, session.plan, depth_range_of(session))[0]
 
 
 def recorded_figures(
@@ -80,7 +81,7 @@ def recorded_figures(
         The frames show something else.
     """
     found = _points(recording, calibration, depth)
-    return _figures(found, calibration, _aligned(found, mesh), recording.plan, depth)
+    return _figures(found, calibration, mesh, recording.plan, depth)[0]
 
 
 def expected_figures(
@@ -110,9 +111,7 @@ def expected_figures(
         The frames show something else.
     """
     found = decoded, cloud = _points(recording, calibration, depth)
-    placed = _aligned(found, mesh)
-    figures = _figures(found, calibration, placed, recording.plan, depth)
-    on_shape, _ = seen_surface(placed, calibration)
+    figures, placed, on_shape = _figures(found, calibration, mesh, recording.plan, depth)
     factors = distance_factors(cloud, on_shape, placed, calibration, coordinate_noise(decoded))
     return replace(figures, distance_um=figures.distance_um * float(np.median(factors)))
 
@@ -124,17 +123,15 @@ def _points(
     return points_of(decode(recording, bounds=bounds), calibration, recording.plan)
 
 
-def _aligned(found: tuple[Decoded, Cloud], mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    T_camera_mesh = align_mesh(found[1].points.astype(float), mesh).transform
-    return mesh.copy().apply_transform(T_camera_mesh.matrix)
-
-
 def _figures(
     found: tuple[Decoded, Cloud],
     calibration: Calibration,
-    placed: trimesh.Trimesh,
+    mesh: trimesh.Trimesh,
     plan: Plan,
     depth: DepthRange | None,
-) -> MeasuredFigures:
+) -> tuple[MeasuredFigures, trimesh.Trimesh, Mask]:
+    """The figures, the shape where its points are, and the pixels that see it."""
+    T_camera_mesh = align_mesh(found[1].points.astype(float), mesh).transform
+    placed = mesh.copy().apply_transform(T_camera_mesh.matrix)
     bounds, seen = depth_bounds(plan, calibration, depth), seen_surface(placed, calibration)
-    return figures_of(*found, placed, calibration, plan, seen, bounds)
+    return figures_of(*found, placed, calibration, plan, seen, bounds), placed, seen[0]
