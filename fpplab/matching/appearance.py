@@ -14,7 +14,7 @@ import numpy as np
 
 from fpplab.core.progress import Progress, no_progress
 from fpplab.matching.board_sheet import find_sheet
-from fpplab.matching.loss import board_mask, ssim
+from fpplab.matching.evaluation import pose_similarity
 from fpplab.matching.reference import Reference
 from fpplab.matching.surroundings import rebuild_surroundings
 from fpplab.simulation.appearance import Appearance
@@ -149,9 +149,5 @@ def _of_all(
 
 def _similarity(reference: Reference, twin: Twin, pose: int) -> tuple[float, float]:
     """Mean SSIM of one pose's images, whole and over the board; without noise of the twin's."""
-    now, images = twin.parameters, reference.one_of_each_set
-    computed = twin.expected(pose, reference.shown(images), reference.settings)
-    board = board_mask(now.calibration.camera, now.poses[pose], reference.target)
-    pairs = zip(reference.frames(pose, images), computed, strict=True)
-    found = np.mean([ssim(real, own, reference.full_scale, board) for real, own in pairs], axis=0)
-    return float(found[0]), float(found[1])
+    whole, board = np.mean(pose_similarity(reference, twin, pose), axis=0)
+    return float(whole), float(board)

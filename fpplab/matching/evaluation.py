@@ -82,7 +82,6 @@ def evaluate(
     twin: Twin,
     weights: Weights,
     epsilon_v: float | None = None,
-    images: Sequence[int] | None = None,
     poses: Sequence[int] | None = None,
     progress: Progress = no_progress,
 ) -> TwinEvaluation:
@@ -101,8 +100,6 @@ def evaluate(
     epsilon_v : float, optional
         Joint RMS reprojection error of the twin in px, where it is known. Without it all frames of the plan
         are simulated with their noise and characterised.
-    images : sequence of int, optional
-        Indices of the images that are compared; the first of every fringe set by default.
     poses : sequence of int, optional
         Indices of the poses whose images are compared; all by default. All are characterised.
     progress : Progress
@@ -118,25 +115,21 @@ def evaluate(
     CalibrationError
         The twin's own frames cannot be characterised.
     """
-    compared = reference.one_of_each_set if images is None else tuple(images)
-    shown, settings = reference.shown(compared), reference.settings
     every = range(len(twin.parameters.poses))
     chosen = set(every if poses is None else poses)
     pairs: list[tuple[float, float]] = []
     seen: list[Observation] = []
     left_out: dict[str, str] = {}
-    with ThreadPoolExecutor(2) as pool:
-        for pose in every:
-            if pose in chosen:
-                expected = twin.expected(pose, shown, settings)
-                pairs += pool.map(_Compared(reference, twin, pose), compared, expected)
-            if epsilon_v is None:
-                frames = twin.frames(pose, reference.patterns, settings)
-                try:
-                    seen.append(_observed(reference, pose, frames))
-                except CalibrationError as error:
-                    left_out[reference.sessions[pose].path.name] = str(error)
-            progress((pose + 1) / len(every))
+    for pose in every:
+        if pose in chosen:
+            pairs += pose_similarity(reference, twin, pose)
+        if epsilon_v is None:
+            frames = twin.frames(pose, reference.patterns, reference.settings)
+            try:
+                seen.append(_observed(reference, pose, frames))
+            except CalibrationError as error:
+                left_out[reference.sessions[pose].path.name] = str(error)
+        progress((pose + 1) / len(every))
     similarity = Similarity(*(np.array(one) for one in zip(*pairs, strict=True)))
     found = _characterised(reference, seen, left_out) if epsilon_v is None else None
     own = found.calibration.rms_px["joint"] if found else epsilon_v
@@ -144,17 +137,32 @@ def evaluate(
     return TwinEvaluation(Loss(weights, reference.epsilon_r, own, similarity), found)
 
 
-class _Compared:
-    """The SSIM of one image, for a pool of threads."""
+def pose_similarity(reference: Reference, twin: Twin, pose: int) -> list[tuple[float, float]]:
+    """Compare the first image of every fringe set in one pose with the twin's, which has no noise.
 
-    def __init__(self, reference: Reference, twin: Twin, pose: int) -> None:
-        now = twin.parameters
-        self._board = board_mask(now.calibration.camera, now.poses[pose], reference.target)
-        self._reference, self._pose = reference, pose
+    Parameters
+    ----------
+    reference : Reference
+        What was recorded of the bench.
+    twin : Twin
+        With the parameters to evaluate; they are not changed.
+    pose : int
+        Index of the pose.
 
-    def __call__(self, index: int, expected: LevelStack) -> tuple[float, float]:
-        real = self._reference.frames(self._pose, [index])[0]
-        return ssim(real, expected, self._reference.full_scale, self._board)
+    Returns
+    -------
+    list of tuple of float
+        SSIM of the whole image and over the board, of every image.
+    """
+    now, images = twin.parameters, reference.one_of_each_set
+    expected = twin.expected(pose, reference.shown(images), reference.settings)
+    board = board_mask(now.calibration.camera, now.poses[pose], reference.target)
+
+    def compare(real: LevelStack, own: LevelStack) -> tuple[float, float]:
+        return ssim(real, own, reference.full_scale, board)
+
+    with ThreadPoolExecutor(2) as pool:
+        return list(pool.map(compare, reference.frames(pose, images), expected))
 
 
 def _observed(reference: Reference, pose: int, frames: Sequence[Image]) -> Observation:

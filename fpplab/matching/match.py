@@ -231,7 +231,7 @@ def match_twin(
     twin = at.twin
     if not epochs:
         watch.begin(0, "epoch 0, start", may_end=False)
-        first = evaluate(reference, twin, weights, poses=reference.spread_poses(COMPARED_POSES))
+        first = _evaluated(state)
         _record_epoch(state, "start", ParametersFile.of(start), first, _difference(state), True, observe)
     ended = _run(state, limits, observe)
     watch.begin(len(FIRST_STEPS) + 2 * len(REPEATED_STEPS) + 1, "judging the result", may_end=False)
@@ -353,14 +353,19 @@ def _take_step(state: _State, step: MatchingStep, observe: EpochObserver) -> Non
     twin.become(tried)
     after = step.misfit(state.at) if step.misfit else None
     known = None if step.characterises else best.loss["epsilon_v_px"]
-    reference = state.at.reference
-    compared = reference.spread_poses(COMPARED_POSES)
-    found = evaluate(reference, twin, state.weights, known, poses=compared)
+    found = _evaluated(state, known)
     state.at = replace(state.at, samples=_samples_of_poses(state.at.reference, tried))
     difference = _difference(state)
     better = after <= before if before is not None and after is not None else None
     accepted = _accepted(best, found, difference) if better is None else better
     _record_epoch(state, step.name, written, found, difference, accepted, observe)
+
+
+def _evaluated(state: _State, epsilon_v: float | None = None) -> TwinEvaluation:
+    """Judge an epoch by the images of some poses."""
+    reference = state.at.reference
+    compared = reference.spread_poses(COMPARED_POSES)
+    return evaluate(reference, state.at.twin, state.weights, epsilon_v, poses=compared)
 
 
 def _accepted(best: MatchingEpoch, found: TwinEvaluation, difference: float) -> bool:

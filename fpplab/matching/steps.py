@@ -4,7 +4,7 @@ Order: geometry by the observed points, light, then one by one the effects that 
 (ambient light, defocus of projector and camera, vignetting, the projector's falloff and flicker, rolling
 bands, noise); at last all parameters of light together and the geometry by the images in turn. Falloff,
 flicker and bands are kept where they explain more than their parameters cost. Noise is judged by its variance
-and spectrum, since the similarity of two independent noises falls when the right one is added.
+and spectrum, since the images that the loss compares have none.
 """
 
 from __future__ import annotations
