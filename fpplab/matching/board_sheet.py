@@ -26,6 +26,8 @@ from fpplab.simulation.matchable import Twin
 
 Margins = tuple[float, float, float, float]
 """On the left, top, right and bottom, in mm."""
+_Strip = tuple[Floats, LevelStack]
+"""Distances in mm beyond a side of the sheet, and the values of the pixels that are so far away."""
 
 REACH = 0.3
 """Share of the target's smaller side up to which sheet and frame are looked for beyond it."""
@@ -99,8 +101,9 @@ def find_sheet(
         compared.append(_compare(reference, twin, pose))
         progress((done + 1) / len(poses))
     margins = _margins(reference, twin, compared, reach)
-    rim = _rim_mm(reference, twin, compared, margins, reach)
-    sheet = BoardSheet(margins, rim, _rim_reflectance(reference, twin, compared, margins, rim))
+    beyond = [[_beside(reference, twin, one, one.ratio, margins, k) for k in range(4)] for one in compared]
+    rim = _rim_mm(beyond, reach)
+    sheet = BoardSheet(margins, rim, _rim_reflectance(beyond, rim, twin.parameters.paper))
     found = replace(sheet, texture=_texture(reference, twin, compared, margins))
     twin.appear(Appearance(found))
     return found
@@ -134,33 +137,24 @@ def _margins(reference: Reference, twin: Twin, compared: Sequence[_Compared], re
     return found[0], found[1], found[2], found[3]
 
 
-def _rim_mm(
-    reference: Reference, twin: Twin, compared: Sequence[_Compared], margins: Margins, reach: float
-) -> float:
+def _rim_mm(beyond: Sequence[Sequence[_Strip]], reach: float) -> float:
     """Width of the frame: as far as it is dark beyond the sheet on all sides; a shadow falls to one alone."""
     found = []
-    for one in compared:
-        widths = []
-        for side in range(4):
-            away, values = _beside(reference, twin, one, one.ratio, margins, side)
-            widths.append(_until(away, values < DARK, reach, BLURRED_MM))
+    for sides in beyond:
+        widths = [_until(away, ratio < DARK, reach, BLURRED_MM) for away, ratio in sides]
         known = [width for width in widths if width is not None]
         if known:
-            found.append(min(known) if min(known) > BLURRED_MM else 0.0)
+            width = min(known)
+            found.append(width if width > BLURRED_MM else 0.0)
     return float(np.median(found)) if found else 0.0
 
 
-def _rim_reflectance(
-    reference: Reference, twin: Twin, compared: Sequence[_Compared], margins: Margins, rim_mm: float
-) -> float:
-    """Reflectance of the frame, whose light the ratios compare with that of a blank sheet in its place."""
-    found = [np.empty(0, np.float32)]
-    for one in compared:
-        for side in range(4):
-            away, values = _beside(reference, twin, one, one.ratio, margins, side)
-            found.append(values[(away > BLURRED_MM) & (away < rim_mm - BLURRED_MM)])
-    values = np.concatenate(found)
-    return float(np.clip(np.median(values) * twin.parameters.paper, 0.0, 1.0)) if len(values) else 0.0
+def _rim_reflectance(beyond: Sequence[Sequence[_Strip]], rim_mm: float, paper: float) -> float:
+    """Reflectance of the frame, whose light the ratios compare with that of blank paper in its place."""
+    within = (BLURRED_MM, rim_mm - BLURRED_MM)
+    found = [ratio[(away > within[0]) & (away < within[1])] for sides in beyond for away, ratio in sides]
+    ratios = np.concatenate(found)
+    return float(np.clip(np.median(ratios) * paper, 0.0, 1.0)) if len(ratios) else 0.0
 
 
 def _until(away_mm: Floats, holds: Mask, reach: float, first: float = 0.0) -> float | None:
@@ -176,7 +170,7 @@ def _until(away_mm: Floats, holds: Mask, reach: float, first: float = 0.0) -> fl
 
 def _beside(
     reference: Reference, twin: Twin, one: _Compared, values: LevelStack, margins: Margins, side: int
-) -> tuple[Floats, LevelStack]:
+) -> _Strip:
     """Distances in mm beyond a side of the sheet, and the values of pixels that see its plane lit there."""
     rows, columns = np.nonzero(np.isfinite(values))
     slopes = twin.parameters.calibration.camera.normalise(
