@@ -96,7 +96,7 @@ def rebuild_surroundings(
         return None
     backdrop = backdrop_mesh(FURTHER * float(np.nanmax(depths)), camera)
     mesh = cast(trimesh.Trimesh, trimesh.util.concatenate([grid_mesh(continued(depths), camera), backdrop]))
-    width, height = twin.parameters.calibration.camera.size
+    width, height = camera.size
     found = BenchSurroundings(mesh, np.full((height, width), TRIAL, np.float32))
     twin.appear(Appearance(sheet, found))
     painted = _reflectance(reference, twin, sheet, poses, lambda share: progress(0.6 + 0.4 * share))
@@ -169,8 +169,7 @@ def grid_mesh(depths: Floats, camera: Pinhole) -> trimesh.Trimesh:
     middle = CELL_PX * (np.stack([u, v], axis=-1) + 0.5) - 0.5
     slopes = camera.normalise(middle.astype(np.float64))
     vertices = depths[known][:, None] * np.column_stack([slopes, np.ones(len(slopes))])
-    corners = np.stack([number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]], axis=-1)
-    corners = corners.reshape(-1, 4)
+    corners = _corners(number)
     corners = corners[(corners >= 0).all(axis=1)]
     depth = vertices[:, 2][corners]
     corners = corners[depth.max(axis=1) < (1.0 + MOST_STEP) * depth.min(axis=1)]
@@ -210,14 +209,12 @@ def _linear_fits(values: Floats, known: Mask, wanted: Mask) -> Floats:
     """Values (N,) of wanted cells by linear fits to the known ones around each."""
     weight = known.astype(np.float64)
     filled = np.where(known, values, 0.0)
-    to_left = np.arange(PLANE_CELLS) - PLANE_CELLS // 2
+    away = np.arange(PLANE_CELLS, dtype=np.float64) - PLANE_CELLS // 2
 
     def moment(of: Floats, x: int, y: int) -> Floats:
         """Sum over the window of a value times powers of the distance from its middle."""
-        powers = to_left.astype(np.float64)
-        return np.asarray(
-            cv2.sepFilter2D(of, -1, powers**x, powers**y, borderType=cv2.BORDER_CONSTANT)[wanted]
-        )
+        sums = cv2.sepFilter2D(of, -1, away**x, away**y, borderType=cv2.BORDER_CONSTANT)
+        return np.asarray(sums[wanted])
 
     n, x, y, xx, xy, yy = (moment(weight, *k) for k in ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)))
     right = np.stack([moment(filled, *k) for k in ((0, 0), (1, 0), (0, 1))], axis=-1)
@@ -248,9 +245,14 @@ def backdrop_mesh(depth_mm: float, camera: Pinhole) -> trimesh.Trimesh:
     grid = np.meshgrid(np.linspace(-1, width, columns), np.linspace(-1, height, rows))
     slopes = camera.normalise(np.stack(grid, axis=-1).reshape(-1, 2))
     number = np.arange(rows * columns).reshape(rows, columns)
-    corners = np.stack([number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]], axis=-1)
     vertices = depth_mm * np.column_stack([slopes, np.ones(len(slopes))])
-    return trimesh.Trimesh(vertices, _triangles(corners.reshape(-1, 4)), process=False)
+    return trimesh.Trimesh(vertices, _triangles(_corners(number)), process=False)
+
+
+def _corners(number: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Corners (N, 4) of the quadrilaterals between neighbours of a grid of numbered vertices."""
+    corners = [number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]]
+    return np.asarray(np.stack(corners, axis=-1).reshape(-1, 4))
 
 
 def _triangles(corners: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -14,7 +16,7 @@ from fpplab.matching.reference import Reference
 from fpplab.matching.steps import MatchingContext
 from fpplab.simulation.matchable import TwinParameters
 from tests.matching.test_matching import reference_of, truth
-from tests.support.plane_twin import CAMERA, SETTINGS, TARGET, PlaneTwin
+from tests.support.plane_twin import CAMERA, SETTINGS, TARGET, PlaneTwin, Remembered
 
 __all__ = ["truth"]  # a fixture
 pytestmark = pytest.mark.slow
@@ -25,9 +27,9 @@ FULL = full_scale(SETTINGS.bits)
 def veiled(parameters: TwinParameters, levels: int) -> Reference:
     """Recordings with light on the board that no parameter tells, of print and ground alike."""
     reference = reference_of(parameters)
-    for pose, session in zip(parameters.poses, reference.sessions, strict=True):
+    for pose, session in zip(parameters.poses, cast("Sequence[Remembered]", reference.sessions), strict=True):
         board = board_mask(CAMERA, pose, TARGET).astype(np.uint8)
-        session.images[:] = [image + levels * board for image in session.images]  # type: ignore[attr-defined]
+        session.images[:] = [image + levels * board for image in session.images]
     return reference
 
 
