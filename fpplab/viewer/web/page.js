@@ -9,7 +9,19 @@ function fail(error) {
   message.textContent = `The viewer does not run in this browser: ${error}`;
 }
 
+// The viewer draws to few attachments at a time, yet its graphics library (wgpu 24, issue 8189) refuses a WebGL that
+// offers fewer than eight: the one of Chrome without a graphics card offers six.
+function offerEightAttachments() {
+  const context = WebGL2RenderingContext.prototype;
+  const { getParameter, MAX_COLOR_ATTACHMENTS, MAX_DRAW_BUFFERS } = context;
+  context.getParameter = function (name) {
+    const value = getParameter.call(this, name);
+    return name === MAX_COLOR_ATTACHMENTS || name === MAX_DRAW_BUFFERS ? Math.max(value, 8) : value;
+  };
+}
+
 async function start() {
+  offerEightAttachments();
   await wasm_bindgen(fetch("re_viewer_bg.wasm"));
   const viewer = new wasm_bindgen.WebHandle({
     url: [document.body.dataset.recording],
