@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import subprocess
 import tomllib
 from pathlib import Path
 
@@ -13,8 +14,29 @@ ROOT = Path(__file__).parents[2]
 DECISIONS = sorted((ROOT / "docs" / "decisions").glob("*.md"))
 
 
+FOLDERS_AT_THE_ROOT = (
+    *(".ci", ".github", "benchmarks", "configs", "docs", "drivers", "examples", "fpplab", "sim", "tests"),
+)
+FILES_AT_THE_ROOT = (
+    *(".gitignore", ".pre-commit-config.yaml", "CHANGELOG.md", "CITATION.cff", "CONTRIBUTING.md", "LICENSE"),
+    *("Makefile", "README.md", "constraints-3.11.txt", "constraints-3.13.txt", "hatch_build.py"),
+    *("mkdocs.yml", "pyproject.toml"),
+)
+
+
 def text(name: str) -> str:
     return (ROOT / name).read_text(encoding="utf-8")
+
+
+def test_nothing_else_is_at_the_root() -> None:
+    """What a run or a person leaves there is not part of the project."""
+    listed = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=False)
+    if listed.returncode or not (ROOT / ".git").exists():
+        pytest.skip("this is not a checkout of git")
+    assert {line.partition("/")[0] for line in listed.stdout.splitlines()} == {
+        *FOLDERS_AT_THE_ROOT,
+        *FILES_AT_THE_ROOT,
+    }
 
 
 def test_the_citation_is_of_this_version_and_licence() -> None:
