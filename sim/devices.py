@@ -128,7 +128,7 @@ class VirtualBench:
         self.world = chosen.load_world()
         self.blender = Blender("bench")
         self._analytic = chosen.analytic
-        self.light = Light(self.world, self.blender, analytic=self._analytic)
+        self.light = self._light_of(self.world)
         self.setup = Setup(self.world.mounted)
         self.show: Show | None = None
         self._seen_lit: Setup | None = None
@@ -184,9 +184,12 @@ class VirtualBench:
         world : World
             The new world.
         """
-        light = Light(world, self.blender, analytic=self._analytic)
+        light = self._light_of(world)
         light.inherit(self.light)
         self.world, self.light, self._seen_lit, self._vibrating = world, light, None, None
+
+    def _light_of(self, world: World) -> Light:
+        return Light(world, self.blender, analytic=self._analytic)
 
     def twin(self, board: str) -> Twin:
         """Make a twin that starts from this world and looks at one of its boards; see `fpplab.matching`.
@@ -260,15 +263,26 @@ class VirtualBench:
         """
         self.setup = replace(self.setup, convergence_deg=float(convergence_deg))
 
-    def sampler(self) -> FrameSampler:
-        """Make a sampler of some rows of the image, for predictions; see `fpplab.simulation.predictable`.
+    def sampler(self, draw: int = 0) -> FrameSampler:
+        """Make a sampler of parts of the image, for predictions; see `fpplab.simulation.predictable`.
+
+        Parameters
+        ----------
+        draw : int
+            Of a world within the uncertainty of this one; 0 for this one.
 
         Returns
         -------
         FrameSampler
             Of the world as it stands.
+
+        Raises
+        ------
+        ConfigError
+            The uncertainty leaves no world.
         """
-        return SimSampler(self.world, self.light)
+        world = self.world.drawn(draw)
+        return SimSampler(world, self.light if world is self.world else self._light_of(world))
 
     def studio(self) -> SceneStudio:
         """Make a studio that arranges scenes for data sets, see `fpplab.simulation.arrangeable`.

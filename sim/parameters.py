@@ -14,6 +14,24 @@ from sim.sensor import SensorModel
 from sim.world import World
 from sim.world.surface import with_surface
 
+FIELDS = {
+    "projector_blur": "projector.blur",
+    "projector_focus_mm": "projector.focus_mm",
+    "projector_aperture_mm": "projector.aperture_mm",
+    "projector_flicker": "projector.flicker",
+    "g": "projector.response.g",
+    "camera_focus_mm": "camera.focus_mm",
+    "f_number": "camera.f_number",
+    "vignetting": "camera.vignetting",
+    "black_level": "camera.sensor.black_level",
+    "read_noise_e": "camera.sensor.read_noise_e",
+    "full_well_e": "camera.sensor.full_well_e",
+    "ambient": "ambient",
+    "ambient_ripple": "ambient_bands.ripple",
+    "vibration_mm": "vibration_mm",
+}
+"""Paths in a world of parameters whose uncertainty holds for every measurement, by name."""
+
 
 def parameters_of(world: World, board: str, target: Target) -> TwinParameters:
     """Read the parameters that can be matched from a world.
@@ -124,7 +142,18 @@ def world_of(nominal: World, board: str, parameters: TwinParameters) -> World:
         }
     data |= {"ambient": p.ambient, "vibration_mm": p.vibration_mm}
     world = config.validate(data, World, "the twin's parameters")
-    return _with_light(world, p.white * white_level_per_s(nominal) / white_level_per_s(world))
+    lit = _with_light(world, p.white * white_level_per_s(nominal) / white_level_per_s(world))
+    return lit.model_copy(update={"uncertainty": _uncertainty(lit, p)})
+
+
+def _uncertainty(world: World, parameters: TwinParameters) -> dict[str, float]:
+    """Give the standard uncertainties that a fit has stated by the world's own fields."""
+    sigma = parameters.sigma
+    known = {FIELDS[name]: value for name, value in sigma.items() if name in FIELDS}
+    leds = world.projector.leds if "white" in sigma else {}
+    relative = sigma.get("white", 0.0) / parameters.white
+    known |= {f"projector.leds.{name}.lumens": relative * led.lumens for name, led in leds.items()}
+    return {path: value for path, value in known.items() if world.number(path) is not None}
 
 
 def white_level_per_s(world: World) -> float:

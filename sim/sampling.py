@@ -1,8 +1,9 @@
-"""Frames of some rows of the image alone, for predictions: light, sensor and vibration of whole frames."""
+"""Frames of parts of the image alone, for predictions: light, sensor and vibration of whole frames."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import trimesh
@@ -11,16 +12,54 @@ from fpplab.calibration.model import Calibration
 from fpplab.core.conventions import Image, PixelIndices
 from fpplab.devices import CameraSettings
 from fpplab.patterns.fringes import Pattern
-from fpplab.simulation.predictable import Rows
+from fpplab.simulation.predictable import Columns, Rows
 from fpplab.simulation.surface import PartSurface
 from sim.build import Setup
 from sim.fluctuation import Fluctuation
 from sim.items import item_poses, part_mesh
 from sim.light import Light, PatternLevels
+from sim.light.byte_limited_cache import ByteLimitedCache
 from sim.sensor import SensorModel
 from sim.vibration import displaced
 from sim.world import World
 from sim.world.surface import surface_of
+
+KEPT_BYTES = 1 << 28
+"""Memory for light that other noise is drawn to."""
+
+
+@dataclass(frozen=True, eq=False)
+class FramePart:
+    """Rows and columns of an item's frames.
+
+    Attributes
+    ----------
+    item : str
+        Name of the item.
+    rows : Rows
+        Rows of the image, (R,).
+    columns : Columns
+        Columns of the image, (C,).
+    """
+
+    item: str
+    rows: Rows
+    columns: Columns
+
+    @property
+    def key(self) -> tuple[str, bytes, bytes]:
+        """Equal for equal parts."""
+        return self.item, self.rows.tobytes(), self.columns.tobytes()
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Number of rows and of columns."""
+        return len(self.rows), len(self.columns)
+
+    @property
+    def pixels(self) -> PixelIndices:
+        """Row and column of each pixel, row by row."""
+        return np.repeat(self.rows, len(self.columns)), np.tile(self.columns, len(self.rows))
 
 
 class SimSampler:
@@ -36,8 +75,8 @@ class SimSampler:
 
     def __init__(self, world: World, light: Light) -> None:
         self._world, self._light = world, light
-        self._dark: tuple[str, Rows, PatternLevels] | None = None
-        self._seen: tuple[str, tuple[Pattern, ...], Rows, list[PatternLevels]] | None = None
+        self._dark: ByteLimitedCache[PatternLevels] = ByteLimitedCache(KEPT_BYTES)
+        self._seen: ByteLimitedCache[PatternLevels] = ByteLimitedCache(KEPT_BYTES)
 
     @property
     def calibration(self) -> Calibration:
@@ -87,9 +126,15 @@ class SimSampler:
         return surface_of(self._world.material_of(item))
 
     def frames(
-        self, item: str, patterns: Sequence[Pattern], settings: CameraSettings, rows: Rows, seed: int
+        self,
+        item: str,
+        patterns: Sequence[Pattern],
+        settings: CameraSettings,
+        rows: Rows,
+        seed: int,
+        columns: Columns | None = None,
     ) -> list[Image]:
-        """Take frames of some rows, with noise, and vibration to first order.
+        """Take frames of some rows and columns, with noise, and vibration to first order.
 
         Parameters
         ----------
@@ -103,18 +148,21 @@ class SimSampler:
             Rows of the image, (R,).
         seed : int
             Of noise and vibration, not negative.
+        columns : Columns, optional
+            Columns of the image, (C,); all by default.
 
         Returns
         -------
         list of Image
-            Grey levels (R, width).
+            Grey levels (R, C).
 
         Raises
         ------
         ConfigError
             The world has no such item.
         """
-        still, *moved = self._pictures(item, tuple(patterns), rows)
+        where = FramePart(item, rows, np.arange(self._world.camera.size[0]) if columns is None else columns)
+        still, *moved = self._pictures(where, tuple(patterns))
         sensor, random = SensorModel.of(self._world), np.random.default_rng([self._world.seed, seed])
         found, changes = [], Fluctuation.of(self._world)
         for n in range(len(patterns)):
@@ -123,38 +171,29 @@ class SimSampler:
                 picture = picture + np.float32(step) * (there[n] - still[n])
             frame = len(patterns) * seed + n
             if changes is not None:
-                picture = changes.applied(picture, self._ambient(item, rows), rows, frame)
+                picture = changes.applied(picture, self._ambient(where), rows, frame)
             found.append(sensor.expose(np.maximum(picture, 0), settings, frame))
         return found
 
-    def _ambient(self, item: str, rows: Rows) -> PatternLevels:
-        """Irradiance (R, width) of the item without the projector, from two patterns: light is linear."""
-        if self._dark is None or self._dark[0] != item or not np.array_equal(self._dark[1], rows):
-            size, response = self._world.projector.size, self._world.projector.response
-            black, white = (
-                Pattern(f"even {level}", np.full(size[::-1], level, np.uint8)) for level in (0, 255)
-            )
-            pixels, setup = self._pixels(rows), Setup(item, held=item_poses(self._world, item)[0])
-            least, most = self._light.irradiance_at(setup, (black, white), pixels)
-            dark = least - np.float32(response.b / response.a) * (most - least)
-            self._dark = item, rows, dark.reshape(len(rows), -1)
-        return self._dark[2]
+    def _ambient(self, where: FramePart) -> PatternLevels:
+        """Irradiance (R, C) of the item without the projector, from two patterns: light is linear."""
+        return self._dark.get(where.key, lambda: self._ambient_now(where))
 
-    def _pixels(self, rows: Rows) -> PixelIndices:
-        width = self._world.camera.size[0]
-        return np.repeat(rows, width), np.tile(np.arange(width), len(rows))
+    def _ambient_now(self, where: FramePart) -> PatternLevels:
+        size, response = self._world.projector.size, self._world.projector.response
+        black, white = (Pattern(f"even {level}", np.full(size[::-1], level, np.uint8)) for level in (0, 255))
+        setup = Setup(where.item, held=item_poses(self._world, where.item)[0])
+        least, most = self._light.irradiance_at(setup, (black, white), where.pixels)
+        dark: PatternLevels = least - np.float32(response.b / response.a) * (most - least)
+        return dark.reshape(where.shape)
 
-    def _pictures(self, item: str, patterns: tuple[Pattern, ...], rows: Rows) -> list[PatternLevels]:
-        """Irradiance (n, R, width) of the item at rest and, where it vibrates, displaced along each axis."""
-        if self._seen is not None:
-            known, shown, of_rows, pictures = self._seen
-            same = len(shown) == len(patterns) and all(a is b for a, b in zip(shown, patterns, strict=True))
-            if known == item and same and np.array_equal(of_rows, rows):
-                return pictures
-        pose, pixels = item_poses(self._world, item)[0], self._pixels(rows)
-        still, step = Setup(item, held=pose), self._world.vibration_mm
+    def _pictures(self, where: FramePart, patterns: tuple[Pattern, ...]) -> PatternLevels:
+        """Irradiance (k, n, R, C) of the item at rest and, where it vibrates, displaced along each axis."""
+        return self._seen.get((where.key, patterns), lambda: self._pictures_now(where, patterns))
+
+    def _pictures_now(self, where: FramePart, patterns: tuple[Pattern, ...]) -> PatternLevels:
+        pose, step = item_poses(self._world, where.item)[0], self._world.vibration_mm
+        still = Setup(where.item, held=pose)
         setups = (still, *displaced(still, pose, step)) if step else (still,)
-        seen = [self._light.irradiance_at(one, patterns, pixels) for one in setups]
-        pictures = [one.reshape(len(patterns), len(rows), -1) for one in seen]
-        self._seen = item, patterns, rows, pictures
-        return pictures
+        seen = np.stack([self._light.irradiance_at(one, patterns, where.pixels) for one in setups])
+        return seen.reshape(len(setups), len(patterns), *where.shape)

@@ -287,6 +287,25 @@ class Pinhole:
         ends = ends[(np.abs(ends.imag) <= 1e-12 * np.abs(ends)) & (ends.real > 0)].real
         return float(1.0 / np.sqrt(ends.max())) if ends.size else np.inf
 
+    def cropped(self, corner: tuple[int, int], size: tuple[int, int]) -> Pinhole:
+        """Make the device of a part of the image: the same rays, with pixels counted from the part's corner.
+
+        Parameters
+        ----------
+        corner : tuple of int
+            Column and row of the part's first pixel.
+        size : tuple of int
+            (width, height) of the part in px.
+
+        Returns
+        -------
+        Pinhole
+            A copy with that size.
+        """
+        matrix = self.matrix.copy()
+        matrix[:2, 2] -= corner
+        return Pinhole(size, matrix, self.distortion, self.lattice)
+
     def project(self, points: Floats, T_device_world: RigidTransform | None = None) -> Floats:
         """Project points to pixels.
 

@@ -249,7 +249,7 @@ class RigEvaluator:
 
     def _decoded(self, name: str, candidate: Candidate, seed: int, calibration: Calibration) -> Decoded:
         plan, rig = candidate.plan(self._study.start), self._rig
-        bounds = _possible_coordinates(plan, calibration, rig)  # may raise, so before anything is acquired
+        bounds = possible_coordinates(plan, calibration, rig)  # may raise, so before anything is acquired
         setup = MeasuringSetup(name, candidate.exposure_s, candidate.stage_mm, candidate.convergence_deg)
         frames = self._frames.frames(setup, candidate.fringes, seed)
         size, bits = rig.projector.caps.size, self._study.start.bits or rig.file.camera.bits
@@ -285,10 +285,30 @@ class RigEvaluator:
         return align_mesh(cloud.points.astype(np.float64), mesh).transform
 
 
-def _possible_coordinates(
+def possible_coordinates(
     plan: Plan, calibration: Calibration, rig: Rig
 ) -> dict[Axis, PossibleCoordinates] | None:
-    """By the range of depths. Raises `DataError` where the plan cannot be unwrapped within it."""
+    """Bound projector coordinates by the range of depths.
+
+    Parameters
+    ----------
+    plan : Plan
+        Of a measurement.
+    calibration : Calibration
+        Of both devices; the camera's may be cropped.
+    rig : Rig
+        Whose file may state the range, if the plan does not.
+
+    Returns
+    -------
+    dict of str to PossibleCoordinates, or None
+        By axis; None where no range is stated.
+
+    Raises
+    ------
+    DataError
+        The plan cannot be unwrapped within the range.
+    """
     depth = first_stated(
         (plan.depth_mm, "plan: 'depth_mm'"), (rig.file.depth_mm, f"{rig.source}: 'depth_mm'")
     )

@@ -69,6 +69,8 @@ class SearchResult:
         The candidates of `plans`.
     ended_early : bool
         Whether the budget ended the search, and not its method.
+    screened : bool
+        Whether `trials` were predicted, and those of `rescored` alone were measured.
     """
 
     study: Study
@@ -85,6 +87,7 @@ class SearchResult:
     plans: tuple[Path, ...]
     planned: tuple[MeasuredCandidate, ...]
     ended_early: bool
+    screened: bool = False
 
     @property
     def ranking(self) -> CandidateRanking:
@@ -115,6 +118,7 @@ class SearchResult:
             "images": self.optimum.candidate.images,
             "front": [self._described(trial) for trial in self.front],
             "candidates": len(self.trials),
+            "screened": self.screened,
             "failed": sum(not trial.measured for trial in self.trials),
             "refused": self.refused,
             "convergence": [self._epoch(epoch) for epoch in self.epochs],

@@ -27,6 +27,7 @@ from fpplab.optimisation.objectives import MeasuredCandidate
 from fpplab.optimisation.result import SearchResult
 from fpplab.optimisation.scheduling import EvaluatorFactory, RigEvaluatorFactory, make_workers
 from fpplab.optimisation.scope import SearchScope
+from fpplab.optimisation.screening import SampledEvaluatorFactory, can_screen
 from fpplab.optimisation.space import SearchSpace
 from fpplab.optimisation.storage import Journal
 from fpplab.optimisation.study import CalibrationAt, Study
@@ -56,9 +57,10 @@ def run_search(
 ) -> SearchResult:
     """Search, and write the plan found to `out`, or the plans of a front to the folder `out`.
 
-    Nothing is written where the plan found is worse than the start's.
+    Nothing is written where the plan found is worse than the start's. A study with `screening` predicts its
+    candidates where `can_screen` holds, and measures the start and what it has found.
 
-    An interrupted search continues from its journal, beside the plan or in the folder.
+    An interrupted search continues from its journals, beside the plan or in the folder.
 
     Parameters
     ----------
@@ -107,20 +109,24 @@ def run_search(
         count = worker_count(limits, workers)
         if scheduler is not None:  # a wrong address fails before the long characterisation
             make_workers(RigEvaluatorFactory(_absolute(rig), study), count, scheduler).close()
+        screened = factory is None and can_screen(opened, study)
         if factory is None and not study.calibrations:
             study = with_calibrations(opened, study, work_folder(out), progress)
-    journal = Journal(journal_path(scope, out), study, file)
-    measuring = make_workers(factory or RigEvaluatorFactory(_absolute(rig), study), count, scheduler)
-    try:
-        runner = CandidateRunner(space, measuring, journal, observe)
+    measured, predicted = (Journal(path, study, file) for path in journal_paths(scope, out))
+    measuring = factory or RigEvaluatorFactory(_absolute(rig), study)
+    searching = SampledEvaluatorFactory(_absolute(rig), study) if screened else measuring
+    with closing(make_workers(searching, count, scheduler)) as searchers:
+        runner = CandidateRunner(space, searchers, predicted if screened else measured, observe)
         ended, ended_early = _search(runner)
         optimum = runner.best
         _check_acceptable(runner, optimum)
         front = tuple(runner.front)
         chosen = list(dict.fromkeys(t.candidate for t in (runner.start, optimum, *front)))
-        rescored = dict(zip(chosen, runner.rescore(chosen, _other_seeds(study)), strict=True))
-    finally:
-        measuring.close()
+        again = [] if screened else runner.rescore(chosen, _other_seeds(study))
+    if screened:
+        with closing(make_workers(measuring, count, scheduler)) as measurers:
+            again = CandidateRunner(space, measurers, measured).rescore(chosen, _other_seeds(study))
+    rescored = dict(zip(chosen, again, strict=True))
     planned = front if scope is SearchScope.PARETO else (optimum,)
     found = SearchResult(
         study=study,
@@ -137,10 +143,11 @@ def run_search(
         plans=(),
         planned=planned,
         ended_early=ended_early,
+        screened=screened,
     )
     if diagnose_search(found).is_useless:
         return found
-    return replace(found, plans=_save(scope, out, study, limits, rig, planned))
+    return replace(found, plans=_save(scope, out, found, limits, rig))
 
 
 def worker_count(limits: RigLimits, wanted: int | None) -> int:
@@ -249,8 +256,8 @@ def work_folder(out: Path) -> Path:
     return out.with_suffix("")
 
 
-def journal_path(scope: SearchScope, out: Path) -> Path:
-    """Name the journal of a search.
+def journal_paths(scope: SearchScope, out: Path) -> tuple[Path, Path]:
+    """Name the journals of a search.
 
     Parameters
     ----------
@@ -261,10 +268,12 @@ def journal_path(scope: SearchScope, out: Path) -> Path:
 
     Returns
     -------
-    Path
+    measured, predicted : Path
         In the folder, or beside the plan.
     """
-    return out / JOURNAL if scope is SearchScope.PARETO else out.with_suffix(".jsonl")
+    if scope is SearchScope.PARETO:
+        return out / JOURNAL, out / f"predicted_{JOURNAL}"
+    return out.with_suffix(".jsonl"), out.with_suffix(".predicted.jsonl")
 
 
 def report_path(scope: SearchScope, out: Path) -> Path:
@@ -366,23 +375,20 @@ def _check_acceptable(runner: CandidateRunner, optimum: MeasuredCandidate) -> No
 
 
 def _save(
-    scope: SearchScope,
-    out: Path,
-    study: Study,
-    limits: RigLimits,
-    rig: str,
-    planned: Sequence[MeasuredCandidate],
+    scope: SearchScope, out: Path, found: SearchResult, limits: RigLimits, rig: str
 ) -> tuple[Path, ...]:
     """Write the plans, and the calibration that holds where the stage puts the projector."""
-    paths = []
+    paths, study = [], found.study
     with closing(RigEvaluator(rig, study)) as evaluator:
-        for number, trial in enumerate(planned, 1):
+        for number, trial in enumerate(found.planned, 1):
             name = f"plan_{number:02d}_{trial.candidate.images}images.yaml"
             path = out / name if scope is SearchScope.PARETO else out
             if study.space.stage_mm is not None and study.calibrations:
                 calibration = evaluator.calibrations.at(trial.candidate.stage_mm)
                 calibration.save(path.with_name(f"{path.stem}_{CALIBRATION}"))
-            write_text(path, plan_text(study, limits.name, trial))
+            scores = found.rescored[trial.candidate] if found.screened else ()
+            known = replace(trial, scores=scores) if scores else trial
+            write_text(path, plan_text(study, limits.name, known))
             paths.append(path)
     return tuple(paths)
 

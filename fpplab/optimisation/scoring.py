@@ -9,6 +9,7 @@ the same sample for every candidate, so that its errors cancel when candidates a
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -28,7 +29,7 @@ from fpplab.comparison.surfaces import distance_to_surface
 from fpplab.comparison.visibility import RayTracedShape
 from fpplab.core.conventions import Axis, Floats, Map, Mask, axis_length
 from fpplab.core.errors import DataError
-from fpplab.core.geometry import RigidTransform
+from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.optimisation.candidate import Accuracy
 from fpplab.patterns.plan import Plan
 from fpplab.phase import Decoded
@@ -106,6 +107,59 @@ class TrueShape:
         self._compared: Mask = self._on_shape & _random_subset(self._on_shape, samples, random)
         self._sampled = self._surface[_random_subset(np.ones(len(self._surface), np.bool_), samples, random)]
         self._expected: tuple[Calibration, CoordinateBounds] | None = None
+
+    def part(self, camera: Pinhole, corner: tuple[int, int], border: int) -> TrueShape:
+        """Make the shape as a part of the camera's image sees it, compared at all of its pixels.
+
+        Parameters
+        ----------
+        camera : Pinhole
+            Of the part, see `Pinhole.cropped`.
+        corner : tuple of int
+            Column and row of the part's first pixel.
+        border : int
+            Pixels along the part's edges that only serve as neighbours, since the surface goes on beyond.
+
+        Returns
+        -------
+        TrueShape
+            Shares the shape with this one.
+
+        Raises
+        ------
+        DataError
+            Within the borders nothing of the shape is visible.
+        """
+        part, (left, top), (width, height) = copy(self), corner, camera.size
+        for computed in ("_tree", "floor_um"):
+            vars(part).pop(computed, None)
+        window = slice(top, top + height), slice(left, left + width)
+        compared, on_shape = np.zeros((height, width), np.bool_), self._on_shape[window]
+        inner = slice(border, height - border), slice(border, width - border)
+        compared[inner] = on_shape[inner]
+        surface = self._surface[camera.sees(self._surface)]
+        sampled = surface[camera.sees(surface, margin_px=border)]
+        if not compared.any() or len(sampled) == 0:
+            raise DataError(f"true mesh: nothing of it is visible in a part of {width} x {height} px")
+        vars(part).update(
+            _hits=self._hits[window],
+            _on_shape=on_shape,
+            _compared=compared,
+            _surface=surface,
+            _sampled=sampled,
+            _expected=None,
+        )
+        return part
+
+    @property
+    def visible(self) -> Mask:
+        """Pixels (height, width) that see the shape."""
+        return self._on_shape
+
+    @property
+    def surface_points(self) -> int:
+        """Number of points of the true surface that are compared."""
+        return len(self._sampled)
 
     @cached_property
     def _tree(self) -> cKDTree:

@@ -156,6 +156,10 @@ class Study(Document):
     """How the space is searched: one of the methods in `fpplab.optimisation.methods`, chosen by `kind`."""
     budget: Annotated[int, Field(ge=1)] = 400
     """Greatest number of candidates measured."""
+    screening: bool = False
+    """Whether candidates are predicted from bands of rows, and only the start and what was found
+    are measured, with other seeds; on a simulation that can do so, where `space` moves nothing.
+    """
 
     @model_validator(mode="after")
     def _named_once(self) -> Study:

@@ -125,6 +125,12 @@ def write_optimisation_report(
     write_page(path, f"Search: {found.study.name}", _summary(found), sections, _facts(found), basis=basis)
 
 
+def _how_scored(found: SearchResult) -> str:
+    if not found.screened:
+        return "measured whole"
+    return "predicted from bands of rows; what has figures of other seeds was measured whole with these"
+
+
 def measure_search_maps(rig: str, found: SearchResult) -> SearchMaps:
     """Measure every artefact once more on the rig of the search, with the first plan and with the plan found.
 
@@ -177,6 +183,7 @@ def _facts(found: SearchResult) -> dict[str, str]:
         "Artefacts": ", ".join(found.study.artefacts),
         "Method": found.study.method.kind,
         "Ended": found.ended,
+        "Scores": _how_scored(found),
         "Candidates": f"{len(found.trials)}, with {len(found.study.seeds)} seeds each; {failed} failed",
     }
     if found.refused:

@@ -1,4 +1,4 @@
-"""The Protocol by which predictions reach a simulation: frames of some rows of the camera's image alone.
+"""The Protocol by which predictions reach a simulation: frames of parts of the camera's image alone.
 
 A rig's simulation that can be sampled is `Predictable`.
 """
@@ -20,10 +20,12 @@ from fpplab.simulation.surface import PartSurface
 
 Rows = NDArray[np.intp]
 """Rows of the camera's image, (R,), in rising order."""
+Columns = NDArray[np.intp]
+"""Columns of the camera's image, (C,), in rising order."""
 
 
 class FrameSampler(Protocol):
-    """Simulates some rows of an item's frames, with everything that whole frames have."""
+    """Simulates some rows and columns of an item's frames, with everything that whole frames have."""
 
     @property
     def calibration(self) -> Calibration:
@@ -68,11 +70,17 @@ class FrameSampler(Protocol):
         """
 
     def frames(
-        self, item: str, patterns: Sequence[Pattern], settings: CameraSettings, rows: Rows, seed: int
+        self,
+        item: str,
+        patterns: Sequence[Pattern],
+        settings: CameraSettings,
+        rows: Rows,
+        seed: int,
+        columns: Columns | None = None,
     ) -> list[Image]:
-        """Take frames of some rows, with noise and vibration.
+        """Take frames of some rows and columns, with noise and vibration.
 
-        Light is computed once for the same item, patterns and rows; another seed draws other noise.
+        Light is computed once for the same item, patterns, rows and columns; another seed draws other noise.
 
         Parameters
         ----------
@@ -86,11 +94,13 @@ class FrameSampler(Protocol):
             Rows of the image.
         seed : int
             Of noise and vibration, not negative.
+        columns : Columns, optional
+            Columns of the image; all by default.
 
         Returns
         -------
         list of Image
-            One for each pattern, (R, width).
+            One for each pattern, (R, C).
 
         Raises
         ------
@@ -103,10 +113,16 @@ class FrameSampler(Protocol):
 class Predictable(Protocol):
     """A simulation that can be sampled: what `fpplab predict` needs of a rig."""
 
-    def sampler(self) -> FrameSampler:
+    def sampler(self, draw: int = 0) -> FrameSampler:
         """Give a sampler of the simulation as it stands.
 
         Called on the open rig.
+
+        Parameters
+        ----------
+        draw : int
+            0 for the simulation itself; any other draws one that it could as well be, within the
+            uncertainty of what was fitted to a bench, and the same one each time.
 
         Returns
         -------

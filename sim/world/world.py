@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -23,6 +23,9 @@ from sim.world.numbers import NotNegative
 from sim.world.projector import ProjectorWorld
 from sim.world.render import LightPath, Render
 from sim.world.surroundings import SurroundingsSection
+
+MOST_DRAWS = 1000
+"""How often a number is drawn until its field allows it."""
 
 
 class StageWorld(Document):
@@ -101,6 +104,8 @@ class World(Document):
     """Standard deviation of the item's displacement along each axis from frame to frame, in mm."""
     render: Render = Render()
     """How pictures are rendered."""
+    uncertainty: Annotated[dict[str, NotNegative], Field(default_factory=dict)]
+    """Standard uncertainties of numbers that were fitted to a bench, by path: `projector.blur`, say."""
 
     @model_validator(mode="after")
     def _names_are_free(self) -> World:
@@ -152,6 +157,15 @@ class World(Document):
                 f"'calibration' has the camera distortion {list(given.camera.distortion)}: it folds or has "
                 "a pole before the image's corner; must leave a ray to every pixel"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _uncertainty_is_of_numbers(self) -> World:
+        for path in self.uncertainty:
+            if self.number(path) is None:
+                raise ValueError(
+                    f"'uncertainty' names '{path}': must be the path of a number, such as projector.blur"
+                )
         return self
 
     @property
@@ -270,6 +284,63 @@ class World(Document):
         data = self.model_dump(mode="json")
         data["camera"]["binning"] = binning
         return config.validate(data, World, "world")
+
+    def number(self, path: str) -> float | None:
+        """Look up a number of the world's file.
+
+        Parameters
+        ----------
+        path : str
+            Names of sections and of the field, with points between them, such as `projector.blur`.
+
+        Returns
+        -------
+        float or None
+            None where there is no such field, or no number in it.
+        """
+        found: Any = self
+        for name in path.split("."):
+            if isinstance(found, Document):
+                found = getattr(found, name) if name in type(found).model_fields else None
+            else:
+                found = found.get(name) if isinstance(found, dict) else None
+        return float(found) if isinstance(found, int | float) and not isinstance(found, bool) else None
+
+    def drawn(self, draw: int) -> World:
+        """Draw a world that this one could as well be, within its uncertainty.
+
+        Each number is drawn by itself from a normal distribution, within the range that its field allows.
+
+        Parameters
+        ----------
+        draw : int
+            Of the random numbers; 0 gives the world itself.
+
+        Returns
+        -------
+        World
+            A changed copy, the same for the same draw.
+
+        Raises
+        ------
+        ConfigError
+            No number within `MOST_DRAWS` was allowed.
+        """
+        world, random = self, np.random.default_rng(draw)
+        for path, sigma in sorted(self.uncertainty.items()) if draw else ():
+            for tried in range(MOST_DRAWS):
+                data = section = world.model_dump(mode="json")
+                *sections, name = path.split(".")
+                for one in sections:
+                    section = section[one]
+                section[name] += sigma * float(random.standard_normal())
+                try:
+                    world = config.validate(data, World, "a draw of the world")
+                    break
+                except ConfigError:
+                    if tried == MOST_DRAWS - 1:
+                        raise
+        return world
 
     def camera_model(self) -> Pinhole:
         """Make the true camera model.

@@ -241,3 +241,11 @@ def test_a_ray_that_the_distortion_folds_back_is_not_seen() -> None:
 def test_a_pose_is_applied_before_looking(pose: RigidTransform) -> None:
     points = np.array([[10.0, 5.0, 400.0], [-30.0, 20.0, 500.0], [300.0, 0.0, 400.0], [0.0, 0.0, -400.0]])
     np.testing.assert_array_equal(CAMERA.sees(pose.inverse().apply(points), pose), [1, 1, 0, 0])
+
+
+def test_a_part_of_the_image_has_the_same_rays() -> None:
+    part = CAMERA.cropped((200, 30), (64, 48))
+    assert part.size == (64, 48)
+    points = np.random.default_rng(1).uniform((-20, -20, 400), (20, 20, 500), (50, 3))
+    np.testing.assert_allclose(part.project(points) + (200, 30), CAMERA.project(points), rtol=1e-12)
+    np.testing.assert_allclose(part.normalise(np.zeros((1, 2))), CAMERA.normalise(np.array([[200.0, 30.0]])))

@@ -24,6 +24,7 @@ from fpplab.reconstruction.points import points_of
 from fpplab.simulation.predictable import Predictable
 from sim.build import Setup
 from sim.devices import VirtualBench
+from sim.sampling import FramePart
 
 PLAN = Plan(fringes=tuple(Sinusoid(axis="x", stripes=n, steps=4) for n in (1, 8, 48)), exposure_s=0.02)
 ITEM = "steps"
@@ -125,7 +126,21 @@ def test_ambient_light_of_rows_is_that_of_whole_frames(rig: Rig) -> None:
     rows = np.arange(180, 240, 7)
     whole = rig.simulation.light.irradiance(Setup(ITEM), None)[rows]
     assert whole.max() > 0.005
-    np.testing.assert_allclose(rig.simulation.sampler()._ambient(ITEM, rows), whole, atol=2e-4)
+    part = FramePart(ITEM, rows, np.arange(whole.shape[1]))
+    np.testing.assert_allclose(rig.simulation.sampler()._ambient(part), whole, atol=2e-4)
+
+
+def test_columns_are_those_of_the_rows(rig: Rig) -> None:
+    """Without noise, vibration and flicker, light is that of the same pixels among whole rows."""
+    assert isinstance(rig.simulation, VirtualBench)
+    caps, rows, columns = rig.projector.caps, np.arange(180, 240, 7), np.arange(150, 400, 3)
+    patterns = tuple(make_patterns(PLAN, caps.size, caps.lattice))[8:10]
+    sampler = rig.simulation.sampler()
+    whole = sampler._pictures(FramePart(ITEM, rows, np.arange(rig.camera.caps.size[0])), patterns)
+    part = sampler._pictures(FramePart(ITEM, rows, columns), patterns)
+    np.testing.assert_array_equal(part, whole[..., columns])
+    frames = sampler.frames(ITEM, patterns, rig.camera_settings(PLAN.exposure_s), rows, 3, columns)
+    assert [frame.shape for frame in frames] == [(len(rows), len(columns))] * 2
 
 
 def test_bands_are_spread_over_the_item() -> None:

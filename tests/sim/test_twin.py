@@ -299,6 +299,24 @@ def _unequal(calibration: Calibration) -> Calibration:
     return replace(calibration, camera=replace(camera, matrix=matrix, distortion=lens))
 
 
+def test_a_saved_twin_states_its_uncertainty(tmp_path: Path) -> None:
+    """By fields of its world; what only the board has, such as its poses, is left out."""
+    twin = _twin(_bent())
+    sigma = {"white": 0.02 * twin.parameters.white, "projector_blur": 0.03, "poses_um": 4.0, "paper": 0.01}
+    assert twin.parameters.sigma == {}
+    twin.become(replace(twin.parameters, sigma=sigma))
+    twin.save(tmp_path)
+    world = World.load(tmp_path / "world.yaml")
+    (lamp,) = world.projector.leds.values()
+    assert world.uncertainty == {
+        "projector.blur": 0.03,
+        "projector.leds.green.lumens": pytest.approx(0.02 * lamp.lumens),
+    }
+    twin.become(replace(twin.parameters, sigma={}, camera_focus_mm=None))
+    twin.save(tmp_path / "without")
+    assert World.load(tmp_path / "without/world.yaml").uncertainty == {}
+
+
 def test_a_body_is_scanned_in_the_given_pose(blender: Blender) -> None:
     of = _nominal()
     twin = SimTwin(of, "board", blender)

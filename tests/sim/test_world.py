@@ -250,3 +250,39 @@ def test_the_hidden_reference_and_its_twin_look_alike_to_a_session(name: str) ->
     assert (of.camera.size, of.projector.size) == ((1368, 912), (912, 1140))
     assert len(item_poses(of, "board")) == 20
     assert {"pyramid", "pillars", "steps", "grey_card"} < set(of.items)
+
+
+UNCERTAIN = {"projector.blur": 0.05, "camera.sensor.full_well_e": 300.0, "vibration_mm": 0.0}
+
+
+def test_draws_of_a_world_have_its_uncertainty() -> None:
+    of = world(uncertainty=UNCERTAIN)
+    draws = [of.drawn(n) for n in range(1, 200)]
+    assert of.drawn(0) is of
+    assert of.drawn(7) == of.drawn(7) != of.drawn(8)
+    blur = np.array([one.projector.blur for one in draws])
+    well = np.array([one.camera.sensor.full_well_e for one in draws])
+    for values, known, sigma in (
+        (blur, of.projector.blur, 0.05),
+        (well, of.camera.sensor.full_well_e, 300.0),
+    ):
+        assert abs(values.mean() - known) < 4 * sigma / np.sqrt(len(draws))
+        assert values.std() == pytest.approx(sigma, rel=0.2)
+    assert abs(np.corrcoef(blur, well)[0, 1]) < 0.3
+    assert {one.camera.sensor.read_noise_e for one in draws} == {of.camera.sensor.read_noise_e}
+
+
+def test_draws_stay_within_what_a_field_allows() -> None:
+    of = world(ambient=0.0, uncertainty={"ambient": 0.1})
+    ambient = np.array([of.drawn(n).ambient for n in range(1, 40)])
+    assert (ambient >= 0).all()
+    assert ambient.std() > 0.02
+    assert world().drawn(3) == world()
+
+
+@pytest.mark.parametrize(
+    "path", ["projector.blurr", "projector", "camera.focus_mm", "items.board.blur", "path"]
+)
+def test_an_uncertainty_of_what_is_no_number_is_refused(path: str) -> None:
+    with pytest.raises(ConfigError, match=f"names '{path}': must be the path of a number"):
+        world(uncertainty={path: 1.0})

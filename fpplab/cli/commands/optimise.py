@@ -157,18 +157,19 @@ def _changed(study: Study, calibration: Path | None, seeds: int | None) -> Study
 def _make_way(what: SearchScope, out: Path, force: bool) -> None:
     """Refuse to overwrite a finished search; an unfinished one is continued."""
     from fpplab.core.files import need_suffix
-    from fpplab.optimisation.run import journal_path, plan_paths, report_path
+    from fpplab.optimisation.run import journal_paths, plan_paths, report_path
 
     if what is not SearchScope.PARETO:
         need_suffix(out, ".yaml")
     elif out.exists() and not out.is_dir():
         raise ConfigError(f"{out}: is a file; `pareto` leaves a folder of plans")
     plans = plan_paths(what, out)
-    begun = journal_path(what, out).is_file() and not report_path(what, out).is_file()  # which is last
+    journals = journal_paths(what, out)
+    begun = any(path.is_file() for path in journals) and not report_path(what, out).is_file()  # which is last
     if plans and not (force or begun):
         raise ConfigError(f"{plans[0]}: exists already; name another output, or add --force to replace it")
     if force:
-        for path in (*plans, journal_path(what, out)):
+        for path in (*plans, *journals):
             path.unlink(missing_ok=True)
 
 
@@ -183,6 +184,8 @@ def _words(epoch: SearchEpoch) -> str:
 def _show(result: dict[str, Any]) -> None:
     chosen = [("start", result["initial"]), ("optimum", result["optimum"])]
     chosen += [(f"front {i}", one) for i, one in enumerate(result["front"], 1) if len(result["front"]) > 1]
+    if result["screened"]:  # what was measured, not what was predicted
+        chosen = [(name, {**one, **(one["again"] or {})}) for name, one in chosen]
     columns = ["plan", "images", "stripes", "steps", "stage mm", "SMCD µm", "spread µm", "completeness"]
     rows = [
         [
@@ -202,8 +205,9 @@ def _show(result: dict[str, Any]) -> None:
         gain = f"{100 * one['gain']:.1f} ± {100 * one['uncertainty']:.1f} %"
         words = f"On {one['rig']} {one['plan']} is {gain} nearer to the surface than the start's plan."
         console.stdout.print(words, markup=False)
+    how = "predicted, the plans above measured" if result["screened"] else "measured"
     console.stdout.print(
-        f"{result['epochs']} epochs, {result['candidates']} candidates, {result['seconds']:.0f} s, "
+        f"{result['epochs']} epochs, {result['candidates']} candidates {how}, {result['seconds']:.0f} s, "
         f"{result['ended']}; report: {result['report']}",
         markup=False,
     )

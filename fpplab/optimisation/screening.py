@@ -1,0 +1,254 @@
+"""Predicts the scores of candidates on a simulation, from bands of the camera's rows, many times quicker.
+
+Bands are simulated in place of whole frames, decoded, triangulated and compared like a measurement. They are
+the same for all candidates, and so is the noise of a seed, so that both cancel when candidates are compared.
+
+Points are triangulated with the simulation's own calibration: errors of a characterisation are common to all
+plans. Where a matched twin states how uncertain it is, every seed draws another twin within that: a mean over
+the seeds is one over the twins that the bench may be, and the worst seed is the worst of them.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+
+import numba
+import numpy as np
+
+from fpplab.calibration.model import Calibration
+from fpplab.core.errors import ConfigError, DataError
+from fpplab.devices.rig import Rig
+from fpplab.optimisation.candidate import Candidate, Evaluator, Fringes, Score
+from fpplab.optimisation.limits import RigLimits
+from fpplab.optimisation.measuring import possible_coordinates
+from fpplab.optimisation.scoring import ArtefactFigures, TrueShape
+from fpplab.optimisation.study import Study
+from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringes import Pattern, make_patterns
+from fpplab.patterns.recording import Recording
+from fpplab.phase import decode
+from fpplab.simulation.predictable import FrameSampler, Predictable
+
+BANDS, ROWS, BORDER = 2, 14, 3
+"""Parts of the image for each artefact, their rows, and how many at each edge serve as neighbours alone."""
+DENSITY_PER_MM2 = 60.0
+"""Samples of the true surface: some thousands in each part."""
+MOST_SETS, KEPT_SETS = 8, 32
+"""Fringe sets of a candidate at most, by which their noise is numbered, and sets whose patterns are kept."""
+
+
+@dataclass(frozen=True, eq=False)
+class _ImagePart:
+    """A part of the camera's image that sees an artefact."""
+
+    rows: np.ndarray[tuple[int], np.dtype[np.intp]]
+    columns: np.ndarray[tuple[int], np.dtype[np.intp]]
+    calibration: Calibration
+    shape: TrueShape
+
+
+def can_screen(rig: Rig, study: Study) -> bool:
+    """Tell whether a study's candidates can be screened: on a simulation, in one geometry.
+
+    Parameters
+    ----------
+    rig : Rig
+        Open.
+    study : Study
+        Names what is searched.
+
+    Returns
+    -------
+    bool
+        Whether the study asks for it and `SampledEvaluator` can predict all of its candidates.
+    """
+    moves = study.space.stage_mm is not None or study.space.convergence_deg is not None
+    return study.screening and isinstance(rig.simulation, Predictable) and not moves
+
+
+class SampledEvaluator:
+    """Predicts scores on a rig of a simulation, which is opened when first needed.
+
+    Parameters
+    ----------
+    rig : str
+        Rig file, by path or name.
+    study : Study
+        Names the artefacts and the plan of the start; it moves neither stage nor projector.
+    """
+
+    def __init__(self, rig: str, study: Study) -> None:
+        self._file, self._study, self._stack = rig, study, ExitStack()
+        self._samplers: dict[int, FrameSampler] = {}
+        self._parts: dict[str, list[_ImagePart]] = {}
+        self._patterns: OrderedDict[Fringes, tuple[Pattern, ...]] = OrderedDict()
+
+    def measure(self, candidate: Candidate, seed: int) -> tuple[Score, ...]:
+        """Predict the scores of every artefact of the study.
+
+        Parameters
+        ----------
+        candidate : Candidate
+            What would be measured with.
+        seed : int
+            Of the noise, and of the twin where it states its uncertainty.
+
+        Returns
+        -------
+        tuple of Score
+            One for each artefact.
+
+        Raises
+        ------
+        ConfigError
+            The rig is no simulation that can be sampled, or has no such artefact.
+        DataError
+            Nothing could be measured.
+        """
+        dead = RigLimits.of(self._rig).dead_time_s + self._study.start.settle_s
+        seconds = candidate.images * (candidate.exposure_s + dead)
+        scores = []
+        for name in self._study.artefacts:
+            with _one_thread():
+                figures = asdict(self._figures(name, candidate, seed))
+            del figures["surface_spread_um"]
+            scores.append(
+                Score(artefact=name, seed=seed, images=candidate.images, seconds=seconds, **figures)
+            )
+        return tuple(scores)
+
+    def close(self) -> None:
+        """Close the rig."""
+        self._stack.close()
+
+    @cached_property
+    def _rig(self) -> Rig:
+        rig = self._stack.enter_context(Rig.load(self._file))
+        if not isinstance(rig.simulation, Predictable):
+            raise ConfigError(f"{rig.source}: is no simulation that can predict; name a twin's rig file")
+        return rig
+
+    def _sampler(self, seed: int) -> FrameSampler:
+        if seed not in self._samplers:
+            assert isinstance(self._rig.simulation, Predictable)
+            self._samplers[seed] = self._rig.simulation.sampler(seed)
+        return self._samplers[seed]
+
+    def _figures(self, name: str, candidate: Candidate, seed: int) -> ArtefactFigures:
+        found: list[tuple[int, ArtefactFigures]] = []
+        parts = self._parts_of(name)
+        for part in parts:
+            with suppress(DataError):  # nothing is measured there, which makes the whole less complete
+                figures = self._part_figures(name, candidate, seed, part)
+                found.append((part.shape.surface_points, figures))
+        if not found:
+            raise DataError(f"nothing of the {name} could be measured")
+        return _joined(found, sum(part.shape.surface_points for part in parts))
+
+    def _part_figures(self, name: str, candidate: Candidate, seed: int, part: _ImagePart) -> ArtefactFigures:
+        plan, size = candidate.plan(self._study.start), part.calibration.projector.size
+        bounds = possible_coordinates(plan, part.calibration, self._rig)
+        settings, sampler = self._rig.camera_settings(plan.exposure_s, plan.bits), self._sampler(seed)
+        frames = [
+            frame
+            for place, fringes in enumerate(candidate.fringes)
+            for frame in sampler.frames(
+                name, self._patterns_of(fringes), settings, part.rows, MOST_SETS * seed + place, part.columns
+            )
+        ]
+        recording = Recording(frames, plan, size, settings.bits, f"a part of the {name}")
+        return part.shape.score(decode(recording, bounds=bounds), plan, part.calibration, align=False)
+
+    def _patterns_of(self, fringes: Fringes) -> tuple[Pattern, ...]:
+        """Make the patterns of a set once: the simulation keeps what it computes by the patterns it got."""
+        if fringes not in self._patterns:
+            caps, one = self._rig.projector.caps, Sinusoid(**asdict(fringes))
+            plan = self._study.start.model_copy(update={"fringes": (one,)})
+            self._patterns[fringes] = tuple(make_patterns(plan, caps.size, caps.lattice))
+        self._patterns.move_to_end(fringes)
+        while len(self._patterns) > KEPT_SETS:
+            self._patterns.popitem(last=False)
+        return self._patterns[fringes]
+
+    def _parts_of(self, name: str) -> list[_ImagePart]:
+        if name not in self._parts:
+            known = self._sampler(0).calibration
+            shape = TrueShape(self._sampler(0).mesh(name), known, samples=None, density=DENSITY_PER_MM2)
+            self._parts[name] = _image_parts(shape, known)
+        return self._parts[name]
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Let compiled loops run in this thread alone: for so few pixels, waking others takes longer."""
+    before = numba.get_num_threads()
+    numba.set_num_threads(1)
+    try:
+        yield
+    finally:
+        numba.set_num_threads(before)
+
+
+def _image_parts(shape: TrueShape, calibration: Calibration) -> list[_ImagePart]:
+    """Choose bands of rows, evenly spread over what is seen of a shape, as wide as it is."""
+    height, width = shape.visible.shape
+    seen_rows, seen_columns = (np.flatnonzero(shape.visible.any(axis=axis)) for axis in (1, 0))
+    left, right = max(0, seen_columns[0] - BORDER), min(width, seen_columns[-1] + 1 + BORDER)
+    share = (np.arange(BANDS) + 0.5) / BANDS
+    middles = seen_rows[0] + share * (seen_rows[-1] - seen_rows[0])
+    tops = np.clip(np.rint(middles - ROWS / 2), 0, height - ROWS).astype(int)
+    parts = []
+    for top in tops.tolist():
+        corner, size = (int(left), top), (int(right - left), ROWS)
+        cropped = replace(calibration, camera=calibration.camera.cropped(corner, size))
+        with suppress(DataError):  # in the shadow
+            part = shape.part(cropped.camera, corner, BORDER)
+            parts.append(_ImagePart(np.arange(top, top + ROWS), np.arange(left, right), cropped, part))
+    if not parts:
+        raise DataError(f"no band of {ROWS} rows of the image sees lit surface of the shape")
+    return parts
+
+
+def _joined(found: Sequence[tuple[int, ArtefactFigures]], of_all: int) -> ArtefactFigures:
+    """Figures of all parts: means weighted by how much surface each has, of `of_all` points."""
+    weights = np.array([points for points, _ in found], np.float64)
+
+    def mean(name: str, total: float = float(weights.sum()), power: int = 1) -> float:
+        values = np.array([getattr(figures, name) for _, figures in found])
+        return float((weights @ values**power / total) ** (1 / power))
+
+    return ArtefactFigures(
+        points=sum(figures.points for _, figures in found),
+        surface_smcd_um=mean("surface_smcd_um"),
+        smcd_um=mean("smcd_um"),
+        smcd_floor_um=mean("smcd_floor_um"),
+        surface_rms_um=mean("surface_rms_um", power=2),
+        completeness=mean("completeness", of_all),
+        wrong_orders=mean("wrong_orders"),
+        outliers=mean("outliers"),
+        surface_spread_um=mean("surface_spread_um", power=2) / np.sqrt(len(found)),
+    )
+
+
+@dataclass(frozen=True)
+class SampledEvaluatorFactory:
+    """Opens the rig of a study for predictions.
+
+    Attributes
+    ----------
+    rig : str
+        Rig file, by path or name, as the worker finds it.
+    study : Study
+        What is predicted.
+    """
+
+    rig: str
+    study: Study
+
+    def __call__(self) -> Evaluator:
+        """Make an evaluator, which opens the rig when it predicts first."""
+        return SampledEvaluator(self.rig, self.study)
