@@ -26,7 +26,8 @@ from fpplab.devices import CameraSettings
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import Pattern, make_patterns
 from fpplab.patterns.plan import Plan
-from sim.devices import SimCamera, SimProjector, VirtualBench
+from sim.bench import VirtualBench
+from sim.devices import SimCamera, SimProjector
 from sim.light import PatternLevels, Show
 from sim.world import World
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from fpplab.devices.rig import Rig
-from sim.devices import VirtualBench
+from sim.bench import VirtualBench
 
 
 def virtual_bench(rig: Rig) -> VirtualBench:

@@ -1,4 +1,4 @@
-"""The virtual bench: the four devices of a rig over one simulated world.
+"""The four devices of a rig over one simulated world, see `sim.bench`.
 
 In a rig file::
 
@@ -12,8 +12,7 @@ In a rig file::
 from __future__ import annotations
 
 import time
-from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any
@@ -21,9 +20,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.core import config
-from fpplab.core.config import Document
-from fpplab.core.conventions import Floats
 from fpplab.core.errors import ConfigError, SettingError
 from fpplab.core.geometry import RigidTransform
 from fpplab.devices import (
@@ -41,22 +37,12 @@ from fpplab.devices import (
     Trigger,
 )
 from fpplab.patterns.fringes import Pattern, quantise
-from fpplab.simulation.arrangeable import SceneStudio
-from fpplab.simulation.matchable import Twin
-from fpplab.simulation.predictable import FrameSampler
-from sim.build import Setup, build_scene, is_lit_in_view
-from sim.fluctuation import Fluctuation
+from sim.bench import VirtualBench
+from sim.build import is_lit_in_view
 from sim.items import item_poses
-from sim.light import Light, PatternLevels, Show
-from sim.sampling import SimSampler
-from sim.scene import Effort, SubpixelView
+from sim.light import Show
 from sim.sensor import SensorModel
-from sim.studio import SimStudio
-from sim.timing import is_whole, plane_weights
-from sim.twin import SimTwin
-from sim.vibration import displaced, with_vibration
-from sim.worker import START_S, Blender
-from sim.world import Binning, BoardItem, Subpixels, World
+from sim.world import BoardItem
 
 DARK = "dark"
 """Pattern id of a frame taken with the projector blank."""
@@ -65,315 +51,6 @@ LEAST_EXPOSURE_S = {
     1: 235e-6, 2: 700e-6, 3: 1570e-6, 4: 1700e-6, 5: 2000e-6, 6: 2500e-6, 7: 4500e-6, 8: 8333e-6,
 }  # fmt: skip
 """Least pattern exposure by bit depth, as of the DLP LightCrafter 4500 that the projector stands in for."""
-
-
-class VirtualBenchOptions(Document):
-    """The section `bench` of a rig file.
-
-    Fewer `subpixels` and `still` make searches quick: an item at rest takes one table of light, a vibrating
-    item takes four.
-    """
-
-    world: str
-    """World file, by path or by the name of one that comes with fpplab."""
-    binning: Binning | None = None
-    """The camera's binning, in place of the world's."""
-    analytic: bool = False
-    """Whether light on flat, matt items is computed instead of rendered, see `sim.light.plane`."""
-    subpixels: Subpixels | None = None
-    """As in `sim.world.Render`, in place of the world's."""
-    still: bool = False
-    """Whether vibration is switched off."""
-
-    def load_world(self) -> World:
-        """Load the world with the changes that these options make.
-
-        Returns
-        -------
-        World
-            As the virtual bench uses it.
-
-        Raises
-        ------
-        ConfigError
-            The world file is missing or not valid, or its sensor does not allow the binning.
-        """
-        world = World.load(self.world)
-        if self.binning is not None:
-            world = world.binned(self.binning)
-        if self.subpixels is not None:
-            render = world.render.model_copy(update={"subpixels": self.subpixels})
-            world = world.model_copy(update={"render": render})
-        return world.model_copy(update={"vibration_mm": 0.0}) if self.still else world
-
-
-class VirtualBench:
-    """What the simulated devices share: the world, and the state of everything that moves.
-
-    Blender starts with the first picture that needs it.
-
-    Parameters
-    ----------
-    options : dict of str to Any
-        See `VirtualBenchOptions`.
-
-    Raises
-    ------
-    ConfigError
-        An option or the world file is not valid.
-    """
-
-    def __init__(self, options: dict[str, Any]) -> None:
-        chosen = config.validate(options, VirtualBenchOptions, "bench")
-        self.world = chosen.load_world()
-        self.blender = Blender("bench")
-        self._analytic = chosen.analytic
-        self.light = self._light_of(self.world)
-        self.setup = Setup(self.world.mounted)
-        self.show: Show | None = None
-        self._seen_lit: Setup | None = None
-        self._vibrating: tuple[Setup, tuple[Setup, ...]] | None = None
-        self._draws: deque[int] = deque()
-        self._count = 0  # of frames since opening
-
-    def open(self) -> None:
-        """Start with what the world has mounted, with the projector dark.
-
-        Raises
-        ------
-        ConfigError
-            The item cannot be seen in the light, or the computer lacks the render device that the world asks
-            for; found before anything is measured.
-        """
-        self.setup, self.show = Setup(self.world.mounted), None
-        self._draws.clear()
-        self._count = 0
-        self._check_device()
-        self.check(self.world.mounted, 0)
-
-    def check(self, item: str, pose: int) -> None:
-        """Check that an item can be made, and seen in the projector's light.
-
-        Parameters
-        ----------
-        item : str
-            Name of the item, or "nothing".
-        pose : int
-            Index of its pose.
-
-        Raises
-        ------
-        ConfigError
-            The item cannot be made, or the camera sees nothing of the light on it.
-        """
-        if item != "nothing":
-            self._check_lit(replace(self.setup, item=item, pose=pose))
-
-    def close(self) -> None:
-        """End the Blender process and release every picture; allowed any number of times."""
-        self.blender.close()
-        self.light.forget()
-
-    def replace_world(self, world: World) -> None:
-        """Go on with another world and the same Blender process; pictures that are still valid are kept.
-
-        For searches that change the response, the sensor or the light of the world many times.
-
-        Parameters
-        ----------
-        world : World
-            The new world.
-        """
-        light = self._light_of(world)
-        light.inherit(self.light)
-        self.world, self.light, self._seen_lit, self._vibrating = world, light, None, None
-
-    def _light_of(self, world: World) -> Light:
-        return Light(world, self.blender, analytic=self._analytic)
-
-    def twin(self, board: str) -> Twin:
-        """Make a twin that starts from this world and looks at one of its boards; see `fpplab.matching`.
-
-        It renders in the same Blender process and lives as long.
-
-        Parameters
-        ----------
-        board : str
-            Name of the item.
-
-        Returns
-        -------
-        Twin
-            A `SimTwin`.
-
-        Raises
-        ------
-        ConfigError
-            The item is no board.
-        """
-        return SimTwin(self.world, board, self.blender)
-
-    def draw(self, numbers: Iterable[int]) -> None:
-        """Let noise and vibration of the next frames follow from these numbers and the world's seed.
-
-        For comparisons with common random numbers; what is left of earlier numbers is discarded.
-
-        Parameters
-        ----------
-        numbers : iterable of int
-            Not negative, one for each of the next frames.
-        """
-        self._draws = deque(numbers)
-
-    @property
-    def next_frame(self) -> int:
-        """Number of the next frame, counted since opening; see `fpplab.simulation.seeded`."""
-        return self._count
-
-    def number_frames(self, numbers: Sequence[int], then: int) -> None:
-        """Give the next frames numbers, from which their noise and vibration follow.
-
-        Parameters
-        ----------
-        numbers : sequence of int
-            Not negative, one for each of the next frames.
-        then : int
-            Number of the frame that follows them, from which is counted on.
-        """
-        self._draws, self._count = deque(numbers), then - len(numbers)
-
-    def next_draw(self) -> int:
-        """Take the number that the next frame's noise and vibration follow from.
-
-        Returns
-        -------
-        int
-            A number from `draw` or `number_frames`, or else the count of frames since opening.
-        """
-        count, self._count = self._count, self._count + 1
-        return self._draws.popleft() if self._draws else count
-
-    def turn(self, convergence_deg: float) -> None:
-        """Turn the projector towards the camera.
-
-        Parameters
-        ----------
-        convergence_deg : float
-            In degrees from its orientation in the world file.
-        """
-        self.setup = replace(self.setup, convergence_deg=float(convergence_deg))
-
-    def sampler(self, draw: int = 0) -> FrameSampler:
-        """Make a sampler of parts of the image, for predictions; see `fpplab.simulation.predictable`.
-
-        Parameters
-        ----------
-        draw : int
-            Of a world within the uncertainty of this one; 0 for this one.
-
-        Returns
-        -------
-        FrameSampler
-            Of the world as it stands.
-
-        Raises
-        ------
-        ConfigError
-            The uncertainty leaves no world.
-        """
-        world = self.world.drawn(draw)
-        return SimSampler(world, self.light if world is self.world else self._light_of(world))
-
-    def studio(self) -> SceneStudio:
-        """Make a studio that arranges scenes for data sets, see `fpplab.simulation.arrangeable`.
-
-        Returns
-        -------
-        SceneStudio
-            Replaces this bench's world with every scene.
-        """
-        return SimStudio(self)
-
-    def irradiance(self, settings: CameraSettings, frame: int) -> PatternLevels:
-        """Compute what reaches the sensor during a frame.
-
-        Parameters
-        ----------
-        settings : CameraSettings
-            Of which the exposure matters.
-        frame : int
-            From `next_draw`; the item's vibration and the phase of the shutter follow from it and the seed.
-
-        Returns
-        -------
-        PatternLevels
-            Irradiance (height, width), 1 for white.
-
-        Raises
-        ------
-        DeviceError
-            Blender fails.
-        ConfigError
-            Nothing of the item lies in the light.
-        """
-        setup, show = self.setup, self.show
-        if show is not None and setup.item != "nothing":
-            self._check_lit(setup)
-        random = np.random.default_rng([self.world.seed, frame])
-        steps, start = random.standard_normal(3), random.uniform()
-        weights, step_mm = self._row_weights(show, settings, start), self.world.vibration_mm
-        if step_mm and setup.item != "nothing" and not self.light.computes(setup):
-            picture = with_vibration(self.light, setup, self._displaced(setup), steps, show, weights)
-            return self._fluctuating(setup, picture, frame)
-        if step_mm:  # computed light is exact for every displacement at no greater cost
-            x, y, z = (step_mm * steps).tolist()
-            setup = replace(setup, vibration_mm=(x, y, z))
-        return self._fluctuating(setup, self.light.irradiance(setup, show, weights), frame)
-
-    def _fluctuating(self, setup: Setup, picture: PatternLevels, frame: int) -> PatternLevels:
-        changes = Fluctuation.of(self.world)
-        if changes is None:
-            return picture
-        return changes.applied(picture, self.light.irradiance(setup, None), np.arange(len(picture)), frame)
-
-    def _displaced(self, setup: Setup) -> tuple[Setup, ...]:
-        if self._vibrating is None or self._vibrating[0] != setup:
-            pose = setup.held or item_poses(self.world, setup.item)[setup.pose]
-            self._vibrating = (setup, displaced(setup, pose, self.world.vibration_mm))
-        return self._vibrating[1]
-
-    def _row_weights(self, show: Show | None, settings: CameraSettings, start: float) -> Floats | None:
-        """Light of every binary plane in every row, where the exposure is not a whole number of periods."""
-        period, shutter = self.world.projector.period_s, self.world.camera.shutter
-        if show is None or period == 0 or is_whole(settings.exposure_s, period):
-            return None
-        rows, bits = self.world.camera.size[1], show.pattern.bit_depth
-        return plane_weights(rows, bits, period, settings.exposure_s, shutter.line_time_s, start * period)
-
-    def _check_device(self) -> None:
-        """Render one pixel, where the computer may lack the render device that the world asks for."""
-        if self.world.render.device == "CPU" or not self.world.items:
-            return
-        scene, _ = build_scene(self.world, Setup(next(iter(self.world.items))))
-        one = replace(scene, window=(0, 0, 1, 1))
-        try:
-            self.blender.render(
-                one, None, [SubpixelView((0.0, 0.0))], Effort(device=self.world.render.device), START_S
-            )
-        except BaseException:
-            self.blender.close()  # `close` is not called where `open` fails
-            raise
-
-    def _check_lit(self, setup: Setup) -> None:
-        if setup == self._seen_lit:
-            return
-        if not is_lit_in_view(self.world, setup):
-            raise ConfigError(
-                f"world: the camera sees nothing of the projector's light on '{setup.item}' "
-                f"(pose {setup.pose}, stage at {setup.stage_mm:g} mm); correct "
-                f"'items.{setup.item}' or 'projector.T_camera_projector'"
-            )
-        self._seen_lit = setup
 
 
 def _shared(bench: Any, name: str, options: dict[str, Any]) -> VirtualBench:

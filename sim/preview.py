@@ -16,8 +16,8 @@ from fpplab.devices.rig import Rig
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import Plan
+from sim.bench import VirtualBench
 from sim.build import Setup
-from sim.devices import VirtualBench
 from sim.items import item_poses
 from sim.preview_file import Preview, write_preview
 from sim.sensor import SensorModel

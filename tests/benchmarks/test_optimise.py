@@ -125,7 +125,7 @@ def results(folder: Path, trial: OptimiseBenchmarkSetup, blender: Blender) -> di
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("fpplab.optimisation.measuring.TrueShape", partial(TrueShape, density=2.0))
         patch.setattr("benchmarks.optimise.RigEvaluatorFactory", lambda rig, study: Formula())
-        patch.setattr("sim.devices.Blender", lambda name: blender)
+        patch.setattr("sim.bench.Blender", lambda name: blender)
         patch.setattr(blender, "close", lambda: None)
         return {result.name: result for result in optimise_figures(folder, trial)}
 

@@ -22,8 +22,8 @@ from fpplab.prediction.figures import seen_surface
 from fpplab.prediction.predict import BAND, MARGIN, plan_seconds, sampled_rows
 from fpplab.reconstruction.points import points_of
 from fpplab.simulation.predictable import Predictable
+from sim.bench import VirtualBench
 from sim.build import Setup
-from sim.devices import VirtualBench
 from sim.sampling import FramePart
 
 PLAN = Plan(fringes=tuple(Sinusoid(axis="x", stripes=n, steps=4) for n in (1, 8, 48)), exposure_s=0.02)

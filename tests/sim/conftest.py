@@ -13,7 +13,8 @@ from fpplab.core import config
 from fpplab.core.conventions import Floats
 from fpplab.devices import CameraSettings
 from fpplab.patterns.fringes import Pattern, uniform_patterns
-from sim.devices import SimCamera, SimFixture, SimProjector, SimStage, VirtualBench
+from sim.bench import VirtualBench
+from sim.devices import SimCamera, SimFixture, SimProjector, SimStage
 from sim.light import Light, PatternLevels, Setup, Show
 from sim.light.table import LightTable
 from sim.worker import Blender

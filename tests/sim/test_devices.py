@@ -11,7 +11,8 @@ from fpplab.core.conventions import Image
 from fpplab.core.errors import CapabilityError, ConfigError, LimitError, SettingError
 from fpplab.devices import CameraSettings
 from fpplab.patterns.fringes import Pattern, uniform_patterns
-from sim.devices import DARK, SimCamera, SimStage, VirtualBench
+from sim.bench import VirtualBench
+from sim.devices import DARK, SimCamera, SimStage
 from sim.light import Setup, Show
 from tests.sim.conftest import Bench, plain, world, write_world
 

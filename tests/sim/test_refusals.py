@@ -19,7 +19,8 @@ from fpplab.core.errors import ConfigError
 from fpplab.devices import State
 from fpplab.devices.rig import Rig
 from fpplab.targets import Target
-from sim.devices import SimFixture, VirtualBench
+from sim.bench import VirtualBench
+from sim.devices import SimFixture
 from sim.items import item_mesh, item_poses
 from sim.light import Light, Setup
 from sim.world import MeshItem, World

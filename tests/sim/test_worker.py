@@ -18,8 +18,9 @@ import pytest
 from fpplab.core.errors import DeviceError, DeviceTimeoutError, DisconnectedError, StateError
 from fpplab.devices import CameraSettings, State
 from fpplab.patterns.fringes import uniform_patterns
+from sim.bench import VirtualBench
 from sim.build import Setup, build_scene
-from sim.devices import SimCamera, SimFixture, SimProjector, VirtualBench
+from sim.devices import SimCamera, SimFixture, SimProjector
 from sim.scene import Effort, SubpixelView
 from sim.worker import Blender, missing_library
 from tests.sim.conftest import plain, world, write_world
