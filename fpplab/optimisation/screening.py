@@ -142,26 +142,28 @@ class SampledEvaluator:
         found: list[tuple[int, ArtefactFigures]] = []
         parts = self._parts_of(name)
         for part in parts:
+            plan, known = candidate.plan(self._study.start), part.calibration
+            bounds = possible_coordinates(plan, known, self._rig)  # raises where no part can be unwrapped
+            recording = self._recorded(name, candidate, seed, part)
             with suppress(DataError):  # nothing is measured there, which makes the whole less complete
-                figures = self._part_figures(name, candidate, seed, part)
+                figures = part.shape.score(decode(recording, bounds=bounds), plan, known, align=False)
                 found.append((part.shape.surface_points, figures))
         if not found:
             raise DataError(f"nothing of the {name} could be measured")
         return _joined(found, sum(part.shape.surface_points for part in parts))
 
-    def _part_figures(self, name: str, candidate: Candidate, seed: int, part: _ImagePart) -> ArtefactFigures:
-        plan, size = candidate.plan(self._study.start), part.calibration.projector.size
-        bounds = possible_coordinates(plan, part.calibration, self._rig)
-        settings, sampler = self._rig.camera_settings(plan.exposure_s, plan.bits), self._sampler(seed)
+    def _recorded(self, name: str, candidate: Candidate, seed: int, part: _ImagePart) -> Recording:
+        plan, sampler = candidate.plan(self._study.start), self._sampler(seed)
+        settings, first = self._rig.camera_settings(plan.exposure_s, plan.bits), MOST_SETS * (seed + 1)
         frames = [
             frame
-            for place, fringes in enumerate(candidate.fringes)
+            for number, fringes in enumerate(candidate.fringes, first)
             for frame in sampler.frames(
-                name, self._patterns_of(fringes), settings, part.rows, MOST_SETS * seed + place, part.columns
+                name, self._patterns_of(fringes), settings, part.rows, number, part.columns
             )
         ]
-        recording = Recording(frames, plan, size, settings.bits, f"a part of the {name}")
-        return part.shape.score(decode(recording, bounds=bounds), plan, part.calibration, align=False)
+        size = part.calibration.projector.size
+        return Recording(frames, plan, size, settings.bits, f"a part of the {name}")
 
     def _patterns_of(self, fringes: Fringes) -> tuple[Pattern, ...]:
         """Make the patterns of a set once: the simulation keeps what it computes by the patterns it got."""

@@ -75,6 +75,18 @@ def test_nothing_lit_is_an_error_and_no_score(evaluator: SampledEvaluator) -> No
         evaluator.measure(dark, 1)
 
 
+def test_stripes_that_the_depth_range_does_not_unwrap_are_told(wanted: Study) -> None:
+    start = wanted.start.model_copy(update={"depth_mm": (300.0, 700.0)})
+    unclear, deep = Candidate((Fringes("x", 30, 4), Fringes("x", 60, 4)), 0.02), {"start": start}
+    words = []
+    for kind in (SampledEvaluator, RigEvaluator):
+        with closing(kind(RIG, wanted.model_copy(update=deep))) as opened, pytest.raises(DataError) as error:
+            opened.measure(unclear, 1)
+        words.append(str(error.value)[:40])
+    assert words[0] == words[1]
+    assert "unwrap" in words[0] or "stripes" in words[0]
+
+
 def test_what_moves_and_what_is_no_simulation_is_measured(wanted: Study) -> None:
     moving = study(screening=True, space={"stripes": [None, None, [16, 64]], "stage_mm": [-40, 40]})
     with Rig.load(RIG) as rig:
