@@ -6,6 +6,7 @@ camera's GenICam node map is queried for the features that it has.
 
 from __future__ import annotations
 
+import gc
 import logging
 import time
 from collections.abc import Iterator
@@ -155,12 +156,18 @@ class BaslerCamera(GenicamCamera):
         camera, self._camera = self._camera, None
         if camera is None:
             return
+        removed = camera.IsCameraDeviceRemoved()
         try:
-            if not camera.IsCameraDeviceRemoved():
+            if not removed:
                 camera.StopGrabbing()
                 camera.Close()
         finally:
             camera.DestroyDevice()
+        if removed:
+            # The error that told of it holds the camera in cycles of frames, and pylon frees the camera's
+            # thread and pipes with the object alone.
+            del camera
+            gc.collect()
 
     def _info(self) -> DeviceInfo:
         info = self._camera.GetDeviceInfo()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from importlib import metadata
 from pathlib import Path
 
@@ -74,6 +75,13 @@ def test_graphics(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     closed = doctor.check_graphics(tmp_path, version)
     assert closed.state == "wrong"
     assert "usermod -aG render" in closed.remedy
+
+
+def test_the_disk_is_measured_and_not_its_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    slow = 0.2
+    monkeypatch.setattr(doctor.os, "fsync", lambda file: time.sleep(slow))
+    seen = doctor.check_disk(tmp_path, 1 << 20).seen
+    assert float(seen.split()[-3]) <= (1 << 20) / 1e6 / slow
 
 
 def test_the_disk_is_measured_and_judged(tmp_path: Path) -> None:

@@ -12,6 +12,8 @@ from tests.mutants.seeding import Mutant
 
 SECONDS = 30.0
 """Tests are added as long as they take no longer than this together."""
+INDIRECT = 4
+"""So many times longer where it is not recorded which tests execute the fault, as with machine code."""
 UNKNOWN_S = 1.0
 """What a test takes of which nothing is recorded."""
 DEEPEST = 3
@@ -33,14 +35,15 @@ class Chooser:
 
     def tests_for(self, mutant: Mutant) -> list[str]:
         """Tests in the order in which they are to run; empty where none executes the fault."""
-        direct = self._known.tests_of(mutant.file, self._lines(mutant)) or self._indirect(mutant)
+        recorded = self._known.tests_of(mutant.file, self._lines(mutant))
+        direct = recorded or self._indirect(mutant)
         files = {test.partition("::")[0] for test in direct}
         # What a fixture of a module executes is recorded for the first test that asks for it alone.
         beside = {t for t in self._known.seconds if t.partition("::")[0] in files} - direct
         chosen = list(self._first.get(mutant.name, ()))
         beside -= set(chosen)
         direct -= set(chosen)
-        left = self._seconds
+        left = self._seconds if recorded else INDIRECT * self._seconds
         for tests in (direct, beside):
             for test in sorted(tests, key=lambda test: (self._distance(test, mutant), self._time(test))):
                 if not chosen or self._time(test) <= left:

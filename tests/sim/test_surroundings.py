@@ -22,6 +22,8 @@ from fpplab.simulation.appearance import Appearance, BenchSurroundings, BoardShe
 from sim.build import NOTHING, Setup
 from sim.items import item_surface
 from sim.light import Light, PatternLevels, Show
+from sim.light.background import Background
+from sim.surroundings import surroundings_surface
 from sim.twin import SimTwin
 from sim.worker import Blender
 from sim.world import World
@@ -231,3 +233,17 @@ def test_a_mesh_behind_the_camera_is_refused(tmp_path: Path) -> None:
     mesh.export(tmp_path / "wall.ply")
     with pytest.raises(ConfigError, match="z = -1 mm: must be before the camera"):
         Light(of, Blender("bench"), analytic=True)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_picture_lies_on_the_wall_as_the_camera_sees_it(axis: int, tmp_path: Path) -> None:
+    of, places = walled(tmp_path), np.mgrid[0 : SIZE[1], 0 : SIZE[0]][axis]
+    mesh = trimesh.load_mesh(tmp_path / "wall.ply")
+    mesh.subdivide_to_size(10.0).export(tmp_path / "wall.ply")  # within a triangle perspective is left out
+    greys = np.rint(20 + 230 * places / places.max()).astype(np.uint8)
+    Pillow.fromarray(greys).save(tmp_path / "wall.png")
+    around = surroundings_surface(of)
+    assert around is not None
+    seen = Background(of, around).albedo(Setup("nothing"))
+    inside = slice(3, -3), slice(3, -3)
+    np.testing.assert_allclose(seen[inside], 0.5 * greys[inside] / 255, atol=0.004)

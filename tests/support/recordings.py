@@ -87,7 +87,8 @@ class _Chunks:
                 kind = (field.metadata or {}).get(b"rerun:component_type", b"")
                 if kind == f"rerun.components.{component}".encode():
                     found += zip(at, batch.column(field.name).to_pylist(), strict=True)
-        return [value for _, value in sorted(found, key=lambda one: one[0])]
+        values = [value for _, value in sorted(found, key=lambda one: one[0])]
+        return values if index else values[-1:]  # what is static is replaced by what comes later
 
     def _of(self, entity: str, index: str | None) -> list[Any]:
         of_it = [chunk for chunk in self._chunks if chunk.entity_path == f"/{entity}"]

@@ -57,6 +57,8 @@ def test_a_board_that_does_not_echo(hid: EmulatedHid) -> None:
     assert isinstance(refused.exception, ProtocolError)
     assert "--no-echo" in str(refused.exception)
     assert said("status", "--no-echo")["firmware"] == "4.4.0"
+    assert isinstance(run("led", "--green", "10").exception, ProtocolError)
+    assert said("led", "--green", "10", "--no-echo")["green"] == 10
 
 
 def test_status_of_one_that_sleeps(hid: EmulatedHid) -> None:
