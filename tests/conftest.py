@@ -27,7 +27,9 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # Benches that tests bring themselves are backends of no installed package.
-os.environ.setdefault("FPPLAB_ALLOW_BACKEND", "tests,acme_camera")
+os.environ["FPPLAB_ALLOW_BACKEND"] = ",".join(
+    filter(None, [os.environ.get("FPPLAB_ALLOW_BACKEND"), "tests,acme_camera"])  # beside what a user allows
+)
 
 ready_program()  # knows this environment as the suite's
 
