@@ -223,3 +223,26 @@ def test_every_pixel_of_a_frame_is_on_an_x_servers_screen(
         display.show(frame, 3)
         assert not np.any(server.screen())
         display.close()
+
+
+@pytest.mark.parametrize("refreshes", [1, 3])
+def test_a_frame_stays_for_its_refreshes_between_black_ones(
+    refreshes: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By what is handed to SDL, without a display."""
+    white, done = b"\xff\xff\xff", []
+    shown = object.__new__(screen.Screen)
+    stubs = {
+        "_upload": lambda frame: done.append("white" if any(frame) else "black"),
+        "_draw": lambda: None,
+        "_read_back": lambda: white,
+        "_present": lambda: done.append("refresh"),
+        "process_events": lambda: None,
+    }
+    shown.frame_bytes = len(white)
+    for name, stub in stubs.items():
+        monkeypatch.setattr(shown, name, stub, raising=False)
+    shown.show(white, refreshes)
+    assert done[:4] == ["white", "black", "refresh", "white"]
+    assert done[4 : 5 + refreshes] == [*["refresh"] * refreshes, "black"]
+    assert set(done[5 + refreshes :]) == {"refresh"}
