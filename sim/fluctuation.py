@@ -28,7 +28,7 @@ class Fluctuation:
     flicker : float
         Standard deviation of the projector's light, relative.
     ripple : float
-        Amplitude of the ambient light's ripple, as a share of it.
+        Amplitude of the ripple of the room's light, as a share of it.
     period : float
         Rows of the frame from band to band.
     seed : int
@@ -47,7 +47,7 @@ class Fluctuation:
         Parameters
         ----------
         world : World
-            Projector, ambient light and binning.
+            Projector, light of the room and binning.
 
         Returns
         -------
@@ -55,7 +55,7 @@ class Fluctuation:
             None where all light is steady.
         """
         bands, flicker = world.ambient_bands, world.projector.flicker
-        ripple = bands.ripple if bands and world.ambient else 0.0
+        ripple = bands.ripple if bands and world.has_room_light else 0.0
         if not (flicker or ripple):
             return None
         period = bands.period_px / world.camera.binning if bands else 1.0

@@ -11,9 +11,12 @@ from fpplab.simulation.matchable import TwinParameters
 from fpplab.targets import Target
 from sim.items import item_poses
 from sim.sensor import SensorModel
-from sim.world import World
+from sim.world import RoomLamp, World
 from sim.world.surface import with_surface
 
+NO_LAMP = RoomLamp(irradiance=0.0)
+LAMP = "room"
+"""Name of the lamp that can be matched."""
 FIELDS = {
     "projector_blur": "projector.blur",
     "projector_focus_mm": "projector.focus_mm",
@@ -27,6 +30,9 @@ FIELDS = {
     "read_noise_e": "camera.sensor.read_noise_e",
     "full_well_e": "camera.sensor.full_well_e",
     "ambient": "ambient",
+    "lamp_irradiance": f"lamps.{LAMP}.irradiance",
+    "lamp_angle_deg": f"lamps.{LAMP}.angle_deg",
+    "lamp_azimuth_deg": f"lamps.{LAMP}.azimuth_deg",
     "ambient_ripple": "ambient_bands.ripple",
     "vibration_mm": "vibration_mm",
 }
@@ -51,7 +57,7 @@ def parameters_of(world: World, board: str, target: Target) -> TwinParameters:
         Of which `world_of` makes the same world.
     """
     camera, projector, response = world.camera, world.projector, world.projector.response
-    brightest = response.a + response.b
+    brightest, lamp = response.a + response.b, world.lamps.get(LAMP, NO_LAMP)
     return TwinParameters(
         calibration=Calibration(
             *(world.camera_model(), world.projector_model(), world.T_projector_camera()),
@@ -78,6 +84,10 @@ def parameters_of(world: World, board: str, target: Target) -> TwinParameters:
         vibration_mm=world.vibration_mm,
         projector_falloff=projector.falloff,
         projector_flicker=projector.flicker,
+        lamp_irradiance=lamp.irradiance / brightest,
+        lamp_angle_deg=lamp.angle_deg,
+        lamp_azimuth_deg=lamp.azimuth_deg,
+        lamp_distance_mm=lamp.distance_mm,
         ambient_ripple=world.ambient_bands.ripple if world.ambient_bands else 0.0,
         band_period_px=world.ambient_bands.period_px / camera.binning if world.ambient_bands else 0.0,
     )
@@ -135,6 +145,15 @@ def world_of(nominal: World, board: str, parameters: TwinParameters) -> World:
         "read_noise_e": p.read_noise_e,
         "full_well_e": p.full_well_e,
     }
+    if p.lamp_irradiance:
+        data["lamps"][LAMP] = {
+            "irradiance": p.lamp_irradiance,
+            "angle_deg": p.lamp_angle_deg,
+            "azimuth_deg": p.lamp_azimuth_deg,
+            "distance_mm": p.lamp_distance_mm,
+        }
+    else:
+        data["lamps"].pop(LAMP, None)
     if p.ambient_ripple:
         data["ambient_bands"] = {
             "ripple": p.ambient_ripple,

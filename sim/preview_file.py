@@ -22,6 +22,7 @@ from .scene import (
     Paint,
     PatternRender,
     PinholeOptics,
+    PointLamp,
     Relief,
     RenderScene,
     SubpixelView,
@@ -59,7 +60,7 @@ _CLASSES = {
     kind.__name__: kind
     for kind in (
         *(Preview, PatternRender, GreyScale, RenderScene, PinholeOptics, Aperture, Lamp, Surface, Paint),
-        *(BaseLayer, Relief, Grain, SubpixelView, Effort),
+        *(BaseLayer, Relief, Grain, SubpixelView, Effort, PointLamp),
     )
 }
 

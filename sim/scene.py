@@ -322,11 +322,27 @@ class SubpixelView:
     lens: tuple[float, float] = (0.0, 0.0)
 
 
+@dataclass(frozen=True)
+class PointLamp:
+    """A lamp of the room.
+
+    Attributes
+    ----------
+    place : tuple of float
+        In mm in the camera's frame.
+    irradiance : float
+        Light at a distance of 1 mm on a surface that faces it, relative to the projector's white.
+    """
+
+    place: tuple[float, float, float]
+    irradiance: float
+
+
 @dataclass(frozen=True, eq=False)
 class PatternRender:
     """All that it takes to render what the camera sees of a scene under one pattern.
 
-    The irradiance is `falloff * (mean of the views + ambient * reflectance)`.
+    The irradiance is `falloff * (mean of the views + (ambient + light of the room's lamps) * reflectance)`.
 
     Attributes
     ----------
@@ -342,6 +358,8 @@ class PatternRender:
         Uniform ambient light, relative to the projector's white.
     falloff : ndarray of float32 or None
         The lens's transmission to each pixel, (height, width); None where it is 1.
+    room_lamps : tuple of PointLamp
+        Lamps of the room.
     """
 
     scene: RenderScene
@@ -350,6 +368,7 @@ class PatternRender:
     effort: Effort
     ambient: float
     falloff: NDArray[np.float32] | None
+    room_lamps: tuple[PointLamp, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -94,8 +94,21 @@ def _coefficient(index: int) -> AdjustableParameter:
     return AdjustableParameter(0.02, -2.0, 2.0, lambda p: p.projector_falloff[index], set_)
 
 
+def _nearness() -> AdjustableParameter:
+    """The inverse of the lamp's distance, in 1/m: light changes evenly with it, and far away it is 0."""
+    return AdjustableParameter(
+        0.05,
+        0.01,
+        10.0,
+        lambda p: 1e3 / p.lamp_distance_mm,
+        lambda p, value: replace(p, lamp_distance_mm=1e3 / value),
+    )
+
+
 FALLOFF = tuple(f"falloff_{term}" for term in ("x", "y", "xx", "xy", "yy"))
 """Names of the coefficients of the projector's falloff."""
+LAMP = ("lamp_irradiance", "lamp_angle_deg", "lamp_azimuth_deg", "lamp_nearness")
+"""Names of the parameters of the room's lamp."""
 
 
 def normalised_response(curve: Curve, *, black: float | None = None, g: float | None = None) -> Curve:
@@ -132,6 +145,10 @@ ADJUSTABLE = {
     "f_number": _plain("f_number", 0.2, 0.7, 64.0),
     "vignetting": _plain("vignetting", 0.5, 0.0, 40.0),
     **{name: _coefficient(index) for index, name in enumerate(FALLOFF)},
+    "lamp_irradiance": _plain("lamp_irradiance", 0.005, 0.0, 10.0),
+    "lamp_angle_deg": _plain("lamp_angle_deg", 2.0, -150.0, 150.0),
+    "lamp_azimuth_deg": _plain("lamp_azimuth_deg", 2.0, -360.0, 360.0),
+    "lamp_nearness": _nearness(),
     "b": AdjustableParameter(
         0.005,
         0.0,
@@ -353,14 +370,7 @@ def _round(
     """Make one step; return the relative gain, the parameters, their residuals and standard uncertainties."""
     weight, _ = level_weights(residual)
     cost = float(np.sum(weight * residual**2))
-    slopes = []
-    for name in names:
-        knob = ADJUSTABLE[name]
-        value = knob.read(start)
-        by = knob.step if value + knob.step <= knob.upper else -knob.step
-        twin.become(knob.set(start, value + by))
-        slopes.append((residual - light_residuals(reference, twin, samples)) / by)
-    matrix = np.stack(slopes, axis=1)
+    matrix = level_slopes(reference, twin, names, samples, start, residual)
     scale = np.sqrt(np.sum(weight[:, None] * matrix**2, axis=0))
     scale[scale == 0] = 1.0
     scaled = matrix / scale
@@ -374,6 +384,46 @@ def _round(
         if gain > 0:
             return gain, tried, after, sigma
     return 0.0, start, residual, sigma
+
+
+def level_slopes(
+    reference: Reference,
+    twin: Twin,
+    names: Sequence[str],
+    samples: Sequence[PixelSample],
+    start: TwinParameters,
+    residual: Floats,
+) -> Floats:
+    """Differentiate the twin's levels by parameters, by finite differences.
+
+    Parameters
+    ----------
+    reference : Reference
+        What was recorded of the bench.
+    twin : Twin
+        Left with the last parameters that were tried.
+    names : sequence of str
+        C keys of `ADJUSTABLE`.
+    samples : sequence of PixelSample
+        Pixels of N levels altogether.
+    start : TwinParameters
+        Where to differentiate.
+    residual : Floats
+        The residuals (N,) there.
+
+    Returns
+    -------
+    Floats
+        (N, C), in raw levels per unit of each parameter.
+    """
+    slopes = []
+    for name in names:
+        knob = ADJUSTABLE[name]
+        value = knob.read(start)
+        by = knob.step if value + knob.step <= knob.upper else -knob.step
+        twin.become(knob.set(start, value + by))
+        slopes.append((residual - light_residuals(reference, twin, samples)) / by)
+    return np.stack(slopes, axis=1)
 
 
 def _standard_errors(

@@ -44,6 +44,7 @@ EXPLAINS = {
     "depth of field": "blur of the camera that grows with the distance from its focus",
     "vignetting": "light that the camera's lens loses towards the corners of the image",
     "projector falloff": "light that the projector gives unevenly",
+    "room lamp": "light of the room from one side",
     "ambient light": "light that is not the projector's, and the camera's black level",
     "flicker": "light of the projector that changes from frame to frame",
     "rolling bands": "light on the mains in the rows of a rolling shutter",

@@ -66,6 +66,14 @@ class ParametersFile(Document):
     """Coefficients of x, y, x², xy and y² of the projector's light, as in a world file."""
     projector_flicker: float = 0.0
     """Standard deviation of the projector's light from frame to frame, relative."""
+    lamp_irradiance: float = 0.0
+    """Light of the room's lamp, relative to the projector's white."""
+    lamp_angle_deg: float = 45.0
+    """Angle between the ways to the lamp and to the camera in degrees."""
+    lamp_azimuth_deg: float = -90.0
+    """Direction of the lamp in the image in degrees."""
+    lamp_distance_mm: float = 2000.0
+    """Distance of the lamp in mm."""
     ambient_ripple: float = 0.0
     """Amplitude of the rolling bands of the ambient light, as a share of it."""
     band_period_px: float = 0.0

@@ -1,10 +1,10 @@
 """The steps of a characterisation matching, each of which proposes parameters of the twin.
 
 Order: geometry by the observed points, light, then one by one the effects that the paper names as missing
-(ambient light, defocus of projector and camera, vignetting, the projector's falloff and flicker, rolling
-bands, noise); at last all parameters of light together and the geometry by the images in turn. Falloff,
-flicker and bands are kept where they explain more than their parameters cost. Noise is judged by its variance
-and spectrum, since the images that the loss compares have none.
+(ambient light, defocus of projector and camera, vignetting, the projector's falloff, a lamp of the room,
+flicker, rolling bands, noise); at last all parameters of light together and the geometry by the images in
+turn. Falloff, lamp, flicker and bands are kept where they explain more than their parameters cost. Noise is
+judged by its variance and spectrum, since the images that the loss compares have none.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from fpplab.matching import fluctuation, geometry, light, noise
+from fpplab.matching import fluctuation, geometry, light, noise, room_lamp
 from fpplab.matching.light import PixelSample
 from fpplab.matching.reference import Reference
 from fpplab.simulation.matchable import Twin, TwinParameters
@@ -138,6 +138,8 @@ def _fit_together(at: MatchingContext) -> TwinParameters:
     names = ["projector_blur", "vignetting"]
     if any(now.projector_falloff):
         names += light.FALLOFF
+    if now.lamp_irradiance:
+        names += light.LAMP
     if now.projector_focus_mm is not None:
         names += ["projector_focus_mm", "projector_aperture_mm"]
     if now.camera_focus_mm is not None:
@@ -147,6 +149,25 @@ def _fit_together(at: MatchingContext) -> TwinParameters:
 
 def _evidence_for_falloff(at: MatchingContext) -> float:
     free = len(light.FALLOFF) if any(at.twin.parameters.projector_falloff) else 0
+    return light.information_criterion(at.reference, at.twin, at.samples, free)
+
+
+def _room_lamp(at: MatchingContext) -> TwinParameters:
+    """Fit the light without and with a lamp, which is kept where it explains more than it costs."""
+    without = at.fit(*at.light_parameters())
+    least = _evidence_for_lamp(at)
+    linear = [name for name in (at.white, "ambient", "black_level") if name in at.light_parameters()]
+    found = room_lamp.search_lamp(at.reference, at.twin, at.samples, linear)
+    if found.lamp_irradiance:
+        found = at.fit(*at.light_parameters(*light.LAMP))
+        if _evidence_for_lamp(at) < least:
+            return found
+    at.twin.become(without)
+    return without
+
+
+def _evidence_for_lamp(at: MatchingContext) -> float:
+    free = len(light.LAMP) if at.twin.parameters.lamp_irradiance else 0
     return light.information_criterion(at.reference, at.twin, at.samples, free)
 
 
@@ -173,6 +194,7 @@ FIRST_STEPS = (
         lambda at: at.fit(at.white, "vignetting", *light.FALLOFF),
         misfit=_evidence_for_falloff,
     ),
+    MatchingStep("room lamp", _room_lamp, misfit=_evidence_for_lamp),
     MatchingStep(
         "flicker",
         lambda at: fluctuation.match_flicker(at.reference, at.twin.parameters, _spread(at)),

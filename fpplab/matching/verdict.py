@@ -28,9 +28,18 @@ ARTEFACT_SHARE, ARTEFACT_UM = 0.3, 2.0
 NEAR_BORDER = 1e-3
 """Share of a parameter's range within which it lies at the border."""
 NATURAL = frozenset(
-    {"ink", "ambient", "black_level", "projector_blur", "projector_aperture_mm", "vignetting"}
+    {
+        "ink",
+        "ambient",
+        "black_level",
+        "projector_blur",
+        "projector_aperture_mm",
+        "vignetting",
+        "lamp_nearness",
+    }
 )
-"""Parameters whose least value a device may well have: no ambient light, a sharp projector."""
+"""Parameters whose least value a device may well have: no ambient light, a sharp projector, a lamp
+far away."""
 RUINOUS = {
     FaultCause.NO_GAIN: 1.0,
     FaultCause.UNLIKE_IMAGES: RUINOUS_UNLIKE,

@@ -72,8 +72,14 @@ class TwinParameters:
         Coefficients of x, y, x², xy and y², as in a world file.
     projector_flicker : float
         Standard deviation of the projector's light from frame to frame, relative.
+    lamp_irradiance : float
+        Light of the room's lamp on a surface that faces it, relative to the projector's white, at the point
+        from which its place is given: on the camera's axis at the projector's distance. 0 for no lamp.
+    lamp_angle_deg, lamp_azimuth_deg, lamp_distance_mm : float
+        Place of the lamp from that point: angle from the way to the camera, direction in the image (0 right,
+        90 below), and distance.
     ambient_ripple : float
-        Amplitude of the rolling bands of the ambient light, as a share of it; 0 where it is steady.
+        Amplitude of the rolling bands of ambient light and lamp, as a share of it; 0 where it is steady.
     band_period_px : float
         From band to band, in rows of the frame; 0 where there are none.
     placed : mapping of str to RigidTransform
@@ -104,6 +110,10 @@ class TwinParameters:
     vibration_mm: float
     projector_falloff: tuple[float, float, float, float, float] = NO_FALLOFF
     projector_flicker: float = 0.0
+    lamp_irradiance: float = 0.0
+    lamp_angle_deg: float = 45.0
+    lamp_azimuth_deg: float = -90.0
+    lamp_distance_mm: float = 2000.0
     ambient_ripple: float = 0.0
     band_period_px: float = 0.0
     placed: Mapping[str, RigidTransform] = field(default_factory=dict)

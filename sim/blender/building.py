@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from typing import Any
 
 import bpy
@@ -9,7 +11,7 @@ import numpy as np
 from mathutils import Matrix
 from numpy.typing import NDArray
 
-from ..scene import POSITION, REFLECTANCE, Effort, RenderScene, Surface
+from ..scene import POSITION, REFLECTANCE, Effort, PointLamp, RenderScene, Surface
 from .camera import add_camera
 from .materials import add_paint
 from .projector import add_projector
@@ -53,6 +55,27 @@ def add_scene(
         _add_surface(stage, surface, ambient)
     _restrict(stage, scene)
     return camera
+
+
+def add_room_lamps(stage: Any, lamps: Sequence[PointLamp]) -> None:
+    """Add lamps of the room, whose light is seen once reflected, and not as a gloss.
+
+    Blender spreads the power of a point over 4π, and what a matt surface reflects over π once more.
+
+    Parameters
+    ----------
+    stage : bpy.types.Scene
+        Where to add them.
+    lamps : sequence of PointLamp
+        In the camera's frame.
+    """
+    for lamp in lamps:
+        light = bpy.data.lights.new("room lamp", "POINT")
+        light.energy, light.shadow_soft_size = 4 * math.pi**2 * lamp.irradiance, 0.0
+        light.cycles.max_bounces = 0
+        placed = bpy.data.objects.new("room lamp", light)
+        placed.location, placed.visible_glossy = lamp.place, False
+        stage.collection.objects.link(placed)
 
 
 def make_linear(stage: Any, effort: Effort) -> None:

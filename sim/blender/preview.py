@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..preview_file import Preview
 from ..scene import GreyScale, PatternRender, SubpixelView
-from .building import add_scene, make_linear
+from .building import add_room_lamps, add_scene, make_linear
 from .camera import aim, compile_shader
 
 VIEWING_SAMPLES = 16
@@ -39,6 +39,7 @@ def show_preview(stage: Any, preview: Preview) -> None:
     """
     wanted = preview.render
     camera = add_scene(stage, wanted.scene, wanted.textures, compile_shader(), wanted.ambient)
+    add_room_lamps(stage, wanted.room_lamps)
     aim(camera, wanted.scene.camera, _middle(wanted))
     make_linear(stage, wanted.effort)
     stage.cycles.device = "CPU" if wanted.effort.device == "CPU" else "GPU"
@@ -75,13 +76,41 @@ def take_picture(stage: Any, preview: Preview) -> PreviewPixels:
             stage.render.filepath = str(Path(folder) / "view.exr")
             for view in wanted.views:
                 aim(stage.camera.data, wanted.scene.camera, view)
-                bpy.ops.render.render(write_still=True, scene=stage.name)
-                seen += _red(stage.render.filepath)
+                seen += _under_all_lights(stage)
             aim(stage.camera.data, wanted.scene.camera, _middle(wanted))
         seen /= np.float32(len(wanted.views))
     if wanted.falloff is not None:
         irradiance *= wanted.falloff
     return preview.grey_scale.levels(irradiance)
+
+
+def _under_all_lights(stage: Any) -> PreviewPixels:
+    """Add up pictures under one light each, since Cycles takes one of several at random for each sample.
+
+    Each of them holds what glows by itself, which must count once.
+    """
+    lights = [one for one in stage.objects if one.type == "LIGHT"]
+    if len(lights) == 1:
+        return _rendered(stage)
+    total: PreviewPixels = (1 - len(lights)) * _with_only(stage, lights, None)
+    for one in lights:
+        total += _with_only(stage, lights, one)
+    return total
+
+
+def _with_only(stage: Any, lights: list[Any], shown: Any) -> PreviewPixels:
+    try:
+        for one in lights:
+            one.hide_render = one is not shown
+        return _rendered(stage)
+    finally:
+        for one in lights:
+            one.hide_render = False
+
+
+def _rendered(stage: Any) -> PreviewPixels:
+    bpy.ops.render.render(write_still=True, scene=stage.name)
+    return _red(stage.render.filepath)
 
 
 def _middle(wanted: PatternRender) -> SubpixelView:

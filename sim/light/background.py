@@ -17,6 +17,7 @@ from sim.build import NOTHING, Setup, build_background
 from sim.light.basis import PatternLevels
 from sim.light.byte_limited_cache import ByteLimitedCache
 from sim.light.cache import digest
+from sim.light.lamps import RoomLightAt
 from sim.light.lens import lens_points
 from sim.light.mirrors import Mirrors
 from sim.light.solid import traced
@@ -95,10 +96,29 @@ class Background:
         found = self._table(setup, pixels).albedo
         return found if pixels is None else found[0]
 
+    def scene(self, setup: Setup) -> RenderScene:
+        """Give the surroundings together with the mounted item.
+
+        Parameters
+        ----------
+        setup : Setup
+            State of the moving parts.
+
+        Returns
+        -------
+        RenderScene
+            The surroundings first, the item last.
+        """
+        return self._built(setup)[1]
+
     def irradiance(
-        self, setup: Setup, light: Sequence[PatternLevels], ambient: float, pixels: PixelIndices | None
+        self,
+        setup: Setup,
+        light: Sequence[PatternLevels],
+        room: Irradiance | np.float32,
+        pixels: PixelIndices | None,
     ) -> PatternLevels:
-        """Compute the irradiance of the surroundings with ambient light.
+        """Compute the irradiance of the surroundings, that of other light than the projector's included.
 
         Parameters
         ----------
@@ -106,8 +126,8 @@ class Background:
             State of the moving parts.
         light : sequence of PatternLevels
             Light (rows, columns) of the mirrors in n states.
-        ambient : float
-            Uniform ambient light, relative to the projector's white.
+        room : Irradiance or float32
+            Other light on what the pixels see, of `RoomLight.on`.
         pixels : PixelIndices or None
             Rows and columns of P pixels; None for all.
 
@@ -117,13 +137,13 @@ class Background:
             (n, P) or (n, height, width), without vignetting.
         """
         seen = self.pictures(setup, light, pixels)
-        seen += np.float32(ambient) * self.albedo(setup, pixels)
+        seen += room * self.albedo(setup, pixels)
         return seen
 
     def behind(
-        self, setup: Setup, mirrors: Mirrors
+        self, setup: Setup, mirrors: Mirrors, room: RoomLightAt
     ) -> Callable[[Pattern, PixelIndices | None], PatternLevels]:
-        """Give the light of the surroundings as a function of the pattern, with ambient light.
+        """Give the light of the surroundings as a function of the pattern, with other light.
 
         Parameters
         ----------
@@ -131,6 +151,8 @@ class Background:
             State of the moving parts.
         mirrors : Mirrors
             Of the projector.
+        room : callable
+            Gives the other light on what pixels see; all pixels for None.
 
         Returns
         -------
@@ -139,9 +161,8 @@ class Background:
         """
 
         def light(pattern: Pattern, pixels: PixelIndices | None) -> PatternLevels:
-            seen: PatternLevels = self.irradiance(
-                setup, [mirrors.level(pattern)], self._world.ambient, pixels
-            )[0]
+            levels = [mirrors.level(pattern)]
+            seen: PatternLevels = self.irradiance(setup, levels, room(pixels), pixels)[0]
             return seen
 
         return light

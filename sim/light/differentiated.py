@@ -12,6 +12,7 @@ from fpplab.patterns.fringes import Pattern
 from sim.light.basis import PatternLevels
 from sim.light.byte_limited_cache import ByteLimitedCache
 from sim.light.cache import digest
+from sim.light.lamps import RoomLightAt
 from sim.light.mirrors import Mirrors
 from sim.light.plane import computed_motion
 from sim.light.slopes import MotionTable
@@ -36,8 +37,8 @@ class DifferentiatedLight:
         Of the projector.
     texture : MirrorTexture
         How mirrors become a texture.
-    ambient : float
-        Even light from elsewhere.
+    room : callable
+        Gives the light that is not the projector's on what pixels see, see `RoomLight.on`.
     falloff : PatternLevels or None
         Of the camera's lens, (height, width).
     motions : ByteLimitedCache of MotionTable
@@ -51,7 +52,7 @@ class DifferentiatedLight:
     views: list[SubpixelView]
     mirrors: Mirrors
     texture: MirrorTexture
-    ambient: float
+    room: RoomLightAt
     falloff: PatternLevels | None
     motions: ByteLimitedCache[MotionTable]
     behind: Callable[[Pattern, PixelIndices | None], PatternLevels] | None = None
@@ -75,12 +76,13 @@ class DifferentiatedLight:
         """
         table = self._motion(pixels)
         found = np.concatenate([light for _, light in self._looked_up(table, patterns)])
-        ambient, per_px = np.float32(self.ambient), self.texture.affine[:, :2].astype(np.float32)
-        seen = found[..., 0] + ambient * table.table.albedo[0]
+        room, per_px = self.room(pixels), self.texture.affine[:, :2].astype(np.float32)
+        seen = found[..., 0] + room * table.table.albedo[0]
         if self.behind is not None:
             seen += np.stack([self.behind(pattern, pixels) for pattern in patterns])
         slopes = np.concatenate(
-            [found[..., 1:3] + ambient * table.albedo_slopes, found[..., 3:5] @ per_px], axis=-1
+            [found[..., 1:3] + np.asarray(room)[..., None] * table.albedo_slopes, found[..., 3:5] @ per_px],
+            axis=-1,
         )
         if self.falloff is not None:
             seen *= self.falloff[pixels]
@@ -102,9 +104,9 @@ class DifferentiatedLight:
         PatternLevels
             For each pattern (height, width), 1 for white, not negative.
         """
-        table = self._motion(None)
+        table, room = self._motion(None), self.room(None)
         for first, found in self._looked_up(table, patterns):
-            displaced = table.displaced(found, moves[first : first + len(found)], self.ambient)
+            displaced = table.displaced(found, moves[first : first + len(found)], room)
             for pattern, item in zip(patterns[first:], displaced, strict=False):
                 picture = item if self.behind is None else item + self.behind(pattern, None)
                 yield picture if self.falloff is None else picture * self.falloff

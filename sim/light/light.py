@@ -30,6 +30,7 @@ from sim.light.basis import Basis, PatternLevels
 from sim.light.byte_limited_cache import ByteLimitedCache
 from sim.light.cache import TableCache, digest
 from sim.light.differentiated import DifferentiatedLight
+from sim.light.lamps import RoomLight, point_lamps
 from sim.light.lens import lens_points
 from sim.light.mirrors import KEEP_BYTES, Mirrors, MirrorStates
 from sim.light.plane import can_compute, computed, computed_motion
@@ -126,7 +127,7 @@ class Light:
         # On the path `transport` items and surroundings have tables of their own.
         beside = self._around if world.path == "transport" else None
         self._background = None if beside is None else Background(world, beside)
-        self._falloff = vignetting(world)
+        self._falloff, self._room = vignetting(world), RoomLight(world)
         if world.render.path == "auto" and world.indirect:
             _log.warning(
                 "the twin takes the light path '%s', because there is %s", world.path, world.indirect
@@ -159,13 +160,13 @@ class Light:
         """
         width, height = self._world.camera.size
         is_empty = setup.item == NOTHING and self._around is None
-        if is_empty or (show is None and not self._world.ambient):
+        if is_empty or (show is None and not self._world.has_room_light):
             return np.zeros((height, width), np.float32)
         picture = np.zeros((height, width), np.float32)
         if show is not None:
             picture += self._projected(setup, show, row_weights)
-        if self._world.ambient:
-            picture += np.float32(self._world.ambient) * self._albedo(setup)
+        if self._world.has_room_light:
+            picture += self._room.on(self._in_view(setup)) * self._albedo(setup)
         if self._falloff is not None:
             picture *= self._falloff
         return picture
@@ -203,11 +204,11 @@ class Light:
                 for n in range(0, len(patterns), BATCH_PATTERNS)
             ]
         )
-        seen += np.float32(self._world.ambient) * table.albedo[0]
+        room = self._room.on(self._in_view(setup), pixels)
+        seen += room * table.albedo[0]
         if self._background is not None:
-            seen += self._background.irradiance(
-                setup, [self._projector.level(one) for one in patterns], self._world.ambient, pixels
-            )
+            levels = [self._projector.level(one) for one in patterns]
+            seen += self._background.irradiance(setup, levels, room, pixels)
         return seen if self._falloff is None else seen * self._falloff[pixels]
 
     def differentiated(self, setup: Setup) -> DifferentiatedLight | None:
@@ -226,10 +227,10 @@ class Light:
         _, scene, texture = self._built(setup)
         if self._world.path != "transport" or not self.computes(setup) or texture.exact:
             return None
-        views, ambient = self._views(setup), self._world.ambient
-        behind = None if self._background is None else self._background.behind(setup, self._projector)
+        views, room = self._views(setup), partial(self._room.on, self._in_view(setup))
+        behind = None if self._background is None else self._background.behind(setup, self._projector, room)
         return DifferentiatedLight(
-            scene, views, self._projector, texture, ambient, self._falloff, self._motions, behind
+            scene, views, self._projector, texture, room, self._falloff, self._motions, behind
         )
 
     def _table_at(self, setup: Setup, pixels: PixelIndices) -> LightTable:
@@ -437,6 +438,7 @@ class Light:
             self._effort(render.bounces, render.samples, survey=False),
             world.ambient,
             self._falloff,
+            point_lamps(world),
         )
 
     def _rendered(self, setup: Setup, channels: PatternLevels, survey: bool = False) -> PatternLevels:
@@ -444,6 +446,9 @@ class Light:
         render = self._world.render
         fine = _fine(*self._built(setup)[1:], channels)
         return self._render(setup, fine, self._effort(render.bounces, render.samples, survey))
+
+    def _in_view(self, setup: Setup) -> RenderScene:
+        return self._built(setup)[1] if self._background is None else self._background.scene(setup)
 
     def _effort(self, bounces: int, samples: int, survey: bool) -> Effort:
         return Effort(samples, bounces, self._world.seed, self._world.render.device, survey)

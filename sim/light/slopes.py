@@ -68,8 +68,8 @@ class MotionTable:
         light_with_slopes(textures.texels, textures.weights, flat, self.slopes, x, y, found)
         return found
 
-    def displaced(self, found: Irradiance, moves: Floats, ambient: float) -> Irradiance:
-        """Compute the light on the displaced item to first order, ambient light included.
+    def displaced(self, found: Irradiance, moves: Floats, room: Irradiance | np.float32) -> Irradiance:
+        """Compute the light on the displaced item to first order, other light included.
 
         Parameters
         ----------
@@ -77,8 +77,8 @@ class MotionTable:
             (n, P, 5), from `look_up`.
         moves : Floats
             Displacement (n, 3) under each pattern, in mm in the camera's frame.
-        ambient : float
-            Even light from elsewhere.
+        room : Irradiance or float32
+            Light that is not the projector's, (height, width) or even; its own change is left out.
 
         Returns
         -------
@@ -89,8 +89,9 @@ class MotionTable:
         left, top = self.table.corner
         height, width = self.table.albedo.shape
         seen = np.empty((len(found), h * w), np.float32)
-        albedo = self.table.albedo[top : top + h, left : left + w].ravel()
-        _displace(found, self.motion, moves, np.float32(ambient), albedo, self.albedo_slopes, seen)
+        even = np.broadcast_to(np.asarray(room, np.float32), self.table.albedo.shape)
+        albedo, elsewhere = (one[top : top + h, left : left + w].ravel() for one in (self.table.albedo, even))
+        _displace(found, self.motion, moves, elsewhere, albedo, self.albedo_slopes, seen)
         pictures = np.zeros((len(found), height, width), np.float32)
         pictures[:, top : top + h, left : left + w] = seen.reshape(-1, h, w)
         return pictures
@@ -101,19 +102,19 @@ def _displace(
     found: Irradiance,
     motion: Irradiance,
     moves: Floats,
-    ambient: np.float32,
+    room: Irradiance,
     albedo: Irradiance,
     albedo_slopes: Irradiance,
     out: Irradiance,
 ) -> None:
     for p in numba.prange(len(albedo)):
         for n in range(len(out)):
-            total = found[n, p, 0] + ambient * albedo[p]
+            total = found[n, p, 0] + room[p] * albedo[p]
             for axis in range(3):
                 by = found[n, p, 0] * motion[p, 0, axis]
                 for place in range(1, 5):
                     by += found[n, p, place] * motion[p, place, axis]
                 for place in range(2):
-                    by += ambient * albedo_slopes[p, place] * motion[p, 1 + place, axis]
+                    by += room[p] * albedo_slopes[p, place] * motion[p, 1 + place, axis]
                 total += np.float32(moves[n, axis]) * by
             out[n, p] = max(total, np.float32(0))

@@ -73,19 +73,35 @@ def traced(
     return LightTable.of(survey, replace(scene, window=(0, 0, len(row), 1)))
 
 
+def shape_of(scene: RenderScene) -> RayTracedShape:
+    """Prepare all surfaces of a scene for ray tracing.
+
+    Parameters
+    ----------
+    scene : RenderScene
+        Of at least one surface.
+
+    Returns
+    -------
+    RayTracedShape
+        In the camera's frame, the surfaces' triangles in their order.
+    """
+    placed = [
+        trimesh.Trimesh(one.vertices, one.faces, process=False).apply_transform(one.T_camera_item)
+        for one in scene.surfaces
+    ]
+    whole = trimesh.util.concatenate(placed)
+    assert isinstance(whole, trimesh.Trimesh)
+    return RayTracedShape(whole)
+
+
 class _Bodies:
     """All surfaces of a scene as triangles in the camera's frame, of which some of the first may reflect."""
 
     def __init__(self, scene: RenderScene, shown: int | None) -> None:
         self._scene, camera = scene, scene.camera
         self._reach = Pinhole(camera.size, camera.matrix, camera.distortion).reach
-        placed = [
-            trimesh.Trimesh(one.vertices, one.faces, process=False).apply_transform(one.T_camera_item)
-            for one in scene.surfaces
-        ]
-        whole = trimesh.util.concatenate(placed)
-        assert isinstance(whole, trimesh.Trimesh)
-        self._shape = RayTracedShape(whole)
+        self._shape = shape_of(scene)
         self._first_of = np.cumsum([0, *(len(one.faces) for one in scene.surfaces)])
         self._last_seen = self._first_of[-1 if shown is None else shown]
 

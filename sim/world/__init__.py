@@ -6,6 +6,7 @@ faces the white projector at `projector.distance_mm`.
 
 from sim.world.camera import Binning, CameraWorld, Sensor, ShutterSection
 from sim.world.items import ArtefactItem, BoardItem, CardItem, Item, MeshItem, PoseRules
+from sim.world.lamp import RoomLamp
 from sim.world.materials import Material
 from sim.world.projector import LedWorld, ProjectorWorld, ResponseSection
 from sim.world.render import LightPath, Render, Subpixels
@@ -27,6 +28,7 @@ __all__ = [
     "ProjectorWorld",
     "Render",
     "ResponseSection",
+    "RoomLamp",
     "Sensor",
     "ShutterSection",
     "StageWorld",

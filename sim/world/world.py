@@ -17,6 +17,7 @@ from fpplab.core.files import write_text
 from fpplab.core.geometry import Pinhole, RigidTransform, turned_towards
 from sim.world.camera import Binning, CameraWorld, has_rays
 from sim.world.items import BoardItem, Item, with_file_beside
+from sim.world.lamp import RoomLamp
 from sim.world.materials import Material, MaterialSection
 from sim.world.materials.diffuse import Diffuse
 from sim.world.numbers import NotNegative
@@ -98,8 +99,10 @@ class World(Document):
     """What is seen and lit beside the items."""
     ambient: Annotated[float, Field(ge=0, le=10)] = 0.0
     """Uniform ambient light on everything in view, relative to the projector's white."""
+    lamps: Annotated[dict[str, RoomLamp], Field(default_factory=dict)]
+    """Lamps of the room by name, whose light has a direction."""
     ambient_bands: AmbientBands | None = None
-    """Bands of the ambient light, at another place in each frame; None where it is steady."""
+    """Bands of ambient light and lamps, at another place in each frame; None where these are steady."""
     vibration_mm: Annotated[NotNegative, Field(le=10)] = 0.0
     """Standard deviation of the item's displacement along each axis from frame to frame, in mm."""
     render: Render = Render()
@@ -167,6 +170,11 @@ class World(Document):
                     f"'uncertainty' names '{path}': must be the path of a number, such as projector.blur"
                 )
         return self
+
+    @property
+    def has_room_light(self) -> bool:
+        """Whether there is light that is not the projector's."""
+        return self.ambient > 0 or any(lamp.irradiance > 0 for lamp in self.lamps.values())
 
     @property
     def indirect(self) -> str | None:

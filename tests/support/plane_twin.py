@@ -151,7 +151,7 @@ class PlaneTwin:
         random: np.random.Generator,
     ) -> NDArray[np.float32]:
         now = self._now
-        self._now = replace(now, ambient=0.0)
+        self._now = replace(now, ambient=0.0, lamp_irradiance=0.0)
         projected = self.expected(pose, patterns, settings)
         self._now = now
         black, (count, rows, _) = np.float32(full_scale(settings.bits) * now.black_level), expected.shape
@@ -220,6 +220,7 @@ class PlaneTwin:
         out = np.zeros((len(patterns), height, width), np.float32)
         blur = self._blur_px(pose.translation[2], now.projector_focus_mm, now.projector_aperture_mm, 1300.0)
         sigma = float(np.hypot(now.projector_blur, blur))
+        room = now.ambient + self._lamp(pose)
         for ink, there, u, v, fall in self._maps(pose):
             if board:
                 albedo = (now.paper * (there - ink) + now.ink * ink).astype(np.float32)
@@ -229,7 +230,7 @@ class PlaneTwin:
                 light = (now.response.apply(pattern.image / 255.0) * self._falloff()).astype(np.float32)
                 light = cv2.GaussianBlur(light, (0, 0), sigma)
                 lit = between(light, u, v)
-                out[n] += 0.5 * albedo * (lit * fall.astype(np.float32) + now.ambient)
+                out[n] += 0.5 * albedo * (lit * fall.astype(np.float32) + room)
         sharp = self._blur_px(
             pose.translation[2], now.camera_focus_mm, 35.0 / now.f_number, CAMERA.matrix[0, 0]
         )
@@ -239,6 +240,19 @@ class PlaneTwin:
         falloff = (1 + self._slopes() ** 2) ** (-now.vignetting / 2)
         levels = full * (now.black_level + (1 - now.black_level) * 0.8 * now.white * out * falloff)
         return np.asarray(levels.clip(0, full), np.float32)
+
+    def _lamp(self, pose: RigidTransform) -> NDArray[np.float32]:
+        """Light of the room's lamp on what every pixel sees, (h, w); its place is given from `CARD`."""
+        now = self._now
+        angle, azimuth = np.radians([now.lamp_angle_deg, now.lamp_azimuth_deg])
+        towards = np.array([np.sin(angle) * np.cos(azimuth), np.sin(angle) * np.sin(azimuth), -np.cos(angle)])
+        rays, normal = _rays(now.calibration.camera, 0.0, 0.0), pose.rotation[:, 2]
+        points = rays * ((normal @ pose.translation) / (rays @ normal))[..., None]
+        ways = CARD.translation + now.lamp_distance_mm * towards - points
+        away = np.linalg.norm(ways, axis=-1)
+        cosine = np.maximum(ways @ normal * -np.sign(normal @ pose.translation) / away, 0.0)
+        light = now.lamp_irradiance * (now.lamp_distance_mm / away) ** 2 * cosine
+        return np.asarray(light, np.float32)
 
     def _falloff(self) -> Floats:
         columns, rows = PROJECTOR.size

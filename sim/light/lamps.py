@@ -1,0 +1,195 @@
+"""Light of the room's lamps on what every pixel sees.
+
+A small lamp at distance r from a point, with the angle i of incidence, gives the irradiance
+
+    E = E0 (D/r)² cos i
+
+where E0 is that on a facing surface at distance D. It is computed where the ray of the pixel's centre ends,
+without light by way of other surfaces and without gloss; parts cast shadows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.comparison.visibility import RayTracedShape
+from fpplab.core.conventions import Floats, PixelIndices
+from fpplab.core.geometry import Pinhole
+from sim.light.byte_limited_cache import ByteLimitedCache
+from sim.light.cache import digest
+from sim.light.plane import can_compute
+from sim.light.solid import shape_of
+from sim.light.table import Irradiance
+from sim.scene import PointLamp, RenderScene
+from sim.world import World
+
+RoomLightAt = Callable[[PixelIndices | None], Irradiance | np.float32]
+"""Gives the light on what some pixels see, or all for None, see `RoomLight.on`."""
+KEEP_BYTES = 1 << 28
+"""Size of the pictures in memory."""
+
+
+class RoomLight:
+    """All light of a world that is not the projector's: ambient light and lamps.
+
+    Parameters
+    ----------
+    world : World
+        Its ambient light and lamps.
+    """
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self._kept: ByteLimitedCache[Irradiance] = ByteLimitedCache(KEEP_BYTES)
+
+    def on(self, scene: RenderScene, pixels: PixelIndices | None = None) -> Irradiance | np.float32:
+        """Compute the light on what pixels see.
+
+        Parameters
+        ----------
+        scene : RenderScene
+            What is in view.
+        pixels : PixelIndices, optional
+            Rows and columns of P pixels; all by default.
+
+        Returns
+        -------
+        Irradiance or float32
+            (P,) or (height, width), before reflection, 1 for the projector's white; a number where even.
+        """
+        ambient = np.float32(self._world.ambient)
+        if not self._world.lamps:
+            return ambient
+
+        def make() -> Irradiance:
+            if pixels is None:
+                return ambient + lamp_picture(self._world, scene)
+            return ambient + lamp_light(self._world, scene, pixels)
+
+        if can_compute(scene):  # as quick as to tell whether it is there
+            return make()
+        return self._kept.get(digest(scene, [], *(() if pixels is None else (pixels,))), make)
+
+
+@dataclass(frozen=True, eq=False)
+class _Met:
+    """What the rays of pixels meet first.
+
+    pixels: numbers (N,) of those that see something; points (N, 3) and unit normals (N, 3) towards the
+    camera, in its frame; shape: what casts shadows, None for a single flat item.
+    """
+
+    pixels: NDArray[np.intp]
+    points: Floats
+    normals: Floats
+    shape: RayTracedShape | None
+
+    @classmethod
+    def on_planes(
+        cls,
+        pixels: NDArray[np.intp],
+        rays: Floats,
+        normals: Floats,
+        corners: Floats,
+        shape: RayTracedShape | None,
+    ) -> _Met:
+        """Meet planes through corners, ahead of the camera."""
+        falls = np.einsum("pi,pi->p", rays, normals)
+        lengths = np.sum(normals * corners, axis=1) / np.where(falls == 0, np.nan, falls)
+        ahead = lengths > 0
+        towards_camera = normals[ahead] * -np.sign(falls[ahead])[:, None]
+        return cls(pixels[ahead], rays[ahead] * lengths[ahead, None], towards_camera, shape)
+
+
+def point_lamps(world: World) -> tuple[PointLamp, ...]:
+    """Place the lamps of the room in the camera's frame.
+
+    Parameters
+    ----------
+    world : World
+        Its lamps, and the projector's distance.
+
+    Returns
+    -------
+    tuple of PointLamp
+        In the order of the world file.
+    """
+    middle = np.array([0.0, 0.0, world.projector.distance_mm])
+    return tuple(
+        PointLamp(tuple((middle + lamp.offset).tolist()), lamp.irradiance * lamp.distance_mm**2)
+        for lamp in world.lamps.values()
+    )
+
+
+def lamp_light(world: World, scene: RenderScene, pixels: PixelIndices) -> Irradiance:
+    """Compute the light of all lamps of the room on what some pixels see.
+
+    Parameters
+    ----------
+    world : World
+        Its lamps, and the projector's distance.
+    scene : RenderScene
+        What is in view.
+    pixels : PixelIndices
+        Rows and columns of P pixels.
+
+    Returns
+    -------
+    Irradiance
+        (P,), before reflection, 1 for the projector's white; 0 where the pixel's centre sees nothing.
+    """
+    met = _first_met(scene, pixels)
+    light = np.zeros(len(pixels[0]), np.float32)
+    for lamp in point_lamps(world):
+        place = np.array(lamp.place)
+        ways = place - met.points
+        away = np.linalg.norm(ways, axis=1)
+        cosine = np.einsum("pi,pi->p", ways, met.normals) / away
+        here = lamp.irradiance / away**2 * np.maximum(cosine, 0.0)
+        lit = np.flatnonzero(here)
+        if met.shape is not None:
+            here[lit] *= met.shape.unoccluded(place, met.points[lit])
+        light[met.pixels] += here.astype(np.float32)
+    return light
+
+
+def lamp_picture(world: World, scene: RenderScene) -> Irradiance:
+    """Compute the light of all lamps of the room on what every pixel of the image sees.
+
+    Parameters
+    ----------
+    world : World
+        Its lamps, and the projector's distance.
+    scene : RenderScene
+        What is in view.
+
+    Returns
+    -------
+    Irradiance
+        (height, width), as of `lamp_light`.
+    """
+    (width, height), (left, top, right, bottom) = scene.camera.size, scene.window
+    rows, columns = np.mgrid[top:bottom, left:right]
+    picture = np.zeros((height, width), np.float32)
+    found = lamp_light(world, scene, (rows.ravel(), columns.ravel()))
+    picture[top:bottom, left:right] = found.reshape(rows.shape)
+    return picture
+
+
+def _first_met(scene: RenderScene, pixels: PixelIndices) -> _Met:
+    camera = Pinhole(scene.camera.size, scene.camera.matrix, scene.camera.distortion)
+    slopes = camera.normalise(np.stack(pixels[::-1], axis=-1).astype(np.float64))
+    rays = np.column_stack([slopes, np.ones(len(slopes))])
+    if can_compute(scene):
+        T = scene.surfaces[0].T_camera_item
+        normals, corners = np.broadcast_to(T[:3, 2], rays.shape), T[:3, 3]
+        return _Met.on_planes(np.arange(len(rays)), rays, normals, corners, None)
+    shape = shape_of(scene)
+    faces = shape.first_face(np.zeros(3), rays)
+    met = np.flatnonzero(faces >= 0)
+    normals, corners = shape.normals[faces[met]], shape.triangles[faces[met], 0]
+    return _Met.on_planes(met, rays[met], normals, corners, shape)
