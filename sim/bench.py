@@ -26,7 +26,7 @@ from sim.scene import Effort, SubpixelView
 from sim.studio import SimStudio
 from sim.timing import is_whole, plane_weights
 from sim.twin import SimTwin
-from sim.vibration import displaced, with_vibration
+from sim.vibration import displaced, displacement_mm, wave_phase, with_vibration
 from sim.worker import START_S, Blender
 from sim.world import Binning, Subpixels, World
 
@@ -68,7 +68,8 @@ class VirtualBenchOptions(Document):
         if self.subpixels is not None:
             render = world.render.model_copy(update={"subpixels": self.subpixels})
             world = world.model_copy(update={"render": render})
-        return world.model_copy(update={"vibration_mm": 0.0}) if self.still else world
+        still = {"vibration_mm": 0.0, "vibration_line": None}
+        return world.model_copy(update=still) if self.still else world
 
 
 class VirtualBench:
@@ -284,13 +285,14 @@ class VirtualBench:
         if show is not None and setup.item != "nothing":
             self._check_lit(setup)
         random = np.random.default_rng([self.world.seed, frame])
-        steps, start = random.standard_normal(3), random.uniform()
-        weights, step_mm = self._row_weights(show, settings, start), self.world.vibration_mm
-        if step_mm and setup.item != "nothing" and not self.light.computes(setup):
+        moved = displacement_mm(self.world, random, frame, wave_phase(self.world))
+        weights, size_mm = self._row_weights(show, settings, random.uniform()), self.world.moves_mm
+        if size_mm and setup.item != "nothing" and not self.light.computes(setup):
+            steps = moved / size_mm
             picture = with_vibration(self.light, setup, self._displaced(setup), steps, show, weights)
             return self._fluctuating(setup, picture, frame)
-        if step_mm:  # computed light is exact for every displacement at no greater cost
-            x, y, z = (step_mm * steps).tolist()
+        if size_mm:  # computed light is exact for every displacement at no greater cost
+            x, y, z = moved.tolist()
             setup = replace(setup, vibration_mm=(x, y, z))
         return self._fluctuating(setup, self.light.irradiance(setup, show, weights), frame)
 
@@ -303,7 +305,7 @@ class VirtualBench:
     def _displaced(self, setup: Setup) -> tuple[Setup, ...]:
         if self._vibrating is None or self._vibrating[0] != setup:
             pose = setup.held or item_poses(self.world, setup.item)[setup.pose]
-            self._vibrating = (setup, displaced(setup, pose, self.world.vibration_mm))
+            self._vibrating = (setup, displaced(setup, pose, self.world.moves_mm))
         return self._vibrating[1]
 
     def _row_weights(self, show: Show | None, settings: CameraSettings, start: float) -> Floats | None:

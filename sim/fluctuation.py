@@ -1,8 +1,8 @@
 """Light that changes from frame to frame: flicker of the projector, and rolling bands of light on the mains.
 
 The projector's light has another factor in each frame. Light of the room that ripples with the mains makes
-bands in the rows of a rolling shutter, whose place is another in each frame, since frames are not in step
-with the mains.
+bands in the rows of a rolling shutter. Frames at regular intervals see them move by the same share of a
+period from frame to frame; otherwise they are at another place in each.
 """
 
 from __future__ import annotations
@@ -33,21 +33,29 @@ class Fluctuation:
         Rows of the frame from band to band.
     seed : int
         Of the random numbers.
+    advance : float or None
+        Periods by which bands move from frame to frame; None where they are at another place in each.
+    start : float
+        Where those that move begin, in periods.
     """
 
     flicker: float
     ripple: float
     period: float
     seed: int
+    advance: float | None = None
+    start: float = 0.0
 
     @classmethod
-    def of(cls, world: World) -> Fluctuation | None:
+    def of(cls, world: World, *numbers: int) -> Fluctuation | None:
         """Take the changes of light from a world.
 
         Parameters
         ----------
         world : World
             Projector, light of the room and binning.
+        *numbers : int
+            What else than the world's seed the place follows from where moving bands begin.
 
         Returns
         -------
@@ -59,7 +67,9 @@ class Fluctuation:
         if not (flicker or ripple):
             return None
         period = bands.period_px / world.camera.binning if bands else 1.0
-        return cls(flicker, ripple, period, world.seed)
+        start = float(np.random.default_rng([world.seed, *numbers, STREAM]).uniform())
+        advance = bands.cycles_per_frame if bands else None
+        return cls(flicker, ripple, period, world.seed, advance, start)
 
     def applied(
         self, picture: PatternLevels, ambient: PatternLevels, rows: NDArray[np.intp], frame: int
@@ -84,6 +94,8 @@ class Fluctuation:
         """
         random = np.random.default_rng([self.seed, frame, STREAM])
         factor, phase = 1.0 + self.flicker * random.standard_normal(), random.uniform()
+        if self.advance is not None:
+            phase = self.start + self.advance * frame
         wave = 1.0 + self.ripple * np.sin(2 * np.pi * (rows / self.period + phase))
         changed: PatternLevels = np.float32(factor) * (picture - ambient)
         changed += wave.astype(np.float32)[:, None] * ambient

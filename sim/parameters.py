@@ -7,7 +7,7 @@ from dataclasses import replace
 from fpplab.calibration.model import Calibration, CalibrationFile, PoseFile
 from fpplab.core import config
 from fpplab.devices import CameraSettings
-from fpplab.simulation.matchable import TwinParameters
+from fpplab.simulation.matchable import NO_LINE, TwinParameters
 from fpplab.targets import Target
 from sim.items import item_poses
 from sim.sensor import SensorModel
@@ -35,6 +35,7 @@ FIELDS = {
     "lamp_azimuth_deg": f"lamps.{LAMP}.azimuth_deg",
     "ambient_ripple": "ambient_bands.ripple",
     "vibration_mm": "vibration_mm",
+    "vibration_cycles_per_frame": "vibration_line.cycles_per_frame",
 }
 """Paths in a world of parameters whose uncertainty holds for every measurement, by name."""
 
@@ -57,6 +58,7 @@ def parameters_of(world: World, board: str, target: Target) -> TwinParameters:
         Of which `world_of` makes the same world.
     """
     camera, projector, response = world.camera, world.projector, world.projector.response
+    line = world.vibration_line
     brightest, lamp = response.a + response.b, world.lamps.get(LAMP, NO_LAMP)
     return TwinParameters(
         calibration=Calibration(
@@ -82,6 +84,9 @@ def parameters_of(world: World, board: str, target: Target) -> TwinParameters:
         read_noise_e=camera.sensor.read_noise_e,
         full_well_e=camera.sensor.full_well_e,
         vibration_mm=world.vibration_mm,
+        vibration_line_mm=line.rms_mm if line else NO_LINE,
+        vibration_periodic=line.periodic if line else 0.0,
+        vibration_cycles_per_frame=line.cycles_per_frame if line else 0.0,
         projector_falloff=projector.falloff,
         projector_flicker=projector.flicker,
         lamp_irradiance=lamp.irradiance / brightest,
@@ -90,6 +95,7 @@ def parameters_of(world: World, board: str, target: Target) -> TwinParameters:
         lamp_distance_mm=lamp.distance_mm,
         ambient_ripple=world.ambient_bands.ripple if world.ambient_bands else 0.0,
         band_period_px=world.ambient_bands.period_px / camera.binning if world.ambient_bands else 0.0,
+        band_advance=world.ambient_bands.cycles_per_frame if world.ambient_bands else None,
     )
 
 
@@ -115,7 +121,7 @@ def world_of(nominal: World, board: str, parameters: TwinParameters) -> World:
     ConfigError
         No world can have these parameters.
     """
-    p, data = parameters, nominal.model_dump(mode="json")
+    p, data = parameters, nominal.model_dump(mode="json") | {"uncertainty": {}}
     data["calibration"] = config.plain(CalibrationFile.of(replace(p.calibration, uncertainty=None)))
     data["items"][board] |= {
         "poses": [config.plain(PoseFile.of(pose)) for pose in p.poses],
@@ -158,8 +164,15 @@ def world_of(nominal: World, board: str, parameters: TwinParameters) -> World:
         data["ambient_bands"] = {
             "ripple": p.ambient_ripple,
             "period_px": p.band_period_px * nominal.camera.binning,
+            "cycles_per_frame": p.band_advance,
         }
-    data |= {"ambient": p.ambient, "vibration_mm": p.vibration_mm}
+    data |= {"ambient": p.ambient, "vibration_mm": p.vibration_mm, "vibration_line": None}
+    if any(p.vibration_line_mm):
+        data["vibration_line"] = {
+            "rms_mm": list(p.vibration_line_mm),
+            "periodic": p.vibration_periodic,
+            "cycles_per_frame": p.vibration_cycles_per_frame,
+        }
     world = config.validate(data, World, "the twin's parameters")
     lit = _with_light(world, p.white * white_level_per_s(nominal) / white_level_per_s(world))
     return lit.model_copy(update={"uncertainty": _uncertainty(lit, p)})

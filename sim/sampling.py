@@ -20,7 +20,7 @@ from sim.items import item_poses, part_mesh
 from sim.light import Light, PatternLevels
 from sim.light.byte_limited_cache import ByteLimitedCache
 from sim.sensor import SensorModel
-from sim.vibration import displaced
+from sim.vibration import displaced, displacement_mm, wave_phase
 from sim.world import World
 from sim.world.surface import surface_of
 
@@ -164,10 +164,11 @@ class SimSampler:
         where = FramePart(item, rows, np.arange(self._world.camera.size[0]) if columns is None else columns)
         still, *moved = self._pictures(where, tuple(patterns))
         sensor, random = SensorModel.of(self._world), np.random.default_rng([self._world.seed, seed])
-        found, changes = [], Fluctuation.of(self._world)
+        found, changes = [], Fluctuation.of(self._world, seed)
+        size_mm, phase = self._world.moves_mm or 1.0, wave_phase(self._world, seed)
         for n in range(len(patterns)):
-            picture = still[n]
-            for there, step in zip(moved, random.standard_normal(3), strict=False):
+            picture, steps = still[n], displacement_mm(self._world, random, n, phase) / size_mm
+            for there, step in zip(moved, steps, strict=False):
                 picture = picture + np.float32(step) * (there[n] - still[n])
             frame = len(patterns) * seed + n
             if changes is not None:
@@ -192,7 +193,7 @@ class SimSampler:
         return self._seen.get((where.key, patterns), lambda: self._pictures_now(where, patterns))
 
     def _pictures_now(self, where: FramePart, patterns: tuple[Pattern, ...]) -> PatternLevels:
-        pose, step = item_poses(self._world, where.item)[0], self._world.vibration_mm
+        pose, step = item_poses(self._world, where.item)[0], self._world.moves_mm
         still = Setup(where.item, held=pose)
         setups = (still, *displaced(still, pose, step)) if step else (still,)
         seen = np.stack([self._light.irradiance_at(one, patterns, where.pixels) for one in setups])

@@ -20,7 +20,7 @@ import trimesh
 
 from fpplab.calibration.model import CalibrationFile
 from fpplab.core import config
-from fpplab.core.conventions import Image, PixelIndices
+from fpplab.core.conventions import Floats, Image, PixelIndices
 from fpplab.core.errors import ConfigError
 from fpplab.core.files import write_text
 from fpplab.core.geometry import RigidTransform
@@ -36,7 +36,7 @@ from sim.parameters import parameters_of, world_of
 from sim.sensor import SensorModel
 from sim.sheet import board_relative_to, save_sheet
 from sim.surroundings import save_surroundings
-from sim.vibration import displaced, with_vibration
+from sim.vibration import displaced, displacement_mm, wave_phase, with_vibration
 from sim.worker import Blender
 from sim.world import BoardItem, World
 
@@ -296,19 +296,19 @@ class SimTwin:
         """
         self._world.item(item)
         shown, sensor, self._settings = tuple(patterns), SensorModel.of(self._world), settings
-        still, step = Setup(item, held=pose), self._world.vibration_mm
+        still, size_mm, phase = Setup(item, held=pose), self._world.moves_mm, wave_phase(self._world)
         counters = range(self._next_frame, self._next_frame + len(shown))
         self._next_frame = counters.stop
-        draws = np.array([np.random.default_rng([self._world.seed, n]).standard_normal(3) for n in counters])
-        if not step:
+        moves = np.array([self._displacement(n, phase) for n in counters])
+        if not size_mm:
             pictures = [self._irradiance(still, shown, n) for n in range(len(shown))]
         elif light := self._light.differentiated(still):
-            pictures = list(light.displaced(shown, step * draws))
+            pictures = list(light.displaced(shown, moves))
         else:
-            moved = displaced(still, pose, step)
+            moved = displaced(still, pose, size_mm)
             pictures = [
                 with_vibration(self._light, still, moved, steps, Show(shown, n))
-                for n, steps in enumerate(draws)
+                for n, steps in enumerate(moves / size_mm)
             ]
         if (changes := Fluctuation.of(self._world)) is not None:
             ambient = self._light.irradiance(still, None)
@@ -318,6 +318,10 @@ class SimTwin:
             ]
         with ThreadPoolExecutor() as pool:
             return list(pool.map(lambda of, n: sensor.expose(of, settings, n), pictures, counters))
+
+    def _displacement(self, frame: int, phase: float) -> Floats:
+        random = np.random.default_rng([self._world.seed, frame])
+        return displacement_mm(self._world, random, frame, phase)
 
     def mesh(self, item: str) -> trimesh.Trimesh:
         """Give the true shape of an artefact or part.

@@ -15,6 +15,55 @@ from fpplab.core.conventions import Floats
 from fpplab.core.geometry import RigidTransform
 from sim.build import Setup
 from sim.light import Light, PatternLevels, Show
+from sim.world import World
+
+STREAM = 2
+"""Tells the random numbers of phases from those of other changes."""
+
+
+def displacement_mm(world: World, random: np.random.Generator, frame: float, phase: float) -> Floats:
+    """Draw by how much vibration displaces the item in one frame.
+
+    Parameters
+    ----------
+    world : World
+        Its vibration.
+    random : Generator
+        Of the frame; three numbers are drawn, or four where there is vibration along a line.
+    frame : float
+        Number of the frame, in step with which a vibration of one frequency moves on.
+    phase : float
+        Where that begins, in cycles.
+
+    Returns
+    -------
+    Floats
+        (3,) in mm along the camera's axes.
+    """
+    moved, line = world.vibration_mm * random.standard_normal(3), world.vibration_line
+    if line is None:
+        return moved
+    swing = np.sqrt(2.0 * line.periodic) * np.sin(2 * np.pi * (line.cycles_per_frame * frame + phase))
+    alone = np.sqrt(1.0 - line.periodic) * random.standard_normal()
+    return np.asarray(moved + (swing + alone) * np.array(line.rms_mm))
+
+
+def wave_phase(world: World, *numbers: int) -> float:
+    """Draw where a vibration of one frequency begins.
+
+    Parameters
+    ----------
+    world : World
+        Its seed.
+    *numbers : int
+        Whatever else the phase follows from.
+
+    Returns
+    -------
+    float
+        In cycles.
+    """
+    return float(np.random.default_rng([world.seed, *numbers, STREAM]).uniform())
 
 
 def displaced(setup: Setup, pose: RigidTransform, step_mm: float) -> tuple[Setup, ...]:

@@ -127,7 +127,7 @@ def refine_by_images(reference: Reference, twin: Twin, level: DistortionModel) -
 
     What light and sharpness still lack must not be taken for motion, so every pose has a gain, linear over
     the board, an offset, a quadratic term of its response and a blur of its own (`NUISANCE_PARAMETERS`).
-    Each image has a small displacement of the board, normally distributed with the twin's `vibration_mm`.
+    Each image has a small displacement of the board, normally distributed with the twin's `displacement_mm`.
     The twin is left with the parameters that it had.
 
     Parameters
@@ -160,7 +160,7 @@ def refine_by_images(reference: Reference, twin: Twin, level: DistortionModel) -
                 reference, twin, start, residuals, image, jacobian[:, shared + 3 :]
             )
             block, right_side, scores = _equations(
-                jacobian, residual, displacement, own, start.vibration_mm, tiles
+                jacobian, residual, displacement, own, start.displacement_mm, tiles
             )
             normal[np.ix_(columns, columns)] += block
             gradient[columns] += right_side
@@ -190,7 +190,7 @@ def _remove_vibration(
     an edge is not linear over the displacement, so the twin is rendered again with the board displaced.
     """
     residual = residuals.residual[image]
-    if start.vibration_mm == 0:
+    if start.displacement_mm == 0:
         return np.zeros(3), residual
     own = np.linalg.solve(jacobian.T @ jacobian, jacobian.T @ residual)[:3]
     twin.become(start.with_pose(residuals.pose, start.poses[residuals.pose].moved(own)))

@@ -1,11 +1,8 @@
-"""Noise of the bench, estimated from its frames for the twin: photon transfer, and vibration.
+"""Noise of the bench, estimated from its frames for the twin: photon transfer, beside vibration.
 
 The sensor's noise is what the phase fit leaves of the frames beyond harmonics and flicker
 (`fpplab.phase.error_model`), so that nothing which the twin lacks is taken for noise. It is estimated alike
 from frames of the bench and of the twin, and the twin's is scaled.
-
-The displacement of an image is common to many thousands of pixels, so it is estimated by least squares with
-the image's own gradients in the twin.
 
 References
 ----------
@@ -15,23 +12,22 @@ Janesick, Photon Transfer, 2007
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.core.conventions import Floats, Image, PixelIndices
-from fpplab.matching.geometry import level_gradient
-from fpplab.matching.loss import board_mask, subsample_pixels
-from fpplab.matching.places import place_jacobian
+from fpplab.core.conventions import Floats, Image
+from fpplab.matching.frame_terms import FrameTerms
+from fpplab.matching.loss import board_mask
 from fpplab.matching.reference import LevelStack, Reference
+from fpplab.matching.vibration import match_vibration
 from fpplab.patterns.recording import Recording
 from fpplab.phase.error_model import error_model_of
 from fpplab.phase.noise import QUANTISATION, NoiseModel
 from fpplab.simulation.matchable import Twin, TwinParameters
 
-MAX_PIXELS = 30_000
 SIGNIFICANT = 3.0
 """Standard errors by which the noise of bench and twin must differ for the twin's to be changed."""
 ROUNDS = 2
@@ -45,7 +41,9 @@ LEVELS = 3
 """Number of brightness classes in which residuals are compared."""
 
 
-def match_noise(reference: Reference, twin: Twin, poses: Sequence[int]) -> TwinParameters:
+def match_noise(
+    reference: Reference, twin: Twin, poses: Sequence[int], seen: Sequence[FrameTerms]
+) -> TwinParameters:
     """Give the twin the noise of the reference, estimated in the same way from frames of both.
 
     Read noise is changed only where the two differ significantly at black. Rounding makes the estimates
@@ -59,6 +57,8 @@ def match_noise(reference: Reference, twin: Twin, poses: Sequence[int]) -> TwinP
         With matched geometry and light.
     poses : sequence of int
         Indices of the poses whose frames are compared.
+    seen : sequence of FrameTerms
+        Of some poses, which tell the vibration.
 
     Returns
     -------
@@ -66,7 +66,7 @@ def match_noise(reference: Reference, twin: Twin, poses: Sequence[int]) -> TwinP
         With another full-well capacity, vibration and, where significant, read noise.
     """
     now = twin.parameters
-    changed = replace(now, vibration_mm=_vibration(reference, twin, now, poses))
+    changed = match_vibration(now, seen)
     real = [_noise_of(reference, pose, reference.recorded(pose)) for pose in poses]
     levels = [_bright_level(reference, pose) for pose in poses]
     for _ in range(ROUNDS):
@@ -199,54 +199,3 @@ def _spreads(frames: LevelStack, shift: Floats, classes: NDArray[np.int64]) -> F
             for k in range(LEVELS)
         ]
     )
-
-
-def _vibration(reference: Reference, twin: Twin, now: TwinParameters, poses: Sequence[int]) -> float:
-    """Standard deviation in mm of the item's position along each axis, from frame to frame."""
-    images = reference.plan.finest_images
-    squares, weights = 0.0, 0.0
-    for pose in poses:
-        view = _View.of(reference, twin, now, pose, images)
-        shifts, variance = view.displacements(reference.frames(pose, images))
-        if len(images) > 1:
-            excess_variance = shifts.var(axis=0, ddof=1) - variance.mean(axis=0)
-            weight = 1.0 / variance.mean(axis=0) ** 2
-            squares, weights = squares + float(weight @ excess_variance), weights + float(weight.sum())
-    return float(np.sqrt(max(squares / weights, 0.0))) if weights else 0.0
-
-
-@dataclass(frozen=True, eq=False)
-class _View:
-    """Pixels of a pose, expected levels (n, P), and their derivatives by displacement in mm (n, P, 3)."""
-
-    pixels: PixelIndices
-    expected: Floats
-    slopes: Floats
-
-    @classmethod
-    def of(
-        cls, reference: Reference, twin: Twin, now: TwinParameters, pose: int, images: Sequence[int]
-    ) -> _View:
-        pixels = subsample_pixels(
-            board_mask(now.calibration.camera, now.poses[pose], reference.target), MAX_PIXELS
-        )
-
-        twin.become(now)
-        here = twin.expected_at(pose, reference.shown(images), reference.settings, pixels)
-        points = np.stack(pixels[::-1], axis=-1).astype(np.float64)
-        moves = place_jacobian(points, now.calibration, now.poses[pose], 0)[..., -3:]
-        slopes = np.einsum("npk,pka->npa", level_gradient(reference, twin, pose, images, pixels), moves)
-        return cls(pixels, here.astype(np.float64), slopes)
-
-    def displacements(self, frames: LevelStack) -> tuple[Floats, Floats]:
-        """Estimate the displacement of every frame in mm (n, 3), and its variance (n, 3)."""
-        shifts, variances = [], []
-        for frame, expected, slopes in zip(frames, self.expected, self.slopes, strict=True):
-            seen = frame[self.pixels].astype(np.float64)
-            basis = np.column_stack([slopes, expected, np.ones_like(expected)])
-            normal = basis.T @ basis
-            found = np.linalg.solve(normal, basis.T @ (seen - expected))
-            left = seen - expected - basis @ found
-            shifts.append(found[:3])
-            variances.append(np.diag(np.linalg.inv(normal))[:3] * float(np.mean(left**2)))
-        return np.array(shifts), np.array(variances)

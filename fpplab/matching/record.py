@@ -19,8 +19,10 @@ from fpplab.core.errors import DataError
 from fpplab.core.journals import append_line, cut_torn_line, make_journal, whole_lines
 from fpplab.matching.light import FALLOFF
 from fpplab.patterns.curve import Curve
-from fpplab.simulation.matchable import NO_FALLOFF, TwinParameters
+from fpplab.simulation.matchable import NO_FALLOFF, NO_LINE, TwinParameters
 
+LINE = ("vibration_line_x_mm", "vibration_line_y_mm", "vibration_line_z_mm")
+"""Names of the displacements by vibration along a line."""
 EPOCHS = "match.jsonl"
 """Name of the file."""
 
@@ -62,6 +64,12 @@ class ParametersFile(Document):
     """Electrons of the unbinned pixel."""
     vibration_mm: float
     """Standard deviation of the item's position from frame to frame in mm."""
+    vibration_line_mm: tuple[float, float, float] = NO_LINE
+    """RMS displacement along the camera's axes in mm by vibration along a line."""
+    vibration_periodic: float = 0.0
+    """Share of its variance that has one frequency."""
+    vibration_cycles_per_frame: float = 0.0
+    """That frequency."""
     projector_falloff: tuple[float, float, float, float, float] = NO_FALLOFF
     """Coefficients of x, y, x², xy and y² of the projector's light, as in a world file."""
     projector_flicker: float = 0.0
@@ -78,6 +86,8 @@ class ParametersFile(Document):
     """Amplitude of the rolling bands of the ambient light, as a share of it."""
     band_period_px: float = 0.0
     """From band to band, in rows of the frame; 0 where there are none."""
+    band_advance: float | None = None
+    """Periods by which they move from frame to frame."""
     placed: Annotated[dict[str, PoseFile], Field(default_factory=dict)]
     """T_camera_item of other items that were measured on the bench, by name."""
     sigma: Annotated[dict[str, float], Field(default_factory=dict)]
@@ -140,11 +150,14 @@ def named_numbers(parameters: TwinParameters) -> dict[str, float | None]:
     Returns
     -------
     dict of str to float or None
-        In the unit of the parameter; the coefficients of the projector's falloff each by their own name,
-        None where a lens is sharp at all depths.
+        In the unit of the parameter; the coefficients of the projector's falloff and the axes of the
+        vibration each by their own name, None where a lens is sharp at all depths.
     """
-    numbers = {name: getattr(parameters, name) for name in PLAIN if name != "projector_falloff"}
-    return numbers | dict(zip(FALLOFF, parameters.projector_falloff, strict=True))
+    several = {"projector_falloff": FALLOFF, "vibration_line_mm": LINE}
+    numbers = {name: getattr(parameters, name) for name in PLAIN if name not in several}
+    for name, parts in several.items():
+        numbers |= zip(parts, getattr(parameters, name), strict=True)
+    return numbers
 
 
 class MatchingEpoch(Document):

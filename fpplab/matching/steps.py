@@ -10,15 +10,27 @@ judged by its variance and spectrum, since the images that the loss compares hav
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Any
 
-from fpplab.matching import fluctuation, geometry, light, noise, room_lamp
+from fpplab.matching import bands, fluctuation, geometry, light, noise, room_lamp
+from fpplab.matching.frame_terms import FrameTerms, terms_of_pose
+from fpplab.matching.fringe_rests import fringe_rests
 from fpplab.matching.light import PixelSample
+from fpplab.matching.record import ParametersFile
 from fpplab.matching.reference import Reference
 from fpplab.simulation.matchable import Twin, TwinParameters
 
 SAMPLED_POSES = 6
 """Greatest number of poses whose pixels are compared by steps that fit light and noise."""
+STEADY: dict[str, Any] = {
+    "projector_flicker": 0.0,
+    "ambient_ripple": 0.0,
+    "band_period_px": 0.0,
+    "band_advance": None,
+    "sigma": {},
+}
+"""What parameters have in common whose expected images are alike."""
 F_NUMBERS = (1.0, 2.0, 4.0)
 APERTURES = (0.5, 1.0, 2.0)
 """Factors of the twin's own aperture with which the search for a focus starts."""
@@ -44,6 +56,24 @@ class MatchingContext:
     twin: Twin
     samples: list[PixelSample]
     white: str
+    _terms: dict[str, list[FrameTerms]] = field(default_factory=dict)
+
+    def frame_terms(self) -> list[FrameTerms]:
+        """Estimate what every frame of some poses has beyond the twin's; kept while the light is the same.
+
+        Returns
+        -------
+        list of FrameTerms
+            One for each of the poses.
+        """
+        now = self.twin.parameters
+        still = replace(now, **STEADY)
+        key = ParametersFile.of(still).model_dump_json()
+        if key not in self._terms:
+            self._terms.clear()
+            poses = self.reference.spread_poses(SAMPLED_POSES)
+            self._terms[key] = [terms_of_pose(self.reference, self.twin, pose) for pose in poses]
+        return self._terms[key]
 
     def light_parameters(self, *more: str) -> tuple[str, ...]:
         """Name the parameters of light that are free.
@@ -175,6 +205,11 @@ def _refine_by_images(at: MatchingContext) -> TwinParameters:
     return geometry.refine_by_images(at.reference, at.twin, at.reference.characterisation.level)
 
 
+def _rolling_bands(at: MatchingContext) -> TwinParameters:
+    now = at.twin.parameters
+    return bands.match_bands(now, at.frame_terms(), fringe_rests(at.reference, now, _spread(at)))
+
+
 def _spread(at: MatchingContext) -> tuple[int, ...]:
     return at.reference.spread_poses(SAMPLED_POSES)
 
@@ -195,19 +230,11 @@ FIRST_STEPS = (
         misfit=_evidence_for_falloff,
     ),
     MatchingStep("room lamp", _room_lamp, misfit=_evidence_for_lamp),
-    MatchingStep(
-        "flicker",
-        lambda at: fluctuation.match_flicker(at.reference, at.twin.parameters, _spread(at)),
-        misfit=lambda at: fluctuation.flicker_misfit(at.reference, at.twin.parameters, _spread(at)),
-    ),
-    MatchingStep(
-        "rolling bands",
-        lambda at: fluctuation.match_bands(at.reference, at.twin, _spread(at)),
-        misfit=lambda at: fluctuation.bands_misfit(at.reference, at.twin, _spread(at)),
-    ),
+    MatchingStep("flicker", lambda at: fluctuation.match_flicker(at.twin.parameters, at.frame_terms())),
+    MatchingStep("rolling bands", _rolling_bands),
     MatchingStep(
         "noise",
-        lambda at: noise.match_noise(at.reference, at.twin, _spread(at)),
+        lambda at: noise.match_noise(at.reference, at.twin, _spread(at), at.frame_terms()),
         True,
         lambda at: noise.noise_misfit(at.reference, at.twin, _spread(at)),
     ),

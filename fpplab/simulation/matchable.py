@@ -24,6 +24,8 @@ from fpplab.simulation.appearance import Appearance
 from fpplab.simulation.surface import PartSurface
 from fpplab.targets import Target
 
+NO_LINE = (0.0, 0.0, 0.0)
+"""Of a vibration that has no direction."""
 NO_FALLOFF = (0.0, 0.0, 0.0, 0.0, 0.0)
 """Of a projector whose light is even."""
 ExpectedLevels = NDArray[np.float32]
@@ -68,6 +70,12 @@ class TwinParameters:
         Electrons of the unbinned pixel.
     vibration_mm : float
         Standard deviation of the item's position from frame to frame.
+    vibration_line_mm : tuple of float
+        Root mean square displacement along the camera's axes by vibration along a line, beside that.
+    vibration_periodic : float
+        Share of its variance that has one frequency.
+    vibration_cycles_per_frame : float
+        That frequency, as frames at regular intervals sample it; 0 where there is none.
     projector_falloff : tuple of float
         Coefficients of x, y, x², xy and y², as in a world file.
     projector_flicker : float
@@ -82,6 +90,9 @@ class TwinParameters:
         Amplitude of the rolling bands of ambient light and lamp, as a share of it; 0 where it is steady.
     band_period_px : float
         From band to band, in rows of the frame; 0 where there are none.
+    band_advance : float or None
+        Share of a period by which they move from frame to frame; None where they are at another place in
+        each.
     placed : mapping of str to RigidTransform
         `T_camera_item` of other items that were measured on the bench, by name; the others stand where the
         twin's own file says.
@@ -108,6 +119,9 @@ class TwinParameters:
     read_noise_e: float
     full_well_e: float
     vibration_mm: float
+    vibration_line_mm: tuple[float, float, float] = NO_LINE
+    vibration_periodic: float = 0.0
+    vibration_cycles_per_frame: float = 0.0
     projector_falloff: tuple[float, float, float, float, float] = NO_FALLOFF
     projector_flicker: float = 0.0
     lamp_irradiance: float = 0.0
@@ -116,9 +130,15 @@ class TwinParameters:
     lamp_distance_mm: float = 2000.0
     ambient_ripple: float = 0.0
     band_period_px: float = 0.0
+    band_advance: float | None = None
     placed: Mapping[str, RigidTransform] = field(default_factory=dict)
     surfaces: Mapping[str, PartSurface] = field(default_factory=dict)
     sigma: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def displacement_mm(self) -> float:
+        """RMS displacement of the item along an axis by all of its vibration."""
+        return float(np.sqrt(self.vibration_mm**2 + np.mean(np.square(self.vibration_line_mm))))
 
     def with_pose(self, index: int, pose: RigidTransform) -> TwinParameters:
         """Replace one of the poses.

@@ -11,7 +11,7 @@ from sim.world.materials import Material
 from sim.world.projector import LedWorld, ProjectorWorld, ResponseSection
 from sim.world.render import LightPath, Render, Subpixels
 from sim.world.surroundings import SurroundingsSection
-from sim.world.world import StageWorld, World
+from sim.world.world import StageWorld, VibrationLine, World
 
 __all__ = [
     "ArtefactItem",
@@ -34,5 +34,6 @@ __all__ = [
     "StageWorld",
     "Subpixels",
     "SurroundingsSection",
+    "VibrationLine",
     "World",
 ]

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from fpplab.calibration.model import CalibrationFile
 from fpplab.core import config
@@ -25,6 +25,8 @@ from sim.world.projector import ProjectorWorld
 from sim.world.render import LightPath, Render
 from sim.world.surroundings import SurroundingsSection
 
+MOST_VIBRATION_MM = 10
+"""Greatest displacement by vibration."""
 MOST_DRAWS = 1000
 """How often a number is drawn until its field allows it."""
 
@@ -67,8 +69,31 @@ class AmbientBands(Document):
 
     ripple: Annotated[float, Field(ge=0, le=1)]
     """Amplitude, as a share of the ambient light."""
-    period_px: Annotated[float, Field(gt=1, le=1e5)]
-    """From band to band, in rows of the sensor without binning."""
+    period_px: Annotated[float, Field(gt=1, le=8e5)]
+    """From band to band, in rows of the sensor without binning; 100000 where all rows are in step."""
+    cycles_per_frame: Annotated[float, Field(ge=-0.5, le=0.5)] | None = None
+    """Share of a period by which bands move from frame to frame, for frames at regular intervals; None where
+    they are at another place in each frame."""
+
+
+class VibrationLine(Document):
+    """Vibration to and fro along a line, as of a table; a share of it may have one frequency, as of a fan."""
+
+    rms_mm: tuple[float, float, float]
+    """Root mean square displacement along the camera's axes, in mm, with signs that tell the direction."""
+    periodic: Annotated[float, Field(ge=0, le=1)] = 0.0
+    """Share of the variance that has one frequency; the rest is another in each frame."""
+    cycles_per_frame: Annotated[float, Field(ge=0, le=0.5)] = 0.0
+    """That frequency as the frames sample it; it holds for frames at regular intervals."""
+
+    @field_validator("rms_mm")
+    @classmethod
+    def _is_small(cls, rms_mm: tuple[float, float, float]) -> tuple[float, float, float]:
+        if max(map(abs, rms_mm)) > MOST_VIBRATION_MM:
+            raise ValueError(
+                f"is {list(rms_mm)}: must be between -{MOST_VIBRATION_MM} and {MOST_VIBRATION_MM}"
+            )
+        return rms_mm
 
 
 class World(Document):
@@ -102,9 +127,11 @@ class World(Document):
     lamps: Annotated[dict[str, RoomLamp], Field(default_factory=dict)]
     """Lamps of the room by name, whose light has a direction."""
     ambient_bands: AmbientBands | None = None
-    """Bands of ambient light and lamps, at another place in each frame; None where these are steady."""
-    vibration_mm: Annotated[NotNegative, Field(le=10)] = 0.0
+    """Bands of ambient light and lamps; None where these are steady."""
+    vibration_mm: Annotated[NotNegative, Field(le=MOST_VIBRATION_MM)] = 0.0
     """Standard deviation of the item's displacement along each axis from frame to frame, in mm."""
+    vibration_line: VibrationLine | None = None
+    """Vibration along a line beside that; None where there is none."""
     render: Render = Render()
     """How pictures are rendered."""
     uncertainty: Annotated[dict[str, NotNegative], Field(default_factory=dict)]
@@ -170,6 +197,12 @@ class World(Document):
                     f"'uncertainty' names '{path}': must be the path of a number, such as projector.blur"
                 )
         return self
+
+    @property
+    def moves_mm(self) -> float:
+        """Size of the item's displacements by vibration: 0 where it stands still."""
+        line = self.vibration_line
+        return float(np.hypot(self.vibration_mm, np.linalg.norm(line.rms_mm) if line else 0.0))
 
     @property
     def has_room_light(self) -> bool:

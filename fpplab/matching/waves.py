@@ -1,0 +1,345 @@
+"""What changes at random from frame to frame, and what swings with one frequency, in series of several poses.
+
+Frame n of pose p has, beside a mean of its fringe set and noise of known covariance,
+
+    e_n + v r_n + sqrt(2) w sin(2 pi f n + psi_p)
+
+with random numbers e_n, equally large in all directions, others r_n along one line v, and a swing w, alike in
+all poses, of f cycles per frame. Line and swing are kept where Schwarz's criterion asks for them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares, minimize, minimize_scalar
+
+from fpplab.core.conventions import Floats
+
+LEAST_FRAMES = 8
+"""Frames of a pose from which on a frequency is looked for."""
+STEPS_PER_CYCLE = 6
+"""Steps of the search for one cycle more in the frames of a pose."""
+ROUNDS = 3
+"""Estimates of what is left beside the swing, each with the one before as noise."""
+LEAST_BESIDE = 0.02
+"""Share of random numbers along a line below which those in all directions are none."""
+SMALLEST = 1e-6
+"""Random numbers below this share of the greatest value are none."""
+
+
+@dataclass(frozen=True, eq=False)
+class Random:
+    """Random numbers of every frame, independent from frame to frame.
+
+    Attributes
+    ----------
+    alike : float
+        Standard deviation of what is equally large in all directions.
+    line : ndarray of float64
+        Standard deviation (k,) along a line, with signs that tell its direction.
+    """
+
+    alike: float
+    line: Floats
+
+    @property
+    def covariance(self) -> Floats:
+        """(k, k)."""
+        return np.asarray(self.alike**2 * np.eye(len(self.line)) + np.outer(self.line, self.line))
+
+    @property
+    def free(self) -> int:
+        """Number of parameters."""
+        return int(self.alike > 0) + len(self.line) * int(self.line.any())
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """What was estimated of every frame of a pose.
+
+    Attributes
+    ----------
+    frames : ndarray of float64
+        Numbers (n,) of the frames in the session.
+    sets : ndarray of int64
+        Fringe set (n,) of each.
+    values : ndarray of float64
+        (n, k).
+    covariance : ndarray of float64
+        (n, k, k) by noise.
+    """
+
+    frames: Floats
+    sets: NDArray[np.int64]
+    values: Floats
+    covariance: Floats
+
+    @property
+    def freedom(self) -> int:
+        """Number of frames that tell anything beside the means of their sets."""
+        return len(self.frames) - len(np.unique(self.sets))
+
+    def whitening(self, random: Random) -> Floats:
+        """Give matrices (n, k, k) that make noise and random numbers have the variance 1.
+
+        Parameters
+        ----------
+        random : Random
+            Beside the noise.
+
+        Returns
+        -------
+        ndarray of float64
+            Lower triangular.
+        """
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(self.covariance + random.covariance)))
+
+    def centred(self, values: Floats, white: Floats) -> Floats:
+        """Take off the weighted mean of every fringe set.
+
+        Parameters
+        ----------
+        values : ndarray of float64
+            (n, k).
+        white : ndarray of float64
+            (n, k, k), of `whitening`.
+
+        Returns
+        -------
+        ndarray of float64
+            (n, k).
+        """
+        left = values.copy()
+        weights = np.einsum("nki,nkj->nij", white, white)
+        for one in np.unique(self.sets):
+            of = self.sets == one
+            total = np.einsum("nij,nj->i", weights[of], values[of])
+            left[of] -= np.linalg.solve(weights[of].sum(axis=0), total)
+        return left
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """What a series has beside noise.
+
+    Attributes
+    ----------
+    random : Random
+        From frame to frame.
+    swing : ndarray of float64
+        RMS value (k,) of the swing; 0 for none.
+    cycles_per_frame : float
+        Of the swing.
+    cycles_sigma : float
+        Standard uncertainty of that.
+    sigma : float
+        Standard uncertainty of the size of swing or random numbers, relative.
+    gained : float
+        By how much Schwarz's criterion is lower than that of noise alone.
+    """
+
+    random: Random
+    swing: Floats
+    cycles_per_frame: float
+    cycles_sigma: float
+    sigma: float
+    gained: float
+
+    @property
+    def size(self) -> float:
+        """RMS value of all that changes, over all components together."""
+        return float(np.sqrt(np.trace(self.random.covariance) + self.swing @ self.swing))
+
+
+def change_of(seen: Sequence[Series], swings: bool = True) -> Change:
+    """Estimate what changes, as far as Schwarz's criterion asks for it.
+
+    Parameters
+    ----------
+    seen : sequence of Series
+        Of several poses, at least one.
+    swings : bool
+        Whether a swing is looked for, in poses of at least `LEAST_FRAMES` frames.
+
+    Returns
+    -------
+    Change
+        The model of the least criterion: nothing, random numbers, also along a line, also a swing.
+    """
+    size = seen[0].values.shape[1]
+    nothing = Random(0.0, np.zeros(size))
+    still = _criterion(seen, [one.centred(one.values, one.whitening(nothing)) for one in seen], nothing, 0)
+    best, least = nothing, still
+    for along_line in (False, True)[: min(size, 2)]:
+        random, left = _random_alone(seen, along_line)
+        criterion = _criterion(seen, left, random, random.free)
+        if criterion < least:
+            best, least = random, criterion
+    found = Change(best, np.zeros(size), 0.0, 0.0, _sigma(seen, best), still - least)
+    if swings and best.free and min(one.freedom for one in seen) >= LEAST_FRAMES:
+        swinging = _with_swing(seen, best, still)
+        found = swinging if swinging.gained > found.gained else found
+    return found
+
+
+def _random_alone(seen: Sequence[Series], along_line: bool) -> tuple[Random, list[Floats]]:
+    random = Random(0.0, np.zeros(seen[0].values.shape[1]))
+    left: list[Floats] = []
+    for _ in range(ROUNDS):
+        left = [one.centred(one.values, one.whitening(random)) for one in seen]
+        random = _most_likely(seen, left, 0.0, along_line)
+    return random, [one.centred(one.values, one.whitening(random)) for one in seen]
+
+
+def _most_likely(seen: Sequence[Series], left: Sequence[Floats], taken: float, along_line: bool) -> Random:
+    """The most likely random numbers, by what else is left (n, k) of each pose.
+
+    taken: parameters that were fitted to each component of each pose, beside the means.
+    """
+    size = seen[0].values.shape[1]
+    grown = [
+        values * np.sqrt(len(values) / max(one.freedom - taken, 1.0))
+        for one, values in zip(seen, left, strict=True)
+    ]
+    most = max(float(np.abs(one).max()) for one in grown)
+    if not most:
+        return Random(0.0, np.zeros(size))
+
+    def of(unknown: Floats) -> Random:
+        return Random(most * float(np.exp(unknown[0])), most * unknown[1:] if along_line else np.zeros(size))
+
+    bounds = (np.log(SMALLEST), 0.0)
+    alike = minimize_scalar(lambda x: _misfit(seen, grown, of(np.append(x, np.zeros(size)))), bounds=bounds)
+    start = np.array([alike.x])
+    if along_line:
+        weights = [1.0 / np.trace(one.covariance, axis1=1, axis2=2) for one in seen]
+        scatter = sum(
+            np.einsum("n,ni,nj->ij", w, values, values) - np.einsum("n,nij->ij", w, one.covariance)
+            for one, values, w in zip(seen, grown, weights, strict=True)
+        ) / sum(w.sum() for w in weights)
+        strength, directions = np.linalg.eigh(scatter)
+        line = np.sqrt(max(strength[-1], 1e-4 * most**2)) / most * directions[:, -1]
+        start = np.append(start + np.log(0.5), line)
+        limits = [bounds, *[(-1.0, 1.0)] * size]
+        start = minimize(lambda unknown: _misfit(seen, grown, of(unknown)), start, bounds=limits).x
+    random = of(start)
+    least = max(10 * SMALLEST * most, LEAST_BESIDE * float(np.linalg.norm(random.line)))
+    return replace(random, alike=0.0) if random.alike < least else random
+
+
+def _sigma(seen: Sequence[Series], random: Random) -> float:
+    """Relative standard uncertainty of the size of random numbers, by the frames that tell them."""
+    told = 0.0
+    for one in seen:
+        noise = np.trace(one.covariance, axis1=1, axis2=2) + 1e-300
+        told += one.freedom * float(
+            np.mean((1.0 / (1.0 + noise / max(np.trace(random.covariance), 1e-300))) ** 2)
+        )
+    return float(1.0 / np.sqrt(2.0 * max(told, 1e-12)))
+
+
+def _misfit(seen: Sequence[Series], left: Sequence[Floats], random: Random) -> float:
+    """Twice the negative logarithm of the likelihood of what is left, but for a constant."""
+    total = 0.0
+    for one, values in zip(seen, left, strict=True):
+        white = one.whitening(random)
+        total += float(np.sum(np.einsum("nij,nj->ni", white, values) ** 2))
+        total -= 2.0 * float(np.sum(np.log(np.diagonal(white, axis1=1, axis2=2))))
+    return total
+
+
+def _criterion(seen: Sequence[Series], left: Sequence[Floats], random: Random, free: int) -> float:
+    count = sum(values.size for values in left)
+    return _misfit(seen, left, random) + free * float(np.log(count))
+
+
+def _with_swing(seen: Sequence[Series], random: Random, still: float) -> Change:
+    size, along_line = seen[0].values.shape[1], bool(random.line.any())
+    unknown, left = _start(*_strongest(seen, random)), []
+    for _ in range(ROUNDS):
+        whites = [one.whitening(random) for one in seen]
+        found = least_squares(_whitened_rest, unknown, args=(seen, whites), x_scale="jac")
+        unknown = found.x
+        left = _rest(unknown, seen, whites)
+        random = _most_likely(seen, left, (1 + size + len(seen)) / (size * len(seen)), along_line)
+    variance = np.linalg.pinv(found.jac.T @ found.jac)
+    swing = unknown[1 : 1 + size]
+    length = max(float(np.linalg.norm(swing)), 1e-300)
+    of_size = float(np.sqrt(swing @ variance[1 : 1 + size, 1 : 1 + size] @ swing)) / length**2
+    return Change(
+        random,
+        swing,
+        float(np.clip(unknown[0], 1e-6, 0.5)),
+        float(np.sqrt(variance[0, 0])),
+        of_size,
+        still - _criterion(seen, left, random, random.free + 1 + size + len(seen)),
+    )
+
+
+def _strongest(seen: Sequence[Series], random: Random) -> tuple[float, NDArray[np.complex128]]:
+    """Find the frequency with which waves of any size in every pose explain most.
+
+    Returns it, and there the amplitudes (poses, k) x of `Re(x exp(2 pi i f n))`.
+    """
+    span = max(float(np.ptp(one.frames)) for one in seen)
+    tried = np.arange(STEPS_PER_CYCLE, 0.5 * span * STEPS_PER_CYCLE) / (span * STEPS_PER_CYCLE)
+    whites = [one.whitening(random) for one in seen]
+    best, most = (0.0, np.zeros((len(seen), seen[0].values.shape[1]), complex)), -1.0
+    for frequency in tried.tolist():
+        explained, amplitudes = 0.0, []
+        for one, white in zip(seen, whites, strict=True):
+            gained, amplitude = _wave_of_pose(one, white, frequency)
+            explained += gained
+            amplitudes.append(amplitude)
+        if explained > most:
+            best, most = (frequency, np.array(amplitudes)), explained
+    return best
+
+
+def _wave_of_pose(one: Series, white: Floats, frequency: float) -> tuple[float, NDArray[np.complex128]]:
+    """Fit means of the sets and a wave; by how much the wave lowers the misfit, and its amplitude (k,)."""
+    turn, size = 2 * np.pi * frequency * one.frames, one.values.shape[1]
+    means = (one.sets[:, None] == np.unique(one.sets)).astype(np.float64)
+    wanted = np.einsum("nij,nj->ni", white, one.values).ravel()
+
+    def fitted(basis: Floats) -> tuple[float, Floats]:
+        matrix = np.einsum("nij,nk->nijk", white, basis)
+        matrix = matrix.transpose(0, 1, 3, 2).reshape(len(turn) * size, -1)
+        found = np.linalg.lstsq(matrix, wanted, rcond=1e-3)[0]
+        return float(found @ (matrix.T @ wanted)), found.reshape(-1, size)
+
+    without, _ = fitted(means)
+    whole, found = fitted(np.column_stack([means, np.cos(turn), np.sin(turn)]))
+    return whole - without, np.asarray(found[-2] - 1j * found[-1])
+
+
+def _start(frequency: float, amplitudes: NDArray[np.complex128]) -> Floats:
+    """Start of the fit: frequency, swing (k,) RMS, and the phase of every pose in rad."""
+    directions = np.linalg.eigh(np.real(amplitudes.T @ amplitudes.conj()))[1]
+    along = amplitudes @ directions[:, -1]
+    swing = np.sqrt(0.5 * np.mean(np.abs(along) ** 2)) * directions[:, -1]
+    return np.concatenate([[frequency], swing, np.angle(along) + 0.5 * np.pi])
+
+
+def _rest(unknown: Floats, seen: Sequence[Series], whites: Sequence[Floats]) -> list[Floats]:
+    """What a swing leaves of the values (n, k) of each pose, without the means of their sets."""
+    size = seen[0].values.shape[1]
+    frequency, swing, phases = unknown[0], unknown[1 : 1 + size], unknown[1 + size :]
+    left = []
+    for one, phase, white in zip(seen, phases, whites, strict=True):
+        wave = np.sqrt(2.0) * np.sin(2 * np.pi * frequency * one.frames + phase)
+        left.append(one.centred(one.values - np.outer(wave, swing), white))
+    return left
+
+
+def _whitened_rest(unknown: Floats, seen: Sequence[Series], whites: Sequence[Floats]) -> Floats:
+    return np.concatenate(
+        [
+            np.einsum("nij,nj->ni", white, values).ravel()
+            for white, values in zip(whites, _rest(unknown, seen, whites), strict=True)
+        ]
+    )
