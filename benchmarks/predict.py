@@ -25,7 +25,7 @@ from fpplab.core.conventions import Floats
 from fpplab.core.errors import FppError
 from fpplab.core.geometry import RigidTransform
 from fpplab.devices.rig import Rig
-from fpplab.matching.light import ADJUSTABLE, FALLOFF
+from fpplab.matching.light import ADJUSTABLE, FALLOFF, LAMP
 from fpplab.matching.match import MatchingLimits
 from fpplab.matching.measured import measured_figures
 from fpplab.matching.run import MatchingRequest, MatchingResult, match_sessions, twin_of
@@ -43,9 +43,9 @@ MOST_POSES_UM, LEAST_PARAMETERS = 30.0, 0.95
 NEAR, LEAST_NEAR = 0.10, 0.90
 LEAST_COVERED, MOST_COVERED = 0.90, 0.99
 FIGURES = ("distance_um", "noise_um")
-CONFOUNDED = {"ambient", "white", "paper", "vignetting", *FALLOFF}
+CONFOUNDED = {"ambient", "white", "paper", "vignetting", *FALLOFF, *LAMP}
 """Parameters that stand for more than the world's own: a second lamp, falloffs, or a product. The world of a
-hidden bench states no falloff of the projector, which is another formula's."""
+hidden bench states no falloff of the projector and no second lamp, which are another formula's."""
 
 
 @dataclass(frozen=True)

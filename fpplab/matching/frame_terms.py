@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.core.conventions import Floats
+from fpplab.matching.board_shape import bend_moves
 from fpplab.matching.geometry import level_gradient
 from fpplab.matching.light import TILES, tile_numbers
 from fpplab.matching.loss import board_mask, subsample_pixels
@@ -121,8 +122,10 @@ def terms_of_pose(reference: Reference, twin: Twin, pose: int) -> FrameTerms:
     projected = above - room
     beside = room if share > LEAST_ROOM else np.ones_like(room)
     frames = reference.frames(pose, images)[:, *pixels].astype(np.float64)
+    bent = np.einsum("npa,pa->np", slopes, bend_moves(reference, now, pose, pixels))
     bases = [np.column_stack([light, beside, slope]) for light, slope in zip(projected, slopes, strict=True)]
-    fits = [_fit(seen - one, basis) for seen, one, basis in zip(frames, expected, bases, strict=True)]
+    differences = frames - expected - bent
+    fits = [_fit(off, basis) for off, basis in zip(differences, bases, strict=True)]
     values = np.array([found for found, _ in fits])
     left, tiles = np.array([rest for _, rest in fits]), tile_numbers(pixels)
     both = [

@@ -27,6 +27,7 @@ from fpplab.characterisation.parameters import DistortionModel, Model, Solution,
 from fpplab.characterisation.zhang import matrix_of, transform
 from fpplab.core.conventions import Floats, PixelIndices
 from fpplab.core.geometry import Pinhole, RigidTransform
+from fpplab.matching.board_shape import bend_moves
 from fpplab.matching.light import TILES, tile_numbers
 from fpplab.matching.loss import SURROUNDINGS_PX, board_mask, level_weights, subsample_pixels
 from fpplab.matching.places import place_jacobian
@@ -39,6 +40,47 @@ MAX_PIXELS = 40_000
 """Pixels of each pose that are compared, evenly subsampled."""
 NUISANCE_PARAMETERS = 6
 """Parameters of each pose for what light and sharpness still lack: gain (3), offset, response, blur."""
+
+
+MOST_SIGMAS = 3.0
+"""Standard deviations by which χ² of two geometries may exceed its expectation."""
+
+
+def contradiction(reference: Reference, parameters: TwinParameters) -> float:
+    """Tell how far a geometry is from the points that the reference's characterisation is found from.
+
+    Points are centres of marks: blur, grain of the print and uneven light hardly move them, while a fit of
+    images takes for geometry whatever else the twin lacks. So images are believed as far as points allow.
+
+    Parameters
+    ----------
+    reference : Reference
+        What was recorded of the bench.
+    parameters : TwinParameters
+        Of the twin.
+
+    Returns
+    -------
+    float
+        χ² of the calibration by the characterisation's covariance, over the most that is likely: 1 and less
+        agrees. 0 where the characterisation states no covariance.
+    """
+    found = reference.characterisation
+    known = found.calibration.uncertainty
+    if known is None:
+        return 0.0
+    free = len(found.level.terms)
+    off = _shared(parameters.calibration, free) - _shared(found.calibration, free)
+    size = np.sqrt(np.diag(known.covariance))
+    strength, vectors = np.linalg.eigh(known.covariance / np.outer(size, size))
+    along = vectors.T @ (off / size)
+    chi_square = float(np.sum(along**2 / np.maximum(strength, 1e-12 * strength[-1])))
+    return chi_square / float(len(off) + MOST_SIGMAS * np.sqrt(2.0 * len(off)))
+
+
+def _shared(known: Calibration, free: int) -> Floats:
+    pair = vectors_of(known.T_projector_camera)
+    return np.concatenate([_intrinsics(known.camera)[:free], _intrinsics(known.projector)[:free], pair])
 
 
 def solution_of(parameters: TwinParameters, board: Floats) -> Solution:
@@ -264,7 +306,7 @@ class PoseResidual:
     expected : Floats
         Raw levels (n, P) that the twin expects.
     residual : Floats
-        Reference less twin, (n, P) in raw levels; 0 where not valid.
+        Reference less twin, bent as the reference's board is, (n, P) in raw levels; 0 where not valid.
     laplacian : Floats
         Of the expected image, (n, P): proportional to the effect of slightly more blur.
     level_gradient : Floats
@@ -321,6 +363,7 @@ def _residual_of_pose(reference: Reference, twin: Twin, start: TwinParameters, p
     here = picked(whole)
     laplacian = picked(np.stack([cv2.Laplacian(one, cv2.CV_32F) for one in whole]))
     gradient = level_gradient(reference, twin, pose, images, pixels)
+    bent = _change_by_bend(reference, start, pose, pixels, gradient)
     # Where there is no light there is no noise either, and rounding errors are all the same.
     dark = start.black_level * reference.full_scale + 1.0
     valid = (seen < reference.full_scale) & (here < reference.full_scale) & (here > dark)
@@ -330,10 +373,20 @@ def _residual_of_pose(reference: Reference, twin: Twin, start: TwinParameters, p
         pixels,
         valid,
         here,
-        np.where(valid, seen - here, 0.0),
+        np.where(valid, seen - here - bent, 0.0),
         laplacian * valid,
         gradient * valid[..., None],
     )
+
+
+def _change_by_bend(
+    reference: Reference, start: TwinParameters, pose: int, pixels: PixelIndices, gradient: Floats
+) -> Floats:
+    """By how much the bend of the bench's board changes the levels (n, P), to first order."""
+    points = np.stack(pixels[::-1], axis=-1).astype(np.float64)
+    by_move = place_jacobian(points, start.calibration, start.poses[pose], 0)[..., -3:]
+    moves = bend_moves(reference, start, pose, pixels)
+    return np.asarray(np.einsum("npk,pka,pa->np", gradient, by_move, moves, optimize=True))
 
 
 def level_gradient(

@@ -353,12 +353,13 @@ def _take_step(state: _State, step: MatchingStep, observe: EpochObserver) -> Non
     tried = written.parameters()
     twin.become(tried)
     after = step.misfit(state.at) if step.misfit else None
+    allowed = step.allowed(state.at)
     known = None if step.characterises else best.loss["epsilon_v_px"]
     found = _evaluated(state, known)
     state.at = replace(state.at, samples=_samples_of_poses(state.at.reference, tried))
     difference = _difference(state)
     better = after <= before if before is not None and after is not None else None
-    accepted = _accepted(best, found, difference) if better is None else better
+    accepted = allowed and (_accepted(best, found, difference) if better is None else better)
     _record_epoch(state, step.name, written, found, difference, accepted, observe)
 
 

@@ -137,12 +137,15 @@ class MatchingStep:
         Whether the twin's own RMS reprojection error must be found again.
     misfit : callable or None
         What the step is judged by, less is better, in place of the loss.
+    allowed : callable
+        Whether what was proposed, which the twin has, may be accepted at all.
     """
 
     name: str
     propose: Callable[[MatchingContext], TwinParameters]
     characterises: bool = False
     misfit: Callable[[MatchingContext], float] | None = None
+    allowed: Callable[[MatchingContext], bool] = lambda at: True
 
 
 def _projector_defocus(at: MatchingContext) -> TwinParameters:
@@ -239,4 +242,11 @@ FIRST_STEPS = (
         lambda at: noise.noise_misfit(at.reference, at.twin, _spread(at)),
     ),
 )
-REPEATED_STEPS = (MatchingStep("together", _fit_together), MatchingStep("images", _refine_by_images))
+REPEATED_STEPS = (
+    MatchingStep("together", _fit_together),
+    MatchingStep(
+        "images",
+        _refine_by_images,
+        allowed=lambda at: geometry.contradiction(at.reference, at.twin.parameters) <= 1.0,
+    ),
+)

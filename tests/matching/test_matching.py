@@ -60,7 +60,7 @@ class _Known:
     """A characterisation that knows the poses."""
 
     def __init__(self, truth: TwinParameters) -> None:
-        self.poses = truth.poses
+        self.poses, self.board = truth.poses, TARGET.points()
         self.calibration = Calibration(CAMERA, PROJECTOR, PAIR, {"joint": 0.05})
 
 
