@@ -23,6 +23,8 @@ from fpplab.simulation.matchable import Twin, TwinParameters
 
 MAX_PIXELS = 20_000
 """Pixels of each pose that are compared."""
+DARK_LEVELS = 2.0
+"""Raw levels above the darkest places up to which there is no light."""
 MAX_ROUNDS = 3
 CONVERGED_GAIN = 5e-3
 """Relative decrease of the cost below which the fit has converged."""
@@ -259,7 +261,8 @@ def light_residuals(reference: Reference, twin: Twin, samples: Sequence[PixelSam
     Returns
     -------
     Floats
-        Reference less twin in raw levels, of all samples in one row; 0 where either is saturated.
+        Reference less twin in raw levels, of all samples in one row; 0 where either is saturated, and where
+        there is no light.
     """
     return np.concatenate([_residual(reference, twin, sample).ravel() for sample in samples])
 
@@ -267,7 +270,9 @@ def light_residuals(reference: Reference, twin: Twin, samples: Sequence[PixelSam
 def _residual(reference: Reference, twin: Twin, sample: PixelSample) -> Floats:
     patterns = reference.shown(sample.images)
     here = twin.expected_at(sample.pose, patterns, reference.settings, sample.pixels).astype(np.float64)
-    valid = (sample.seen < reference.full_scale) & (here < reference.full_scale)
+    # Where there is no light there is hardly any noise, and all levels are rounded to the same side.
+    lit = sample.seen > reference.darkest_level + DARK_LEVELS
+    valid = lit & (sample.seen < reference.full_scale) & (here < reference.full_scale)
     return np.where(valid, sample.seen - here, 0.0)
 
 

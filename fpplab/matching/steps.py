@@ -94,8 +94,11 @@ class MatchingContext:
 
     @property
     def _most_black(self) -> float:
-        """The greatest black level that the recordings allow, relative to full scale."""
-        return self.reference.darkest_level / self.reference.full_scale
+        """The greatest black level that the recordings allow, relative to full scale.
+
+        The darkest places may have been rounded down by half a level.
+        """
+        return (self.reference.darkest_level + 0.5) / self.reference.full_scale
 
     @property
     def _black_is_held(self) -> bool:

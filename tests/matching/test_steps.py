@@ -49,7 +49,7 @@ def test_light_that_no_parameter_tells_is_not_taken_for_black(truth: TwinParamet
     black = FULL * truth.black_level
     assert reference.darkest_level == pytest.approx(black, abs=0.5)
     found, _ = fitted_black(reference, replace(truth, black_level=0.0))
-    assert found == pytest.approx(reference.darkest_level)
+    assert found == pytest.approx(reference.darkest_level + 0.5)
 
 
 def test_black_below_the_darkest_place_is_found_as_before(truth: TwinParameters) -> None:

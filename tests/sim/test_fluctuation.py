@@ -30,6 +30,22 @@ def test_a_frame_has_its_own_factor_and_its_own_bands() -> None:
     np.testing.assert_array_equal(some, frames[7, 100:110])
 
 
+def test_bands_may_move_on_evenly() -> None:
+    changes = Fluctuation(0.0, RIPPLE, PERIOD, seed=3, advance=0.15, start=0.4)
+    ambient, rows = np.full((48, 4), AMBIENT, np.float32), np.arange(48)
+    for n in range(5):
+        seen = changes.applied(ambient, ambient, rows, n)[:, 0]
+        expected = AMBIENT * (1 + RIPPLE * np.sin(2 * np.pi * (rows / PERIOD + 0.4 + 0.15 * n)))
+        np.testing.assert_allclose(seen, expected, rtol=1e-5)
+    bands = {"ripple": RIPPLE, "period_px": PERIOD, "cycles_per_frame": 0.15}
+    found = Fluctuation.of(world(ambient_bands=bands, ambient=AMBIENT), 5)
+    other = Fluctuation.of(world(ambient_bands=bands, ambient=AMBIENT), 6)
+    assert found is not None
+    assert other is not None
+    assert found.advance == 0.15
+    assert found.start != other.start
+
+
 def test_bands_need_ambient_light_and_are_scaled_with_the_binning() -> None:
     bands = {"ripple": RIPPLE, "period_px": PERIOD}
     assert Fluctuation.of(world(ambient_bands=bands)) is None

@@ -138,7 +138,7 @@ class PlaneTwin:
         now = self._now
         if now.projector_flicker or now.ambient_ripple:
             expected = self._changing(pose, patterns, settings, expected, random)
-        if now.vibration_mm:
+        if now.displacement_mm:
             expected = expected + self._shaken(pose, patterns, settings, expected, random)
         return self._digitised(expected, settings, random)
 
@@ -156,7 +156,10 @@ class PlaneTwin:
         self._now = now
         black, (count, rows, _) = np.float32(full_scale(settings.bits) * now.black_level), expected.shape
         factor = 1 + now.projector_flicker * random.standard_normal((count, 1, 1))
-        phase = np.arange(rows)[:, None] / (now.band_period_px or 1.0) + random.random((count, 1, 1))
+        starts = random.random((count, 1, 1))
+        if now.band_advance is not None:
+            starts = starts[:1] + now.band_advance * np.arange(count)[:, None, None]
+        phase = np.arange(rows)[:, None] / (now.band_period_px or 1.0) + starts
         wave = 1 + now.ambient_ripple * np.sin(2 * np.pi * phase)
         changed = black + factor * (projected - black) + wave * (expected - projected)
         return changed.astype(np.float32)
@@ -199,8 +202,12 @@ class PlaneTwin:
         for axis in np.eye(3):
             there = RigidTransform(now.poses[pose].rotation, now.poses[pose].translation + step * axis)
             by_axis.append((self._seen(there, patterns, settings, board=True) - expected) / step)
-        shake = random.normal(0, now.vibration_mm, (len(patterns), 3)).astype(np.float32)
-        return np.einsum("na,anvu->nvu", shake, np.stack(by_axis))
+        shake = random.normal(0, now.vibration_mm, (len(patterns), 3))
+        turn = 2 * np.pi * (now.vibration_cycles_per_frame * np.arange(len(patterns)) + random.random())
+        along = np.sqrt(2 * now.vibration_periodic) * np.sin(turn)
+        along += np.sqrt(1 - now.vibration_periodic) * random.standard_normal(len(patterns))
+        shake += np.outer(along, now.vibration_line_mm)
+        return np.einsum("na,anvu->nvu", shake.astype(np.float32), np.stack(by_axis))
 
     def _digitised(
         self, expected: ExpectedLevels, settings: CameraSettings, random: np.random.Generator
