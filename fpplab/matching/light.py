@@ -21,7 +21,7 @@ from fpplab.matching.reference import Reference
 from fpplab.patterns.curve import Curve
 from fpplab.simulation.matchable import Twin, TwinParameters
 
-MAX_PIXELS = 20_000
+MAX_PIXELS = 8_000
 """Pixels of each pose that are compared."""
 DARK_LEVELS = 2.0
 """Raw levels above the darkest places up to which there is no light."""

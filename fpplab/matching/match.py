@@ -35,7 +35,7 @@ CONVERGED = "converged"
 """Why a matching ends that need not go on."""
 LEAST_CHANGE = 1e-3
 """Relative change of a parameter below which it has converged, however well it is known."""
-COMPARED_POSES = 8
+COMPARED_POSES = 6
 """Greatest number of poses whose images judge an epoch; those of all poses judge the result."""
 EQUAL_LOSS = 2e-4
 """Losses that differ by less are equal but for noise; the images' mean square difference then decides."""

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -181,9 +182,14 @@ def lamp_picture(world: World, scene: RenderScene) -> Irradiance:
 
 
 def _first_met(scene: RenderScene, pixels: PixelIndices) -> _Met:
-    camera = Pinhole(scene.camera.size, scene.camera.matrix, scene.camera.distortion)
-    slopes = camera.normalise(np.stack(pixels[::-1], axis=-1).astype(np.float64))
-    rays = np.column_stack([slopes, np.ones(len(slopes))])
+    camera, (rows, columns) = scene.camera, pixels
+    rays = _rays(
+        camera.size,
+        tuple(camera.matrix.ravel().tolist()),
+        tuple(camera.distortion.tolist()),
+        np.asarray(rows, np.int64).tobytes(),
+        np.asarray(columns, np.int64).tobytes(),
+    )
     if can_compute(scene):
         T = scene.surfaces[0].T_camera_item
         normals, corners = np.broadcast_to(T[:3, 2], rays.shape), T[:3, 3]
@@ -193,3 +199,18 @@ def _first_met(scene: RenderScene, pixels: PixelIndices) -> _Met:
     met = np.flatnonzero(faces >= 0)
     normals, corners = shape.normals[faces[met]], shape.triangles[faces[met], 0]
     return _Met.on_planes(met, rays[met], normals, corners, shape)
+
+
+@lru_cache(maxsize=24)
+def _rays(
+    size: tuple[int, int],
+    matrix: tuple[float, ...],
+    distortion: tuple[float, ...],
+    rows: bytes,
+    columns: bytes,
+) -> Floats:
+    """Rays (P, 3) with z = 1 of pixels; the same few sets of pixels are asked for again and again."""
+    camera = Pinhole(size, np.reshape(matrix, (3, 3)), np.array(distortion))
+    points = np.stack([np.frombuffer(one, np.int64) for one in (columns, rows)], axis=-1)
+    slopes = camera.normalise(points.astype(np.float64))
+    return np.column_stack([slopes, np.ones(len(slopes))])

@@ -1,0 +1,355 @@
+"""Benches with an effect that the twin's model lacks: whether it is named, and whether intervals still hold.
+
+A twin is matched to recordings of a board and of one part. The bench has a response in the form of an S, a
+part of wax, a groove whose walls light each other, or a part that moves while it is recorded. Then the twin
+predicts two other measurements of that part, which the bench makes afterwards.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+from scipy.interpolate import make_lsq_spline
+
+from benchmarks import Result, above, below
+from benchmarks.hidden.bench import write_rig
+from benchmarks.hidden.worlds import BOARD, CARD, drawn_world, nominal_world
+from benchmarks.predict import PredictSetup, Question, predictions
+from benchmarks.virtual import virtual_bench
+from fpplab.cli import console
+from fpplab.core import config
+from fpplab.core.conventions import Floats
+from fpplab.core.errors import FppError
+from fpplab.devices.rig import Rig
+from fpplab.matching.measured import measured_figures
+from fpplab.matching.run import MatchingRequest, match_sessions, twin_of
+from fpplab.patterns.curve import DEGREE, knots
+from fpplab.patterns.plan import Plan
+from fpplab.pipeline import measure_response, take, take_poses
+from fpplab.prediction import MeasuredFigures, Prediction
+from fpplab.sessions.session import Session, recorded_sessions
+from fpplab.simulation.predictable import Predictable
+from sim.bench import VirtualBench
+from sim.items import item_poses
+from sim.light import PatternLevels
+from sim.world import World
+
+PART = "part"
+FIGURES = ("distance_um", "noise_um", "completeness")
+S_SHAPE = 0.09
+"""Of the response `i - 0.09 sin(2 pi i)`."""
+PIECES = 12
+"""Coefficients of its spline."""
+DRIFT_MM = 0.004
+"""By how much the part moves towards the camera from frame to frame."""
+
+
+@dataclass(frozen=True)
+class Outside:
+    """An effect that the model lacks.
+
+    Attributes
+    ----------
+    name : str
+        Of the effect.
+    board : callable
+        The world in front of which board and card are recorded, of the drawn one.
+    part : callable
+        The world in which the part is recorded.
+    words : tuple of str
+        One of these must be said.
+    drift_mm : float
+        By how much the part moves towards the camera in every frame.
+    """
+
+    name: str
+    board: Callable[[World], World]
+    part: Callable[[World], World]
+    words: tuple[str, ...]
+    drift_mm: float = 0.0
+
+
+def _same(world: World) -> World:
+    return world
+
+
+def _with(world: World, **changes: Mapping[str, Any]) -> World:
+    data = world.model_dump(mode="json")
+    for section, fields in changes.items():
+        data[section] = {**data[section], **fields}
+    return config.validate(data, World, "a bench outside of the model")
+
+
+def s_shaped(world: World) -> World:
+    """Give a world a projector whose response has the form of an S.
+
+    Parameters
+    ----------
+    world : World
+        Any.
+
+    Returns
+    -------
+    World
+        With a spline in place of the power law.
+    """
+    shown = np.linspace(0.0, 1.0, 2001)
+    wanted = shown - S_SHAPE * np.sin(2 * np.pi * shown)
+    found = make_lsq_spline(shown, wanted, knots(PIECES), DEGREE).c
+    found[0], found[-1] = 0.0, 1.0
+    response = {
+        **world.projector.response.model_dump(),
+        "g": 1.0,
+        "spline": np.maximum.accumulate(found).tolist(),
+    }
+    return _with(world, projector={"response": response})
+
+
+def of_wax(world: World) -> World:
+    """Make the part of wax.
+
+    Parameters
+    ----------
+    world : World
+        With the part.
+
+    Returns
+    -------
+    World
+        In which light enters the part and leaves it beside.
+    """
+    wax = {"kind": "translucent", "reflectance": 0.85, "radius_mm": 1.0}
+    item = {**world.model_dump(mode="json")["items"][PART], "material": "wax"}
+    render = {"samples": 64, "subpixels": 1, "path": "auto"}
+    return _with(world, materials={"wax": wax}, items={PART: item}, render=render)
+
+
+def of_lit_walls(world: World) -> World:
+    """Let surfaces light each other.
+
+    Parameters
+    ----------
+    world : World
+        Any.
+
+    Returns
+    -------
+    World
+        With two reflections.
+    """
+    return _with(world, render={"bounces": 2, "samples": 64, "subpixels": 1, "path": "auto"})
+
+
+EFFECTS = (
+    Outside("response", s_shaped, s_shaped, ("response",)),
+    Outside("wax", _same, of_wax, ("light below the surface",)),
+    Outside("groove", _same, of_lit_walls, ("interreflection",)),
+    Outside("moving", _same, _same, ("parts that moved", "vibration"), DRIFT_MM),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class JudgedEffect:
+    """One bench.
+
+    Attributes
+    ----------
+    name : str
+        Of the effect.
+    said : str
+        Everything that was said of it.
+    named : bool
+        Whether the effect is named.
+    answers : dict of str to tuple of Prediction and MeasuredFigures
+        By question.
+    """
+
+    name: str
+    said: str
+    named: bool
+    answers: dict[str, tuple[Prediction, MeasuredFigures]] = field(default_factory=dict)
+
+    @property
+    def missed(self) -> list[str]:
+        """Questions and figures whose interval does not hold what was measured."""
+        return [
+            f"{question} {name}"
+            for question, (said, measured) in self.answers.items()
+            for name in FIGURES
+            if not said.figures[name].contains(getattr(measured, name))
+        ]
+
+
+def groove(folder: Path) -> Path:
+    """Make a block with a groove of 80 degrees.
+
+    Parameters
+    ----------
+    folder : Path
+        Gets the file.
+
+    Returns
+    -------
+    Path
+        Of the file, in mm, its front towards -z.
+    """
+    block = trimesh.creation.box(bounds=[(-35, -25, -15), (35, 25, 25)])
+    edges = [(-26.0, -16.0), (0.0, 15.0), (26.0, -16.0)]
+    wedge = trimesh.convex.convex_hull(np.array([(x, y, z) for x, z in edges for y in (-26, 26)]))
+    path = folder / "groove.stl"
+    trimesh.boolean.difference([block, wedge]).export(path)
+    return path
+
+
+def run() -> list[Result]:
+    """Measure how twins do on benches that they cannot model. It takes some twenty minutes.
+
+    Returns
+    -------
+    list of Result
+        A figure each, beside what is wanted.
+    """
+    with tempfile.TemporaryDirectory(prefix="fpplab-bench-") as folder:
+        return figures([judged(one, Path(folder) / one.name) for one in EFFECTS])
+
+
+def figures(judged: list[JudgedEffect]) -> list[Result]:
+    """Sum up.
+
+    Parameters
+    ----------
+    judged : list of JudgedEffect
+        Of all effects.
+
+    Returns
+    -------
+    list of Result
+        Beside the targets.
+    """
+    named = [above(f"outside_{one.name}_is_named", float(one.named), "", 1.0) for one in judged]
+    missed = [
+        below(f"outside_{one.name}_intervals_missed", float(len(one.missed)), "", 0.0) for one in judged
+    ]
+    return named + missed
+
+
+def judged(
+    effect: Outside, folder: Path, seed: int = 6000, trial: PredictSetup | None = None
+) -> JudgedEffect:
+    """Record a bench, match a twin to it, predict, and measure.
+
+    Parameters
+    ----------
+    effect : Outside
+        What the bench has.
+    folder : Path
+        Gets recordings and twin.
+    seed : int
+        Of the bench.
+    trial : PredictSetup, optional
+        Plans, poses and limits; six poses by default.
+
+    Returns
+    -------
+    JudgedEffect
+        With the reason in `said` where the matching was refused.
+    """
+    trial = trial or PredictSetup(poses=6)
+    world = _with_part(drawn_world(seed, trial.poses, trial.binning), effect, folder)
+    plan, part_plan = Plan.load(trial.board_plan), Plan.load(trial.part_plan)
+    questions = (
+        Question("other_plan", PART, trial.other_plan),
+        Question("half_exposure", PART, trial.part_plan, 0.5),
+    )
+    with Rig.load(write_rig(effect.board(world), folder / "bench", "Bench outside of the model")) as rig:
+        console.say(f"Recording the bench '{effect.name}'")
+        rig.need_fixture("the benchmark").mount(CARD, 0)
+        response = measure_response(rig, plan.exposure_s)[0]
+        take_poses(rig, plan, BOARD, trial.poses, folder / BOARD, force=False)
+        bench = virtual_bench(rig)
+        bench.replace_world(effect.part(world))
+        moved = _Moving(bench, effect.drift_mm) if effect.drift_mm else None
+        session = _taken(rig, part_plan, folder / "scan", moved)
+        known = _nominal(world)
+        write_rig(known, folder / "nominal", "Nominal twin")
+        wanted = MatchingRequest(response=response, scans={PART: session}, limits=trial.limits)
+        said = "response spline " if response.spline else ""
+        try:
+            with Rig.load(folder / "nominal" / "rig.yaml") as nominal:
+                twin = twin_of(nominal, BOARD)
+                ordered = recorded_sessions([folder / BOARD])
+                found = match_sessions(twin, ordered, twin.target, folder / "matched", wanted)
+            said += " ".join(one.evidence for one in found.diagnosis.findings)
+            predicted = predictions(folder / "matched" / "rig.yaml", questions)
+        except FppError as error:
+            return JudgedEffect(effect.name, str(error), _names(effect, str(error)))
+        said += " ".join(f"{one.discrepancy.looks_like}" for one in predicted.values() if one.discrepancy)
+        calibration = found.reference.characterisation.calibration
+        assert isinstance(rig.simulation, Predictable)
+        mesh = rig.simulation.sampler().mesh(PART)
+        answers = {
+            one.name: (
+                predicted[one.name],
+                measured_figures(_taken(rig, one.loaded(), folder / one.name, moved), calibration, mesh),
+            )
+            for one in questions
+        }
+    return JudgedEffect(effect.name, said, _names(effect, said), answers)
+
+
+def _names(effect: Outside, said: str) -> bool:
+    return any(word in said for word in effect.words)
+
+
+def _with_part(world: World, effect: Outside, folder: Path) -> World:
+    folder.mkdir(parents=True, exist_ok=True)
+    data = world.model_dump(mode="json")
+    item = dict(data["items"]["pyramid"])
+    if effect.name == "groove":
+        pose = {"rotation_deg": [0.0, 0.0, 0.0], "translation_mm": [0.0, 0.0, 460.0]}
+        item = {"mesh": str(groove(folder)), "pose": pose}
+    data["items"] = {BOARD: data["items"][BOARD], CARD: data["items"][CARD], PART: item}
+    data["vibration_mm"] = 0.0
+    return config.validate(data, World, "a bench outside of the model")
+
+
+def _nominal(world: World) -> World:
+    """What the data sheets say, with the part where it stands."""
+    shapes = world.model_dump(mode="json")
+    part = shapes["items"][PART] | {"material": None}
+    complete = {**shapes, "items": {**shapes["items"], **dict.fromkeys(_OTHERS, part)}}
+    told = nominal_world(config.validate(complete, World, "the bench")).model_dump(mode="json")
+    told["items"] = {BOARD: told["items"][BOARD], CARD: told["items"][CARD], PART: part}
+    return config.validate(told, World, "the nominal twin")
+
+
+_OTHERS = ("pyramid", "pillars", "steps", "pyramid_moved", "pyramid_painted")
+
+
+class _Moving:
+    """A part that moves towards the camera while it is recorded; every recording begins where it stood."""
+
+    def __init__(self, bench: VirtualBench, drift_mm: float) -> None:
+        self._bench, self._drift_mm, self._seen = bench, drift_mm, bench.irradiance
+        self.frames = 0
+        bench.irradiance = self._irradiance  # type: ignore[method-assign]
+
+    def _irradiance(self, settings: Any, frame: int) -> PatternLevels:
+        pose = item_poses(self._bench.world, PART)[0]
+        drift: Floats = np.array([0.0, 0.0, -self._drift_mm * self.frames])
+        self._bench.setup = replace(self._bench.setup, held=pose.moved(drift))
+        self.frames += 1
+        return self._seen(settings, frame)
+
+
+def _taken(rig: Rig, plan: Plan, path: Path, moved: _Moving | None) -> Session:
+    if moved is not None:
+        moved.frames = 0
+    take(rig, plan, path, (PART, 0), complete_too=True)
+    return Session.open(path)
