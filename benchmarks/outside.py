@@ -124,7 +124,7 @@ def of_wax(world: World) -> World:
     World
         In which light enters the part and leaves it beside.
     """
-    wax = {"kind": "translucent", "reflectance": 0.85, "radius_mm": 1.0}
+    wax = {"kind": "translucent", "reflectance": 0.85, "radius_mm": 0.3}
     item = {**world.model_dump(mode="json")["items"][PART], "material": "wax"}
     render = {"samples": 64, "subpixels": 1, "path": "auto"}
     return _with(world, materials={"wax": wax}, items={PART: item}, render=render)
