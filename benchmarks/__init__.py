@@ -89,7 +89,7 @@ SHARED = ("hidden", "limit_decoding", "limit_lattice", "limit_noise", "peak", "v
 """Modules of this package that are no benchmarks of their own."""
 
 
-LONG = ("crash",)
+LONG = ("crash", "outside", "predict")
 """Benchmarks that take hours: they are run only if they are named."""
 
 

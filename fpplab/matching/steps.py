@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from fpplab.matching import bands, fluctuation, geometry, light, noise, room_lamp
+from fpplab.matching import bands, flicker, geometry, light, noise, room_lamp
 from fpplab.matching.frame_terms import FrameTerms, terms_of_pose
 from fpplab.matching.fringe_rests import fringe_rests
 from fpplab.matching.light import PixelSample
@@ -236,7 +236,7 @@ FIRST_STEPS = (
         misfit=_evidence_for_falloff,
     ),
     MatchingStep("room lamp", _room_lamp, misfit=_evidence_for_lamp),
-    MatchingStep("flicker", lambda at: fluctuation.match_flicker(at.twin.parameters, at.frame_terms())),
+    MatchingStep("flicker", lambda at: flicker.match_flicker(at.twin.parameters, at.frame_terms())),
     MatchingStep("rolling bands", _rolling_bands),
     MatchingStep(
         "noise",

@@ -372,16 +372,22 @@ def difference_images(real: GreyPicture, before: GreyPicture, after: GreyPicture
 def _parameters_section(found: MatchingResult) -> ReportSection:
     before, after = found.nominal, found.matched.parameters
 
-    def word(value: float | None) -> str:
-        return "sharp at all depths" if value is None else f"{value:.4g}"
+    def word(name: str, value: float | None) -> str:
+        if value is None:
+            return "another in each frame" if name == "band_advance" else "sharp at all depths"
+        return f"{value:.4g}"
 
     def sigma(name: str) -> str:
         return f"{after.sigma[name]:.2g}" if name in after.sigma else ""
 
     numbers, matched = named_numbers(before), named_numbers(after)
-    rows = [(n, word(value), word(matched[n]), sigma(n)) for n, value in numbers.items()]
+    rows = [
+        (name, word(name, value), word(name, matched[name]), sigma(name))
+        for name, value in numbers.items()
+        if _is_there(name, before) or _is_there(name, after)
+    ]
     rows += [
-        (f"response {k}", word(getattr(before.response, k)), word(getattr(after.response, k)), sigma(k))
+        (f"response {k}", word(k, getattr(before.response, k)), word(k, getattr(after.response, k)), sigma(k))
         for k in "abg"
     ]
     baselines = [f"{one.calibration.baseline_mm:.3f}" for one in (before, after)]
@@ -391,6 +397,17 @@ def _parameters_section(found: MatchingResult) -> ReportSection:
     columns = ("Parameter", "Before", "Matched", "Standard uncertainty")
     notes = "; ".join(found.notes)
     return ReportSection("Parameters", notes, (ReportTable(columns, tuple(rows)),))
+
+
+def _is_there(name: str, parameters: TwinParameters) -> bool:
+    """Whether a parameter belongs to something that a twin has: a lamp, bands, vibration along a line."""
+    if name.startswith("lamp_"):
+        return parameters.lamp_irradiance > 0
+    if name.startswith("band_"):
+        return parameters.ambient_ripple > 0
+    return not name.startswith(("vibration_line", "vibration_p", "vibration_c")) or any(
+        parameters.vibration_line_mm
+    )
 
 
 def _surfaces_section(surfaces: Sequence[SurfaceMatch]) -> ReportSection:
