@@ -216,10 +216,10 @@ def run() -> list[Result]:
         A figure each, beside what is wanted.
     """
     with tempfile.TemporaryDirectory(prefix="fpplab-bench-") as folder:
-        return figures([judged(one, Path(folder) / one.name) for one in EFFECTS])
+        return effect_figures([judged_effect(one, Path(folder) / one.name) for one in EFFECTS])
 
 
-def figures(judged: list[JudgedEffect]) -> list[Result]:
+def effect_figures(judged: list[JudgedEffect]) -> list[Result]:
     """Sum up.
 
     Parameters
@@ -239,7 +239,7 @@ def figures(judged: list[JudgedEffect]) -> list[Result]:
     return named + missed
 
 
-def judged(
+def judged_effect(
     effect: Outside, folder: Path, seed: int = 6000, trial: PredictSetup | None = None
 ) -> JudgedEffect:
     """Record a bench, match a twin to it, predict, and measure.

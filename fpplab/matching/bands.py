@@ -232,7 +232,7 @@ def _one_wave(sets: Sequence[FringeRest], frequency: float, advance: float) -> t
     return right / max(strength, 1e-9), max(strength, 1e-9)
 
 
-def in_step(seen: Sequence[FrameTerms]) -> Ripple:
+def ripple_in_step(seen: Sequence[FrameTerms]) -> Ripple:
     """Take light of the room that is another in every frame, alike in all rows.
 
     Parameters
@@ -278,7 +278,9 @@ def match_bands(
     bands = Bands.of(rests)
     if share <= 0:
         return still
-    found = max([in_step(seen), *([bands.rolling(share)] if bands else [])], key=lambda ripple: ripple.gained)
+    found = max(
+        [ripple_in_step(seen), *([bands.rolling(share)] if bands else [])], key=lambda ripple: ripple.gained
+    )
     if found.gained <= 0 or not found.amplitude:
         return still
     ripple = min(found.amplitude, 1.0)

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from benchmarks.bent_response import decoded_error
-from benchmarks.bent_response import figures as response_figures
+from benchmarks.bent_response import decoded_error, response_figures
 from benchmarks.hidden.worlds import drawn_world
 from benchmarks.outside import (
     EFFECTS,
@@ -18,7 +17,7 @@ from benchmarks.outside import (
     Outside,
     _names,
     _same,
-    figures,
+    effect_figures,
     groove,
     s_shaped,
 )
@@ -57,7 +56,7 @@ def answered(measured: float) -> JudgedEffect:
 def test_intervals_that_miss_are_counted() -> None:
     assert answered(5.5).missed == []
     assert answered(6.5).missed == ["q distance_um"]
-    found = {one.name: one for one in figures([answered(6.5)])}
+    found = {one.name: one for one in effect_figures([answered(6.5)])}
     assert found["outside_wax_intervals_missed"].value == 1.0
     assert found["outside_wax_is_named"].value == 1.0
 
