@@ -21,6 +21,7 @@ from fpplab.diagnosis import FaultCause
 from fpplab.matching import geometry, light, match, noise, plausibility
 from fpplab.matching.card import fitted_plane, moved_into_plane
 from fpplab.matching.evaluation import evaluate
+from fpplab.matching.frame_terms import terms_of_pose
 from fpplab.matching.gamma import match_gamma, with_level_of_card
 from fpplab.matching.loss import Loss, Similarity, Weights, board_mask, ssim
 from fpplab.matching.match import MatchingLimits, explained_shares
@@ -185,11 +186,18 @@ def test_light_is_found(truth: TwinParameters, reference: Reference) -> None:
 NOISY_PLAN = Plan(fringes=(Sinusoid(axis="x", stripes=12, steps=8), Sinusoid(axis="y", stripes=8, steps=8)))
 
 
+def matched_noise(reference: Reference, twin: PlaneTwin) -> TwinParameters:
+    """Noise and vibration of the bench, from three poses."""
+    poses = (0, 1, 3)
+    seen = [terms_of_pose(reference, twin, pose) for pose in poses]
+    return noise.match_noise(reference, twin, poses, seen)
+
+
 @pytest.mark.slow
 def test_noise_is_found(truth: TwinParameters) -> None:
     noisy = replace(truth, vibration_mm=0.01, full_well_e=4000.0)
     twin = PlaneTwin(truth, 5)
-    found = noise.match_noise(reference_of(noisy, 4, NOISY_PLAN), twin, (0, 1, 3))
+    found = matched_noise(reference_of(noisy, 4, NOISY_PLAN), twin)
     # In the image plane eight frames of three poses have 42 degrees of freedom: 11 % is one deviation.
     assert found.vibration_mm == pytest.approx(0.01, rel=0.35)
     assert found.full_well_e == pytest.approx(4000.0, rel=0.1)
@@ -202,14 +210,14 @@ def test_noise_is_found(truth: TwinParameters) -> None:
 def test_what_the_twin_lacks_is_not_taken_for_noise(truth: TwinParameters) -> None:
     """A bent response that the twin does not know made a full well of 24 e for 15,000 by its residuals."""
     bent = replace(truth, response=Curve(a=0.92, b=0.08, g=1.6))
-    found = noise.match_noise(reference_of(bent, 4, NOISY_PLAN), PlaneTwin(truth, 5), (0, 1, 3))
+    found = matched_noise(reference_of(bent, 4, NOISY_PLAN), PlaneTwin(truth, 5))
     assert found.full_well_e == pytest.approx(truth.full_well_e, rel=0.1)
 
 
 @pytest.mark.slow
 def test_great_read_noise_is_found(truth: TwinParameters) -> None:
     noisy = replace(truth, read_noise_e=600.0)
-    found = noise.match_noise(reference_of(noisy, 4, NOISY_PLAN), PlaneTwin(truth, 5), (0, 1, 3))
+    found = matched_noise(reference_of(noisy, 4, NOISY_PLAN), PlaneTwin(truth, 5))
     assert found.read_noise_e == pytest.approx(600.0, rel=0.1)
 
 
