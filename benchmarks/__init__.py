@@ -90,7 +90,7 @@ SHARED = ("hidden", "limit_decoding", "limit_lattice", "limit_noise", "peak", "v
 
 
 LONG = ("crash", "outside", "predict")
-"""Benchmarks that take hours: they are run only if they are named."""
+"""Benchmarks that take from twenty minutes to hours: they are run only if they are named."""
 
 
 def benchmark_names() -> list[str]:

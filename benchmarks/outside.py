@@ -8,8 +8,9 @@ predicts two other measurements of that part, which the bench makes afterwards.
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,26 +19,29 @@ import trimesh
 from scipy.interpolate import make_lsq_spline
 
 from benchmarks import Result, above, below
-from benchmarks.hidden.bench import write_rig
+from benchmarks.hidden.bench import record_images, write_rig
 from benchmarks.hidden.worlds import BOARD, CARD, drawn_world, nominal_world
-from benchmarks.predict import PredictSetup, Question, predictions
+from benchmarks.predict import PredictSetup, Question, matched, predictions
 from benchmarks.virtual import virtual_bench
 from fpplab.cli import console
 from fpplab.core import config
-from fpplab.core.conventions import Floats
+from fpplab.core.conventions import Image
 from fpplab.core.errors import FppError
+from fpplab.devices import CameraSettings
 from fpplab.devices.rig import Rig
 from fpplab.matching.measured import measured_figures
-from fpplab.matching.run import MatchingRequest, match_sessions, twin_of
 from fpplab.patterns.curve import DEGREE, knots
+from fpplab.patterns.fringes import Pattern
 from fpplab.patterns.plan import Plan
 from fpplab.pipeline import measure_response, take, take_poses
 from fpplab.prediction import MeasuredFigures, Prediction
 from fpplab.sessions.session import Session, recorded_sessions
 from fpplab.simulation.predictable import Predictable
 from sim.bench import VirtualBench
+from sim.build import Setup
 from sim.items import item_poses
-from sim.light import PatternLevels
+from sim.light import Show
+from sim.sensor import SensorModel
 from sim.world import World
 
 PART = "part"
@@ -46,6 +50,8 @@ S_SHAPE = 0.09
 """Of the response `i - 0.09 sin(2 pi i)`."""
 PIECES = 12
 """Coefficients of its spline."""
+INDIRECT = {"samples": 64, "subpixels": 1, "path": "auto"}
+"""How light by way of other surfaces, or of the inside of a part, is rendered."""
 DRIFT_MM = 0.004
 """By how much the part moves towards the camera from frame to frame."""
 
@@ -66,6 +72,8 @@ class Outside:
         One of these must be said.
     drift_mm : float
         By how much the part moves towards the camera in every frame.
+    mesh : callable or None
+        Makes the part's file in a folder; None for the pyramid.
     """
 
     name: str
@@ -73,6 +81,7 @@ class Outside:
     part: Callable[[World], World]
     words: tuple[str, ...]
     drift_mm: float = 0.0
+    mesh: Callable[[Path], Path] | None = None
 
 
 def _same(world: World) -> World:
@@ -126,8 +135,7 @@ def of_wax(world: World) -> World:
     """
     wax = {"kind": "translucent", "reflectance": 0.85, "radius_mm": 0.3}
     item = {**world.model_dump(mode="json")["items"][PART], "material": "wax"}
-    render = {"samples": 64, "subpixels": 1, "path": "auto"}
-    return _with(world, materials={"wax": wax}, items={PART: item}, render=render)
+    return _with(world, materials={"wax": wax}, items={PART: item}, render=INDIRECT)
 
 
 def of_lit_walls(world: World) -> World:
@@ -143,13 +151,34 @@ def of_lit_walls(world: World) -> World:
     World
         With two reflections.
     """
-    return _with(world, render={"bounces": 2, "samples": 64, "subpixels": 1, "path": "auto"})
+    return _with(world, render={"bounces": 2, **INDIRECT})
+
+
+def groove(folder: Path) -> Path:
+    """Make a block with a groove of 80 degrees.
+
+    Parameters
+    ----------
+    folder : Path
+        Gets the file.
+
+    Returns
+    -------
+    Path
+        Of the file, in mm, its front towards -z.
+    """
+    block = trimesh.creation.box(bounds=[(-35, -25, -15), (35, 25, 25)])
+    edges = [(-26.0, -16.0), (0.0, 15.0), (26.0, -16.0)]
+    wedge = trimesh.convex.convex_hull(np.array([(x, y, z) for x, z in edges for y in (-26, 26)]))
+    path = folder / "groove.stl"
+    trimesh.boolean.difference([block, wedge]).export(path)
+    return path
 
 
 EFFECTS = (
     Outside("response", s_shaped, s_shaped, ("response",)),
     Outside("wax", _same, of_wax, ("light below the surface",)),
-    Outside("groove", _same, of_lit_walls, ("interreflection",)),
+    Outside("groove", _same, of_lit_walls, ("interreflection",), mesh=groove),
     Outside("moving", _same, _same, ("parts that moved", "vibration"), DRIFT_MM),
 )
 
@@ -184,27 +213,6 @@ class JudgedEffect:
             for name in FIGURES
             if not said.figures[name].contains(getattr(measured, name))
         ]
-
-
-def groove(folder: Path) -> Path:
-    """Make a block with a groove of 80 degrees.
-
-    Parameters
-    ----------
-    folder : Path
-        Gets the file.
-
-    Returns
-    -------
-    Path
-        Of the file, in mm, its front towards -z.
-    """
-    block = trimesh.creation.box(bounds=[(-35, -25, -15), (35, 25, 25)])
-    edges = [(-26.0, -16.0), (0.0, 15.0), (26.0, -16.0)]
-    wedge = trimesh.convex.convex_hull(np.array([(x, y, z) for x, z in edges for y in (-26, 26)]))
-    path = folder / "groove.stl"
-    trimesh.boolean.difference([block, wedge]).export(path)
-    return path
 
 
 def run() -> list[Result]:
@@ -272,19 +280,12 @@ def judged_effect(
         rig.need_fixture("the benchmark").mount(CARD, 0)
         response = measure_response(rig, plan.exposure_s)[0]
         take_poses(rig, plan, BOARD, trial.poses, folder / BOARD, force=False)
-        bench = virtual_bench(rig)
-        bench.replace_world(effect.part(world))
-        moved = _Moving(bench, effect.drift_mm) if effect.drift_mm else None
-        session = _taken(rig, part_plan, folder / "scan", moved)
-        known = _nominal(world)
-        write_rig(known, folder / "nominal", "Nominal twin")
-        wanted = MatchingRequest(response=response, scans={PART: session}, limits=trial.limits)
+        virtual_bench(rig).replace_world(effect.part(world))
+        scan = _taken(rig, part_plan, folder / "scan", effect.drift_mm)
+        write_rig(_nominal(world), folder / "nominal", "Nominal twin")
         said = "response spline " if response.spline else ""
         try:
-            with Rig.load(folder / "nominal" / "rig.yaml") as nominal:
-                twin = twin_of(nominal, BOARD)
-                ordered = recorded_sessions([folder / BOARD])
-                found = match_sessions(twin, ordered, twin.target, folder / "matched", wanted)
+            found = matched(folder, trial, recorded_sessions([folder / BOARD]), {PART: scan}, {}, response)
             said += " ".join(one.evidence for one in found.diagnosis.findings)
             predicted = predictions(folder / "matched" / "rig.yaml", questions)
         except FppError as error:
@@ -293,13 +294,10 @@ def judged_effect(
         calibration = found.reference.characterisation.calibration
         assert isinstance(rig.simulation, Predictable)
         mesh = rig.simulation.sampler().mesh(PART)
-        answers = {
-            one.name: (
-                predicted[one.name],
-                measured_figures(_taken(rig, one.loaded(), folder / one.name, moved), calibration, mesh),
-            )
-            for one in questions
-        }
+        answers = {}
+        for one in questions:
+            session = _taken(rig, one.loaded(), folder / one.name, effect.drift_mm)
+            answers[one.name] = predicted[one.name], measured_figures(session, calibration, mesh)
     return JudgedEffect(effect.name, said, _names(effect, said), answers)
 
 
@@ -311,9 +309,9 @@ def _with_part(world: World, effect: Outside, folder: Path) -> World:
     folder.mkdir(parents=True, exist_ok=True)
     data = world.model_dump(mode="json")
     item = dict(data["items"]["pyramid"])
-    if effect.name == "groove":
+    if effect.mesh:
         pose = {"rotation_deg": [0.0, 0.0, 0.0], "translation_mm": [0.0, 0.0, 460.0]}
-        item = {"mesh": str(groove(folder)), "pose": pose}
+        item = {"mesh": str(effect.mesh(folder)), "pose": pose}
     data["items"] = {BOARD: data["items"][BOARD], CARD: data["items"][CARD], PART: item}
     data["vibration_mm"] = 0.0
     return config.validate(data, World, "a bench outside of the model")
@@ -332,24 +330,18 @@ def _nominal(world: World) -> World:
 _OTHERS = ("pyramid", "pillars", "steps", "pyramid_moved", "pyramid_painted")
 
 
-class _Moving:
-    """A part that moves towards the camera while it is recorded; every recording begins where it stood."""
-
-    def __init__(self, bench: VirtualBench, drift_mm: float) -> None:
-        self._bench, self._drift_mm, self._seen = bench, drift_mm, bench.irradiance
-        self.frames = 0
-        bench.irradiance = self._irradiance  # type: ignore[method-assign]
-
-    def _irradiance(self, settings: Any, frame: int) -> PatternLevels:
-        pose = item_poses(self._bench.world, PART)[0]
-        drift: Floats = np.array([0.0, 0.0, -self._drift_mm * self.frames])
-        self._bench.setup = replace(self._bench.setup, held=pose.moved(drift))
-        self.frames += 1
-        return self._seen(settings, frame)
+def _taken(rig: Rig, plan: Plan, path: Path, drift_mm: float) -> Session:
+    if not drift_mm:
+        take(rig, plan, path, (PART, 0), complete_too=True)
+        return Session.open(path)
+    return record_images(rig, plan, path, (PART, 0), partial(_moving, virtual_bench(rig), drift_mm))
 
 
-def _taken(rig: Rig, plan: Plan, path: Path, moved: _Moving | None) -> Session:
-    if moved is not None:
-        moved.frames = 0
-    take(rig, plan, path, (PART, 0), complete_too=True)
-    return Session.open(path)
+def _moving(
+    bench: VirtualBench, drift_mm: float, patterns: tuple[Pattern, ...], settings: CameraSettings
+) -> Iterator[Image]:
+    """Images of the part as it moves towards the camera; every recording begins where it stood."""
+    pose, sensor = item_poses(bench.world, PART)[0], SensorModel.of(bench.world)
+    for n in range(len(patterns)):
+        setup = Setup(PART, held=pose.moved(np.array([0.0, 0.0, -drift_mm * n])))
+        yield sensor.expose(bench.light.irradiance(setup, Show(patterns, n)), settings, bench.next_draw())

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -113,15 +114,10 @@ class HiddenBench:
         Session
             Complete.
         """
-        caps, settings = self.rig.projector.caps, self.rig.camera_settings(plan.exposure_s, plan.bits)
-        patterns = tuple(make_patterns(plan, caps.size, caps.lattice))
-        session = Session.create(path, plan, self.rig.described((item, pose)), force=True)
-        for index, image in enumerate(self._images(patterns, settings, item, pose)):
-            session.write(Frame(image, index, settings, time.time(), pattern_id=patterns[index].id))
-        return session
+        return record_images(self.rig, plan, path, (item, pose), partial(self._images, item, pose))
 
     def _images(
-        self, patterns: tuple[Pattern, ...], settings: CameraSettings, item: str, pose: int
+        self, item: str, pose: int, patterns: tuple[Pattern, ...], settings: CameraSettings
     ) -> Iterator[Image]:
         held, sensor = item_poses(self.world, item)[pose], SensorModel.of(self.world)
         still = Setup(item, held=held)
@@ -154,6 +150,41 @@ class HiddenBench:
         # frames are not in step with the mains: the phase drifts by a tenth of a period for each
         phase = 2 * np.pi * (2 * MAINS_HZ * lamp.line_time_s * rows + 0.1 * self.frames)
         return np.asarray(lamp.ripple * np.sin(phase))
+
+
+def record_images(
+    rig: Rig,
+    plan: Plan,
+    path: Path,
+    mount: tuple[str, int],
+    images: Callable[[tuple[Pattern, ...], CameraSettings], Iterable[Image]],
+) -> Session:
+    """Record images of a plan that the rig's own camera does not take.
+
+    Parameters
+    ----------
+    rig : Rig
+        Open; its devices state patterns and settings.
+    plan : Plan
+        The plan.
+    path : Path
+        Of the session; one that is there is replaced.
+    mount : tuple of str and int
+        Item and pose.
+    images : callable
+        Gives the images of the patterns, in their order.
+
+    Returns
+    -------
+    Session
+        Complete.
+    """
+    caps, settings = rig.projector.caps, rig.camera_settings(plan.exposure_s, plan.bits)
+    patterns = tuple(make_patterns(plan, caps.size, caps.lattice))
+    session = Session.create(path, plan, rig.described(mount), force=True)
+    for index, image in enumerate(images(patterns, settings)):
+        session.write(Frame(image, index, settings, time.time(), pattern_id=patterns[index].id))
+    return session
 
 
 @contextmanager

@@ -18,7 +18,7 @@ from scipy.ndimage import median_filter
 
 from fpplab.core.conventions import Floats
 from fpplab.matching.frame_terms import ROOM, FrameTerms
-from fpplab.matching.fringe_rests import FringeRest, Variances
+from fpplab.matching.fringe_rests import Complex, FringeRest, Variances
 from fpplab.matching.waves import change_of
 from fpplab.simulation.matchable import TwinParameters
 
@@ -176,7 +176,7 @@ class Bands:
         squares, noise = [], []
         for _, group in groupby(range(len(self.rests)), lambda n: self.rests[n].pose):
             sets = list(group)
-            found, strength = _one_wave([self.rests[n] for n in sets], frequency, advance)
+            found, strength = _one_wave([self._waves(n, frequency) for n in sets], advance)
             squares.append(abs(found) ** 2)
             noise.append(float(self.floor[sets, index].mean()) / strength)
         return Variances(np.array(squares), np.array(noise), np.full(len(squares), 2.0))
@@ -208,26 +208,32 @@ class Bands:
             told.criterion(0.0, 0) - told.criterion(told.further, free),
         )
 
+    def _waves(self, index: int, frequency: float) -> tuple[FringeRest, Complex]:
+        return self.rests[index], self.rests[index].waves(np.array([frequency]))[:, 0]
+
     def _best_advance(self, frequency: float) -> tuple[float, float]:
         """The advance with which waves explain most, and the share of all power that they explain."""
         tried = np.arange(-0.5, 0.5, ADVANCE_STEP)
         explained, whole = np.zeros(len(tried)), 0.0
-        for _, group in groupby(self.rests, lambda one: one.pose):
-            sets = list(group)
+        for _, group in groupby(range(len(self.rests)), lambda n: self.rests[n].pose):
+            waves = [self._waves(n, frequency) for n in group]
             for n, advance in enumerate(tried.tolist()):
-                found, strength = _one_wave(sets, frequency, advance)
+                found, strength = _one_wave(waves, advance)
                 explained[n] += strength * abs(found) ** 2
-            whole += sum(float(np.sum(np.abs(one.waves(np.array([frequency]))) ** 2)) for one in sets)
+            whole += sum(float(np.sum(np.abs(seen) ** 2)) for _, seen in waves)
         best = int(np.argmax(explained))
         return float(tried[best]), float(explained[best]) / max(whole, 1e-30)
 
 
-def _one_wave(sets: Sequence[FringeRest], frequency: float, advance: float) -> tuple[complex, float]:
-    """Fit one wave to the sets of a pose; its complex amplitude, and the frames' worth that tell it."""
+def _one_wave(sets: Sequence[tuple[FringeRest, Complex]], advance: float) -> tuple[complex, float]:
+    """Fit one wave to the sets of a pose; its complex amplitude, and the frames' worth that tell it.
+
+    sets: with the waves (N,) of their frames.
+    """
     right, strength = 0j, 0.0
-    for one in sets:
+    for one, waves in sets:
         seen = one.beyond @ np.exp(2j * np.pi * advance * one.frames)
-        right += complex(np.vdot(seen, one.waves(np.array([frequency]))[:, 0]))
+        right += complex(np.vdot(seen, waves))
         strength += float(np.vdot(seen, seen).real)
     return right / max(strength, 1e-9), max(strength, 1e-9)
 
@@ -273,24 +279,24 @@ def match_bands(
         ask for them, or where there is no light of the room.
     """
     share = float(np.mean([one.room_share for one in seen]))
-    steady = {n: v for n, v in now.sigma.items() if n not in ("ambient_ripple", "band_period_px")}
+    steady = now.sigma_with(ambient_ripple=0.0, band_period_px=0.0)
     still = replace(now, ambient_ripple=0.0, band_period_px=0.0, band_advance=None, sigma=steady)
-    bands = Bands.of(rests)
     if share <= 0:
         return still
+    bands = Bands.of(rests)
     found = max(
         [ripple_in_step(seen), *([bands.rolling(share)] if bands else [])], key=lambda ripple: ripple.gained
     )
     if found.gained <= 0 or not found.amplitude:
         return still
     ripple = min(found.amplitude, 1.0)
-    sigma = {"ambient_ripple": ripple * found.amplitude_sigma}
-    if found.period_sigma:
-        sigma["band_period_px"] = found.period_px * found.period_sigma
+    sigma = now.sigma_with(
+        ambient_ripple=ripple * found.amplitude_sigma, band_period_px=found.period_px * found.period_sigma
+    )
     return replace(
         now,
         ambient_ripple=ripple,
         band_period_px=found.period_px,
         band_advance=found.advance,
-        sigma={**steady, **sigma},
+        sigma=sigma,
     )

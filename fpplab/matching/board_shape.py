@@ -72,3 +72,29 @@ def bend_moves(reference: Reference, parameters: TwinParameters, pose: int, pixe
     there = parameters.poses[pose]
     places = places_seen(points, parameters.calibration, there)[:, :2]
     return np.outer(bend_mm(reference.characterisation.board, places), there.rotation[:, 2])
+
+
+def change_by_bend(
+    reference: Reference, parameters: TwinParameters, pose: int, pixels: PixelIndices, slopes: Floats
+) -> Floats:
+    """Compute by how much the bend changes levels, to first order.
+
+    Parameters
+    ----------
+    reference : Reference
+        With the board as its characterisation found it.
+    parameters : TwinParameters
+        Of the twin.
+    pose : int
+        Index of the pose.
+    pixels : PixelIndices
+        Rows and columns of P pixels.
+    slopes : ndarray of float64
+        Derivatives (n, P, 3) of the levels by a displacement of the board in mm.
+
+    Returns
+    -------
+    ndarray of float64
+        (n, P).
+    """
+    return np.asarray(np.einsum("npa,pa->np", slopes, bend_moves(reference, parameters, pose, pixels)))

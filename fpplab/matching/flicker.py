@@ -26,7 +26,6 @@ def match_flicker(now: TwinParameters, seen: Sequence[FrameTerms]) -> TwinParame
         With flicker and its standard uncertainty; without where Schwarz's criterion does not ask for it.
     """
     found = change_of([one.series(GAIN) for one in seen], swings=False)
-    sigma = {name: value for name, value in now.sigma.items() if name != "projector_flicker"}
-    if found.random.alike:
-        sigma["projector_flicker"] = found.random.alike * found.sigma
-    return replace(now, projector_flicker=found.random.alike, sigma=sigma)
+    flicker = found.random.alike
+    sigma = now.sigma_with(projector_flicker=flicker * found.sigma)
+    return replace(now, projector_flicker=flicker, sigma=sigma)

@@ -17,14 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.core.conventions import Floats
-from fpplab.matching.board_shape import bend_moves
-from fpplab.matching.geometry import level_gradient
+from fpplab.matching.board_shape import change_by_bend
+from fpplab.matching.geometry import levels_with_gradient
 from fpplab.matching.light import TILES, tile_numbers
 from fpplab.matching.loss import board_mask, subsample_pixels
-from fpplab.matching.places import place_jacobian
+from fpplab.matching.places import slopes_by_move
 from fpplab.matching.reference import Reference
 from fpplab.matching.waves import Series
 from fpplab.patterns.plan import Plan
+from fpplab.phase.common_errors import beyond_fringe
 from fpplab.simulation.matchable import Twin
 
 MAX_PIXELS = 15_000
@@ -109,22 +110,19 @@ def terms_of_pose(reference: Reference, twin: Twin, pose: int) -> FrameTerms:
     now, images, sets = twin.parameters, *_finest(reference.plan)
     board = board_mask(now.calibration.camera, now.poses[pose], reference.target)
     pixels = subsample_pixels(board, MAX_PIXELS)
-    patterns, settings = reference.shown(images), reference.settings
-    expected = twin.expected_at(pose, patterns, settings, pixels).astype(np.float64)
+    first = reference.shown(images[:1])
+    expected, gradient = levels_with_gradient(reference, twin, pose, images, pixels)
     twin.become(replace(now, ambient=0.0, lamp_irradiance=0.0))
-    room = expected[0] - twin.expected_at(pose, patterns[:1], settings, pixels)[0]
+    room = expected[0] - twin.expected_at(pose, first, reference.settings, pixels)[0]
     twin.become(now)
-    points = np.stack(pixels[::-1], axis=-1).astype(np.float64)
-    moves = place_jacobian(points, now.calibration, now.poses[pose], 0)[..., -3:]
-    slopes = np.einsum("npk,pka->npa", level_gradient(reference, twin, pose, images, pixels), moves)
+    slopes = slopes_by_move(pixels, now.calibration, now.poses[pose], gradient)
     above = expected - now.black_level * reference.full_scale
     share = float(room.mean() / above.mean())
     projected = above - room
     beside = room if share > LEAST_ROOM else np.ones_like(room)
     frames = reference.frames(pose, images)[:, *pixels].astype(np.float64)
-    bent = np.einsum("npa,pa->np", slopes, bend_moves(reference, now, pose, pixels))
     bases = [np.column_stack([light, beside, slope]) for light, slope in zip(projected, slopes, strict=True)]
-    differences = frames - expected - bent
+    differences = frames - expected - change_by_bend(reference, now, pose, pixels, slopes)
     fits = [_fit(off, basis) for off, basis in zip(differences, bases, strict=True)]
     values = np.array([found for found, _ in fits])
     left, tiles = np.array([rest for _, rest in fits]), tile_numbers(pixels)
@@ -161,8 +159,7 @@ def _changing(left: Floats, plan: Plan, sets: NDArray[np.int64]) -> Floats:
     changing = left.copy()
     for one in np.unique(sets):
         of, shift = sets == one, plan.fringes[one].phase_shifts()
-        waves = np.stack([np.ones_like(shift), np.cos(shift), np.sin(shift)], axis=1)
-        beyond = np.eye(len(shift)) - waves @ np.linalg.pinv(waves)
+        beyond = beyond_fringe(shift)
         freedom = max(float(np.trace(beyond)), 1.0)
         changing[of] = np.sqrt(len(shift) / freedom) * (beyond @ left[of]) if freedom > 1 else left[of]
     return changing

@@ -23,7 +23,7 @@ from fpplab.core.conventions import Axis, Floats, PixelIndices, raw_per_grey
 from fpplab.matching.loss import board_mask, subsample_pixels
 from fpplab.matching.reference import Reference
 from fpplab.patterns.fringe_sets import FringeSet
-from fpplab.phase.common_errors import fit_sinusoids
+from fpplab.phase.common_errors import beyond_fringe, fit_sinusoids
 from fpplab.simulation.matchable import TwinParameters
 
 Complex = NDArray[np.complex128]
@@ -161,8 +161,7 @@ def rest_of_set(
     """
     shift, count = fringe.phase_shifts(), len(levels)
     offset, cosine, sine = fit_sinusoids(levels, fringe)
-    waves = np.stack([np.ones_like(shift), np.cos(shift), np.sin(shift)], axis=1)
-    beyond = np.eye(count) - waves @ np.linalg.pinv(waves)
+    beyond = beyond_fringe(shift)
     light = offset + np.outer(np.cos(shift), cosine) + np.outer(np.sin(shift), sine)
     across = np.outer(np.sin(shift), cosine) - np.outer(np.cos(shift), sine)
     print_moves = [light * one / np.maximum(offset, 1.0) for one in slopes]

@@ -20,6 +20,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from fpplab.calibration.error_modes import chi_square
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation import Characterisation
 from fpplab.characterisation.bundle import adjust_bundle
@@ -27,10 +28,10 @@ from fpplab.characterisation.parameters import DistortionModel, Model, Solution,
 from fpplab.characterisation.zhang import matrix_of, transform
 from fpplab.core.conventions import Floats, PixelIndices
 from fpplab.core.geometry import Pinhole, RigidTransform
-from fpplab.matching.board_shape import bend_moves
+from fpplab.matching.board_shape import change_by_bend
 from fpplab.matching.light import TILES, tile_numbers
 from fpplab.matching.loss import SURROUNDINGS_PX, board_mask, level_weights, subsample_pixels
-from fpplab.matching.places import place_jacobian
+from fpplab.matching.places import place_jacobian, slopes_by_move
 from fpplab.matching.reference import Reference
 from fpplab.simulation.matchable import ExpectedLevels, Twin, TwinParameters
 
@@ -40,8 +41,6 @@ MAX_PIXELS = 40_000
 """Pixels of each pose that are compared, evenly subsampled."""
 NUISANCE_PARAMETERS = 6
 """Parameters of each pose for what light and sharpness still lack: gain (3), offset, response, blur."""
-
-
 MOST_SIGMAS = 3.0
 """Standard deviations by which χ² of two geometries may exceed its expectation."""
 
@@ -71,11 +70,7 @@ def contradiction(reference: Reference, parameters: TwinParameters) -> float:
         return 0.0
     free = len(found.level.terms)
     off = _shared(parameters.calibration, free) - _shared(found.calibration, free)
-    size = np.sqrt(np.diag(known.covariance))
-    strength, vectors = np.linalg.eigh(known.covariance / np.outer(size, size))
-    along = vectors.T @ (off / size)
-    chi_square = float(np.sum(along**2 / np.maximum(strength, 1e-12 * strength[-1])))
-    return chi_square / float(len(off) + MOST_SIGMAS * np.sqrt(2.0 * len(off)))
+    return chi_square(known, off) / float(len(off) + MOST_SIGMAS * np.sqrt(2.0 * len(off)))
 
 
 def _shared(known: Calibration, free: int) -> Floats:
@@ -362,8 +357,9 @@ def _residual_of_pose(reference: Reference, twin: Twin, start: TwinParameters, p
     whole = twin.expected(pose, patterns, reference.settings)
     here = picked(whole)
     laplacian = picked(np.stack([cv2.Laplacian(one, cv2.CV_32F) for one in whole]))
-    gradient = level_gradient(reference, twin, pose, images, pixels)
-    bent = _change_by_bend(reference, start, pose, pixels, gradient)
+    _, gradient = levels_with_gradient(reference, twin, pose, images, pixels)
+    slopes = slopes_by_move(pixels, start.calibration, start.poses[pose], gradient)
+    bent = change_by_bend(reference, start, pose, pixels, slopes)
     # Where there is no light there is no noise either, and rounding errors are all the same.
     dark = start.black_level * reference.full_scale + 1.0
     valid = (seen < reference.full_scale) & (here < reference.full_scale) & (here > dark)
@@ -379,20 +375,10 @@ def _residual_of_pose(reference: Reference, twin: Twin, start: TwinParameters, p
     )
 
 
-def _change_by_bend(
-    reference: Reference, start: TwinParameters, pose: int, pixels: PixelIndices, gradient: Floats
-) -> Floats:
-    """By how much the bend of the bench's board changes the levels (n, P), to first order."""
-    points = np.stack(pixels[::-1], axis=-1).astype(np.float64)
-    by_move = place_jacobian(points, start.calibration, start.poses[pose], 0)[..., -3:]
-    moves = bend_moves(reference, start, pose, pixels)
-    return np.asarray(np.einsum("npk,pka,pa->np", gradient, by_move, moves, optimize=True))
-
-
-def level_gradient(
+def levels_with_gradient(
     reference: Reference, twin: Twin, pose: int, images: Sequence[int], pixels: PixelIndices
-) -> Floats:
-    """Differentiate levels by the places on board and projector that pixels see.
+) -> tuple[Floats, Floats]:
+    """Compute levels, and differentiate them by the places on board and projector that pixels see.
 
     Parameters
     ----------
@@ -409,14 +395,16 @@ def level_gradient(
 
     Returns
     -------
-    Floats
+    levels : Floats
+        Raw levels (n, P) that the twin expects.
+    gradient : Floats
         (n, P, 4) by x, y on the board in mm and u, v of the projector in px; those of the twin, or finite
         differences where it has none.
     """
     start, patterns = twin.parameters, reference.shown(images)
     own = twin.expected_with_slopes(pose, patterns, reference.settings, pixels)
     if own is not None:
-        return own[1].astype(np.float64)
+        return own[0].astype(np.float64), own[1].astype(np.float64)
 
     def seen_from(there: TwinParameters) -> Floats:
         twin.become(there)
@@ -425,7 +413,7 @@ def level_gradient(
     here = seen_from(start)
     gradient = [sign * (seen_from(there) - here) / by for there, by, sign in _shifted(start, pose)]
     twin.become(start)
-    return np.stack(gradient, axis=-1)
+    return here, np.stack(gradient, axis=-1)
 
 
 def _shifted(start: TwinParameters, pose: int) -> list[tuple[TwinParameters, float, float]]:

@@ -24,6 +24,7 @@ from fpplab.matching.loss import board_mask
 from fpplab.matching.reference import LevelStack, Reference
 from fpplab.matching.vibration import match_vibration
 from fpplab.patterns.recording import Recording
+from fpplab.phase.common_errors import beyond_fringe
 from fpplab.phase.error_model import error_model_of
 from fpplab.phase.noise import QUANTISATION, NoiseModel
 from fpplab.simulation.matchable import Twin, TwinParameters
@@ -188,8 +189,7 @@ def noise_misfit(reference: Reference, twin: Twin, poses: Sequence[int]) -> floa
 
 def _spreads(frames: LevelStack, shift: Floats, classes: NDArray[np.int64]) -> Floats:
     """Standard deviations (LEVELS, 2) of what the phase fit leaves, fine and coarse."""
-    waves = np.stack([np.ones_like(shift), np.cos(shift), np.sin(shift)], axis=1)
-    rest = np.einsum("mn,nvu->mvu", np.eye(len(shift)) - waves @ np.linalg.pinv(waves), frames)
+    rest = np.einsum("mn,nvu->mvu", beyond_fringe(shift), frames)
     coarse = np.stack([cv2.GaussianBlur(one.astype(np.float32), (0, 0), FINE_PX) for one in rest])
     parts = (rest - coarse, coarse)
     freedom = len(shift) / (len(shift) - 3)

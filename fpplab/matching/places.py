@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from fpplab.calibration.model import Calibration
-from fpplab.core.conventions import Floats
+from fpplab.core.conventions import Floats, PixelIndices
 from fpplab.core.geometry import Pinhole, RigidTransform, distort
 
 
@@ -88,6 +88,32 @@ def place_jacobian(pixels: Floats, known: Calibration, pose: RigidTransform, fre
     by_pose[:, :2, :3] += (pose.rotation.T @ _cross(points - pose.translation))[:, :2]
     by_pose[:, :2, 3:] -= pose.rotation.T[:2]
     return np.concatenate([by_camera, by_projector, by_pair, by_pose], axis=-1)
+
+
+def slopes_by_move(
+    pixels: PixelIndices, known: Calibration, pose: RigidTransform, gradient: Floats
+) -> Floats:
+    """Differentiate levels by a displacement of the board.
+
+    Parameters
+    ----------
+    pixels : PixelIndices
+        Rows and columns of P pixels.
+    known : Calibration
+        Of camera and projector.
+    pose : RigidTransform
+        `T_camera_board`.
+    gradient : Floats
+        Derivatives (n, P, 4) of the levels by the places that the pixels see.
+
+    Returns
+    -------
+    Floats
+        (n, P, 3), per mm along the camera's axes.
+    """
+    points = np.stack(pixels[::-1], axis=-1).astype(np.float64)
+    by_move = place_jacobian(points, known, pose, 0)[..., -3:]
+    return np.asarray(np.einsum("npk,pka->npa", gradient, by_move))
 
 
 def _points(slopes: Floats, pose: RigidTransform) -> Floats:

@@ -16,8 +16,6 @@ from fpplab.matching.frame_terms import MOVES, FrameTerms
 from fpplab.matching.waves import Change, change_of
 from fpplab.simulation.matchable import NO_LINE, TwinParameters
 
-SIGMA_OF = ("vibration_mm", "vibration_cycles_per_frame")
-
 
 def match_vibration(now: TwinParameters, seen: Sequence[FrameTerms]) -> TwinParameters:
     """Give a twin the vibration of the bench.
@@ -36,11 +34,9 @@ def match_vibration(now: TwinParameters, seen: Sequence[FrameTerms]) -> TwinPara
         its parameters cost.
     """
     found = change_of([one.series(MOVES) for one in seen])
-    sigma = {name: value for name, value in now.sigma.items() if name not in SIGMA_OF}
-    if found.random.alike:
-        sigma["vibration_mm"] = found.random.alike * found.sigma
-    if found.swing.any():
-        sigma["vibration_cycles_per_frame"] = found.cycles_sigma
+    sigma = now.sigma_with(
+        vibration_mm=found.random.alike * found.sigma, vibration_cycles_per_frame=found.cycles_sigma
+    )
     line = _line(found)
     x, y, z = line.tolist()
     whole = float(line @ line)

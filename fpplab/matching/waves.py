@@ -172,7 +172,7 @@ def change_of(seen: Sequence[Series], swings: bool = True) -> Change:
     """
     size = seen[0].values.shape[1]
     nothing = Random(0.0, np.zeros(size))
-    still = _criterion(seen, [one.centred(one.values, one.whitening(nothing)) for one in seen], nothing, 0)
+    still = _criterion(seen, _all_centred(seen, nothing), nothing, 0)
     best, least = nothing, still
     for along_line in (False, True)[: min(size, 2)]:
         random, left = _random_alone(seen, along_line)
@@ -188,11 +188,13 @@ def change_of(seen: Sequence[Series], swings: bool = True) -> Change:
 
 def _random_alone(seen: Sequence[Series], along_line: bool) -> tuple[Random, list[Floats]]:
     random = Random(0.0, np.zeros(seen[0].values.shape[1]))
-    left: list[Floats] = []
     for _ in range(ROUNDS):
-        left = [one.centred(one.values, one.whitening(random)) for one in seen]
-        random = _most_likely(seen, left, 0.0, along_line)
-    return random, [one.centred(one.values, one.whitening(random)) for one in seen]
+        random = _most_likely(seen, _all_centred(seen, random), 0.0, along_line)
+    return random, _all_centred(seen, random)
+
+
+def _all_centred(seen: Sequence[Series], random: Random) -> list[Floats]:
+    return [one.centred(one.values, one.whitening(random)) for one in seen]
 
 
 def _most_likely(seen: Sequence[Series], left: Sequence[Floats], taken: float, along_line: bool) -> Random:

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fpplab.calibration.error_modes import error_modes
 from fpplab.calibration.model import INTRINSICS, PARAMETERS, POSE, Calibration
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import CalibrationError, ConfigError
@@ -207,10 +208,7 @@ def sample_calibration(calibration: Calibration, random: np.random.Generator) ->
     known = calibration.uncertainty
     if known is None:
         return calibration
-    # By the correlation matrix: variances in px and of k3 differ by many orders of magnitude.
-    sigma = np.sqrt(np.diag(known.covariance))
-    values, vectors = np.linalg.eigh(known.covariance / np.outer(sigma, sigma))
-    off = sigma * (vectors @ (np.sqrt(np.maximum(values, 0.0)) * random.standard_normal(len(sigma))))
+    off = error_modes(known) @ random.standard_normal(len(known.names))
     by_name = dict.fromkeys(PARAMETERS, 0.0) | dict(zip(known.names, off.tolist(), strict=True))
     pose, change = calibration.T_projector_camera, [by_name[f"T_projector_camera.{term}"] for term in POSE]
     return Calibration(

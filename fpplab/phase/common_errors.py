@@ -269,7 +269,9 @@ def _set_group(index: int, sample: Floats, fitted: Floats, fringe: FringeSet) ->
         wave *= phasor
     # Optics lessen harmonics differently where the picture is less sharp.
     highest = min(max((len(shift) - 3) // 2, 1), 3)
-    return Group((index,), sample, features, shift, _beyond(shift, 1), _beyond(shift, highest))
+    return Group(
+        (index,), sample, features, shift, _rows(beyond_fringe(shift)), _rows(beyond_fringe(shift, highest))
+    )
 
 
 def _waves(shift: Floats, highest: int) -> Floats:
@@ -278,10 +280,23 @@ def _waves(shift: Floats, highest: int) -> Floats:
     return np.concatenate([np.ones((len(shift), 1)), np.cos(angle), np.sin(angle)], axis=1)
 
 
-def _beyond(shift: Floats, highest: int) -> Floats:
-    """Orthonormal rows that offset and harmonics do not fill, (F, N)."""
+def beyond_fringe(shift: Floats, highest: int = 1) -> Floats:
+    """Give the projection that takes offset and fringe off the images of a pixel.
+
+    Parameters
+    ----------
+    shift : ndarray of float64
+        Phase shifts (N,) of a fringe set in rad.
+    highest : int
+        Harmonic of the fringe up to which they are taken off.
+
+    Returns
+    -------
+    ndarray of float64
+        (N, N), symmetric.
+    """
     waves = _waves(shift, highest)
-    return _rows(np.eye(len(shift)) - waves @ np.linalg.pinv(waves))
+    return np.asarray(np.eye(len(shift)) - waves @ np.linalg.pinv(waves))
 
 
 def _rows(projection: Floats) -> Floats:

@@ -30,6 +30,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from fpplab.calibration.error_modes import error_modes
 from fpplab.calibration.model import INTRINSICS, PARAMETERS, Calibration
 from fpplab.clouds import Cloud
 from fpplab.core.conventions import Floats
@@ -258,13 +259,8 @@ class _Modes:
             raise CalibrationError(
                 "the calibration has no covariance; characterise the rig with `fpplab characterise` to get it"
             )
-        # Of the correlations, because variances of px and of k3 are many powers of ten apart.
-        scale = np.sqrt(np.diag(known.covariance))
-        values, vectors = np.linalg.eigh(known.covariance / np.outer(scale, scale))
-        changes = np.zeros((len(PARAMETERS), len(values)))
-        changes[[PARAMETERS.index(name) for name in known.names]] = (
-            scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
-        )
+        changes = np.zeros((len(PARAMETERS), len(known.names)))
+        changes[[PARAMETERS.index(name) for name in known.names]] = error_modes(known)
         return cls(calibration, noise, changes)
 
     def moved(self, points: AnyPoints) -> Floats:

@@ -405,9 +405,8 @@ def _is_there(name: str, parameters: TwinParameters) -> bool:
         return parameters.lamp_irradiance > 0
     if name.startswith("band_"):
         return parameters.ambient_ripple > 0
-    return not name.startswith(("vibration_line", "vibration_p", "vibration_c")) or any(
-        parameters.vibration_line_mm
-    )
+    along_line = name.startswith("vibration_") and name != "vibration_mm"
+    return not along_line or any(parameters.vibration_line_mm)
 
 
 def _surfaces_section(surfaces: Sequence[SurfaceMatch]) -> ReportSection:

@@ -140,6 +140,21 @@ class TwinParameters:
         """RMS displacement of the item along an axis by all of its vibration."""
         return float(np.sqrt(self.vibration_mm**2 + np.mean(np.square(self.vibration_line_mm))))
 
+    def sigma_with(self, **known: float) -> dict[str, float]:
+        """Give the standard uncertainties with some replaced.
+
+        Parameters
+        ----------
+        **known : float
+            By name of the parameter; 0 for one that is not known.
+
+        Returns
+        -------
+        dict of str to float
+            Without those that are 0.
+        """
+        return {name: value for name, value in {**self.sigma, **known}.items() if value or name not in known}
+
     def with_pose(self, index: int, pose: RigidTransform) -> TwinParameters:
         """Replace one of the poses.
 

@@ -70,7 +70,7 @@ class AmbientBands(Document):
     ripple: Annotated[float, Field(ge=0, le=1)]
     """Amplitude, as a share of the ambient light."""
     period_px: Annotated[float, Field(gt=1, le=8e5)]
-    """From band to band, in rows of the sensor without binning; 100000 where all rows are in step."""
+    """From band to band, in rows of the sensor without binning; far more than it has where all are alike."""
     cycles_per_frame: Annotated[float, Field(ge=-0.5, le=0.5)] | None = None
     """Share of a period by which bands move from frame to frame, for frames at regular intervals; None where
     they are at another place in each frame."""

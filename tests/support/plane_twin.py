@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -80,8 +80,13 @@ def between(picture: NDArray[np.float32], u: Floats, v: Floats) -> NDArray[np.fl
 class PlaneTwin:
     """Implements `fpplab.simulation.matchable.Twin`."""
 
-    def __init__(self, parameters: TwinParameters, seed: int = 0) -> None:
-        self._now = parameters
+    def __init__(
+        self,
+        parameters: TwinParameters,
+        seed: int = 0,
+        bend_mm: Callable[[Floats, Floats], Floats] | None = None,
+    ) -> None:
+        self._now, self._bend_mm = parameters, bend_mm
         self._seed, self._next_frame = seed, 0
         self._kept: dict[bytes, tuple[Floats, ...]] = {}
         grey = (TARGET.image(PX_PER_MM) / 255.0 - TARGET.background) / (TARGET.foreground - TARGET.background)
@@ -295,6 +300,11 @@ class PlaneTwin:
         normal = pose.rotation[:, 2]
         points = rays * ((normal @ pose.translation) / (rays @ normal))[..., None]
         on_board = pose.inverse().apply(points)
+        if self._bend_mm is not None:  # the bend is so shallow that one step along the ray leads there
+            points = (
+                points * (1 + self._bend_mm(*on_board[..., :2].T).T / (normal @ pose.translation))[..., None]
+            )
+            on_board = pose.inverse().apply(points)
         at = now.T_projector_camera.apply(points)
         pixel = now.projector.project(at)
         distance = np.linalg.norm(at, axis=-1)

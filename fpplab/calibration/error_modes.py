@@ -1,0 +1,58 @@
+"""Independent modes of the errors that the covariance of a calibration tells.
+
+They are found by the correlations, because variances of px and of k3 are many powers of ten apart.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fpplab.calibration.model import Uncertainty
+from fpplab.core.conventions import Floats
+
+LEAST_SHARE = 1e-12
+"""Variance of a mode, relative to the greatest, that it has at least in `chi_square`."""
+
+
+def error_modes(known: Uncertainty) -> Floats:
+    """Compute independent modes of error, each with the size of one standard deviation.
+
+    Parameters
+    ----------
+    known : Uncertainty
+        Of n parameters.
+
+    Returns
+    -------
+    ndarray of float64
+        (n, n), the parameters by the modes: the covariance is `modes modesᵀ`.
+    """
+    scale, variances, directions = _of_correlations(known)
+    return np.asarray(scale[:, None] * directions * np.sqrt(np.maximum(variances, 0.0)))
+
+
+def chi_square(known: Uncertainty, off: Floats) -> float:
+    """Compute χ² of differences of the parameters: n on average where the covariance holds.
+
+    Parameters
+    ----------
+    known : Uncertainty
+        Of n parameters.
+    off : ndarray of float64
+        Differences (n,) in the order of the names.
+
+    Returns
+    -------
+    float
+        Not negative.
+    """
+    scale, variances, directions = _of_correlations(known)
+    along = directions.T @ (off / scale)
+    return float(np.sum(along**2 / np.maximum(variances, LEAST_SHARE * variances[-1])))
+
+
+def _of_correlations(known: Uncertainty) -> tuple[Floats, Floats, Floats]:
+    """Standard uncertainties (n,), and variances (n,), rising, and directions (n, n) of the correlations."""
+    scale = np.sqrt(np.diag(known.covariance))
+    variances, directions = np.linalg.eigh(known.covariance / np.outer(scale, scale))
+    return scale, variances, directions
