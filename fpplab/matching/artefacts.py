@@ -12,6 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
 import trimesh
 
@@ -19,6 +20,7 @@ from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
 from fpplab.comparison import Comparison, compare
 from fpplab.comparison.alignment import align_mesh
+from fpplab.core.conventions import Mask
 from fpplab.core.errors import DataError
 from fpplab.core.geometry import RigidTransform
 from fpplab.core.progress import Progress, no_progress
@@ -28,6 +30,7 @@ from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
 from fpplab.pipeline import depth_range_of, reconstruct
+from fpplab.prediction.figures import seen_surface
 from fpplab.reconstruction.depth_range import depth_bounds
 from fpplab.reconstruction.points import points_of
 from fpplab.sessions.session import Session
@@ -39,6 +42,12 @@ USUAL_SHARE = 0.75
 """Share of the points that lie on the shape, whatever highlights do to the others."""
 ALIKE = 1.2
 """Ratio of RMS distances up to which two poses of a shape fit alike."""
+EDGE_PX = 3
+"""Distance from edges and shadows of pixels whose light is compared: nearer to them the pose tells more."""
+CLIPPED = 0.98
+"""Share of full scale from which a level counts as saturated: noise lies on that, too."""
+SHORT = 1e-3
+"""Factor of the exposure at which light of a part is computed, so that no highlight is clipped."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,6 +134,28 @@ class BenchScan:
     cloud: Cloud
     T_camera_item: RigidTransform
     comparison: Comparison
+
+
+def lit_inside(twin: Twin, scan: BenchScan) -> Mask:
+    """Find the pixels that see lit surface of a part away from its edges and shadows.
+
+    Parameters
+    ----------
+    twin : Twin
+        Its world has the part, and its calibration is the bench's.
+    scan : BenchScan
+        With the pose of the part.
+
+    Returns
+    -------
+    Mask
+        (height, width).
+    """
+    placed = twin.mesh(scan.item).copy().apply_transform(scan.T_camera_item.matrix)
+    _, lit = seen_surface(placed, twin.parameters.calibration)
+    side = 2 * EDGE_PX + 1
+    inner = cv2.erode(lit.astype(np.uint8), np.ones((side, side), np.uint8), borderValue=(0.0,))
+    return np.asarray(inner > 0)
 
 
 def fit_scan(

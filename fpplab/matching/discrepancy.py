@@ -1,7 +1,8 @@
 """What is left between a matched twin and its bench, for the intervals of predictions.
 
-Noise is compared in poses of the board whose images the light was not fitted to, where there are such, and
-distance and completeness in scans, which nothing is fitted to. Both are measured alike on bench and twin.
+Noise is compared in poses of the board whose images the light was not fitted to, where there are such, and in
+scans; distance and completeness in scans. All are measured alike on bench and twin. The contrast of fine
+fringes in scans is fitted, their noise and distance are not.
 """
 
 from __future__ import annotations
@@ -13,21 +14,30 @@ import numpy as np
 from fpplab.core.conventions import Floats, Image
 from fpplab.core.errors import DataError
 from fpplab.matching.artefacts import BenchScan
-from fpplab.matching.light import TILES, tile_numbers
+from fpplab.matching.contrast import sample_contrasts
 from fpplab.matching.loss import board_mask, subsample_pixels
 from fpplab.matching.measured import expected_figures, measured_figures
 from fpplab.matching.reference import Reference
+from fpplab.matching.samples import TILES, tile_numbers
 from fpplab.matching.steps import SAMPLED_POSES
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
 from fpplab.pipeline import depth_range_of
-from fpplab.prediction import Discrepancy, MeasuredFigures
-from fpplab.prediction.discrepancy import Deviation, LevelDifferences, named_effects
+from fpplab.prediction import Discrepancy, MeasuredFigures, median_figures
+from fpplab.prediction.discrepancy import (
+    ContrastDeviation,
+    Deviation,
+    LevelDifferences,
+    named_effects,
+)
 from fpplab.simulation.matchable import Twin
 
 PIXELS = 5_000
 """Pixels of each pose at which levels are compared, about."""
+TWIN_SCANS = 5
+"""Scans of the twin whose median is compared with one of the bench: flicker and vibration differ from one to
+the next, and of the twin there may be any number."""
 
 
 def discrepancy_of(reference: Reference, twin: Twin, scans: Sequence[BenchScan]) -> Discrepancy:
@@ -49,17 +59,20 @@ def discrepancy_of(reference: Reference, twin: Twin, scans: Sequence[BenchScan])
     """
     fitted = set(reference.spread_poses(SAMPLED_POSES))
     others = [pose for pose in range(len(reference.sessions)) if pose not in fitted]
-    noise = [_noise_difference(reference, twin, pose) for pose in others or sorted(fitted)]
+    noise, board_contrast = np.transpose(
+        [_differences(reference, twin, pose) for pose in others or sorted(fitted)]
+    ).tolist()
     pairs = [scan_figures(reference, twin, scan) for scan in scans]
     levels = level_differences(reference, twin)
+    part_noise = [float(np.log(a.noise_um / b.noise_um)) for a, b in pairs]
     found = Discrepancy(
-        noise=Deviation.of(noise, fitted=not others),
+        noise=Deviation.of([*noise, *part_noise], fitted=not others),
         distance=_deviation([float(np.log(a.distance_um / b.distance_um)) for a, b in pairs]),
         completeness=_deviation([a.completeness - b.completeness for a, b in pairs]),
+        contrast=_contrast_deviation(reference, twin, scans, board_contrast),
         levels=levels.model_copy(update={"left_out": tuple(_name(reference, pose) for pose in others)}),
     )
-    part_noise = [float(np.log(a.noise_um / b.noise_um)) for a, b in pairs]
-    looks_like, not_for = named_effects(found, part_noise)
+    looks_like, not_for = named_effects(found, noise, part_noise)
     return found.model_copy(update={"looks_like": looks_like, "not_for": not_for})
 
 
@@ -112,27 +125,44 @@ def _relative_squares(
     return square.mean(axis=1), sums, counts
 
 
-def _noise_difference(reference: Reference, twin: Twin, pose: int) -> float:
-    """Logarithm of the bench's noise of the coordinate over the twin's, on the board."""
+def _differences(reference: Reference, twin: Twin, pose: int) -> tuple[float, float]:
+    """Logarithms of bench over twin on the board: of the coordinate's noise, and of the contrast."""
     own = twin.frames(pose, reference.patterns, reference.settings)
     now = twin.parameters
     board = board_mask(now.calibration.camera, now.poses[pose], reference.target)
+    black = now.black_level * reference.full_scale
 
-    def noise(frames: Sequence[Image]) -> float:
+    def noise_and_contrast(frames: Sequence[Image]) -> Floats:
         name = _name(reference, pose)
         recording = Recording(frames, reference.plan, reference.projector[0], reference.settings.bits, name)
-        sigma = decode(recording).sigma[board]
-        if not np.isfinite(sigma).any():
+        decoded = decode(recording)
+        if not np.isfinite(decoded.sigma[board]).any():
             raise DataError(f"{name}: no pixel of the board was decoded")
-        return float(np.nanmedian(sigma))
+        level = np.mean([frames[n][board] for n in reference.plan.finest_images], axis=0)
+        contrast = decoded.modulation[board] / np.maximum(level - black, 1.0)
+        return np.array([np.nanmedian(decoded.sigma[board]), np.nanmedian(contrast)])
 
-    return float(np.log(noise(reference.recorded(pose)) / noise(own)))
+    off = np.log(noise_and_contrast(reference.recorded(pose)) / noise_and_contrast(own))
+    return float(off[0]), float(off[1])
+
+
+def _contrast_deviation(
+    reference: Reference, twin: Twin, scans: Sequence[BenchScan], on_board: Sequence[float]
+) -> ContrastDeviation:
+    """Of the finest fringes of all recordings: those on parts where they are finer than the board's."""
+    finer = sample_contrasts(twin, scans, reference.plan)
+    if not finer:
+        relative = float(np.sqrt(np.mean(np.square(on_board))))
+        return ContrastDeviation(stripes=reference.plan.finest.stripes, relative=relative)
+    off = np.concatenate([one.relative_residual(reference, twin) for one in finer])
+    stripes = max(fringe.stripes for one in finer for fringe in one.sets)
+    return ContrastDeviation(stripes=stripes, relative=float(np.sqrt(np.mean(off**2))))
 
 
 def scan_figures(
     reference: Reference, twin: Twin, scan: BenchScan
 ) -> tuple[MeasuredFigures, MeasuredFigures]:
-    """Compute the figures of a scan on the bench, and of the same scan on the twin.
+    """Compute the figures of a scan on the bench, and of such scans on the twin.
 
     Parameters
     ----------
@@ -146,16 +176,20 @@ def scan_figures(
     Returns
     -------
     real, own : MeasuredFigures
-        Of bench and twin.
+        Of bench and twin; the twin's are medians of `TWIN_SCANS`.
     """
     placed = twin.mesh(scan.item).copy().apply_transform(scan.T_camera_item.matrix)
     real = measured_figures(scan.session, reference.characterisation.calibration, placed)
     session, known = scan.session, twin.parameters.calibration
     plan, (size, lattice) = session.plan, session.projector()
     settings = session.records[0].settings
-    frames = twin.scan(scan.item, scan.T_camera_item, make_patterns(plan, size, lattice), settings)
-    recording = Recording(frames, plan, size, settings.bits, f"the twin's {scan.item}")
-    return real, expected_figures(recording, known, placed, depth_range_of(session))
+    patterns, depth = make_patterns(plan, size, lattice), depth_range_of(session)
+    own = []
+    for _ in range(TWIN_SCANS):
+        frames = twin.scan(scan.item, scan.T_camera_item, patterns, settings)
+        recording = Recording(frames, plan, size, settings.bits, f"the twin's {scan.item}")
+        own.append(expected_figures(recording, known, placed, depth))
+    return real, median_figures(own)
 
 
 def _deviation(differences: Sequence[float]) -> Deviation | None:

@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from fpplab.core.conventions import Floats
 from fpplab.matching.board_shape import change_by_bend
 from fpplab.matching.geometry import levels_with_gradient
-from fpplab.matching.light import TILES, tile_numbers
 from fpplab.matching.loss import board_mask, subsample_pixels
 from fpplab.matching.places import slopes_by_move
 from fpplab.matching.reference import Reference
+from fpplab.matching.samples import TILES, tile_numbers
 from fpplab.matching.waves import Series
 from fpplab.patterns.plan import Plan
 from fpplab.phase.common_errors import beyond_fringe

@@ -29,10 +29,10 @@ from fpplab.characterisation.zhang import matrix_of, transform
 from fpplab.core.conventions import Floats, PixelIndices
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.matching.board_shape import change_by_bend
-from fpplab.matching.light import TILES, tile_numbers
 from fpplab.matching.loss import SURROUNDINGS_PX, board_mask, level_weights, subsample_pixels
 from fpplab.matching.places import place_jacobian, slopes_by_move
 from fpplab.matching.reference import Reference
+from fpplab.matching.samples import TILES, tile_numbers
 from fpplab.simulation.matchable import ExpectedLevels, Twin, TwinParameters
 
 SHIFT_MM, SHIFT_PX = 0.02, 0.05

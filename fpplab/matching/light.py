@@ -12,25 +12,19 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fpplab.core.conventions import Floats, PixelIndices
+from fpplab.core.conventions import Floats
 from fpplab.core.robust import multiway_covariance
-from fpplab.matching.loss import SURROUNDINGS_PX, board_mask, level_weights, subsample_pixels
+from fpplab.matching.loss import level_weights
 from fpplab.matching.reference import Reference
+from fpplab.matching.samples import LightSample, PixelSample
 from fpplab.patterns.curve import Curve
 from fpplab.simulation.matchable import Twin, TwinParameters
 
-MAX_PIXELS = 8_000
-"""Pixels of each pose that are compared."""
-DARK_LEVELS = 2.0
-"""Raw levels above the darkest places up to which there is no light."""
 MAX_ROUNDS = 3
 CONVERGED_GAIN = 5e-3
 """Relative decrease of the cost below which the fit has converged."""
 MAX_HALVINGS = 4
-TILES = 5
-"""Tiles along each side of the board whose residuals count as dependent in standard uncertainties."""
 
 
 @dataclass(frozen=True)
@@ -169,84 +163,7 @@ ADJUSTABLE = {
 """The parameters that can be fitted, by name; `b` and `g` are those of the response."""
 
 
-@dataclass(frozen=True, eq=False)
-class PixelSample:
-    """Some pixels of some images of a pose.
-
-    Attributes
-    ----------
-    pose : int
-        Index of the pose.
-    images : tuple of int
-        Indices of the n images in the plan.
-    pixels : PixelIndices
-        Rows and columns of the P pixels.
-    seen : Floats
-        Raw levels (n, P) of the reference.
-    """
-
-    pose: int
-    images: tuple[int, ...]
-    pixels: PixelIndices
-    seen: Floats
-
-    @property
-    def tiles(self) -> NDArray[np.int64]:
-        """Number of the tile of every pixel, (P,): residuals within one count as dependent."""
-        return tile_numbers(self.pixels)
-
-
-def tile_numbers(pixels: PixelIndices) -> NDArray[np.int64]:
-    """Number the tiles of a grid over some pixels.
-
-    Parameters
-    ----------
-    pixels : PixelIndices
-        Rows and columns of P pixels.
-
-    Returns
-    -------
-    NDArray of int64
-        (P,), 0 to `TILES`² - 1.
-    """
-    row, column = (TILES * (one - one.min()) // (np.ptp(one) + 1) for one in pixels)
-    return np.asarray(TILES * row + column, np.int64)
-
-
-def sample_pixels(
-    reference: Reference, parameters: TwinParameters, poses: Sequence[int], images: Sequence[int]
-) -> list[PixelSample]:
-    """Sample the pixels of the board and its surroundings.
-
-    Parameters
-    ----------
-    reference : Reference
-        What was recorded of the bench.
-    parameters : TwinParameters
-        Their camera and poses tell where the board is in the image.
-    poses : sequence of int
-        Indices of the poses.
-    images : sequence of int
-        Indices of the images.
-
-    Returns
-    -------
-    list of PixelSample
-        One for each pose, of at most about `MAX_PIXELS` pixels.
-    """
-
-    def one(pose: int) -> PixelSample:
-        area = board_mask(
-            parameters.calibration.camera, parameters.poses[pose], reference.target, -SURROUNDINGS_PX
-        )
-        pixels = subsample_pixels(area, MAX_PIXELS)
-        seen = reference.frames(pose, images)[:, *pixels].astype(np.float64)
-        return PixelSample(pose, tuple(images), pixels, seen)
-
-    return [one(pose) for pose in poses]
-
-
-def light_residuals(reference: Reference, twin: Twin, samples: Sequence[PixelSample]) -> Floats:
+def light_residuals(reference: Reference, twin: Twin, samples: Sequence[LightSample]) -> Floats:
     """Compute the residuals of the twin with its present parameters.
 
     Parameters
@@ -255,28 +172,18 @@ def light_residuals(reference: Reference, twin: Twin, samples: Sequence[PixelSam
         What was recorded of the bench.
     twin : Twin
         With the parameters to evaluate.
-    samples : sequence of PixelSample
-        Pixels that are compared.
+    samples : sequence of LightSample
+        What is compared.
 
     Returns
     -------
     Floats
-        Reference less twin in raw levels, of all samples in one row; 0 where either is saturated, and where
-        there is no light.
+        Reference less twin in raw levels, of all samples in one row.
     """
-    return np.concatenate([_residual(reference, twin, sample).ravel() for sample in samples])
+    return np.concatenate([sample.residual(reference, twin) for sample in samples])
 
 
-def _residual(reference: Reference, twin: Twin, sample: PixelSample) -> Floats:
-    patterns = reference.shown(sample.images)
-    here = twin.expected_at(sample.pose, patterns, reference.settings, sample.pixels).astype(np.float64)
-    # Where there is no light there is hardly any noise, and all levels are rounded to the same side.
-    lit = sample.seen > reference.darkest_level + DARK_LEVELS
-    valid = lit & (sample.seen < reference.full_scale) & (here < reference.full_scale)
-    return np.where(valid, sample.seen - here, 0.0)
-
-
-def mean_square_difference(reference: Reference, twin: Twin, samples: Sequence[PixelSample]) -> float:
+def mean_square_difference(reference: Reference, twin: Twin, samples: Sequence[LightSample]) -> float:
     """Compute the mean square of the residuals.
 
     Parameters
@@ -285,8 +192,8 @@ def mean_square_difference(reference: Reference, twin: Twin, samples: Sequence[P
         What was recorded of the bench.
     twin : Twin
         With the parameters to evaluate.
-    samples : sequence of PixelSample
-        Pixels that are compared.
+    samples : sequence of LightSample
+        What is compared.
 
     Returns
     -------
@@ -309,8 +216,8 @@ def information_criterion(
         What was recorded of the bench.
     twin : Twin
         With the parameters to judge.
-    samples : sequence of PixelSample
-        Pixels that are compared.
+    samples : sequence of LightSample
+        What is compared.
     free : int
         Number of parameters that were fitted beyond those of the model it is compared with.
 
@@ -329,7 +236,7 @@ def information_criterion(
 
 
 def fit_light(
-    reference: Reference, twin: Twin, names: Sequence[str], samples: Sequence[PixelSample]
+    reference: Reference, twin: Twin, names: Sequence[str], samples: Sequence[LightSample]
 ) -> TwinParameters:
     """Fit the named parameters to the images; all others are held.
 
@@ -344,8 +251,8 @@ def fit_light(
         Starts from its present parameters.
     names : sequence of str
         Keys of `ADJUSTABLE`.
-    samples : sequence of PixelSample
-        Pixels that are compared.
+    samples : sequence of LightSample
+        What is compared.
 
     Returns
     -------
@@ -368,7 +275,7 @@ def _round(
     reference: Reference,
     twin: Twin,
     names: Sequence[str],
-    samples: Sequence[PixelSample],
+    samples: Sequence[LightSample],
     start: TwinParameters,
     residual: Floats,
 ) -> tuple[float, TwinParameters, Floats, dict[str, float]]:
@@ -395,7 +302,7 @@ def level_slopes(
     reference: Reference,
     twin: Twin,
     names: Sequence[str],
-    samples: Sequence[PixelSample],
+    samples: Sequence[LightSample],
     start: TwinParameters,
     residual: Floats,
 ) -> Floats:
@@ -409,8 +316,8 @@ def level_slopes(
         Left with the last parameters that were tried.
     names : sequence of str
         C keys of `ADJUSTABLE`.
-    samples : sequence of PixelSample
-        Pixels of N levels altogether.
+    samples : sequence of LightSample
+        Of N levels altogether.
     start : TwinParameters
         Where to differentiate.
     residual : Floats
@@ -432,7 +339,7 @@ def level_slopes(
 
 
 def _standard_errors(
-    matrix: Floats, weight: Floats, residual: Floats, samples: Sequence[PixelSample]
+    matrix: Floats, weight: Floats, residual: Floats, samples: Sequence[LightSample]
 ) -> Floats:
     """Standard uncertainties (C,) that allow residuals to be as dependent as they are.
 
@@ -440,20 +347,17 @@ def _standard_errors(
     poses over all of their places and images, and images of one pattern over all poses. Their parts are
     added, since one of them may make up for another by chance only (`multiway_covariance`).
     """
-    tiles = [np.tile(sample.tiles, len(sample.images)) for sample in samples]
-    poses = [np.full(len(one), pose) for pose, one in enumerate(tiles)]
-    images = [np.repeat(sample.images, len(sample.tiles)) for sample in samples]
-    clusters = [np.concatenate(one) for one in (tiles, poses, images)]
+    clusters = np.concatenate([sample.clusters for sample in samples], axis=1)
     scores = matrix * (weight * residual)[:, None]
     inverse = np.linalg.pinv(matrix.T @ (weight[:, None] * matrix))
-    return np.sqrt(np.diag(multiway_covariance(inverse, scores, clusters)))
+    return np.sqrt(np.diag(multiway_covariance(inverse, scores, list(clusters))))
 
 
 def _step_candidates(
     reference: Reference,
     twin: Twin,
     names: Sequence[str],
-    samples: Sequence[PixelSample],
+    samples: Sequence[LightSample],
     start: TwinParameters,
     step: Floats,
 ) -> Iterator[tuple[TwinParameters, Floats]]:
@@ -467,18 +371,40 @@ def _step_candidates(
         yield tried, light_residuals(reference, twin, samples)
 
 
+def focus_distances(parameters: TwinParameters, focus: str) -> list[float]:
+    """Give distances at which a focus may be, by those of the board's poses.
+
+    Parameters
+    ----------
+    parameters : TwinParameters
+        With poses.
+    focus : str
+        "projector_focus_mm" or "camera_focus_mm".
+
+    Returns
+    -------
+    list of float
+        Three, in mm from that device.
+    """
+    depths = np.array([pose.translation[2] for pose in parameters.poses])
+    if focus == "projector_focus_mm":
+        to_projector = parameters.calibration.T_projector_camera
+        depths = np.array([to_projector.apply(pose.translation)[2] for pose in parameters.poses])
+    middle, half = float(np.median(depths)), max(float(np.ptp(depths)), 0.05 * float(np.median(depths)))
+    return [middle + share * half for share in (-0.4, 0.0, 0.4)]
+
+
 def search_focus_grid(
     reference: Reference,
     twin: Twin,
-    samples: Sequence[PixelSample],
+    samples: Sequence[LightSample],
     focus: str,
     aperture: str,
     apertures: Sequence[float],
 ) -> TwinParameters:
     """Search a coarse grid of focus distance and aperture, to find a start for a fit of both.
 
-    Only the first, the middle and the last sample are compared: the nearest, middle and farthest pose. The
-    twin is left with the result.
+    The twin is left with the result.
 
     Parameters
     ----------
@@ -486,8 +412,8 @@ def search_focus_grid(
         What was recorded of the bench.
     twin : Twin
         Starts from its present parameters.
-    samples : sequence of PixelSample
-        Pixels, in the order of the poses' depths.
+    samples : sequence of LightSample
+        What is compared, as near and as far as there is.
     focus : str
         Name of the focus distance, "projector_focus_mm" or "camera_focus_mm".
     aperture : str
@@ -501,14 +427,8 @@ def search_focus_grid(
         The best of the grid, or the present ones if none is better.
     """
     start = twin.parameters
-    samples = [samples[0], samples[len(samples) // 2], samples[-1]]
     own = float(getattr(start, aperture))
-    depths = np.array([pose.translation[2] for pose in start.poses])
-    if focus == "projector_focus_mm":
-        to_projector = start.calibration.T_projector_camera
-        depths = np.array([to_projector.apply(pose.translation)[2] for pose in start.poses])
-    middle, half = float(np.median(depths)), max(float(np.ptp(depths)), 0.05 * float(np.median(depths)))
-    grid = [(middle + share * half, own * opening) for share in (-0.4, 0.0, 0.4) for opening in apertures]
+    grid = [(depth, own * opening) for depth in focus_distances(start, focus) for opening in apertures]
     best, least = start, mean_square_difference(reference, twin, samples)
     for depth, opening in grid:
         changes: dict[str, Any] = {focus: depth, aperture: opening}

@@ -16,11 +16,14 @@ from fpplab.core.config import Document
 from fpplab.core.errors import CalibrationError
 from fpplab.core.progress import Progress, Say, ignore, no_progress
 from fpplab.matching import light
+from fpplab.matching.artefacts import BenchScan
+from fpplab.matching.contrast import sample_contrasts
 from fpplab.matching.evaluation import TwinEvaluation, evaluate
-from fpplab.matching.light import ADJUSTABLE, PixelSample
+from fpplab.matching.light import ADJUSTABLE
 from fpplab.matching.loss import Weights
 from fpplab.matching.record import MatchingEpoch, MatchingRecord, ParametersFile
 from fpplab.matching.reference import Reference
+from fpplab.matching.samples import PixelSample, sample_pixels
 from fpplab.matching.steps import (
     FIRST_STEPS,
     REPEATED_STEPS,
@@ -174,6 +177,7 @@ def match_twin(
     record: MatchingRecord,
     weights: Weights,
     limits: MatchingLimits,
+    scans: Sequence[BenchScan] = (),
     *,
     progress: Progress = no_progress,
     observe: EpochObserver = ignore,
@@ -197,6 +201,8 @@ def match_twin(
         Of the loss.
     limits : MatchingLimits
         When to stop.
+    scans : sequence of BenchScan
+        Of parts, recorded on the bench; those with finer fringes than the board's tell the sharpness.
     progress : Progress
         Told an estimated share of the steps, also within them.
     observe : EpochObserver
@@ -227,7 +233,8 @@ def match_twin(
     before = epochs[-1].seconds if epochs else 0.0
     started = time.monotonic() - before
     watch = _StepWatch(started, limits, progress, tell)
-    at = MatchingContext(reference, watched_twin(twin, watch), samples, white)
+    contrasts = tuple(sample_contrasts(twin, scans, reference.plan))
+    at = MatchingContext(reference, watched_twin(twin, watch), samples, white, contrasts)
     state = _State(at, weights, record, epochs, started, watch)
     twin = at.twin
     if not epochs:
@@ -276,19 +283,19 @@ def explained_shares(epochs: Sequence[MatchingEpoch]) -> dict[str, float]:
 
 def _samples_of_poses(reference: Reference, parameters: TwinParameters) -> list[PixelSample]:
     images = sorted({*reference.one_of_each_set, *reference.finest})
-    return light.sample_pixels(reference, parameters, reference.spread_poses(SAMPLED_POSES), images)
+    return sample_pixels(reference, parameters, reference.spread_poses(SAMPLED_POSES), images)
 
 
-def _steps() -> Iterator[MatchingStep]:
+def _steps(repeated: Sequence[MatchingStep]) -> Iterator[MatchingStep]:
     yield from FIRST_STEPS
     while True:
-        yield from REPEATED_STEPS
+        yield from repeated
 
 
 def _run(state: _State, limits: MatchingLimits, observe: EpochObserver) -> str:
     """Make steps until one of the limits; return which."""
-    idle = 0
-    for number, step in enumerate(_steps(), 1):
+    idle, repeated = 0, [step for step in REPEATED_STEPS if step.applies(state.at)]
+    for number, step in enumerate(_steps(repeated), 1):
         if number >= len(state.epochs):  # not taken by an earlier run
             if number > limits.epochs:
                 return f"after {limits.epochs} epochs"
@@ -302,10 +309,8 @@ def _run(state: _State, limits: MatchingLimits, observe: EpochObserver) -> str:
                 _take_step(state, step, observe)
             except _TimeOver:
                 return f"after {state.seconds:.0f} s"
-        if number > len(FIRST_STEPS) and (number - len(FIRST_STEPS)) % len(REPEATED_STEPS) == 0:
-            before, after = (
-                _best(state.epochs[:end]) for end in (number + 1 - len(REPEATED_STEPS), number + 1)
-            )
+        if number > len(FIRST_STEPS) and (number - len(FIRST_STEPS)) % len(repeated) == 0:
+            before, after = (_best(state.epochs[:end]) for end in (number + 1 - len(repeated), number + 1))
             idle = 0 if _changed(before, after, limits) else idle + 1
             if idle >= limits.patience:
                 return CONVERGED
@@ -348,11 +353,11 @@ def moved_um(before: TwinParameters, after: TwinParameters) -> float:
 def _take_step(state: _State, step: MatchingStep, observe: EpochObserver) -> None:
     best, twin = state.best, state.at.twin
     twin.become(best.parameters.parameters())
-    before = step.misfit(state.at) if step.misfit else None
+    before = step.misfit(state.at)
     written = ParametersFile.of(step.propose(state.at))
     tried = written.parameters()
     twin.become(tried)
-    after = step.misfit(state.at) if step.misfit else None
+    after = step.misfit(state.at)
     allowed = step.allowed(state.at)
     known = None if step.characterises else best.loss["epsilon_v_px"]
     found = _evaluated(state, known)

@@ -14,9 +14,10 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from fpplab.core.conventions import Floats
-from fpplab.matching.light import ADJUSTABLE, PixelSample, level_slopes, light_residuals
+from fpplab.matching.light import ADJUSTABLE, level_slopes, light_residuals
 from fpplab.matching.loss import level_weights
 from fpplab.matching.reference import Reference
+from fpplab.matching.samples import PixelSample
 from fpplab.simulation.matchable import Twin, TwinParameters
 
 ANGLES_DEG = (25.0, 50.0, 75.0)

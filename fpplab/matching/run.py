@@ -327,6 +327,7 @@ def match_sessions(
         MatchingRecord(folder),
         request.weights,
         request.limits,
+        [*scans, *parts],
         progress=lambda share: progress(0.1 + 0.7 * share),
         observe=observe,
         tell=tell,
@@ -370,7 +371,7 @@ def match_sessions(
     if not result.diagnosis.is_useless:
         twin.become(complete)
         tell("comparing noise and scans for the intervals of predictions")
-        discrepancy_of(reference, twin, scans).save(folder)
+        discrepancy_of(reference, twin, [*scans, *parts]).save(folder)
         twin.save(folder, result.notes)
     return result
 

@@ -4,21 +4,23 @@ Order: geometry by the observed points, light, then one by one the effects that 
 (ambient light, defocus of projector and camera, vignetting, the projector's falloff, a lamp of the room,
 flicker, rolling bands, noise); at last all parameters of light together and the geometry by the images in
 turn. Falloff, lamp, flicker and bands are kept where they explain more than their parameters cost. Noise is
-judged by its variance and spectrum, since the images that the loss compares have none.
+judged by its variance and spectrum, since the images that the loss compares have none. Scans of parts with
+finer fringes than the board's tell the projector's sharpness better than the board does, and alone.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 from fpplab.matching import bands, flicker, geometry, light, noise, room_lamp
+from fpplab.matching.contrast import ContrastSample, with_common_error
 from fpplab.matching.frame_terms import FrameTerms, terms_of_pose
 from fpplab.matching.fringe_rests import fringe_rests
-from fpplab.matching.light import PixelSample
 from fpplab.matching.record import ParametersFile
 from fpplab.matching.reference import Reference
+from fpplab.matching.samples import PixelSample
 from fpplab.simulation.matchable import Twin, TwinParameters
 
 SAMPLED_POSES = 6
@@ -31,6 +33,9 @@ STEADY: dict[str, Any] = {
     "sigma": {},
 }
 """What parameters have in common whose expected images are alike."""
+PROJECTOR_FOCUS = ("projector_focus_mm", "projector_aperture_mm")
+CAMERA_FOCUS = ("camera_focus_mm", "f_number")
+"""Names of the parameters of focus and aperture."""
 F_NUMBERS = (1.0, 2.0, 4.0)
 APERTURES = (0.5, 1.0, 2.0)
 """Factors of the twin's own aperture with which the search for a focus starts."""
@@ -50,12 +55,15 @@ class MatchingContext:
         Pixels at which images are compared.
     white : str
         The parameter that scales the levels: "white", or "paper" where a measured response fixes white.
+    contrasts : tuple of ContrastSample
+        Of finer fringes on parts: where there are, they tell the projector's sharpness.
     """
 
     reference: Reference
     twin: Twin
     samples: list[PixelSample]
     white: str
+    contrasts: tuple[ContrastSample, ...] = ()
     _terms: dict[str, list[FrameTerms]] = field(default_factory=dict)
 
     def frame_terms(self) -> list[FrameTerms]:
@@ -125,6 +133,37 @@ class MatchingContext:
         others = [name for name in names if name != "black_level"]
         return light.fit_light(self.reference, self.twin, others, self.samples)
 
+    @property
+    def projector_focus(self) -> tuple[str, ...]:
+        """Names of the projector's focus and aperture, where its focus was searched."""
+        return PROJECTOR_FOCUS if self.twin.parameters.projector_focus_mm is not None else ()
+
+    @property
+    def camera_focus(self) -> tuple[str, ...]:
+        """Names of the camera's focus and aperture, where its focus was searched."""
+        return CAMERA_FOCUS if self.twin.parameters.camera_focus_mm is not None else ()
+
+    @property
+    def blur_by_images(self) -> tuple[str, ...]:
+        """The projector's blur, unless contrasts tell it."""
+        return () if self.contrasts else ("projector_blur",)
+
+    def fit_projector_sharpness(self) -> TwinParameters:
+        """Fit blur, focus and aperture of the projector to contrasts, or without them to the board's images.
+
+        Together, what the twin lacks of the light on the board would decide: it is most of what is left.
+
+        Returns
+        -------
+        TwinParameters
+            As `fpplab.matching.light.fit_light` finds them; the twin is left with them.
+        """
+        names = ("projector_blur", *self.projector_focus)
+        if not self.contrasts:
+            return light.fit_light(self.reference, self.twin, names, self.samples)
+        found = light.fit_light(self.reference, self.twin, names, self.contrasts)
+        return with_common_error(self.reference, self.twin, found, names, self.contrasts)
+
 
 @dataclass(frozen=True)
 class MatchingStep:
@@ -139,48 +178,72 @@ class MatchingStep:
     characterises : bool
         Whether the twin's own RMS reprojection error must be found again.
     misfit : callable or None
-        What the step is judged by, less is better, in place of the loss.
+        What the step is judged by, less is better, in place of the loss; None where that is to judge.
     allowed : callable
         Whether what was proposed, which the twin has, may be accepted at all.
+    applies : callable
+        Whether the step is taken; the same in all rounds.
     """
 
     name: str
     propose: Callable[[MatchingContext], TwinParameters]
     characterises: bool = False
-    misfit: Callable[[MatchingContext], float] | None = None
+    misfit: Callable[[MatchingContext], float | None] = lambda at: None
     allowed: Callable[[MatchingContext], bool] = lambda at: True
+    applies: Callable[[MatchingContext], bool] = lambda at: True
 
 
 def _projector_defocus(at: MatchingContext) -> TwinParameters:
-    names = ("projector_focus_mm", "projector_aperture_mm")
-    if at.twin.parameters.projector_focus_mm is None:
-        light.search_focus_grid(at.reference, at.twin, at.samples, *names, APERTURES)
-    if at.twin.parameters.projector_focus_mm is None:
-        return at.fit("projector_blur")
-    return at.fit("projector_blur", *names)
+    if at.projector_focus:
+        return at.fit_projector_sharpness()
+    if at.contrasts:
+        return _focus_by_contrasts(at)
+    light.search_focus_grid(at.reference, at.twin, _ends(at.samples), *PROJECTOR_FOCUS, APERTURES)
+    return at.fit_projector_sharpness()
+
+
+def _focus_by_contrasts(at: MatchingContext) -> TwinParameters:
+    """Fit the sharpness without a focus, and from several: contrasts are many times quicker than images."""
+    start, found = at.twin.parameters, []
+    for focus in (None, *light.focus_distances(start, "projector_focus_mm")):
+        at.twin.become(replace(start, projector_focus_mm=focus))
+        tried = at.fit_projector_sharpness()
+        found.append((light.mean_square_difference(at.reference, at.twin, at.contrasts), tried))
+    best = min(found, key=lambda one: one[0])[1]
+    at.twin.become(best)
+    return best
 
 
 def _depth_of_field(at: MatchingContext) -> TwinParameters:
-    names = ("camera_focus_mm", "f_number")
-    if at.twin.parameters.camera_focus_mm is None:
-        light.search_focus_grid(at.reference, at.twin, at.samples, *names, F_NUMBERS)
-    if at.twin.parameters.camera_focus_mm is None:
+    if not at.camera_focus:
+        light.search_focus_grid(at.reference, at.twin, _ends(at.samples), *CAMERA_FOCUS, F_NUMBERS)
+    if not at.camera_focus:
         return at.twin.parameters
-    return at.fit("projector_blur", *names)
+    return at.fit(*at.blur_by_images, *CAMERA_FOCUS)
+
+
+def _ends(samples: Sequence[PixelSample]) -> list[PixelSample]:
+    """The nearest, the middle and the farthest pose."""
+    return [samples[0], samples[len(samples) // 2], samples[-1]]
 
 
 def _fit_together(at: MatchingContext) -> TwinParameters:
     now = at.twin.parameters
-    names = ["projector_blur", "vignetting"]
+    names = [*at.blur_by_images, "vignetting"]
     if any(now.projector_falloff):
         names += light.FALLOFF
     if now.lamp_irradiance:
         names += light.LAMP
-    if now.projector_focus_mm is not None:
-        names += ["projector_focus_mm", "projector_aperture_mm"]
-    if now.camera_focus_mm is not None:
-        names += ["camera_focus_mm", "f_number"]
-    return at.fit(*at.light_parameters(*names))
+    if not at.contrasts:
+        names += at.projector_focus
+    return at.fit(*at.light_parameters(*names, *at.camera_focus))
+
+
+def _contrast_left(at: MatchingContext) -> float | None:
+    """What is left of contrasts, of which the loss knows nothing; None without them."""
+    if not at.contrasts:
+        return None
+    return light.mean_square_difference(at.reference, at.twin, at.contrasts)
 
 
 def _evidence_for_falloff(at: MatchingContext) -> float:
@@ -227,7 +290,7 @@ FIRST_STEPS = (
     ),
     MatchingStep("light", lambda at: at.fit(at.white, "ink", "projector_blur")),
     MatchingStep("ambient light", lambda at: at.fit(*at.light_parameters())),
-    MatchingStep("projector defocus", _projector_defocus),
+    MatchingStep("projector defocus", _projector_defocus, misfit=_contrast_left),
     MatchingStep("depth of field", _depth_of_field),
     MatchingStep("vignetting", lambda at: at.fit(at.white, "vignetting")),
     MatchingStep(
@@ -251,5 +314,11 @@ REPEATED_STEPS = (
         "images",
         _refine_by_images,
         allowed=lambda at: geometry.contradiction(at.reference, at.twin.parameters) <= 1.0,
+    ),
+    MatchingStep(
+        "fine fringes",
+        lambda at: at.fit_projector_sharpness(),
+        misfit=_contrast_left,
+        applies=lambda at: bool(at.contrasts),
     ),
 )

@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar, nnls
@@ -22,22 +21,15 @@ from scipy.optimize import minimize_scalar, nnls
 from fpplab.core.conventions import Floats, PixelIndices, full_scale
 from fpplab.core.errors import DataError
 from fpplab.core.robust import HUBER, huber_weights, multiway_covariance, robust_spread
-from fpplab.matching.artefacts import BenchScan
-from fpplab.matching.light import tile_numbers
+from fpplab.matching.artefacts import CLIPPED, SHORT, BenchScan, lit_inside
 from fpplab.matching.loss import subsample_pixels
+from fpplab.matching.samples import tile_numbers
 from fpplab.patterns.fringes import Pattern, make_patterns
-from fpplab.prediction.figures import seen_surface
 from fpplab.simulation.matchable import Twin, TwinParameters
 from fpplab.simulation.surface import PartSurface
 
 PIXELS, LEAST_PIXELS = 4_000, 50
 """Pixels of a scan that are compared, about, and the least number that tells a surface."""
-EDGE_PX = 3
-"""Distance from edges and shadows of pixels that are compared: nearer to them the pose tells more."""
-CLIPPED = 0.98
-"""Share of full scale from which a level counts as saturated: noise lies on that, too."""
-SHORT = 1e-3
-"""Factor of the exposure at which components of the light are computed, so that no highlight is clipped."""
 WIDTHS = (0.15, 0.25, 0.4, 0.6)
 """Widths of the gloss coat (square root of GGX's) with which the search starts."""
 LEAST_WIDTH, MOST_WIDTH = 0.08, 0.9
@@ -237,10 +229,7 @@ class _View:
         self.own = self.component(None)
 
     def _lit_pixels(self) -> PixelIndices:
-        placed = self.twin.mesh(self.scan.item).copy().apply_transform(self.scan.T_camera_item.matrix)
-        _, lit = seen_surface(placed, self._now.calibration)
-        side = 2 * EDGE_PX + 1
-        inner = cv2.erode(lit.astype(np.uint8), np.ones((side, side), np.uint8), borderValue=(0.0,)) > 0
+        inner = lit_inside(self.twin, self.scan)
         if np.count_nonzero(inner) < LEAST_PIXELS:
             raise DataError(
                 f"{self.scan.session.path}: {np.count_nonzero(inner)} pixels see lit surface of the "

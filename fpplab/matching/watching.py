@@ -87,6 +87,7 @@ class _WatchedTwin:
         settings: CameraSettings,
         pixels: PixelIndices,
     ) -> ExpectedLevels:
+        self._watch()
         return self._twin.expected_part(item, pose, patterns, settings, pixels)
 
     def scan(

@@ -66,6 +66,34 @@ class Deviation(Document):
         return float(np.sqrt(self.mean**2 + self.spread**2 * (1.0 + 1.0 / self.count) + LEAST**2))
 
 
+class ContrastDeviation(Document):
+    """What the contrast of fringes of bench and twin differed by, at the finest that were compared."""
+
+    stripes: float
+    """Over the projector's image."""
+    relative: float
+    """RMS difference of the contrast's logarithm."""
+
+    def sigma(self, stripes: float) -> float:
+        """Compute the relative standard uncertainty of the contrast, and so of the noise, of finer fringes.
+
+        Blur of any kind lowers the contrast's logarithm by the square of the number of stripes, as long as
+        it is less than a fringe.
+
+        Parameters
+        ----------
+        stripes : float
+            Over the projector's image.
+
+        Returns
+        -------
+        float
+            0 where the fringes are not finer than those that were compared.
+        """
+        ratio = (stripes / self.stripes) ** 2
+        return self.relative * float(np.sqrt(ratio**2 - 1.0)) if ratio > 1.0 else 0.0
+
+
 class LevelDifferences(Document):
     """RMS differences of the grey levels over the board, relative to the mean level of each pose."""
 
@@ -83,17 +111,34 @@ class Discrepancy(Document):
     """What is left between a matched twin and its bench, as its predictions need it."""
 
     noise: Deviation | None = None
-    """Of the logarithm of the noise of the coordinate."""
+    """Of the logarithm of the noise: of the coordinate on the board, and of the points of scans."""
     distance: Deviation | None = None
     """Of the logarithm of the distance between points and true surface; from scans."""
     completeness: Deviation | None = None
     """Of the share of lit pixels that became points; from scans."""
+    contrast: ContrastDeviation | None = None
+    """Of the finest fringes, on the board or on parts."""
     levels: LevelDifferences | None = None
     """Of the images of the board."""
     looks_like: str | None = None
     """What the difference looks like, where it is large."""
     not_for: str | None = None
     """For which measurements the twin must not be believed."""
+
+    def contrast_sigma(self, stripes: float) -> float:
+        """Compute how uncertain the contrast of fringes is beyond what noise and distance show.
+
+        Parameters
+        ----------
+        stripes : float
+            Over the projector's image.
+
+        Returns
+        -------
+        float
+            Relative; 0 where bench and twin were compared with fringes as fine.
+        """
+        return self.contrast.sigma(stripes) if self.contrast else 0.0
 
     def save(self, folder: Path) -> None:
         """Write the file.
@@ -128,7 +173,9 @@ class Discrepancy(Document):
         return config.load_document(path, cls) if path.is_file() else None
 
 
-def named_effects(found: Discrepancy, part_noise: Sequence[float]) -> tuple[str | None, str | None]:
+def named_effects(
+    found: Discrepancy, board_noise: Sequence[float], part_noise: Sequence[float]
+) -> tuple[str | None, str | None]:
     """Name what a large discrepancy looks like, and what the twin must not be believed for.
 
     Points that are further from the surface than the twin's while their noise is alike have an error that is
@@ -138,8 +185,10 @@ def named_effects(found: Discrepancy, part_noise: Sequence[float]) -> tuple[str 
     ----------
     found : Discrepancy
         Of bench and twin.
+    board_noise : sequence of float
+        Logarithms of the noise of bench over twin on the board; at least one.
     part_noise : sequence of float
-        Logarithms of the noise of bench over twin, of the same scans as the distances.
+        The same of the scans that the distances are of.
 
     Returns
     -------
@@ -147,8 +196,7 @@ def named_effects(found: Discrepancy, part_noise: Sequence[float]) -> tuple[str 
         What it looks like, and for which measurements not; None where nothing is large.
     """
     looks_like, not_for = [], []
-    noisy = found.noise is not None and abs(found.noise.mean) > LARGE_NOISE
-    if noisy:
+    if abs(float(np.mean(board_noise))) > LARGE_NOISE:
         looks_like.append("noise that the twin lacks: vibration, flicker, or light of the room on the mains")
         not_for.append("noise and chance of wrong orders")
     apart = found.distance is not None and found.distance.mean > LARGE_DISTANCE

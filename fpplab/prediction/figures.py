@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 
 import igl
@@ -54,6 +54,23 @@ class MeasuredFigures:
             By attribute.
         """
         return asdict(self)
+
+
+def median_figures(measured: Sequence[MeasuredFigures]) -> MeasuredFigures:
+    """Give the median of every figure.
+
+    Parameters
+    ----------
+    measured : sequence of MeasuredFigures
+        At least one.
+
+    Returns
+    -------
+    MeasuredFigures
+        Each figure by itself.
+    """
+    every = np.array([list(one.summary().values()) for one in measured])
+    return MeasuredFigures(*np.median(every, axis=0).tolist())
 
 
 def seen_surface(mesh: trimesh.Trimesh, calibration: Calibration) -> tuple[Mask, Mask]:

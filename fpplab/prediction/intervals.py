@@ -59,11 +59,16 @@ class FigureInterval:
 
 
 def figure_intervals(
-    draws: Sequence[MeasuredFigures], by_calibration: Floats, discrepancy: Discrepancy, of_surface: float
+    draws: Sequence[MeasuredFigures],
+    by_calibration: Floats,
+    discrepancy: Discrepancy,
+    of_surface: float,
+    of_contrast: float,
 ) -> dict[str, FigureInterval]:
     """Compute intervals by noise, calibration, surface, and what bench and twin differed by.
 
-    The noise of a surface is at most inversely proportional to its reflectance.
+    Flicker and vibration now and then make a measurement much worse, so that distance and noise are the
+    medians of their draws. The noise of a surface is at most inversely proportional to its reflectance.
 
     Parameters
     ----------
@@ -75,6 +80,8 @@ def figure_intervals(
         Of bench and twin.
     of_surface : float
         Relative standard uncertainty of the surface.
+    of_contrast : float
+        That of the contrast of fringes finer than those by which bench and twin were compared.
 
     Returns
     -------
@@ -82,20 +89,21 @@ def figure_intervals(
         By attribute of `MeasuredFigures`.
     """
     values = {name: np.array([getattr(one, name) for one in draws]) for name in draws[0].summary()}
-    # Of one measurement beside the mean of the draws.
+    # Of one measurement beside the middle of the draws.
     spread = {name: float(one.std(ddof=1) * np.sqrt(1.0 + 1.0 / len(one))) for name, one in values.items()}
-    mean = {name: float(one.mean()) for name, one in values.items()}
-    relative = {name: spread[name] / max(mean[name], 1e-12) for name in mean}
-    noise = float(np.hypot(discrepancy.noise.sigma if discrepancy.noise else 0.0, of_surface))
-    distance = float(np.hypot(discrepancy.distance.sigma, of_surface)) if discrepancy.distance else noise
+    usual = {name: float(np.median(one)) for name, one in values.items()}
+    relative = {name: spread[name] / max(usual[name], 1e-12) for name in usual}
+    light = float(np.hypot(of_surface, of_contrast))
+    noise = float(np.hypot(discrepancy.noise.sigma if discrepancy.noise else 0.0, light))
+    distance = float(np.hypot(discrepancy.distance.sigma, light)) if discrepancy.distance else noise
     share = discrepancy.completeness.sigma if discrepancy.completeness else 0.0
     reach = COVERAGE * float(np.hypot(spread["completeness"], share))
-    complete, risk = mean["completeness"], mean["wrong_order"]
+    complete, risk = (float(values[name].mean()) for name in ("completeness", "wrong_order"))
     return {
         "distance_um": _scaled(
-            mean["distance_um"] * by_calibration, float(np.hypot(relative["distance_um"], distance))
+            usual["distance_um"] * by_calibration, float(np.hypot(relative["distance_um"], distance))
         ),
-        "noise_um": _scaled(np.array([mean["noise_um"]]), float(np.hypot(relative["noise_um"], noise))),
+        "noise_um": _scaled(np.array([usual["noise_um"]]), float(np.hypot(relative["noise_um"], noise))),
         "completeness": FigureInterval(complete, max(0.0, complete - reach), min(1.0, complete + reach)),
         # The risk falls like exp(-d²/2) in the noise: it is bounded by that of a noise that is off.
         "wrong_order": FigureInterval(risk, *_risk_ends(risk, noise + relative["noise_um"])),

@@ -57,6 +57,8 @@ class Prediction:
         Number of images.
     pixels : int
         Number of pixels on the item that were simulated.
+    stripes : float
+        Of the finest fringes.
     discrepancy : Discrepancy or None
         That the intervals contain; None for a rig that is no matched twin.
     surface : PartSurface or None
@@ -67,6 +69,7 @@ class Prediction:
     figures: dict[str, FigureInterval]
     images: int
     pixels: int
+    stripes: float
     discrepancy: Discrepancy | None
     surface: PartSurface | None = None
 
@@ -76,8 +79,9 @@ class Prediction:
         Returns
         -------
         dict of str to Any
-            The figures with their intervals, `item`, `images`, `pixels`, `surface`, and of the discrepancy
-            `looks_like` and `not_for`.
+            The figures with their intervals, `item`, `images`, `pixels`, `surface`, of the discrepancy
+            `looks_like` and `not_for`, and `compared_stripes`: those of the finest fringes that bench and
+            twin were compared by, where the plan's are finer, otherwise None.
         """
         known = self.discrepancy
         return {
@@ -89,7 +93,13 @@ class Prediction:
             "surface": self.surface.summary() if self.surface else None,
             "looks_like": known.looks_like if known else None,
             "not_for": known.not_for if known else None,
+            "compared_stripes": self._compared_stripes,
         }
+
+    @property
+    def _compared_stripes(self) -> float | None:
+        compared = self.discrepancy.contrast if self.discrepancy else None
+        return compared.stripes if compared and self.stripes > compared.stripes else None
 
 
 def predict(
@@ -144,11 +154,16 @@ def predict(
         distance_factors(cloud, seen & counted, mesh, known, coordinate_noise(decoded)),
         discrepancy or Discrepancy(),
         surface.relative_sigma if surface else 0.0,
+        (discrepancy or Discrepancy()).contrast_sigma(_finest(plan)),
     )
     seconds = plan_seconds(rig, plan)
     figures["seconds"] = FigureInterval(seconds, seconds, seconds)
     sampled = int(np.count_nonzero(seen & counted))
-    return Prediction(item, figures, len(study.patterns), sampled, discrepancy, surface)
+    return Prediction(item, figures, len(study.patterns), sampled, _finest(plan), discrepancy, surface)
+
+
+def _finest(plan: Plan) -> float:
+    return max(one.stripes for one in plan.fringes)
 
 
 def _with_uncertainty_beside(true: Calibration, folder: Path) -> Calibration:

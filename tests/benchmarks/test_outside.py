@@ -47,7 +47,7 @@ def test_groove_is_a_closed_body_of_facing_walls(tmp_path: Path) -> None:
 
 def answered(measured: float) -> JudgedEffect:
     interval = {name: FigureInterval(5.0, 4.0, 6.0) for name in MeasuredFigures(0, 0, 0, 0).summary()}
-    said = Prediction("part", interval, 9, 100, None)
+    said = Prediction("part", interval, 9, 100, 64, None)
     return JudgedEffect(
         "wax", "light below the surface", True, {"q": (said, MeasuredFigures(measured, 5, 5, 5))}
     )

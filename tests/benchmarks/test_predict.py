@@ -70,7 +70,7 @@ def prediction(value: float) -> Prediction:
         "distance_um": FigureInterval(value, 0.9 * value, 1.1 * value),
         "noise_um": FigureInterval(1, 0.5, 2),
     }
-    return Prediction("part", known, 9, 1000, None)
+    return Prediction("part", known, 9, 1000, 64, None)
 
 
 def measured(distance: float) -> MeasuredFigures:

@@ -87,18 +87,18 @@ def deviation(value: float) -> Deviation:
 
 def test_a_large_discrepancy_says_what_it_looks_like() -> None:
     far = Discrepancy(distance=deviation(0.8))
-    looks, not_for = named_effects(far, [0.02])
+    looks, not_for = named_effects(far, [0.0], [0.02])
     assert looks is not None
     assert not_for is not None
     assert looks.startswith("interreflection")
     assert not_for.startswith("distances")
-    looks, not_for = named_effects(far, [0.7])
+    looks, not_for = named_effects(far, [0.0], [0.7])
     assert looks is not None
     assert "reflectance or gloss" in looks
     assert not_for == "parts of this surface"
-    assert named_effects(Discrepancy(distance=deviation(0.1), noise=deviation(0.1)), [0.1]) == (None, None)
+    assert named_effects(Discrepancy(distance=deviation(0.1)), [0.1], [0.1]) == (None, None)
     uneven = LevelDifferences(by_pose={"a": 0.02, "b": 0.2}, by_pattern={}, by_place=())
-    looks, not_for = named_effects(Discrepancy(levels=uneven, noise=deviation(-0.5)), [])
+    looks, not_for = named_effects(Discrepancy(levels=uneven), [-0.5], [])
     assert looks is not None
     assert "uneven light" in looks
     assert not_for == "noise and chance of wrong orders; levels and saturation"

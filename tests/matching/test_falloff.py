@@ -9,6 +9,7 @@ import numpy as np
 from fpplab.core.conventions import Floats
 from fpplab.matching import light
 from fpplab.matching.record import named_numbers
+from fpplab.matching.samples import sample_pixels
 from fpplab.matching.steps import FIRST_STEPS, MatchingContext, MatchingStep
 from fpplab.simulation.matchable import TwinParameters
 from tests.matching.test_matching import reference_of, truth
@@ -26,7 +27,7 @@ def falloff_step() -> MatchingStep:
 def judged_falloff(bench: TwinParameters, start: TwinParameters) -> tuple[TwinParameters, float]:
     """What the step proposes, and by how much its criterion falls."""
     reference, twin = reference_of(bench), PlaneTwin(start)
-    samples = light.sample_pixels(reference, start, range(len(start.poses)), range(2))
+    samples = sample_pixels(reference, start, range(len(start.poses)), range(2))
     at, step = MatchingContext(reference, twin, samples, "white"), falloff_step()
     assert step.misfit is not None
     before = step.misfit(at)

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fpplab.matching import light
 from fpplab.matching.bands import IN_STEP_PX, Bands
 from fpplab.matching.frame_terms import GAIN
 from fpplab.matching.fringe_rests import Variances, fringe_rests, rest_of_set
+from fpplab.matching.samples import sample_pixels
 from fpplab.matching.steps import FIRST_STEPS, MatchingContext
 from fpplab.matching.vibration import match_vibration
 from fpplab.matching.waves import change_of
@@ -28,7 +28,7 @@ SHAKEN_MM = 0.01
 
 def context(bench: TwinParameters, start: TwinParameters) -> MatchingContext:
     reference, twin = reference_of(bench, plan=PLAN), PlaneTwin(start)
-    return MatchingContext(reference, twin, light.sample_pixels(reference, start, [0], [0]), "white")
+    return MatchingContext(reference, twin, sample_pixels(reference, start, [0], [0]), "white")
 
 
 def proposed(name: str, bench: TwinParameters, start: TwinParameters) -> TwinParameters:

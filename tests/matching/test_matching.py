@@ -28,6 +28,7 @@ from fpplab.matching.match import MatchingLimits, explained_shares
 from fpplab.matching.record import EPOCHS, MatchingEpoch, MatchingRecord, ParametersFile
 from fpplab.matching.reference import Reference
 from fpplab.matching.refusal import Refusals, acceptable_causes
+from fpplab.matching.samples import sample_pixels
 from fpplab.patterns.curve import Curve
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
@@ -175,7 +176,7 @@ def test_displacement_of_the_board_in_one_image_is_found(truth: TwinParameters, 
 
 def test_light_is_found(truth: TwinParameters, reference: Reference) -> None:
     twin = PlaneTwin(replace(truth, white=1.0, ink=0.05, ambient=0.01, projector_blur=0.9))
-    samples = light.sample_pixels(reference, truth, (0, 2), reference.finest)
+    samples = sample_pixels(reference, truth, (0, 2), reference.finest)
     found = light.fit_light(reference, twin, ("white", "ink", "ambient", "projector_blur"), samples)
     assert found.white == pytest.approx(truth.white, rel=2e-3)
     assert found.ink == pytest.approx(truth.ink, rel=0.01)
@@ -494,7 +495,7 @@ def test_standard_uncertainties_of_light_cover_the_truth(truth: TwinParameters) 
     for seed in range(3):
         twin = PlaneTwin(replace(truth, white=1.0, projector_blur=0.8))
         held = reference_of(truth, 10 + seed)
-        samples = light.sample_pixels(held, truth, (0, 2), held.finest)
+        samples = sample_pixels(held, truth, (0, 2), held.finest)
         found = light.fit_light(held, twin, names, samples)
         pulls.append([(getattr(found, n) - getattr(truth, n)) / found.sigma[n] for n in names])
     assert np.abs(pulls).max() < 5

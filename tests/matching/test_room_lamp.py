@@ -9,6 +9,7 @@ import pytest
 
 from fpplab.core.conventions import Floats
 from fpplab.matching import light
+from fpplab.matching.samples import sample_pixels
 from fpplab.matching.steps import FIRST_STEPS, MatchingContext, MatchingStep
 from fpplab.patterns.fringes import uniform_patterns
 from fpplab.simulation.matchable import TwinParameters
@@ -35,7 +36,7 @@ def lamp_step() -> MatchingStep:
 def judged_lamp(bench: TwinParameters, start: TwinParameters) -> tuple[TwinParameters, float]:
     """What the step proposes, and by how much its criterion falls."""
     reference, twin = reference_of(bench), PlaneTwin(start)
-    samples = light.sample_pixels(reference, start, range(len(start.poses)), range(2))
+    samples = sample_pixels(reference, start, range(len(start.poses)), range(2))
     at, step = MatchingContext(reference, twin, samples, "white"), lamp_step()
     assert step.misfit is not None
     before = step.misfit(at)

@@ -13,6 +13,7 @@ from fpplab.core.conventions import full_scale
 from fpplab.matching import light
 from fpplab.matching.loss import board_mask
 from fpplab.matching.reference import Reference
+from fpplab.matching.samples import sample_pixels
 from fpplab.matching.steps import MatchingContext
 from fpplab.simulation.matchable import TwinParameters
 from tests.matching.test_matching import reference_of, truth
@@ -36,7 +37,7 @@ def veiled(parameters: TwinParameters, levels: int) -> Reference:
 def fitted_black(reference: Reference, start: TwinParameters) -> tuple[float, float]:
     """The black level that is found, in levels, and the mean square difference that is left."""
     twin = PlaneTwin(start)
-    samples = light.sample_pixels(reference, start, (0, 2), reference.finest)
+    samples = sample_pixels(reference, start, (0, 2), reference.finest)
     at = MatchingContext(reference, twin, samples, "white")
     found = at.fit("white", "ink", "ambient", "black_level")
     again = at.fit(*at.light_parameters())

@@ -75,5 +75,11 @@ def _show(answer: dict[str, Any]) -> None:
             f"the surface of the {item} is that of the twin's file: `fpplab match --surface {item}=SESSION` "
             "matches it to a scan"
         )
+    if answer["compared_stripes"]:
+        console.say(
+            f"fringes are finer than those of {answer['compared_stripes']:g} stripes by which bench and twin "
+            "were compared, so that their contrast is uncertain: `fpplab match --scan ITEM=SESSION` with a "
+            "scan by such a plan tells it"
+        )
     if answer["looks_like"]:
         console.say(f"the twin's discrepancy looks like {answer['looks_like']}; not for {answer['not_for']}")

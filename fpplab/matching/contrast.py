@@ -1,0 +1,273 @@
+"""Contrast of fringes on parts, which tells how sharp projector and camera are where fringes are fine.
+
+The board is recorded with fringes that can be unwrapped alone; on parts they are often several times finer,
+and lose a large share of their contrast to a blur that the board's hardly show. Of a pixel that sees a matt
+part the reflectance is not known, but offset A and amplitude B of its fringe are both proportional to it:
+`B/A` is that of the light.
+
+Light of the room adds to A alone. What the twin has of it is told by the board, which faces the camera; on a
+face that is turned away by its normal n, lamps of any number give more or less by a linear function of n
+(Lambert's law), which is fitted to every scan and taken off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.comparison.visibility import RayTracedShape
+from fpplab.core.conventions import Floats, PixelIndices, full_scale
+from fpplab.core.geometry import RigidTransform
+from fpplab.core.robust import huber_weights, robust_spread
+from fpplab.devices import CameraSettings
+from fpplab.matching.artefacts import CLIPPED, SHORT, BenchScan, lit_inside
+from fpplab.matching.light import level_slopes, light_residuals
+from fpplab.matching.loss import subsample_pixels
+from fpplab.matching.reference import Reference
+from fpplab.matching.samples import TILES, cluster_numbers, tile_numbers
+from fpplab.patterns.fringe_sets import FringeSet
+from fpplab.patterns.fringes import Pattern, make_patterns
+from fpplab.patterns.plan import Plan
+from fpplab.phase.common_errors import fit_sinusoids
+from fpplab.reconstruction.triangulation import camera_rays
+from fpplab.simulation.matchable import Twin, TwinParameters
+
+ROUNDS = 4
+"""Fits of the light of the room on turned faces, each with outliers of the one before weighted less."""
+PIXELS, LEAST_PIXELS = 4_000, 200
+"""Pixels of a scan that are compared, about, and the least number that tells a contrast."""
+
+
+@dataclass(frozen=True, eq=False)
+class ContrastSample:
+    """Contrast of some fringe sets at some pixels that see a part.
+
+    Attributes
+    ----------
+    number : int
+        Of the scan, from 0.
+    item : str
+        The part, as the twin's world calls it.
+    T_camera_item : RigidTransform
+        Pose of the part, in mm.
+    settings : CameraSettings
+        Of the bench's camera.
+    sets : tuple of FringeSet
+        The S sets that are compared.
+    patterns : tuple of Pattern
+        Of all their images, one set after the other.
+    pixels : PixelIndices
+        Rows and columns of the P pixels.
+    normals : Floats
+        Unit normals (P, 3) of what they see, in the camera's frame.
+    offset, amplitude : Floats
+        Of the bench's fringes (S, P), in raw levels; the offset with the black level. NaN where saturated.
+    """
+
+    number: int
+    item: str
+    T_camera_item: RigidTransform
+    settings: CameraSettings
+    sets: tuple[FringeSet, ...]
+    patterns: tuple[Pattern, ...]
+    pixels: PixelIndices
+    normals: Floats
+    offset: Floats
+    amplitude: Floats
+
+    @cached_property
+    def clusters(self) -> NDArray[np.int64]:
+        """Numbers (3, S P) of tile, scan and set of every residual; apart from those of the board."""
+        tiles = TILES**2 * (1 + self.number) + tile_numbers(self.pixels)
+        first = -1 - 100 * self.number
+        return cluster_numbers(tiles, first, [first - index for index in range(len(self.sets))])
+
+    def residual(self, reference: Reference, twin: Twin) -> Floats:
+        """Compare amplitudes with those that the twin has where it is as bright.
+
+        Parameters
+        ----------
+        reference : Reference
+            What was recorded of the bench.
+        twin : Twin
+            With the parameters to evaluate.
+
+        Returns
+        -------
+        Floats
+            Bench less twin (S P,), in raw levels of the reference: of the root mean square of an image, so
+            that the noise is that of an image.
+        """
+        full, black = full_scale(self.settings.bits), twin.parameters.black_level
+        short = replace(self.settings, exposure_s=SHORT * self.settings.exposure_s)
+        levels = twin.expected_part(self.item, self.T_camera_item, self.patterns, short, self.pixels)
+        own = _fitted(levels.astype(np.float64), self.sets)
+        brightness = (self.offset - black * full) / np.maximum(own[0] - black * full, 1e-9)
+        scale = self._scale(reference)
+        left = np.nan_to_num(scale * (self.amplitude - brightness * own[1])).ravel()
+        per_offset = np.nan_to_num(scale * own[1] / np.maximum(own[0] - black * full, 1e-9) * self._valid)
+        turned = np.stack([(per_offset * one).ravel() for one in self.normals.T[:2]], axis=1)
+        return _without(left, turned)
+
+    @property
+    def _valid(self) -> NDArray[np.bool_]:
+        return np.isfinite(self.offset)
+
+    def relative_residual(self, reference: Reference, twin: Twin) -> Floats:
+        """Compare contrasts by the tiles of the part.
+
+        Parameters
+        ----------
+        reference : Reference
+            What was recorded of the bench.
+        twin : Twin
+            With the parameters to evaluate.
+
+        Returns
+        -------
+        Floats
+            Medians of bench less twin, relative to the bench's amplitude, of each set's tiles.
+        """
+        level = self.level(reference).reshape(self.amplitude.shape)
+        off = self.residual(reference, twin).reshape(level.shape) / np.where(self._valid, level, np.nan)
+        tiles = tile_numbers(self.pixels)
+        return np.array([[np.nanmedian(one[tiles == n]) for n in np.unique(tiles)] for one in off]).ravel()
+
+    def level(self, reference: Reference) -> Floats:
+        """Give the amplitudes of the bench in the unit of the residuals.
+
+        Parameters
+        ----------
+        reference : Reference
+            What was recorded of the bench.
+
+        Returns
+        -------
+        Floats
+            (S P,), 0 where saturated.
+        """
+        return np.nan_to_num(self._scale(reference) * self.amplitude).ravel()
+
+    def _scale(self, reference: Reference) -> Floats:
+        """Factors (S, 1) that give amplitudes the noise of one image, in levels of the reference."""
+        images = np.array([[one.images] for one in self.sets])
+        return np.asarray(reference.full_scale / full_scale(self.settings.bits) * np.sqrt(0.5 * images))
+
+
+def sample_contrasts(twin: Twin, scans: Sequence[BenchScan], board: Plan) -> list[ContrastSample]:
+    """Sample the contrast of fringes on parts that are finer than all on the board.
+
+    Parameters
+    ----------
+    twin : Twin
+        In the geometry of the bench.
+    scans : sequence of BenchScan
+        Recorded on the bench.
+    board : Plan
+        With which the board was recorded.
+
+    Returns
+    -------
+    list of ContrastSample
+        One for each scan that has such fringes, and enough pixels that are lit and not saturated.
+    """
+    return list(_samples(twin, scans, max(one.stripes for one in board.fringes)))
+
+
+def with_common_error(
+    reference: Reference,
+    twin: Twin,
+    found: TwinParameters,
+    names: Sequence[str],
+    samples: Sequence[ContrastSample],
+) -> TwinParameters:
+    """Add to standard uncertainties that a whole scan's contrast may be off, as that of its tiles is.
+
+    A fit of one scan takes for sharpness what all its pixels have in common, whatever it comes from.
+
+    Parameters
+    ----------
+    reference : Reference
+        What was recorded of the bench.
+    twin : Twin
+        Left with what was found.
+    found : TwinParameters
+        As they were fitted.
+    names : sequence of str
+        C keys of `ADJUSTABLE` that were fitted.
+    samples : sequence of ContrastSample
+        To which they were fitted.
+
+    Returns
+    -------
+    TwinParameters
+        With greater standard uncertainties.
+    """
+    twin.become(found)
+    slopes = level_slopes(reference, twin, names, samples, found, light_residuals(reference, twin, samples))
+    twin.become(found)
+    by_tile = np.concatenate([one.relative_residual(reference, twin) for one in samples])
+    common = np.sqrt(np.mean(by_tile**2)) * np.concatenate([one.level(reference) for one in samples])
+    scale = np.maximum(np.linalg.norm(slopes, axis=0), 1e-12)
+    shift = np.linalg.lstsq(slopes / scale, common, rcond=1e-6)[0] / scale
+    sigma = {
+        name: float(np.hypot(found.sigma.get(name, 0.0), by)) for name, by in zip(names, shift, strict=True)
+    }
+    return replace(found, sigma={**found.sigma, **sigma})
+
+
+def _samples(twin: Twin, scans: Sequence[BenchScan], stripes: float) -> Iterator[ContrastSample]:
+    for number, scan in enumerate(scans):
+        plan, settings = scan.session.plan, scan.session.records[0].settings
+        finer = [index for index, one in enumerate(plan.fringes) if one.stripes > stripes]
+        inner = lit_inside(twin, scan)
+        if not finer or np.count_nonzero(inner) < LEAST_PIXELS:
+            continue
+        pixels, sets = subsample_pixels(inner, PIXELS), tuple(plan.fringes[index] for index in finer)
+        images = [n for index in finer for n in range(*plan.set_starts[index : index + 2])]
+        shown = make_patterns(plan, *scan.session.projector())
+        levels = np.stack([scan.session.read(n, verify=False)[pixels] for n in images]).astype(np.float64)
+        levels[:, levels.max(axis=0) >= CLIPPED * full_scale(settings.bits)] = np.nan
+        if np.count_nonzero(np.isfinite(levels[0])) < LEAST_PIXELS:
+            continue
+        yield ContrastSample(
+            number,
+            scan.item,
+            scan.T_camera_item,
+            settings,
+            sets,
+            tuple(shown[n] for n in images),
+            pixels,
+            _normals(twin, scan, pixels),
+            *_fitted(levels, sets),
+        )
+
+
+def _normals(twin: Twin, scan: BenchScan, pixels: PixelIndices) -> Floats:
+    placed = RayTracedShape(twin.mesh(scan.item).copy().apply_transform(scan.T_camera_item.matrix))
+    rays = camera_rays(twin.parameters.calibration.camera)[pixels]
+    return placed.normals[placed.first_face(np.zeros(3), rays)]
+
+
+def _without(values: Floats, columns: Floats) -> Floats:
+    """Take off what columns (N, C) explain of values (N,), whatever a few outliers say."""
+    weight = np.ones_like(values)
+    for _ in range(ROUNDS):
+        weighted = weight[:, None] * columns
+        left = values - columns @ (np.linalg.pinv(weighted.T @ columns) @ (weighted.T @ values))
+        weight = huber_weights(left, robust_spread(left))
+    return np.asarray(left)
+
+
+def _fitted(levels: Floats, sets: Sequence[FringeSet]) -> tuple[Floats, Floats]:
+    """Offsets and amplitudes (S, P) of sets whose images (n, P) follow one another."""
+    ends = np.cumsum([0, *(one.images for one in sets)]).tolist()
+    found = [
+        fit_sinusoids(levels[first:end], one) for one, (first, end) in zip(sets, pairwise(ends), strict=True)
+    ]
+    return np.stack([a for a, _, _ in found]), np.stack([np.hypot(c, s) for _, c, s in found])

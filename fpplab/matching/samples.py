@@ -1,0 +1,179 @@
+"""Samples of what the bench recorded, beside which the twin's light is fitted: pixels of the board's images.
+
+Another kind, the contrast of fringes on parts, is in `fpplab.matching.contrast`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.core.conventions import Floats, PixelIndices
+from fpplab.matching.loss import SURROUNDINGS_PX, board_mask, subsample_pixels
+from fpplab.matching.reference import Reference
+from fpplab.simulation.matchable import Twin, TwinParameters
+
+MAX_PIXELS = 8_000
+"""Pixels of each pose that are compared."""
+DARK_LEVELS = 2.0
+"""Raw levels above the darkest places up to which there is no light."""
+TILES = 5
+"""Tiles along each side of the board whose residuals count as dependent in standard uncertainties."""
+
+
+class LightSample(Protocol):
+    """Levels of the bench at some pixels, which the twin's are compared with."""
+
+    @property
+    def clusters(self) -> NDArray[np.int64]:
+        """Numbers (3, N) of the place, the recording and the pattern of every residual.
+
+        What the twin lacks is shared by residuals that have one of them in common.
+        """
+
+    def residual(self, reference: Reference, twin: Twin) -> Floats:
+        """Compare with the twin as it is.
+
+        Parameters
+        ----------
+        reference : Reference
+            What was recorded of the bench.
+        twin : Twin
+            With the parameters to evaluate.
+
+        Returns
+        -------
+        Floats
+            Bench less twin (N,), in raw levels of the reference.
+        """
+
+
+@dataclass(frozen=True, eq=False)
+class PixelSample:
+    """Some pixels of some images of a pose.
+
+    Attributes
+    ----------
+    pose : int
+        Index of the pose.
+    images : tuple of int
+        Indices of the n images in the plan.
+    pixels : PixelIndices
+        Rows and columns of the P pixels.
+    seen : Floats
+        Raw levels (n, P) of the reference.
+    """
+
+    pose: int
+    images: tuple[int, ...]
+    pixels: PixelIndices
+    seen: Floats
+
+    @property
+    def tiles(self) -> NDArray[np.int64]:
+        """Number of the tile of every pixel, (P,): residuals within one count as dependent."""
+        return tile_numbers(self.pixels)
+
+    @property
+    def clusters(self) -> NDArray[np.int64]:
+        """Numbers (3, n P) of tile, pose and image of every residual."""
+        return cluster_numbers(self.tiles, self.pose, self.images)
+
+    def residual(self, reference: Reference, twin: Twin) -> Floats:
+        """Compare with the twin as it is.
+
+        Parameters
+        ----------
+        reference : Reference
+            What was recorded of the bench.
+        twin : Twin
+            With the parameters to evaluate.
+
+        Returns
+        -------
+        Floats
+            Reference less twin (n P,) in raw levels; 0 where either is saturated, and where there is no
+            light.
+        """
+        patterns = reference.shown(self.images)
+        here = twin.expected_at(self.pose, patterns, reference.settings, self.pixels).astype(np.float64)
+        # Where there is no light there is hardly any noise, and all levels are rounded to the same side.
+        lit = self.seen > reference.darkest_level + DARK_LEVELS
+        valid = lit & (self.seen < reference.full_scale) & (here < reference.full_scale)
+        return np.where(valid, self.seen - here, 0.0).ravel()
+
+
+def tile_numbers(pixels: PixelIndices) -> NDArray[np.int64]:
+    """Number the tiles of a grid over some pixels.
+
+    Parameters
+    ----------
+    pixels : PixelIndices
+        Rows and columns of P pixels.
+
+    Returns
+    -------
+    NDArray of int64
+        (P,), 0 to `TILES`² - 1.
+    """
+    row, column = (TILES * (one - one.min()) // (np.ptp(one) + 1) for one in pixels)
+    return np.asarray(TILES * row + column, np.int64)
+
+
+def cluster_numbers(tiles: NDArray[np.int64], recording: int, images: Sequence[int]) -> NDArray[np.int64]:
+    """Number the clusters of residuals of some pixels in some images.
+
+    Parameters
+    ----------
+    tiles : NDArray of int64
+        Of the P pixels.
+    recording : int
+        Number of the recording.
+    images : sequence of int
+        Numbers of the n images, or of what was computed of them.
+
+    Returns
+    -------
+    NDArray of int64
+        (3, n P): tile, recording and image of every residual.
+    """
+    count = len(images) * len(tiles)
+    whole = [np.tile(tiles, len(images)), np.full(count, recording), np.repeat(images, len(tiles))]
+    return np.array(whole, np.int64)
+
+
+def sample_pixels(
+    reference: Reference, parameters: TwinParameters, poses: Sequence[int], images: Sequence[int]
+) -> list[PixelSample]:
+    """Sample the pixels of the board and its surroundings.
+
+    Parameters
+    ----------
+    reference : Reference
+        What was recorded of the bench.
+    parameters : TwinParameters
+        Their camera and poses tell where the board is in the image.
+    poses : sequence of int
+        Indices of the poses.
+    images : sequence of int
+        Indices of the images.
+
+    Returns
+    -------
+    list of PixelSample
+        One for each pose, of at most about `MAX_PIXELS` pixels.
+    """
+
+    def one(pose: int) -> PixelSample:
+        area = board_mask(
+            parameters.calibration.camera, parameters.poses[pose], reference.target, -SURROUNDINGS_PX
+        )
+        pixels = subsample_pixels(area, MAX_PIXELS)
+        seen = reference.frames(pose, images)[:, *pixels].astype(np.float64)
+        return PixelSample(pose, tuple(images), pixels, seen)
+
+    return [one(pose) for pose in poses]
