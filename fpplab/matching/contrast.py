@@ -29,7 +29,7 @@ from fpplab.matching.artefacts import CLIPPED, SHORT, BenchScan, lit_inside
 from fpplab.matching.light import level_slopes, light_residuals
 from fpplab.matching.loss import subsample_pixels
 from fpplab.matching.reference import Reference
-from fpplab.matching.samples import TILES, cluster_numbers, tile_numbers
+from fpplab.matching.samples import TILES, tile_numbers
 from fpplab.patterns.fringe_sets import FringeSet
 from fpplab.patterns.fringes import Pattern, make_patterns
 from fpplab.patterns.plan import Plan
@@ -82,10 +82,14 @@ class ContrastSample:
 
     @cached_property
     def clusters(self) -> NDArray[np.int64]:
-        """Numbers (3, S P) of tile, scan and set of every residual; apart from those of the board."""
-        tiles = TILES**2 * (1 + self.number) + tile_numbers(self.pixels)
-        first = -1 - 100 * self.number
-        return cluster_numbers(tiles, first, [first - index for index in range(len(self.sets))])
+        """Numbers (3, S P) of row and column of the tile, and of the set, of every residual.
+
+        What is left of a contrast reaches over a face of the part, and so over many tiles.
+        """
+        tiles = TILES**2 * self.number + tile_numbers(self.pixels)
+        row, column = (np.tile(one, len(self.sets)) for one in (tiles // TILES, tiles % TILES))
+        sets = np.repeat(np.arange(len(self.sets)), len(tiles))
+        return np.array([row, TILES * self.number + column, len(self.sets) * self.number + sets], np.int64)
 
     def residual(self, reference: Reference, twin: Twin) -> Floats:
         """Compare amplitudes with those that the twin has where it is as bright.

@@ -25,6 +25,7 @@ from fpplab.matching.record import MatchingEpoch, MatchingRecord, ParametersFile
 from fpplab.matching.reference import Reference
 from fpplab.matching.samples import PixelSample, sample_pixels
 from fpplab.matching.steps import (
+    CHANGING_STEPS,
     FIRST_STEPS,
     REPEATED_STEPS,
     SAMPLED_POSES,
@@ -32,7 +33,7 @@ from fpplab.matching.steps import (
     MatchingStep,
 )
 from fpplab.matching.watching import watched_twin
-from fpplab.simulation.matchable import Twin, TwinParameters
+from fpplab.simulation.matchable import NO_LINE, Twin, TwinParameters
 
 CONVERGED = "converged"
 """Why a matching ends that need not go on."""
@@ -51,10 +52,11 @@ EXPLAINS = {
     "ambient light": "light that is not the projector's, and the camera's black level",
     "flicker": "light of the projector that changes from frame to frame",
     "rolling bands": "light on the mains in the rows of a rolling shutter",
-    "noise": "noise of the sensor and vibration",
+    "vibration": "displacements of the item from frame to frame",
+    "noise": "noise of the sensor",
 }
 """The effects that are matched beyond the paper, by step."""
-CHANGING = {"flicker", "rolling bands", "noise"}
+CHANGING = {"flicker", "rolling bands", "vibration", "noise"}
 """Those that differ from frame to frame: no expected image shows them."""
 USUAL_IMAGES = 60
 """About as many times a step has the twin compute images: the scale of its progress, which is an estimate."""
@@ -296,25 +298,36 @@ def _run(state: _State, limits: MatchingLimits, observe: EpochObserver) -> str:
     """Make steps until one of the limits; return which."""
     idle, repeated = 0, [step for step in REPEATED_STEPS if step.applies(state.at)]
     for number, step in enumerate(_steps(repeated), 1):
-        if number >= len(state.epochs):  # not taken by an earlier run
-            if number > limits.epochs:
-                return f"after {limits.epochs} epochs"
-            if state.seconds > limits.seconds:
-                return f"after {state.seconds:.0f} s"
-            state.watch.begin(
-                number,
-                f"epoch {number}, {step.name}: loss over the board {state.best.loss['loss_board']:.4f}",
-            )
-            try:
-                _take_step(state, step, observe)
-            except _TimeOver:
-                return f"after {state.seconds:.0f} s"
+        if ended := _step_within(state, limits, observe, number, step):
+            return ended
         if number > len(FIRST_STEPS) and (number - len(FIRST_STEPS)) % len(repeated) == 0:
             before, after = (_best(state.epochs[:end]) for end in (number + 1 - len(repeated), number + 1))
             idle = 0 if _changed(before, after, limits) else idle + 1
             if idle >= limits.patience:
-                return CONVERGED
-    raise AssertionError("the steps are endless")
+                break
+    for later, step in enumerate(CHANGING_STEPS, number + 1):
+        if _step_within(state, limits, observe, later, step):
+            break
+    return CONVERGED
+
+
+def _step_within(
+    state: _State, limits: MatchingLimits, observe: EpochObserver, number: int, step: MatchingStep
+) -> str | None:
+    """Make a step unless an earlier run took it; tell which limit ended it, None for none."""
+    if number < len(state.epochs):
+        return None
+    if number > limits.epochs:
+        return f"after {limits.epochs} epochs"
+    if state.seconds > limits.seconds:
+        return f"after {state.seconds:.0f} s"
+    loss = state.best.loss["loss_board"]
+    state.watch.begin(number, f"epoch {number}, {step.name}: loss over the board {loss:.4f}")
+    try:
+        _take_step(state, step, observe)
+    except _TimeOver:
+        return f"after {state.seconds:.0f} s"
+    return None
 
 
 def _changed(before: MatchingEpoch, after: MatchingEpoch, limits: MatchingLimits) -> bool:
@@ -388,21 +401,21 @@ def _difference(state: _State) -> float:
 
 
 def _changing_shares(state: _State, left: float) -> dict[str, float]:
-    """Shares of what is left that flicker, bands, and all else that changes from frame to frame make."""
+    """Shares of what is left that flicker, bands, vibration and the sensor's noise make."""
     twin, now = state.at.twin, state.at.twin.parameters
     whole = _noise(state)
     without = {
-        "flicker": replace(now, projector_flicker=0.0),
-        "rolling bands": replace(now, ambient_ripple=0.0),
+        "flicker": replace(now, projector_flicker=0.0) if now.projector_flicker else None,
+        "rolling bands": replace(now, ambient_ripple=0.0) if now.ambient_ripple else None,
+        "vibration": replace(now, vibration_mm=0.0, vibration_line_mm=NO_LINE)
+        if now.displacement_mm
+        else None,
     }
-    shares = {}
+    shares = dict.fromkeys(without, 0.0)
     for step, steady in without.items():
-        twin.become(steady)
-        changed = (steady.projector_flicker, steady.ambient_ripple) != (
-            now.projector_flicker,
-            now.ambient_ripple,
-        )
-        shares[step] = (whole - _noise(state)) / left if changed else 0.0
+        if steady is not None:
+            twin.become(steady)
+            shares[step] = (whole - _noise(state)) / left
     twin.become(now)
     return {**shares, "noise": whole / left - sum(shares.values())}
 

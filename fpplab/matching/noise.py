@@ -1,4 +1,4 @@
-"""Noise of the bench, estimated from its frames for the twin: photon transfer, beside vibration.
+"""Noise of the bench's sensor, estimated from its frames for the twin: photon transfer.
 
 The sensor's noise is what the phase fit leaves of the frames beyond harmonics and flicker
 (`fpplab.phase.error_model`), so that nothing which the twin lacks is taken for noise. It is estimated alike
@@ -19,10 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.core.conventions import Floats, Image
-from fpplab.matching.frame_terms import FrameTerms
 from fpplab.matching.loss import board_mask
 from fpplab.matching.reference import LevelStack, Reference
-from fpplab.matching.vibration import match_vibration
 from fpplab.patterns.recording import Recording
 from fpplab.phase.common_errors import beyond_fringe
 from fpplab.phase.error_model import error_model_of
@@ -42,9 +40,7 @@ LEVELS = 3
 """Number of brightness classes in which residuals are compared."""
 
 
-def match_noise(
-    reference: Reference, twin: Twin, poses: Sequence[int], seen: Sequence[FrameTerms]
-) -> TwinParameters:
+def match_noise(reference: Reference, twin: Twin, poses: Sequence[int]) -> TwinParameters:
     """Give the twin the noise of the reference, estimated in the same way from frames of both.
 
     Read noise is changed only where the two differ significantly at black. Rounding makes the estimates
@@ -55,19 +51,16 @@ def match_noise(
     reference : Reference
         What was recorded of the bench.
     twin : Twin
-        With matched geometry and light.
+        With matched geometry, light and vibration.
     poses : sequence of int
         Indices of the poses whose frames are compared.
-    seen : sequence of FrameTerms
-        Of some poses, which tell the vibration.
 
     Returns
     -------
     TwinParameters
-        With another full-well capacity, vibration and, where significant, read noise.
+        With another full-well capacity and, where significant, read noise.
     """
-    now = twin.parameters
-    changed = match_vibration(now, seen)
+    now = changed = twin.parameters
     real = [_noise_of(reference, pose, reference.recorded(pose)) for pose in poses]
     levels = [_bright_level(reference, pose) for pose in poses]
     for _ in range(ROUNDS):

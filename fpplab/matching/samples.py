@@ -30,7 +30,7 @@ class LightSample(Protocol):
 
     @property
     def clusters(self) -> NDArray[np.int64]:
-        """Numbers (3, N) of the place, the recording and the pattern of every residual.
+        """Numbers (3, N) of the clusters of every residual, by three groupings.
 
         What the twin lacks is shared by residuals that have one of them in common.
         """
@@ -81,7 +81,9 @@ class PixelSample:
     @property
     def clusters(self) -> NDArray[np.int64]:
         """Numbers (3, n P) of tile, pose and image of every residual."""
-        return cluster_numbers(self.tiles, self.pose, self.images)
+        count, tiles = len(self.images), self.tiles
+        poses = np.full(count * len(tiles), self.pose)
+        return np.array([np.tile(tiles, count), poses, np.repeat(self.images, len(tiles))], np.int64)
 
     def residual(self, reference: Reference, twin: Twin) -> Floats:
         """Compare with the twin as it is.
@@ -122,28 +124,6 @@ def tile_numbers(pixels: PixelIndices) -> NDArray[np.int64]:
     """
     row, column = (TILES * (one - one.min()) // (np.ptp(one) + 1) for one in pixels)
     return np.asarray(TILES * row + column, np.int64)
-
-
-def cluster_numbers(tiles: NDArray[np.int64], recording: int, images: Sequence[int]) -> NDArray[np.int64]:
-    """Number the clusters of residuals of some pixels in some images.
-
-    Parameters
-    ----------
-    tiles : NDArray of int64
-        Of the P pixels.
-    recording : int
-        Number of the recording.
-    images : sequence of int
-        Numbers of the n images, or of what was computed of them.
-
-    Returns
-    -------
-    NDArray of int64
-        (3, n P): tile, recording and image of every residual.
-    """
-    count = len(images) * len(tiles)
-    whole = [np.tile(tiles, len(images)), np.full(count, recording), np.repeat(images, len(tiles))]
-    return np.array(whole, np.int64)
 
 
 def sample_pixels(

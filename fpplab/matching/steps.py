@@ -2,8 +2,9 @@
 
 Order: geometry by the observed points, light, then one by one the effects that the paper names as missing
 (ambient light, defocus of projector and camera, vignetting, the projector's falloff, a lamp of the room,
-flicker, rolling bands, noise); at last all parameters of light together and the geometry by the images in
-turn. Falloff, lamp, flicker and bands are kept where they explain more than their parameters cost. Noise is
+flicker, rolling bands, vibration, noise); then all parameters of light together and the geometry by the
+images in turn; at last once more what changes from frame to frame. Falloff, lamp, flicker, bands and
+vibration are kept where they explain more than their parameters cost. Noise is
 judged by its variance and spectrum, since the images that the loss compares have none. Scans of parts with
 finer fringes than the board's tell the projector's sharpness better than the board does, and alone.
 """
@@ -14,7 +15,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from fpplab.matching import bands, flicker, geometry, light, noise, room_lamp
+from fpplab.matching import bands, flicker, geometry, light, noise, room_lamp, vibration
 from fpplab.matching.contrast import ContrastSample, with_common_error
 from fpplab.matching.frame_terms import FrameTerms, terms_of_pose
 from fpplab.matching.fringe_rests import fringe_rests
@@ -283,6 +284,12 @@ def _spread(at: MatchingContext) -> tuple[int, ...]:
     return at.reference.spread_poses(SAMPLED_POSES)
 
 
+CHANGING_STEPS = (
+    MatchingStep("flicker", lambda at: flicker.match_flicker(at.twin.parameters, at.frame_terms())),
+    MatchingStep("rolling bands", _rolling_bands),
+    MatchingStep("vibration", lambda at: vibration.match_vibration(at.twin.parameters, at.frame_terms())),
+)
+"""What changes from frame to frame: found before noise is compared, and again with the light at the end."""
 FIRST_STEPS = (
     MatchingStep(
         "points",
@@ -299,11 +306,10 @@ FIRST_STEPS = (
         misfit=_evidence_for_falloff,
     ),
     MatchingStep("room lamp", _room_lamp, misfit=_evidence_for_lamp),
-    MatchingStep("flicker", lambda at: flicker.match_flicker(at.twin.parameters, at.frame_terms())),
-    MatchingStep("rolling bands", _rolling_bands),
+    *CHANGING_STEPS,
     MatchingStep(
         "noise",
-        lambda at: noise.match_noise(at.reference, at.twin, _spread(at), at.frame_terms()),
+        lambda at: noise.match_noise(at.reference, at.twin, _spread(at)),
         True,
         lambda at: noise.noise_misfit(at.reference, at.twin, _spread(at)),
     ),

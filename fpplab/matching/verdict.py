@@ -119,7 +119,7 @@ def _of_fit(found: MatchingResult) -> Iterator[Finding]:
         words = f"the matching ended {matched.ended}, before its loss had converged"
         advice = "name another --out, and give more --epochs or --seconds"
         yield Finding(FaultCause.ENDED_EARLY, words, 1.0, advice)
-    noise = min(max(matched.explained.get("noise", 0.0), 0.0), 1.0)
+    noise = min(max(sum(matched.explained.get(name, 0.0) for name in ("vibration", "noise")), 0.0), 1.0)
     left = matched.unexplained * float(np.sqrt(1.0 - noise))
     most = MOST_UNLIKE * found.reference.full_scale
     if left > most:

@@ -5,7 +5,9 @@ Frame n of pose p has, beside a mean of its fringe set and noise of known covari
     e_n + v r_n + sqrt(2) w sin(2 pi f n + psi_p)
 
 with random numbers e_n, equally large in all directions, others r_n along one line v, and a swing w, alike in
-all poses, of f cycles per frame. Line and swing are kept where Schwarz's criterion asks for them.
+all poses, of f cycles per frame. Line and swing are kept where Schwarz's criterion asks for them. What moves
+along a line swings along it: across the line, faults of the twin that go in step with the phase steps would
+be taken for a swing.
 """
 
 from __future__ import annotations
@@ -82,6 +84,26 @@ class Series:
     def freedom(self) -> int:
         """Number of frames that tell anything beside the means of their sets."""
         return len(self.frames) - len(np.unique(self.sets))
+
+    def along(self, direction: Floats, alike: float) -> Series:
+        """Estimate the values along a direction, which is all that there is but for random numbers.
+
+        Parameters
+        ----------
+        direction : ndarray of float64
+            Unit vector (k,).
+        alike : float
+            Standard deviation of random numbers in all directions.
+
+        Returns
+        -------
+        Series
+            Of one value in each frame, weighted by the noise of all components.
+        """
+        inverse = np.linalg.inv(self.covariance + alike**2 * np.eye(len(direction)))
+        variance = 1.0 / np.einsum("i,nij,j->n", direction, inverse, direction)
+        values = variance * np.einsum("i,nij,nj->n", direction, inverse, self.values)
+        return Series(self.frames, self.sets, values[:, None], variance[:, None, None])
 
     def whitening(self, random: Random) -> Floats:
         """Give matrices (n, k, k) that make noise and random numbers have the variance 1.
@@ -171,19 +193,45 @@ def change_of(seen: Sequence[Series], swings: bool = True) -> Change:
         The model of the least criterion: nothing, random numbers, also along a line, also a swing.
     """
     size = seen[0].values.shape[1]
-    nothing = Random(0.0, np.zeros(size))
-    still = _criterion(seen, _all_centred(seen, nothing), nothing, 0)
-    best, least = nothing, still
+    best, still = Random(0.0, np.zeros(size)), _misfit_of_noise(seen)
+    least = still
     for along_line in (False, True)[: min(size, 2)]:
         random, left = _random_alone(seen, along_line)
         criterion = _criterion(seen, left, random, random.free)
         if criterion < least:
             best, least = random, criterion
     found = Change(best, np.zeros(size), 0.0, 0.0, _sigma(seen, best), still - least)
-    if swings and best.free and min(one.freedom for one in seen) >= LEAST_FRAMES:
-        swinging = _with_swing(seen, best, still)
-        found = swinging if swinging.gained > found.gained else found
-    return found
+    enough = min(one.freedom for one in seen) >= LEAST_FRAMES
+    if not swings or not enough or not (best.line.any() or (size == 1 and best.free)):
+        return found
+    return _swinging_along(seen, found) if size > 1 else _swinging(seen, found)
+
+
+def _swinging(seen: Sequence[Series], found: Change) -> Change:
+    swinging = _with_swing(seen, found.random, _misfit_of_noise(seen))
+    return swinging if swinging.gained > found.gained else found
+
+
+def _swinging_along(seen: Sequence[Series], found: Change) -> Change:
+    """Look for a swing in what the series have along the line of the random numbers."""
+    line = found.random.line / np.linalg.norm(found.random.line)
+    along = [one.along(line, found.random.alike) for one in seen]
+    alone = change_of(along, swings=False)
+    swinging = _swinging(along, alone)
+    if not swinging.swing.any():
+        return found
+    random = Random(found.random.alike, swinging.random.alike * line)
+    return replace(
+        swinging,
+        random=random,
+        swing=swinging.swing[0] * line,
+        gained=found.gained + swinging.gained - alone.gained,
+    )
+
+
+def _misfit_of_noise(seen: Sequence[Series]) -> float:
+    nothing = Random(0.0, np.zeros(seen[0].values.shape[1]))
+    return _criterion(seen, _all_centred(seen, nothing), nothing, 0)
 
 
 def _random_alone(seen: Sequence[Series], along_line: bool) -> tuple[Random, list[Floats]]:

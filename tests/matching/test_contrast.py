@@ -138,7 +138,7 @@ def test_saturated_pixels_are_left_out(bench: TwinParameters) -> None:
     assert contrasts(bench, scanned(bench, 5 * EVEN)) == []
 
 
-def test_scan_and_board_are_clusters_of_their_own(bench: TwinParameters) -> None:
+def test_scans_are_clusters_of_their_own(bench: TwinParameters) -> None:
     scan = scanned(bench)
     first, second = sample_contrasts(PlaneTwin(bench), [scan, scan], BOARD)
     for one, other in zip(first.clusters, second.clusters, strict=True):

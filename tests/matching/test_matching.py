@@ -191,7 +191,8 @@ def matched_noise(reference: Reference, twin: PlaneTwin) -> TwinParameters:
     """Noise and vibration of the bench, from three poses."""
     poses = (0, 1, 3)
     seen = [terms_of_pose(reference, twin, pose) for pose in poses]
-    return noise.match_noise(reference, twin, poses, seen)
+    twin.become(match_vibration(twin.parameters, seen))
+    return noise.match_noise(reference, twin, poses)
 
 
 @pytest.mark.slow
