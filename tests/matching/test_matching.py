@@ -29,6 +29,7 @@ from fpplab.matching.record import EPOCHS, MatchingEpoch, MatchingRecord, Parame
 from fpplab.matching.reference import Reference
 from fpplab.matching.refusal import Refusals, acceptable_causes
 from fpplab.matching.samples import sample_pixels
+from fpplab.matching.vibration import match_vibration
 from fpplab.patterns.curve import Curve
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
