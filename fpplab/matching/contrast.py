@@ -27,7 +27,7 @@ from fpplab.core.robust import huber_weights, robust_spread
 from fpplab.devices import CameraSettings
 from fpplab.matching.artefacts import CLIPPED, SHORT, BenchScan, lit_inside
 from fpplab.matching.light import level_slopes, light_residuals
-from fpplab.matching.loss import subsample_pixels
+from fpplab.matching.loss import board_mask, subsample_pixels
 from fpplab.matching.reference import Reference
 from fpplab.matching.samples import TILES, tile_numbers
 from fpplab.patterns.fringe_sets import FringeSet
@@ -181,6 +181,46 @@ def sample_contrasts(twin: Twin, scans: Sequence[BenchScan], board: Plan) -> lis
         One for each scan that has such fringes, and enough pixels that are lit and not saturated.
     """
     return list(_samples(twin, scans, max(one.stripes for one in board.fringes)))
+
+
+def board_contrasts(reference: Reference, twin: Twin, poses: Sequence[int]) -> Floats:
+    """Compare the contrast of the board's finest fringes with the twin's.
+
+    Parameters
+    ----------
+    reference : Reference
+        What was recorded of the bench.
+    twin : Twin
+        With the parameters to evaluate.
+    poses : sequence of int
+        Indices of poses.
+
+    Returns
+    -------
+    Floats
+        Logarithms (poses, axes) of bench over twin, medians over the board.
+    """
+    plan, now = reference.plan, twin.parameters
+    black, sets = now.black_level * reference.full_scale, [plan.finest_set(axis) for axis in plan.axes]
+
+    def contrast(levels: Floats, index: int) -> Floats:
+        offset, cosine, sine = fit_sinusoids(levels, plan.fringes[index])
+        return np.asarray(np.hypot(cosine, sine) / np.maximum(offset - black, 1.0))
+
+    def of_pose(pose: int) -> list[float]:
+        board = board_mask(now.calibration.camera, now.poses[pose], reference.target)
+        pixels, found = subsample_pixels(board, PIXELS), []
+        for index in sets:
+            images = range(*plan.set_starts[index : index + 2])
+            seen = reference.frames(pose, images)[:, *pixels].astype(np.float64)
+            shown = reference.shown(images)
+            own = twin.expected_at(pose, shown, reference.settings, pixels).astype(np.float64)
+            clear = np.maximum(seen.max(axis=0), own.max(axis=0)) < CLIPPED * reference.full_scale
+            ratio = contrast(seen[:, clear], index) / contrast(own[:, clear], index)
+            found.append(float(np.median(np.log(ratio))))
+        return found
+
+    return np.array([of_pose(pose) for pose in poses])
 
 
 def with_common_error(

@@ -14,11 +14,12 @@ import numpy as np
 from fpplab.core.conventions import Floats, Image
 from fpplab.core.errors import DataError
 from fpplab.matching.artefacts import BenchScan
-from fpplab.matching.contrast import sample_contrasts
+from fpplab.matching.contrast import board_contrasts, sample_contrasts
 from fpplab.matching.loss import board_mask, subsample_pixels
 from fpplab.matching.measured import expected_figures, measured_figures
 from fpplab.matching.reference import Reference
 from fpplab.matching.samples import TILES, tile_numbers
+from fpplab.matching.scan_motion import motion_of_scan
 from fpplab.matching.steps import SAMPLED_POSES
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.recording import Recording
@@ -29,6 +30,7 @@ from fpplab.prediction.discrepancy import (
     ContrastDeviation,
     Deviation,
     LevelDifferences,
+    ScanEffects,
     named_effects,
 )
 from fpplab.simulation.matchable import Twin
@@ -59,9 +61,8 @@ def discrepancy_of(reference: Reference, twin: Twin, scans: Sequence[BenchScan])
     """
     fitted = set(reference.spread_poses(SAMPLED_POSES))
     others = [pose for pose in range(len(reference.sessions)) if pose not in fitted]
-    noise, board_contrast = np.transpose(
-        [_differences(reference, twin, pose) for pose in others or sorted(fitted)]
-    ).tolist()
+    judged = others or sorted(fitted)
+    noise = [_noise_difference(reference, twin, pose) for pose in judged]
     pairs = [scan_figures(reference, twin, scan) for scan in scans]
     levels = level_differences(reference, twin)
     part_noise = [float(np.log(a.noise_um / b.noise_um)) for a, b in pairs]
@@ -69,10 +70,12 @@ def discrepancy_of(reference: Reference, twin: Twin, scans: Sequence[BenchScan])
         noise=Deviation.of([*noise, *part_noise], fitted=not others),
         distance=_deviation([float(np.log(a.distance_um / b.distance_um)) for a, b in pairs]),
         completeness=_deviation([a.completeness - b.completeness for a, b in pairs]),
-        contrast=_contrast_deviation(reference, twin, scans, board_contrast),
+        contrast=_contrast_deviation(reference, twin, scans, judged),
         levels=levels.model_copy(update={"left_out": tuple(_name(reference, pose) for pose in others)}),
     )
-    looks_like, not_for = named_effects(found, noise, part_noise)
+    looks_like, not_for = named_effects(
+        found, noise, part_noise, [_effects(reference, twin, scan) for scan in scans]
+    )
     return found.model_copy(update={"looks_like": looks_like, "not_for": not_for})
 
 
@@ -125,34 +128,37 @@ def _relative_squares(
     return square.mean(axis=1), sums, counts
 
 
-def _differences(reference: Reference, twin: Twin, pose: int) -> tuple[float, float]:
-    """Logarithms of bench over twin on the board: of the coordinate's noise, and of the contrast."""
+def _noise_difference(reference: Reference, twin: Twin, pose: int) -> float:
+    """Logarithm of the bench's noise of the coordinate over the twin's, on the board."""
     own = twin.frames(pose, reference.patterns, reference.settings)
     now = twin.parameters
     board = board_mask(now.calibration.camera, now.poses[pose], reference.target)
-    black = now.black_level * reference.full_scale
 
-    def noise_and_contrast(frames: Sequence[Image]) -> Floats:
+    def noise(frames: Sequence[Image]) -> float:
         name = _name(reference, pose)
         recording = Recording(frames, reference.plan, reference.projector[0], reference.settings.bits, name)
-        decoded = decode(recording)
-        if not np.isfinite(decoded.sigma[board]).any():
+        sigma = decode(recording).sigma[board]
+        if not np.isfinite(sigma).any():
             raise DataError(f"{name}: no pixel of the board was decoded")
-        level = np.mean([frames[n][board] for n in reference.plan.finest_images], axis=0)
-        contrast = decoded.modulation[board] / np.maximum(level - black, 1.0)
-        return np.array([np.nanmedian(decoded.sigma[board]), np.nanmedian(contrast)])
+        return float(np.nanmedian(sigma))
 
-    off = np.log(noise_and_contrast(reference.recorded(pose)) / noise_and_contrast(own))
-    return float(off[0]), float(off[1])
+    return float(np.log(noise(reference.recorded(pose)) / noise(own)))
+
+
+def _effects(reference: Reference, twin: Twin, scan: BenchScan) -> ScanEffects:
+    finer, motion = sample_contrasts(twin, [scan], reference.plan), motion_of_scan(twin, scan)
+    contrast = float(np.median(finer[0].relative_residual(reference, twin))) if finer else 0.0
+    moved = motion.um_per_frame if motion and motion.is_significant else None
+    return ScanEffects(scan.item, contrast, moved)
 
 
 def _contrast_deviation(
-    reference: Reference, twin: Twin, scans: Sequence[BenchScan], on_board: Sequence[float]
+    reference: Reference, twin: Twin, scans: Sequence[BenchScan], poses: Sequence[int]
 ) -> ContrastDeviation:
     """Of the finest fringes of all recordings: those on parts where they are finer than the board's."""
     finer = sample_contrasts(twin, scans, reference.plan)
     if not finer:
-        relative = float(np.sqrt(np.mean(np.square(on_board))))
+        relative = float(np.sqrt(np.mean(board_contrasts(reference, twin, poses) ** 2)))
         return ContrastDeviation(stripes=reference.plan.finest.stripes, relative=relative)
     off = np.concatenate([one.relative_residual(reference, twin) for one in finer])
     stripes = max(fringe.stripes for one in finer for fringe in one.sets)

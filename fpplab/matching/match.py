@@ -29,6 +29,7 @@ from fpplab.matching.steps import (
     FIRST_STEPS,
     REPEATED_STEPS,
     SAMPLED_POSES,
+    SHARPNESS_OF_BOARD,
     MatchingContext,
     MatchingStep,
 )
@@ -305,7 +306,9 @@ def _run(state: _State, limits: MatchingLimits, observe: EpochObserver) -> str:
             idle = 0 if _changed(before, after, limits) else idle + 1
             if idle >= limits.patience:
                 break
-    for later, step in enumerate(CHANGING_STEPS, number + 1):
+    state.at.twin.become(state.best.parameters.parameters())
+    last = [*([SHARPNESS_OF_BOARD] if SHARPNESS_OF_BOARD.applies(state.at) else []), *CHANGING_STEPS]
+    for later, step in enumerate(last, number + 1):
         if _step_within(state, limits, observe, later, step):
             break
     return CONVERGED

@@ -15,8 +15,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import numpy as np
+
 from fpplab.matching import bands, flicker, geometry, light, noise, room_lamp, vibration
-from fpplab.matching.contrast import ContrastSample, with_common_error
+from fpplab.matching.contrast import ContrastSample, board_contrasts, with_common_error
 from fpplab.matching.frame_terms import FrameTerms, terms_of_pose
 from fpplab.matching.fringe_rests import fringe_rests
 from fpplab.matching.record import ParametersFile
@@ -34,6 +36,9 @@ STEADY: dict[str, Any] = {
     "sigma": {},
 }
 """What parameters have in common whose expected images are alike."""
+LEAST_CONTRAST, SIGNIFICANT = 0.02, 3.0
+"""Relative difference of the contrast, and standard errors of it, by which the board must be sharper than
+contrasts on parts say."""
 PROJECTOR_FOCUS = ("projector_focus_mm", "projector_aperture_mm")
 CAMERA_FOCUS = ("camera_focus_mm", "f_number")
 """Names of the parameters of focus and aperture."""
@@ -149,10 +154,15 @@ class MatchingContext:
         """The projector's blur, unless contrasts tell it."""
         return () if self.contrasts else ("projector_blur",)
 
-    def fit_projector_sharpness(self) -> TwinParameters:
+    def fit_projector_sharpness(self, by_contrasts: bool = True) -> TwinParameters:
         """Fit blur, focus and aperture of the projector to contrasts, or without them to the board's images.
 
         Together, what the twin lacks of the light on the board would decide: it is most of what is left.
+
+        Parameters
+        ----------
+        by_contrasts : bool
+            Whether contrasts are used where there are any.
 
         Returns
         -------
@@ -160,7 +170,7 @@ class MatchingContext:
             As `fpplab.matching.light.fit_light` finds them; the twin is left with them.
         """
         names = ("projector_blur", *self.projector_focus)
-        if not self.contrasts:
+        if not (self.contrasts and by_contrasts):
             return light.fit_light(self.reference, self.twin, names, self.samples)
         found = light.fit_light(self.reference, self.twin, names, self.contrasts)
         return with_common_error(self.reference, self.twin, found, names, self.contrasts)
@@ -240,6 +250,16 @@ def _fit_together(at: MatchingContext) -> TwinParameters:
     return at.fit(*at.light_parameters(*names, *at.camera_focus))
 
 
+def _board_is_sharper(at: MatchingContext) -> bool:
+    """Whether the board's fringes have more contrast than the twin's, in the mean over poses.
+
+    Then it is not the projector that takes contrast from fringes on the parts, but the parts themselves.
+    """
+    off = board_contrasts(at.reference, at.twin, _spread(at)).mean(axis=1)
+    error = off.std(ddof=1) / np.sqrt(len(off)) if len(off) > 1 else 0.0
+    return bool(off.mean() > max(LEAST_CONTRAST, SIGNIFICANT * error))
+
+
 def _contrast_left(at: MatchingContext) -> float | None:
     """What is left of contrasts, of which the loss knows nothing; None without them."""
     if not at.contrasts:
@@ -284,6 +304,12 @@ def _spread(at: MatchingContext) -> tuple[int, ...]:
     return at.reference.spread_poses(SAMPLED_POSES)
 
 
+SHARPNESS_OF_BOARD = MatchingStep(
+    "sharpness of the board",
+    lambda at: at.fit_projector_sharpness(by_contrasts=False),
+    applies=lambda at: bool(at.contrasts) and _board_is_sharper(at),
+)
+"""Taken after all rounds, where contrasts told a blur that the board's fringes do not have."""
 CHANGING_STEPS = (
     MatchingStep("flicker", lambda at: flicker.match_flicker(at.twin.parameters, at.frame_terms())),
     MatchingStep("rolling bands", _rolling_bands),

@@ -6,7 +6,8 @@ scans that the light was not fitted to, as far as there are such; for shares the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +16,9 @@ from fpplab.core import config
 from fpplab.core.config import Document
 from fpplab.core.files import write_text
 
-LARGE_NOISE, LARGE_DISTANCE, LARGE_LEVELS = 0.2, 0.4, 0.1
-"""Mean logarithms of noise and distance, and relative difference of levels, from which on they are large."""
+LARGE_NOISE, LARGE_DISTANCE, LARGE_LEVELS, LARGE_CONTRAST = 0.2, 0.4, 0.1, 0.05
+"""Mean logarithms of noise and distance, and relative differences of levels and contrast, from which on they
+are large."""
 DISCREPANCY = "discrepancy.yaml"
 """Name of the file, beside the rig file of a matched twin."""
 COVERAGE = 1.96
@@ -107,6 +109,25 @@ class LevelDifferences(Document):
     """Poses whose images the light was not fitted to."""
 
 
+@dataclass(frozen=True)
+class ScanEffects:
+    """What a scan of a part shows by itself.
+
+    Attributes
+    ----------
+    item : str
+        The part.
+    contrast : float
+        By how much the contrast of fine fringes is greater than the twin's, relative; 0 without such fringes.
+    um_per_frame : float or None
+        Speed of the part away from the camera in µm from frame to frame; None where it is not significant.
+    """
+
+    item: str
+    contrast: float
+    um_per_frame: float | None
+
+
 class Discrepancy(Document):
     """What is left between a matched twin and its bench, as its predictions need it."""
 
@@ -174,7 +195,10 @@ class Discrepancy(Document):
 
 
 def named_effects(
-    found: Discrepancy, board_noise: Sequence[float], part_noise: Sequence[float]
+    found: Discrepancy,
+    board_noise: Sequence[float],
+    part_noise: Sequence[float],
+    scans: Sequence[ScanEffects] = (),
 ) -> tuple[str | None, str | None]:
     """Name what a large discrepancy looks like, and what the twin must not be believed for.
 
@@ -189,26 +213,69 @@ def named_effects(
         Logarithms of the noise of bench over twin on the board; at least one.
     part_noise : sequence of float
         The same of the scans that the distances are of.
+    scans : sequence of ScanEffects
+        What scans show by themselves.
 
     Returns
     -------
     tuple of str or None
         What it looks like, and for which measurements not; None where nothing is large.
     """
-    looks_like, not_for = [], []
-    if abs(float(np.mean(board_noise))) > LARGE_NOISE:
-        looks_like.append("noise that the twin lacks: vibration, flicker, or light of the room on the mains")
-        not_for.append("noise and chance of wrong orders")
-    apart = found.distance is not None and found.distance.mean > LARGE_DISTANCE
-    if apart and part_noise and abs(float(np.mean(part_noise))) < LARGE_NOISE:
-        looks_like.append(
-            "interreflection, light below the surface, parts that moved, or an unknown response"
-        )
-        not_for.append("distances from surfaces of other shapes and materials")
-    elif apart or (part_noise and abs(float(np.mean(part_noise))) > LARGE_NOISE):
-        looks_like.append("a part of another reflectance or gloss than in the twin's world (match --surface)")
-        not_for.append("parts of this surface")
-    if found.levels is not None and max(found.levels.by_pose.values()) > LARGE_LEVELS:
-        looks_like.append("uneven light or reflectance: falloff, gloss, a second lamp, or print")
-        not_for.append("levels and saturation")
+    pairs = [
+        *_of_scans(scans),
+        *_of_noise(board_noise),
+        *_of_parts(found, part_noise),
+        *_of_levels(found.levels),
+    ]
+    looks_like, not_for = (
+        (list(dict.fromkeys(each)) for each in zip(*pairs, strict=True)) if pairs else ([], [])
+    )
     return ("; ".join(looks_like) or None, "; ".join(not_for) or None)
+
+
+def _of_scans(scans: Sequence[ScanEffects]) -> Iterator[tuple[str, str]]:
+    for one in scans:
+        if one.contrast < -LARGE_CONTRAST:
+            less = f"{-100 * one.contrast:.0f} % less contrast"
+            yield (
+                f"light below the surface of the {one.item}, or by way of other faces: its fine fringes have "
+                f"{less} than the projector's sharpness on the board allows",
+                "parts of another material than the twin's",
+            )
+        if one.um_per_frame is not None:
+            yield (
+                f"parts that moved: the {one.item} by {one.um_per_frame:+.1f} µm from frame to frame, away "
+                "from the camera",
+                "parts that do not stand still",
+            )
+
+
+def _of_noise(board_noise: Sequence[float]) -> Iterator[tuple[str, str]]:
+    if abs(float(np.mean(board_noise))) > LARGE_NOISE:
+        yield (
+            "noise that the twin lacks: vibration, flicker, or light of the room on the mains",
+            "noise and chance of wrong orders",
+        )
+
+
+def _of_parts(found: Discrepancy, part_noise: Sequence[float]) -> Iterator[tuple[str, str]]:
+    apart = found.distance is not None and found.distance.mean > LARGE_DISTANCE
+    noisier = abs(float(np.mean(part_noise))) if part_noise else 0.0
+    if apart and part_noise and noisier < LARGE_NOISE:
+        yield (
+            "interreflection, light below the surface, parts that moved, or an unknown response",
+            "distances from surfaces of other shapes and materials",
+        )
+    elif apart or noisier > LARGE_NOISE:
+        yield (
+            "a part of another reflectance or gloss than in the twin's world (match --surface)",
+            "parts of this surface",
+        )
+
+
+def _of_levels(levels: LevelDifferences | None) -> Iterator[tuple[str, str]]:
+    if levels is not None and max(levels.by_pose.values()) > LARGE_LEVELS:
+        yield (
+            "uneven light or reflectance: falloff, gloss, a second lamp, or print",
+            "levels and saturation",
+        )

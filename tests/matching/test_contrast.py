@@ -14,11 +14,17 @@ import pytest
 from fpplab.core.conventions import Floats, Lattice
 from fpplab.core.geometry import RigidTransform
 from fpplab.matching.artefacts import BenchScan
-from fpplab.matching.contrast import ContrastSample, sample_contrasts, with_common_error
+from fpplab.matching.contrast import ContrastSample, board_contrasts, sample_contrasts, with_common_error
 from fpplab.matching.light import fit_light, mean_square_difference
 from fpplab.matching.reference import Reference
 from fpplab.matching.samples import sample_pixels
-from fpplab.matching.steps import FIRST_STEPS, PROJECTOR_FOCUS, REPEATED_STEPS, MatchingContext
+from fpplab.matching.steps import (
+    FIRST_STEPS,
+    PROJECTOR_FOCUS,
+    REPEATED_STEPS,
+    SHARPNESS_OF_BOARD,
+    MatchingContext,
+)
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import Plan
@@ -179,3 +185,26 @@ def test_where_scans_tell_the_sharpness_the_board_does_not(bench: TwinParameters
     assert step.misfit(alone) is None
     assert not fine.applies(alone)
     assert together.propose(alone).sigma["projector_blur"] != found.sigma["projector_blur"]
+
+
+@pytest.mark.parametrize(("below", "told"), [(0.0, False), (0.9, True)])
+def test_a_part_that_blurs_by_itself_is_told_from_the_projector(
+    bench: TwinParameters, below: float, told: bool
+) -> None:
+    """Light that enters the part and leaves it beside: its fringes are less sharp than the board's."""
+    held = reference_of(bench, plan=BOARD)
+    soft = replace(bench, projector_blur=float(np.hypot(bench.projector_blur, below)))
+    twin, poses = PlaneTwin(replace(bench, projector_blur=0.8)), (0, 1, 2)
+    scans = tuple(contrasts(soft, scanned(soft)))
+    samples = sample_pixels(held, bench, poses, held.finest)
+    at = MatchingContext(held, twin, samples, "white", scans)
+    twin.become(at.fit_projector_sharpness())
+    off = board_contrasts(held, twin, poses)
+    cycles = np.array([32]) / PROJECTOR.size[0]
+    wanted = np.log(of_blur(0.6, cycles) / of_blur(twin.parameters.projector_blur, cycles))
+    np.testing.assert_allclose(off, np.broadcast_to(wanted, off.shape), atol=5e-3)
+    assert SHARPNESS_OF_BOARD.applies(at) is told
+    if told:
+        twin.become(SHARPNESS_OF_BOARD.propose(at))
+        assert twin.parameters.projector_blur == pytest.approx(0.6, abs=0.05)
+        assert np.median(scans[0].relative_residual(REFERENCE, twin)) < -0.1

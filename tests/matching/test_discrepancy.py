@@ -20,7 +20,7 @@ from fpplab.matching.steps import SAMPLED_POSES
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.pipeline import take
-from fpplab.prediction.discrepancy import Deviation, Discrepancy, LevelDifferences, named_effects
+from fpplab.prediction.discrepancy import Deviation, Discrepancy, LevelDifferences, ScanEffects, named_effects
 from fpplab.simulation.matchable import Matchable, TwinParameters
 from fpplab.simulation.predictable import Predictable
 from tests.matching.test_matching import reference_of
@@ -102,6 +102,20 @@ def test_a_large_discrepancy_says_what_it_looks_like() -> None:
     assert looks is not None
     assert "uneven light" in looks
     assert not_for == "noise and chance of wrong orders; levels and saturation"
+
+
+def test_what_scans_show_by_themselves_is_named_with_the_part() -> None:
+    still = Discrepancy(distance=deviation(0.05))
+    wax = ScanEffects("candle", -0.12, None)
+    looks, not_for = named_effects(still, [0.0], [0.0], [wax, ScanEffects("plate", 0.01, None)])
+    assert looks is not None
+    assert looks.startswith("light below the surface of the candle")
+    assert "12 % less contrast" in looks
+    assert "plate" not in looks
+    assert not_for == "parts of another material than the twin's"
+    looks, not_for = named_effects(still, [0.0], [0.0], [ScanEffects("plate", -0.01, -3.94)])
+    assert looks == "parts that moved: the plate by -3.9 µm from frame to frame, away from the camera"
+    assert not_for == "parts that do not stand still"
 
 
 @pytest.mark.slow
