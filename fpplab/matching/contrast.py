@@ -135,12 +135,14 @@ class ContrastSample:
         Returns
         -------
         Floats
-            Medians of bench less twin, relative to the bench's amplitude, of each set's tiles.
+            Medians of bench less twin, relative to the bench's amplitude, of each set's tiles that have
+            pixels which are not saturated.
         """
-        level = self.level(reference).reshape(self.amplitude.shape)
-        off = self.residual(reference, twin).reshape(level.shape) / np.where(self._valid, level, np.nan)
-        tiles = tile_numbers(self.pixels)
-        return np.array([[np.nanmedian(one[tiles == n]) for n in np.unique(tiles)] for one in off]).ravel()
+        level, tiles = self.level(reference), tile_numbers(self.pixels)
+        lit = level > 0.0
+        off = self.residual(reference, twin)[lit] / level[lit]
+        cells = (np.arange(len(self.sets))[:, None] * TILES**2 + tiles).ravel()[lit]
+        return np.array([np.median(off[cells == cell]) for cell in np.unique(cells)])
 
     def level(self, reference: Reference) -> Floats:
         """Give the amplitudes of the bench in the unit of the residuals.
