@@ -11,16 +11,20 @@ import pytest
 
 from fpplab.diagnosis import FaultCause, Finding, Verdict
 from fpplab.matching import match
-from fpplab.matching.match import MatchingLimits
+from fpplab.matching.loss import Weights
+from fpplab.matching.match import MatchingLimits, match_twin
 from fpplab.matching.record import MatchingRecord
-from fpplab.matching.run import MatchingRequest, MatchingResult, match_sessions
+from fpplab.matching.reference import Reference
+from fpplab.matching.run import MatchingRequest, MatchingResult, match_sessions, with_reference_geometry
 from fpplab.matching.verdict import diagnose_matching
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
+from fpplab.pipeline import characterise_sessions
 from fpplab.prediction import Discrepancy
 from fpplab.report.matching import write_matching_report
 from fpplab.sessions.session import Session
 from fpplab.simulation.matchable import TwinParameters
+from tests.matching.test_contrast import scanned
 from tests.support.plane_twin import TARGET, PlaneTwin, nominal, record, tilted
 
 PLAN = Plan(
@@ -129,6 +133,31 @@ def test_a_matching_that_goes_on_is_the_undisturbed_one(matching: Matching, tmp_
         assert again.summary() == whole.summary()
         for one, other in zip(again.matched.epochs, whole.matched.epochs, strict=True):
             assert one.model_dump(exclude={"seconds"}) == other.model_dump(exclude={"seconds"})
+
+
+@pytest.mark.parametrize("blurred_by_the_part", [0.0, 0.9])
+def test_scans_with_finer_fringes_tell_the_sharpness_unless_the_part_blurs_them(
+    matching: Matching, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, blurred_by_the_part: float
+) -> None:
+    """With the steps alone that matter: the others take minutes."""
+    some = {one.name: one for one in (*match.FIRST_STEPS, *match.REPEATED_STEPS)}
+    monkeypatch.setattr(match, "FIRST_STEPS", tuple(some[n] for n in ("light", "projector defocus")))
+    monkeypatch.setattr(match, "REPEATED_STEPS", (some["fine fringes"],))
+    monkeypatch.setattr(match, "CHANGING_STEPS", (some["flicker"],))
+    truth, twin = matching.truth, PlaneTwin(nominal(()), 7)
+    found = characterise_sessions(matching.sessions, TARGET)
+    reference = Reference.of(matching.sessions, TARGET, found)
+    start = replace(with_reference_geometry(twin.parameters, found), ambient=truth.ambient)
+    soft = replace(truth, projector_blur=float(np.hypot(truth.projector_blur, blurred_by_the_part)))
+    scans, limits = [scanned(soft)], MatchingLimits(epochs=12)
+    outcome = match_twin(reference, twin, start, MatchingRecord(tmp_path), Weights(), limits, scans)
+    steps = [epoch.step for epoch in outcome.epochs]
+    assert "fine fringes" in steps
+    assert steps[-1] == "flicker"
+    assert ("sharpness of the board" in steps) is bool(blurred_by_the_part)
+    off = outcome.parameters.projector_blur - truth.projector_blur
+    # The board's images alone leave some of the white to the blur.
+    assert abs(off) < (0.15 if blurred_by_the_part else 0.02)
 
 
 def test_a_step_is_ended_when_the_time_is_over(
