@@ -67,6 +67,22 @@ def test_a_swing_is_told_from_random_changes(cycles: float) -> None:
     assert abs(found.swing @ rms) / np.linalg.norm(found.swing) / np.linalg.norm(rms) > 0.99
 
 
+def test_faults_across_the_line_are_no_swing() -> None:
+    """They go in step with the phase steps, eight to a fringe set; vibration is along x."""
+    random, line, fault = np.random.default_rng(6), np.array([4e-3, 1e-3, 0]), np.array([0, 0, 2e-3])
+    seen = [
+        series(random, np.outer(random.standard_normal(24), line) + swing(random, fault, 0.125))
+        for _ in range(6)
+    ]
+    found = change_of(seen)
+    assert not found.swing.any()
+    assert abs(found.random.line @ line) / np.linalg.norm(found.random.line) / np.linalg.norm(line) > 0.97
+    along = [series(random, swing(random, line, 0.31) + swing(random, fault, 0.125)) for _ in range(6)]
+    both = change_of(along)
+    assert both.cycles_per_frame == pytest.approx(0.31, abs=2e-3)
+    assert np.linalg.norm(both.swing) == pytest.approx(np.linalg.norm(line), rel=0.1)
+
+
 @pytest.mark.slow
 def test_frequencies_lie_as_near_as_their_uncertainty_says() -> None:
     """Errors of many swings over their standard uncertainties."""
