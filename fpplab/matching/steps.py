@@ -154,15 +154,10 @@ class MatchingContext:
         """The projector's blur, unless contrasts tell it."""
         return () if self.contrasts else ("projector_blur",)
 
-    def fit_projector_sharpness(self, by_contrasts: bool = True) -> TwinParameters:
+    def fit_projector_sharpness(self) -> TwinParameters:
         """Fit blur, focus and aperture of the projector to contrasts, or without them to the board's images.
 
         Together, what the twin lacks of the light on the board would decide: it is most of what is left.
-
-        Parameters
-        ----------
-        by_contrasts : bool
-            Whether contrasts are used where there are any.
 
         Returns
         -------
@@ -170,7 +165,7 @@ class MatchingContext:
             As `fpplab.matching.light.fit_light` finds them; the twin is left with them.
         """
         names = ("projector_blur", *self.projector_focus)
-        if not (self.contrasts and by_contrasts):
+        if not self.contrasts:
             return light.fit_light(self.reference, self.twin, names, self.samples)
         found = light.fit_light(self.reference, self.twin, names, self.contrasts)
         return with_common_error(self.reference, self.twin, found, names, self.contrasts)
@@ -260,6 +255,14 @@ def _board_is_sharper(at: MatchingContext) -> bool:
     return bool(off.mean() > max(LEAST_CONTRAST, SIGNIFICANT * error))
 
 
+def _without_contrasts(at: MatchingContext) -> TwinParameters:
+    """Search the projector's focus by the board's images, and fit all light again."""
+    alone = replace(at, contrasts=())
+    at.twin.become(replace(at.twin.parameters, projector_focus_mm=None))
+    at.twin.become(_projector_defocus(alone))
+    return _fit_together(alone)
+
+
 def _contrast_left(at: MatchingContext) -> float | None:
     """What is left of contrasts, of which the loss knows nothing; None without them."""
     if not at.contrasts:
@@ -306,7 +309,7 @@ def _spread(at: MatchingContext) -> tuple[int, ...]:
 
 SHARPNESS_OF_BOARD = MatchingStep(
     "sharpness of the board",
-    lambda at: at.fit_projector_sharpness(by_contrasts=False),
+    _without_contrasts,
     applies=lambda at: bool(at.contrasts) and _board_is_sharper(at),
 )
 """Taken after all rounds, where contrasts told a blur that the board's fringes do not have."""

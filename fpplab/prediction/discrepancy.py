@@ -238,7 +238,7 @@ def _of_scans(scans: Sequence[ScanEffects]) -> Iterator[tuple[str, str]]:
         if one.contrast < -LARGE_CONTRAST:
             less = f"{-100 * one.contrast:.0f} % less contrast"
             yield (
-                f"light below the surface of the {one.item}, or by way of other faces: its fine fringes have "
+                f"interreflection, or light below the surface of the {one.item}: its fine fringes have "
                 f"{less} than the projector's sharpness on the board allows",
                 "parts of another material than the twin's",
             )

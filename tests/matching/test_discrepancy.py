@@ -109,7 +109,7 @@ def test_what_scans_show_by_themselves_is_named_with_the_part() -> None:
     wax = ScanEffects("candle", -0.12, None)
     looks, not_for = named_effects(still, [0.0], [0.0], [wax, ScanEffects("plate", 0.01, None)])
     assert looks is not None
-    assert looks.startswith("light below the surface of the candle")
+    assert looks.startswith("interreflection, or light below the surface of the candle")
     assert "12 % less contrast" in looks
     assert "plate" not in looks
     assert not_for == "parts of another material than the twin's"
