@@ -67,7 +67,7 @@ def discrepancy_of(reference: Reference, twin: Twin, scans: Sequence[BenchScan])
     levels = level_differences(reference, twin)
     part_noise = [float(np.log(a.noise_um / b.noise_um)) for a, b in pairs]
     found = Discrepancy(
-        noise=Deviation.of([*noise, *part_noise], fitted=not others),
+        noise=Deviation.of_kinds([noise, part_noise], fitted=not others),
         distance=_deviation([float(np.log(a.distance_um / b.distance_um)) for a, b in pairs]),
         completeness=_deviation([a.completeness - b.completeness for a, b in pairs]),
         contrast=_contrast_deviation(reference, twin, scans, judged),

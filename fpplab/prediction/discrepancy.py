@@ -41,7 +41,7 @@ class Deviation(Document):
 
     @classmethod
     def of(cls, differences: Sequence[float], fitted: bool) -> Deviation:
-        """Summarise comparisons.
+        """Summarise comparisons of one kind.
 
         Parameters
         ----------
@@ -53,11 +53,35 @@ class Deviation(Document):
         Returns
         -------
         Deviation
-            A single comparison has its own size as spread.
+            See `of_kinds`.
         """
-        values = np.asarray(differences, np.float64)
-        spread = float(values.std(ddof=1)) if len(values) > 1 else abs(float(values[0]))
-        return cls(mean=float(values.mean()), spread=spread, count=len(values), fitted=fitted)
+        return cls.of_kinds([differences], fitted)
+
+    @classmethod
+    def of_kinds(cls, kinds: Sequence[Sequence[float]], fitted: bool) -> Deviation:
+        """Summarise comparisons of several kinds, which count alike however many there are of each.
+
+        Parameters
+        ----------
+        kinds : sequence of sequence of float
+            Bench less twin, at least one in all; a kind may be empty.
+        fitted : bool
+            Whether the twin was fitted to the same recordings.
+
+        Returns
+        -------
+        Deviation
+            With the spread within kinds and between their means. A single comparison has twice its own size
+            as spread: one alone tells little of the next.
+        """
+        there = [np.asarray(one, np.float64) for one in kinds if len(one)]
+        means, count = np.array([one.mean() for one in there]), sum(len(one) for one in there)
+        if count == 1:
+            return cls(mean=float(means[0]), spread=2.0 * abs(float(means[0])), count=1, fitted=fitted)
+        within = sum(float(np.sum((one - one.mean()) ** 2)) for one in there) / max(count - len(there), 1)
+        between = float(means.var(ddof=1)) if len(there) > 1 else 0.0
+        spread = float(np.sqrt(within + between))
+        return cls(mean=float(means.mean()), spread=spread, count=count, fitted=fitted)
 
     @property
     def sigma(self) -> float:

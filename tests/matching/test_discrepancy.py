@@ -104,6 +104,20 @@ def test_a_large_discrepancy_says_what_it_looks_like() -> None:
     assert not_for == "noise and chance of wrong orders; levels and saturation"
 
 
+def test_board_and_scans_count_alike_however_many_there_are() -> None:
+    board = [0.02, -0.02, 0.02, -0.02, 0.02, -0.02]
+    alone, both = (Deviation.of_kinds([board, scans], fitted=False) for scans in ([], [0.2]))
+    assert alone == Deviation.of(board, fitted=False)
+    assert alone.spread == pytest.approx(np.std(board, ddof=1))
+    assert both.mean == pytest.approx(0.1)
+    assert both.spread == pytest.approx(np.hypot(np.std(board, ddof=1), 0.2 / np.sqrt(2)))
+    assert both.count == 7
+    single = deviation(-0.3)
+    assert (single.mean, single.spread) == (-0.3, 0.6)
+    # A share that one scan had less of may be missing nearly whole in the next.
+    assert 1.96 * single.sigma > 0.95
+
+
 def test_what_scans_show_by_themselves_is_named_with_the_part() -> None:
     still = Discrepancy(distance=deviation(0.05))
     wax = ScanEffects("candle", -0.12, None)
