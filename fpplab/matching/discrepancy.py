@@ -147,7 +147,8 @@ def _noise_difference(reference: Reference, twin: Twin, pose: int) -> float:
 
 def _effects(reference: Reference, twin: Twin, scan: BenchScan) -> ScanEffects:
     finer, motion = sample_contrasts(twin, [scan], reference.plan), motion_of_scan(twin, scan)
-    contrast = float(np.median(finer[0].relative_residual(reference, twin))) if finer else 0.0
+    off = float(np.median(finer[0].relative_residual(reference, twin))) if finer else 0.0
+    contrast = 1.0 / (1.0 - off) - 1.0  # relative to the twin's, not to the bench's
     moved = motion.um_per_frame if motion and motion.is_significant else None
     return ScanEffects(scan.item, contrast, moved)
 
