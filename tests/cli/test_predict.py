@@ -13,7 +13,7 @@ from fpplab.devices.rig import Rig
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.pipeline import take
-from fpplab.prediction.discrepancy import Deviation, Discrepancy
+from fpplab.prediction.discrepancy import ContrastDeviation, Deviation, Discrepancy
 from fpplab.simulation.predictable import Predictable
 from tests.support.commands import Command
 
@@ -62,6 +62,16 @@ def test_a_measurement_is_predicted(fpplab: Command, folder: Path) -> None:
         told = fpplab(*call, "--json")
         assert told.json["noise_um"]["high"] > 1.5 * answer["noise_um"]["high"]
         assert told.json["not_for"] == "wax"
+        assert told.json["compared_stripes"] is None
+        coarse = ContrastDeviation(stripes=12, relative=0.01)
+        Discrepancy(distance=Deviation.of([2.0], fitted=False), contrast=coarse).save(folder)
+        wide = fpplab(*call, "--json")
+        assert wide.json["compared_stripes"] == 12
+        # Four times as many stripes: 16 times the logarithm.
+        assert wide.json["noise_um"]["high"] > 1.2 * answer["noise_um"]["high"]
+        shown = fpplab(*call)
+        assert "fringes are finer than those of 12 stripes" in shown.err
+        assert next(line for line in shown.out.splitlines() if "distance" in line).count("unknown") == 2
     finally:
         (folder / "discrepancy.yaml").unlink()
 
