@@ -7,7 +7,7 @@ the artefact on the bench is found by aligning its true shape with the bench's c
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
@@ -20,7 +20,8 @@ from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
 from fpplab.comparison import Comparison, compare
 from fpplab.comparison.alignment import align_mesh
-from fpplab.core.conventions import Mask
+from fpplab.comparison.visibility import RayTracedShape
+from fpplab.core.conventions import Floats, Mask, PixelIndices
 from fpplab.core.errors import DataError
 from fpplab.core.geometry import RigidTransform
 from fpplab.core.progress import Progress, no_progress
@@ -33,6 +34,7 @@ from fpplab.pipeline import depth_range_of, reconstruct
 from fpplab.prediction.figures import seen_surface
 from fpplab.reconstruction.depth_range import depth_bounds
 from fpplab.reconstruction.points import points_of
+from fpplab.reconstruction.triangulation import camera_rays
 from fpplab.sessions.session import Session
 from fpplab.simulation.matchable import Twin
 
@@ -135,6 +137,66 @@ class BenchScan:
     T_camera_item: RigidTransform
     comparison: Comparison
 
+    def levels(self, images: Iterable[int], pixels: PixelIndices) -> Floats:
+        """Read some images at some pixels; they were checked when the scan was reconstructed.
+
+        Parameters
+        ----------
+        images : iterable of int
+            Indices of n images in the plan.
+        pixels : PixelIndices
+            Rows and columns of P pixels.
+
+        Returns
+        -------
+        Floats
+            Raw levels (n, P).
+        """
+        read = [self.session.read(index, verify=False)[pixels] for index in images]
+        return np.array(read, np.float64)
+
+
+def placed_part(twin: Twin, scan: BenchScan) -> trimesh.Trimesh:
+    """Give the true shape of a part where its scan shows it.
+
+    Parameters
+    ----------
+    twin : Twin
+        Its world has the part.
+    scan : BenchScan
+        With the pose of the part.
+
+    Returns
+    -------
+    trimesh.Trimesh
+        In mm in the camera's frame.
+    """
+    return twin.mesh(scan.item).copy().apply_transform(scan.T_camera_item.matrix)
+
+
+def part_surface_seen(twin: Twin, scan: BenchScan, pixels: PixelIndices) -> tuple[Floats, Floats]:
+    """Trace the rays of pixels to the surface of a part.
+
+    Parameters
+    ----------
+    twin : Twin
+        Its world has the part, and its calibration is the bench's.
+    scan : BenchScan
+        With the pose of the part.
+    pixels : PixelIndices
+        Rows and columns of P pixels that see the part.
+
+    Returns
+    -------
+    points, normals : Floats
+        Where the rays meet the surface in mm, and its outward unit normals there, (P, 3) each, in the
+        camera's frame.
+    """
+    shape, rays = RayTracedShape(placed_part(twin, scan)), camera_rays(twin.parameters.calibration.camera)
+    directions = rays[pixels] / np.linalg.norm(rays[pixels], axis=1, keepdims=True)
+    points = directions * shape.depth(np.zeros(3), directions)[:, None]
+    return points, shape.normals[shape.first_face(np.zeros(3), directions)]
+
 
 def lit_inside(twin: Twin, scan: BenchScan) -> Mask:
     """Find the pixels that see lit surface of a part away from its edges and shadows.
@@ -151,8 +213,7 @@ def lit_inside(twin: Twin, scan: BenchScan) -> Mask:
     Mask
         (height, width).
     """
-    placed = twin.mesh(scan.item).copy().apply_transform(scan.T_camera_item.matrix)
-    _, lit = seen_surface(placed, twin.parameters.calibration)
+    _, lit = seen_surface(placed_part(twin, scan), twin.parameters.calibration)
     side = 2 * EDGE_PX + 1
     inner = cv2.erode(lit.astype(np.uint8), np.ones((side, side), np.uint8), borderValue=(0.0,))
     return np.asarray(inner > 0)
@@ -256,8 +317,7 @@ def compare_artefacts(
     found = []
     for number, scan in enumerate(scans, 1):
         own = _scanned(twin, scan.item, scan.session, scan.T_camera_item, twin_calibration)
-        placed = twin.mesh(scan.item).copy().apply_transform(scan.T_camera_item.matrix)
-        judged = compare(own, placed, twin_calibration, align=True)
+        judged = compare(own, placed_part(twin, scan), twin_calibration, align=True)
         found.append(ArtefactComparison(scan.item, scan.comparison, judged, scan.cloud, own))
         progress(number / len(scans))
     return found

@@ -20,12 +20,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.comparison.visibility import RayTracedShape
 from fpplab.core.conventions import Floats, PixelIndices, full_scale
 from fpplab.core.geometry import RigidTransform
 from fpplab.core.robust import huber_weights, robust_spread
 from fpplab.devices import CameraSettings
-from fpplab.matching.artefacts import CLIPPED, SHORT, BenchScan, lit_inside
+from fpplab.matching.artefacts import CLIPPED, SHORT, BenchScan, lit_inside, part_surface_seen
 from fpplab.matching.light import level_slopes, light_residuals
 from fpplab.matching.loss import board_mask, subsample_pixels
 from fpplab.matching.reference import Reference
@@ -34,7 +33,6 @@ from fpplab.patterns.fringe_sets import FringeSet
 from fpplab.patterns.fringes import Pattern, make_patterns
 from fpplab.patterns.plan import Plan
 from fpplab.phase.common_errors import fit_sinusoids
-from fpplab.reconstruction.triangulation import camera_rays
 from fpplab.simulation.matchable import Twin, TwinParameters
 
 ROUNDS = 4
@@ -107,20 +105,16 @@ class ContrastSample:
             Bench less twin (S P,), in raw levels of the reference: of the root mean square of an image, so
             that the noise is that of an image.
         """
-        full, black = full_scale(self.settings.bits), twin.parameters.black_level
+        black = twin.parameters.black_level * full_scale(self.settings.bits)
         short = replace(self.settings, exposure_s=SHORT * self.settings.exposure_s)
         levels = twin.expected_part(self.item, self.T_camera_item, self.patterns, short, self.pixels)
         own = _fitted(levels.astype(np.float64), self.sets)
-        brightness = (self.offset - black * full) / np.maximum(own[0] - black * full, 1e-9)
-        scale = self._scale(reference)
+        above, scale = np.maximum(own[0] - black, 1e-9), self._scale(reference)
+        brightness = (self.offset - black) / above
         left = np.nan_to_num(scale * (self.amplitude - brightness * own[1])).ravel()
-        per_offset = np.nan_to_num(scale * own[1] / np.maximum(own[0] - black * full, 1e-9) * self._valid)
+        per_offset = scale * own[1] / above * np.isfinite(self.offset)
         turned = np.stack([(per_offset * one).ravel() for one in self.normals.T[:2]], axis=1)
         return _without(left, turned)
-
-    @property
-    def _valid(self) -> NDArray[np.bool_]:
-        return np.isfinite(self.offset)
 
     def relative_residual(self, reference: Reference, twin: Twin) -> Floats:
         """Compare contrasts by the tiles of the part.
@@ -277,7 +271,7 @@ def _samples(twin: Twin, scans: Sequence[BenchScan], stripes: float) -> Iterator
         pixels, sets = subsample_pixels(inner, PIXELS), tuple(plan.fringes[index] for index in finer)
         images = [n for index in finer for n in range(*plan.set_starts[index : index + 2])]
         shown = make_patterns(plan, *scan.session.projector())
-        levels = np.stack([scan.session.read(n, verify=False)[pixels] for n in images]).astype(np.float64)
+        levels = scan.levels(images, pixels)
         levels[:, levels.max(axis=0) >= CLIPPED * full_scale(settings.bits)] = np.nan
         if np.count_nonzero(np.isfinite(levels[0])) < LEAST_PIXELS:
             continue
@@ -289,15 +283,9 @@ def _samples(twin: Twin, scans: Sequence[BenchScan], stripes: float) -> Iterator
             sets,
             tuple(shown[n] for n in images),
             pixels,
-            _normals(twin, scan, pixels),
+            part_surface_seen(twin, scan, pixels)[1],
             *_fitted(levels, sets),
         )
-
-
-def _normals(twin: Twin, scan: BenchScan, pixels: PixelIndices) -> Floats:
-    placed = RayTracedShape(twin.mesh(scan.item).copy().apply_transform(scan.T_camera_item.matrix))
-    rays = camera_rays(twin.parameters.calibration.camera)[pixels]
-    return placed.normals[placed.first_face(np.zeros(3), rays)]
 
 
 def _without(values: Floats, columns: Floats) -> Floats:

@@ -13,7 +13,7 @@ import numpy as np
 
 from fpplab.core.conventions import Floats, Image
 from fpplab.core.errors import DataError
-from fpplab.matching.artefacts import BenchScan
+from fpplab.matching.artefacts import BenchScan, placed_part
 from fpplab.matching.contrast import board_contrasts, sample_contrasts
 from fpplab.matching.loss import board_mask, subsample_pixels
 from fpplab.matching.measured import expected_figures, measured_figures
@@ -185,7 +185,7 @@ def scan_figures(
     real, own : MeasuredFigures
         Of bench and twin; the twin's are medians of `TWIN_SCANS`.
     """
-    placed = twin.mesh(scan.item).copy().apply_transform(scan.T_camera_item.matrix)
+    placed = placed_part(twin, scan)
     real = measured_figures(scan.session, reference.characterisation.calibration, placed)
     session, known = scan.session, twin.parameters.calibration
     plan, (size, lattice) = session.plan, session.projector()

@@ -19,15 +19,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.comparison.visibility import RayTracedShape
 from fpplab.core.conventions import TWO_PI, Axis, Floats, PixelIndices, axis_length, full_scale
 from fpplab.core.robust import huber_weights, multiway_covariance, robust_spread
-from fpplab.matching.artefacts import CLIPPED, BenchScan, lit_inside
+from fpplab.matching.artefacts import CLIPPED, BenchScan, lit_inside, part_surface_seen
 from fpplab.matching.loss import subsample_pixels
 from fpplab.matching.samples import tile_numbers
 from fpplab.patterns.fringe_sets import FringeSet
 from fpplab.phase.common_errors import beyond_fringe, fit_sinusoids
-from fpplab.reconstruction.triangulation import camera_rays
 from fpplab.simulation.matchable import Twin, TwinParameters
 
 PIXELS, LEAST_PIXELS = 6_000, 200
@@ -106,7 +104,7 @@ class _SetMotion:
     ) -> _SetMotion | None:
         plan, bits = scan.session.plan, scan.session.records[0].settings.bits
         fringe, images = plan.fringes[index], range(*plan.set_starts[index : index + 2])
-        raw = np.stack([scan.session.read(n, verify=False)[pixels] for n in images]).astype(np.float64)
+        raw = scan.levels(images, pixels)
         clear = raw.max(axis=0) < CLIPPED * full_scale(bits)
         if np.count_nonzero(clear) < LEAST_PIXELS:
             return None
@@ -155,12 +153,8 @@ class _Steady:
 def _turns(twin: Twin, scan: BenchScan, pixels: PixelIndices, axis: Axis) -> Floats:
     """Change (P,) of a projector coordinate, as a share of its axis, for 1 mm along the camera's axis."""
     known = twin.parameters.calibration
-    shape = RayTracedShape(twin.mesh(scan.item).copy().apply_transform(scan.T_camera_item.matrix))
-    rays = camera_rays(known.camera)[pixels]
-    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    points = rays * shape.depth(np.zeros(3), rays)[:, None]
-    normals = shape.normals[shape.first_face(np.zeros(3), rays)]
-    along = rays * (normals[:, 2] / np.einsum("pi,pi->p", normals, rays))[:, None]
+    points, normals = part_surface_seen(twin, scan, pixels)
+    along = points * (normals[:, 2] / np.einsum("pi,pi->p", normals, points))[:, None]
     ends = [
         known.projector.project(points + side * STEP_MM * along, known.T_projector_camera)
         for side in (-0.5, 0.5)

@@ -215,9 +215,9 @@ class _View:
         self.settings = session.records[0].settings
         self.full = float(full_scale(self.settings.bits))
         self.pixels = self._lit_pixels()
-        frames = np.stack([session.read(n, verify=False)[self.pixels] for n in range(len(self.patterns))])
+        frames = scan.levels(range(len(self.patterns)), self.pixels)
         self.tiles: NDArray[np.int64] = np.tile(tile_numbers(self.pixels), len(frames))
-        levels = frames.astype(np.float64).ravel()
+        levels = frames.ravel()
         self.clipped = levels >= CLIPPED * self.full
         if np.mean(self.clipped) > 0.95:
             raise DataError(f"{session.path}: is saturated; expose it shorter")
