@@ -23,7 +23,7 @@ from fpplab.core.conventions import Axis, Floats, PixelIndices, raw_per_grey
 from fpplab.matching.loss import board_mask, subsample_pixels
 from fpplab.matching.reference import Reference
 from fpplab.patterns.fringe_sets import FringeSet
-from fpplab.phase.common_errors import beyond_fringe, fit_sinusoids
+from fpplab.phase.common_errors import beyond_fringe, fit_sinusoids, fringe_levels
 from fpplab.simulation.matchable import TwinParameters
 
 Complex = NDArray[np.complex128]
@@ -160,10 +160,8 @@ def rest_of_set(
         Of this set.
     """
     shift, count = fringe.phase_shifts(), len(levels)
-    offset, cosine, sine = fit_sinusoids(levels, fringe)
-    beyond = beyond_fringe(shift)
-    light = offset + np.outer(np.cos(shift), cosine) + np.outer(np.sin(shift), sine)
-    across = np.outer(np.sin(shift), cosine) - np.outer(np.cos(shift), sine)
+    fitted, beyond = fit_sinusoids(levels, fringe), beyond_fringe(shift)
+    offset, (light, across) = fitted[0], fringe_levels(fitted, shift)
     print_moves = [light * one / np.maximum(offset, 1.0) for one in slopes]
     size = np.sqrt(np.mean(light**2))
     tilts = [across * (one - one.mean()) for one in pixels]

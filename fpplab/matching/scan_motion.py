@@ -24,8 +24,7 @@ from fpplab.core.robust import huber_weights, multiway_covariance, robust_spread
 from fpplab.matching.artefacts import CLIPPED, BenchScan, lit_inside, part_surface_seen
 from fpplab.matching.loss import subsample_pixels
 from fpplab.matching.samples import tile_numbers
-from fpplab.patterns.fringe_sets import FringeSet
-from fpplab.phase.common_errors import beyond_fringe, fit_sinusoids
+from fpplab.phase.common_errors import beyond_fringe, fit_sinusoids, fringe_levels
 from fpplab.simulation.matchable import Twin, TwinParameters
 
 PIXELS, LEAST_PIXELS = 6_000, 200
@@ -109,12 +108,11 @@ class _SetMotion:
         if np.count_nonzero(clear) < LEAST_PIXELS:
             return None
         levels = raw[:, clear] - twin.parameters.black_level * full_scale(bits)
-        offset, cosine, sine = fit_sinusoids(levels, fringe)
-        shift, beyond = fringe.phase_shifts(), beyond_fringe(fringe.phase_shifts())
-        by_phase = np.outer(np.sin(shift), cosine) - np.outer(np.cos(shift), sine)
+        fitted, shift = fit_sinusoids(levels, fringe), fringe.phase_shifts()
+        beyond, (light, by_phase) = beyond_fringe(shift), fringe_levels(fitted, shift)
         by_mm = by_phase * TWO_PI * fringe.stripes * turns[fringe.axis][clear]
-        light = offset + np.outer(np.cos(shift), cosine) + np.outer(np.sin(shift), sine)
-        steady = _Steady.of(beyond, light, fringe, np.hypot(cosine, sine), np.arctan2(sine, cosine))
+        _, cosine, sine = fitted
+        steady = _Steady.of(beyond, light, shift, np.hypot(cosine, sine), np.arctan2(sine, cosine))
         frames = np.arange(len(shift)) - 0.5 * (len(shift) - 1)
         shown = np.stack(
             [steady.without(np.outer(column, one)) for column, one in zip(beyond.T, by_mm, strict=True)]
@@ -134,12 +132,9 @@ class _Steady:
     inverse: Floats
 
     @classmethod
-    def of(
-        cls, beyond: Floats, light: Floats, fringe: FringeSet, amplitude: Floats, phase: Floats
-    ) -> _Steady:
+    def of(cls, beyond: Floats, light: Floats, shift: Floats, amplitude: Floats, phase: Floats) -> _Steady:
         gains = [np.outer(column, one) for column, one in zip(beyond.T, light, strict=True)]
-        shift = fringe.phase_shifts()[:, None]
-        second = [beyond @ (amplitude * wave(2 * (shift - phase))) for wave in (np.cos, np.sin)]
+        second = [beyond @ (amplitude * wave(2 * (shift[:, None] - phase))) for wave in (np.cos, np.sin)]
         columns = np.stack([one.ravel() for one in (*gains, *second)], axis=1)
         return cls(columns, np.linalg.pinv(columns.T @ columns, rcond=1e-9, hermitian=True))
 

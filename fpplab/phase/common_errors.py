@@ -258,6 +258,26 @@ def fit_sinusoids(sample: Floats, fringe: FringeSet) -> Floats:
     return _product(np.linalg.pinv(_waves(fringe.phase_shifts(), 1)), sample)
 
 
+def fringe_levels(fitted: Floats, shift: Floats) -> tuple[Floats, Floats]:
+    """Compute the images of fitted sinusoids, and their derivatives by the phase.
+
+    Parameters
+    ----------
+    fitted : ndarray of float64
+        Offset A, `B cos φ` and `B sin φ` (3, P) of `fit_sinusoids`.
+    shift : ndarray of float64
+        Phase shifts δ_n (N,) in rad.
+
+    Returns
+    -------
+    levels, by_phase : ndarray of float64
+        `A + B cos(φ - δ_n)` and `-B sin(φ - δ_n)`, (N, P) each.
+    """
+    offset, cosine, sine = fitted
+    levels = offset + np.outer(np.cos(shift), cosine) + np.outer(np.sin(shift), sine)
+    return levels, np.outer(np.sin(shift), cosine) - np.outer(np.cos(shift), sine)
+
+
 def _set_group(index: int, sample: Floats, fitted: Floats, fringe: FringeSet) -> Group:
     shift, (offset, c, s) = fringe.phase_shifts(), fitted
     wave = c + 1j * s
