@@ -7,14 +7,14 @@ fringes in scans is fitted, their noise and distance are not.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from fpplab.core.conventions import Floats, Image
 from fpplab.core.errors import DataError
 from fpplab.matching.artefacts import BenchScan, placed_part
-from fpplab.matching.contrast import board_contrasts, sample_contrasts
+from fpplab.matching.contrast import ContrastSample, board_contrasts, sample_contrasts
 from fpplab.matching.loss import board_mask, subsample_pixels
 from fpplab.matching.measured import expected_figures, measured_figures
 from fpplab.matching.reference import Reference
@@ -66,16 +66,17 @@ def discrepancy_of(reference: Reference, twin: Twin, scans: Sequence[BenchScan])
     pairs = [scan_figures(reference, twin, scan) for scan in scans]
     levels = level_differences(reference, twin)
     part_noise = [float(np.log(a.noise_um / b.noise_um)) for a, b in pairs]
+    contrasts = sample_contrasts(twin, scans, reference.plan)
+    off = {one.number: one.relative_residual(reference, twin) for one in contrasts}
     found = Discrepancy(
         noise=Deviation.of_kinds([noise, part_noise], fitted=not others),
         distance=_deviation([float(np.log(a.distance_um / b.distance_um)) for a, b in pairs]),
         completeness=_deviation([a.completeness - b.completeness for a, b in pairs]),
-        contrast=_contrast_deviation(reference, twin, scans, judged),
+        contrast=_contrast_deviation(reference, twin, contrasts, off, judged),
         levels=levels.model_copy(update={"left_out": tuple(_name(reference, pose) for pose in others)}),
     )
-    looks_like, not_for = named_effects(
-        found, noise, part_noise, [_effects(reference, twin, scan) for scan in scans]
-    )
+    effects = [_effects(twin, scan, off.get(number)) for number, scan in enumerate(scans)]
+    looks_like, not_for = named_effects(found, noise, part_noise, effects)
     return found.model_copy(update={"looks_like": looks_like, "not_for": not_for})
 
 
@@ -145,25 +146,30 @@ def _noise_difference(reference: Reference, twin: Twin, pose: int) -> float:
     return float(np.log(noise(reference.recorded(pose)) / noise(own)))
 
 
-def _effects(reference: Reference, twin: Twin, scan: BenchScan) -> ScanEffects:
-    finer, motion = sample_contrasts(twin, [scan], reference.plan), motion_of_scan(twin, scan)
-    off = float(np.median(finer[0].relative_residual(reference, twin))) if finer else 0.0
-    contrast = 1.0 / (1.0 - off) - 1.0  # relative to the twin's, not to the bench's
+def _effects(twin: Twin, scan: BenchScan, contrast_off: Floats | None) -> ScanEffects:
+    """What a scan shows by itself; its contrast less the twin's, relative to the bench's, by tiles."""
+    off = 0.0 if contrast_off is None else float(np.median(contrast_off))
+    contrast = 1.0 / (1.0 - off) - 1.0  # relative to the twin's
+    motion = motion_of_scan(twin, scan)
     moved = motion.um_per_frame if motion and motion.is_significant else None
     return ScanEffects(scan.item, contrast, moved)
 
 
 def _contrast_deviation(
-    reference: Reference, twin: Twin, scans: Sequence[BenchScan], poses: Sequence[int]
+    reference: Reference,
+    twin: Twin,
+    finer: Sequence[ContrastSample],
+    off: Mapping[int, Floats],
+    poses: Sequence[int],
 ) -> ContrastDeviation:
     """Of the finest fringes of all recordings: those on parts where they are finer than the board's."""
-    finer = sample_contrasts(twin, scans, reference.plan)
-    if not finer:
-        relative = float(np.sqrt(np.mean(board_contrasts(reference, twin, poses) ** 2)))
-        return ContrastDeviation(stripes=reference.plan.finest.stripes, relative=relative)
-    off = np.concatenate([one.relative_residual(reference, twin) for one in finer])
-    stripes = max(fringe.stripes for one in finer for fringe in one.sets)
-    return ContrastDeviation(stripes=stripes, relative=float(np.sqrt(np.mean(off**2))))
+    if finer:
+        stripes = max(fringe.stripes for one in finer for fringe in one.sets)
+        differences = np.concatenate([off[one.number] for one in finer])
+    else:
+        stripes = reference.plan.finest.stripes
+        differences = board_contrasts(reference, twin, poses)
+    return ContrastDeviation(stripes=stripes, relative=float(np.sqrt(np.mean(differences**2))))
 
 
 def scan_figures(
