@@ -147,8 +147,7 @@ class _StepWatch:
             raise _TimeOver
         done = self.number - np.exp(-self.images / USUAL_IMAGES)
         self.images += 1
-        steps = 1 + len(FIRST_STEPS) + 2 * len(REPEATED_STEPS)
-        self.progress(min(1.0, float(done + 1.0) / (steps + 1)))
+        self.progress(min(1.0, float(done + 1.0) / (_usual_steps() + 2)))
         self.tell(f"{self.words}, {max(left, 0.0):.0f} s left at most" if self.may_end else self.words)
 
 
@@ -245,7 +244,7 @@ def match_twin(
         first = _evaluated(state)
         _record_epoch(state, "start", ParametersFile.of(start), first, _difference(state), True, observe)
     ended = _run(state, limits, observe)
-    watch.begin(len(FIRST_STEPS) + 2 * len(REPEATED_STEPS) + 1, "judging the result", may_end=False)
+    watch.begin(_usual_steps() + 1, "judging the result", may_end=False)
     twin.become(state.best.parameters.parameters())
     final = evaluate(reference, twin, weights)
     state.at = replace(state.at, samples=_samples_of_poses(reference, twin.parameters))
@@ -295,6 +294,11 @@ def _steps(repeated: Sequence[MatchingStep]) -> Iterator[MatchingStep]:
         yield from repeated
 
 
+def _usual_steps() -> int:
+    """Number of steps that a matching usually takes."""
+    return len(FIRST_STEPS) + 2 * len(REPEATED_STEPS) + len(CHANGING_STEPS)
+
+
 def _run(state: _State, limits: MatchingLimits, observe: EpochObserver) -> str:
     """Make steps until one of the limits; return which."""
     idle, repeated = 0, [step for step in REPEATED_STEPS if step.applies(state.at)]
@@ -306,8 +310,9 @@ def _run(state: _State, limits: MatchingLimits, observe: EpochObserver) -> str:
             idle = 0 if _changed(before, after, limits) else idle + 1
             if idle >= limits.patience:
                 break
-    state.at.twin.become(state.best.parameters.parameters())
-    last = [*([SHARPNESS_OF_BOARD] if SHARPNESS_OF_BOARD.applies(state.at) else []), *CHANGING_STEPS]
+    # By the rounds alone: a matching that goes on has taken some of what follows already.
+    state.at.twin.become(_best(state.epochs[: number + 1]).parameters.parameters())
+    last = [step for step in (SHARPNESS_OF_BOARD, *CHANGING_STEPS) if step.applies(state.at)]
     for later, step in enumerate(last, number + 1):
         if _step_within(state, limits, observe, later, step):
             break

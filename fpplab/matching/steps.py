@@ -4,9 +4,9 @@ Order: geometry by the observed points, light, then one by one the effects that 
 (ambient light, defocus of projector and camera, vignetting, the projector's falloff, a lamp of the room,
 flicker, rolling bands, vibration, noise); then all parameters of light together and the geometry by the
 images in turn; at last once more what changes from frame to frame. Falloff, lamp, flicker, bands and
-vibration are kept where they explain more than their parameters cost. Noise is
-judged by its variance and spectrum, since the images that the loss compares have none. Scans of parts with
-finer fringes than the board's tell the projector's sharpness better than the board does, and alone.
+vibration are kept where they explain more than their parameters cost. Noise is judged by its variance and
+spectrum, since the images that the loss compares have none. Scans of parts with finer fringes than the
+board's tell the projector's sharpness better than the board does, and alone.
 """
 
 from __future__ import annotations
@@ -188,7 +188,7 @@ class MatchingStep:
     allowed : callable
         Whether what was proposed, which the twin has, may be accepted at all.
     applies : callable
-        Whether the step is taken; the same in all rounds.
+        Whether the step is taken; told once, before the first round or after the last.
     """
 
     name: str
@@ -259,7 +259,7 @@ def _without_contrasts(at: MatchingContext) -> TwinParameters:
     """Search the projector's focus by the board's images, and fit all light again."""
     alone = replace(at, contrasts=())
     at.twin.become(replace(at.twin.parameters, projector_focus_mm=None))
-    at.twin.become(_projector_defocus(alone))
+    _projector_defocus(alone)
     return _fit_together(alone)
 
 

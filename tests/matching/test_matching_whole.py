@@ -155,6 +155,10 @@ def test_scans_with_finer_fringes_tell_the_sharpness_unless_the_part_blurs_them(
     assert "fine fringes" in steps
     assert steps[-1] == "flicker"
     assert ("sharpness of the board" in steps) is bool(blurred_by_the_part)
+    lines = (tmp_path / "match.jsonl").read_bytes().splitlines(keepends=True)
+    (tmp_path / "match.jsonl").write_bytes(b"".join(lines[:-1]))
+    again = match_twin(reference, twin, start, MatchingRecord(tmp_path), Weights(), limits, scans)
+    assert [epoch.step for epoch in again.epochs] == steps
     off = outcome.parameters.projector_blur - truth.projector_blur
     # The board's images alone leave some of the white to the blur.
     assert abs(off) < (0.15 if blurred_by_the_part else 0.02)
