@@ -176,7 +176,7 @@ def sample_contrasts(twin: Twin, scans: Sequence[BenchScan], board: Plan) -> lis
     list of ContrastSample
         One for each scan that has such fringes, and enough pixels that are lit and not saturated.
     """
-    return list(_samples(twin, scans, max(one.stripes for one in board.fringes)))
+    return list(_samples(twin, scans, board.most_stripes))
 
 
 def board_contrasts(reference: Reference, twin: Twin, poses: Sequence[int]) -> Floats:

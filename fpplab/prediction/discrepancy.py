@@ -170,21 +170,6 @@ class Discrepancy(Document):
     not_for: str | None = None
     """For which measurements the twin must not be believed."""
 
-    def contrast_sigma(self, stripes: float) -> float:
-        """Compute how uncertain the contrast of fringes is beyond what noise and distance show.
-
-        Parameters
-        ----------
-        stripes : float
-            Over the projector's image.
-
-        Returns
-        -------
-        float
-            Relative; 0 where bench and twin were compared with fringes as fine.
-        """
-        return self.contrast.sigma(stripes) if self.contrast else 0.0
-
     def save(self, folder: Path) -> None:
         """Write the file.
 

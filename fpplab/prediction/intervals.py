@@ -63,7 +63,7 @@ def figure_intervals(
     by_calibration: Floats,
     discrepancy: Discrepancy,
     of_surface: float,
-    of_contrast: float,
+    stripes: float,
 ) -> dict[str, FigureInterval]:
     """Compute intervals by noise, calibration, surface, and what bench and twin differed by.
 
@@ -80,8 +80,8 @@ def figure_intervals(
         Of bench and twin.
     of_surface : float
         Relative standard uncertainty of the surface.
-    of_contrast : float
-        That of the contrast of fringes finer than those by which bench and twin were compared.
+    stripes : float
+        Of the finest fringes: the contrast of finer ones than bench and twin were compared by is uncertain.
 
     Returns
     -------
@@ -93,7 +93,8 @@ def figure_intervals(
     spread = {name: float(one.std(ddof=1) * np.sqrt(1.0 + 1.0 / len(one))) for name, one in values.items()}
     usual = {name: float(np.median(one)) for name, one in values.items()}
     relative = {name: spread[name] / max(usual[name], 1e-12) for name in usual}
-    light = float(np.hypot(of_surface, of_contrast))
+    contrast = discrepancy.contrast.sigma(stripes) if discrepancy.contrast else 0.0
+    light = float(np.hypot(of_surface, contrast))
     noise = float(np.hypot(discrepancy.noise.sigma if discrepancy.noise else 0.0, light))
     distance = float(np.hypot(discrepancy.distance.sigma, light)) if discrepancy.distance else noise
     share = discrepancy.completeness.sigma if discrepancy.completeness else 0.0

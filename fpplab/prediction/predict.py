@@ -154,16 +154,12 @@ def predict(
         distance_factors(cloud, seen & counted, mesh, known, coordinate_noise(decoded)),
         discrepancy or Discrepancy(),
         surface.relative_sigma if surface else 0.0,
-        (discrepancy or Discrepancy()).contrast_sigma(_finest(plan)),
+        plan.most_stripes,
     )
     seconds = plan_seconds(rig, plan)
     figures["seconds"] = FigureInterval(seconds, seconds, seconds)
     sampled = int(np.count_nonzero(seen & counted))
-    return Prediction(item, figures, len(study.patterns), sampled, _finest(plan), discrepancy, surface)
-
-
-def _finest(plan: Plan) -> float:
-    return max(one.stripes for one in plan.fringes)
+    return Prediction(item, figures, len(study.patterns), sampled, plan.most_stripes, discrepancy, surface)
 
 
 def _with_uncertainty_beside(true: Calibration, folder: Path) -> Calibration:

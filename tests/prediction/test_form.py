@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
-from fpplab.prediction.discrepancy import Deviation, Discrepancy
+from fpplab.prediction.discrepancy import ContrastDeviation, Deviation, Discrepancy
 from fpplab.prediction.figures import MeasuredFigures
 from fpplab.prediction.form import distance_factors
 from fpplab.prediction.intervals import FigureInterval, figure_intervals
@@ -64,20 +64,20 @@ def test_intervals_of_distance_hold_benches_with_calibrations_of_known_covarianc
 
 def interval_of(distance_mm: float, factors: NDArray[np.float64]) -> FigureInterval:
     one = MeasuredFigures(1e3 * distance_mm, 1.0, 1.0, 0.0)
-    return figure_intervals([one, one], factors, Discrepancy(), 0.0, 0.0)["distance_um"]
+    return figure_intervals([one, one], factors, Discrepancy(), 0.0, 64)["distance_um"]
 
 
 def test_an_interval_mixes_calibrations_and_what_bench_and_twin_differed_by() -> None:
     one = MeasuredFigures(10.0, 5.0, 0.9, 1e-6)
     off = Discrepancy(distance=Deviation.of([0.1, -0.1, 0.1, -0.1], fitted=False))
     assert off.distance is not None
-    alone = figure_intervals([one, one], np.ones(1), off, 0.0, 0.0)["distance_um"]
+    alone = figure_intervals([one, one], np.ones(1), off, 0.0, 64)["distance_um"]
     assert alone.value == 10.0
     assert np.log(alone.high / 10.0) == pytest.approx(1.96 * off.distance.sigma, rel=0.01)
     assert alone.high * alone.low == pytest.approx(100.0)
     # The product of independent log-normal factors is log-normal, and variances add.
     factors = np.exp(0.2 * np.random.default_rng(0).standard_normal(20_000))
-    both = figure_intervals([one, one], factors, off, 0.0, 0.0)["distance_um"]
+    both = figure_intervals([one, one], factors, off, 0.0, 64)["distance_um"]
     assert np.log(both.high / both.low) == pytest.approx(
         2 * 1.96 * np.hypot(0.2, off.distance.sigma), rel=0.03
     )
@@ -85,11 +85,11 @@ def test_an_interval_mixes_calibrations_and_what_bench_and_twin_differed_by() ->
 
 def test_an_interval_is_of_one_measurement_beside_the_middle_of_the_draws() -> None:
     draws = [MeasuredFigures(x, 5.0, 0.9, 0.0) for x in (9.0, 10.0, 11.0)]
-    found = figure_intervals(draws, np.ones(1), Discrepancy(), 0.0, 0.0)
+    found = figure_intervals(draws, np.ones(1), Discrepancy(), 0.0, 64)
     relative = 0.1 * np.sqrt(1 + 1 / 3)
     assert np.log(found["distance_um"].high / 10.0) == pytest.approx(1.96 * relative, rel=0.01)
     lucky = [MeasuredFigures(x, 5.0, 0.9, 0.0) for x in (9.0, 9.0, 9.0, 15.0)]
-    assert figure_intervals(lucky, np.ones(1), Discrepancy(), 0.0, 0.0)["distance_um"].value == pytest.approx(
+    assert figure_intervals(lucky, np.ones(1), Discrepancy(), 0.0, 64)["distance_um"].value == pytest.approx(
         9.0
     )
     assert found["noise_um"].summary() == pytest.approx({"value": 5.0, "low": 5.0, "high": 5.0})
@@ -97,7 +97,8 @@ def test_an_interval_is_of_one_measurement_beside_the_middle_of_the_draws() -> N
 
 def test_fringes_finer_than_those_compared_widen_noise_and_distance() -> None:
     one = MeasuredFigures(10.0, 5.0, 0.9, 1e-6)
-    found = figure_intervals([one, one], np.ones(1), Discrepancy(), 0.0, 0.12)
+    compared = ContrastDeviation(stripes=64, relative=0.12 / np.sqrt(4.0**4 - 1.0))
+    found = figure_intervals([one, one], np.ones(1), Discrepancy(contrast=compared), 0.0, 256)
     for name, value in (("distance_um", 10.0), ("noise_um", 5.0)):
         assert np.log(found[name].high / value) == pytest.approx(1.96 * 0.12, rel=0.01)
 
