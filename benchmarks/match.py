@@ -241,7 +241,7 @@ def perturbed(parameters: TwinParameters) -> TwinParameters:
 
 def _convergence(name: str, found: MatchingResult, seconds: float) -> list[Result]:
     """How alike bench and twin became, and what it took: from recorded sessions to everything saved."""
-    loss = found.matched.final.loss
+    loss = found.final.loss
     ssim = {"board": loss.similarity.board.mean(), "whole": loss.similarity.whole.mean()}
     return [
         *(below(f"{name}_unlike_{of}", float(1 - ssim[of]), "1 - SSIM", most)

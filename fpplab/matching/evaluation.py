@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 
 import numpy as np
@@ -118,18 +118,23 @@ def evaluate(
     every = range(len(twin.parameters.poses))
     chosen = set(every if poses is None else poses)
     pairs: list[tuple[float, float]] = []
+    observed: list[Future[Observation]] = []
+    with ThreadPoolExecutor(1) as pool:  # observes a pose while the next one's frames are simulated
+        for pose in every:
+            if pose in chosen:
+                pairs += pose_similarity(reference, twin, pose)
+            if epsilon_v is None:
+                frames = twin.frames(pose, reference.patterns, reference.settings)
+                wait(observed)  # so that no more than two poses' frames are held
+                observed.append(pool.submit(_observed, reference, pose, frames))
+            progress((pose + 1) / len(every))
     seen: list[Observation] = []
     left_out: dict[str, str] = {}
-    for pose in every:
-        if pose in chosen:
-            pairs += pose_similarity(reference, twin, pose)
-        if epsilon_v is None:
-            frames = twin.frames(pose, reference.patterns, reference.settings)
-            try:
-                seen.append(_observed(reference, pose, frames))
-            except CalibrationError as error:
-                left_out[reference.sessions[pose].path.name] = str(error)
-        progress((pose + 1) / len(every))
+    for pose, one in enumerate(observed):
+        try:
+            seen.append(one.result())
+        except CalibrationError as error:
+            left_out[reference.sessions[pose].path.name] = str(error)
     similarity = Similarity(*(np.array(one) for one in zip(*pairs, strict=True)))
     found = _characterised(reference, seen, left_out) if epsilon_v is None else None
     own = found.calibration.rms_px["joint"] if found else epsilon_v

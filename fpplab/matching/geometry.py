@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from fpplab.calibration.error_modes import chi_square
 from fpplab.calibration.model import Calibration
@@ -37,8 +38,8 @@ from fpplab.simulation.matchable import ExpectedLevels, Twin, TwinParameters
 
 SHIFT_MM, SHIFT_PX = 0.02, 0.05
 """Shifts of board and projector image for finite differences, smaller than any detail of either."""
-MAX_PIXELS = 40_000
-"""Pixels of each pose that are compared, evenly subsampled."""
+MAX_PIXELS, ALL_PIXELS = 40_000, 400_000
+"""Pixels of each pose, and of all, that are compared at most, evenly subsampled."""
 NUISANCE_PARAMETERS = 6
 """Parameters of each pose for what light and sharpness still lack: gain (3), offset, response, blur."""
 MOST_SIGMAS = 3.0
@@ -190,7 +191,7 @@ def refine_by_images(reference: Reference, twin: Twin, level: DistortionModel) -
     for pose in range(len(start.poses)):
         residuals = _residual_of_pose(reference, twin, start, pose)
         columns = np.append(np.arange(shared), shared + per_pose * pose + np.arange(per_pose))
-        displacement, tiles = slice(shared + 3, shared + 6), tile_numbers(residuals.pixels)
+        displacement, tiles = slice(shared + 3, shared + 6), _tile_members(residuals.pixels)
         by_tile = np.zeros((TILES**2, len(columns)))
         for image, jacobian in enumerate(residuals.jacobian(start, free)):
             own, residual = _remove_vibration(
@@ -244,19 +245,18 @@ def _equations(
     displacement: slice,
     own: Floats,
     vibration_mm: float,
-    tiles: NDArray[np.int64],
+    tiles: csr_array,
 ) -> tuple[Floats, Floats, Floats]:
     """Build normal equations (C, C), (C,) of one image, weighted by its noise, its displacement eliminated.
 
     displacement: columns of the board's displacement. That of the image is normally distributed with
-    `vibration_mm`; the residual is without its estimate `own`. At last the part of each tile in the right
-    side, (T, C).
+    `vibration_mm`; the residual is without its estimate `own`. tiles: (T, P), which pixels each has. At last
+    the part of each tile in the right side, (T, C).
     """
     weight, sigma = level_weights(residual)
     weighted = jacobian * (weight / sigma**2)[:, None]
     block = jacobian.T @ weighted
-    columns = (weighted * residual[:, None]).T
-    scores: Floats = np.stack([np.bincount(tiles, column, TILES**2) for column in columns], axis=1)
+    scores: Floats = tiles @ (weighted * residual[:, None])
     if vibration_mm == 0:
         return block, scores.sum(axis=0), scores
     normal = block[displacement, displacement] + np.eye(3) / vibration_mm**2
@@ -264,6 +264,13 @@ def _equations(
     scores = scores - scores[:, displacement] @ share
     right_side = scores.sum(axis=0) + share.T @ own / vibration_mm**2
     return block - block[:, displacement] @ share, right_side, scores
+
+
+def _tile_members(pixels: PixelIndices) -> csr_array:
+    """Tell which pixels each tile has: (T, P), 1 where it has one."""
+    tiles = tile_numbers(pixels)
+    number = np.arange(len(tiles))
+    return csr_array((np.ones(len(tiles)), (tiles, number)), shape=(TILES**2, len(tiles)))
 
 
 def _updated(start: TwinParameters, step: Floats, free: int, shared: int, per_pose: int) -> TwinParameters:
@@ -347,7 +354,7 @@ class PoseResidual:
 def _residual_of_pose(reference: Reference, twin: Twin, start: TwinParameters, pose: int) -> PoseResidual:
     images = reference.finest_spread
     looked_at = board_mask(start.calibration.camera, start.poses[pose], reference.target, -SURROUNDINGS_PX)
-    pixels = subsample_pixels(looked_at, MAX_PIXELS)
+    pixels = subsample_pixels(looked_at, min(MAX_PIXELS, ALL_PIXELS // len(start.poses)))
     seen, patterns = reference.frames(pose, images)[:, *pixels], reference.shown(images)
 
     def picked(levels: ExpectedLevels) -> Floats:

@@ -7,7 +7,7 @@ the loss nor any parameter changes by more than it is uncertain.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -93,8 +93,6 @@ class MatchedTwin:
         The best that were found.
     epochs : tuple of MatchingEpoch
         All epochs, those of earlier runs included.
-    final : TwinEvaluation
-        Of the best parameters, with a new characterisation.
     explained : dict of str to float
         By step: share of the mean square difference that it removed. For noise, flicker and bands: the share
         of what is left at the end that the twin's own make.
@@ -106,7 +104,6 @@ class MatchedTwin:
 
     parameters: TwinParameters
     epochs: tuple[MatchingEpoch, ...]
-    final: TwinEvaluation
     explained: dict[str, float]
     unexplained: float
     ended: str
@@ -115,6 +112,11 @@ class MatchedTwin:
     def refined_focus(self) -> bool:
         """Whether both focus steps were made, so that sharpness can be compared with the reference's."""
         return {epoch.step for epoch in self.epochs} >= FOCUS_STEPS
+
+    @property
+    def ssim_board(self) -> float:
+        """Mean SSIM over the board of the best epoch, which knows nothing of the board's sheet."""
+        return _best(self.epochs).loss["ssim_board"]
 
 
 class _TimeOver(Exception):  # noqa: N818 - no fault: the time is over
@@ -215,7 +217,7 @@ def match_twin(
     Returns
     -------
     MatchedTwin
-        Parameters, epochs and their evaluation.
+        Parameters and epochs.
 
     Raises
     ------
@@ -241,16 +243,15 @@ def match_twin(
     twin = at.twin
     if not epochs:
         watch.begin(0, "epoch 0, start", may_end=False)
-        first = _evaluated(state)
+        first = _evaluated(state).loss.summary()
         _record_epoch(state, "start", ParametersFile.of(start), first, _difference(state), True, observe)
     ended = _run(state, limits, observe)
     watch.begin(_usual_steps() + 1, "judging the result", may_end=False)
     twin.become(state.best.parameters.parameters())
-    final = evaluate(reference, twin, weights)
     state.at = replace(state.at, samples=_samples_of_poses(reference, twin.parameters))
     left = _difference(state)
     explained = explained_shares(state.epochs) | _changing_shares(state, left**2)
-    return MatchedTwin(twin.parameters, tuple(state.epochs), final, explained, left, ended)
+    return MatchedTwin(twin.parameters, tuple(state.epochs), explained, left, ended)
 
 
 def _best(epochs: Sequence[MatchingEpoch]) -> MatchingEpoch:
@@ -288,12 +289,6 @@ def _samples_of_poses(reference: Reference, parameters: TwinParameters) -> list[
     return sample_pixels(reference, parameters, reference.spread_poses(SAMPLED_POSES), images)
 
 
-def _steps(repeated: Sequence[MatchingStep]) -> Iterator[MatchingStep]:
-    yield from FIRST_STEPS
-    while True:
-        yield from repeated
-
-
 def _usual_steps() -> int:
     """Number of steps that a matching usually takes."""
     return len(FIRST_STEPS) + 2 * len(REPEATED_STEPS) + len(CHANGING_STEPS)
@@ -301,15 +296,17 @@ def _usual_steps() -> int:
 
 def _run(state: _State, limits: MatchingLimits, observe: EpochObserver) -> str:
     """Make steps until one of the limits; return which."""
-    idle, repeated = 0, [step for step in REPEATED_STEPS if step.applies(state.at)]
-    for number, step in enumerate(_steps(repeated), 1):
+    for number, step in enumerate(FIRST_STEPS, 1):
         if ended := _step_within(state, limits, observe, number, step):
             return ended
-        if number > len(FIRST_STEPS) and (number - len(FIRST_STEPS)) % len(repeated) == 0:
-            before, after = (_best(state.epochs[:end]) for end in (number + 1 - len(repeated), number + 1))
-            idle = 0 if _changed(before, after, limits) else idle + 1
-            if idle >= limits.patience:
-                break
+    idle, number, repeated = 0, len(FIRST_STEPS), [one for one in REPEATED_STEPS if one.applies(state.at)]
+    while idle < limits.patience:
+        before = _best(state.epochs[: number + 1])
+        for step in _worth_trying(repeated, state.epochs[: number + 1]):
+            number += 1
+            if ended := _step_within(state, limits, observe, number, step):
+                return ended
+        idle = 0 if _changed(before, _best(state.epochs[: number + 1]), limits) else idle + 1
     # By the rounds alone: a matching that goes on has taken some of what follows already.
     state.at.twin.become(_best(state.epochs[: number + 1]).parameters.parameters())
     last = [step for step in (SHARPNESS_OF_BOARD, *CHANGING_STEPS) if step.applies(state.at)]
@@ -317,6 +314,12 @@ def _run(state: _State, limits: MatchingLimits, observe: EpochObserver) -> str:
         if _step_within(state, limits, observe, later, step):
             break
     return CONVERGED
+
+
+def _worth_trying(steps: Sequence[MatchingStep], epochs: Sequence[MatchingEpoch]) -> list[MatchingStep]:
+    """Leave out the steps that were refused and are not tried again."""
+    refused = {epoch.step for epoch in epochs if not epoch.accepted}
+    return [step for step in steps if step.again or step.name not in refused]
 
 
 def _step_within(
@@ -379,14 +382,17 @@ def _take_step(state: _State, step: MatchingStep, observe: EpochObserver) -> Non
     tried = written.parameters()
     twin.become(tried)
     after = step.misfit(state.at)
-    allowed = step.allowed(state.at)
-    known = None if step.characterises else best.loss["epsilon_v_px"]
-    found = _evaluated(state, known)
-    state.at = replace(state.at, samples=_samples_of_poses(state.at.reference, tried))
-    difference = _difference(state)
     better = after <= before if before is not None and after is not None else None
-    accepted = allowed and (_accepted(best, found, difference) if better is None else better)
-    _record_epoch(state, step.name, written, found, difference, accepted, observe)
+    refused = better is False or not step.allowed(state.at)
+    if step.same_images and (refused or not step.characterises):
+        loss, difference = best.loss, best.difference
+    else:
+        known = None if step.characterises and not refused else best.loss["epsilon_v_px"]
+        loss = _evaluated(state, known).loss.summary()
+        state.at = replace(state.at, samples=_samples_of_poses(state.at.reference, tried))
+        difference = _difference(state)
+    accepted = not refused and (_accepted(best, loss, difference) if better is None else better)
+    _record_epoch(state, step.name, written, loss, difference, accepted, observe)
 
 
 def _evaluated(state: _State, epsilon_v: float | None = None) -> TwinEvaluation:
@@ -396,9 +402,9 @@ def _evaluated(state: _State, epsilon_v: float | None = None) -> TwinEvaluation:
     return evaluate(reference, state.at.twin, state.weights, epsilon_v, poses=compared)
 
 
-def _accepted(best: MatchingEpoch, found: TwinEvaluation, difference: float) -> bool:
+def _accepted(best: MatchingEpoch, loss: Mapping[str, float], difference: float) -> bool:
     """Decide by the loss over the board; where losses are equal, by the mean square difference."""
-    gain = best.loss["loss_board"] - found.loss.board
+    gain = best.loss["loss_board"] - loss["loss_board"]
     if abs(gain) > EQUAL_LOSS:
         return gain > 0
     return difference <= best.difference * (1.0 + 1e-3)
@@ -447,12 +453,12 @@ def _record_epoch(
     state: _State,
     name: str,
     tried: ParametersFile,
-    found: TwinEvaluation,
+    loss: dict[str, float],
     difference: float,
     accepted: bool,
     observe: EpochObserver,
 ) -> None:
-    if not np.isfinite(found.loss.board):
+    if not np.isfinite(loss["loss_board"]):
         raise CalibrationError(
             f"the step '{name}' led to images that cannot be compared: their SSIM is not finite"
         )
@@ -460,7 +466,7 @@ def _record_epoch(
         epoch=len(state.epochs),
         step=name,
         accepted=accepted,
-        loss=found.loss.summary(),
+        loss=loss,
         difference=difference,
         seconds=state.seconds,
         parameters=tried,

@@ -77,17 +77,20 @@ def place_jacobian(pixels: Floats, known: Calibration, pose: RigidTransform, fre
     by_pair[:, 2:, :3] = by_local @ -_cross(local - pair.translation)
     by_pair[:, 2:, 3:] = by_local
     depth_by_turn = np.cross(normal, pose.translation - points) / fall[:, None]
-    by_pose = np.concatenate(
-        [
-            by_point @ (rays[:, :, None] * depth_by_turn[:, None]),
-            by_point @ (rays[:, :, None] * normal / fall[:, None, None]),
-        ],
-        axis=-1,
-    )
-    # the board's own frame turns and moves too
-    by_pose[:, :2, :3] += (pose.rotation.T @ _cross(points - pose.translation))[:, :2]
-    by_pose[:, :2, 3:] -= pose.rotation.T[:2]
-    return np.concatenate([by_camera, by_projector, by_pair, by_pose], axis=-1)
+    by_turn = by_point @ (rays[:, :, None] * depth_by_turn[:, None])
+    # the board's own frame turns too
+    by_turn[:, :2] += (pose.rotation.T @ _cross(points - pose.translation))[:, :2]
+    by_move = _by_move(points, by_point, pose)
+    return np.concatenate([by_camera, by_projector, by_pair, by_turn, by_move], axis=-1)
+
+
+def _by_move(points: Floats, by_point: Floats, pose: RigidTransform) -> Floats:
+    """Differentiate places (P, 4, 3) by a displacement of the board along the camera's axes."""
+    rays, normal = points / points[:, 2:], pose.rotation[:, 2]
+    along = (by_point @ rays[:, :, None]) / (rays @ normal)[:, None, None]
+    by_move = along * normal
+    by_move[:, :2] -= pose.rotation.T[:2]  # the board's own frame moves too
+    return np.asarray(by_move)
 
 
 def slopes_by_move(
@@ -112,8 +115,9 @@ def slopes_by_move(
         (n, P, 3), per mm along the camera's axes.
     """
     points = np.stack(pixels[::-1], axis=-1).astype(np.float64)
-    by_move = place_jacobian(points, known, pose, 0)[..., -3:]
-    return np.asarray(np.einsum("npk,pka->npa", gradient, by_move))
+    seen = _points(known.camera.normalise(points), pose)
+    by_point, _ = _by_point(seen, known, pose)
+    return np.asarray(np.einsum("npk,pka->npa", gradient, _by_move(seen, by_point, pose)))
 
 
 def _points(slopes: Floats, pose: RigidTransform) -> Floats:

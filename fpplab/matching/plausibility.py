@@ -16,7 +16,7 @@ from fpplab.calibration.model import Calibration
 from fpplab.core.conventions import Floats, Mask
 from fpplab.core.errors import ConfigError
 from fpplab.diagnosis import FaultCause, Finding
-from fpplab.matching.loss import Loss, board_mask
+from fpplab.matching.loss import board_mask
 from fpplab.matching.reference import Reference
 from fpplab.matching.refusal import Refusals
 from fpplab.patterns.phase_error import relative_harmonics
@@ -236,12 +236,16 @@ def edge_contrast(reference: Reference, twin: Twin) -> Floats:
 
 def _contrast(reference: Reference, twin: Twin, pose: int, images: Sequence[int]) -> float:
     now = twin.parameters
-    board = board_mask(now.calibration.camera, now.poses[pose], reference.target)
+    whole = board_mask(now.calibration.camera, now.poses[pose], reference.target)
+    x, y, width, height = cv2.boundingRect(whole.astype(np.uint8))
+    part = np.s_[y : y + height, x : x + width]
+    board = whole[part]
+    share = _mean_nearby(np.ones(board.shape, np.float32), board)
     seen = twin.expected(pose, reference.shown(images), reference.settings)
     real = reference.frames(pose, images)
     products, squares = 0.0, 0.0
     for pair in zip(real, seen, strict=True):
-        there, here = (_at_even_brightness(one, board) for one in pair)
+        there, here = (_at_even_brightness(one[part], board, share) for one in pair)
         for axis in ((1, 0), (0, 1)):
             a, b = (
                 cv2.Sobel(one, cv2.CV_32F, *axis, ksize=3)[board].astype(np.float64) for one in (there, here)
@@ -251,21 +255,28 @@ def _contrast(reference: Reference, twin: Twin, pose: int, images: Sequence[int]
     return products / max(squares, 1e-12)
 
 
-def _at_even_brightness(image: NDArray[np.float32], board: Mask) -> NDArray[np.float32]:
-    """Divide an image by the mean level of its neighbourhood on the board."""
-    inside = board.astype(np.float32)
+def _mean_nearby(image: NDArray[np.float32], board: Mask) -> NDArray[np.float32]:
+    """Mean over the neighbourhood of each pixel, with nothing where the board is not."""
     width = BRIGHTNESS_SHARE * float(np.sqrt(board.sum()))
-    level, share = (cv2.GaussianBlur(one * inside, (0, 0), width) for one in (image, np.ones_like(image)))
+    inside = image * board.astype(np.float32)
+    return np.asarray(cv2.GaussianBlur(inside, (0, 0), width, borderType=cv2.BORDER_CONSTANT), np.float32)
+
+
+def _at_even_brightness(
+    image: NDArray[np.float32], board: Mask, share: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Divide an image by the mean level of its neighbourhood on the board, `share` of which is board."""
+    level = _mean_nearby(image, board)
     return np.asarray(image * share / np.maximum(level, 1e-3 * level.max()), np.float32)
 
 
-def similarity_finding(loss: Loss, unexplained: float) -> Finding | None:
+def similarity_finding(alike: float, unexplained: float) -> Finding | None:
     """Find that a matching's result is not similar to the reference.
 
     Parameters
     ----------
-    loss : Loss
-        Of the result.
+    alike : float
+        Mean SSIM over the board of bench and twin, without what the twin shows of the board's sheet.
     unexplained : float
         RMS difference that is left, in raw levels, for the words.
 
@@ -274,7 +285,6 @@ def similarity_finding(loss: Loss, unexplained: float) -> Finding | None:
     Finding or None
         Where the SSIM over the board is below `MIN_SSIM`.
     """
-    alike = float(loss.similarity.board.mean())
     if alike >= MIN_SSIM:
         return None
     words = (

@@ -129,6 +129,8 @@ class MatchingResult:
         Of `nominal`.
     matched : MatchedTwin
         The result, with its epochs.
+    final : TwinEvaluation
+        Of the result, with what it shows of the board's sheet and its surroundings.
     rows : tuple of AblationRow
         The paper's table; rows with the response only where it was measured.
     artefacts : tuple of ArtefactComparison
@@ -153,6 +155,7 @@ class MatchingResult:
     gamma: GammaMatch | None
     before: TwinEvaluation
     matched: MatchedTwin
+    final: TwinEvaluation
     rows: tuple[AblationRow, ...]
     artefacts: tuple[ArtefactComparison, ...]
     accepted: frozenset[FaultCause] = frozenset()
@@ -181,7 +184,7 @@ class MatchingResult:
             The verdict, the final loss with its parts, epochs, table, explained shares, parameters, poses,
             artefacts and surfaces.
         """
-        loss, found = self.matched.final.loss.summary(), self.matched.parameters
+        loss, found = self.final.loss.summary(), self.matched.parameters
         light = {name: getattr(found, name) for name in PLAIN}
         return {
             **self.diagnosis.summary(),
@@ -211,7 +214,7 @@ class MatchingResult:
             Of every pose `pose`, its name, and `ssim`, `ssim_board` and `epsilon_d_px`, each with `_before`
             and `_after`.
         """
-        before, after = (one.by_pose_name(self.reference) for one in (self.before, self.matched.final))
+        before, after = (one.by_pose_name(self.reference) for one in (self.before, self.final))
         return [
             {
                 "pose": name,
@@ -335,23 +338,24 @@ def match_sessions(
     if request.response is not None:
         levelled = with_level_of_card(twin, request.response, request.card, reference.settings)
         matched = replace(matched, parameters=levelled)
-    late = plausibility.similarity_finding(matched.final.loss, matched.unexplained)
+    late = plausibility.similarity_finding(matched.ssim_board, matched.unexplained)
     blurred = plausibility.sharpness_finding(reference, twin) if matched.refined_focus else None
     twin.become(nominal)
     tell("comparing before and after")
     before = evaluate(reference, twin, request.weights, progress=lambda share: progress(0.8 + 0.04 * share))
-    rows = _table(reference, twin, request.weights, nominal, before, matched, gamma is not None)
     twin.become(matched.parameters)
     surfaces = match_surfaces(twin, parts, tell)
     complete = twin.parameters
     tell("matching the board's sheet and the surroundings")
     appearance = match_appearance(reference, twin)
-    if appearance.accepted:
-        # Grain of the print moves what is found of the board, on the twin as on the bench.
-        matched = replace(matched, final=evaluate(reference, twin, request.weights))
-    own = matched.final.characterisation
-    assert own is not None  # the last evaluation characterises
-    artefacts = compare_artefacts(twin, scans, own.calibration, lambda share: progress(0.85 + 0.15 * share))
+    tell("judging the result")
+    # Only now: grain of the print moves what is found of the board, on the twin as on the bench.
+    final = evaluate(reference, twin, request.weights, progress=lambda share: progress(0.84 + 0.04 * share))
+    own = final.characterisation
+    assert own is not None  # it was not told the twin's reprojection error
+    artefacts = compare_artefacts(twin, scans, own.calibration, lambda share: progress(0.88 + 0.12 * share))
+    rows = _table(reference, twin, request.weights, nominal, before, matched, final, gamma is not None)
+    twin.become(complete)
     result = MatchingResult(
         reference,
         nominal,
@@ -359,6 +363,7 @@ def match_sessions(
         gamma,
         before,
         matched,
+        final,
         rows,
         tuple(artefacts),
         request.accepted,
@@ -369,7 +374,6 @@ def match_sessions(
         appearance,
     )
     if not result.diagnosis.is_useless:
-        twin.become(complete)
         tell("comparing noise and scans for the intervals of predictions")
         discrepancy_of(reference, twin, [*scans, *parts]).save(folder)
         twin.save(folder, result.notes)
@@ -425,10 +429,11 @@ def _table(
     nominal: TwinParameters,
     before: TwinEvaluation,
     matched: MatchedTwin,
+    final: TwinEvaluation,
     gamma: bool,
 ) -> tuple[AblationRow, ...]:
     """Fill the paper's table: before and after, without and with the response."""
-    first, after = AblationRow(False, False, before.loss.summary()), matched.final.loss.summary()
+    first, after = AblationRow(False, False, before.loss.summary()), final.loss.summary()
     if not gamma:
         return first, AblationRow(True, False, after)
     twin.become(replace(matched.parameters, response=nominal.response, white=nominal.white))

@@ -189,6 +189,10 @@ class MatchingStep:
         Whether what was proposed, which the twin has, may be accepted at all.
     applies : callable
         Whether the step is taken; told once, before the first round or after the last.
+    same_images : bool
+        Whether the images that the twin expects, which have no noise, stay the same: the loss then does too.
+    again : bool
+        Whether it is tried in a later round after it was refused.
     """
 
     name: str
@@ -197,6 +201,8 @@ class MatchingStep:
     misfit: Callable[[MatchingContext], float | None] = lambda at: None
     allowed: Callable[[MatchingContext], bool] = lambda at: True
     applies: Callable[[MatchingContext], bool] = lambda at: True
+    same_images: bool = False
+    again: bool = True
 
 
 def _projector_defocus(at: MatchingContext) -> TwinParameters:
@@ -314,9 +320,17 @@ SHARPNESS_OF_BOARD = MatchingStep(
 )
 """Taken after all rounds, where contrasts told a blur that the board's fringes do not have."""
 CHANGING_STEPS = (
-    MatchingStep("flicker", lambda at: flicker.match_flicker(at.twin.parameters, at.frame_terms())),
-    MatchingStep("rolling bands", _rolling_bands),
-    MatchingStep("vibration", lambda at: vibration.match_vibration(at.twin.parameters, at.frame_terms())),
+    MatchingStep(
+        "flicker",
+        lambda at: flicker.match_flicker(at.twin.parameters, at.frame_terms()),
+        same_images=True,
+    ),
+    MatchingStep("rolling bands", _rolling_bands, same_images=True),
+    MatchingStep(
+        "vibration",
+        lambda at: vibration.match_vibration(at.twin.parameters, at.frame_terms()),
+        same_images=True,
+    ),
 )
 """What changes from frame to frame: found before noise is compared, and again with the light at the end."""
 FIRST_STEPS = (
@@ -341,6 +355,7 @@ FIRST_STEPS = (
         lambda at: noise.match_noise(at.reference, at.twin, _spread(at)),
         True,
         lambda at: noise.noise_misfit(at.reference, at.twin, _spread(at)),
+        same_images=True,
     ),
 )
 REPEATED_STEPS = (
@@ -349,6 +364,7 @@ REPEATED_STEPS = (
         "images",
         _refine_by_images,
         allowed=lambda at: geometry.contradiction(at.reference, at.twin.parameters) <= 1.0,
+        again=False,  # what the twin lacks and images take for geometry is the same in every round
     ),
     MatchingStep(
         "fine fringes",

@@ -111,7 +111,7 @@ def _recordings(sessions: Sequence[Session]) -> Iterator[tuple[str, Recording]]:
 
 def _of_fit(found: MatchingResult) -> Iterator[Finding]:
     matched = found.matched
-    final, before = matched.final.loss, found.before.loss
+    final, before = found.final.loss, found.before.loss
     if final.board - before.board > EQUAL_LOSS:
         words = f"the loss over the board is {final.board:.4f}, and was {before.board:.4f} before"
         yield Finding(FaultCause.NO_GAIN, words, final.board / before.board)

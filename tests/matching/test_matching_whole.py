@@ -16,6 +16,8 @@ from fpplab.matching.match import MatchingLimits, match_twin
 from fpplab.matching.record import MatchingRecord
 from fpplab.matching.reference import Reference
 from fpplab.matching.run import MatchingRequest, MatchingResult, match_sessions, with_reference_geometry
+from fpplab.matching.samples import sample_pixels
+from fpplab.matching.steps import MatchingContext, MatchingStep
 from fpplab.matching.verdict import diagnose_matching
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
@@ -164,6 +166,48 @@ def test_scans_with_finer_fringes_tell_the_sharpness_unless_the_part_blurs_them(
     assert abs(off) < (0.15 if blurred_by_the_part else 0.02)
 
 
+def test_a_refused_step_is_tried_again_only_where_that_may_help(
+    matching: Matching, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rounds are counted alike by a matching that goes on."""
+    some = {one.name: one for one in match.FIRST_STEPS}
+
+    def refused(name: str, again: bool) -> MatchingStep:
+        return MatchingStep(name, lambda at: at.twin.parameters, allowed=lambda at: False, again=again)
+
+    monkeypatch.setattr(match, "FIRST_STEPS", (some["light"],))
+    monkeypatch.setattr(match, "REPEATED_STEPS", (refused("once", False), refused("always", True)))
+    monkeypatch.setattr(match, "CHANGING_STEPS", (some["flicker"],))
+    twin = PlaneTwin(nominal(()), 7)
+    found = characterise_sessions(matching.sessions, TARGET)
+    reference = Reference.of(matching.sessions, TARGET, found)
+    start, limits = with_reference_geometry(twin.parameters, found), MatchingLimits(patience=3)
+    wanted = ["start", "light", "once", "always", "always", "always", "flicker"]
+    for kept in (0, 3, 6):
+        path = tmp_path / "match.jsonl"
+        if kept:
+            path.write_bytes(b"".join(path.read_bytes().splitlines(keepends=True)[:kept]))
+        outcome = match_twin(reference, twin, start, MatchingRecord(tmp_path), Weights(), limits)
+        assert [epoch.step for epoch in outcome.epochs] == wanted
+        assert outcome.ended == match.CONVERGED
+
+
+def test_steps_that_leave_the_expected_images_change_none(matching: Matching) -> None:
+    """What such a step finds has the loss of the epoch before without being evaluated."""
+    found, sessions = characterise_sessions(matching.sessions, TARGET), matching.sessions
+    reference = Reference.of(sessions, TARGET, found)
+    twin = PlaneTwin(matching.truth, 7)
+    images = list(range(4))
+    at = MatchingContext(reference, twin, sample_pixels(reference, matching.truth, (0, 1), images), "white")
+    shown = reference.shown(reference.finest)
+    before = twin.expected(0, shown, reference.settings)
+    steps = [one for one in match.FIRST_STEPS if one.same_images]
+    assert {one.name for one in steps} == match.CHANGING
+    for step in steps:
+        twin.become(step.propose(at))
+        assert np.array_equal(twin.expected(0, shown, reference.settings), before), step.name
+
+
 def test_a_step_is_ended_when_the_time_is_over(
     matching: Matching, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -213,7 +257,7 @@ def test_verdicts_on_a_matching(matching: Matching) -> None:
     assert (blurred.verdict, blurred.findings[0].cause) == (Verdict.DOUBTFUL, "unlike_images")
     unlike = diagnose_matching(with_changed(unexplained=60.0))
     assert (unlike.verdict, unlike.findings[0].cause) == (Verdict.USELESS, "unlike_images")
-    worse = replace(whole, matched=replace(whole.matched, final=found.before), before=found.matched.final)
+    worse = replace(whole, final=found.before, before=found.final)
     assert diagnose_matching(worse).verdict is Verdict.USELESS
     assert diagnose_matching(worse).findings[0].cause == "no_gain"
     focus = Finding(FaultCause.LENS_NOT_LOCKED, "pose_02: its edges are softer", 1.5)
@@ -225,9 +269,9 @@ def test_verdicts_on_a_matching(matching: Matching) -> None:
     assert whole.notes == ()
     at_border = with_changed(parameters=replace(whole.matched.parameters, f_number=64.0))
     assert [one.cause for one in diagnose_matching(at_border).findings] == ["at_border"]
-    final = whole.matched.final
+    final = whole.final
     loss = replace(final.loss, epsilon_v=final.loss.epsilon_v + 0.3)
-    apart = diagnose_matching(with_changed(final=replace(final, loss=loss)))
+    apart = diagnose_matching(replace(whole, final=replace(final, loss=loss)))
     assert "points_misfit" in [one.cause for one in apart.findings]
 
 
