@@ -110,7 +110,7 @@ def build_background(world: World, setup: Setup, around: Surface) -> tuple[Rende
     Returns
     -------
     scene : RenderScene
-        Surroundings, frame and item, as far as there are such. The surroundings determine its window.
+        Surroundings, frame and item, as far as there are such.
     texture : MirrorTexture
         The texture of the scene's lamp.
 
@@ -121,7 +121,7 @@ def build_background(world: World, setup: Setup, around: Surface) -> tuple[Rende
     """
     at_rest = replace(setup, vibration_mm=(0.0, 0.0, 0.0))
     surfaces = (around, *_frame(world, at_rest), *_mounted(world, at_rest))
-    return _scene(world, setup, surfaces, _bounding_box(around))
+    return _scene(world, setup, surfaces, np.concatenate([_bounding_box(one) for one in surfaces]))
 
 
 def _mounted(world: World, setup: Setup) -> tuple[Surface, ...]:

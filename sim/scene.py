@@ -238,6 +238,8 @@ class Surface:
         Print [v, u], from the paint's ink at 0 to its reflectance at 255; None for none.
     uv : Floats or None
         Places (V, 2) of the vertices in the picture, 0 to 1, v downwards; None without a picture.
+    shades_room : bool
+        Whether it throws shadows of the room's lamps.
     """
 
     vertices: Floats
@@ -246,6 +248,7 @@ class Surface:
     paint: Paint
     picture: NDArray[np.uint8] | None = None
     uv: Floats | None = None
+    shades_room: bool = True
 
 
 @dataclass(frozen=True, eq=False)

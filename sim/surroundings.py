@@ -51,7 +51,8 @@ def _surface(
     vertices: Floats, faces: NDArray[np.int64], picture: NDArray[np.uint8], white: float, camera: Pinhole
 ) -> Surface:
     uv = np.asarray((camera.project(vertices) + 0.5) / np.array(camera.size))
-    return Surface(vertices, faces, np.eye(4), Paint(white), picture, uv)
+    # Light that comes to the items by way of the surroundings, or past them, is a lamp of the room in a twin.
+    return Surface(vertices, faces, np.eye(4), Paint(white), picture, uv, shades_room=False)
 
 
 def _grey(surroundings: BenchSurroundings) -> tuple[NDArray[np.uint8], float]:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from fpplab.core.progress import Progress, no_progress
-from fpplab.matching.board_sheet import find_sheet
+from fpplab.matching.board_sheet import find_sheet, sharpened_sheet
 from fpplab.matching.evaluation import pose_similarity
 from fpplab.matching.reference import Reference
 from fpplab.matching.surroundings import rebuild_surroundings
@@ -118,12 +118,14 @@ def match_appearance(reference: Reference, twin: Twin, progress: Progress = no_p
     """
     *others, held = reference.spread_poses(MOST_POSES)
     bare = _similarity(reference, twin, held)
-    sheet = find_sheet(reference, twin, others, lambda share: progress(0.2 * share))
-    sheeted = _similarity(reference, twin, held)
-    sheet_trial = PartTrial(bare[1], sheeted[1])
-    if not sheet_trial.accepted:
+    sheet = find_sheet(reference, twin, others, lambda share: progress(0.1 * share))
+    sheet_trial = PartTrial(bare[1], _similarity(reference, twin, held)[1])
+    if sheet_trial.accepted:
+        sheet = sharpened_sheet(reference, twin, sheet, others, lambda share: progress(0.1 + 0.2 * share))
+        sheet_trial = PartTrial(bare[1], _similarity(reference, twin, held)[1])
+    else:
         sheet = replace(sheet, texture=None)
-    around = rebuild_surroundings(reference, twin, sheet, others, lambda share: progress(0.2 + 0.3 * share))
+    around = rebuild_surroundings(reference, twin, sheet, others, lambda share: progress(0.3 + 0.2 * share))
     twin.appear(Appearance(sheet))
     before = _similarity(reference, twin, held)[0]
     twin.appear(Appearance(sheet, around))
@@ -141,8 +143,8 @@ def _of_all(
     if not (sheet.accepted or around.accepted):
         return Appearance()
     found = find_sheet(reference, twin, poses)
-    if not sheet.accepted:
-        found = replace(found, texture=None)
+    bare = replace(found, texture=None)
+    found = sharpened_sheet(reference, twin, found, poses) if sheet.accepted else bare
     beside = rebuild_surroundings(reference, twin, found, poses) if around.accepted else None
     return Appearance(found, beside)
 

@@ -47,6 +47,8 @@ LIT = 0.04
 """Mean level, as a share of full scale, from which a pixel of the sheet counts as lit."""
 FINEST_PX = 1.0
 """Pixels of the camera for each pixel of the texture, at the board's nearest pose."""
+SHARPENING_ROUNDS = 2
+"""Times the texture is corrected by what the twin that has it lacks; more make its noise greater."""
 MOST_FACTOR = 1.9
 """Greatest factor of a texture, which its file can hold."""
 
@@ -96,10 +98,7 @@ def find_sheet(
     """
     reach = REACH * min(reference.target.size_mm)
     twin.appear(Appearance(BoardSheet((reach, reach, reach, reach))))
-    compared = []
-    for done, pose in enumerate(poses):
-        compared.append(_compare(reference, twin, pose))
-        progress((done + 1) / len(poses))
+    compared = _compare_all(reference, twin, poses, progress)
     margins = _margins(reference, twin, compared, reach)
     beyond = [[_beside(reference, twin, one, one.ratio, margins, k) for k in range(4)] for one in compared]
     rim = _rim_mm(beyond, reach)
@@ -107,6 +106,63 @@ def find_sheet(
     found = replace(sheet, texture=_texture(reference, twin, compared, margins))
     twin.appear(Appearance(found))
     return found
+
+
+def sharpened_sheet(
+    reference: Reference,
+    twin: Twin,
+    sheet: BoardSheet,
+    poses: Sequence[int],
+    progress: Progress = no_progress,
+) -> BoardSheet:
+    """Find the texture again, beyond what the twin shows of it already.
+
+    A texture that was found in images has been blurred by a lens, and the twin's lens blurs it once more.
+
+    Parameters
+    ----------
+    reference : Reference
+        What was recorded of the bench.
+    twin : Twin
+        Matched; it is left with the sheet that is returned.
+    sheet : BoardSheet
+        Of `find_sheet`, with a texture.
+    poses : sequence of int
+        Indices of the poses whose recordings are used.
+    progress : Progress
+        Told the share that is done.
+
+    Returns
+    -------
+    BoardSheet
+        With a sharper texture.
+
+    References
+    ----------
+    Van Cittert, "Zum Einfluß der Spaltbreite auf die Intensitätsverteilung in Spektrallinien II", 1931
+    """
+    assert sheet.texture is not None
+
+    def in_round(number: int) -> Progress:
+        return lambda share: progress((number + share) / SHARPENING_ROUNDS)
+
+    for number in range(SHARPENING_ROUNDS):
+        twin.appear(Appearance(sheet))
+        compared = _compare_all(reference, twin, poses, in_round(number))
+        texture = sheet.texture * _texture(reference, twin, compared, sheet.margins_mm)
+        sheet = replace(sheet, texture=np.clip(texture, 0, np.float32(MOST_FACTOR)))
+    twin.appear(Appearance(sheet))
+    return sheet
+
+
+def _compare_all(
+    reference: Reference, twin: Twin, poses: Sequence[int], progress: Progress
+) -> list[_Compared]:
+    compared = []
+    for done, pose in enumerate(poses):
+        compared.append(_compare(reference, twin, pose))
+        progress((done + 1) / len(poses))
+    return compared
 
 
 def _compare(reference: Reference, twin: Twin, pose: int) -> _Compared:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
 from fpplab.core.conventions import Floats
 from fpplab.core.robust import multiway_covariance
@@ -25,6 +26,8 @@ MAX_ROUNDS = 3
 CONVERGED_GAIN = 5e-3
 """Relative decrease of the cost below which the fit has converged."""
 MAX_HALVINGS = 4
+LEAST_EIGENVALUE = 1e-9
+"""Of the scaled normal equations, relative to the greatest: what is less determined is left as it is."""
 
 
 @dataclass(frozen=True)
@@ -208,7 +211,8 @@ def information_criterion(
 ) -> float:
     """Compute Schwarz's criterion (BIC) of the twin with its present parameters; the least is the best.
 
-    Residuals of one tile of an image count as one, for neighbours share what a fit leaves.
+    Residuals of one tile of an image count as one, for neighbours share what a fit leaves. They have the
+    weights of the fit: what the twin lacks at the board's edge says nothing of the light on it.
 
     Parameters
     ----------
@@ -224,14 +228,15 @@ def information_criterion(
     Returns
     -------
     float
-        `n ln(mean square) + k ln(n)`.
+        `n ln(weighted mean square) + k ln(n)`.
 
     References
     ----------
     Schwarz, "Estimating the dimension of a model", 1978
     """
     count = sum(len(sample.images) * len(np.unique(sample.tiles)) for sample in samples)
-    left = mean_square_difference(reference, twin, samples)
+    residual = light_residuals(reference, twin, samples)
+    left = float(np.mean(level_weights(residual)[0] * residual**2))
     return float(count * np.log(max(left, 1e-12)) + free * np.log(count))
 
 
@@ -287,7 +292,9 @@ def _round(
     scale[scale == 0] = 1.0
     scaled = matrix / scale
     normal, gradient = scaled.T @ (weight[:, None] * scaled), scaled.T @ (weight * residual)
-    step = np.linalg.lstsq(normal, gradient, rcond=1e-9)[0] / scale
+    value = np.array([ADJUSTABLE[name].read(start) for name in names])
+    lowest, highest = np.array([(ADJUSTABLE[name].lower, ADJUSTABLE[name].upper) for name in names]).T
+    step = _bounded_step(normal, gradient, (lowest - value) * scale, (highest - value) * scale) / scale
     sigma = dict(
         zip(names, (_standard_errors(scaled, weight, residual, samples) / scale).tolist(), strict=True)
     )
@@ -296,6 +303,22 @@ def _round(
         if gain > 0:
             return gain, tried, after, sigma
     return 0.0, start, residual, sigma
+
+
+def _bounded_step(normal: Floats, gradient: Floats, lower: Floats, upper: Floats) -> Floats:
+    """Solve normal equations (C, C) for the step (C,) of the least cost between bounds.
+
+    A step that is cut at a bound is not the best for the other parameters: they would go along with a
+    parameter that does not.
+    """
+    size, turned = np.linalg.eigh(normal)
+    kept = size > LEAST_EIGENVALUE * size[-1]
+    root = np.sqrt(size[kept])
+    matrix = root[:, None] * turned[:, kept].T
+    right_side = turned[:, kept].T @ gradient / root
+    # Rounding may have left a value just outside of its bounds.
+    bounds = (np.minimum(lower, 0.0), np.maximum(upper, 0.0))
+    return np.asarray(lsq_linear(matrix, right_side, bounds, method="bvls").x)
 
 
 def level_slopes(

@@ -16,6 +16,9 @@ from .camera import add_camera
 from .materials import add_paint
 from .projector import add_projector
 
+SHADES_ROOM = "shades_room"
+"""Property of an object, `Surface.shades_room`."""
+
 
 def add_scene(
     stage: Any,
@@ -61,6 +64,7 @@ def add_room_lamps(stage: Any, lamps: Sequence[PointLamp]) -> None:
     """Add lamps of the room, whose light is seen once reflected, and not as a gloss.
 
     Blender spreads the power of a point over 4π, and what a matt surface reflects over π once more.
+    Surfaces that are to throw no shadow of them must be there already.
 
     Parameters
     ----------
@@ -69,12 +73,19 @@ def add_room_lamps(stage: Any, lamps: Sequence[PointLamp]) -> None:
     lamps : sequence of PointLamp
         In the camera's frame.
     """
+    without_shadow = bpy.data.collections.new("no shadow of room lamps")
+    for one in stage.collection.objects:
+        if not one.get(SHADES_ROOM, True):
+            without_shadow.objects.link(one)
+    for linked in without_shadow.collection_objects:
+        linked.light_linking.link_state = "EXCLUDE"
     for lamp in lamps:
         light = bpy.data.lights.new("room lamp", "POINT")
         light.energy, light.shadow_soft_size = 4 * math.pi**2 * lamp.irradiance, 0.0
         light.cycles.max_bounces = 0
         placed = bpy.data.objects.new("room lamp", light)
         placed.location, placed.visible_glossy = lamp.place, False
+        placed.light_linking.blocker_collection = without_shadow
         stage.collection.objects.link(placed)
 
 
@@ -128,5 +139,6 @@ def _add_surface(stage: Any, surface: Surface, ambient: float) -> None:
     mesh.from_pydata(surface.vertices.tolist(), [], surface.faces.tolist())
     add_paint(mesh, surface.paint, surface.picture, surface.uv, ambient)
     item = bpy.data.objects.new("item", mesh)
+    item[SHADES_ROOM] = surface.shades_room
     item.matrix_world = Matrix(surface.T_camera_item.tolist())
     stage.collection.objects.link(item)

@@ -189,7 +189,7 @@ def _whole(scene: RenderScene, views: list[SubpixelView], shown: int) -> LightTa
     samples = np.zeros((len(views), bottom - top, right - left, 4), np.float32)
     albedo = np.zeros((height, width), np.float32)
     step = max(1, BAND_PIXELS // max(right - left, 1))
-    for first in range(top, bottom, step):
+    for first in range(top, bottom if right > left else top, step):  # in an empty window nothing is seen
         rows, columns = np.mgrid[first : min(first + step, bottom), left:right]
         band = traced(scene, views, (rows.ravel(), columns.ravel()), shown)
         samples[:, rows[:, 0] - top] = band.samples.reshape(len(views), *rows.shape, 4)

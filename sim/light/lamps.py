@@ -5,13 +5,13 @@ A small lamp at distance r from a point, with the angle i of incidence, gives th
     E = E0 (D/r)² cos i
 
 where E0 is that on a facing surface at distance D. It is computed where the ray of the pixel's centre ends,
-without light by way of other surfaces and without gloss; parts cast shadows.
+without light by way of other surfaces and without gloss; parts cast shadows, the surroundings do not.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -81,7 +81,7 @@ class _Met:
     """What the rays of pixels meet first.
 
     pixels: numbers (N,) of those that see something; points (N, 3) and unit normals (N, 3) towards the
-    camera, in its frame; shape: what casts shadows, None for a single flat item.
+    camera, in its frame; shape: what casts shadows, None for nothing and for a single flat item.
     """
 
     pixels: NDArray[np.intp]
@@ -195,10 +195,14 @@ def _first_met(scene: RenderScene, pixels: PixelIndices) -> _Met:
         normals, corners = np.broadcast_to(T[:3, 2], rays.shape), T[:3, 3]
         return _Met.on_planes(np.arange(len(rays)), rays, normals, corners, None)
     shape = shape_of(scene)
+    shading = tuple(one for one in scene.surfaces if one.shades_room)
+    shadows = shape if len(shading) == len(scene.surfaces) else None
+    if shadows is None and shading:
+        shadows = shape_of(replace(scene, surfaces=shading))
     faces = shape.first_face(np.zeros(3), rays)
     met = np.flatnonzero(faces >= 0)
     normals, corners = shape.normals[faces[met]], shape.triangles[faces[met], 0]
-    return _Met.on_planes(met, rays[met], normals, corners, shape)
+    return _Met.on_planes(met, rays[met], normals, corners, shadows)
 
 
 @lru_cache(maxsize=24)

@@ -438,8 +438,8 @@ def test_blur_of_all_poses_alike_is_accepted(truth: TwinParameters, reference: R
 
 
 def test_a_result_of_low_similarity_is_useless() -> None:
-    assert plausibility.similarity_finding(loss(0.0, [0.99], [0.95]), 1.0) is None
-    found = plausibility.similarity_finding(loss(0.0, [0.99], [0.5]), 20.0)
+    assert plausibility.similarity_finding(0.95, 1.0) is None
+    found = plausibility.similarity_finding(0.5, 20.0)
     assert found is not None
     assert found.evidence.startswith("SSIM over the board is 0.500")
     assert found.excess >= plausibility.RUINOUS_UNLIKE

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image as Pillow
 
 from fpplab.core.conventions import Floats
 from fpplab.core.geometry import RigidTransform
@@ -25,10 +26,11 @@ from sim.light.lamps import lamp_light, point_lamps
 from sim.parameters import FIELDS
 from sim.preview_file import Preview, write_preview
 from sim.sensor import SensorModel
+from sim.surroundings import surroundings_surface
 from sim.twin import SimTwin
 from sim.worker import Blender
 from sim.world import RoomLamp, World
-from tests.sim.conftest import plain, world
+from tests.sim.conftest import SIZE, plain, world
 from tests.sim.raycaster import Box, Plane, Shape, Sphere
 
 LAMP = {"irradiance": 0.25, "angle_deg": 55.0, "azimuth_deg": 160.0, "distance_mm": 600.0}
@@ -220,11 +222,37 @@ def test_uncertainty_of_the_lamp_is_written(tmp_path: Path) -> None:
     assert set(FIELDS.values()) >= set(found.uncertainty)
 
 
+def plate_in_the_way(folder: Path) -> dict[str, Any]:
+    """Surroundings between lamp and items, which the camera does not see."""
+    lamp = np.array(point_lamps(lamped())[0].place)
+    middle = np.array([0.0, 0.0, lamped().projector.distance_mm])
+    plate = trimesh.creation.box((150.0, 150.0, 150.0))
+    plate.apply_translation(middle + 0.6 * (lamp - middle))
+    plate.export(folder / "plate.ply")
+    Pillow.fromarray(np.full(SIZE[::-1], 255, np.uint8)).save(folder / "plate.png")
+    return {"mesh": str(folder / "plate.ply"), "picture": str(folder / "plate.png"), "reflectance": 0.5}
+
+
+def test_surroundings_throw_no_shadow_of_lamps(tmp_path: Path) -> None:
+    plate = plate_in_the_way(tmp_path)
+    pixels = (np.full(8, 64), np.arange(80, 112, 4))
+    of = lamped(surroundings=plate)
+    of_item = build_scene(of, Setup("board", 0), surroundings_surface(of))[0]
+    alone = build_scene(lamped(), Setup("board", 0))[0]
+    true = lamp_light(lamped(), alone, pixels)
+    assert true.min() > 0.02
+    np.testing.assert_allclose(lamp_light(of, of_item, pixels), true, rtol=1e-4)
+    shading = [replace(one, shades_room=True) for one in of_item.surfaces]
+    assert not lamp_light(of, replace(of_item, surfaces=tuple(shading)), pixels).any()
+
+
 @pytest.mark.slow
+@pytest.mark.parametrize("surrounded", [False, True])
 @pytest.mark.parametrize("item", ["board", "pillars"])
-def test_blender_shows_the_same_light(blender: Blender, tmp_path: Path, item: str) -> None:
+def test_blender_shows_the_same_light(blender: Blender, tmp_path: Path, item: str, surrounded: bool) -> None:
     """The preview's lamps and shadows against the twin's own."""
-    of = lamped(ambient=0.05, mounted=item)
+    around = {"surroundings": plate_in_the_way(tmp_path)} if surrounded else {}
+    of = lamped(ambient=0.05, mounted=item, **around)
     setup, light = Setup(item), Light(of, blender)
     wanted = light.pattern_render(setup, PATTERNS[1])
     scale = SensorModel.of(of).grey_scale(CameraSettings(0.02))
