@@ -14,7 +14,7 @@ def equations(seed: int, size: int = 4) -> tuple[Floats, Floats]:
     matrix = random.normal(size=(60, size)) @ random.normal(size=(size, size))
     matrix /= np.sqrt(np.sum(matrix**2, axis=0))
     right_side = random.normal(size=60) + 3.0 * matrix.sum(axis=1)
-    return matrix.T @ matrix, matrix.T @ right_side
+    return np.asarray(matrix.T @ matrix, np.float64), np.asarray(matrix.T @ right_side, np.float64)
 
 
 @pytest.mark.parametrize("seed", range(8))
