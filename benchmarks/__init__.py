@@ -85,11 +85,11 @@ def above(name: str, value: float, unit: str, least: float) -> Result:
     return Result(name, value, unit, least, value / least)
 
 
-SHARED = ("hidden", "limit_decoding", "limit_lattice", "limit_noise", "peak", "virtual")
+SHARED = ("hidden", "limit_decoding", "limit_lattice", "limit_noise", "optimise_workers", "peak", "virtual")
 """Modules of this package that are no benchmarks of their own."""
 
 
-LONG = ("crash", "outside", "predict")
+LONG = ("crash", "optimise", "outside", "predict")
 """Benchmarks that take from twenty minutes to hours: they are run only if they are named."""
 
 

@@ -19,34 +19,37 @@ import os
 import shutil
 import tempfile
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 from statistics import fmean
 
-import numba
 import numpy as np
-import psutil
 
 from benchmarks import Result, above, below
+from benchmarks.optimise_workers import (
+    WARM,
+    KilledOnce,
+    OnOneCore,
+    candidates_like,
+    timed_measurements,
+)
 from benchmarks.virtual import virtual_bench
 from fpplab.cli import console
 from fpplab.core.errors import DataError
 from fpplab.devices.rig import Rig
 from fpplab.optimisation import objectives
-from fpplab.optimisation.candidate import Candidate, Evaluator, Score
 from fpplab.optimisation.confirm import Confirmation, RepeatedFigures
 from fpplab.optimisation.confirm_result import ConfirmedPlan, confirm_result
 from fpplab.optimisation.measuring import candidate_from_plan
 from fpplab.optimisation.methods.gradient import Gradient
 from fpplab.optimisation.result import SearchResult
 from fpplab.optimisation.run import run_search, with_calibrations
-from fpplab.optimisation.scheduling import DaskWorkers, EvaluatorFactory, RigEvaluatorFactory, Task
+from fpplab.optimisation.scheduling import RigEvaluatorFactory
 from fpplab.optimisation.scope import SearchScope
-from fpplab.optimisation.storage import ScoresOrReason
 from fpplab.optimisation.study import Study
 from fpplab.patterns.fringes import make_patterns
 
@@ -58,8 +61,6 @@ LEAST_BASELINE_PERCENT, INSIDE = 37.0, 0.01
 MOST_SECONDS, LEAST_FASTER, LEAST_BY_TWO = 600.0, 100.0, 1.7
 COVERAGE = 2.0
 """Standard uncertainties by which a plan may seem worse than the start and be no worse."""
-WARM = 6
-"""Measurements until both workers have rendered what they need."""
 
 
 @dataclass(frozen=True)
@@ -473,128 +474,21 @@ def _seconds_of_image(rig: Rig, pattern: int) -> float:
     return time.perf_counter() - begin
 
 
-@dataclass(frozen=True)
-class OnOneCore:
-    """Opens a rig in a process that measures on one core, which no other has claimed.
-
-    Attributes
-    ----------
-    factory : EvaluatorFactory
-        Opens the rig.
-    claims : Path
-        Folder in which cores are claimed.
-    """
-
-    factory: EvaluatorFactory
-    claims: Path
-
-    def __call__(self) -> Evaluator:
-        """Open the rig, on a core of its own.
-
-        Returns
-        -------
-        Evaluator
-            Open.
-        """
-        numba.set_num_threads(1)
-        if hasattr(os, "sched_setaffinity"):  # elsewhere a process cannot be held to a core
-            cores = sorted(os.sched_getaffinity(0))
-            own = next(core for core in cores if _claimed(self.claims / f"{core}"))
-            os.sched_setaffinity(0, {own})  # of this thread, and of all that it will start
-        return self.factory()
-
-
-def _claimed(path: Path) -> bool:
-    """Whether this is the first to ask for it."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    try:
-        path.touch(exist_ok=False)
-    except FileExistsError:
-        return False
-    return True
-
-
-@dataclass(frozen=True)
-class KilledOnce:
-    """Opens a rig of which one process is killed while it measures.
-
-    Attributes
-    ----------
-    factory : EvaluatorFactory
-        Opens the rig.
-    died : Path
-        File that remembers the kill.
-    """
-
-    factory: EvaluatorFactory
-    died: Path
-
-    def __call__(self) -> Evaluator:
-        """Open the rig.
-
-        Returns
-        -------
-        Evaluator
-            Kills its process once.
-        """
-        return _Mortal(self.factory(), self.died)
-
-
-@dataclass(frozen=True)
-class _Mortal:
-    evaluator: Evaluator
-    died: Path
-
-    def measure(self, candidate: Candidate, seed: int) -> tuple[Score, ...]:
-        scores = self.evaluator.measure(candidate, seed)
-        if _claimed(self.died):
-            psutil.Process().kill()
-        return scores
-
-    def close(self) -> None:
-        self.evaluator.close()
-
-
 def _scale(folder: Path, trial: OptimiseBenchmarkSetup) -> list[Result]:
     """Two workers against one, where there are two cores; and two of which one is killed."""
     study = _characterised(trial.search, trial.stripes, folder)
     factory = RigEvaluatorFactory(trial.search, study)
     tasks = [
-        (one, study.seeds[0]) for one in _others(candidate_from_plan(study.start), WARM + trial.measured)
+        (one, study.seeds[0])
+        for one in candidates_like(candidate_from_plan(study.start), WARM + trial.measured)
     ]
     with tempfile.TemporaryDirectory(prefix="fpplab-bench-") as claims:
         place = Path(claims)
-        wanted, alone = _measured(OnOneCore(factory, place / "one"), 1, tasks)
+        wanted, alone = timed_measurements(OnOneCore(factory, place / "one"), 1, tasks)
         results = []
         if (os.cpu_count() or 1) > 1:
-            _, together = _measured(OnOneCore(factory, place / "two"), 2, tasks)
+            _, together = timed_measurements(OnOneCore(factory, place / "two"), 2, tasks)
             results.append(above("optimise_two_workers", alone / together, "of one's rate", LEAST_BY_TWO))
-        found, _ = _measured(KilledOnce(factory, place / "died"), 2, tasks)
+        found, _ = timed_measurements(KilledOnce(factory, place / "died"), 2, tasks)
     kept = sum(found.get(at) == outcome for at, outcome in wanted.items())
     return [*results, above("optimise_kept_of_killed", kept, "measurements", len(tasks))]
-
-
-def _others(like: Candidate, count: int) -> Iterable[Candidate]:
-    """Candidates with a finest set of their own."""
-    *coarser, finest = like.fringes
-    return (
-        replace(like, fringes=(*coarser, replace(finest, stripes=finest.stripes + k))) for k in range(count)
-    )
-
-
-def _measured(
-    factory: EvaluatorFactory, workers: int, tasks: Sequence[Task]
-) -> tuple[dict[int, ScoresOrReason], float]:
-    """Outcomes by place, and seconds for all but the first `WARM`."""
-    found: dict[int, ScoresOrReason] = {}
-    cluster = DaskWorkers(factory, workers)
-    try:
-        with console.progress(f"Measuring with {workers}") as report:
-            cluster.measure(tasks[:WARM], found.__setitem__)
-            begin = time.perf_counter()
-            cluster.measure(tasks[WARM:], lambda at, outcome: found.__setitem__(WARM + at, outcome))
-            seconds = time.perf_counter() - begin
-            report(1.0)
-    finally:
-        cluster.close()
-    return found, seconds

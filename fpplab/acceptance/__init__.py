@@ -1,9 +1,7 @@
 """The acceptance test of a measuring system on a ball bar and a plane, after VDI/VDE 2634 part 2."""
 
 from fpplab.acceptance.fitting import Plane, Sphere, fit_plane, fit_sphere, fit_without_worst
-from fpplab.acceptance.shares import shared_variance
-from fpplab.acceptance.standard import QUANTITIES, Standard
-from fpplab.acceptance.verification import (
+from fpplab.acceptance.results import (
     CONVENTIONS,
     VERDICTS,
     Acceptance,
@@ -11,10 +9,10 @@ from fpplab.acceptance.verification import (
     MeasuredFeature,
     PlaneTest,
     SphereTest,
-    verify,
-    verify_ball_bar,
-    verify_plane,
 )
+from fpplab.acceptance.shares import shared_variance
+from fpplab.acceptance.standard import QUANTITIES, Standard
+from fpplab.acceptance.verification import verify, verify_ball_bar, verify_plane
 
 __all__ = [
     "CONVENTIONS",

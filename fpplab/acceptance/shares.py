@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fpplab.acceptance.verification import MeasuredFeature
+from fpplab.acceptance.results import MeasuredFeature
 
 LEAST_PAIRS = 100
 """Pairs of neighbouring pixels that tell something."""

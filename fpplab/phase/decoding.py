@@ -21,13 +21,14 @@ from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase.bounds import PossibleCoordinates, check_bounds, interval_of, widest
 from fpplab.phase.decoded import Decoded
+from fpplab.phase.demodulation import AxisPhases, axis_phases
 from fpplab.phase.error_model import ErrorModel, error_model_of
 from fpplab.phase.kernels import decode_pixels
 from fpplab.phase.order_vote import DOUBTFUL, vote_orders
 from fpplab.phase.outside import outside_share
 from fpplab.phase.precision import coordinate_spread
 from fpplab.phase.recipe import recipe_of
-from fpplab.phase.reference import AxisPhases, axis_phases, fuse, unwrap
+from fpplab.phase.reference import fuse, unwrap
 from fpplab.phase.tables import Maps, Recipe
 from fpplab.phase.unwrapping import EDGE_MARGIN_PX, WavelengthSequence, wavelength_sequence
 

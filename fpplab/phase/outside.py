@@ -15,9 +15,10 @@ import numpy as np
 from fpplab.core.conventions import TWO_PI, Axis, Floats, axis_length
 from fpplab.patterns.recording import Recording
 from fpplab.phase.bounds import PossibleCoordinates, interval_of
+from fpplab.phase.demodulation import AxisPhases, axis_phases
 from fpplab.phase.error_model import ErrorModel
 from fpplab.phase.fusion import AGREEING_SIGMAS
-from fpplab.phase.reference import AxisPhases, axis_phases, fuse
+from fpplab.phase.reference import fuse
 from fpplab.phase.unwrapping import EDGE_MARGIN_PX, WavelengthSequence
 
 SAMPLE = 1000

@@ -7,7 +7,7 @@ no matter.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,15 +15,13 @@ from numpy.typing import NDArray
 from scipy.special import erfc
 
 from fpplab.core.conventions import TWO_PI, Axis, Floats, Map, axis_length
-from fpplab.core.errors import DataError
-from fpplab.patterns.fringe_sets import FringeSet
 from fpplab.patterns.recording import Recording
 from fpplab.phase.alternatives import Alternatives, alternatives_of
 from fpplab.phase.bounds import PositionInterval, PossibleCoordinates, interval_of, widest
-from fpplab.phase.error_model import ErrorModel, error_model_of
-from fpplab.phase.fusion import AGREEING_SIGMAS, ROUNDING_TURNS
+from fpplab.phase.demodulation import AxisPhases, axis_phases
+from fpplab.phase.error_model import error_model_of
+from fpplab.phase.fusion import AGREEING_SIGMAS
 from fpplab.phase.kernels import APART, APART_LEAST
-from fpplab.phase.saturation import LEAST_SAMPLES, MOST_LOSS
 from fpplab.phase.unwrapping import (
     EDGE_MARGIN_PX,
     EDGE_SIGMAS,
@@ -31,116 +29,6 @@ from fpplab.phase.unwrapping import (
     wavelength_sequence,
 )
 from fpplab.phase.wrong_order import LEAST_INSIDE, LIKELIEST, MOVES
-
-
-@dataclass(frozen=True, eq=False)
-class Wrapped:
-    """One demodulated fringe set: maps [v, u], in the grey levels of its frames.
-
-    Attributes
-    ----------
-    phase : ndarray of float32, (height, width)
-        Of `2π stripes (u + 0.5)/W`, in [0, 2π) rad.
-    modulation : ndarray of float32, (height, width)
-        B.
-    offset : ndarray of float32, (height, width)
-        The mean.
-    misfit : ndarray of float32, (height, width)
-        RMS of what the fringe leaves.
-    peak : ndarray of float32, (height, width)
-        The greatest value in any frame that was used.
-    loss : ndarray of float32, (height, width)
-        Variance of the phase relative to that from all samples; above 1 where saturated ones were left out.
-    """
-
-    phase: Map
-    modulation: Map
-    offset: Map
-    misfit: Map
-    peak: Map
-    loss: Map
-
-
-def wrapped_phase(
-    frames: Sequence[NDArray[np.generic]], fringe: FringeSet, saturation: float = np.inf
-) -> Wrapped:
-    """Demodulate one fringe set: `φ = atan2(Σ I_n sin δ_n, Σ I_n cos δ_n)` less the phase origin.
-
-    Parameters
-    ----------
-    frames : sequence of ndarray, (height, width) each
-        The set's images in order, of any real type.
-    fringe : FringeSet
-        The set.
-    saturation : float
-        Value from which on a sample is saturated and left out, as long as those that remain give a phase.
-
-    Returns
-    -------
-    Wrapped
-        Phase, modulation, offset, misfit, peak and loss.
-
-    Raises
-    ------
-    DataError
-        Their number is not that of the set's images.
-    """
-    if len(frames) != fringe.images:
-        raise DataError(
-            f"a fringe set of {fringe.images} images was given {len(frames)} frames; give all, in order"
-        )
-    weights = fringe.demodulation()
-    shape = np.shape(frames[0])
-    s, c, mean, square = (np.zeros(shape) for _ in range(4))
-    peak = np.full(shape, -np.inf)
-    for n, frame in enumerate(frames):
-        level = np.asarray(frame, np.float64)
-        s += weights.sine[n] * level
-        c += weights.cosine[n] * level
-        mean += weights.mean[n] * level
-        square += weights.mean[n] * level**2
-        np.maximum(peak, level, out=peak)
-    loss = np.ones(shape)
-    s, c = weights.scale * s, weights.scale * c
-    if (peak >= saturation).any():
-        levels = np.array([np.asarray(frame, np.float64) for frame in frames])
-        _fit_unsaturated(levels, fringe.phase_shifts(), saturation, c, s, mean, square, peak, loss)
-    modulation = np.hypot(s, c)
-    misfit = np.sqrt(np.maximum(square - mean**2 - modulation**2 / 2.0, 0.0))
-    phase = ((np.arctan2(s, c) - weights.origin_rad) % TWO_PI).astype(np.float32)
-    # Rounding to float32 must not reach the end of the half-open interval.
-    phase[phase >= np.float32(TWO_PI)] = 0.0
-    return Wrapped(phase, *(m.astype(np.float32) for m in (modulation, mean, misfit, peak, loss)))
-
-
-def _fit_unsaturated(
-    levels: Floats,
-    shift: Floats,
-    saturation: float,
-    c: Floats,
-    s: Floats,
-    mean: Floats,
-    square: Floats,
-    peak: Floats,
-    loss: Floats,
-) -> None:
-    """Replace the results of pixels with saturated samples by least squares of the others, in place."""
-    basis = np.stack([np.ones_like(shift), np.cos(shift), np.sin(shift)], axis=1)
-    for at in np.argwhere(peak >= saturation):
-        pixel, values = tuple(at), levels[(slice(None), *at)]
-        used = values < saturation
-        own = basis[used]
-        if len(own) < LEAST_SAMPLES or np.linalg.matrix_rank(own) < 3:
-            continue
-        fitted = np.linalg.lstsq(own, values[used], rcond=None)[0]
-        along = np.array([0.0, -fitted[2], fitted[1]]) / max(np.hypot(fitted[1], fitted[2]), 1e-30)
-        variance = len(shift) / 2.0 * along @ np.linalg.inv(own.T @ own) @ along
-        if variance > MOST_LOSS:
-            continue
-        mean[pixel], c[pixel], s[pixel] = fitted
-        rest = np.mean((values[used] - own @ fitted) ** 2)
-        square[pixel] = rest + fitted[0] ** 2 + (fitted[1] ** 2 + fitted[2] ** 2) / 2.0
-        peak[pixel], loss[pixel] = values[used].max(), variance
 
 
 @dataclass(frozen=True, eq=False)
@@ -261,73 +149,6 @@ def _beyond(position: Floats, low: float | Floats, high: float | Floats, toleran
     """A penalty above every cost for positions outside of the possible ones; 0 inside."""
     outside = np.maximum(np.maximum(low - position, position - high), 0.0)
     return np.where(outside > tolerance, 100.0 + outside, 0.0)
-
-
-@dataclass(frozen=True, eq=False)
-class AxisPhases:
-    """What pixels of any shape (...) see of the K sets of one axis, fewest stripes first.
-
-    Attributes
-    ----------
-    phases : ndarray of float64, (K, ...)
-        Wrapped phases in rad.
-    noise, common : ndarray of float64, (K, ...)
-        Variance of the position that each set gives, as a squared share of the projector's length: by noise,
-        and by errors that all pixels of one phase share.
-    stripes : ndarray of float64, (K,)
-        Of each set.
-    """
-
-    phases: Floats
-    noise: Floats
-    common: Floats
-    stripes: Floats
-
-    @property
-    def position_sigma(self) -> Floats:
-        """1-sigma of the position that each set gives, by both, (K, ...)."""
-        return np.asarray(np.sqrt(self.noise + self.common))
-
-
-def axis_phases(recording: Recording, sequence: WavelengthSequence, errors: ErrorModel) -> AxisPhases:
-    """Demodulate all sets of one axis.
-
-    Parameters
-    ----------
-    recording : Recording
-        Frames of any shape (...).
-    sequence : WavelengthSequence
-        Of the axis.
-    errors : ErrorModel
-        Of the recording.
-
-    Returns
-    -------
-    AxisPhases
-        Of the frames' shape.
-    """
-    fringes = [recording.plan.fringes[k] for k in sequence.sets]
-    sets = [
-        wrapped_phase(recording.of_set(k), f, errors.saturation)
-        for k, f in zip(sequence.sets, fringes, strict=True)
-    ]
-    noises, commons = [], []
-    for k, one, fringe in zip(sequence.sets, sets, fringes, strict=True):
-        level = one.offset.astype(np.float64) * recording.grey
-        modulation = np.maximum(one.modulation.astype(np.float64) * recording.grey, 1e-30)
-        per_level = fringe.phase_noise**2 * one.loss / modulation**2
-        repeated = errors.noise.repeated(level)
-        own = per_level * (errors.noise.variance(level) - repeated) / TWO_PI**2 + ROUNDING_TURNS**2
-        common = per_level * repeated + errors.sets[k].variance(level / modulation)
-        noises.append(own / fringe.stripes**2)
-        # Where nothing tells the common errors, noise alone counts.
-        commons.append(np.nan_to_num(common) / (TWO_PI * fringe.stripes) ** 2)
-    return AxisPhases(
-        np.array([one.phase for one in sets], np.float64),
-        np.array(noises),
-        np.array(commons),
-        np.array([f.stripes for f in fringes]),
-    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,8 +12,6 @@ import pytest
 
 from benchmarks import Result, above, below
 from benchmarks.optimise import (
-    WARM,
-    KilledOnce,
     OptimiseBenchmarkSetup,
     beside_singles,
     deviation,
@@ -26,6 +24,7 @@ from benchmarks.optimise import (
     searched,
     wrong_percent,
 )
+from benchmarks.optimise_workers import WARM, KilledOnce
 from fpplab.calibration.model import Calibration
 from fpplab.core import config
 from fpplab.core.errors import DataError

@@ -1,0 +1,405 @@
+"""Errors of a measuring system on calibrated standards, and whether they are within what is permitted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.acceptance.fitting import (
+    FittedFeature,
+    Plane,
+    Sphere,
+    fit_without_worst,
+    peak_to_peak,
+)
+from fpplab.acceptance.standard import QUANTITIES, Standard
+from fpplab.clouds import Cloud
+from fpplab.core.conventions import Floats, Mask
+
+CONVENTIONS = {
+    "PF": "range of the points that remain when the 3 ‰ farthest from the fit are removed",
+    "PF_all": "range of all points",
+    "F": "range of the points that remain when the 3 ‰ farthest from the fit are removed",
+    "F_all": "range of all points",
+}
+"""What the errors of form are the range of; those without `_all` are judged."""
+VERDICTS = {True: "passed", False: "not passed", None: "not judged"}
+"""Words for a judgement in reports."""
+
+F = TypeVar("F", bound=FittedFeature)
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredFeature:
+    """The evaluated points of one feature, and their distances from its fit.
+
+    Attributes
+    ----------
+    points : ndarray of float32
+        (K, 3) in mm in the camera's frame.
+    pixels : ndarray of int32 or None
+        Camera pixels (K, 2) as (u, v), None where unknown.
+    distances : ndarray of float64
+        Signed distances (K,) in mm from the fit.
+    kept : ndarray of bool
+        (K,), False for the farthest points, which were discarded.
+    span_all_um : float
+        Greatest minus least distance in µm of all points from a fit to all points.
+    """
+
+    points: NDArray[np.float32]
+    pixels: NDArray[np.int32] | None
+    distances: Floats
+    kept: Mask
+    span_all_um: float
+
+    @classmethod
+    def fitted(
+        cls, cloud: Cloud, index: NDArray[np.intp], fit: Callable[[Floats], F]
+    ) -> tuple[F, MeasuredFeature]:
+        """Fit a shape to the evaluated points of a cloud, without the farthest of them and to all.
+
+        Parameters
+        ----------
+        cloud : Cloud
+            The whole cloud.
+        index : ndarray of intp
+            Numbers (K,) of the evaluated points.
+        fit : callable
+            Fits the shape to points (M, 3), such as `fit_sphere`.
+
+        Returns
+        -------
+        feature : FittedFeature
+            The fit to the points that were kept.
+        measured : MeasuredFeature
+            The points, with their pixels where the cloud has them.
+        """
+        points = np.asarray(cloud.points[index], np.float64)
+        feature, kept = fit_without_worst(points, fit)
+        pixels = None if cloud.pixels is None else cloud.pixels[index]
+        span_all_um = 1e3 * peak_to_peak(fit(points).distances(points))
+        return feature, cls(cloud.points[index], pixels, feature.distances(points), kept, span_all_um)
+
+    @property
+    def span_um(self) -> float:
+        """Greatest minus least distance of the kept points, in µm."""
+        return 1e3 * peak_to_peak(self.distances[self.kept])
+
+    @property
+    def rms_um(self) -> float:
+        """Root mean square distance of the kept points, in µm."""
+        return 1e3 * float(np.sqrt(np.mean(self.distances[self.kept] ** 2)))
+
+    def summary(self) -> dict[str, Any]:
+        """Collect counts and the root mean square, which tells how much of a span is noise.
+
+        Returns
+        -------
+        dict of str to Any
+            Plain values, part of `fpplab verify --json`.
+        """
+        return {
+            "rms_um": self.rms_um,
+            "points": len(self.points),
+            "discarded": int((~self.kept).sum()),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class SphereTest:
+    """The result of one sphere in one position.
+
+    Attributes
+    ----------
+    number : int
+        1 or 2, in the order of the standard's file.
+    sphere : Sphere
+        The fit, in mm in the camera's frame.
+    calibrated_mm : float
+        Calibrated diameter in mm.
+    solid_angle_sr : float
+        Solid angle of the measured cap in sr.
+    measured : MeasuredFeature
+        The evaluated points.
+    """
+
+    number: int
+    sphere: Sphere
+    calibrated_mm: float
+    solid_angle_sr: float
+    measured: MeasuredFeature
+
+    @property
+    def form_um(self) -> float:
+        """Probing error, form (PF), in µm."""
+        return self.measured.span_um
+
+    @property
+    def size_um(self) -> float:
+        """Probing error, size (PS), in µm."""
+        return 1e3 * (2.0 * self.sphere.radius - self.calibrated_mm)
+
+    def summary(self) -> dict[str, Any]:
+        """Collect the figures of this sphere.
+
+        Returns
+        -------
+        dict of str to Any
+            Plain values, an entry of `spheres` in `fpplab verify --json`.
+        """
+        return {
+            "sphere": self.number,
+            "PF_um": self.form_um,
+            "PF_all_um": self.measured.span_all_um,
+            "PS_um": self.size_um,
+            "diameter_mm": 2.0 * self.sphere.radius,
+            "centre_mm": self.sphere.centre.tolist(),
+            "solid_angle_sr": self.solid_angle_sr,
+            **self.measured.summary(),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class BallBarTest:
+    """The result of a ball bar in one position.
+
+    Attributes
+    ----------
+    source : str
+        Name of the cloud.
+    spheres : tuple of SphereTest
+        The two spheres in the order of the standard's file.
+    calibrated_mm : float
+        Calibrated distance between their centres in mm.
+    """
+
+    source: str
+    spheres: tuple[SphereTest, SphereTest]
+    calibrated_mm: float
+
+    @property
+    def spacing_mm(self) -> float:
+        """Measured distance between the two centres, in mm."""
+        first, second = (test.sphere.centre for test in self.spheres)
+        return float(np.linalg.norm(second - first))
+
+    @property
+    def spacing_error_um(self) -> float:
+        """Sphere-spacing error (SD), in µm."""
+        return 1e3 * (self.spacing_mm - self.calibrated_mm)
+
+
+@dataclass(frozen=True, eq=False)
+class PlaneTest:
+    """The result of a plane in one position.
+
+    Attributes
+    ----------
+    source : str
+        Name of the cloud.
+    plane : Plane
+        The fit, in mm in the camera's frame.
+    area_mm2 : float
+        Evaluated area in mm².
+    measured : MeasuredFeature
+        The evaluated points.
+    """
+
+    source: str
+    plane: Plane
+    area_mm2: float
+    measured: MeasuredFeature
+
+    @property
+    def flatness_um(self) -> float:
+        """Flatness measurement error (F), in µm."""
+        return self.measured.span_um
+
+    def summary(self) -> dict[str, Any]:
+        """Collect the figures of this plane.
+
+        Returns
+        -------
+        dict of str to Any
+            Plain values, an entry of `planes` in `fpplab verify --json`.
+        """
+        return {
+            "source": self.source,
+            "F_um": self.flatness_um,
+            "F_all_um": self.measured.span_all_um,
+            "area_mm2": self.area_mm2,
+            "normal": self.plane.normal.tolist(),
+            **self.measured.summary(),
+        }
+
+
+@dataclass(frozen=True)
+class AcceptanceJudgement:
+    """The judgement of one quantity over all positions.
+
+    Attributes
+    ----------
+    worst_um : float
+        The error of greatest magnitude, signed, in µm.
+    mpe_um : float or None
+        Maximum permissible error in µm, None where none is stated.
+    reference_uncertainty_um : float
+        Uncertainty of the standard itself in µm.
+    positions : int
+        Number of values that were measured.
+    least_positions : int
+        Number of values that the standard's file asks for.
+    worst_all_um : float or None
+        For errors of form: the greatest in µm with all points, none discarded; else None.
+    """
+
+    worst_um: float
+    mpe_um: float | None
+    reference_uncertainty_um: float
+    positions: int
+    least_positions: int
+    worst_all_um: float | None = None
+
+    @property
+    def passed(self) -> bool | None:
+        """Whether the error is permitted, None where no maximum permissible error is stated."""
+        return (
+            None if self.mpe_um is None else abs(self.worst_um) + self.reference_uncertainty_um <= self.mpe_um
+        )
+
+    def summary(self) -> dict[str, Any]:
+        """Collect the figures of this quantity.
+
+        Returns
+        -------
+        dict of str to Any
+            Plain values, an entry of `quantities` in `fpplab verify --json`.
+        """
+        return {
+            "worst_um": self.worst_um,
+            "worst_all_um": self.worst_all_um,
+            "mpe_um": self.mpe_um,
+            "standard_known_to_um": self.reference_uncertainty_um,
+            "values": self.positions,
+            "least_values": self.least_positions,
+            "passed": self.passed,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Acceptance:
+    """The result of an acceptance test.
+
+    Attributes
+    ----------
+    standard : Standard
+        What was measured, and the maximum permissible errors.
+    bars : tuple of BallBarTest
+        One per position of the ball bar.
+    planes : tuple of PlaneTest
+        One per position of the plane.
+    """
+
+    standard: Standard
+    bars: tuple[BallBarTest, ...] = ()
+    planes: tuple[PlaneTest, ...] = ()
+
+    def errors_um(self) -> dict[str, list[float]]:
+        """Collect every value of every quantity that was measured.
+
+        Returns
+        -------
+        dict of str to list of float
+            Signed errors in µm by quantity, in the order of `QUANTITIES`.
+        """
+        spheres = [test for bar in self.bars for test in bar.spheres]
+        values = {
+            "PF": [test.form_um for test in spheres],
+            "PS": [test.size_um for test in spheres],
+            "SD": [bar.spacing_error_um for bar in self.bars],
+            "F": [plane.flatness_um for plane in self.planes],
+        }
+        return {name: values[name] for name in QUANTITIES if values[name]}
+
+    def judgements(self) -> dict[str, AcceptanceJudgement]:
+        """Judge every quantity that was measured.
+
+        Returns
+        -------
+        dict of str to AcceptanceJudgement
+            By quantity, in the order of `QUANTITIES`.
+        """
+        standard, with_all = self.standard, self._form_of_all_points_um()
+        return {
+            name: AcceptanceJudgement(
+                max(values, key=abs),
+                standard.permitted_um(name),
+                standard.reference_uncertainty_um(name),
+                len(values),
+                getattr(standard.positions, name),
+                max(with_all[name]) if name in with_all else None,
+            )
+            for name, values in self.errors_um().items()
+        }
+
+    def _form_of_all_points_um(self) -> dict[str, list[float]]:
+        """Collect the errors of form in µm with all points, none discarded."""
+        spheres = [test.measured.span_all_um for bar in self.bars for test in bar.spheres]
+        return {"PF": spheres, "F": [plane.measured.span_all_um for plane in self.planes]}
+
+    @property
+    def passed(self) -> bool | None:
+        """Whether every quantity that was judged is permitted; None where none was."""
+        judged = [j.passed for j in self.judgements().values() if j.passed is not None]
+        return all(judged) if judged else None
+
+    def notices(self) -> list[str]:
+        """List what limits the significance of the result.
+
+        Returns
+        -------
+        list of str
+            Sentences for the operator: too few positions, quantities without a permissible error.
+        """
+        judged = self.judgements()
+        said = [
+            f"{name}: measured in {found.positions} of at least {found.least_positions} positions; add "
+            "positions, spread over the measuring volume"
+            for name, found in judged.items()
+            if found.positions < found.least_positions
+        ]
+        unjudged = [name for name, found in judged.items() if found.passed is None]
+        if unjudged:
+            said.append(f"no maximum permissible error is stated for {', '.join(unjudged)}: not judged")
+        return said
+
+    def summary(self) -> dict[str, Any]:
+        """Collect the whole result for `fpplab verify --json`.
+
+        Returns
+        -------
+        dict of str to Any
+            Plain values, errors in µm.
+        """
+        return {
+            "standard": self.standard.name,
+            "passed": self.passed,
+            "cap_deg": self.standard.evaluation.cap_deg,
+            "edge_mm": self.standard.evaluation.edge_mm,
+            "conventions": CONVENTIONS,
+            "quantities": {name: found.summary() for name, found in self.judgements().items()},
+            "spheres": [
+                {"source": bar.source, **test.summary()} for bar in self.bars for test in bar.spheres
+            ],
+            "spacings": [
+                {"source": bar.source, "SD_um": bar.spacing_error_um, "spacing_mm": bar.spacing_mm}
+                for bar in self.bars
+            ],
+            "planes": [plane.summary() for plane in self.planes],
+            "notices": self.notices(),
+        }
