@@ -15,6 +15,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
+from hashlib import blake2b
 from typing import Any
 
 import numpy as np
@@ -61,6 +62,11 @@ def _shared(bench: Any, name: str, options: dict[str, Any]) -> VirtualBench:
     return bench
 
 
+def _serial(*geometry: object) -> str:
+    """A serial number that another geometry does not have: a calibration holds for one geometry alone."""
+    return f"sim-{blake2b(repr(geometry).encode(), digest_size=4).hexdigest()}"
+
+
 class SimCamera(Camera):
     """The world's camera. Frames carry the id of the pattern that was on show, or `DARK`."""
 
@@ -82,7 +88,14 @@ class SimCamera(Camera):
 
     def _info(self) -> DeviceInfo:
         camera = self._bench.world.camera
-        return DeviceInfo("camera", f"simulated, binning {camera.binning}", "world", "Blender")
+        optics = (
+            camera.sensor_size,
+            camera.pixel_um,
+            camera.focal_mm,
+            camera.centre_offset_px,
+            camera.distortion,
+        )
+        return DeviceInfo("camera", f"simulated, binning {camera.binning}", _serial(*optics), "Blender")
 
     def _caps(self) -> CameraCaps:
         camera = self._bench.world.camera
@@ -138,7 +151,9 @@ class SimProjector(Projector):
 
     def _info(self) -> DeviceInfo:
         projector = self._bench.world.projector
-        return DeviceInfo("projector", f"simulated, {projector.lattice} lattice", "world", "Blender")
+        optics = (projector.size, projector.throw_ratio, projector.centre_px, projector.distortion)
+        serial = _serial(*optics, projector.T_camera_projector)
+        return DeviceInfo("projector", f"simulated, {projector.lattice} lattice", serial, "Blender")
 
     def _caps(self) -> ProjectorCaps:
         projector = self._bench.world.projector
@@ -173,7 +188,7 @@ class SimStage(Stage):
         """Nothing to do: the stage stands still between calls."""
 
     def _info(self) -> DeviceInfo:
-        return DeviceInfo("stage", "simulated", "world", "Blender")
+        return DeviceInfo("stage", "simulated", "", "Blender")
 
     def _caps(self) -> StageCaps:
         return StageCaps(self._bench.world.stage.travel_mm)
@@ -208,9 +223,7 @@ class SimFixture(PosableFixture):
 
     def _info(self) -> DeviceInfo:
         boards = sum(isinstance(item, BoardItem) for item in self._bench.world.items.values())
-        return DeviceInfo(
-            "fixture", f"simulated, {len(self._held)} items, {boards} boards", "world", "Blender"
-        )
+        return DeviceInfo("fixture", f"simulated, {len(self._held)} items, {boards} boards", "", "Blender")
 
     def _caps(self) -> FixtureCaps:
         return FixtureCaps({name: len(poses) for name, poses in self._held.items()})

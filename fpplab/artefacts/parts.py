@@ -52,6 +52,23 @@ def load_part(path: Path) -> trimesh.Trimesh:
     return mesh
 
 
+def unpaired_edges(mesh: trimesh.Trimesh) -> int:
+    """Count the edges of a mesh that do not join two faces; a closed surface has none.
+
+    Parameters
+    ----------
+    mesh : trimesh.Trimesh
+        Any mesh whose faces share their corners.
+
+    Returns
+    -------
+    int
+        Number of edges.
+    """
+    _, joins = np.unique(mesh.edges_sorted, axis=0, return_counts=True)
+    return int((joins != 2).sum())
+
+
 def check_solid(mesh: trimesh.Trimesh, name: str) -> None:
     """Check that a mesh is closed and its faces are directed outwards.
 
@@ -69,9 +86,7 @@ def check_solid(mesh: trimesh.Trimesh, name: str) -> None:
     """
     if len(mesh.faces) == 0:
         raise ConfigError(f"{name}: has no faces; give the mesh of a solid")
-    _, joins = np.unique(mesh.edges_sorted, axis=0, return_counts=True)
-    unpaired = int((joins != 2).sum())
-    if unpaired:
+    if unpaired := unpaired_edges(mesh):
         raise ConfigError(
             f"{name}: is not watertight, for {unpaired} open edges do not join two faces; "
             "close its surface in a mesh editor"

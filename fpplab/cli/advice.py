@@ -95,6 +95,34 @@ OPTION_SYNONYMS = {word: options for options, words in _OPTIONS_MEANT.items() fo
 """The options that may be meant by one that a command has not; the first that it has is named."""
 
 
+WHENCE = {
+    "--calibration": "`fpplab characterise` makes one",
+    "--item": "what the rig's fixture is to put up, such as pyramid",
+    "--out": "name what is to be written",
+    "--rig": "name a rig file; rig_demo_quick is simulated, and `fpplab rig new` writes one for a bench",
+    "--target": "name the board's file; `fpplab target` draws a board and writes it",
+}
+"""Where the value of an option comes from that a command cannot do without."""
+
+
+def missing_option(path: str, option: str) -> str:
+    """Say of a command that an option is missing, and where its value comes from.
+
+    Parameters
+    ----------
+    path : str
+        The command: `fpplab scan`.
+    option : str
+        The option, with its dashes.
+
+    Returns
+    -------
+    str
+        One sentence.
+    """
+    return f"`{path}` needs {option}; {WHENCE.get(option, f'see `{path} --help`')}"
+
+
 def unknown_command(path: str, word: str, commands: Sequence[str]) -> str:
     """Say of a command that there is none of this name, and which was probably meant.
 

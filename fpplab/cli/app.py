@@ -10,7 +10,7 @@ import typer
 from typer.core import TyperGroup
 
 from fpplab.cli import logs
-from fpplab.cli.advice import unknown_command, unknown_option
+from fpplab.cli.advice import missing_option, unknown_command, unknown_option
 from fpplab.cli.completion import names_of
 from fpplab.cli.lists import global_first
 from fpplab.core.acts import DangerousAct, allow_acts
@@ -102,11 +102,17 @@ class Commands(TyperGroup):
 
 
 def _explain(error: Any) -> None:
-    """Raise `ConfigError` for an unknown option; its class is typer's or click's own, by their versions."""
+    """Raise `ConfigError` for an option that is unknown or missing.
+
+    The errors' classes are typer's or click's own, by their versions.
+    """
     if type(error).__name__ == "NoSuchOption" and error.ctx is not None:
         params = error.ctx.command.get_params(error.ctx)
         options = [name for param in params for name in (*param.opts, *param.secondary_opts)]
         raise ConfigError(unknown_option(error.ctx.command_path, error.option_name, options)) from error
+    missing = error.param if type(error).__name__ == "MissingParameter" else None
+    if missing is not None and error.ctx is not None and missing.opts[0].startswith("-"):
+        raise ConfigError(missing_option(error.ctx.command_path, missing.opts[0])) from error
 
 
 app = typer.Typer(

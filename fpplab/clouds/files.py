@@ -15,7 +15,7 @@ from fpplab.clouds import ply
 from fpplab.clouds.cloud import SIGMAS, Cloud, CloudPoints
 from fpplab.core.archives import load_arrays
 from fpplab.core.errors import ConfigError, DataError
-from fpplab.core.files import open_regular, write_large
+from fpplab.core.files import no_such_file, open_regular, write_large
 from fpplab.core.foreign import read_apart
 
 if TYPE_CHECKING:
@@ -80,6 +80,8 @@ def load_cloud(path: Path | str) -> Cloud:
         return readers[suffix](path)
     except DataError as error:
         raise DataError(f"{path}: {error}") from error
+    except FileNotFoundError as error:
+        raise DataError(no_such_file(path, *CLOUD_SUFFIXES)) from error
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({error.strerror or error})") from error
     except (ValueError, KeyError, IndexError, TypeError) as error:
@@ -112,12 +114,18 @@ def load_mesh(path: Path | str) -> trimesh.Trimesh:
     kind = _known_suffix(path, MESH_SUFFIXES)[1:]
     try:
         parts = read_apart(kind, path)
+    except FileNotFoundError as error:
+        raise DataError(no_such_file(path, *MESH_SUFFIXES)) from error
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({error.strerror or error})") from error
     except ValueError as error:
         raise DataError(f"{path}: is no readable {kind.upper()} mesh ({error}); export it again") from error
     if not parts or not len(parts["faces"]):
-        raise DataError(f"{path}: holds no faces; give a mesh of the true shape, not a cloud")
+        if not path.stat().st_size:
+            raise DataError(f"{path}: is empty; export the mesh again")
+        raise DataError(
+            f"{path}: holds no faces; give a mesh of the true shape as {kind.upper()}, not a cloud"
+        )
     vertices, faces = parts["vertices"], parts["faces"]
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise DataError(

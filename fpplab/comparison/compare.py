@@ -16,12 +16,13 @@ the true shape, wherever the point itself was measured; outliers are counted and
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import igl
 import numpy as np
 import trimesh
 
+from fpplab.artefacts.parts import unpaired_edges
 from fpplab.artefacts.recognition import PlacedArtefact
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
@@ -45,6 +46,8 @@ OUTLIER_MM = 1.0
 """Distance beyond which a point is an outlier."""
 NEAR_MM = 0.5
 """Distance of the reconstructed surface up to which a place of the true surface counts as measured."""
+MOST_OUT_OF_VIEW = 0.01
+"""Share of the surface turned to the devices that may lie outside of their images without a word."""
 LARGEST_RATIO = 50.0
 """Ratio of the sizes of cloud and mesh beyond which they cannot be in the same unit."""
 _UM = 1e3
@@ -99,6 +102,10 @@ class Comparison:
         Signed distance (N,) of every point of the cloud, positive outside the true shape.
     counted : ndarray of bool
         (N,), True for the points that are evaluated.
+    out_of_view : float
+        Share of the surface turned to the devices that lies outside of their images; 0 without a calibration.
+    open_edges : int
+        Number of edges of the mesh that do not join two faces.
     """
 
     smcd_um: float
@@ -120,6 +127,8 @@ class Comparison:
     counted: Mask
     scale: FittedScale | None = None
     lengths: tuple[MeasuredLength, ...] = ()
+    out_of_view: float = 0.0
+    open_edges: int = 0
 
     def __repr__(self) -> str:
         mean_um, kind = self.surface_smcd_um, "surface SMCD"
@@ -172,10 +181,10 @@ class Comparison:
         return chosen
 
     def warnings(self) -> list[str]:
-        """List what contradicts the distances, which a rigid alignment makes blind to scale and shear.
+        """List what the distances do not show: scale and shear, and shape that was not seen or is missing.
 
         A scale or length contradicts them if it deviates by more than `COVERAGE` standard uncertainties, and
-        by more than the root mean square distance.
+        by more than the root mean square distance: a rigid alignment makes them blind to both.
 
         Returns
         -------
@@ -183,6 +192,16 @@ class Comparison:
             Sentences for the operator.
         """
         said, scale = [], self.scale
+        if self.out_of_view > MOST_OUT_OF_VIEW:
+            said.append(
+                f"field of view: {100 * self.out_of_view:.0f} % of the surface that is turned to camera and "
+                "projector lies outside of their images; no figure counts it, completeness included"
+            )
+        if self.open_edges:
+            said.append(
+                f"mesh: has {self.open_edges} open edges; where faces are missing, points are compared with "
+                "others, and an alignment may be wrong"
+            )
         if scale is not None and scale.significant and scale.effect_um > self.surface_rms_um:
             said.append(
                 f"scale: the cloud is {abs(scale.ppm):.0f} ± {scale.sigma_ppm:.0f} ppm too "
@@ -334,7 +353,8 @@ def compare(
     if alignment is not None:
         mesh = mesh.copy().apply_transform(alignment.transform.matrix)
     shape = RayTracedShape(mesh)
-    samples, visible_share = visible_samples(mesh, shape, calibration, density, seed)
+    visible = visible_samples(mesh, shape, calibration, density, seed)
+    samples = visible.samples
     counted = np.ones(len(points), np.bool_) if calibration is None else _camera_rays_meet(shape, points)
     if not counted.any():
         raise UnseenMeshError(
@@ -354,7 +374,7 @@ def compare(
         surface_p95_um=_UM * float(np.quantile(error, 0.95)),
         completeness=float(np.mean((to_cloud if to_surface is None else to_surface) <= near_mm)),
         outliers=int(np.count_nonzero(error > outlier_mm)),
-        visible_share=visible_share,
+        visible_share=visible.share,
         points=len(measured),
         off_part=len(points) - len(measured),
         density_per_mm2=density,
@@ -366,6 +386,8 @@ def compare(
         counted=counted,
         scale=scale,
         lengths=_lengths(points, alignment, artefact),
+        out_of_view=visible.out_of_view,
+        open_edges=unpaired_edges(mesh),
     )
 
 
@@ -389,6 +411,25 @@ def _check_units(points: Floats, mesh: trimesh.Trimesh) -> None:
         )
 
 
+class VisibleSurface(NamedTuple):
+    """Samples of what is visible of a mesh.
+
+    Attributes
+    ----------
+    samples : ndarray of float64
+        Visible points (M, 3) of the surface in mm.
+    share : float
+        Share of the mesh's area that is visible.
+    out_of_view : float
+        Share of the area that is turned to the devices which lies outside of their images, occluded or not; 0
+        without a calibration.
+    """
+
+    samples: Floats
+    share: float
+    out_of_view: float
+
+
 def visible_samples(
     mesh: trimesh.Trimesh,
     shape: RayTracedShape,
@@ -396,7 +437,7 @@ def visible_samples(
     density: float,
     seed: int,
     illuminated: bool = True,
-) -> tuple[Floats, float]:
+) -> VisibleSurface:
     """Draw uniform samples of the visible surface of a mesh.
 
     Parameters
@@ -416,10 +457,8 @@ def visible_samples(
 
     Returns
     -------
-    samples : ndarray of float64
-        Visible points (M, 3) of the surface in mm.
-    visible_share : float
-        Share of the mesh's area that is visible.
+    VisibleSurface
+        Samples, and what is seen of the mesh.
 
     Raises
     ------
@@ -440,10 +479,13 @@ def visible_samples(
     samples, faces = trimesh.sample.sample_surface(mesh, count, face_weight=area, seed=seed)
     samples = np.asarray(samples, np.float64)
     seen = np.logical_and.reduce([shape.inclination_deg(c, samples, faces) <= STEEPEST_DEG for c in centres])
+    turned = np.count_nonzero(seen)
     if calibration is not None:
         seen &= calibration.camera.sees(samples)
         if illuminated:
             seen &= calibration.projector.sees(samples, calibration.T_projector_camera)
+    out_of_view = 1.0 - np.count_nonzero(seen) / max(turned, 1)
+    if calibration is not None:
         for centre in centres:
             seen[seen] = shape.unoccluded(centre, samples[seen])
     if not seen.any():
@@ -451,7 +493,7 @@ def visible_samples(
             "true mesh: both devices see nothing of it; check that cloud and mesh are in the camera's frame, "
             "or align them (--align)"
         )
-    return samples[seen], float(np.mean(seen) * area.sum() / mesh.area)
+    return VisibleSurface(samples[seen], float(np.mean(seen) * area.sum() / mesh.area), out_of_view)
 
 
 def _camera_rays_meet(shape: RayTracedShape, points: Floats) -> Mask:

@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from fpplab.core.checksums import check_recorded
 from fpplab.core.errors import ConfigError
-from fpplab.core.files import read_bounded
+from fpplab.core.files import no_such_file, read_bounded
 from fpplab.core.strict_yaml import load_yaml
 
 _log = logging.getLogger(__name__)
@@ -117,10 +117,7 @@ def read_text(path: Path) -> str:
         check_recorded(path, content)
         return content.decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")
     except FileNotFoundError:
-        beside = {one.name: one for one in sorted(path.parent.glob(f"*{path.suffix}")) if one.is_file()}
-        meant = get_close_matches(path.name, beside, n=1, cutoff=0.7)
-        question = f"; did you mean {beside[meant[0]]}?" if meant else ""
-        raise ConfigError(f"{path}: there is no such file{question}") from None
+        raise ConfigError(no_such_file(path)) from None
     except UnicodeDecodeError:
         raise ConfigError(f"{path}: is not a text file in UTF-8") from None
     except OSError as error:

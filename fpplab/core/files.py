@@ -10,6 +10,7 @@ import stat
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, BinaryIO, cast
 
@@ -78,6 +79,28 @@ def read_bounded(path: Path, most: int) -> bytes:
         words = f"it is larger than {readable_bytes(most)}, the most that one of its kind has"
         raise OSError(errno.EFBIG, words, str(path))
     return content
+
+
+def no_such_file(path: Path, *suffixes: str) -> str:
+    """Say that a file does not exist, and which one beside it may have been meant.
+
+    Parameters
+    ----------
+    path : Path
+        What was asked for.
+    *suffixes : str
+        Of files that would do, in lower case with the dot; by default those with the path's own suffix.
+
+    Returns
+    -------
+    str
+        A clause that begins with the path.
+    """
+    wanted = suffixes or (path.suffix.lower(),)
+    near = sorted(path.parent.iterdir()) if path.parent.is_dir() else []
+    beside = {one.name: one for one in near if one.suffix.lower() in wanted and one.is_file()}
+    meant = get_close_matches(path.name, beside, n=1, cutoff=0.7)
+    return f"{path}: there is no such file" + (f"; did you mean {beside[meant[0]]}?" if meant else "")
 
 
 def write_atomic(path: Path, write: Callable[[BinaryIO], object]) -> None:

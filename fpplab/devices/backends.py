@@ -9,6 +9,7 @@ as a backend: fpplab's own modules, what an installed package announces as such,
 from __future__ import annotations
 
 import importlib
+import logging
 import os
 from difflib import get_close_matches
 from importlib.metadata import EntryPoint, entry_points
@@ -19,6 +20,8 @@ from typing import Any
 from fpplab.core.errors import ConfigError
 from fpplab.core.extras import missing_extra
 from fpplab.core.plugins import BACKENDS
+
+_log = logging.getLogger(__name__)
 
 IN_WHEELS = {"drivers": "fpplab_drivers", "sim": "fpplab_sim"}
 """Packages beside fpplab by their names in a checkout, and what they are called in a wheel."""
@@ -73,21 +76,41 @@ def load_backend(name: str, source: Path | str, device: str) -> type[Any]:
     module, _, attribute = place.partition(":")
     if module.rpartition(".")[2] == "__main__":
         raise ConfigError(f"{where}: is a program and not a backend")
+    if module.endswith(".py"):
+        raise ConfigError(
+            f"{where}: a module is named without .py: '{module.removesuffix('.py')}:{attribute}'"
+        )
     if not _is_allowed(module, place):
+        if of_module := [one.name for one in _announced() if one.value.partition(":")[0] == module]:
+            raise ConfigError(
+                f"{where}: {module} announces no {attribute}; it announces {', '.join(of_module)}"
+            )
         raise ConfigError(
             f"{where}: {module} is not part of fpplab, and no installed package announces it as a backend; "
             f"if you trust it, add --allow-backend {module}, or set {ALLOWED}={module}"
         )
     try:
-        backend = getattr(importlib.import_module(module), attribute)
+        loaded = importlib.import_module(module)
     except (ImportError, SystemExit) as error:
         if missing := missing_extra(error):
             raise ConfigError(f"{where}: {missing}") from error
-        raise ConfigError(f"{where}: cannot be loaded ({error})") from error
-    except AttributeError:
-        raise ConfigError(f"{where}: {module} has no {attribute}") from None
+        first = module.partition(".")[0]
+        unseen = isinstance(error, ModuleNotFoundError) and error.name == first
+        advice = f"; add the folder of {first} to PYTHONPATH, or install it" if unseen else ""
+        raise ConfigError(f"{where}: cannot be loaded ({error}){advice}") from error
+    except Exception as error:  # whatever a module of somebody else does when it is imported
+        _log.debug("%s: import failed", module, exc_info=error)
+        raise ConfigError(f"{where}: cannot be loaded ({type(error).__name__}: {error})") from error
+    backend = getattr(loaded, attribute, None)
+    if backend is None:
+        raise ConfigError(f"{where}: {module} has no {attribute}")
     if not isinstance(backend, type):
         raise ConfigError(f"{where}: not a {device}")
+    if lacking := sorted(getattr(backend, "__abstractmethods__", ())):
+        raise ConfigError(
+            f"{where}: {attribute} lacks {', '.join(lacking)}; what each has to do stands in its docstring, "
+            f"in fpplab/devices/{device}.py or fpplab/devices/device.py"
+        )
     return backend
 
 

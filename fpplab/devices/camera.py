@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass, replace
-from typing import Literal, final
+from typing import Literal, final, get_args
 
 from fpplab.core.conventions import Image, raw_dtype
 from fpplab.core.errors import CapabilityError, FrameLossError, SettingError, StateError
@@ -34,6 +34,10 @@ class CameraSettings:
     exposure_s: float
     gain_db: float = 0.0
     bits: int = 8
+
+
+LONGEST_LEAST_EXPOSURE_S = 1.0
+"""No camera's least exposure is as long: a driver that says so counts in other units."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +75,18 @@ class CameraCaps:
     readout_s: float = 0.0
     dark_s: float = 0.0
     period_s: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("size", "bits", "exposure_s", "gain_db", "triggers"):
+            if not isinstance(value := getattr(self, name), tuple):
+                raise TypeError(f"CameraCaps.{name} is {value!r}; it must be a tuple; mend the driver")
+        if self.exposure_s[0] >= LONGEST_LEAST_EXPOSURE_S:
+            least = f"CameraCaps.exposure_s begins at {self.exposure_s[0]:g} s"
+            raise ValueError(f"{least}; it is in seconds, not in µs; mend the driver")
+        known = get_args(Trigger)
+        if unknown := set(self.triggers) - set(known):
+            words = f"CameraCaps.triggers has '{unknown.pop()}'"
+            raise ValueError(f"{words}; there are {', '.join(known)}; mend the driver")
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +152,7 @@ class Camera(Device):
         """What it can do; known once open."""
         self._need(State.IDLE, State.ARMED, doing="caps")
         with self._guard("caps"):
-            return self._caps()
+            return self._of_kind(CameraCaps, self._caps(), "_caps")
 
     @final
     def configure(self, settings: CameraSettings) -> CameraSettings:
@@ -166,7 +182,7 @@ class Camera(Device):
                 self.name, "configure", f"bits is {settings.bits}", f"one of {list(caps.bits)}"
             )
         with self._guard("configure"):
-            back = self._configure(settings)
+            back = self._of_kind(CameraSettings, self._configure(settings), "_configure")
         if not _honoured(settings, back):
             self._settings = None  # what it does now is what nobody asked for
             raise SettingError(
@@ -232,7 +248,7 @@ class Camera(Device):
         """
         self._need(State.ARMED, doing="read")
         with self._guard("read"):
-            frame = self._read(timeout_s)
+            frame = self._of_kind(Frame, self._read(timeout_s), "_read")
             self._checked(frame)
         self._taken += 1
         if self._taken == self._awaited:
@@ -293,8 +309,8 @@ class Camera(Device):
             raise FrameLossError(
                 self.name,
                 "read",
-                f"frame {frame.index} is {frame.image.dtype} {frame.image.shape[::-1]}",
-                f"{expected} {(width, height)} was configured",
+                f"frame {frame.index} is an array {frame.image.shape} of {frame.image.dtype}",
+                f"{(height, width)} of {expected} was configured, rows before columns",
             )
 
     @abstractmethod

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import inspect
+import logging
+import traceback
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
+from pathlib import Path
 from types import TracebackType
-from typing import Any, Self, final
+from typing import Any, Self, TypeVar, final
 
 from fpplab.core.errors import (
     CapabilityError,
@@ -20,6 +24,9 @@ from fpplab.core.errors import (
     SettingError,
     StateError,
 )
+
+_log = logging.getLogger(__name__)
+V = TypeVar("V")
 
 
 class State(StrEnum):
@@ -142,7 +149,7 @@ class Device(ABC):
         """
         self._need(State.IDLE, State.ARMED, doing="info")
         with self._guard("info"):
-            return self._info()
+            return self._of_kind(DeviceInfo, self._info(), "_info")
 
     def _need(self, *allowed: State, doing: str) -> None:
         if self._state in allowed:
@@ -165,9 +172,22 @@ class Device(ABC):
             raise
         except Exception as error:
             self._fault()
-            raise DeviceError(
-                self.name, operation, f"{type(error).__name__}: {error}", "see the cause in the log"
-            ) from error
+            _log.debug("%s: %s failed", self.name, operation, exc_info=error)
+            found = f"{type(error).__name__}: {error}{self._line_of(error)}"
+            raise DeviceError(self.name, operation, found, "--log FILE keeps where it comes from") from error
+
+    def _line_of(self, error: Exception) -> str:
+        """File and line of the driver that an error passed last, in brackets; empty where it passed none."""
+        source = inspect.getsourcefile(type(self))
+        lines = [at.lineno for at in traceback.extract_tb(error.__traceback__) if at.filename == source]
+        return f" ({Path(source).name}, line {lines[-1]})" if source and lines else ""
+
+    def _of_kind(self, kind: type[V], value: V, hook: str) -> V:
+        """Refuse what a hook of a driver gives where it is of another kind."""
+        if not isinstance(value, kind):
+            found = f"{type(self).__name__}.{hook} gives {type(value).__name__}"
+            raise TypeError(f"{found}, not {kind.__name__}; mend the driver")
+        return value
 
     def _fault(self) -> None:
         if self._state is not State.CLOSED:

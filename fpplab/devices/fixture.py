@@ -36,7 +36,7 @@ class Fixture(Device):
         """What it can hold; known once open."""
         self._need(State.IDLE, doing="caps")
         with self._guard("caps"):
-            return self._caps()
+            return self._of_kind(FixtureCaps, self._caps(), "_caps")
 
     @final
     def mount(self, item: str, pose: int = 0) -> None:
@@ -113,7 +113,10 @@ class Fixture(Device):
     def _check_held(self, doing: str, item: str, pose: int) -> None:
         items = self.caps.items
         if items is not None and item not in items:
-            raise SettingError(self.name, doing, f"has no item '{item}'", f"it has {sorted(items)}")
+            known = ", ".join(sorted(items)) or "none"
+            raise SettingError(
+                self.name, doing, f"has no item '{item}'", f"name one that it has ({known}), or add it there"
+            )
         poses = items[item] if items is not None else None
         if pose < 0 or (poses is not None and pose >= poses):
             raise SettingError(self.name, doing, f"{item} has no pose {pose}", f"it has {poses}")

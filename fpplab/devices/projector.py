@@ -86,7 +86,7 @@ class Projector(Device):
         """What it can do; known once open."""
         self._need(State.IDLE, State.ARMED, doing="caps")
         with self._guard("caps"):
-            return self._caps()
+            return self._of_kind(ProjectorCaps, self._caps(), "_caps")
 
     @property
     @final

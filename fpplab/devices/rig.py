@@ -15,13 +15,14 @@ state none. A relative file name is looked for beside the rig file first.
 from __future__ import annotations
 
 import logging
+import re
 import time
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
 from typing import Annotated, Any, Literal, Self, TypeVar
 
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
 from fpplab.core import config
 from fpplab.core.config import Document
@@ -43,12 +44,18 @@ Mounted = tuple[str, int]
 """An item and its pose, in a fixture's words."""
 
 
+def _named(backend: str) -> str:
+    if not re.fullmatch(r"[\w-]+|\w+(\.\w+)*:\w+", backend):
+        raise ValueError("must be a name that a package announces, such as basler, or module:Class")
+    return backend
+
+
 class DeviceSection(Document):
     """One device of a rig file; keys beyond these are the backend's own options."""
 
     model_config = ConfigDict(extra="allow")
 
-    backend: Annotated[str, Field(pattern=r"^([\w-]+|\w+(\.\w+)*:\w+)$")]
+    backend: Annotated[str, AfterValidator(_named)]
     """The class that drives the device: by an announced name, such as `basler`, or as `module:Class`."""
 
     @property

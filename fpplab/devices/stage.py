@@ -68,7 +68,7 @@ class Stage(Device):
         """What it can do; known once open."""
         self._need(State.IDLE, doing="caps")
         with self._guard("caps"):
-            return self._caps()
+            return self._of_kind(StageCaps, self._caps(), "_caps")
 
     @property
     @final

@@ -222,6 +222,8 @@ class Finding:
         By which to multiply the plan's exposure, where that is the remedy or goes with it.
     ruins_points : bool
         Whether nobody should use the points, where no finding before it may have brought it about.
+    behind : FaultCause, optional
+        A cause that was found too and may be all that shows here.
     """
 
     cause: FaultCause
@@ -230,6 +232,7 @@ class Finding:
     advice: str | None = None
     factor: float | None = None
     ruins_points: bool = False
+    behind: FaultCause | None = None
 
     @property
     def sentence(self) -> str:
@@ -240,6 +243,8 @@ class Finding:
     def remedy(self) -> str:
         """What to do."""
         words = self.advice or REMEDIES[self.cause]
+        if self.behind:
+            words = f"see to {self.behind} first, which may be all that shows here; if this remains, {words}"
         return f"{words}; multiply exposure_s by {self.factor:.2g}" if self.factor else words
 
     def summary(self) -> dict[str, str]:

@@ -32,6 +32,9 @@ WEAK_SIGMAS = 25.0
 LEAST_LEVELS = 0.5
 """Modulation in 8-bit grey levels below which there are no fringes, whatever the noise."""
 
+FEWEST_LIT = 4
+"""Pixels of the sample that see fringes, where nearly none does."""
+
 LEAST_LIT = 0.03
 """Least share of the image that the fringes should light: a part of a sixth of its width and height."""
 
@@ -81,6 +84,13 @@ SHIFT_SIGMAS = 8.0
 """And so many times its standard uncertainty."""
 
 
+BRIGHTEST_PERCENT = 90.0
+"""Percentile of the lit pixels' mean level from which on they tell how far an exposure must be lowered."""
+
+LEAST_DIMMING, MOST_DIMMING = 0.1, 0.9
+"""Factors of an exposure that saturates, at least and at most."""
+
+
 def light_findings(sample: FrameSample) -> Iterator[Finding]:
     """Look for what is wrong with the frames.
 
@@ -118,6 +128,9 @@ def _darkness(sample: FrameSample) -> Iterator[Finding]:
     level = f"{sample.strongest:.2g} of 255 grey levels"
     seen = f"the fringes' modulation is {level}, {strength:.1f} times its noise"
     if (incoherent or sample.strongest < LEAST_LEVELS) and sample.saturated.mean() <= MOST_SATURATED:
+        if tiny := _tiny_part(sample):
+            yield tiny
+            return
         words = f"{seen} (at least {DARK_SIGMAS:g})"
         excess = DARK_SIGMAS / max(strength, 0.01)
         yield Finding(FaultCause.PROJECTOR_DARK, words, excess)
@@ -134,13 +147,42 @@ def _darkness(sample: FrameSample) -> Iterator[Finding]:
         yield Finding(FaultCause.NO_OVERLAP, words, LEAST_LIT / max(share, 1e-4))
 
 
+def _tiny_part(sample: FrameSample) -> Finding | None:
+    """Few pixels that do see fringes, of every set, where all others are dark."""
+    strengths = [fit.modulation / sample.noise(fit.offset) for fit in sample.fits]
+    seeing = np.min(strengths, axis=0) >= WEAK_SIGMAS
+    seeing &= np.min([fit.modulation for fit in sample.fits], axis=0) >= LEAST_LEVELS
+    if np.count_nonzero(seeing) < FEWEST_LIT:
+        return None
+    share = float(seeing.mean())
+    words = f"the fringes light {100 * share:.2g} % of the image (at least {100 * LEAST_LIT:g} %)"
+    advice = (
+        "see whether the part is as large as it should be (a mesh is in mm), nearer, and where camera and "
+        "projector both look"
+    )
+    return Finding(FaultCause.NO_OVERLAP, words, LEAST_LIT / share, advice)
+
+
 def _saturation(sample: FrameSample) -> Finding | None:
     share = float(sample.saturated[sample.lit].mean())
     if share <= MOST_SATURATED:
         return None
     words = f"{100 * share:.0f} % of the lit pixels are saturated (at most {100 * MOST_SATURATED:g} %)"
-    # How far beyond full scale they would be is not seen; the share tells it roughly.
-    return Finding(FaultCause.SATURATED, words, share / MOST_SATURATED, factor=0.7 if share > 0.4 else 0.9)
+    return Finding(FaultCause.SATURATED, words, share / MOST_SATURATED, factor=_dimming(sample))
+
+
+def _dimming(sample: FrameSample) -> float:
+    """The factor of the exposure by which the brightest lit pixels reach `BEST_PEAK` of full scale, about.
+
+    A fringe that swings from dark to p times full scale is saturated for the share s of its phases with
+    1/p = (1 + cos πs)/2. Where all images of a pixel are saturated nothing tells by how much.
+    """
+    levels = sample.spread[:, sample.lit]
+    mean = levels.mean(axis=0)
+    brightest = levels[:, mean >= np.percentile(mean, BRIGHTEST_PERCENT)]
+    share = float(np.mean(brightest >= sample.recording.grey * sample.errors.saturation))
+    within = 0.5 + 0.5 * math.cos(math.pi * share)
+    return min(max(BEST_PEAK * within, LEAST_DIMMING), MOST_DIMMING)
 
 
 def _exposure(sample: FrameSample) -> Finding | None:

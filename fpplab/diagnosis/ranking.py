@@ -56,10 +56,11 @@ def ranked(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     Returns
     -------
     tuple of Finding
-        The worst first; those that others may have brought about have an excess below theirs.
+        The worst first; those that others may have brought about have an excess below theirs, and name the
+        worst of these.
     """
     seen = _with_rig_first(list(findings))
-    weighed = [replace(one, excess=_weight(one, seen)) for one in seen]
+    weighed = [replace(one, excess=_weight(one, seen), behind=_source(one, seen)) for one in seen]
     return tuple(sorted(weighed, key=lambda one: -one.excess))
 
 
@@ -76,12 +77,22 @@ def _with_rig_first(findings: list[Finding]) -> list[Finding]:
 
 def _weight(finding: Finding, findings: list[Finding]) -> float:
     """Excess of a finding, below those of all that may have brought it about."""
-    if finding.cause is FaultCause.STALE_CALIBRATION and finding.excess >= RUINOUS_OFFSET:
-        return finding.excess
     rest = [one for one in findings if one is not finding]
-    causes = [one for one in rest if finding.cause in _effects(one, findings)]
-    least = min((_weight(one, rest) for one in causes), default=float("inf"))
+    least = min((_weight(one, rest) for one in _causes(finding, findings)), default=float("inf"))
     return min(finding.excess, BEHIND * least)
+
+
+def _source(finding: Finding, findings: list[Finding]) -> FaultCause | None:
+    """The worst of the causes that may have brought a finding about."""
+    causes = _causes(finding, findings)
+    return max(causes, key=lambda one: one.excess).cause if causes else finding.behind
+
+
+def _causes(finding: Finding, findings: list[Finding]) -> list[Finding]:
+    """Which of these may have brought a finding about."""
+    if finding.cause is FaultCause.STALE_CALIBRATION and finding.excess >= RUINOUS_OFFSET:
+        return []
+    return [one for one in findings if one is not finding and finding.cause in _effects(one, findings)]
 
 
 def _effects(finding: Finding, findings: list[Finding]) -> set[FaultCause]:

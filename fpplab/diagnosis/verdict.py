@@ -40,6 +40,10 @@ USELESS_IF_FIRST = {FaultCause.WRONG_RESOLUTION: 1.6}
 """The same where no finding before it may have brought it about."""
 
 
+FOREIGN_EXCESS = 5.0
+"""Excess of a calibration that was made with other devices: points may be far off, or right by chance."""
+
+
 class Verdict(StrEnum):
     """Whether to believe a result."""
 
@@ -210,6 +214,7 @@ def diagnose_scan(
     cloud: Cloud | None,
     calibration: Calibration,
     intended: Plan | None = None,
+    foreign: str | None = None,
 ) -> Diagnosis:
     """Judge a scan.
 
@@ -226,6 +231,8 @@ def diagnose_scan(
     intended : Plan, optional
         The plan whose fringes must suit the rig, where the recording has more of them for the diagnosis; by
         default the recording's.
+    foreign : str, optional
+        How the devices are others than those that the calibration was made with.
 
     Returns
     -------
@@ -248,11 +255,17 @@ def diagnose_scan(
         return Diagnosis(Verdict.USELESS, "there are no points", ranked([*wrong, *of_frames]))
     if not wrong:
         of_frames = with_mirrors(of_frames, sample, calibration)
-    findings = ranked([*wrong, *of_frames, *geometry_findings(points, plan)])
+    of_devices = [_of_other_devices(foreign)] if foreign else []
+    findings = ranked([*of_devices, *wrong, *of_frames, *geometry_findings(points, plan)])
     one_axis = "stale_calibration: fringes along one axis alone do not show it"
     unknown = (one_axis,) if cloud.epipolar_px is None else ()
     judged = _judged(sample, cloud, findings, unknown)
     return _by_criteria(judged, criteria_of(sample, decoded, cloud))
+
+
+def _of_other_devices(how: str) -> Finding:
+    advice = "give the calibration of these devices, or characterise them"
+    return Finding(FaultCause.STALE_CALIBRATION, how, FOREIGN_EXCESS, advice)
 
 
 def diagnose_poses(

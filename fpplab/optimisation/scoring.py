@@ -100,7 +100,7 @@ class TrueShape:
     ) -> None:
         shape, random = RayTracedShape(mesh), np.random.default_rng(0)
         self._shape, self._target = shape, AlignmentMesh(mesh)
-        self._surface = visible_samples(mesh, shape, calibration, density, 0, illuminated)[0]
+        self._surface = visible_samples(mesh, shape, calibration, density, 0, illuminated).samples
         self._near_mm = NEAR_SPACINGS / np.sqrt(density)
         self._hits = _hits(shape, calibration)
         self._on_shape: Mask = np.isfinite(self._hits[..., 2])

@@ -27,6 +27,7 @@ from fpplab.reconstruction.points import points_of
 from fpplab.reconstruction.uncertainty import coordinate_noise, with_uncertainty
 from fpplab.sessions.lock import only_writer
 from fpplab.sessions.log import begin_session_log
+from fpplab.sessions.origin import foreign_calibration
 from fpplab.sessions.session import Session
 
 
@@ -152,7 +153,8 @@ def diagnose(session: Session, decoded: Decoded, cloud: Cloud, calibration: Cali
     Diagnosis
         Verdict and findings.
     """
-    return diagnose_scan(session.recording(verify=False), decoded, cloud, calibration)
+    foreign = foreign_calibration(calibration, session)
+    return diagnose_scan(session.recording(verify=False), decoded, cloud, calibration, foreign=foreign)
 
 
 def finish_scan(
@@ -212,7 +214,8 @@ def finish_scan(
         verdict: Future[None] = Future()
         written = writer.submit(save_cloud, cloud, session.path / CLOUD, verdict.result)
         with _answered(verdict):
-            diagnosis = diagnose_scan(recording, decoded, cloud, calibration)
+            foreign = foreign_calibration(calibration, session)
+            diagnosis = diagnose_scan(recording, decoded, cloud, calibration, foreign=foreign)
             save_diagnosis(diagnosis, session.path)
             if judged is not None:
                 judged(decoded, cloud, diagnosis)

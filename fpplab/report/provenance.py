@@ -10,13 +10,13 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
 
-from fpplab.calibration.model import Calibration
-from fpplab.core.origin import DeviceIdentity, Origin
+from fpplab.calibration.model import Calibration, CalibrationOrigin
+from fpplab.core.origin import Origin
 from fpplab.core.session_names import CALIBRATION
 from fpplab.core.units import readable_bytes
 from fpplab.devices.rig import Rig
 from fpplab.patterns.plan import Plan
-from fpplab.sessions.origin import SessionOrigin, session_origin, taken_at
+from fpplab.sessions.origin import SessionOrigin, other_devices, session_origin, taken_at
 from fpplab.sessions.session import JOURNAL, Session
 
 NOT_RECORDED = "not recorded"
@@ -356,7 +356,7 @@ def calibration_values(
         "calibration_poses": local_time(origin.poses_taken) if origin and origin.poses_taken else None,
         "calibration_age": _age(used - began) if used and began else None,
         "calibration_rms": rms or None,
-        "calibration_devices": _compared(origin.camera, origin.projector, devices) if origin else None,
+        "calibration_devices": _compared(origin, devices) if origin else None,
     }
 
 
@@ -439,19 +439,18 @@ def _age(length: timedelta) -> str:
     return words if length >= timedelta() else f"{words} younger than the measurement"
 
 
-def _compared(
-    camera: DeviceIdentity | None, projector: DeviceIdentity | None, devices: SessionOrigin | None
-) -> str | None:
+def _compared(calibration: CalibrationOrigin, measured: SessionOrigin | None) -> str | None:
     """The calibration's devices, and whether they are those of the measurement."""
-    known = {name: one for name, one in (("camera", camera), ("projector", projector)) if one}
+    known = [one for one in (calibration.camera, calibration.projector) if one]
     if not known:
         return None
-    words = "; ".join(one.words for one in known.values())
-    if devices is None:
+    words = "; ".join(one.words for one in known)
+    if measured is None:
         return words
-    others = [name for name, one in known.items() if devices.devices.get(name, one) != one]
-    if others:
+    if others := other_devices(calibration, measured):
         return f"{words}; the {' and the '.join(others)} that measured is ANOTHER"
+    if not all(one.serial for one in known):
+        return f"{words}; without serial numbers nothing tells whether they are those that measured"
     return f"{words}; the same that measured"
 
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
-from fpplab.calibration.model import CalibrationOrigin
+from fpplab.calibration.model import Calibration, CalibrationOrigin
 from fpplab.core import config
 from fpplab.core.files import write_text
 from fpplab.core.origin import DeviceIdentity, Origin
@@ -14,7 +14,16 @@ from fpplab.core.session_names import ORIGIN
 from fpplab.devices.rig import Rig
 from fpplab.sessions.session import Session
 
-__all__ = ["ORIGIN", "SessionOrigin", "calibration_origin", "record_origin", "session_origin", "taken_at"]
+__all__ = [
+    "ORIGIN",
+    "SessionOrigin",
+    "calibration_origin",
+    "foreign_calibration",
+    "other_devices",
+    "record_origin",
+    "session_origin",
+    "taken_at",
+]
 
 
 class SessionOrigin(Origin):
@@ -107,6 +116,60 @@ def session_origin(folder: Path) -> SessionOrigin | None:
     """
     path = folder / ORIGIN
     return config.load_document(path, SessionOrigin) if path.is_file() else None
+
+
+def other_devices(calibration: CalibrationOrigin, measured: SessionOrigin) -> list[str]:
+    """List the devices of a measurement that a calibration was not made with, by their serial numbers.
+
+    Parameters
+    ----------
+    calibration : CalibrationOrigin
+        Of the calibration.
+    measured : SessionOrigin
+        Of the measurement.
+
+    Returns
+    -------
+    list of str
+        "camera", "projector", both or none; devices without a serial number cannot be told apart.
+    """
+    made_with = {"camera": calibration.camera, "projector": calibration.projector}
+    pairs = [(name, one, measured.devices.get(name)) for name, one in made_with.items()]
+    return [
+        name for name, one, other in pairs if one and other and one.serial and other.serial and one != other
+    ]
+
+
+def foreign_calibration(calibration: Calibration, session: Session) -> str | None:
+    """Tell how the devices of a session differ from those that a calibration was made with.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        That the session is measured with.
+    session : Session
+        The measurement.
+
+    Returns
+    -------
+    str or None
+        A clause; None where they are the same, or nothing tells.
+
+    Raises
+    ------
+    ConfigError
+        The record of the session's devices is damaged.
+    """
+    made, measured = calibration.origin, session_origin(session.path)
+    if made is None or measured is None:
+        return None
+    made_with = {"camera": made.camera, "projector": made.projector}
+    clauses = [
+        f"the {name} is {measured.devices[name].words}, but the calibration was made with {one.words}"
+        for name in other_devices(made, measured)
+        if (one := made_with[name])
+    ]
+    return "; ".join(clauses) or None
 
 
 def taken_at(session: Session) -> tuple[datetime, datetime] | None:

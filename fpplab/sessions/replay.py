@@ -31,6 +31,7 @@ from fpplab.devices import (
     Trigger,
 )
 from fpplab.patterns.fringes import Pattern, make_patterns
+from fpplab.sessions.origin import session_origin
 from fpplab.sessions.session import FrameRecord, Session
 
 
@@ -61,6 +62,31 @@ class RecordedSession:
         """
         return self.session.records[0]
 
+    def info(self, name: str) -> DeviceInfo:
+        """Describe a replayed device.
+
+        Parameters
+        ----------
+        name : str
+            "camera" or "projector".
+
+        Returns
+        -------
+        DeviceInfo
+            Model and serial number of the device that recorded, by which a calibration knows it; where they
+            are not recorded, "replay" without a serial number.
+
+        Raises
+        ------
+        ConfigError
+            The record of the session's devices is damaged.
+        """
+        path = self.session.path
+        origin = session_origin(path)
+        recorded = origin.devices.get(name) if origin else None
+        model, serial = (recorded.model, recorded.serial) if recorded else ("replay", "")
+        return DeviceInfo(name, model, serial, f"replay of session {path}")
+
 
 def _recording(name: str, shared: Any) -> RecordedSession:
     if not isinstance(shared, RecordedSession):
@@ -82,8 +108,7 @@ class ReplayCamera(Camera):
         """Nothing to make safe."""
 
     def _info(self) -> DeviceInfo:
-        path = self._recording.session.path
-        return DeviceInfo("camera", "replay", path.name, f"session {path}")
+        return self._recording.info("camera")
 
     def _caps(self) -> CameraCaps:
         width, height, bits = self._recording.session.format
@@ -134,8 +159,7 @@ class ReplayProjector(Projector):
         self._recording.shown = None
 
     def _info(self) -> DeviceInfo:
-        path = self._recording.session.path
-        return DeviceInfo("projector", "replay", path.name, f"session {path}")
+        return self._recording.info("projector")
 
     def _caps(self) -> ProjectorCaps:
         size, lattice = self._recording.session.projector()

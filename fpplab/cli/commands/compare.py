@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 @app.command("compare", rich_help_panel=JUDGE)
 def compare_command(
     context: typer.Context,
-    cloud: Annotated[Path, typer.Argument(help="Measured cloud: .ply, .xyz or .npz.")],
+    cloud: Annotated[Path, typer.Argument(help="Measured cloud: .ply, .xyz or .npz, or a session.")],
     mesh: Annotated[Path, typer.Argument(help="True shape: .stl, .ply or .obj, in mm.")],
     align: Annotated[
         bool, typer.Option("--align", help="Move the mesh onto the cloud first (rigidly).")
@@ -66,7 +66,7 @@ def compare_command(
     from fpplab.comparison import find_misplacement
     from fpplab.core.files import need_suffix, refuse_existing
     from fpplab.diagnosis.record import load_diagnosis
-    from fpplab.pipeline import CALIBRATION
+    from fpplab.pipeline import CALIBRATION, CLOUD
     from fpplab.report.comparison_page import write_comparison_report
     from fpplab.report.provenance import cloud_provenance
     from fpplab.sessions.session import JOURNAL
@@ -76,6 +76,7 @@ def compare_command(
         if path:
             need_suffix(path, *suffixes)
             refuse_existing(path, force)
+    cloud = cloud / CLOUD if cloud.is_dir() else cloud
     beside = cloud.parent / CALIBRATION
     source = calibration or (beside if beside.is_file() else None)
     known = Calibration.load(source) if source else None
