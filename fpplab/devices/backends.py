@@ -81,14 +81,7 @@ def load_backend(name: str, source: Path | str, device: str) -> type[Any]:
             f"{where}: a module is named without .py: '{module.removesuffix('.py')}:{attribute}'"
         )
     if not _is_allowed(module, place):
-        if of_module := [one.name for one in _announced() if one.value.partition(":")[0] == module]:
-            raise ConfigError(
-                f"{where}: {module} announces no {attribute}; it announces {', '.join(of_module)}"
-            )
-        raise ConfigError(
-            f"{where}: {module} is not part of fpplab, and no installed package announces it as a backend; "
-            f"if you trust it, add --allow-backend {module}, or set {ALLOWED}={module}"
-        )
+        raise ConfigError(f"{where}: {_why_not(module, attribute)}")
     try:
         loaded = importlib.import_module(module)
     except (ImportError, SystemExit) as error:
@@ -112,6 +105,15 @@ def load_backend(name: str, source: Path | str, device: str) -> type[Any]:
             f"in fpplab/devices/{device}.py or fpplab/devices/device.py"
         )
     return backend
+
+
+def _why_not(module: str, attribute: str) -> str:
+    """Why a module may not be imported, and how it may."""
+    told = [one.value.partition(":")[2] for one in _announced() if one.value.startswith(f"{module}:")]
+    known = "is not part of fpplab, and no installed package announces it as a backend"
+    if told:
+        known = f"announces {', '.join(told)} as a backend, not {attribute}"
+    return f"{module} {known}; if you trust it, add --allow-backend {module}, or set {ALLOWED}={module}"
 
 
 def _place(name: str, where: str) -> str:

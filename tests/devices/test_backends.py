@@ -49,8 +49,38 @@ def test_one_that_an_installed_package_announces(foreign: Path, monkeypatch: pyt
     entry = EntryPoint("lamp", "foreign_optics:Lamp", "fpplab.backends")
     monkeypatch.setattr(backends, "entry_points", lambda group: [entry] if group == entry.group else [])
     assert load_backend("foreign_optics:Lamp", "rig.yaml", "camera").__name__ == "Lamp"
-    with pytest.raises(ConfigError, match="is not part of fpplab"):
+    with pytest.raises(ConfigError, match="foreign_optics announces Lamp as a backend, not Other"):
         load_backend("foreign_optics:Other", "rig.yaml", "camera")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        (
+            "own_driver:Own",
+            "class Own:\n    def f(self)\n        pass\n",
+            r"expected ':' \(own_driver.py, line 2\)",
+        ),
+        ("own_driver:Own", "raise RuntimeError('no licence')", "cannot be loaded .RuntimeError: no licence"),
+        (
+            "own_driver:Own",
+            "import fpplab.devices as d\nclass Own(d.Stage): pass\n",
+            "Own lacks _caps, _close, .*stage.py",
+        ),
+        ("own_driver:Owm", "class Own: pass\n", "own_driver has no Owm"),
+        ("own_driver.py:Own", "class Own: pass\n", "named without .py: 'own_driver:Own'"),
+        ("own_drive:Own", "", "add the folder of own_drive to PYTHONPATH"),
+    ],
+)
+def test_what_is_wrong_with_a_driver_is_said_of_the_driver(
+    name: str, content: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "own_driver.py").write_text(content)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "own_driver", raising=False)
+    monkeypatch.setenv(ALLOWED, "own_driver,own_drive")
+    with pytest.raises(ConfigError, match=said):
+        load_backend(name, "rig.yaml", "stage")
 
 
 @pytest.mark.parametrize("name", ["numpy.f2py.__main__:X", "fpplab.__main__:X", "drivers.x.__main__:X"])

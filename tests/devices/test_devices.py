@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import logging
+import sys
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -52,11 +56,11 @@ def test_options_that_a_backend_does_not_know_are_refused(bench: ReferenceBench)
     [
         (
             {"image": np.zeros((32, 47), np.uint8)},
-            r"frame 0 is uint8 \(47, 32\); .* \(48, 32\) was configured",
+            r"frame 0 is an array \(32, 47\) of uint8; \(32, 48\) of uint8 was configured, rows",
         ),
-        ({"image": np.zeros((48, 32), np.uint8)}, r"frame 0 is uint8 \(32, 48\)"),
-        ({"image": np.zeros((32, 48), np.uint16)}, "frame 0 is uint16"),
-        ({"image": np.zeros((32, 48, 3), np.uint8)}, r"frame 0 is uint8 \(3, 48, 32\)"),
+        ({"image": np.zeros((48, 32), np.uint8)}, r"an array \(48, 32\) of uint8"),
+        ({"image": np.zeros((32, 48), np.uint16)}, "of uint16"),
+        ({"image": np.zeros((32, 48, 3), np.uint8)}, r"an array \(32, 48, 3\) of uint8"),
         ({"index": 1}, "frame 1 arrived instead of frame 0"),
         ({"index": -1}, "frame -1 arrived instead of frame 0"),
     ],
@@ -205,3 +209,70 @@ def test_names_of_devices_are_in_their_errors(bench: ReferenceBench) -> None:
     with pytest.raises(DeviceError, match="left eye: info: is not open; open it first") as caught:
         device.info()
     assert caught.value.exit_code == 3
+
+
+@pytest.mark.parametrize(
+    ("hook", "asked", "said"),
+    [
+        ("_configure", lambda camera: camera.configure(CameraSettings(0.01)), "NoneType, not CameraSettings"),
+        ("_caps", lambda camera: camera.caps, "NoneType, not CameraCaps"),
+        ("_info", lambda camera: camera.info(), "NoneType, not DeviceInfo"),
+    ],
+)
+def test_a_hook_that_gives_another_kind_is_named(
+    hook: str,
+    asked: Callable[[ReferenceCamera], object],
+    said: str,
+    camera: ReferenceCamera,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(ReferenceCamera, hook, lambda *_: None)
+    with pytest.raises(DeviceError, match=f"ReferenceCamera.{hook} gives {said}; mend the driver"):
+        asked(camera)
+    assert camera.state is State.FAULT
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"bits": 12}, "CameraCaps.bits is 12; it must be a tuple"),
+        ({"exposure_s": (20.0, 2e6)}, "begins at 20 s; it is in seconds, not in µs"),
+        ({"triggers": ("software", "line1")}, "triggers has 'line1'; there are software, hardware"),
+    ],
+)
+def test_capabilities_that_cannot_be_are_named(
+    changed: dict[str, Any], said: str, camera: ReferenceCamera, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    caps = camera.caps
+    monkeypatch.setattr(camera, "_caps", lambda: replace(caps, **changed))
+    with pytest.raises(DeviceError, match=said):
+        _ = camera.caps
+
+
+def test_an_error_in_a_driver_names_its_line_and_is_logged(
+    bench: ReferenceBench,
+    caplog: pytest.LogCaptureFixture,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    source = tmp_path / "worn_driver.py"
+    source.write_text(
+        "from tests.conformance.reference import ReferenceStage\n"
+        "class Worn(ReferenceStage):\n"
+        "    def _home(self):\n"
+        "        raise KeyError('axis')\n"
+    )
+    spec = spec_from_file_location("worn_driver", source)
+    assert spec is not None
+    assert spec.loader is not None
+    module = module_from_spec(spec)
+    monkeypatch.setitem(sys.modules, "worn_driver", module)
+    spec.loader.exec_module(module)
+    stage = module.Worn("stage", {}, bench)
+    stage.open()
+    with (
+        caplog.at_level(logging.DEBUG),
+        pytest.raises(DeviceError, match=r"worn_driver.py, line 4.*--log FILE"),
+    ):
+        stage.home()
+    assert "KeyError" in (caplog.records[-1].exc_text or caplog.text)
