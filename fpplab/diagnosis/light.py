@@ -123,21 +123,22 @@ def light_findings(sample: FrameSample) -> Iterator[Finding]:
 def _darkness(sample: FrameSample) -> Iterator[Finding]:
     """No fringes at all, or hardly anywhere."""
     noise = float(np.median(sample.noise(sample.widest.offset)))
-    strength = sample.strongest / noise
+    strength, share = sample.strongest / noise, float(sample.lit.mean())
     incoherent = strength < DARK_SIGMAS and sample.coherence < LEAST_COHERENCE
+    dark = (incoherent or sample.strongest < LEAST_LEVELS) and sample.saturated.mean() <= MOST_SATURATED
+    weak = share < LEAST_LIT and strength < WEAK_SIGMAS
     level = f"{sample.strongest:.2g} of 255 grey levels"
     seen = f"the fringes' modulation is {level}, {strength:.1f} times its noise"
-    if (incoherent or sample.strongest < LEAST_LEVELS) and sample.saturated.mean() <= MOST_SATURATED:
-        if tiny := _tiny_part(sample):
-            yield tiny
-            return
+    if (dark or weak) and (tiny := _tiny_part(sample)):
+        yield tiny
+        return
+    if dark:
         words = f"{seen} (at least {DARK_SIGMAS:g})"
         excess = DARK_SIGMAS / max(strength, 0.01)
         yield Finding(FaultCause.PROJECTOR_DARK, words, excess)
         yield light_elsewhere(excess)
         return
-    share = float(sample.lit.mean())
-    if share < LEAST_LIT and strength < WEAK_SIGMAS:
+    if weak:
         words = f"{seen} (at least {WEAK_SIGMAS:g})"
         factor = BEST_PEAK * 255.0 / max(2.0 * sample.strongest, 1.0)
         yield Finding(FaultCause.UNDEREXPOSED, words, WEAK_SIGMAS / strength, factor=factor)

@@ -218,6 +218,24 @@ def test_without_calibration_the_front_counts_and_the_result_says_so() -> None:
     assert result.completeness > 0.95
 
 
+def test_what_lies_outside_of_the_images_is_told() -> None:
+    aside = placed("pyramid").apply_translation([90.0, 0.0, 0.0])
+    result = compare(perfect_cloud(aside), aside, CALIBRATION, density=20.0)
+    assert 0.1 < result.out_of_view < 0.95
+    assert any("lies outside of their images" in said for said in result.warnings())
+    inside = compare(perfect_cloud(placed("pyramid")), placed("pyramid"), CALIBRATION, density=20.0)
+    assert inside.out_of_view == 0.0
+    assert inside.warnings() == []
+
+
+def test_an_open_mesh_is_told() -> None:
+    whole = placed("pyramid")
+    hole = trimesh.Trimesh(whole.vertices, whole.faces[1:], process=False)
+    result = compare(perfect_cloud(whole), hole, CALIBRATION, density=20.0)
+    assert result.open_edges == 3
+    assert "mesh: has 3 open edges" in result.warnings()[0]
+
+
 def test_a_cloud_without_pixels_has_no_surface_figure() -> None:
     mesh = placed("pyramid")
     result = compare(Cloud(perfect_cloud(mesh).points), mesh, CALIBRATION, density=5.0)

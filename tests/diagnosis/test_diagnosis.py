@@ -178,6 +178,44 @@ def test_frames_alone_tell_what_is_wrong_with_them() -> None:
     assert diagnose_frames(Bench().recording()) == ()
 
 
+@pytest.mark.parametrize("white", [1.2, 2.0, 4.0, 8.0])
+def test_the_advised_exposure_is_reached_in_two_steps(white: float) -> None:
+    """However far too bright: one step is coarse where all images are saturated, the second is right."""
+    for _ in range(2):
+        found = diagnose_frames(Bench(white=white).recording())
+        if not found:
+            break
+        assert found[0].factor is not None
+        white *= found[0].factor
+    assert diagnose_frames(Bench(white=white).recording()) == ()
+    assert white > 0.35
+
+
+def test_devices_of_another_calibration_are_doubted() -> None:
+    decoded, cloud, good = measured(Bench())
+    assert good.verdict is Verdict.GOOD
+    how = "the camera is acA, serial 2, but the calibration was made with acA, serial 1"
+    found = diagnose_scan(Bench().recording(), decoded, cloud, Bench().rig(), foreign=how)
+    assert found.verdict is Verdict.DOUBTFUL
+    assert found.reason == f"stale_calibration: {how}"
+    assert "give the calibration of these devices" in found.findings[0].remedy
+
+
+def test_a_tiny_part_is_not_a_dark_projector() -> None:
+    whole = Bench(plan=plan_of("x", (4, 4, 4), (1, 4, 16))).recording()
+    random = np.random.default_rng(3)
+    frames = [
+        np.rint(random.normal(3.0, 0.5, one.shape).clip(0, 9)).astype(one.dtype) for one in whole.frames
+    ]
+    dark = replace(whole, frames=[frame.copy() for frame in frames])
+    for frame, lit in zip(frames, whole.frames, strict=True):
+        frame[150:156, 230:236] = lit[150:156, 230:236]
+    found = diagnose_frames(replace(whole, frames=frames))
+    assert [one.cause for one in found] == [FaultCause.NO_OVERLAP]
+    assert "as large as it should be" in found[0].remedy
+    assert diagnose_frames(dark)[0].cause is FaultCause.PROJECTOR_DARK
+
+
 def test_poses_are_judged_by_their_frames_and_by_what_the_fit_said() -> None:
     good, bright = Bench().recording(), Bench(white=1.6).recording()
     assert diagnose_poses([("pose_0", good), ("pose_1", good)], [], {}).verdict is Verdict.GOOD

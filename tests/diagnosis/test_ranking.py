@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from fpplab.diagnosis import FaultCause, Finding
+from fpplab.diagnosis.catalogue import REMEDIES
 from fpplab.diagnosis.ranking import MUTUAL, SIDE_EFFECTS, ranked
 
 
@@ -48,6 +49,17 @@ def test_another_rigs_calibration_is_first_unless_something_else_shifts_points()
     assert order(stale_calibration=2.0, ambient=5.0) == ["stale_calibration", "ambient"]
     assert order(stale_calibration=4.0, saturated=2.0) == ["saturated", "stale_calibration"]
     assert order(stale_calibration=40.0, saturated=2.0) == ["stale_calibration", "saturated"]
+
+
+def test_a_side_effect_names_its_cause_in_the_remedy() -> None:
+    found = [Finding(FaultCause.WRONG_RESOLUTION, "", 3.0), Finding(FaultCause.SATURATED, "", 2.0)]
+    first, second = ranked(ranked(found))
+    assert first.remedy == REMEDIES[FaultCause.SATURATED]
+    assert second.remedy.startswith(
+        "see to saturated first, which may be all that shows here; if this remains,"
+    )
+    assert second.remedy.endswith(REMEDIES[second.cause])
+    assert second.remedy.count("saturated") == 1
 
 
 def test_every_cause_leaves_its_effects_ways_out() -> None:

@@ -12,7 +12,16 @@ from fpplab.core.errors import ConfigError
 from fpplab.core.origin import DeviceIdentity
 from fpplab.core.version import __version__
 from fpplab.report.provenance import poses_provenance, session_provenance
-from fpplab.sessions.origin import ORIGIN, SessionOrigin, calibration_origin, record_origin, session_origin
+from fpplab.sessions.origin import (
+    ORIGIN,
+    SessionOrigin,
+    calibration_origin,
+    foreign_calibration,
+    other_devices,
+    record_origin,
+    session_origin,
+)
+from fpplab.sessions.session import Session
 from tests.comparison.test_comparison import CALIBRATION
 from tests.support.faulty_rig import formula_rig
 from tests.support.recorded import record
@@ -59,8 +68,6 @@ def recorded_pose(path: Path, serial: str | None) -> None:
 
 
 def test_a_calibration_names_devices_that_all_poses_agree_on(tmp_path: Path) -> None:
-    from fpplab.sessions.session import Session
-
     for name, serial in (("a", "1"), ("b", "1"), ("c", "2"), ("d", None)):
         recorded_pose(tmp_path / name, serial)
     poses = {name: Session.open(tmp_path / name) for name in "abcd"}
@@ -79,8 +86,6 @@ def test_a_calibration_names_devices_that_all_poses_agree_on(tmp_path: Path) -> 
 
 
 def test_an_exchanged_camera_is_told_and_what_is_missing_is_not_invented(tmp_path: Path) -> None:
-    from fpplab.sessions.session import Session
-
     recorded_pose(tmp_path / "new", "2")
     old = CalibrationOrigin.now(camera=DeviceIdentity(model="cam", serial="1"))
     told = session_provenance(Session.open(tmp_path / "new"), replace(CALIBRATION, origin=old)).values
@@ -91,3 +96,21 @@ def test_an_exchanged_camera_is_told_and_what_is_missing_is_not_invented(tmp_pat
     for key in ("rig", "rig_file", "camera", "projector", "exposure", "gain", "taken", "host", "version"):
         assert bare[key] is None
     assert bare["calibration_made"] is None
+
+
+def test_serial_numbers_tell_another_device_and_models_without_one_do_not(tmp_path: Path) -> None:
+    one, two, plain = (DeviceIdentity(model="cam", serial=serial) for serial in ("1", "2", ""))
+    made = CalibrationOrigin.now(camera=one, projector=plain)
+
+    def differing(camera: DeviceIdentity, projector: DeviceIdentity) -> list[str]:
+        devices = {"camera": camera, "projector": projector}
+        return other_devices(made, SessionOrigin.now(rig_file="rig.yaml", devices=devices))
+
+    assert differing(one, two) == []
+    assert differing(two, plain) == ["camera"]
+    assert differing(plain, plain) == []
+    recorded_pose(tmp_path / "scan", "2")
+    session = Session.open(tmp_path / "scan")
+    words = foreign_calibration(replace(CALIBRATION, origin=made), session)
+    assert words == "the camera is cam, serial 2, but the calibration was made with cam, serial 1"
+    assert foreign_calibration(CALIBRATION, session) is None
