@@ -109,8 +109,8 @@ def sigma_caption(cloud: Cloud, plan: Plan | None = None) -> str:
     return (
         f"{of_form} The last map is without the best-fitting rigid motion of the whole cloud: the "
         f"calibration's part in errors of form. Shape: {known} and form, added in squares, median "
-        f"{1e3 * float(np.median(shape)):.3g} µm; it is the figure for lengths and form on this part, and for "
-        f"a comparison with a true shape after an alignment. {place}"
+        f"{1e3 * float(np.median(shape)):.3g} µm; it is the figure for lengths and form on this part, and "
+        f"for a comparison with a true shape after an alignment. {place}"
     )
 
 

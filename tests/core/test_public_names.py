@@ -155,9 +155,9 @@ def test_plots_are_of_the_values() -> None:
     assert BARE.plot("x", Figure().subplots()).collections[0].get_offsets().tolist() == POINTS[:, :2].tolist()
     with pytest.raises(ConfigError, match="values: 'q' must be one of x, y, z, colour, sigma_mm"):
         CLOUD.plot("q", axes)
-    with pytest.raises(DataError, match="sigma_mm is not known; known are x, y, z$"):
+    with pytest.raises(DataError, match=r"sigma_mm is not known; known are x, y, z$"):
         BARE.plot("sigma_mm", axes)
-    with pytest.raises(DataError, match="sigma_mm is not known; known are x, y, z, colour, sigma_noise_mm$"):
+    with pytest.raises(DataError, match=r"sigma_mm is not known; known are x, y, z, colour, sigma_noise_mm$"):
         CLOUD.plot("sigma_mm", axes)
     image = decoded().plot("modulation", Figure().subplots()).images[0].get_array()
     assert image.filled(np.nan).tolist()[0][::2] == [15.0, 35.0]
