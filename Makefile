@@ -7,13 +7,25 @@ WORKERS ?= 2
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: setup demo docs test test-slow test-twin test-usb crash fuzz soak mutants full-disk faults lint release bench clean
+.PHONY: help setup demo docs test test-slow test-twin test-usb crash fuzz soak mutants full-disk faults lint release bench clean
+
+# `make` alone installs nothing.
+help:
+	@echo "make setup      sets up $(VENV) and nothing else: downloads about 1 GB, takes 3 GB of disk and 2 to 4 minutes on a fast line"
+	@echo "make demo       sets up, then measures three artefacts on the virtual bench: out/demo/report.html, 2 to 5 minutes"
+	@echo "make test       sets up, then runs the quick tests, some 12 minutes on two cores; make test-slow: those that take longer"
+	@echo "make docs       sets up, then builds the documentation as a site, with its pictures: build/docs/site/index.html"
+	@echo "make lint       style, types, and which package may import which"
+	@echo "make clean      removes $(VENV), out, build and dist"
+	@echo "more, explained in the Makefile: bench crash faults full-disk fuzz mutants release soak test-twin test-usb"
+	@echo "make takes python3.13 or python3.11, or the one of PYTHON=/path/to/python"
 
 setup: $(READY)
 
 $(READY): pyproject.toml constraints-3.11.txt constraints-3.13.txt
 	@test -n "$(PYTHON)" || { echo "neither python3.13 nor python3.11 runs here; install one, or give PYTHON=/path/to/it"; exit 1; }
 	@echo "Setting up $(VENV) with $(PYTHON), $$($(PYTHON) --version)"
+	@echo "pip is silent while it downloads about 1 GB and installs it; that takes some minutes"
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[all,dev]' \
 		--constraint constraints-$$($(BIN)/python -c 'import sys; print("%d.%d" % sys.version_info[:2])').txt

@@ -19,6 +19,9 @@ from docs.generate.pages import DOCS, ROOT
 from docs.generate.reference import PAGES
 from docs.generate.running import PICTURES
 
+WITHOUT_PICTURES = "*Pictures appear once `make docs` has made them.*\n\n"
+"""Told at the head of pages that are read in a clone."""
+
 
 def on_files(files: Files, *, config: Any) -> Files:
     """Add what is not in the folder of the documentation."""
@@ -32,7 +35,8 @@ def on_files(files: Files, *, config: Any) -> Files:
 
 
 def on_page_markdown(markdown: str, *, page: Any, config: Any, files: Files) -> str:
-    """Show links to files of the sources, which are not on the site, as their paths."""
+    """Show links to files of the sources, which are not on the site, as their paths; it has the pictures."""
+    markdown = markdown.replace(WITHOUT_PICTURES, "")
     here = (DOCS / page.file.src_uri).parent
 
     def plain(found: re.Match[str]) -> str:

@@ -26,6 +26,7 @@ CloudPoints = NDArray[np.float32]
 
 SIGMAS = ("sigma_noise_mm", "sigma_phase_error_mm", "sigma_calibration_mm", "sigma_form_mm")
 """Attributes of a cloud that are standard uncertainties."""
+_AXES = ("x", "y", "z")
 _PLOTTED = ("colour", "sigma_mm", *SIGMAS, "epipolar_px")
 """Attributes of one value for each point."""
 
@@ -118,13 +119,14 @@ class Cloud:
         picture = grey_picture(-self.map_of(self.points[:, 2])) if self.size else None
         return html_table("Cloud", rows, picture)
 
-    def map_of(self, values: NDArray[Any]) -> Map:
+    def map_of(self, values: str | NDArray[Any]) -> Map:
         """Arrange values of the points over the camera's pixels.
 
         Parameters
         ----------
-        values : ndarray
-            One (N,) for each point.
+        values : str or ndarray
+            One (N,) for each point, or the name of such an attribute, as `plot` takes it: "z" or
+            "sigma_noise_mm", say.
 
         Returns
         -------
@@ -133,11 +135,15 @@ class Cloud:
 
         Raises
         ------
+        ConfigError
+            There is no attribute of this name.
         DataError
-            The pixels of the points are not known, or there are more or fewer values.
+            The pixels of the points or the attribute are not known, or there are more or fewer values.
         """
         if self.pixels is None or self.size is None:
             raise DataError("cloud: its points are not known by camera pixel; use a cloud that fpplab made")
+        if isinstance(values, str):
+            values = self._named(values)
         if values.shape != (len(self),):
             raise DataError(f"cloud: values of {values.shape} do not fit {len(self)} points")
         found = np.full((self.size[1], self.size[0]), np.nan, np.float32)
@@ -150,8 +156,9 @@ class Cloud:
         Parameters
         ----------
         values : str
-            What gives the colour: "x", "y", "z", or an attribute of one value for each point, such as
-            "sigma_mm".
+            What gives the colour: "x", "y", "z", or an attribute of one value for each point that is
+            known: "colour", "sigma_mm", "sigma_noise_mm", "sigma_phase_error_mm", "sigma_calibration_mm",
+            "sigma_form_mm" or "epipolar_px".
         axes : matplotlib.axes.Axes, optional
             Where to draw; new ones by default.
 
@@ -165,16 +172,9 @@ class Cloud:
         ConfigError
             There is no such attribute.
         DataError
-            It is not known.
+            The cloud does not hold it; the message names what it holds.
         """
-        if values in ("x", "y", "z"):
-            colours, label = self.points[:, "xyz".index(values)], f"{values}, mm"
-        elif values in _PLOTTED:
-            colours, label = getattr(self, values), values
-        else:
-            raise ConfigError(f"values: '{values}' must be one of x, y, z, {', '.join(_PLOTTED)}")
-        if colours is None:
-            raise DataError(f"cloud: {values} is not known")
+        colours, label = self._named(values), f"{values}, mm" if values in _AXES else values
         if self.size:
             return plot_map(self.map_of(colours), label, axes)
         chosen = axes_or_new(axes)
@@ -184,6 +184,18 @@ class Cloud:
         if not chosen.yaxis_inverted():
             chosen.invert_yaxis()
         return chosen
+
+    def _named(self, name: str) -> NDArray[Any]:
+        """Give the attribute (N,) of this name: `ConfigError` where there is none, `DataError` unknown."""
+        if name in _AXES:
+            return self.points[:, _AXES.index(name)]
+        if name not in _PLOTTED:
+            raise ConfigError(f"values: '{name}' must be one of {', '.join((*_AXES, *_PLOTTED))}")
+        values: NDArray[Any] | None = getattr(self, name)
+        if values is None:
+            known = [one for one in _PLOTTED if getattr(self, one) is not None]
+            raise DataError(f"cloud: {name} is not known; known are {', '.join((*_AXES, *known))}")
+        return values
 
     def to_trimesh(self) -> trimesh.Trimesh:
         """Convert to a mesh of trimesh: the surface over the pixel grid, cut at jumps in depth.

@@ -240,6 +240,25 @@ def groups_of(
     return [Group(tuple(used), images, features, shift, seen=between, quiet=between)]
 
 
+def show_common_errors(fringes: Sequence[FringeSet]) -> bool:
+    """Tell whether images of these fringe sets show common errors, given enough pixels.
+
+    Parameters
+    ----------
+    fringes : sequence of FringeSet
+        All sets of a plan.
+
+    Returns
+    -------
+    bool
+        True where a set has more than three images, or where there are two sets or more of three, one of
+        them of at least four stripes. A measured response does not change it: it tells nothing of the lamp.
+    """
+    return any(one.images > 3 for one in fringes) or (
+        len(fringes) > 1 and any(one.stripes >= _FEWEST_STRIPES for one in fringes)
+    )
+
+
 def fit_sinusoids(sample: Floats, fringe: FringeSet) -> Floats:
     """Fit the sinusoid of a fringe set at each pixel by least squares.
 

@@ -55,7 +55,7 @@ class ErrorModel:
 
     @property
     def phase_error_is_known(self) -> bool:
-        """Whether the frames, or a measured response, tell the common errors."""
+        """Whether the frames tell the common errors: fringe sets that show them, and enough pixels."""
         return all(np.isfinite(one.terms).all() for one in self.sets)
 
 

@@ -116,7 +116,10 @@ def characterisation_section(found: Characterisation) -> ReportSection:
         pictures.append(ReportFigure.of(picture, f"Reprojection errors of the {device}", caption, wide=True))
     for device, size, pixels, _ in seen:
         picture = figures.coverage(pixels, size, device)
-        caption = f"Where the board's points were on the {device}, one colour per pose."
+        caption = (
+            f"Where the board's points were on the {device}, one colour per pose. No share of the image is "
+            "asked for; ninths of it that both devices see and that lack points are named by a warning."
+        )
         pictures.append(ReportFigure.of(picture, f"Points of the board over the {device}'s pixels", caption))
     pictures.append(
         ReportFigure.of(drawn.epipolar_figure(found), "Epipolar distances by pose", drawn.EPIPOLAR, wide=True)

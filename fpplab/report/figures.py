@@ -458,7 +458,7 @@ def coverage(poses: Sequence[Floats], size: tuple[int, int], device: str) -> Fig
     hull = cv2.convexHull(np.concatenate(poses).astype(np.float32))[:, 0]
     axes.fill(*hull.T, facecolor=ACCENT, alpha=0.07, edgecolor=ACCENT, linewidth=0.8)
     covered = cv2.contourArea(hull) / (size[0] * size[1])
-    axes.set_title(f"{len(poses)} poses span {100 * covered:.0f} % of the {device}", fontsize=8.5)
+    axes.set_title(f"{len(poses)} poses span {100 * covered:.0f} % of the {device}'s image", fontsize=8.5)
     return figure
 
 

@@ -436,7 +436,7 @@ def written_now() -> dict[str, str | None]:
 
 def _age(length: timedelta) -> str:
     words = duration_words(abs(length))
-    return words if length >= timedelta() else f"{words} younger than the measurement"
+    return words if length >= timedelta() else f"none, it was made {words} after the measurement began"
 
 
 def _compared(calibration: CalibrationOrigin, measured: SessionOrigin | None) -> str | None:

@@ -11,6 +11,7 @@ from fpplab.clouds import Cloud, local_quadric_distance
 from fpplab.comparison import Comparison
 from fpplab.core.conventions import Axis, Image, Map
 from fpplab.diagnosis import Diagnosis
+from fpplab.patterns.plan import Plan
 from fpplab.phase import Decoded, Wrapped
 from fpplab.reconstruction.depth_range import DepthRange
 from fpplab.reconstruction.filtering import removal
@@ -77,6 +78,8 @@ class ScanSection:
         Where it comes from.
     evidence : tuple of ReportFigure
         What shows each finding of the diagnosis.
+    plan : Plan or None
+        That was measured.
     """
 
     name: str
@@ -92,6 +95,7 @@ class ScanSection:
     diagnosis: Diagnosis | None = None
     provenance: Provenance | None = None
     evidence: tuple[ReportFigure, ...] = ()
+    plan: Plan | None = None
 
 
 def scan_tables(scans: Sequence[ScanSection]) -> list[ReportTable]:
@@ -234,7 +238,7 @@ def _pictures(scan: ScanSection) -> Iterator[ReportFigure]:
     if cloud is not None:
         yield relief_figure(name, cloud)
         yield depth_figure(name, cloud)
-        yield from sigma_figures(name, cloud)
+        yield from sigma_figures(name, cloud, scan.plan)
     yield frame_figure(scan)
     if decoded is not None and np.isfinite(decoded.modulation).any():
         yield ReportFigure.of(
@@ -314,7 +318,7 @@ def depth_figure(name: str, cloud: Cloud) -> ReportFigure:
     )
 
 
-def sigma_figures(name: str, cloud: Cloud) -> list[ReportFigure]:
+def sigma_figures(name: str, cloud: Cloud, plan: Plan | None = None) -> list[ReportFigure]:
     """Draw the standard uncertainty of the points.
 
     Parameters
@@ -323,6 +327,8 @@ def sigma_figures(name: str, cloud: Cloud) -> list[ReportFigure]:
         Of the object.
     cloud : Cloud
         Its points.
+    plan : Plan, optional
+        That they were measured with.
 
     Returns
     -------
@@ -333,7 +339,7 @@ def sigma_figures(name: str, cloud: Cloud) -> list[ReportFigure]:
         return []
     alt = f"Maps of the standard uncertainty of the points of the {name}"
     drawn, wide = uncertainty.sigma_maps(cloud), cloud.sigma_mm is not None
-    return [ReportFigure.of(drawn, alt, uncertainty.sigma_caption(cloud), wide)]
+    return [ReportFigure.of(drawn, alt, uncertainty.sigma_caption(cloud, plan), wide)]
 
 
 def error_figure(name: str, cloud: Cloud, found: Comparison) -> ReportFigure:

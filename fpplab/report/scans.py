@@ -128,4 +128,5 @@ def scan_section(
         diagnosis=diagnosis,
         provenance=provenance,
         evidence=evidence_report(findings, Evidence(recording, decoded, cloud, calibration)),
+        plan=session.plan,
     )

@@ -8,7 +8,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from fpplab.clouds import Cloud
+from fpplab.clouds.cloud import CloudPoints
 from fpplab.core.errors import DataError
+from fpplab.patterns.plan import Plan
+from fpplab.phase.common_errors import LEAST_PIXELS, show_common_errors
 from fpplab.report.drawing import (
     FULL,
     HALF,
@@ -67,13 +70,15 @@ def sigma_maps(cloud: Cloud) -> Figure:
     return figure
 
 
-def sigma_caption(cloud: Cloud) -> str:
-    """Explain what `sigma_maps` shows.
+def sigma_caption(cloud: Cloud, plan: Plan | None = None) -> str:
+    """Explain what `sigma_maps` shows, and which figure holds for the place and which for the shape.
 
     Parameters
     ----------
     cloud : Cloud
         With at least the uncertainty from noise.
+    plan : Plan, optional
+        That the cloud was measured with; it tells why a phase error is not known.
 
     Returns
     -------
@@ -82,10 +87,7 @@ def sigma_caption(cloud: Cloud) -> str:
     """
     noise = "Noise: predicted from the fringes, along the camera's ray, independent from point to point."
     if cloud.sigma_phase_error_mm is None:
-        noise += (
-            " Errors of the phase that all points of one phase share cannot be told from these frames: "
-            "measure the response, or take four steps or more."
-        )
+        noise += f" {_why_unknown(plan)}"
     else:
         noise += (
             " Phase error: harmonics of the response, flicker of the lamp and rounding of grey levels; "
@@ -93,9 +95,54 @@ def sigma_caption(cloud: Cloud) -> str:
         )
     if cloud.sigma_mm is None:
         return f"{noise} The calibration says nothing of its own uncertainty."
-    return (
-        f"{noise} Calibration: from the covariance of its parameters, common to all points, so that it moves "
-        "and rotates the cloud far more than it deforms it. The last map is without the best-fitting rigid "
-        "motion: the calibration's part in errors of form. All together: median "
-        f"{1e3 * float(np.median(cloud.sigma_mm)):.3g} µm."
+    of_form = f"{noise} Calibration: from the covariance of its parameters, common to all points, so that it "
+    of_form += "moves and rotates the cloud far more than it deforms it."
+    known = "noise, phase error" if cloud.sigma_phase_error_mm is not None else "noise"
+    place = (
+        f"Place of the points in the camera's frame: {known} and calibration, added in squares, median "
+        f"{1e3 * float(np.median(cloud.sigma_mm)):.3g} µm; it holds where positions in that frame matter, "
+        "such as between scans from several places."
     )
+    shape = shape_sigma_mm(cloud)
+    if shape is None:
+        return f"{of_form} {place}"
+    return (
+        f"{of_form} The last map is without the best-fitting rigid motion of the whole cloud: the "
+        f"calibration's part in errors of form. Shape: {known} and form, added in squares, median "
+        f"{1e3 * float(np.median(shape)):.3g} µm; it is the figure for lengths and form on this part, and "
+        f"for a comparison with a true shape after an alignment. {place}"
+    )
+
+
+def shape_sigma_mm(cloud: Cloud) -> CloudPoints | None:
+    """Combine what is uncertain in the shape of a cloud, wherever the whole of it lies.
+
+    Parameters
+    ----------
+    cloud : Cloud
+        A phase error that it does not know is not in the result.
+
+    Returns
+    -------
+    ndarray of float32 or None
+        Noise, phase error and `sigma_form_mm` added in squares, (N,) in mm; None where noise or form is not
+        known.
+    """
+    along = cloud.sigma_along_ray_mm
+    return None if along is None or cloud.sigma_form_mm is None else np.hypot(along, cloud.sigma_form_mm)
+
+
+def _why_unknown(plan: Plan | None) -> str:
+    """Why the errors that all points of one phase share are not known."""
+    shared = "Phase error, which all points of one phase share, is not known and in no figure here: "
+    steps = (
+        "the plan has three steps only, and no second fringe set of four stripes or more to compare with; "
+        "take four steps or more"
+    )
+    pixels = (
+        f"fewer than {LEAST_PIXELS} of the pixels that are sampled over the image (some 20,000) show fringes "
+        "without saturation, as on a part that fills less than about half a percent of the image"
+    )
+    if plan is None:
+        return f"{shared}the file does not hold it, or {pixels}, or {steps}."
+    return f"{shared}{pixels if show_common_errors(plan.fringes) else steps}."

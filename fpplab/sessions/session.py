@@ -77,6 +77,8 @@ __all__ = [
 ]
 
 _log = logging.getLogger(__name__)
+_COARSE_PX = 64
+"""Rows or columns, the fewer, that tell how bright a frame is."""
 
 
 class Session:
@@ -111,13 +113,13 @@ class Session:
         rows["camera"] = f"{width} x {height} px, {bits} bits"
         return html_table("Session", rows, grey_picture(self.read(self.records[0].index, verify=False)))
 
-    def plot(self, index: int = 0, axes: Axes | None = None) -> Axes:
+    def plot(self, index: int | None = None, axes: Axes | None = None) -> Axes:
         """Draw one frame.
 
         Parameters
         ----------
-        index : int
-            Of the image in the plan.
+        index : int, optional
+            Of the image in the plan; by default the recorded frame with the greatest mean grey level.
         axes : matplotlib.axes.Axes, optional
             Where to draw; new ones by default.
 
@@ -131,10 +133,20 @@ class Session:
         DataError
             The frame is not recorded, or damaged.
         """
-        frame, chosen = self.read(index), axes_or_new(axes)
+        shown = self._brightest() if index is None else index
+        frame, chosen = self.read(shown), axes_or_new(axes)
         chosen.imshow(frame, cmap="gray", vmin=0, vmax=2.0**self.bits - 1, interpolation="nearest")
-        chosen.set(title=f"frame {index}", xlabel="camera column, px", ylabel="camera row, px")
+        chosen.set(title=f"frame {shown}", xlabel="camera column, px", ylabel="camera row, px")
         return chosen
+
+    def _brightest(self) -> int:
+        """Index of the recorded frame with the greatest mean grey level; the first of equals."""
+        if not self._records:
+            raise DataError(f"{self.path}: has no frames yet")
+        width, height, _ = self.format
+        step = max(1, min(width, height) // _COARSE_PX)
+        means = {i: self.read(i, verify=False)[::step, ::step].mean() for i in sorted(self._records)}
+        return max(means, key=lambda i: means[i])
 
     @classmethod
     def create(cls, path: Path | str, plan: Plan, rig: RigRecord = None, force: bool = False) -> Session:

@@ -155,12 +155,23 @@ def test_plots_are_of_the_values() -> None:
     assert BARE.plot("x", Figure().subplots()).collections[0].get_offsets().tolist() == POINTS[:, :2].tolist()
     with pytest.raises(ConfigError, match="values: 'q' must be one of x, y, z, colour, sigma_mm"):
         CLOUD.plot("q", axes)
-    with pytest.raises(DataError, match="sigma_mm is not known"):
+    with pytest.raises(DataError, match=r"sigma_mm is not known; known are x, y, z$"):
         BARE.plot("sigma_mm", axes)
+    with pytest.raises(DataError, match=r"sigma_mm is not known; known are x, y, z, colour, sigma_noise_mm$"):
+        CLOUD.plot("sigma_mm", axes)
     image = decoded().plot("modulation", Figure().subplots()).images[0].get_array()
     assert image.filled(np.nan).tolist()[0][::2] == [15.0, 35.0]
     with pytest.raises(ConfigError, match="'q' must be one of u, v, modulation, sigma"):
         decoded().plot("q")
+
+
+def test_maps_are_of_values_and_of_names() -> None:
+    np.testing.assert_array_equal(CLOUD.map_of("z"), DEPTHS)
+    np.testing.assert_array_equal(CLOUD.map_of("sigma_noise_mm"), CLOUD.map_of(SIGMAS))
+    with pytest.raises(ConfigError, match="values: 'q' must be one of x, y, z, colour, sigma_mm"):
+        CLOUD.map_of("q")
+    with pytest.raises(DataError, match="sigma_form_mm is not known; known are x, y, z, colour"):
+        CLOUD.map_of("sigma_form_mm")
 
 
 def test_a_histogram_is_of_counted_distances() -> None:
@@ -179,6 +190,15 @@ def test_fields_of_view_from_above() -> None:
 def test_a_frame_is_drawn_over_its_full_scale(session: Session) -> None:
     image = session.plot(2, Figure().subplots()).images[0]
     assert (image.get_clim(), image.get_array().max()) == ((0, 255), 80)
+    assert session.plot(0, Figure().subplots()).images[0].get_array().max() == 0
+
+
+def test_the_brightest_frame_is_drawn_unless_another_is_wanted(session: Session, tmp_path: Path) -> None:
+    axes = session.plot(axes=Figure().subplots())
+    assert (axes.get_title(), axes.images[0].get_array().max()) == ("frame 2", 80)
+    empty = Session.create(tmp_path / "empty", session.plan)
+    with pytest.raises(DataError, match="has no frames yet"):
+        empty.plot(axes=Figure().subplots())
 
 
 def test_new_axes_are_in_a_figure_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:

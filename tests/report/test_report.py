@@ -21,10 +21,11 @@ from fpplab.clouds import Cloud
 from fpplab.comparison import Comparison, FittedScale, MeasuredLength
 from fpplab.core.errors import DataError
 from fpplab.core.geometry import Pinhole, RigidTransform
+from fpplab.patterns.plan import Plan
 from fpplab.patterns.response import Region, Response, ResponseLevel
 from fpplab.phase import Decoded, Wrapped
 from fpplab.report import ScanSection, figures, write_report
-from fpplab.report.uncertainty import sigma_caption, sigma_maps
+from fpplab.report.uncertainty import shape_sigma_mm, sigma_caption, sigma_maps
 
 SIZE = (64, 48)
 
@@ -247,9 +248,34 @@ def test_the_uncertainty_caption_explains_common_errors() -> None:
     assert "nothing of its own uncertainty" in sigma_caption(noise)
     both = replace(noise, sigma_calibration_mm=np.full(len(noise), 0.03, np.float32))
     assert "common to all points" in sigma_caption(both)
-    assert "median 32.5 µm" in sigma_caption(both)  # √(12.5² + 30²)
+    assert "and calibration, added in squares, median 32.5 µm" in sigma_caption(both)  # √(12.5² + 30²)
+    assert "Shape:" not in sigma_caption(both)
+    formed = replace(both, sigma_form_mm=np.full(len(noise), 0.03, np.float32) / 4)
+    assert "Shape: noise and form, added in squares, median 14.6 µm" in sigma_caption(formed)
+    measured = replace(formed, sigma_phase_error_mm=np.full(len(noise), 0.01, np.float32))
+    assert shape_sigma_mm(measured) == pytest.approx(np.full(len(noise), 0.0176777), rel=1e-4)
+    assert "Shape: noise, phase error and form, added in squares, median 17.7 µm" in sigma_caption(measured)
     narrow, wide = (Pixels.open(io.BytesIO(sigma_maps(c))).width for c in (noise, both))
     assert wide == pytest.approx(2 * narrow, rel=0.02)
+
+
+def test_the_uncertainty_caption_tells_why_the_phase_error_is_unknown() -> None:
+    def plan(*sets: tuple[int, int]) -> Plan:
+        fringes = tuple({"axis": "x", "stripes": stripes, "steps": steps} for stripes, steps in sets)
+        return Plan.model_validate({"fringes": fringes, "exposure_s": 0.02})
+
+    pixels, steps = "of the pixels that are sampled", "three steps only"
+    for chosen, why, other in (
+        (plan((1, 12), (8, 12), (64, 12)), pixels, steps),
+        (plan((1, 3), (8, 3)), pixels, steps),
+        (plan((1, 3)), steps, pixels),
+        (plan((1, 3), (2, 3)), steps, pixels),
+    ):
+        caption = sigma_caption(cloud(), chosen)
+        assert why in caption
+        assert other not in caption
+    assert pixels in sigma_caption(cloud())
+    assert steps in sigma_caption(cloud())
 
 
 def test_a_cloud_from_elsewhere_has_no_map_of_its_uncertainty(tmp_path: Path) -> None:
