@@ -191,7 +191,7 @@ def test_the_advised_exposure_is_reached_in_two_steps(white: float) -> None:
     assert white > 0.35
 
 
-def test_devices_of_another_calibration_are_doubted() -> None:
+def test_devices_of_another_calibration_make_a_scan_doubtful() -> None:
     decoded, cloud, good = measured(Bench())
     assert good.verdict is Verdict.GOOD
     how = "the camera is acA, serial 2, but the calibration was made with acA, serial 1"
