@@ -62,9 +62,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def _rig_of(item: pytest.Item) -> Path | None:
-    """The rig file that a test runs on."""
-    found: Path | None = item.callspec.params.get("opened") if hasattr(item, "callspec") else None
-    return found
+    """The rig file that a test runs on; None where it brings devices of its own, or no rig has its device."""
+    found = item.callspec.params.get("opened") if hasattr(item, "callspec") else None
+    return found if isinstance(found, Path) else None
 
 
 def _name_of(item: pytest.Item) -> str:

@@ -55,7 +55,9 @@ def test_caps_make_sense(camera: Camera) -> None:
     assert set(caps.bits) <= set(range(8, 17))
     assert caps.triggers
     unknown = set(caps.triggers) - {"software", "hardware"}
-    assert not unknown, "CameraCaps.triggers has 'software' and 'hardware' alone, whatever the input is called"
+    assert not unknown, (
+        "CameraCaps.triggers has 'software' and 'hardware' alone, whatever the input is called"
+    )
 
 
 def test_settings_are_read_back(rig: Rig, camera: Camera) -> None:
@@ -200,11 +202,13 @@ def test_a_frame_is_its_owners(rig: Rig, camera: Camera) -> None:
 
 
 def test_no_picture_comes_twice(rig: Rig, camera: Camera) -> None:
-    """Two exposures differ by the noise of the sensor; where pictures of two armings do not, nothing is told."""
+    """Two exposures differ by the noise of the sensor, where those of two armings do."""
     show(rig, GREY)
     once = [camera.snap().image for _ in range(3)]
     if min(np.count_nonzero(one != other) for one, other in pairwise(once)) < NOISY_PX:
-        pytest.skip("pictures of one scene are equal: the camera has no noise, or sees all black or all white")
+        pytest.skip(
+            "pictures of one scene are equal: the camera has no noise, or sees all black or all white"
+        )
     camera.arm(4)
     images = [camera.read(10.0).image for _ in range(4)]
     for k, (one, other) in enumerate(pairwise(images)):
