@@ -97,7 +97,7 @@ CAMERA = [
     Fault(
         "the driver numbers the frames",
         REFERENCE,
-        "ReferenceCamera._read",
+        "ReferenceCamera._arrived",
         "self._bench.frames_to_lose -= 1\nself._count += 1",
         "self._bench.frames_to_lose -= 1",
     ),
