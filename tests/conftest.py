@@ -45,7 +45,13 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         action="append",
         default=[],
         metavar="FILE",
-        help="run the conformance suite on this rig file instead of the ones that need no bench",
+        help="run the conformance suite on this rig file only, instead of those that need no bench; "
+        "its tests that bring devices of their own are left out",
+    )
+    parser.addoption(
+        "--own-devices",
+        action="store_true",
+        help="with --rig: also run the conformance tests that bring devices of their own",
     )
 
 

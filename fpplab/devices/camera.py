@@ -55,7 +55,7 @@ class CameraCaps:
     gain_db : tuple of float
         Range of gains in dB.
     triggers : tuple of str
-        Of `software` and `hardware`.
+        Of `software` and `hardware`, whatever the input is called.
     readout_s : float
         s from the first row to the last, where they are exposed one after another (rolling shutter): what a
         frame sees must stand still for the exposure and this. 0 where all rows are exposed at once.
@@ -351,8 +351,9 @@ class Camera(Device):
         show; with the hardware trigger it waits for the frame of the next pulse. The image is the sensor's
         raw integers, uint8 up to 8 bits and uint16 beyond, right-justified, neither linearised nor averaged,
         and it is a copy: the caller keeps it while later frames are read. `index` is the device's own count
-        since `_arm`, so that a lost frame shows as a gap; `settings` is what `_configure` gave. Raise
-        `DeviceTimeoutError` after `timeout_s`, `FrameLossError` for a frame that is torn.
+        since `_arm` (its block or frame number less that of the first), so that a lost frame shows as a gap;
+        `settings` is what `_configure` gave. Raise `DeviceTimeoutError` after `timeout_s`, `FrameLossError`
+        for a frame that is torn.
         """
 
     @abstractmethod

@@ -203,9 +203,9 @@ class Device(ABC):
         """Read the options of the rig file. Override it if the backend has any.
 
         Called once, by the constructor; nothing may be opened yet. `options` holds the section's keys but for
-        `backend` (and of a camera `bits` and `gain_db`); names of files that lie beside the rig file are
-        absolute. `shared` is what the rig file's `bench` names, not yet open, or None. Raise `ConfigError`
-        naming the key for everything that is wrong or unknown::
+        `backend`, and of a camera `bits`, `gain_db` and `dead_time_s`, of a stage `soft_limits_mm`; names of
+        files that lie beside the rig file are absolute. `shared` is what the rig file's `bench` names, which
+        is open already, or None. Raise `ConfigError` naming the key for everything that is wrong or unknown::
 
             def _setup(self, options, shared):
                 self._port = options.pop("port", "/dev/ttyUSB0")

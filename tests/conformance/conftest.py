@@ -14,10 +14,11 @@ import pytest
 
 from fpplab.acquisition.acquire import acquire
 from fpplab.core import config
+from fpplab.core.errors import DeviceError
 from fpplab.devices import Camera, Device, Fixture, Projector, Stage, State
 from fpplab.devices.rig import Rig, RigFile
 from fpplab.sessions.session import Session
-from tests.conformance.bench import devices_of, dim_plan
+from tests.conformance.bench import devices_of, dim_plan, wrong_unit
 from tests.conformance.dlp4500 import FLASH, flash
 
 RIGS = Path(__file__).parent / "rigs"
@@ -25,6 +26,8 @@ RECORDED = RIGS / "rig_reference.yaml"
 ON_X_SERVER = "rig_display"
 """A rig in real time, with a display process for each test: slow."""
 KINDS = ("camera", "projector", "stage", "fixture")
+CAPS_OF_CAMERA = "test_camera.py", "test_caps_make_sense"
+"""The test that comes first on each rig: the others use what the camera says of itself."""
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
@@ -38,6 +41,34 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
         files = [path for path in files if not wanted or any(kind in _judged(path) for kind in wanted)]
         given = [pytest.param(p, marks=_marks(p), id=p.stem) for p in files]
         metafunc.parametrize("opened", given, indirect=True, scope="session")
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Keep to the rigs that were named, and begin on each with what its camera says of itself."""
+    if config.getoption("--rig") and not config.getoption("--own-devices"):
+        left_out = [one for one in items if RIGS.parent in one.path.parents and _rig_of(one) is None]
+        if left_out:
+            config.hook.pytest_deselected(items=left_out)
+            items[:] = [one for one in items if one not in left_out]
+    caps = {_rig_of(one): one for one in items if (one.path.name, _name_of(one)) == CAPS_OF_CAMERA}
+    ordered: list[pytest.Item] = []
+    for item in items:
+        rig = _rig_of(item)
+        if rig is not None and rig in caps:
+            ordered.append(caps.pop(rig))
+        ordered.append(item)
+    items[:] = list(dict.fromkeys(ordered))
+
+
+def _rig_of(item: pytest.Item) -> Path | None:
+    """The rig file that a test runs on; None where it brings devices of its own, or no rig has its device."""
+    found = item.callspec.params.get("opened") if hasattr(item, "callspec") else None
+    return found if isinstance(found, Path) else None
+
+
+def _name_of(item: pytest.Item) -> str:
+    return item.originalname if isinstance(item, pytest.Function) else item.name
 
 
 def _judged(path: Path) -> tuple[str, ...]:
@@ -76,7 +107,19 @@ def opened(request: pytest.FixtureRequest, rigs_folder: Path) -> Iterator[Rig]:
     """A rig that stays open for all its tests: some take long to open."""
     path: Path = request.param
     with Rig.load(rigs_folder / path.name if path.parent == RIGS else path) as rig:
+        _stop_at_a_wrong_unit(request.session, rig.camera)
         yield rig
+
+
+def _stop_at_a_wrong_unit(session: pytest.Session, camera: Camera) -> None:
+    """End the run at once: with exposures of 20 s it would take hours to say what is wrong."""
+    try:
+        caps = camera.caps
+    except DeviceError:
+        return  # the tests of the camera say so
+    if wrong := wrong_unit(caps):
+        session.shouldfail = wrong
+        pytest.fail(wrong, pytrace=False)
 
 
 @pytest.fixture

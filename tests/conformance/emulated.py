@@ -22,6 +22,10 @@ class PylonBench(ReferenceBench):
         self.pylon.close()
         super().close()
 
+    def lose_frames(self, n: int) -> None:
+        for camera in self.pylon._open.values():
+            camera.frames_to_lose = n
+
     def _seen(self, settings: CameraSettings) -> Image:
         return sensor_image(self, self.on_show, settings)
 

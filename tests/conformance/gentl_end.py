@@ -106,6 +106,9 @@ class ScriptedEnd:
     def fetch(self, timeout_s: float) -> GentlFrame | None:
         while self._bench.pulses:
             self.trigger("Line1", self._bench.pulses.popleft())
+        while self._bench.frames_to_lose and self._seen:
+            self._bench.frames_to_lose -= 1
+            self._seen.popleft()
         if not self._seen:
             time.sleep(timeout_s)
             return None

@@ -67,6 +67,41 @@ LIFE = [
 
 CAMERA = [
     Fault(
+        "exposures are in microseconds",
+        REFERENCE,
+        "ReferenceCamera._caps",
+        "(1e-4, 1.0)",
+        "(100.0, 1e6)",
+    ),
+    Fault(
+        "a trigger has the name of its line",
+        REFERENCE,
+        "ReferenceCamera._caps",
+        '("software", "hardware")',
+        '("software", "hardware", "line1")',
+    ),
+    Fault(
+        "unknown keys pass",
+        REFERENCE,
+        "ReferenceCamera._setup",
+        "super()._setup(options, bench)",
+        "",
+    ),
+    Fault(
+        "every second picture comes twice",
+        REFERENCE,
+        "ReferenceCamera._read",
+        "self._buffer[...] = self._levels(pattern)",
+        "if self._count % 2 == 0:\n    self._buffer[...] = self._levels(pattern)",
+    ),
+    Fault(
+        "the driver numbers the frames",
+        REFERENCE,
+        "ReferenceCamera._arrived",
+        "self._bench.frames_to_lose -= 1\nself._count += 1",
+        "self._bench.frames_to_lose -= 1",
+    ),
+    Fault(
         "the exposure is clamped",
         CAMERA_BASE,
         "Camera.configure",

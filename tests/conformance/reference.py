@@ -49,11 +49,16 @@ class ReferenceBench:
     def open(self) -> None:
         self.on_show: Pattern | None = None
         self.pulses: deque[Pattern] = deque()
+        self.frames_to_lose = 0
         self.reflectance = 1.0
         self.random = np.random.default_rng(1)
 
     def close(self) -> None:
         self.on_show = None
+
+    def lose_frames(self, n: int) -> None:
+        """Lose the next frames on the link from the camera."""
+        self.frames_to_lose = n
 
     def light(self, pattern: Pattern | None) -> Floats:
         """Share of full scale at the reference exposure, (height, width) of the camera."""
@@ -110,7 +115,7 @@ class ReferenceCamera(Camera):
         self._bench.pulses.clear()
 
     def _read(self, timeout_s: float) -> Frame:
-        pattern = self._exposed()
+        pattern = self._arrived()
         settings = self._applied
         self._buffer[...] = self._levels(pattern)
         frame = Frame(
@@ -123,6 +128,15 @@ class ReferenceCamera(Camera):
         )
         self._count += 1
         return frame
+
+    def _arrived(self) -> Pattern | None:
+        """What was on show at the next exposure whose frame is not lost on the link."""
+        pattern = self._exposed()
+        while self._bench.frames_to_lose:
+            self._bench.frames_to_lose -= 1
+            self._count += 1
+            pattern = self._exposed()
+        return pattern
 
     def _levels(self, pattern: Pattern | None) -> Floats | Image:
         settings = self._applied

@@ -5,17 +5,33 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
-from fpplab.core.errors import CapabilityError, DeviceTimeoutError, SettingError, StateError
+from fpplab.acquisition.timing import pulse_timing
+from fpplab.core.errors import CapabilityError, DeviceTimeoutError, FrameLossError, SettingError, StateError
 from fpplab.devices import Camera, CameraSettings, State
 from fpplab.devices.rig import Rig
-from tests.conformance.bench import BLACK, DISTINCT, WHITE, brightness, dim_plan, patterns_for
+from tests.conformance.bench import (
+    BLACK,
+    DISTINCT,
+    GREY,
+    WHITE,
+    LosesFrames,
+    brightness,
+    dim_plan,
+    patterns_for,
+    wrong_unit,
+)
 
 PROBE = 1.0 / math.pi
 """A point of a range that lies on nobody's grid."""
+LEAST_WHITE = 0.05
+"""Share of full scale that white has at least at 20 ms."""
+NOISY_PX = 50
+"""So many pixels that differ between two pictures of one scene are noise, and no two pictures are equal."""
 
 
 def settings_of(rig: Rig) -> CameraSettings:
@@ -33,11 +49,15 @@ def test_caps_make_sense(camera: Camera) -> None:
     assert caps.size[0] > 0
     assert caps.size[1] > 0
     assert 0 < caps.exposure_s[0] <= caps.exposure_s[1]
+    assert not wrong_unit(caps)
     assert caps.gain_db[0] <= caps.gain_db[1]
     assert caps.bits
     assert set(caps.bits) <= set(range(8, 17))
     assert caps.triggers
-    assert set(caps.triggers) <= {"software", "hardware"}
+    unknown = set(caps.triggers) - {"software", "hardware"}
+    assert not unknown, (
+        "CameraCaps.triggers has 'software' and 'hardware' alone, whatever the input is called"
+    )
 
 
 def test_settings_are_read_back(rig: Rig, camera: Camera) -> None:
@@ -90,6 +110,7 @@ def test_it_must_be_configured_first_also_after_reopening(camera: Camera) -> Non
     assert camera.state is State.IDLE
 
 
+@pytest.mark.light
 def test_frames_are_what_was_configured(rig: Rig, camera: Camera) -> None:
     show(rig, WHITE)
     for bits in camera.caps.bits:
@@ -98,8 +119,12 @@ def test_frames_are_what_was_configured(rig: Rig, camera: Camera) -> None:
         width, height = camera.caps.size
         assert frame.image.shape == (height, width)
         assert frame.image.dtype == (np.uint8 if bits == 8 else np.uint16)
-        assert frame.image.max() < 1 << bits
-        assert frame.image.max() > (1 << bits) * 0.05, "the full scale is that of the bits"
+        assert frame.image.max() < 1 << bits, f"a grey level has more than {bits} bits: is it left-justified?"
+        white = float(frame.image.max()) / (1 << bits)
+        assert white > LEAST_WHITE, (
+            f"white is at {white:.1%} of full scale at {1e3 * settings.exposure_s:g} ms with {bits} bits: "
+            "see light, exposure units, or bits"
+        )
         assert frame.settings == settings
         assert frame.index == 0
 
@@ -135,6 +160,7 @@ def test_no_frames_cannot_be_asked_for(camera: Camera, n: int) -> None:
     assert camera.state is State.IDLE
 
 
+@pytest.mark.light
 def test_stopping_mid_way_and_arming_again_gives_fresh_frames(rig: Rig, camera: Camera) -> None:
     show(rig, WHITE)
     camera.arm(3)
@@ -173,6 +199,38 @@ def test_a_frame_is_its_owners(rig: Rig, camera: Camera) -> None:
         later.append(camera.snap())
     assert not any(np.shares_memory(first.image, frame.image) for frame in later)
     np.testing.assert_array_equal(first.image, kept)
+
+
+def test_no_picture_comes_twice(rig: Rig, camera: Camera) -> None:
+    """Two exposures differ by the noise of the sensor, where those of two armings do."""
+    show(rig, GREY)
+    once = [camera.snap().image for _ in range(3)]
+    if min(np.count_nonzero(one != other) for one, other in pairwise(once)) < NOISY_PX:
+        pytest.skip(
+            "pictures of one scene are equal: the camera has no noise, or sees all black or all white"
+        )
+    camera.arm(4)
+    images = [camera.read(10.0).image for _ in range(4)]
+    for k, (one, other) in enumerate(pairwise(images)):
+        assert np.any(one != other), f"frame {k + 1} of one arming is frame {k} again, noise and all"
+
+
+def test_a_frame_lost_on_the_link_is_a_gap(rig: Rig, camera: Camera) -> None:
+    """The camera counts its frames, not the driver: it would give the next frame the lost one's number."""
+    if not rig.projector.caps.trigger_outputs or "hardware" not in camera.caps.triggers:
+        pytest.skip("there is no hardware trigger")
+    if not isinstance(rig.simulation, LosesFrames):
+        pytest.skip("only a bench with `lose_frames`, see tests/conformance/bench.py, can lose a frame")
+    patterns = patterns_for(rig)[:4]
+    rig.projector.load(patterns)
+    exposure_s = max(rig.projector.caps.bit_depths[8], settings_of(rig).exposure_s)
+    period_s = pulse_timing(camera, rig.projector, patterns, exposure_s).period_s
+    camera.arm(4, "hardware")
+    rig.projector.play(exposure_s, 0.0, period_s)
+    assert camera.read(10.0).index == 0
+    rig.simulation.lose_frames(1)
+    with pytest.raises(FrameLossError, match="frame 2 arrived instead of frame 1"):
+        camera.read(10.0)
 
 
 def test_time_goes_on(rig: Rig, camera: Camera) -> None:

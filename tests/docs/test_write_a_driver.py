@@ -1,4 +1,4 @@
-"""The how-to's camera, taken from its page, passes the conformance suite; a worse one does not."""
+"""The how-to's cameras, taken from its page, pass the conformance suite; worse ones do not."""
 
 from __future__ import annotations
 
@@ -9,60 +9,148 @@ import sys
 from pathlib import Path
 
 import pytest
+import yaml
+
+from docs.generate.pages import blocks
+from fpplab.devices.backends import load_backend
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "how-to" / "write-a-driver.md"
 LONGEST = 80
-CAMERA_TESTS = "tests/conformance/test_camera.py"
-RIG = """name: The how-to's camera at the reference rig
-bench: {backend: "tests.docs.acme:AcmeBench"}
-camera: {backend: "acme_camera:AcmeCamera", serial: "A-17", bits: 8}
+ALL, CAMERA_ALONE = "tests/conformance", "tests/conformance/test_camera.py"
+WITHOUT_LIGHT = ("-m", "not light")
+BENCH = """bench: {backend: "tests.docs.acme:AcmeBench"}
 projector: {backend: "tests.conformance.reference:ReferenceProjector"}
 """
+"""In place of the page's projector: what the emulated camera looks at."""
 
 
-def block(language: str) -> str:
-    found = re.search(rf"```{language}\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.S)
-    assert found
-    return found[1]
+def texts(language: str) -> list[str]:
+    return [block.text for block in blocks(PAGE) if block.language == language]
 
 
-def conformance(
-    folder: Path, code: str, tests: str = "tests/conformance"
-) -> subprocess.CompletedProcess[str]:
+def rig_file(name: str) -> str:
+    (found,) = (block.text for block in blocks(PAGE) if block.file_name == name)
+    return found
+
+
+def camera() -> str:
+    """The page's file with both classes."""
+    return "\n\n".join(texts("python"))
+
+
+def emulated(triggered: bool) -> str:
+    """The page's rig file with an emulated bench."""
+    mine = re.sub(r"projector: .*\n", BENCH, rig_file("rig_mine.yaml"))
+    return mine.replace(":AcmeCamera", ":TriggeredAcmeCamera") if triggered else mine
+
+
+def run_suite(folder: Path, code: str, rig: str, *words: str) -> subprocess.CompletedProcess[str]:
     (folder / "acme_camera.py").write_text(code, encoding="utf-8")
     (folder / "acme.py").write_text("from tests.docs.acme import *\n", encoding="utf-8")
-    (folder / "rig_mine.yaml").write_text(RIG, encoding="utf-8")
-    command = [sys.executable, "-m", "pytest", tests, "-q", "-x", "-m", "not slow"]
-    command += ["-p", "no:cacheprovider", "--rig", str(folder / "rig_mine.yaml"), "-k", "not seeded"]
+    (folder / "rig.yaml").write_text(rig, encoding="utf-8")
+    command = [sys.executable, "-m", "pytest", *words, "-q", "-p", "no:cacheprovider"]
+    command += ["--rig", str(folder / "rig.yaml")]
     path = os.pathsep.join(map(str, (folder, ROOT)))
-    return subprocess.run(
-        command, cwd=ROOT, env={**os.environ, "PYTHONPATH": path}, capture_output=True, text=True, check=False
-    )
+    environment = {**os.environ, "PYTHONPATH": path, "FPPLAB_ALLOW_BACKEND": "acme_camera"}
+    return subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+
+
+def count(output: str, *outcomes: str) -> int:
+    return sum(int(n) for outcome in outcomes for n in re.findall(rf"(\d+) {outcome}", output))
+
+
+def told() -> list[int]:
+    """How many tests the page promises: of the camera alone, and of camera and projector."""
+    return [int(n) for n in re.findall(r"These are (\d+) tests", PAGE.read_text(encoding="utf-8"))]
 
 
 def test_the_page_is_a_whole_camera_in_few_lines() -> None:
-    assert len(block("python").splitlines()) < LONGEST
-    assert "acme_camera:AcmeCamera" in block("yaml")
+    assert len(texts("python")[0].splitlines()) < LONGEST
 
 
-def test_the_camera_of_the_page_passes_the_conformance_suite(tmp_path: Path) -> None:
-    done = conformance(tmp_path, block("python"))
+def test_the_projector_of_the_page_is_accepted_as_it_stands() -> None:
+    section = yaml.safe_load(rig_file("rig_mine.yaml"))["projector"]
+    backend = load_backend(section.pop("backend"), "rig_mine.yaml", "projector")
+    assert backend("projector", section).state == "closed"
+
+
+def test_the_camera_alone_passes_without_light(tmp_path: Path) -> None:
+    done = run_suite(tmp_path, camera(), rig_file("rig_alone.yaml"), CAMERA_ALONE, *WITHOUT_LIGHT)
     assert done.returncode == 0, done.stdout
-    assert int(re.findall(r"(\d+) passed", done.stdout)[0]) > 30, done.stdout
+    assert count(done.stdout, "passed", "skipped") == told()[0], done.stdout
+    (shown,) = re.findall(r"`(\d+ passed, [^`]*)`", PAGE.read_text(encoding="utf-8"))
+    assert shown in done.stdout
+
+
+@pytest.mark.parametrize("triggered", [False, True], ids=["software trigger", "hardware trigger"])
+def test_the_cameras_of_the_page_pass_the_conformance_suite(tmp_path: Path, triggered: bool) -> None:
+    done = run_suite(tmp_path, camera(), emulated(triggered), ALL)
+    assert done.returncode == 0, done.stdout
+    assert count(done.stdout, "passed", "skipped") == told()[1], done.stdout
+    assert count(done.stdout, "skipped") == (not triggered), done.stdout
+
+
+def test_exposures_in_microseconds_end_the_run(tmp_path: Path) -> None:
+    code = camera().replace("(least_us / 1e6, most_us / 1e6)", "(least_us, most_us)")
+    done = run_suite(tmp_path, code, emulated(triggered=False), ALL)
+    assert done.returncode == 1
+    assert (
+        "the least exposure is 100 s: are these microseconds? CameraCaps.exposure_s is in seconds"
+        in done.stdout
+    )
+    assert count(done.stdout, "passed", "failed", "error") == 1, done.stdout
+
+
+def test_a_dark_picture_is_told_with_its_exposure(tmp_path: Path) -> None:
+    code = (
+        camera().replace("bits=(8, 12)", "bits=(8, 16)").replace("else np.uint16)", "else np.uint16) // 50")
+    )
+    done = run_suite(tmp_path, code, emulated(triggered=False), CAMERA_ALONE, "-k", "what_was_configured")
+    assert done.returncode == 1
+    assert re.search(r"white is at 1\.\d% of full scale at 20 ms with 8 bits: see light", done.stdout), (
+        done.stdout
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("good", "bad"),
+    ("good", "bad", "noticed_by"),
     [
-        ("np.array(buffer, np.uint8 if self._applied.bits == 8 else np.uint16)", "buffer"),
-        ("self._count = 0", "self._count = getattr(self, '_count', 0)"),
-        ("return self._applied\n\n    def _arm", "return settings\n\n    def _arm"),
+        (
+            "np.array(received.pixels, np.uint8 if self._applied.bits == 8 else np.uint16)",
+            "received.pixels",
+            "frames_are_what_was_configured",
+        ),
+        ("received.number - self._first", "received.number", "frames_are_what_was_configured"),
+        ("received.number - self._first", "self._taken", "lost_on_the_link"),
+        ("self._is_wired and not self._sdk.is_ready()", "False", "a_triggered_plan"),
+        ("return self._applied\n\n    def _arm", "return settings\n\n    def _arm", "settings_are_read_back"),
+        ("super()._setup(options, shared)", "pass", "unknown_key"),
     ],
-    ids=["no copy", "the index goes on", "not read back"],
+    ids=["no copy", "the index goes on", "own numbers", "not ready", "not read back", "unknown keys"],
 )
-def test_a_worse_camera_does_not(tmp_path: Path, good: str, bad: str) -> None:
-    code = block("python")
-    assert code.count(good) == 1
-    assert conformance(tmp_path, code.replace(good, bad), CAMERA_TESTS).returncode == 1
+def test_a_worse_camera_does_not(tmp_path: Path, good: str, bad: str, noticed_by: str) -> None:
+    assert camera().count(good) == 1
+    code = camera().replace(good, bad)
+    done = run_suite(tmp_path, code, emulated(triggered=True), ALL, "-k", noticed_by)
+    assert done.returncode == 1, done.stdout
+
+
+@pytest.mark.slow
+def test_the_package_of_the_page_announces_its_camera(tmp_path: Path) -> None:
+    source, installed = tmp_path / "source", tmp_path / "installed"
+    source.mkdir()
+    (source / "acme_camera.py").write_text(camera(), encoding="utf-8")
+    (source / "pyproject.toml").write_text(texts("toml")[0], encoding="utf-8")
+    pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-build-isolation", "--no-deps"]
+    subprocess.run([*pip, "--no-index", "--target", str(installed), str(source)], check=True)
+    (installed / "acme.py").touch()
+    (name,) = re.findall(r"camera: \{backend: (\w+), serial", PAGE.read_text(encoding="utf-8"))
+    load = f"from fpplab.devices.backends import load_backend; print(load_backend({name!r}, 'rig', 'camera'))"
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (installed, ROOT)))}
+    environment.pop("FPPLAB_ALLOW_BACKEND", None)
+    done = subprocess.run(
+        [sys.executable, "-c", load], env=environment, capture_output=True, text=True, check=False
+    )
+    assert "acme_camera.AcmeCamera" in done.stdout, done.stderr
