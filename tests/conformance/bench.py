@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import FrameLossError
-from fpplab.devices import CameraCaps, Device
+from fpplab.devices import Device
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import Pattern, make_patterns
@@ -21,9 +21,6 @@ FLAT = Sinusoid(axis="x", stripes=0.01, steps=4)
 """So few stripes that step 0 is white all over and step 2 is black."""
 COLUMNS = Sinusoid(axis="x", stripes=4, steps=4)
 ROWS = Sinusoid(axis="y", stripes=4, steps=4)
-
-LONGEST_LEAST_EXPOSURE_S = 0.5
-"""The least exposure of any camera is far shorter: of most it is some 20 microseconds."""
 
 WHITE, GREY, BLACK = 0, 1, 2
 DISTINCT = (0, 2, 4, 5, 6, 7, 8, 9, 10, 11)
@@ -37,14 +34,6 @@ class LosesFrames(Protocol):
     def lose_frames(self, n: int) -> None:
         """Lose the next `n` frames: they are exposed and counted by the camera, and never arrive."""
         ...
-
-
-def wrong_unit(caps: CameraCaps) -> str:
-    """What is wrong with a camera's exposures if they are not in seconds; empty where they may be."""
-    least = caps.exposure_s[0]
-    if not least >= LONGEST_LEAST_EXPOSURE_S:
-        return ""
-    return f"the least exposure is {least:g} s: are these microseconds? CameraCaps.exposure_s is in seconds"
 
 
 def dim_plan(rig: Rig) -> Plan:
