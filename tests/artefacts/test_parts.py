@@ -76,7 +76,6 @@ def test_files_that_are_no_mesh_are_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "content"),
     [
-        ("empty.stl", b""),
         ("solid.stl", b"solid nothing\nendsolid nothing\n"),
         ("page.stl", b"<html>" * 50),
         ("torn.stl", BOX.export(file_type="stl")[:300]),
@@ -87,6 +86,12 @@ def test_files_without_faces_are_refused(tmp_path: Path, name: str, content: byt
     (tmp_path / name).write_bytes(content)
     with pytest.raises(ConfigError, match=f"{name}: holds no faces; give a mesh"):
         load_part(tmp_path / name)
+
+
+def test_empty_files_are_called_empty(tmp_path: Path) -> None:
+    (tmp_path / "empty.stl").write_bytes(b"")
+    with pytest.raises(ConfigError, match=r"empty\.stl: is empty; export the mesh again"):
+        load_part(tmp_path / "empty.stl")
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])

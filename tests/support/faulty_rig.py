@@ -31,6 +31,7 @@ class FormulaBench:
         self.now = drawn(self.options.get("cause"), int(self.options["seed"]))
         self.on_show: Pattern | None = None
         self.pulses: deque[Pattern] = deque()
+        self.frames_to_lose = 0
         self._twin = PlaneTwin(self.now.parameters)
         self._random = np.random.default_rng([self.now.seed, 5])
         self._now_s = 0.0

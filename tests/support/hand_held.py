@@ -34,6 +34,7 @@ class HandBench:
         self.random = np.random.default_rng([8, int(self.options["seed"])])
         self.on_show: Pattern | None = None
         self.pulses: deque[Pattern] = deque()
+        self.frames_to_lose = 0
         self.attempt = -2
         self.hold(FIRST)
 
