@@ -180,7 +180,7 @@ def test_an_empty_frame_of_a_dying_link_is_refused(made: Make) -> None:
     end.results.append(Result(np.zeros((1, 64), np.uint8), 64, 1, pylon.PixelType_Mono8, 0))
     camera = made(end)
     camera.configure(CameraSettings(0.01))
-    with pytest.raises(FrameLossError, match=r"frame 0 is an array \(1, 64\) of uint8; \(8, 64\) .* configured"):
+    with pytest.raises(FrameLossError, match=r"frame 0 is an array \(1, 64\) of uint8; \(8, 64\)"):
         camera.snap()
 
 
