@@ -125,3 +125,8 @@ def test_a_part_of_ones_own_is_scanned_from_another_folder(fpplab: Command, tmp_
     assert done.json["images"] == 6
     # The box covers 60 x 50 of a field of 172 x 115 mm, nearly all of it lit.
     assert 0.8 < done.json["points"] / (192 * 128 * 60 * 50 / (172 * 115)) < 1.1
+    (rig.parent / "world.yaml").write_text("")
+    again = scan(fpplab, rig)  # refused before the bench is opened, which would tell of the world
+    assert again.code == 2
+    assert f"{tmp_path / 's'}: exists already" in again.json["error"]
+    assert "world" in scan(fpplab, rig, "--force").json["error"]

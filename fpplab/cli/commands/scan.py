@@ -48,15 +48,21 @@ def scan_command(
     Example: `fpplab scan --rig rig_demo --calibration calibration.yaml --item pyramid --out pyramid`
     """
     from fpplab.calibration.model import Calibration
+    from fpplab.core.files import refuse_existing
+    from fpplab.core.session_names import REPORT
     from fpplab.devices.rig import Rig
     from fpplab.patterns.plan import Plan
     from fpplab.pipeline import check_plan, plan_with_depth
-    from fpplab.sessions.session import refuse_foreign
+    from fpplab.sessions.session import Session, refuse_foreign
 
     wanted, known = plan_with_depth(Plan.load(plan), depth), Calibration.load(calibration)
     bench = Rig.load(rig)
     check_plan(wanted, plan, known, bench, depth)
     refuse_foreign(out)
+    # The report is written last: without it, all that is left may be to finish.
+    finished = (out / REPORT).is_file()
+    if finished and not dry_run and not Session.open(out).missing():
+        refuse_existing(out, force)
     with ExitStack() as stack, console.stopwatch() as seconds:
         stack.enter_context(bench)
         caps = bench.projector.caps
@@ -81,14 +87,12 @@ def scan_command(
 
         from fpplab.diagnosis import UselessScanError
         from fpplab.phase.precision import uncertain_orders
-        from fpplab.pipeline import CLOUD, REPORT, depth_range_of, finish_scan, take
+        from fpplab.pipeline import CLOUD, depth_range_of, finish_scan, take
         from fpplab.reconstruction.filtering import removal
         from fpplab.report import write_scan_report
         from fpplab.report.provenance import session_provenance
         from fpplab.sessions.lock import only_writer
 
-        # The report is written last: without it, all that is left may be to finish.
-        finished = (out / REPORT).is_file()
         mount = (item, pose) if item else None
         with only_writer(out):
             with console.progress("Scanning") as report:
