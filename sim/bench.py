@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
@@ -13,6 +14,7 @@ from fpplab.core import config
 from fpplab.core.config import Document
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import ConfigError
+from fpplab.core.geometry import RigidTransform
 from fpplab.devices import CameraSettings
 from fpplab.simulation.arrangeable import SceneStudio
 from fpplab.simulation.matchable import Twin
@@ -29,6 +31,9 @@ from sim.twin import SimTwin
 from sim.vibration import displaced, displacement_mm, wave_phase, with_vibration
 from sim.worker import START_S, Blender
 from sim.world import Binning, Subpixels, World
+
+UNNAMED = "world: "
+"""What begins a refusal by a module that does not know the world's file."""
 
 
 class VirtualBenchOptions(Document):
@@ -90,6 +95,7 @@ class VirtualBench:
 
     def __init__(self, options: dict[str, Any]) -> None:
         chosen = config.validate(options, VirtualBenchOptions, "bench")
+        self._file = config.find_config(chosen.world, "world")
         self.world = chosen.load_world()
         self.blender = Blender("bench")
         self._analytic = chosen.analytic
@@ -113,7 +119,8 @@ class VirtualBench:
         self.setup, self.show = Setup(self.world.mounted), None
         self._draws.clear()
         self._count = 0
-        self._check_device()
+        with self._naming_file():
+            self._check_device()
         self.check(self.world.mounted, 0)
 
     def check(self, item: str, pose: int) -> None:
@@ -132,7 +139,24 @@ class VirtualBench:
             The item cannot be made, or the camera sees nothing of the light on it.
         """
         if item != "nothing":
-            self._check_lit(replace(self.setup, item=item, pose=pose))
+            with self._naming_file():
+                self._check_lit(replace(self.setup, item=item, pose=pose))
+
+    def poses(self) -> dict[str, tuple[RigidTransform, ...]]:
+        """Give the poses of every item of the world.
+
+        Returns
+        -------
+        dict of str to tuple of RigidTransform
+            By name of the item, from its frame to the camera's, in mm.
+
+        Raises
+        ------
+        ConfigError
+            The target of a board is missing or damaged, or too few poses of a board can be drawn.
+        """
+        with self._naming_file():
+            return {name: item_poses(self.world, name) for name in self.world.items}
 
     def close(self) -> None:
         """End the Blender process and release every picture; allowed any number of times."""
@@ -152,6 +176,16 @@ class VirtualBench:
         light = self._light_of(world)
         light.inherit(self.light)
         self.world, self.light, self._seen_lit, self._vibrating = world, light, None, None
+
+    @contextmanager
+    def _naming_file(self) -> Iterator[None]:
+        """Name the file of a world that is refused: the modules that refuse it know it as "world" only."""
+        try:
+            yield
+        except ConfigError as error:
+            if not str(error).startswith(UNNAMED):
+                raise
+            raise ConfigError(f"{self._file}: {str(error).removeprefix(UNNAMED)}") from error
 
     def _light_of(self, world: World) -> Light:
         return Light(world, self.blender, analytic=self._analytic)
@@ -176,7 +210,8 @@ class VirtualBench:
         ConfigError
             The item is no board.
         """
-        return SimTwin(self.world, board, self.blender)
+        with self._naming_file():
+            return SimTwin(self.world, board, self.blender)
 
     def draw(self, numbers: Iterable[int]) -> None:
         """Let noise and vibration of the next frames follow from these numbers and the world's seed.
@@ -283,7 +318,8 @@ class VirtualBench:
         """
         setup, show = self.setup, self.show
         if show is not None and setup.item != "nothing":
-            self._check_lit(setup)
+            with self._naming_file():
+                self._check_lit(setup)
         random = np.random.default_rng([self.world.seed, frame])
         moved = displacement_mm(self.world, random, frame, wave_phase(self.world))
         weights, size_mm = self._row_weights(show, settings, random.uniform()), self.world.moves_mm

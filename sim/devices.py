@@ -40,7 +40,6 @@ from fpplab.devices import (
 from fpplab.patterns.fringes import Pattern, quantise
 from sim.bench import VirtualBench
 from sim.build import is_lit_in_view
-from sim.items import item_poses
 from sim.light import Show
 from sim.sensor import SensorModel
 from sim.world import BoardItem
@@ -216,7 +215,7 @@ class SimFixture(PosableFixture):
         self._bench = _shared(bench, self.name, options)
 
     def _open(self) -> None:
-        self._held = {name: item_poses(self._bench.world, name) for name in self._bench.world.items}
+        self._held = self._bench.poses()
 
     def _close(self) -> None:
         """Nothing to do: the item stays mounted."""

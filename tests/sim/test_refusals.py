@@ -173,14 +173,16 @@ def checked(folder: Path, item: str, **changes: Any) -> ConfigError:
 def test_a_device_that_is_not_there(tmp_path: Path) -> None:
     """Before anything is measured, although nothing is mounted yet."""
     said = sentence(opened(tmp_path, render={"device": "ONEAPI"}))
-    assert said.startswith("world: 'render.device' is ONEAPI, but there is no ONEAPI device")
+    world = tmp_path / "world.yaml"
+    assert said.startswith(f"{world}: 'render.device' is ONEAPI, but there is no ONEAPI device")
     assert "set it to CPU, or install" in said
 
 
 def test_an_item_out_of_the_camera_s_view(tmp_path: Path) -> None:
     items = {"pillars": {"artefact": "pillars", "pose": AWAY}}
     expected = (
-        "world: the camera sees nothing of the projector's light on 'pillars' (pose 0, stage at 0 mm); "
+        f"{tmp_path / 'world.yaml'}: the camera sees nothing of the projector's light on 'pillars' "
+        "(pose 0, stage at 0 mm); "
         "correct 'items.pillars' or 'projector.T_camera_projector'"
     )
     assert sentence(opened(tmp_path, items=items, mounted="pillars")) == expected
@@ -222,7 +224,7 @@ def test_a_file_that_is_no_part(tmp_path: Path, content: bytes | None, why: str)
     items = {"part": {"mesh": str(file), "pose": POSE}}
     for error in (opened(tmp_path, items=items, mounted="part"), checked(tmp_path, "part", items=items)):
         said = sentence(error)
-        assert said.startswith(f"world: 'items.part.mesh': {file}: ")
+        assert said.startswith(f"{tmp_path / 'world.yaml'}: 'items.part.mesh': {file}: ")
         assert why in said
 
 
@@ -244,7 +246,8 @@ def test_an_artefact_that_cannot_be_made(tmp_path: Path, item: dict[str, Any], s
 def test_a_target_that_is_not_there(tmp_path: Path) -> None:
     items = {"board": {"target": "target_none.yaml", "poses": [POSE]}}
     said = sentence(opened(tmp_path, items=items, mounted="board"))
-    assert said.startswith("world: 'items.board.target': target_none.yaml: there is no such file")
+    world = tmp_path / "world.yaml"
+    assert said.startswith(f"{world}: 'items.board.target': target_none.yaml: there is no such file")
 
 
 # Files beside the world ------------------------------------------------------------------------------
