@@ -54,6 +54,8 @@ class EveryWrite:
     inputs: Path
     disk: Path
     error: int
+    resolution: int = 1
+    """Between two writes that are no further apart than this, none is tried."""
     said: str = FULL
     found: Found = field(default_factory=Found)
     expected: dict[str, str] = field(default_factory=dict)
@@ -78,7 +80,7 @@ class EveryWrite:
 
     def _between(self, low: int, first: str, high: int, last: str) -> None:
         """Between two writes at which the command ends alike, it ends so at all others."""
-        if high - low < 2 or first == last:
+        if high - low <= self.resolution or first == last:
             return
         middle = (low + high) // 2
         ending = self._ending(middle)

@@ -57,13 +57,14 @@ def test_a_disk_that_vanishes_under_a_scan(tmp_path: Path) -> None:
     ids=["full", "quota"],
 )
 def test_full_at_every_write(tmp_path: Path, error: int, names: set[str]) -> None:
-    """Some commands; `make full-disk` tries all."""
+    """Some writes of some commands; `make full-disk` tries all."""
     if not can_refuse():
         pytest.skip("there is no C compiler")
     prepare_inputs(tmp_path)
     with refusing_program(tmp_path) as program:
         for command in EVERY_COMMAND:
             if command.name in names:
-                found = EveryWrite(program, command, tmp_path, tmp_path / "disk", error).run()
+                trials = EveryWrite(program, command, tmp_path, tmp_path / "disk", error, resolution=6)
+                found = trials.run()
                 assert found.tried > 1
                 assert found.complaints == []

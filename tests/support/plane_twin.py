@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -12,7 +13,7 @@ import cv2
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates
+from scipy.sparse import csr_array
 
 from fpplab import artefacts
 from fpplab.calibration.model import Calibration
@@ -72,9 +73,61 @@ def nominal(poses: Sequence[RigidTransform]) -> TwinParameters:
     )
 
 
-def between(picture: NDArray[np.float32], u: Floats, v: Floats) -> NDArray[np.float32]:
-    """Bilinear look-up, exact where OpenCV's knows 32 places between pixels; 0 outside."""
-    return np.asarray(map_coordinates(picture, [v, u], order=1), np.float32)
+def look_up(u: Floats, v: Floats, size: tuple[int, int]) -> csr_array:
+    """Bilinear look-up of pictures of `size` (columns, rows) as a matrix, a row per pixel; 0 outside."""
+    columns, rows = size
+    u, v = u.ravel(), v.ravel()
+    inside = np.flatnonzero((u >= 0) & (v >= 0) & (u <= columns - 1) & (v <= rows - 1))
+    left = np.minimum(u[inside].astype(int), columns - 2)
+    top = np.minimum(v[inside].astype(int), rows - 2)
+    right, below = u[inside] - left, v[inside] - top
+    first = top * columns + left
+    corners = np.stack([first, first + 1, first + columns, first + columns + 1], axis=-1)
+    weights = np.stack(
+        [(1 - right) * (1 - below), right * (1 - below), (1 - right) * below, right * below], axis=-1
+    )
+    per_pixel = np.zeros(u.size + 1, int)
+    per_pixel[inside + 1] = 4
+    entries = (weights.ravel().astype(np.float32), corners.ravel(), np.cumsum(per_pixel))
+    return csr_array(entries, shape=(u.size, columns * rows))
+
+
+@cache
+def printed() -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Shares of ink and of board, with a rim of what is not board: nothing comes back from there."""
+    grey = (TARGET.image(PX_PER_MM) / 255.0 - TARGET.background) / (TARGET.foreground - TARGET.background)
+    ink, there = (np.pad(share, 20).astype(np.float32) for share in (grey, np.ones_like(grey)))
+    return cv2.GaussianBlur(ink, (0, 0), 2.0), cv2.GaussianBlur(there, (0, 0), 2.0)
+
+
+@cache
+def squared_slopes() -> Floats:
+    """Of the camera's pixels' rays against its axis, (h, w)."""
+    u, v = np.meshgrid(np.arange(CAMERA.size[0]), np.arange(CAMERA.size[1]))
+    return ((u - 230) / 1216) ** 2 + ((v - 150) / 1216) ** 2
+
+
+@cache
+def falloff_terms() -> Floats:
+    """What the coefficients of the projector's falloff multiply, (5, rows, columns)."""
+    columns, rows = PROJECTOR.size
+    x = (np.arange(columns) - 0.5 * (columns - 1)) / (0.5 * columns)
+    y = ((np.arange(rows) - 0.5 * (rows - 1)) / (0.5 * columns))[:, None]
+    return np.stack([x + 0 * y, y + 0 * x, x**2 + 0 * y, x * y, y**2 + 0 * x])
+
+
+@dataclass(frozen=True, eq=False)
+class SeenSample:
+    """What one of the two samples of every pixel sees, (h, w), at one pose."""
+
+    ink: NDArray[np.float32]
+    """Share of ink."""
+    there: NDArray[np.float32]
+    """Share of board."""
+    projector: csr_array
+    """The projected picture's look-up."""
+    irradiance: NDArray[np.float32]
+    """Of a projector that is even."""
 
 
 class PlaneTwin:
@@ -88,11 +141,7 @@ class PlaneTwin:
     ) -> None:
         self._now, self._bend_mm = parameters, bend_mm
         self._seed, self._next_frame = seed, 0
-        self._kept: dict[bytes, tuple[Floats, ...]] = {}
-        grey = (TARGET.image(PX_PER_MM) / 255.0 - TARGET.background) / (TARGET.foreground - TARGET.background)
-        # A rim of what is not board: nothing comes back from there.
-        self._print = cv2.GaussianBlur(np.pad(grey, 20).astype(np.float32), (0, 0), 2.0)
-        self._board = cv2.GaussianBlur(np.pad(np.ones_like(grey), 20).astype(np.float32), (0, 0), 2.0)
+        self._kept: dict[bytes, list[SeenSample]] = {}
 
     @property
     def parameters(self) -> TwinParameters:
@@ -233,29 +282,36 @@ class PlaneTwin:
         blur = self._blur_px(pose.translation[2], now.projector_focus_mm, now.projector_aperture_mm, 1300.0)
         sigma = float(np.hypot(now.projector_blur, blur))
         room = now.ambient + self._lamp(pose)
-        for ink, there, u, v, fall in self._maps(pose):
-            if board:
-                albedo = (now.paper * (there - ink) + now.ink * ink).astype(np.float32)
-            else:
-                albedo = np.full(u.shape, 0.9, np.float32)
-            for n, pattern in enumerate(patterns):
-                light = (now.response.apply(pattern.image / 255.0) * self._falloff()).astype(np.float32)
-                light = cv2.GaussianBlur(light, (0, 0), sigma)
-                lit = between(light, u, v)
-                out[n] += 0.5 * albedo * (lit * fall.astype(np.float32) + room)
+        samples, falloff = self._samples(pose), self._falloff()
+        albedos = [self._albedo(sample, board) for sample in samples]
+        for n, pattern in enumerate(patterns):
+            light = (now.response.apply(pattern.image / 255.0) * falloff).astype(np.float32)
+            light = cv2.GaussianBlur(light, (0, 0), sigma).ravel()
+            for sample, albedo in zip(samples, albedos, strict=True):
+                lit = (sample.projector @ light).reshape(height, width)
+                out[n] += 0.5 * albedo * (lit * sample.irradiance + room)
         sharp = self._blur_px(
             pose.translation[2], now.camera_focus_mm, 35.0 / now.f_number, CAMERA.matrix[0, 0]
         )
         for n in range(len(out)):
             if sharp > 0.01:
                 out[n] = cv2.GaussianBlur(out[n], (0, 0), sharp)
-        falloff = (1 + self._slopes() ** 2) ** (-now.vignetting / 2)
-        levels = full * (now.black_level + (1 - now.black_level) * 0.8 * now.white * out * falloff)
+        vignetting = (1 + squared_slopes()) ** (-now.vignetting / 2)
+        levels = full * (now.black_level + (1 - now.black_level) * 0.8 * now.white * out * vignetting)
         return np.asarray(levels.clip(0, full), np.float32)
+
+    def _albedo(self, sample: SeenSample, board: bool) -> NDArray[np.float32]:
+        now = self._now
+        if board:
+            seen = now.paper * (sample.there - sample.ink) + now.ink * sample.ink
+            return np.asarray(seen, np.float32)
+        return np.full_like(sample.ink, 0.9)
 
     def _lamp(self, pose: RigidTransform) -> NDArray[np.float32]:
         """Light of the room's lamp on what every pixel sees, (h, w); its place is given from `CARD`."""
         now = self._now
+        if now.lamp_irradiance == 0:
+            return np.zeros(now.calibration.camera.size[::-1], np.float32)
         angle, azimuth = np.radians([now.lamp_angle_deg, now.lamp_azimuth_deg])
         towards = np.array([np.sin(angle) * np.cos(azimuth), np.sin(angle) * np.sin(azimuth), -np.cos(angle)])
         rays, normal = _rays(now.calibration.camera, 0.0, 0.0), pose.rotation[:, 2]
@@ -267,21 +323,12 @@ class PlaneTwin:
         return np.asarray(light, np.float32)
 
     def _falloff(self) -> Floats:
-        columns, rows = PROJECTOR.size
-        x = (np.arange(columns) - 0.5 * (columns - 1)) / (0.5 * columns)
-        y = ((np.arange(rows) - 0.5 * (rows - 1)) / (0.5 * columns))[:, None]
-        terms = [x + 0 * y, y + 0 * x, x**2 + 0 * y, x * y, y**2 + 0 * x]
-        return np.asarray(1.0 + np.tensordot(self._now.projector_falloff, terms, axes=1))
+        return np.asarray(1.0 + np.tensordot(self._now.projector_falloff, falloff_terms(), axes=1))
 
     def _blur_px(self, z: float, focus: float | None, aperture: float, focal_px: float) -> float:
         return 0.0 if focus is None else float(0.25 * aperture * abs(1 / z - 1 / focus) * focal_px)
 
-    def _slopes(self) -> Floats:
-        u, v = np.meshgrid(np.arange(CAMERA.size[0]), np.arange(CAMERA.size[1]))
-        return np.hypot((u - 230) / 1216, (v - 150) / 1216)
-
-    def _maps(self, pose: RigidTransform) -> list[tuple[Floats, ...]]:
-        """Ink and board there, projector u, v and irradiance at the two samples of every pixel."""
+    def _samples(self, pose: RigidTransform) -> list[SeenSample]:
         now = self._now.calibration
         key = np.concatenate(
             [pose.matrix.ravel(), now.camera.matrix.ravel(), now.camera.distortion,
@@ -291,10 +338,10 @@ class PlaneTwin:
         if key not in self._kept:
             if len(self._kept) > 40:
                 self._kept.clear()
-            self._kept[key] = [self._map(pose, du, dv) for du, dv in ((-0.25, -0.25), (0.25, 0.25))]  # type: ignore[assignment]
-        return self._kept[key]  # type: ignore[return-value]
+            self._kept[key] = [self._sample(pose, du, dv) for du, dv in ((-0.25, -0.25), (0.25, 0.25))]
+        return self._kept[key]
 
-    def _map(self, pose: RigidTransform, du: float, dv: float) -> tuple[Floats, ...]:
+    def _sample(self, pose: RigidTransform, du: float, dv: float) -> SeenSample:
         now = self._now.calibration
         rays = _rays(now.camera, du, dv)
         normal = pose.rotation[:, 2]
@@ -311,12 +358,13 @@ class PlaneTwin:
         cosine = np.abs((points - now.projector_centre) @ normal) / distance
         column = (on_board[..., 0] + 0.5 * TARGET.size_mm[0]) * PX_PER_MM + 19.5
         row = (on_board[..., 1] + 0.5 * TARGET.size_mm[1]) * PX_PER_MM + 19.5
-        return (
-            between(self._print, column, row),
-            between(self._board, column, row),
-            pixel[..., 0],
-            pixel[..., 1],
-            cosine * (475 / distance) ** 2,
+        ink, there = printed()
+        board = look_up(column, row, ink.shape[::-1])
+        return SeenSample(
+            ink=(board @ ink.ravel()).reshape(column.shape),
+            there=(board @ there.ravel()).reshape(column.shape),
+            projector=look_up(pixel[..., 0], pixel[..., 1], PROJECTOR.size),
+            irradiance=(cosine * (475 / distance) ** 2).astype(np.float32),
         )
 
 
