@@ -20,7 +20,7 @@ from sim.light.cache import digest
 from sim.light.lamps import RoomLightAt
 from sim.light.lens import lens_points
 from sim.light.mirrors import Mirrors
-from sim.light.solid import traced
+from sim.light.solid import Bodies, traced
 from sim.light.table import Irradiance, LightTable
 from sim.scene import RenderScene, SubpixelView, Surface
 from sim.texture import MirrorTexture
@@ -189,9 +189,10 @@ def _whole(scene: RenderScene, views: list[SubpixelView], shown: int) -> LightTa
     samples = np.zeros((len(views), bottom - top, right - left, 4), np.float32)
     albedo = np.zeros((height, width), np.float32)
     step = max(1, BAND_PIXELS // max(right - left, 1))
+    bodies = Bodies(scene, shown)
     for first in range(top, bottom if right > left else top, step):  # in an empty window nothing is seen
         rows, columns = np.mgrid[first : min(first + step, bottom), left:right]
-        band = traced(scene, views, (rows.ravel(), columns.ravel()), shown)
+        band = bodies.traced(views, (rows.ravel(), columns.ravel()))
         samples[:, rows[:, 0] - top] = band.samples.reshape(len(views), *rows.shape, 4)
         albedo[rows, columns] = band.albedo.reshape(rows.shape)
     return LightTable(samples, albedo, (left, top))

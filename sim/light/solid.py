@@ -64,13 +64,7 @@ def traced(
     LightTable
         Of one row of P pixels.
     """
-    (left, top, right, bottom), (row, column) = scene.window, pixels
-    drawn = np.flatnonzero((row >= top) & (row < bottom) & (column >= left) & (column < right))
-    bodies = _Bodies(scene, shown)
-    survey = np.zeros((len(views), 1, len(row), CHANNELS), np.float32)
-    for view, of_view in zip(views, survey[:, 0], strict=True):
-        bodies.seen_through(view, row[drawn], column[drawn], drawn, of_view)
-    return LightTable.of(survey, replace(scene, window=(0, 0, len(row), 1)))
+    return Bodies(scene, shown).traced(views, pixels)
 
 
 def shape_of(scene: RenderScene) -> RayTracedShape:
@@ -95,15 +89,45 @@ def shape_of(scene: RenderScene) -> RayTracedShape:
     return RayTracedShape(whole)
 
 
-class _Bodies:
-    """All surfaces of a scene as triangles in the camera's frame, of which some of the first may reflect."""
+class Bodies:
+    """All surfaces of a scene as triangles in the camera's frame, of which some of the first may reflect.
 
-    def __init__(self, scene: RenderScene, shown: int | None) -> None:
+    Parameters
+    ----------
+    scene : RenderScene
+        Of matt surfaces, each of which may have a picture.
+    shown : int, optional
+        Number of first surfaces whose light is given; the others hide them and cast shadows. All by default.
+    """
+
+    def __init__(self, scene: RenderScene, shown: int | None = None) -> None:
         self._scene, camera = scene, scene.camera
         self._reach = Pinhole(camera.size, camera.matrix, camera.distortion).reach
         self._shape = shape_of(scene)
         self._first_of = np.cumsum([0, *(len(one.faces) for one in scene.surfaces)])
         self._last_seen = self._first_of[-1 if shown is None else shown]
+
+    def traced(self, views: list[SubpixelView], pixels: PixelIndices) -> LightTable:
+        """Trace some pixels as the function of this name does; what was prepared serves every call.
+
+        Parameters
+        ----------
+        views : list of SubpixelView
+            Points of the pixels and of the lens.
+        pixels : PixelIndices
+            Rows and columns of P pixels of the image.
+
+        Returns
+        -------
+        LightTable
+            Of one row of P pixels.
+        """
+        (left, top, right, bottom), (row, column) = self._scene.window, pixels
+        drawn = np.flatnonzero((row >= top) & (row < bottom) & (column >= left) & (column < right))
+        survey = np.zeros((len(views), 1, len(row), CHANNELS), np.float32)
+        for view, of_view in zip(views, survey[:, 0], strict=True):
+            self._see_through(view, row[drawn], column[drawn], drawn, of_view)
+        return LightTable.of(survey, replace(self._scene, window=(0, 0, len(row), 1)))
 
     def _reflectance(self, faces: NDArray[np.int64], points: Floats) -> Irradiance:
         """Reflectance (N,) at points of faces; 0 where the surface is not asked for."""
@@ -122,7 +146,7 @@ class _Bodies:
             found[of] = ink + (surface.paint.reflectance - ink) * share / np.float32(255)
         return found
 
-    def seen_through(
+    def _see_through(
         self,
         view: SubpixelView,
         rows: NDArray[np.intp],
