@@ -44,7 +44,7 @@ PLACES_MM = (0.0, 15.0)
 """Of the stage, which carries the projector."""
 PULL_OFF_MM = DEFAULTS[27]
 STEP_DIGITS = 4
-POLL_S, PATIENCE_S = 0.01, 30.0
+POLL_S, PATIENCE_S = 0.01, 120.0
 """How often the screen is looked at, and for how long, until it shows what was drawn."""
 
 

@@ -18,7 +18,7 @@ from tests.vm.projector import Projector, connected
 
 collect_ignore_glob = [] if os.environ.get("FPPLAB_VM") else ["test_*.py"]
 
-PATIENCE_S = 30.0
+PATIENCE_S = 120.0
 """Time that the kernel is given, on an emulated processor."""
 
 

@@ -12,7 +12,7 @@ from tests.vm.uvc_descriptors import NAME
 
 DEVICES = Path("/sys/class/video4linux")
 LINK = Path("/run/uvc-camera")
-PATIENCE_S = 30.0
+PATIENCE_S = 120.0
 
 
 def devices(name: str) -> list[Path]:
