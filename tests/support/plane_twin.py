@@ -382,6 +382,20 @@ def _rays(camera: Pinhole, du: float, dv: float) -> Floats:
     return _known_rays[key]
 
 
+def moved(parameters: TwinParameters, mm: float, degrees: float, seed: int = 0) -> TwinParameters:
+    """With every pose of the board off by so much, each in another direction."""
+    random = np.random.default_rng(seed)
+
+    def off(pose: RigidTransform) -> RigidTransform:
+        turn, shift = random.standard_normal((2, 3))
+        turn *= np.radians(degrees) / np.linalg.norm(turn)
+        shift *= mm / np.linalg.norm(shift)
+        turned = RigidTransform.from_vectors(turn, np.zeros(3)).rotation @ pose.rotation
+        return RigidTransform(turned, pose.translation + shift)
+
+    return replace(parameters, poses=tuple(off(pose) for pose in parameters.poses))
+
+
 def record(twin: PlaneTwin, plan: Plan, folder: Path) -> list[Session]:
     """Every pose of a twin as a session, as a bench would leave it."""
     size = twin.parameters.calibration.projector.size
