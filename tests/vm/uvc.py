@@ -1,7 +1,8 @@
 """A USB camera on the guest's USB, in a process of its own: the kernel's UVC driver makes /dev/video… of it.
 
 It runs freely, and is found with automatic exposure, a gamma and some gain, as a webcam is. A frame shows
-what was lit when its exposure began; one for which the kernel has no room is lost.
+what was lit when its exposure began; one for which the kernel has no room, or that is late by more than a
+frame because this process was held up, is lost.
 """
 
 from __future__ import annotations
@@ -167,7 +168,13 @@ class UvcCamera:
         while self._end_s + step <= now:
             self._end_s += step
             if self._waiting:
-                self._complete(wire, self._waiting.popleft(), self._payload(exposure_s))
+                self._send(wire, self._payload(exposure_s), latest_s=self._end_s + step)
+
+    def _send(self, wire: socket.socket, payload: bytes, latest_s: float) -> None:
+        """A frame, which the kernel stamps when it comes."""
+        if time.monotonic() < latest_s:
+            self._complete(wire, self._waiting.popleft(), payload)
+            self._parity ^= 1
 
     def _payload(self, exposure_s: float) -> bytes:
         begin_s = self._end_s - exposure_s
@@ -176,7 +183,6 @@ class UvcCamera:
         gain = exposure_s / REFERENCE_EXPOSURE_S * 10 ** (0.1 * self._values[GAIN] / 20)
         full = (1 << bits) - 1
         image = np.rint(np.clip(lit * gain, 0.0, 1.0) * full).astype("<u1" if bits == 8 else "<u2")
-        self._parity ^= 1
         return bytes([HEADER_BYTES, 0x80 | 2 | self._parity]) + image.tobytes()
 
 
