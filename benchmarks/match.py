@@ -28,7 +28,7 @@ from fpplab.core.geometry import RigidTransform
 from fpplab.devices import Frame
 from fpplab.devices.rig import Rig
 from fpplab.matching.match import MatchingLimits
-from fpplab.matching.run import MatchingRequest, MatchingResult, match_sessions, twin_of, unchanged_start
+from fpplab.matching.run import MatchingRequest, MatchingResult, match_sessions, twin_of
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.response import Response
 from fpplab.pipeline import measure_response, take, take_poses
@@ -74,8 +74,6 @@ class MatchBenchmarkSetup:
         Of epochs and time.
     focus_moved_mm : float
         How far the focus is moved for recordings that no twin can match, in mm.
-    runs : tuple of str
-        Keys of `STARTS`; the first run matches the scans of artefacts too.
     """
 
     hidden: str = "rig_hidden.yaml"
@@ -86,7 +84,6 @@ class MatchBenchmarkSetup:
     artefacts: tuple[str, ...] = ("pyramid", "pillars", "steps")
     limits: MatchingLimits = field(default_factory=MatchingLimits)
     focus_moved_mm: float = 40.0
-    runs: tuple[str, ...] = ("match", "match_perturbed")
 
     @property
     def few(self) -> int:
@@ -167,8 +164,10 @@ def match_figures(folder: Path, trial: MatchBenchmarkSetup = FULL) -> list[Resul
     results = []
     with Rig.load(trial.hidden) as bench, Rig.load(trial.twin) as rig:
         truth = truth_of(bench, virtual_bench(rig).world)
-        for name in trial.runs:
-            wanted = replace(plain, scans=scans if name == trial.runs[0] else {}, start=STARTS[name])
+        for name, wanted in (
+            ("match", replace(plain, scans=scans)),
+            ("match_perturbed", replace(plain, start=perturbed)),
+        ):
             begin = time.perf_counter()
             found = _matched(twin_of(rig, BOARD), sessions, folder / name, wanted)
             results += _convergence(name, found, time.perf_counter() - begin)
@@ -238,10 +237,6 @@ def perturbed(parameters: TwinParameters) -> TwinParameters:
     known = parameters.calibration
     calibration = replace(known, T_projector_camera=off(known.T_projector_camera))
     return replace(parameters, calibration=calibration, poses=tuple(off(pose) for pose in parameters.poses))
-
-
-STARTS = {"match": unchanged_start, "match_perturbed": perturbed}
-"""Where runs begin: in the bench's own characterisation, or off."""
 
 
 def _convergence(name: str, found: MatchingResult, seconds: float) -> list[Result]:

@@ -26,7 +26,7 @@ SMALL: dict[str, Any] = {
     "start": {"fringes": FRINGES},
     "space": {"stripes": [None, None, [16, 64]]},
     "objectives": ["surface_smcd_um"],
-    "seeds": [1],
+    "seeds": [1, 2],
     "method": {"kind": "coordinate", "first": 0.5, "finest": 0.25},
     "budget": 6,
 }
