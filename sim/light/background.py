@@ -188,14 +188,16 @@ def _whole(scene: RenderScene, views: list[SubpixelView], shown: int) -> LightTa
     (width, height), (left, top, right, bottom) = scene.camera.size, scene.window
     samples = np.zeros((len(views), bottom - top, right - left, 4), np.float32)
     albedo = np.zeros((height, width), np.float32)
-    step = max(1, BAND_PIXELS // max(right - left, 1))
-    bodies = Bodies(scene, shown)
-    for first in range(top, bottom if right > left else top, step):  # in an empty window nothing is seen
+    table = LightTable(samples, albedo, (left, top))
+    if right <= left or bottom <= top:  # in an empty window nothing is seen
+        return table
+    bodies, step = Bodies(scene, shown), max(1, BAND_PIXELS // (right - left))
+    for first in range(top, bottom, step):
         rows, columns = np.mgrid[first : min(first + step, bottom), left:right]
         band = bodies.traced(views, (rows.ravel(), columns.ravel()))
         samples[:, rows[:, 0] - top] = band.samples.reshape(len(views), *rows.shape, 4)
         albedo[rows, columns] = band.albedo.reshape(rows.shape)
-    return LightTable(samples, albedo, (left, top))
+    return table
 
 
 def _views(world: World) -> list[SubpixelView]:

@@ -10,17 +10,13 @@ import numpy as np
 import pytest
 import trimesh
 
-from fpplab.clouds import Cloud
-from fpplab.comparison.visibility import RayTracedShape
 from fpplab.core.errors import CalibrationError
 from fpplab.core.geometry import RigidTransform
 from fpplab.matching import artefacts
 from fpplab.matching.refusal import Refusals
-from tests.support.plane_twin import CAMERA, nominal, tilted
+from tests.comparison.test_comparison import BEFORE_CAMERA, CALIBRATION, perfect_cloud
 
-PLACE = RigidTransform(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 450.0]))
-"""The part's z axis towards the camera."""
-KNOWN = nominal(tilted(1)).calibration
+PLACE = RigidTransform(BEFORE_CAMERA[:3, :3], BEFORE_CAMERA[:3, 3])
 
 
 def roof(ridge_mm: float) -> trimesh.Trimesh:
@@ -29,24 +25,12 @@ def roof(ridge_mm: float) -> trimesh.Trimesh:
     return trimesh.convex.convex_hull(np.array(corners))
 
 
-def cloud_of(part: trimesh.Trimesh) -> Cloud:
-    """A point where each pixel sees the part, with noise along its ray."""
-    width, height = CAMERA.size
-    pixels = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).reshape(-1, 2)
-    rays = np.concatenate([CAMERA.normalise(pixels.astype(float)), np.ones((len(pixels), 1))], axis=-1)
-    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
-    shape = RayTracedShape(part.copy().apply_transform(PLACE.matrix))
-    depth = shape.depth(np.zeros(3), rays) + np.random.default_rng(1).normal(0, 0.01, len(rays))
-    seen = np.isfinite(depth)
-    points = (depth[seen, None] * rays[seen]).astype(np.float32)
-    return Cloud(points, pixels=pixels[seen].astype(np.int32), size=CAMERA.size)
-
-
 def fitted(monkeypatch: pytest.MonkeyPatch, scanned: trimesh.Trimesh, said: trimesh.Trimesh) -> Any:
-    monkeypatch.setattr(artefacts, "reconstruct", lambda session, calibration: (None, cloud_of(scanned)))
+    cloud = perfect_cloud(scanned.copy().apply_transform(BEFORE_CAMERA), noise_mm=0.01)
+    monkeypatch.setattr(artefacts, "reconstruct", lambda session, calibration: (None, cloud))
     twin = SimpleNamespace(mesh=lambda item: said, pose_of=lambda item: PLACE)
     session = SimpleNamespace(path=Path("scan"))
-    return artefacts.fit_scan(cast(Any, twin), "roof", cast(Any, session), KNOWN, Refusals(frozenset()))
+    return artefacts.fit_scan(cast(Any, twin), "roof", cast(Any, session), CALIBRATION, Refusals(frozenset()))
 
 
 def test_a_scan_of_the_part_is_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -55,5 +39,8 @@ def test_a_scan_of_the_part_is_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_scan_of_another_part_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(CalibrationError, match=r"scan: its points are \d+ µm off the roof's surface"):
+    with pytest.raises(
+        CalibrationError, match=r"scan: its points are \d+ µm off the roof's surface"
+    ) as refused:
         fitted(monkeypatch, roof(8.0), roof(7.0))
+    assert refused.value.exit_code == 5

@@ -85,11 +85,7 @@ class Bench:
         gains = gains * np.stack([self.of_rows(still.shape[1], random) for _ in still])
         seen = self.with_bounce(still) * gains
         if self.vibration_mm:
-            place = self.parameters.poses[0]
-            for axis in np.eye(3):
-                moved = RigidTransform(place.rotation, place.translation + 0.02 * axis)
-                twin.become(replace(self.parameters, poses=(moved,)))
-                slope = (twin.expected(0, patterns, settings) - still) / 0.02
+            for slope in twin.slopes_per_mm(0, patterns, settings, still):
                 seen = seen + random.normal(0, self.vibration_mm, (len(still), 1, 1)) * slope
         frames = self.digitised(np.asarray(seen, np.float64), random)
         return Recording(frames, self.stated or self.plan, size, self.bits, "bench")

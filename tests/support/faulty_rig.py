@@ -11,12 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fpplab.core import config
-from fpplab.core.conventions import Floats, Image, Lattice
-from fpplab.core.geometry import RigidTransform
+from fpplab.core.conventions import Image, Lattice
 from fpplab.devices import CameraCaps, CameraSettings, ProjectorCaps, Trigger
 from fpplab.devices.rig import Rig, RigFile
 from fpplab.patterns.fringes import Pattern
-from fpplab.simulation.matchable import TwinParameters
 from tests.conformance.reference import ReferenceCamera, ReferenceProjector
 from tests.support.faulty_bench import Bench, faulty, healthy
 from tests.support.plane_twin import PlaneTwin
@@ -33,7 +31,7 @@ class FormulaBench:
         self.on_show: Pattern | None = None
         self.pulses: deque[Pattern] = deque()
         self.frames_to_lose = 0
-        self._twin = PlaneTwin(_with_steps(self.now.parameters))
+        self._twin = PlaneTwin(self.now.parameters)
         self._random = np.random.default_rng([self.now.seed, 5])
         self._now_s = 0.0
 
@@ -45,32 +43,18 @@ class FormulaBench:
         now, random = self.now, self._random
         size = now.parameters.calibration.projector.size
         shown = pattern or Pattern("", np.zeros(size[::-1], np.uint8))
-        still = self._expected(0, shown, settings)
+        patterns = [now.reaching(shown)]
+        expected = self._twin.expected(0, patterns, settings)
+        still = np.asarray(expected[0], np.float64)
         if now.vibration_mm:
-            steps = random.normal(0, now.vibration_mm, 3) / STEP_MM
-            stepped = [self._expected(1 + axis, shown, settings) for axis in range(3)]
-            still = still + sum(
-                (share * (one - still) for share, one in zip(steps, stepped, strict=True)), np.zeros(())
-            )
+            slopes = self._twin.slopes_per_mm(0, patterns, settings, expected)[:, 0]
+            still = still + np.tensordot(random.normal(0, now.vibration_mm, 3), slopes, axes=1)
         gain = (1 + now.flicker * random.standard_normal()) * now.of_rows(still.shape[0], random)
         self._now_s += settings.exposure_s + random.uniform(0.01, 0.05)
         turns = now.mains_hz * settings.exposure_s
         gain = gain * (1 + now.mains * np.sinc(turns) * np.cos(2 * np.pi * now.mains_hz * self._now_s))
         still = now.with_bounce(still[None])[0] * settings.exposure_s / now.plan.exposure_s
         return replace(now, bits=settings.bits).digitised((gain * still)[None], random)[0]
-
-    def _expected(self, pose: int, shown: Pattern, settings: CameraSettings) -> Floats:
-        return np.asarray(self._twin.expected(pose, [self.now.reaching(shown)], settings)[0], np.float64)
-
-
-STEP_MM = 0.02
-
-
-def _with_steps(parameters: TwinParameters) -> TwinParameters:
-    """The first pose, and that pose a step along each axis: what vibration changes is linear in it."""
-    place = parameters.poses[0]
-    there = (RigidTransform(place.rotation, place.translation + STEP_MM * axis) for axis in np.eye(3))
-    return replace(parameters, poses=(place, *there))
 
 
 def drawn(cause: str | None, seed: int) -> Bench:

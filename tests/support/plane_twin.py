@@ -243,6 +243,15 @@ class PlaneTwin:
         self._now.calibration.save(folder / "calibration.yaml")
         return folder / "rig.yaml"
 
+    def slopes_per_mm(
+        self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings, expected: ExpectedLevels
+    ) -> NDArray[np.float32]:
+        """Change of the expected levels as the board moves along each axis, (3, n, h, w)."""
+        place, step = self._now.poses[pose], 0.02
+        moved = (RigidTransform(place.rotation, place.translation + step * axis) for axis in np.eye(3))
+        seen = (self._seen(there, patterns, settings, board=True) for there in moved)
+        return np.stack([(one - expected) / step for one in seen])
+
     def _shaken(
         self,
         pose: int,
@@ -251,17 +260,15 @@ class PlaneTwin:
         expected: ExpectedLevels,
         random: np.random.Generator,
     ) -> NDArray[np.float32]:
-        now, step = self._now, 0.02
-        by_axis = []
-        for axis in np.eye(3):
-            there = RigidTransform(now.poses[pose].rotation, now.poses[pose].translation + step * axis)
-            by_axis.append((self._seen(there, patterns, settings, board=True) - expected) / step)
+        now = self._now
         shake = random.normal(0, now.vibration_mm, (len(patterns), 3))
         turn = 2 * np.pi * (now.vibration_cycles_per_frame * np.arange(len(patterns)) + random.random())
         along = np.sqrt(2 * now.vibration_periodic) * np.sin(turn)
         along += np.sqrt(1 - now.vibration_periodic) * random.standard_normal(len(patterns))
         shake += np.outer(along, now.vibration_line_mm)
-        return np.einsum("na,anvu->nvu", shake.astype(np.float32), np.stack(by_axis))
+        return np.einsum(
+            "na,anvu->nvu", shake.astype(np.float32), self.slopes_per_mm(pose, patterns, settings, expected)
+        )
 
     def _digitised(
         self, expected: ExpectedLevels, settings: CameraSettings, random: np.random.Generator

@@ -15,11 +15,9 @@ from drivers.dlp4500.transport import PRODUCT, VENDOR
 from fpplab.patterns.fringes import Pattern
 from tests.conformance.dlp4500 import planned
 from tests.vm.projector import Projector, connected
+from tests.vm.uvc_bench import PATIENCE_S
 
 collect_ignore_glob = [] if os.environ.get("FPPLAB_VM") else ["test_*.py"]
-
-PATIENCE_S = 120.0
-"""Time that the kernel is given, on an emulated processor."""
 
 
 def wait_until(true: Callable[[], bool]) -> None:

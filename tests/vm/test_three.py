@@ -17,6 +17,7 @@ WAITS = (
     (window, "SHOW_S"),
     (window, "STOP_S"),
     (device, "ANSWER_S"),
+    (device, "START_S"),
     (wire, "ANSWER_S"),
     (acquire, "READ_TIMEOUT_S"),
 )

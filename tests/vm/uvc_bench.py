@@ -13,6 +13,7 @@ from tests.vm.uvc_descriptors import NAME
 DEVICES = Path("/sys/class/video4linux")
 LINK = Path("/run/uvc-camera")
 PATIENCE_S = 120.0
+"""Time that the kernel is given, on an emulated processor."""
 
 
 def devices(name: str) -> list[Path]:
