@@ -18,70 +18,22 @@ from fpplab.core.errors import ConfigError
 
 @dataclass(frozen=True)
 class Result:
-    """One figure beside its baseline, in the same unit.
+    """One figure beside its baseline, in the same unit."""
 
-    Attributes
-    ----------
-    name : str
-        Of the figure.
-    value : float
-        What was measured.
-    unit : str
-        Of value and baseline.
-    baseline : float
-        What it is compared with.
-    ratio : float
-        How many times better than the baseline it is.
-    """
-
-    name: str
-    value: float
-    unit: str
-    baseline: float
-    ratio: float
+    name: str  # of the figure
+    value: float  # what was measured
+    unit: str  # of value and baseline
+    baseline: float  # what it is compared with
+    ratio: float  # how many times better than the baseline it is
 
 
 def below(name: str, value: float, unit: str, limit: float) -> Result:
-    """Put a figure beside what it must not exceed.
-
-    Parameters
-    ----------
-    name : str
-        Of the figure.
-    value : float
-        What was measured.
-    unit : str
-        Of both.
-    limit : float
-        What it must not exceed.
-
-    Returns
-    -------
-    Result
-        Its ratio is at least 1 where it does.
-    """
+    """Put a figure beside what it must not exceed."""
     return Result(name, value, unit, limit, limit / max(value, 1e-9))
 
 
 def above(name: str, value: float, unit: str, least: float) -> Result:
-    """Put a figure beside what it must reach.
-
-    Parameters
-    ----------
-    name : str
-        Of the figure.
-    value : float
-        What was measured.
-    unit : str
-        Of both.
-    least : float
-        What it must reach.
-
-    Returns
-    -------
-    Result
-        Its ratio is at least 1 where it does.
-    """
+    """Put a figure beside what it must reach."""
     return Result(name, value, unit, least, value / least)
 
 
@@ -94,34 +46,12 @@ LONG = ("crash", "optimise", "outside", "predict")
 
 
 def benchmark_names() -> list[str]:
-    """List the benchmarks: every other module of this package.
-
-    Returns
-    -------
-    list of str
-        Sorted.
-    """
+    """List the benchmarks: every other module of this package."""
     return sorted(m.name for m in iter_modules(__path__) if m.name not in SHARED and m.name[0] != "_")
 
 
 def benchmark(name: str) -> Callable[[], list[Result]]:
-    """Find a benchmark by its name.
-
-    Parameters
-    ----------
-    name : str
-        One of `benchmark_names()`.
-
-    Returns
-    -------
-    callable
-        The module's `run`: without arguments, gives its results.
-
-    Raises
-    ------
-    ConfigError
-        There is none of that name.
-    """
+    """Find a benchmark by its name."""
     if name not in benchmark_names():
         raise ConfigError(f"there is no benchmark '{name}'; there are {', '.join(benchmark_names())}")
     run: Callable[[], list[Result]] = import_module(f"{__name__}.{name}").run

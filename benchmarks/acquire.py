@@ -52,13 +52,7 @@ BYTES = os.urandom(1 << 20) * (SIZE[0] * SIZE[1] >> 20)
 
 
 def run() -> list[Result]:
-    """Measure acquisition; a lost frame is a `FrameLossError`.
-
-    Returns
-    -------
-    list of Result
-        A figure each.
-    """
+    """Measure acquisition; a lost frame is a `FrameLossError`."""
     with _camera() as (camera, bench):
         memory = _memory(camera, bench)  # first, while none has been fetched yet
         speed = _speed(camera)

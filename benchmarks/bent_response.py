@@ -39,13 +39,7 @@ SMALLER = 10.0
 
 
 def run() -> list[Result]:
-    """Measure statements on a response in the form of an S; the baselines are the targets.
-
-    Returns
-    -------
-    list of Result
-        For each number of phase steps.
-    """
+    """Measure statements on a response in the form of an S; the baselines are the targets."""
     with tempfile.TemporaryDirectory(prefix="fpplab-bench-") as folder:
         world = s_shaped(drawn_world(SEED, 1, 8))
         with Rig.load(write_rig(world, Path(folder), "Bench with a bent response")) as rig:
@@ -55,20 +49,7 @@ def run() -> list[Result]:
 
 
 def response_figures(measured: Response, true: Curve) -> list[Result]:
-    """Compare what is stated with the truth.
-
-    Parameters
-    ----------
-    measured : Response
-        As the bench's camera saw it.
-    true : Curve
-        The response.
-
-    Returns
-    -------
-    list of Result
-        Beside the targets.
-    """
+    """Compare what is stated with the truth."""
     results = []
     for steps in STEPS:
         plan = Plan(fringes=(Sinusoid(axis="x", stripes=STRIPES, steps=steps),))
@@ -86,20 +67,7 @@ def response_figures(measured: Response, true: Curve) -> list[Result]:
 
 
 def decoded_error(plan: Plan, true: Curve) -> float:
-    """Decode a plan's patterns as the true response shows them.
-
-    Parameters
-    ----------
-    plan : Plan
-        Of one fringe set.
-    true : Curve
-        The response.
-
-    Returns
-    -------
-    float
-        RMS error of the phase in rad, but for a constant.
-    """
+    """Decode a plan's patterns as the true response shows them."""
     patterns = make_patterns(plan, SIZE, Lattice.SQUARE)
     light = [true.apply(one.image[:1] / 255.0) for one in patterns]
     frames = [np.rint(60_000 * one + 1_000).astype(np.uint16) for one in light]

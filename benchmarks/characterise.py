@@ -71,13 +71,7 @@ fixture: {{backend: "sim.devices:SimFixture"}}
 
 
 def run() -> list[Result]:
-    """Measure how well characterisation does; the baselines are the targets.
-
-    Returns
-    -------
-    list of Result
-        A figure each.
-    """
+    """Measure how well characterisation does; the baselines are the targets."""
     with tempfile.TemporaryDirectory(prefix="fpplab-bench-") as folder:
         return [*_characterisation(Path(folder)), *_response(Path(folder))]
 
@@ -142,60 +136,21 @@ def _in_parallel(pool: Pool, work: Any, items: Sequence[Any]) -> list[Any]:
 
 @dataclass(frozen=True, eq=False)
 class BoardWindow:
-    """What reaches the part of the sensor on which the board of one pose lies, under every pattern.
+    """What reaches the part of the sensor on which the board of one pose lies, under every pattern."""
 
-    Attributes
-    ----------
-    name : str
-        Of the pose.
-    light : list of PatternLevels, (height, width) each
-        By image.
-    corner : ndarray of float64, (2,)
-        Its pixel (u, v) in the whole picture.
-    first : int
-        Number of the pose's first frame, from which the noise follows.
-    sensor : SensorModel
-        Its seed is chosen by the repeat.
-    settings : CameraSettings
-        Of every frame.
-    plan : Plan
-        What is projected.
-    projector_size : tuple of int
-        (width, height) in px.
-    target : Target
-        The board.
-    """
-
-    name: str
-    light: list[PatternLevels]
-    corner: Floats
-    first: int
-    sensor: SensorModel
-    settings: CameraSettings
-    plan: Plan
-    projector_size: tuple[int, int]
-    target: Target
+    name: str  # of the pose
+    light: list[PatternLevels]  # by image
+    corner: Floats  # its pixel (u, v) in the whole picture
+    first: int  # number of the pose's first frame, from which the noise follows
+    sensor: SensorModel  # its seed is chosen by the repeat
+    settings: CameraSettings  # of every frame
+    plan: Plan  # what is projected
+    projector_size: tuple[int, int]  # (width, height) in px
+    target: Target  # the board
 
     @classmethod
     def of(cls, rig: Rig, plan: Plan, target: Target, pose: int) -> BoardWindow:
-        """Look at the board in one pose.
-
-        Parameters
-        ----------
-        rig : Rig
-            Open, of the twin.
-        plan : Plan
-            What is projected.
-        target : Target
-            The board.
-        pose : int
-            Of the fixture's poses.
-
-        Returns
-        -------
-        BoardWindow
-            Without noise.
-        """
+        """Look at the board in one pose."""
         assert isinstance(rig.camera, SimCamera)
         fixture, caps, bench = rig.need_fixture("the benchmark"), rig.projector.caps, rig.camera.bench
         fixture.mount("board", pose)
@@ -227,18 +182,7 @@ class BoardWindow:
         )
 
     def observe(self, repeat: int) -> Observation:
-        """Observe the board in one repeat.
-
-        Parameters
-        ----------
-        repeat : int
-            Seed of the noise.
-
-        Returns
-        -------
-        Observation
-            In pixels of the whole picture.
-        """
+        """Observe the board in one repeat."""
         sensor, plan = replace(self.sensor, seed=repeat), self.plan
         frames = [sensor.expose(light, self.settings, self.first + i) for i, light in enumerate(self.light)]
         recording = Recording(frames, plan, self.projector_size, self.settings.bits)

@@ -43,32 +43,12 @@ PLAN = Plan.load("plan_board")
 
 
 def run() -> list[Result]:
-    """Measure both kinds of board; two minutes on two cores.
-
-    Returns
-    -------
-    list of Result
-        Seconds per pose of the product beside those of the baseline, and beside what an operator shall wait
-        at most.
-    """
+    """Measure both kinds of board; two minutes on two cores."""
     return [result for kind in BOARDS for result in characterisation_figures(kind)]
 
 
 def characterisation_figures(kind: str, poses: int = POSES) -> list[Result]:
-    """Measure one kind of board, product and baseline in turn.
-
-    Parameters
-    ----------
-    kind : str
-        One of `BOARDS`.
-    poses : int
-        How many.
-
-    Returns
-    -------
-    list of Result
-        As `run` gives them.
-    """
+    """Measure one kind of board, product and baseline in turn."""
     name, distance_mm = BOARDS[kind]
     target = Target.load(name)
     with tempfile.TemporaryDirectory(prefix="fpplab-bench-") as folder:
@@ -88,13 +68,7 @@ def characterisation_figures(kind: str, poses: int = POSES) -> list[Result]:
 
 
 def rig() -> Calibration:
-    """Make the rig that takes the poses.
-
-    Returns
-    -------
-    Calibration
-        Both devices distorted, the projector 120 mm beside the camera.
-    """
+    """Make the rig that takes the poses."""
     camera = Pinhole.from_focal(SIZE, (2600.0, 2598.0), (645.0, 470.0), (-0.08, 0.1, 4e-4, -3e-4, 0))
     projector = Pinhole.from_focal(PROJECTOR, (1700.0, 1702.0), (450.0, 590.0), (-0.03, 0.05, 2e-4, 3e-4, 0))
     turn = RigidTransform.from_vectors(np.array([0.01, -0.22, 0.005]), np.zeros(3))
@@ -103,20 +77,7 @@ def rig() -> Calibration:
 
 
 def tilted(count: int, distance_mm: float) -> list[RigidTransform]:
-    """Draw poses of a board that both devices see whole.
-
-    Parameters
-    ----------
-    count : int
-        How many.
-    distance_mm : float
-        Of the board from the camera.
-
-    Returns
-    -------
-    list of RigidTransform
-        `T_camera_target`.
-    """
+    """Draw poses of a board that both devices see whole."""
     random = np.random.default_rng(4)
     tilts = np.radians(random.uniform(-28, 28, (count, 3)) * [1, 1, 0.4])
     places = distance_mm * random.uniform((-0.03, -0.03, 0.97), (0.03, 0.03, 1.05), (count, 3))
@@ -124,22 +85,7 @@ def tilted(count: int, distance_mm: float) -> list[RigidTransform]:
 
 
 def record_pose(path: Path, target: Target, pose: RigidTransform) -> Session:
-    """Record what the camera sees of a board, blurred, with noise of about one grey level.
-
-    Parameters
-    ----------
-    path : Path
-        Of the session.
-    target : Target
-        The board.
-    pose : RigidTransform
-        `T_camera_target`.
-
-    Returns
-    -------
-    Session
-        Complete.
-    """
+    """Record what the camera sees of a board, blurred, with noise of about one grey level."""
     calibration = rig()
     across, down = camera_slopes(calibration.camera)
     rays = np.stack([across, down, np.ones_like(across)], axis=-1)
@@ -168,20 +114,8 @@ def record_pose(path: Path, target: Target, pose: RigidTransform) -> Session:
 
 
 def opencv_characterisation(sessions: Sequence[Session], target: Target) -> Floats:
-    """Read, decode, find the board and calibrate as one writes it down: the baseline.
-
-    Parameters
-    ----------
-    sessions : Sequence[Session]
-        Complete.
-    target : Target
-        The board.
-
-    Returns
-    -------
-    Floats
-        (3,) translation between the devices in mm.
-    """
+    """Read, decode, find the board and calibrate as one writes it down: the baseline."""
+    # returns (3,) mm
     board, cameras, projectors = target.points().astype(np.float32), [], []
     for session in sessions:
         files = [session.path / session.record(i).file for i in range(PLAN.images)]

@@ -46,18 +46,7 @@ FrameStack = list[NDArray[np.uint8]]
 
 
 def run() -> list[Result]:
-    """Measure decoding.
-
-    Returns
-    -------
-    list of Result
-        A figure each.
-
-    Raises
-    ------
-    DataError
-        The package `fringes` cannot be installed.
-    """
+    """Measure decoding."""
     with tempfile.TemporaryDirectory(prefix="fpplab-bench-") as folder:
         paths = write_benchmark_frames(Path(folder), CAMERA)
         frames = [np.asarray(tifffile.memmap(p, mode="r")) for p in paths]
@@ -67,20 +56,8 @@ def run() -> list[Result]:
 
 
 def write_benchmark_frames(folder: Path, size: tuple[int, int]) -> list[Path]:
-    """Write a camera's view of the projector filling its width, with shading and noise, as TIFF files.
-
-    Parameters
-    ----------
-    folder : Path
-        Where to.
-    size : tuple of int
-        (width, height) of the frames in px.
-
-    Returns
-    -------
-    list of Path
-        In the plan's order.
-    """
+    """Write a camera's view of the projector filling its width, with shading and noise, as TIFF files."""
+    # size (width, height) px
     width, height = size
     columns = np.minimum(np.arange(width) * PROJECTOR[0] // width, PROJECTOR[0] - 1)
     shading = np.linspace(0.6, 1.0, height)[:, None]
@@ -101,20 +78,8 @@ def _product(frames: Sequence[NDArray[np.uint8]]) -> None:
 
 
 def plain_numpy(frames: FrameStack) -> tuple[Map, Map, Mask]:
-    """Decode as one writes it down in vectorised NumPy: the baseline.
-
-    Parameters
-    ----------
-    frames : FrameStack
-        In the plan's order.
-
-    Returns
-    -------
-    coordinate, modulation : ndarray of float32, (height, width)
-        px, and grey levels.
-    mask : ndarray of bool, (height, width)
-        Where they are valid.
-    """
+    """Decode as one writes it down in vectorised NumPy: the baseline."""
+    # returns coordinate, modulation (height, width), mask (height, width)
     stack = np.stack(frames).astype(np.float32)
     shift = (TWO_PI * np.arange(STEPS) / STEPS).astype(np.float32)
     saturated = (stack >= 255).any(axis=0)

@@ -26,32 +26,13 @@ SEEDS = (201, 202, 203)
 
 
 def run() -> list[Result]:
-    """Measure; half an hour on two cores, most of it for the hidden bench's light.
-
-    Returns
-    -------
-    list of Result
-        Mean distance to the true surface in µm over three artefacts, beside what it must not exceed.
-    """
+    """Measure; half an hour on two cores, most of it for the hidden bench's light."""
     with tempfile.TemporaryDirectory(prefix="fpplab-bench-") as folder:
         return [result for name in RIGS for result in rig_figures(name, Path(folder))]
 
 
 def rig_figures(name: str, folder: Path) -> list[Result]:
-    """Measure all plans on one rig.
-
-    Parameters
-    ----------
-    name : str
-        Of the rig's file, without `rig_`.
-    folder : Path
-        For the calibration.
-
-    Returns
-    -------
-    list of Result
-        As `run` gives them.
-    """
+    """Measure all plans on one rig."""
     file = f"rig_{name}.yaml"
     with Rig.load(file) as rig, console.progress(f"Characterising {name}") as report:
         study = with_calibrations(rig, Study.load("study_phases.yaml"), folder / name, report)

@@ -47,13 +47,7 @@ _Numbers = NDArray[np.intp]
 
 
 class Scene:
-    """Spheres and discs in front of a wall, and how they are lit and seen.
-
-    Parameters
-    ----------
-    seed : int
-        Of everything.
-    """
+    """Spheres and discs in front of a wall, and how they are lit and seen."""
 
     def __init__(self, seed: int) -> None:
         self._random = random = np.random.default_rng([20261125, seed])
@@ -90,18 +84,8 @@ class Scene:
         return found
 
     def distances(self, points: Floats) -> Floats:
-        """Compute the distances of points from the nearest surface.
-
-        Parameters
-        ----------
-        points : Floats
-            (N, 3) in mm in the camera's frame.
-
-        Returns
-        -------
-        Floats
-            (N,) in mm.
-        """
+        """Compute the distances of points from the nearest surface."""
+        # points (N, 3) mm; returns (N,) mm
         found = [np.abs(np.linalg.norm(points - c, axis=1) - r) for c, r in self._spheres]
         for centre, radius, normal in self._discs:
             height = (points - centre) @ normal
@@ -110,18 +94,7 @@ class Scene:
         return np.asarray(np.min(found, axis=0))
 
     def images(self, plan: Plan) -> list[Image]:
-        """Render the images of a plan.
-
-        Parameters
-        ----------
-        plan : Plan
-            Its fringes.
-
-        Returns
-        -------
-        list of Image
-            8 bits each.
-        """
+        """Render the images of a plan."""
         light, coordinates = self._lit()
         return [
             self._seen(light, coordinates[:, "xy".index(plan.fringes[index].axis)], plan, index, step)
@@ -176,18 +149,7 @@ def _disc_hit(starts: Floats, along: Floats, centre: Floats, radius: float, norm
 
 
 def counted(seed: int) -> dict[str, tuple[int, int, int, int]]:
-    """Count what each set of rules removes on one scene.
-
-    Parameters
-    ----------
-    seed : int
-        Of the scene.
-
-    Returns
-    -------
-    dict of str to tuple of int
-        By set of rules: flying points removed and all of them, other points removed and all of them.
-    """
+    """Count what each set of rules removes on one scene."""
     scene = Scene(seed)
     plan = Plan.load("plan_slstudio_skull")
     decoded = decode(Recording(scene.images(plan), plan, RIG.projector.size))
@@ -210,18 +172,7 @@ def _removed(
 
 
 def shares(seeds: Sequence[int]) -> dict[str, tuple[float, float]]:
-    """Compute the shares of flying and of other points that each set of rules removes.
-
-    Parameters
-    ----------
-    seeds : sequence of int
-        Of the scenes.
-
-    Returns
-    -------
-    dict of str to tuple of float
-        By set of rules: share of the flying points, share of the others.
-    """
+    """Compute the shares of flying and of other points that each set of rules removes."""
     found = []
     with console.progress("Casting rays") as report:
         for k, seed in enumerate(seeds):
@@ -232,13 +183,7 @@ def shares(seeds: Sequence[int]) -> dict[str, tuple[float, float]]:
 
 
 def run() -> list[Result]:
-    """Measure what the rules remove, the rule of flying points beside the others.
-
-    Returns
-    -------
-    list of Result
-        Shares, by set of rules.
-    """
+    """Measure what the rules remove, the rule of flying points beside the others."""
     found = shares(SEEDS)
     results = []
     for name, (flying, others) in found.items():

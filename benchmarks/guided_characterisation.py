@@ -44,40 +44,15 @@ COVERED = (0.75, 1.25)
 
 @dataclass(frozen=True, eq=False)
 class Rigged:
-    """A true rig with a board.
+    """A true rig with a board."""
 
-    Attributes
-    ----------
-    truth : Calibration
-        Both devices.
-    board : Floats
-        (P, 3) true points of the board in mm.
-    scale : float
-        Relative error of the board's scale.
-    random : numpy.random.Generator
-        Of poses, hands and noise.
-    """
-
-    truth: Calibration
-    board: Floats
-    scale: float
-    random: np.random.Generator
+    truth: Calibration  # both devices
+    board: Floats  # (P, 3) true points of the board in mm
+    scale: float  # relative error of the board's scale
+    random: np.random.Generator  # of poses, hands and noise
 
     def observed(self, name: str, pose: RigidTransform) -> Observation:
-        """Observe the board.
-
-        Parameters
-        ----------
-        name : str
-            Of the pose.
-        pose : RigidTransform
-            T_camera_target.
-
-        Returns
-        -------
-        Observation
-            Of the points that both devices see, with noise.
-        """
+        """Observe the board."""
         places, pair = pose.apply(self.board), self.truth.T_projector_camera
         seen = self.truth.camera.sees(places) & self.truth.projector.sees(places, pair)
         ids = np.flatnonzero(seen)
@@ -93,52 +68,19 @@ class Rigged:
         return Observation(name, ids, pixels[0], pixels[1])
 
     def held(self, wanted: RigidTransform) -> RigidTransform:
-        """Hold the board as a person does who is asked for a pose.
-
-        Parameters
-        ----------
-        wanted : RigidTransform
-            T_camera_target.
-
-        Returns
-        -------
-        RigidTransform
-            Some mm and degrees off.
-        """
+        """Hold the board as a person does who is asked for a pose."""
         turn = RigidTransform.from_vectors(np.radians(self.random.normal(0, HAND_DEG, 3)), np.zeros(3))
         shift = wanted.translation + self.random.normal(0, HAND_MM, 3)
         return RigidTransform(wanted.rotation @ turn.rotation, shift)
 
 
 def demo_world(seed: int) -> World:
-    """Load the world of the demonstration with other random poses.
-
-    Parameters
-    ----------
-    seed : int
-        Of its poses.
-
-    Returns
-    -------
-    World
-        With the board's target.
-    """
+    """Load the world of the demonstration with other random poses."""
     return World.load("world_demo.yaml").model_copy(update={"seed": seed})
 
 
 def rigged(seed: int) -> Rigged:
-    """Draw lenses and a board.
-
-    Parameters
-    ----------
-    seed : int
-        Of everything.
-
-    Returns
-    -------
-    Rigged
-        Like the demonstration's.
-    """
+    """Draw lenses and a board."""
     random, world = np.random.default_rng([38, seed]), demo_world(seed)
 
     def other(lens: Pinhole) -> Pinhole:
@@ -154,44 +96,14 @@ def rigged(seed: int) -> Rigged:
 
 
 def unguided(rig: Rigged, seed: int, count: int) -> list[Observation]:
-    """Observe poses as `take_poses` has them on the demonstration's rig.
-
-    Parameters
-    ----------
-    rig : Rigged
-        The truth.
-    seed : int
-        Of the poses.
-    count : int
-        How many.
-
-    Returns
-    -------
-    list of Observation
-        As many.
-    """
+    """Observe poses as `take_poses` has them on the demonstration's rig."""
     rules = PoseRules(count=count, tilt_deg=30, distance_mm=450, range_mm=25)
     poses = board_poses(demo_world(seed), "board", Target.load("target_paper").size_mm, rules)
     return [rig.observed(f"pose_{k:02d}", pose) for k, pose in enumerate(poses)]
 
 
 def guided(rig: Rigged, count: int, stop: Callable[[Guide], bool] = lambda guide: False) -> Guide:
-    """Guide a person.
-
-    Parameters
-    ----------
-    rig : Rigged
-        The truth.
-    count : int
-        Most poses.
-    stop : callable
-        Whether enough is known.
-
-    Returns
-    -------
-    Guide
-        With its observations.
-    """
+    """Guide a person."""
     camera, projector = rig.truth.camera, rig.truth.projector
     guide = Guide(Target.load("target_paper"), (camera.size, projector.size), projector.lattice, DEPTH_MM)
     while len(guide.observations) < count and not stop(guide):
@@ -202,40 +114,17 @@ def guided(rig: Rigged, count: int, stop: Callable[[Guide], bool] = lambda guide
 
 @dataclass(frozen=True)
 class Errors3D:
-    """Errors of one characterisation in µm, root mean square over the working volume, without the scale.
+    """Errors of one characterisation in µm, root mean square over the working volume, without the scale."""
 
-    Attributes
-    ----------
-    form, place : float
-        True errors.
-    stated_form, stated_place : float
-        By the covariance.
-    poses : int
-        How many there were.
-    """
-
-    form: float
-    place: float
-    stated_form: float
-    stated_place: float
-    poses: int
+    form: float  # true errors
+    place: float  # true errors
+    stated_form: float  # by the covariance
+    stated_place: float  # by the covariance
+    poses: int  # how many there were
 
 
 def errors_of(rig: Rigged, observations: Sequence[Observation]) -> Errors3D:
-    """Characterise, and compare with the truth.
-
-    Parameters
-    ----------
-    rig : Rigged
-        The truth.
-    observations : sequence of Observation
-        The poses.
-
-    Returns
-    -------
-    Errors3D
-        True and stated.
-    """
+    """Characterise, and compare with the truth."""
     truth, target, level = rig.truth, Target.load("target_paper"), DistortionModel.K3
     sizes = (truth.camera.size, truth.projector.size)
     found = characterise(observations, target, *sizes, truth.projector.lattice, level=level)
@@ -273,18 +162,7 @@ def _parameters(solution: Solution, level: DistortionModel) -> Floats:
 
 
 def both_ways(seeds: Sequence[int]) -> dict[str, list[Errors3D]]:
-    """Characterise each rig in both ways.
-
-    Parameters
-    ----------
-    seeds : sequence of int
-        Of the rigs.
-
-    Returns
-    -------
-    dict of str to list of Errors3D
-        `guided` and `unguided`, by seed.
-    """
+    """Characterise each rig in both ways."""
     found: dict[str, list[Errors3D]] = {"guided": [], "unguided": []}
     with console.progress("Characterising") as report:
         for k, seed in enumerate(seeds):
@@ -296,13 +174,7 @@ def both_ways(seeds: Sequence[int]) -> dict[str, list[Errors3D]]:
 
 
 def run() -> list[Result]:
-    """Compare guided with unguided poses, and true with stated errors.
-
-    Returns
-    -------
-    list of Result
-        Form and place with 12 guided poses beside 20 unguided ones, and true over stated errors.
-    """
+    """Compare guided with unguided poses, and true with stated errors."""
     found = both_ways(SEEDS)
 
     def rms(way: str, what: str) -> float:

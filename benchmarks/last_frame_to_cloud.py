@@ -36,29 +36,12 @@ PLAN = Plan.load("plan_paper")
 
 
 def run() -> list[Result]:
-    """Measure all sizes; five minutes on two cores.
-
-    Returns
-    -------
-    list of Result
-        Seconds of the product beside those of the baseline, and beside what an operator shall wait at most.
-    """
+    """Measure all sizes; five minutes on two cores."""
     return [result for name in SIZES for result in cloud_figures(name)]
 
 
 def cloud_figures(name: str) -> list[Result]:
-    """Measure one size, product and baseline in turn.
-
-    Parameters
-    ----------
-    name : str
-        One of `SIZES`.
-
-    Returns
-    -------
-    list of Result
-        As `run` gives them.
-    """
+    """Measure one size, product and baseline in turn."""
     calibration = rig_of(SIZES[name])
     with tempfile.TemporaryDirectory(prefix="fpplab-bench-") as folder:
         session = recorded(Path(folder) / "session", calibration)
@@ -81,18 +64,8 @@ def _seconds(work: Callable[[], object]) -> float:
 
 
 def rig_of(size: tuple[int, int]) -> Calibration:
-    """Make a calibration with its covariance.
-
-    Parameters
-    ----------
-    size : tuple of int
-        (width, height) of the camera in px.
-
-    Returns
-    -------
-    Calibration
-        A camera 450 mm above a field of 169 mm, the projector 150 mm beside it, both distorted.
-    """
+    """Make a calibration with its covariance."""
+    # size (width, height) px
     focal = size[0] / 169.0 * 450.0
     camera = Pinhole.from_focal(size, (focal, focal), (size[0] / 2, size[1] / 2), (-0.12, 0.08, 0.001, 0, 0))
     projector = Pinhole.from_focal((912, 1140), (1700.0, 1700.0), (450.0, 600.0), (-0.08, 0.05, 0, 0.001, 0))
@@ -111,20 +84,7 @@ def _spread_of(name: str) -> float:
 
 
 def recorded(path: Path, calibration: Calibration) -> Session:
-    """Record what the camera sees of a waved surface, with noise of about one grey level.
-
-    Parameters
-    ----------
-    path : Path
-        Of the session.
-    calibration : Calibration
-        Of the rig.
-
-    Returns
-    -------
-    Session
-        Complete.
-    """
+    """Record what the camera sees of a waved surface, with noise of about one grey level."""
     across, down = camera_slopes(calibration.camera)
     depth = 450.0 + 15.0 * np.sin(40.0 * across) * np.cos(30.0 * down) + 40.0 * across
     points = np.stack([across * depth, down * depth, depth], axis=-1)
@@ -144,15 +104,7 @@ def recorded(path: Path, calibration: Calibration) -> Session:
 
 
 def straightforward(session: Session, calibration: Calibration) -> None:
-    """Read, decode, triangulate and write as one writes it down: the baseline.
-
-    Parameters
-    ----------
-    session : Session
-        Complete.
-    calibration : Calibration
-        Of its rig.
-    """
+    """Read, decode, triangulate and write as one writes it down: the baseline."""
     files = [session.path / session.record(i).file for i in range(PLAN.images)]
     frames: FrameStack = [cv2.imread(str(file), cv2.IMREAD_UNCHANGED) for file in files]  # type: ignore[misc]
     coordinate, _, valid = plain_numpy(frames)
@@ -186,18 +138,7 @@ def _points(calibration: Calibration, pixels: Floats, columns: Floats) -> Floats
 
 
 def rig_record(calibration: Calibration) -> dict[str, object]:
-    """Describe a rig as a session records it.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        Of the rig.
-
-    Returns
-    -------
-    dict of str to object
-        With the projector's size and lattice.
-    """
+    """Describe a rig as a session records it."""
     projector = calibration.projector
     resolved = {"size": list(projector.size), "lattice": projector.lattice.value}
     return {"name": "synthetic", "resolved": {"projector": resolved}}

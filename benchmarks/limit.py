@@ -12,11 +12,5 @@ from benchmarks.limit_noise import noise_figures
 
 
 def run() -> list[Result]:
-    """Measure everything; some minutes on two cores.
-
-    Returns
-    -------
-    list of Result
-        A figure each.
-    """
+    """Measure everything; some minutes on two cores."""
     return [*lattice_figures(), *decoding_figures(), *noise_figures()]

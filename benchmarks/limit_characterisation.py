@@ -42,72 +42,30 @@ LEVEL = 0.95
 
 @dataclass(frozen=True)
 class Case:
-    """One kind of lens, noise and board.
+    """One kind of lens, noise and board."""
 
-    Attributes
-    ----------
-    lens : str
-        One of `LENSES`.
-    noise : str
-        One of `NOISES`.
-    dots_um : float
-        Standard deviation in µm of each coordinate of the board's points from where they are drawn.
-    drift_um : float
-        How far the board of the first pose moves away from the camera until the projector's coordinates are
-        taken, in µm.
-    """
-
-    lens: str = "tangential"
-    noise: str = "even"
+    lens: str = "tangential"  # one of `LENSES`
+    noise: str = "even"  # one of `NOISES`
     dots_um: float = 5.0
     drift_um: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class Draw:
-    """A truth, and what was seen of it.
+    """A truth, and what was seen of it."""
 
-    Attributes
-    ----------
-    observations : list of Observation
-        The poses.
-    truth : Solution
-        All parameters.
-    scale : float
-        Relative error of the board's scale.
-    """
-
-    observations: list[Observation]
-    truth: Solution
-    scale: float
+    observations: list[Observation]  # the poses
+    truth: Solution  # all parameters
+    scale: float  # relative error of the board's scale
 
 
 def board() -> Target:
-    """Describe the board: 52 circles on 60 mm x 42 mm.
-
-    Returns
-    -------
-    Target
-        Its scale is as uncertain as the draws'.
-    """
+    """Describe the board: 52 circles on 60 mm x 42 mm."""
     return Target.load("target_paper").model_copy(update={"scale_tolerance": SCALE})
 
 
 def draw(setting: Case, seed: int) -> Draw:
-    """Draw poses, a board and noise.
-
-    Parameters
-    ----------
-    setting : Case
-        Of the lens, the noise and the board.
-    seed : int
-        Of everything.
-
-    Returns
-    -------
-    Draw
-        Observations with their truth.
-    """
+    """Draw poses, a board and noise."""
     random = np.random.default_rng([20261123, seed])
     lenses = LENSES[setting.lens]
     camera = Pinhole.from_focal(SIZE, (2200, 2195), (610, 440), lenses[0])
@@ -152,18 +110,8 @@ def _carry(camera: Pinhole, projector: Pinhole, T: RigidTransform, points: Float
 
 
 def cloud_of(truth: Solution) -> Floats:
-    """List points of the measuring volume.
-
-    Parameters
-    ----------
-    truth : Solution
-        Devices.
-
-    Returns
-    -------
-    Floats
-        (N, 3) in mm in the camera's frame: a curved surface as large as the boards' places.
-    """
+    """List points of the measuring volume."""
+    # returns (N, 3) mm
     x, y = np.meshgrid(np.linspace(-35, 35, 9), np.linspace(-25, 25, 7))
     return np.asarray(np.stack([x, y, 250 + 15 * np.cos(x / 20) * np.cos(y / 20)], axis=-1).reshape(-1, 3))
 
@@ -182,20 +130,8 @@ def _calibration(solution: Solution) -> Calibration:
 
 
 def rigid_and_form(points: Floats) -> tuple[Floats, Floats]:
-    """Split displacements of a cloud into rigid motion and form.
-
-    Parameters
-    ----------
-    points : Floats
-        (N, 3) in mm.
-
-    Returns
-    -------
-    place : Floats
-        (3 N, 3 N) the identity: the displacement as it is.
-    form : Floats
-        (3 N, 3 N) what the best rigid motion leaves of a displacement.
-    """
+    """Split displacements of a cloud into rigid motion and form."""
+    # points (N, 3) mm; returns place (3 N, 3 N), form (3 N, 3 N)
     centred = points - points.mean(axis=0)
     turns = [np.cross(axis, centred) for axis in np.eye(3)]
     shifts = [np.broadcast_to(axis, points.shape) for axis in np.eye(3)]
@@ -205,20 +141,8 @@ def rigid_and_form(points: Floats) -> tuple[Floats, Floats]:
 
 
 def place_and_form(found: Floats, draw: Draw) -> tuple[float, float]:
-    """Compute the error of a cloud that a calibration measures, but for the scale of its board.
-
-    Parameters
-    ----------
-    found : Floats
-        (30,) parameters in the order of `PARAMETERS`.
-    draw : Draw
-        With the truth.
-
-    Returns
-    -------
-    place_um, form_um : float
-        RMS over the points, in µm, of displacement and of what the best rigid motion leaves of it.
-    """
+    """Compute the error of a cloud that a calibration measures, but for the scale of its board."""
+    # found (30,)
     points = cloud_of(draw.truth)
     slopes = calibration_jacobian(points, _calibration(draw.truth), (1.0, 1.0)).reshape(-1, len(PARAMETERS))
     scaled = np.append(found[:-3], (1.0 + draw.scale) * found[-3:])
@@ -231,20 +155,8 @@ def _rms_um(moved: Floats) -> float:
 
 
 def optimum(setting: Case, seen: Draw) -> Floats:
-    """Estimate by generalised least squares with the true size of every error.
-
-    Parameters
-    ----------
-    setting : Case
-        What was drawn.
-    seen : Draw
-        The observations.
-
-    Returns
-    -------
-    Floats
-        (30,) parameters in the order of `PARAMETERS`.
-    """
+    """Estimate by generalised least squares with the true size of every error."""
+    # returns (30,)
     camera_px, projector_px, _ = NOISES[setting.noise]
     dots_mm = max(1e-3 * setting.dots_um, 1e-5)
     sizes = ErrorSizes(camera_px, projector_px, dots_mm, dots_mm)
@@ -254,20 +166,7 @@ def optimum(setting: Case, seen: Draw) -> Floats:
 
 
 def form_beside_optimum(setting: Case, seeds: Sequence[int]) -> tuple[float, float, float]:
-    """Compare the form that characterisation reaches with the optimum.
-
-    Parameters
-    ----------
-    setting : Case
-        What is drawn.
-    seeds : sequence of int
-        Of the draws.
-
-    Returns
-    -------
-    found_um, optimum_um, stated_um : float
-        RMS over the seeds, in µm: form as characterised, at the optimum, and as predicted by the covariance.
-    """
+    """Compare the form that characterisation reaches with the optimum."""
     forms = []
     for seed in seeds:
         seen = draw(setting, seed)
@@ -294,21 +193,7 @@ def _stated(calibration: Calibration, seen: Draw) -> tuple[Floats, float, float]
 
 
 def intervals(setting: Case, seed: int) -> dict[str, bool]:
-    """Tell which 95 % intervals of one characterisation contain the truth.
-
-    Parameters
-    ----------
-    setting : Case
-        What is drawn.
-    seed : int
-        Of the draw.
-
-    Returns
-    -------
-    dict of str to bool
-        By quantity: each focal length, baseline, and squared place and form error, whose 95 % quantile is
-        that of the sum of squares of normal variables with the predicted covariance.
-    """
+    """Tell which 95 % intervals of one characterisation contain the truth."""
     seen = draw(setting, seed)
     result = characterise(seen.observations, board(), SIZE, PROJECTOR, level=DistortionModel.K3)
     assert result.solution is not None
@@ -331,32 +216,13 @@ def intervals(setting: Case, seed: int) -> dict[str, bool]:
 
 
 def share_covered(setting: Case, seeds: Sequence[int]) -> dict[str, float]:
-    """Count how often 95 % intervals contain the truth.
-
-    Parameters
-    ----------
-    setting : Case
-        What is drawn.
-    seeds : sequence of int
-        Of the draws.
-
-    Returns
-    -------
-    dict of str to float
-        Share of the draws, by quantity.
-    """
+    """Count how often 95 % intervals contain the truth."""
     found = [intervals(setting, seed) for seed in seeds]
     return {name: float(np.mean([one[name] for one in found])) for name in found[0]}
 
 
 def run() -> list[Result]:
-    """Measure form beside the optimum for every kind of board, lens and noise, and coverage.
-
-    Returns
-    -------
-    list of Result
-        A figure each.
-    """
+    """Measure form beside the optimum for every kind of board, lens and noise, and coverage."""
     settings = [
         *(Case(dots_um=dots) for dots in DOTS_UM),
         *(Case(lens=lens) for lens in LENSES if lens != "tangential"),

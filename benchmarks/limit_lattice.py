@@ -34,15 +34,7 @@ REPEATS = 7
 
 
 def lattice_figures() -> list[Result]:
-    """Measure the lattice's ripple, cards of noise-free images, and look-ups.
-
-    Returns
-    -------
-    list of Result
-        Ripples in px of the projector, root mean square, beside those of exact optics: their ratio is at
-        least 1 where they agree within a tenth or 2e-4 px. Cards in µm beside what they must not exceed. The
-        time of a look-up beside that of linear interpolation between the same texels.
-    """
+    """Measure the lattice's ripple, cards of noise-free images, and look-ups."""
     ripples = [
         _ripple(blur, stripes, lattice) for lattice in Lattice for blur in BLURS for stripes in STRIPES
     ]

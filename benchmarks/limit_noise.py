@@ -35,40 +35,18 @@ KNOWN, UNKNOWN = 1.1, 1.25
 
 @dataclass(frozen=True)
 class Bench:
-    """A simulated bench.
+    """A simulated bench."""
 
-    Attributes
-    ----------
-    steps : int
-        N of every fringe set.
-    g : float
-        Exponent of the response.
-    bits : int
-        Depth of the frames.
-    ink : float
-        Reflectance of the brightest pixels; the others reflect down to half of it.
-    flicker : float
-        Relative standard deviation of the light from frame to frame.
-    exposure : float
-        Exposure, relative to one that saturates nothing.
-    """
-
-    steps: int
-    g: float = 1.0
-    bits: int = 8
-    ink: float = 1.0
-    flicker: float = 0.0
-    exposure: float = 1.0
+    steps: int  # N of every fringe set
+    g: float = 1.0  # exponent of the response
+    bits: int = 8  # depth of the frames
+    ink: float = 1.0  # reflectance of the brightest pixels; the others reflect down to half of it
+    flicker: float = 0.0  # relative standard deviation of the light from frame to frame
+    exposure: float = 1.0  # exposure, relative to one that saturates nothing
 
 
 def noise_figures() -> list[Result]:
-    """Compare true and reported uncertainty.
-
-    Returns
-    -------
-    list of Result
-        For every kind of light the greatest deviation from 1, as a factor, over steps and responses.
-    """
+    """Compare true and reported uncertainty."""
     kinds = {
         "bright": {},
         "ink_10": {"ink": 0.1},
@@ -85,20 +63,7 @@ def noise_figures() -> list[Result]:
 
 
 def ratios_of(bench: Bench, seeds: tuple[int, ...] = SEEDS) -> tuple[float, float]:
-    """Divide the true error by the reported standard uncertainty.
-
-    Parameters
-    ----------
-    bench : Bench
-        What is simulated.
-    seeds : tuple of int
-        One repetition each.
-
-    Returns
-    -------
-    tuple of float
-        Ratio of root mean squares where decoding is told the response, and where it is not.
-    """
+    """Divide the true error by the reported standard uncertainty."""
     true, reported = np.zeros(2), np.zeros(2)
     for seed in seeds:
         recording, u = simulated(bench, seed)
@@ -111,22 +76,8 @@ def ratios_of(bench: Bench, seeds: tuple[int, ...] = SEEDS) -> tuple[float, floa
 
 
 def simulated(bench: Bench, seed: int) -> tuple[Recording, Floats]:
-    """Simulate the frames of a bench.
-
-    Parameters
-    ----------
-    bench : Bench
-        What is simulated.
-    seed : int
-        Of the random numbers.
-
-    Returns
-    -------
-    recording : Recording
-        The frames, with the response.
-    u : ndarray of float64, (height, width)
-        The true coordinates in px.
-    """
+    """Simulate the frames of a bench."""
+    # returns u (height, width) px
     random = np.random.default_rng([seed, bench.steps])
     shape = CAMERA[::-1]
     # Away from the edges, and evenly over many fringes.

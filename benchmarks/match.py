@@ -59,31 +59,16 @@ class MatchBenchmarkSetup:
     """What is recorded and matched.
 
     The hidden bench is a simulated laboratory rig whose file the matching never reads.
-
-    Attributes
-    ----------
-    hidden, twin : str
-        Rig files of the hidden bench and of the twin.
-    board_plan, scan_plan : str
-        Plan files for the board and for the artefacts.
-    poses : int
-        How many of the board.
-    artefacts : tuple of str
-        Which are scanned.
-    limits : MatchingLimits
-        Of epochs and time.
-    focus_moved_mm : float
-        How far the focus is moved for recordings that no twin can match, in mm.
     """
 
-    hidden: str = "rig_hidden.yaml"
-    twin: str = "rig_twin.yaml"
-    board_plan: str = "plan_board.yaml"
-    scan_plan: str = "plan_paper.yaml"
-    poses: int = 20
-    artefacts: tuple[str, ...] = ("pyramid", "pillars", "steps")
-    limits: MatchingLimits = field(default_factory=MatchingLimits)
-    focus_moved_mm: float = 40.0
+    hidden: str = "rig_hidden.yaml"  # rig files of the hidden bench and of the twin
+    twin: str = "rig_twin.yaml"  # rig files of the hidden bench and of the twin
+    board_plan: str = "plan_board.yaml"  # plan files for the board and for the artefacts
+    scan_plan: str = "plan_paper.yaml"  # plan files for the board and for the artefacts
+    poses: int = 20  # how many of the board
+    artefacts: tuple[str, ...] = ("pyramid", "pillars", "steps")  # which are scanned
+    limits: MatchingLimits = field(default_factory=MatchingLimits)  # of epochs and time
+    focus_moved_mm: float = 40.0  # how far the focus is moved for recordings that no twin can match, in mm
 
     @property
     def few(self) -> int:
@@ -95,28 +80,14 @@ FULL = MatchBenchmarkSetup()
 
 
 def run() -> list[Result]:
-    """Measure matching; the baselines are the targets. It takes some hour and a half on two cores.
-
-    Returns
-    -------
-    list of Result
-        A figure each.
-    """
+    """Measure matching; the baselines are the targets. It takes some hour and a half on two cores."""
     with tempfile.TemporaryDirectory(prefix="fpplab-bench-") as folder:
         record(Path(folder))
         return match_figures(Path(folder))
 
 
 def record(folder: Path, trial: MatchBenchmarkSetup = FULL) -> None:
-    """Record what the hidden bench sees; sessions that are complete are kept.
-
-    Parameters
-    ----------
-    folder : Path
-        Where to.
-    trial : MatchBenchmarkSetup
-        What is recorded.
-    """
+    """Record what the hidden bench sees; sessions that are complete are kept."""
     plan, scan_plan = Plan.load(trial.board_plan), Plan.load(trial.scan_plan)
     with Rig.load(trial.hidden) as rig:
         rig.need_fixture("the benchmark").mount(CARD, 0)
@@ -143,20 +114,7 @@ def _refocused(world: World, further_mm: float) -> World:
 
 
 def match_figures(folder: Path, trial: MatchBenchmarkSetup = FULL) -> list[Result]:
-    """Match twins to a recording and compare them with the truth.
-
-    Parameters
-    ----------
-    folder : Path
-        Of the recording; the twins are left there too, in place of earlier ones.
-    trial : MatchBenchmarkSetup
-        What was recorded.
-
-    Returns
-    -------
-    list of Result
-        A figure each.
-    """
+    """Match twins to a recording and compare them with the truth."""
     sessions = recorded_sessions([folder / BOARD])
     response = Response.load(folder / RESPONSE)
     scans = {item: Session.open(folder / SCANS / item) for item in trial.artefacts}
@@ -185,20 +143,7 @@ def _matched(twin: Twin, sessions: Sequence[Session], out: Path, wanted: Matchin
 
 
 def truth_of(bench: Rig, nominal: World) -> TwinParameters:
-    """Give what a matching ought to find of an open virtual bench.
-
-    Parameters
-    ----------
-    bench : Rig
-        The hidden bench, open.
-    nominal : World
-        The twin's world.
-
-    Returns
-    -------
-    TwinParameters
-        The truth.
-    """
+    """Give what a matching ought to find of an open virtual bench."""
     known = twin_of(bench, BOARD).parameters
     return replace(known, white=white_level_per_s(virtual_bench(bench).world) / white_level_per_s(nominal))
 
@@ -215,18 +160,7 @@ def _mounted(session: Session) -> int:
 
 
 def perturbed(parameters: TwinParameters) -> TwinParameters:
-    """Move every pose of the board and the projector by `OFF_MM` and `OFF_DEG`, each to another side.
-
-    Parameters
-    ----------
-    parameters : TwinParameters
-        Where matching would begin.
-
-    Returns
-    -------
-    TwinParameters
-        The same, moved.
-    """
+    """Move every pose of the board and the projector by `OFF_MM` and `OFF_DEG`, each to another side."""
     random = np.random.default_rng(0)
 
     def off(pose: RigidTransform) -> RigidTransform:
@@ -254,20 +188,7 @@ def _convergence(name: str, found: MatchingResult, seconds: float) -> list[Resul
 
 
 def errors(name: str, found: TwinParameters, truth: TwinParameters) -> list[Result]:
-    """Compare what was found with the truth, pose by pose.
-
-    Parameters
-    ----------
-    name : str
-        Of the twin, for the figures.
-    found, truth : TwinParameters
-        Poses in the same order.
-
-    Returns
-    -------
-    list of Result
-        Of the poses the worst, of light what images determine.
-    """
+    """Compare what was found with the truth, pose by pose."""
     pairs = list(zip(found.poses, truth.poses, strict=True))
     away = max(float(np.linalg.norm(a.translation - b.translation)) for a, b in pairs)
     turned = max(float(np.linalg.norm((a @ b.inverse()).rotation_vector)) for a, b in pairs)

@@ -65,55 +65,28 @@ COVERAGE = 2.0
 
 @dataclass(frozen=True)
 class OptimiseBenchmarkSetup:
-    """What is searched, and how much is timed.
+    """What is searched, and how much is timed."""
 
-    Attributes
-    ----------
-    search : str
-        Rig file of the twin on which searches measure.
-    twin, hidden : str
-        Rig files of the matched twin and of the hidden bench: a simulated laboratory rig that searches never
-        see.
-    wide : str
-        Rig file of the search of the baseline.
-    phases, stripes, gradient, baseline, pareto : str
-        Study files.
-    epochs : int
-        Of the gradient descent.
-    rendered : int
-        Images of each artefact that are rendered for comparison.
-    measured : int
-        Candidates that are measured by one worker and by two.
-    workers : int
-        Processes that search.
-    """
-
-    search: str = "rig_matched_still.yaml"
-    twin: str = "rig_matched.yaml"
-    hidden: str = "rig_hidden.yaml"
-    wide: str = "rig_paper.yaml"
-    phases: str = "study_phases.yaml"
-    stripes: str = "study_stripes.yaml"
-    gradient: str = "study_stripes_gradient.yaml"
-    baseline: str = "study_baseline_paper.yaml"
-    pareto: str = "study_pareto.yaml"
-    epochs: int = 64
-    rendered: int = 3
-    measured: int = 40
-    workers: int = os.cpu_count() or 1
+    search: str = "rig_matched_still.yaml"  # rig file of the twin on which searches measure
+    twin: str = "rig_matched.yaml"  # rig files of the matched twin and of the hidden bench
+    hidden: str = "rig_hidden.yaml"  # rig files of the matched twin and of the hidden bench
+    wide: str = "rig_paper.yaml"  # rig file of the search of the baseline
+    phases: str = "study_phases.yaml"  # study files
+    stripes: str = "study_stripes.yaml"  # study files
+    gradient: str = "study_stripes_gradient.yaml"  # study files
+    baseline: str = "study_baseline_paper.yaml"  # study files
+    pareto: str = "study_pareto.yaml"  # study files
+    epochs: int = 64  # of the gradient descent
+    rendered: int = 3  # images of each artefact that are rendered for comparison
+    measured: int = 40  # candidates that are measured by one worker and by two
+    workers: int = os.cpu_count() or 1  # processes that search
 
 
 FULL = OptimiseBenchmarkSetup()
 
 
 def run() -> list[Result]:
-    """Measure searches; the baselines are the targets. It takes an hour or two on two cores.
-
-    Returns
-    -------
-    list of Result
-        A figure each.
-    """
+    """Measure searches; the baselines are the targets. It takes an hour or two on two cores."""
     with tempfile.TemporaryDirectory(prefix="fpplab-bench-") as folder:
         return optimise_figures(Path(folder))
 
@@ -122,23 +95,6 @@ def optimise_figures(folder: Path, trial: OptimiseBenchmarkSetup = FULL) -> list
     """Search, and confirm what is found on the hidden bench.
 
     Searches go on where their journals end; what is timed is done anew.
-
-    Parameters
-    ----------
-    folder : Path
-        Of the journals and plans.
-    trial : OptimiseBenchmarkSetup
-        What is searched.
-
-    Returns
-    -------
-    list of Result
-        A figure each.
-
-    Raises
-    ------
-    DataError
-        A search finds nothing that can be measured.
     """
     return [
         *_phases(folder, trial),
@@ -161,26 +117,7 @@ def _of_rig(rig: str, folder: Path) -> Path:
 
 
 def searched(what: SearchScope, rig: str, name: str, folder: Path, workers: int) -> SearchResult:
-    """Search as `fpplab optimise` does; plans and journal stay in the folder.
-
-    Parameters
-    ----------
-    what : SearchScope
-        What is searched.
-    rig : str
-        Rig file.
-    name : str
-        Study file.
-    folder : Path
-        Where to.
-    workers : int
-        Processes that measure.
-
-    Returns
-    -------
-    SearchResult
-        What is found.
-    """
+    """Search as `fpplab optimise` does; plans and journal stay in the folder."""
     study = _characterised(rig, name, folder)
     out = folder / (str(what) if what is SearchScope.PARETO else f"{what}.yaml")
     with console.progress(f"Searching {what} on {rig}"):
@@ -192,22 +129,7 @@ def searched(what: SearchScope, rig: str, name: str, folder: Path, workers: int)
 def on_both(
     trial: OptimiseBenchmarkSetup, found: SearchResult, folder: Path
 ) -> list[tuple[ConfirmedPlan, ConfirmedPlan]]:
-    """Confirm plans on the twin and on the hidden bench, side by side by several workers.
-
-    Parameters
-    ----------
-    trial : OptimiseBenchmarkSetup
-        Names both rigs.
-    found : SearchResult
-        The plans.
-    folder : Path
-        Where to.
-
-    Returns
-    -------
-    list of tuple of ConfirmedPlan
-        Twin and hidden bench, for every plan that is confirmed.
-    """
+    """Confirm plans on the twin and on the hidden bench, side by side by several workers."""
     rigs = (trial.twin, trial.hidden)
     if trial.workers == 1:
         return list(zip(*(_confirmed(rig, found, folder) for rig in rigs), strict=True))
@@ -232,20 +154,7 @@ def _phases(folder: Path, trial: OptimiseBenchmarkSetup) -> list[Result]:
 
 
 def no_worse(name: str, found: Confirmation) -> Result:
-    """Give the distance as a multiple of the start's, less its uncertainty, beside 1.
-
-    Parameters
-    ----------
-    name : str
-        Of the figure.
-    found : Confirmation
-        Of a plan.
-
-    Returns
-    -------
-    Result
-        The figure.
-    """
+    """Give the distance as a multiple of the start's, less its uncertainty, beside 1."""
     console.say(f"{name}: {1 - found.gain:.4f} ± {found.uncertainty:.4f} of the start's")
     least = 1.0 - found.gain - COVERAGE * found.uncertainty
     return below(name, least, f"of the start's, less {COVERAGE:g} u", 1.0)
@@ -264,18 +173,7 @@ def _stripes(folder: Path, trial: OptimiseBenchmarkSetup) -> list[Result]:
 
 
 def wrong_percent(found: RepeatedFigures) -> float:
-    """Give how many of all points are a fringe or more off.
-
-    Parameters
-    ----------
-    found : RepeatedFigures
-        By artefact.
-
-    Returns
-    -------
-    float
-        Percent.
-    """
+    """Give how many of all points are a fringe or more off."""
     measured = [one for repeats in found.values() for one in repeats]
     points = sum(one.points for one in measured)
     return 100 * sum(one.wrong_orders * one.points for one in measured) / points
@@ -295,23 +193,7 @@ def _baseline(folder: Path, trial: OptimiseBenchmarkSetup) -> list[Result]:
 
 
 def gain_of(found: SearchResult) -> float:
-    """Give the gain of the optimum, with seeds that chose nothing.
-
-    Parameters
-    ----------
-    found : SearchResult
-        Of a search.
-
-    Returns
-    -------
-    float
-        Share of the start's distance.
-
-    Raises
-    ------
-    DataError
-        Nothing was found that can be measured.
-    """
+    """Give the gain of the optimum, with seeds that chose nothing."""
     if found.gain is None:
         raise DataError(f"{found.study.name}: start or optimum could not be measured with other seeds")
     return found.gain.down_percent / 100.0
@@ -335,16 +217,6 @@ def beside_singles(found: SearchResult) -> float:
 
     Of those with as many images, among all that were measured and keep the limits: the search of a front
     begins with searches of each kind of parameter by itself.
-
-    Parameters
-    ----------
-    found : SearchResult
-        Of the search of a front.
-
-    Returns
-    -------
-    float
-        The greatest distance of a plan of the front, as a multiple of the best single-parameter plan's.
     """
     wanted = [trial for trial in found.trials if found.ranking.is_acceptable(trial)]
     single = [trial for trial in wanted if len(groups_changed(found, trial)) <= 1]
@@ -357,37 +229,13 @@ def beside_singles(found: SearchResult) -> float:
 
 
 def groups_changed(found: SearchResult, trial: objectives.MeasuredCandidate) -> set[str]:
-    """Find the groups of parameters in which a candidate differs from the start.
-
-    Parameters
-    ----------
-    found : SearchResult
-        Of the search.
-    trial : MeasuredCandidate
-        The candidate.
-
-    Returns
-    -------
-    set of str
-        Groups.
-    """
+    """Find the groups of parameters in which a candidate differs from the start."""
     values = zip(found.space.parameters, trial.point, found.start.point, strict=True)
     return {parameter.group for parameter, value, begin in values if value != begin}
 
 
 def deviation(twin: ConfirmedPlan, hidden: ConfirmedPlan) -> float:
-    """Compare the gains on twin and hidden bench.
-
-    Parameters
-    ----------
-    twin, hidden : ConfirmedPlan
-        Of the same plan.
-
-    Returns
-    -------
-    float
-        Difference in its standard uncertainties.
-    """
+    """Compare the gains on twin and hidden bench."""
     one, other = twin.confirmation, hidden.confirmation
     for name, found in (("twin", one), ("hidden", other)):
         console.say(f"{twin.images} images, {name}: gain {found.gain:.4f} ± {found.uncertainty:.4f}")
@@ -427,18 +275,7 @@ def _speed(folder: Path, trial: OptimiseBenchmarkSetup) -> list[Result]:
 
 @contextmanager
 def own_cache(folder: Path) -> Iterator[None]:
-    """Let processes that begin meanwhile find nothing on disk that an earlier one left.
-
-    Parameters
-    ----------
-    folder : Path
-        Of the cache that they use.
-
-    Yields
-    ------
-    None
-        While it holds.
-    """
+    """Let processes that begin meanwhile find nothing on disk that an earlier one left."""
     name = "XDG_CACHE_HOME"
     before = os.environ.get(name)
     os.environ[name] = str(folder)

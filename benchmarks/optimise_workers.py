@@ -22,27 +22,13 @@ WARM = 6
 
 @dataclass(frozen=True)
 class OnOneCore:
-    """Opens a rig in a process that measures on one core, which no other has claimed.
+    """Opens a rig in a process that measures on one core, which no other has claimed."""
 
-    Attributes
-    ----------
-    factory : EvaluatorFactory
-        Opens the rig.
-    claims : Path
-        Folder in which cores are claimed.
-    """
-
-    factory: EvaluatorFactory
-    claims: Path
+    factory: EvaluatorFactory  # opens the rig
+    claims: Path  # folder in which cores are claimed
 
     def __call__(self) -> Evaluator:
-        """Open the rig, on a core of its own.
-
-        Returns
-        -------
-        Evaluator
-            Open.
-        """
+        """Open the rig, on a core of its own."""
         numba.set_num_threads(1)
         if hasattr(os, "sched_setaffinity"):  # elsewhere a process cannot be held to a core
             cores = sorted(os.sched_getaffinity(0))
@@ -63,27 +49,13 @@ def _claimed(path: Path) -> bool:
 
 @dataclass(frozen=True)
 class KilledOnce:
-    """Opens a rig of which one process is killed while it measures.
+    """Opens a rig of which one process is killed while it measures."""
 
-    Attributes
-    ----------
-    factory : EvaluatorFactory
-        Opens the rig.
-    died : Path
-        File that remembers the kill.
-    """
-
-    factory: EvaluatorFactory
-    died: Path
+    factory: EvaluatorFactory  # opens the rig
+    died: Path  # file that remembers the kill
 
     def __call__(self) -> Evaluator:
-        """Open the rig.
-
-        Returns
-        -------
-        Evaluator
-            Kills its process once.
-        """
+        """Open the rig."""
         return _Mortal(self.factory(), self.died)
 
 
@@ -103,20 +75,7 @@ class _Mortal:
 
 
 def candidates_like(like: Candidate, count: int) -> Iterable[Candidate]:
-    """Make candidates with a finest set of their own, so that each is rendered.
-
-    Parameters
-    ----------
-    like : Candidate
-        What they are but for the stripes of the finest set.
-    count : int
-        How many.
-
-    Returns
-    -------
-    iterable of Candidate
-        The first one is `like`.
-    """
+    """Make candidates with a finest set of their own, so that each is rendered."""
     *coarser, finest = like.fringes
     return (
         replace(like, fringes=(*coarser, replace(finest, stripes=finest.stripes + k))) for k in range(count)
@@ -126,24 +85,7 @@ def candidates_like(like: Candidate, count: int) -> Iterable[Candidate]:
 def timed_measurements(
     factory: EvaluatorFactory, workers: int, tasks: Sequence[Task]
 ) -> tuple[dict[int, ScoresOrReason], float]:
-    """Measure candidates and take the time.
-
-    Parameters
-    ----------
-    factory : EvaluatorFactory
-        Opens the rig in each process.
-    workers : int
-        Processes.
-    tasks : sequence of Task
-        More than `WARM`.
-
-    Returns
-    -------
-    found : dict of int to ScoresOrReason
-        By place in `tasks`.
-    seconds : float
-        For all but the first `WARM`.
-    """
+    """Measure candidates and take the time."""
     found: dict[int, ScoresOrReason] = {}
     cluster = DaskWorkers(factory, workers)
     try:

@@ -58,30 +58,14 @@ DRIFT_MM = 0.004
 
 @dataclass(frozen=True)
 class Outside:
-    """An effect that the model lacks.
+    """An effect that the model lacks."""
 
-    Attributes
-    ----------
-    name : str
-        Of the effect.
-    board : callable
-        The world in front of which board and card are recorded, of the drawn one.
-    part : callable
-        The world in which the part is recorded.
-    words : tuple of str
-        One of these must be said.
-    drift_mm : float
-        By how much the part moves towards the camera in every frame.
-    mesh : callable or None
-        Makes the part's file in a folder; None for the pyramid.
-    """
-
-    name: str
-    board: Callable[[World], World]
-    part: Callable[[World], World]
-    words: tuple[str, ...]
-    drift_mm: float = 0.0
-    mesh: Callable[[Path], Path] | None = None
+    name: str  # of the effect
+    board: Callable[[World], World]  # the world in front of which board and card are recorded
+    part: Callable[[World], World]  # the world in which the part is recorded
+    words: tuple[str, ...]  # one of these must be said
+    drift_mm: float = 0.0  # by how much the part moves towards the camera in every frame
+    mesh: Callable[[Path], Path] | None = None  # makes the part's file in a folder; None for the pyramid
 
 
 def _same(world: World) -> World:
@@ -96,18 +80,7 @@ def _with(world: World, **changes: Mapping[str, Any]) -> World:
 
 
 def s_shaped(world: World) -> World:
-    """Give a world a projector whose response has the form of an S.
-
-    Parameters
-    ----------
-    world : World
-        Any.
-
-    Returns
-    -------
-    World
-        With a spline in place of the power law.
-    """
+    """Give a world a projector whose response has the form of an S."""
     shown = np.linspace(0.0, 1.0, 2001)
     wanted = shown - S_SHAPE * np.sin(2 * np.pi * shown)
     found = make_lsq_spline(shown, wanted, knots(PIECES), DEGREE).c
@@ -121,52 +94,19 @@ def s_shaped(world: World) -> World:
 
 
 def of_wax(world: World) -> World:
-    """Make the part of wax.
-
-    Parameters
-    ----------
-    world : World
-        With the part.
-
-    Returns
-    -------
-    World
-        In which light enters the part and leaves it beside.
-    """
+    """Make the part of wax."""
     wax = {"kind": "translucent", "reflectance": 0.85, "radius_mm": 0.3}
     item = {**world.model_dump(mode="json")["items"][PART], "material": "wax"}
     return _with(world, materials={"wax": wax}, items={PART: item}, render=INDIRECT)
 
 
 def of_lit_walls(world: World) -> World:
-    """Let surfaces light each other.
-
-    Parameters
-    ----------
-    world : World
-        Any.
-
-    Returns
-    -------
-    World
-        With two reflections.
-    """
+    """Let surfaces light each other."""
     return _with(world, render={"bounces": 2, **INDIRECT})
 
 
 def groove(folder: Path) -> Path:
-    """Make a block with a groove of 80 degrees.
-
-    Parameters
-    ----------
-    folder : Path
-        Gets the file.
-
-    Returns
-    -------
-    Path
-        Of the file, in mm, its front towards -z.
-    """
+    """Make a block with a groove of 80 degrees."""
     block = trimesh.creation.box(bounds=[(-35, -25, -15), (35, 25, 25)])
     edges = [(-26.0, -16.0), (0.0, 15.0), (26.0, -16.0)]
     wedge = trimesh.convex.convex_hull(np.array([(x, y, z) for x, z in edges for y in (-26, 26)]))
@@ -185,24 +125,12 @@ EFFECTS = (
 
 @dataclass(frozen=True, eq=False)
 class JudgedEffect:
-    """One bench.
+    """One bench."""
 
-    Attributes
-    ----------
-    name : str
-        Of the effect.
-    said : str
-        Everything that was said of it.
-    named : bool
-        Whether the effect is named.
-    answers : dict of str to tuple of Prediction and MeasuredFigures
-        By question.
-    """
-
-    name: str
-    said: str
-    named: bool
-    answers: dict[str, tuple[Prediction, MeasuredFigures]] = field(default_factory=dict)
+    name: str  # of the effect
+    said: str  # everything that was said of it
+    named: bool  # whether the effect is named
+    answers: dict[str, tuple[Prediction, MeasuredFigures]] = field(default_factory=dict)  # by question
 
     @property
     def missed(self) -> list[str]:
@@ -216,30 +144,13 @@ class JudgedEffect:
 
 
 def run() -> list[Result]:
-    """Measure how twins do on benches that they cannot model. It takes some twenty minutes.
-
-    Returns
-    -------
-    list of Result
-        A figure each, beside what is wanted.
-    """
+    """Measure how twins do on benches that they cannot model. It takes some twenty minutes."""
     with tempfile.TemporaryDirectory(prefix="fpplab-bench-") as folder:
         return effect_figures([judged_effect(one, Path(folder) / one.name) for one in EFFECTS])
 
 
 def effect_figures(judged: list[JudgedEffect]) -> list[Result]:
-    """Sum up.
-
-    Parameters
-    ----------
-    judged : list of JudgedEffect
-        Of all effects.
-
-    Returns
-    -------
-    list of Result
-        Beside the targets.
-    """
+    """Sum up."""
     named = [above(f"outside_{one.name}_is_named", float(one.named), "", 1.0) for one in judged]
     missed = [
         below(f"outside_{one.name}_intervals_missed", float(len(one.missed)), "", 0.0) for one in judged
@@ -250,24 +161,7 @@ def effect_figures(judged: list[JudgedEffect]) -> list[Result]:
 def judged_effect(
     effect: Outside, folder: Path, seed: int = 6000, trial: PredictSetup | None = None
 ) -> JudgedEffect:
-    """Record a bench, match a twin to it, predict, and measure.
-
-    Parameters
-    ----------
-    effect : Outside
-        What the bench has.
-    folder : Path
-        Gets recordings and twin.
-    seed : int
-        Of the bench.
-    trial : PredictSetup, optional
-        Plans, poses and limits; six poses by default.
-
-    Returns
-    -------
-    JudgedEffect
-        With the reason in `said` where the matching was refused.
-    """
+    """Record a bench, match a twin to it, predict, and measure."""
     trial = trial or PredictSetup(poses=6)
     world = _with_part(drawn_world(seed, trial.poses, trial.binning), effect, folder)
     plan, part_plan = Plan.load(trial.board_plan), Plan.load(trial.part_plan)

@@ -12,18 +12,6 @@ def peak_of(sample: Callable[[], int], every_s: float) -> Iterator[list[int]]:
     """Take the greatest that a figure comes to while the block runs.
 
     It is taken before the block, regularly by a thread of its own, and after the block.
-
-    Parameters
-    ----------
-    sample : callable
-        Gives the figure.
-    every_s : float
-        s between samples.
-
-    Yields
-    ------
-    list of int
-        Its one entry is the greatest, once the block has ended.
     """
     peak, done = [sample()], threading.Event()
 

@@ -52,62 +52,30 @@ hidden bench states no falloff of the projector and no second lamp, which are an
 
 @dataclass(frozen=True)
 class Question:
-    """One measurement to be predicted.
+    """One measurement to be predicted."""
 
-    Attributes
-    ----------
-    name : str
-        What differs from the part that the twin was given.
-    item : str
-        Of the bench.
-    plan : str
-        Plan file.
-    exposure : float
-        Factor of the plan's exposure.
-    """
-
-    name: str
-    item: str
-    plan: str
-    exposure: float = 1.0
+    name: str  # what differs from the part that the twin was given
+    item: str  # of the bench
+    plan: str  # plan file
+    exposure: float = 1.0  # factor of the plan's exposure
 
     def loaded(self) -> Plan:
-        """Load the plan with its exposure.
-
-        Returns
-        -------
-        Plan
-            What is shown.
-        """
+        """Load the plan with its exposure."""
         plan = Plan.load(self.plan)
         return plan.model_copy(update={"exposure_s": self.exposure * plan.exposure_s})
 
 
 @dataclass(frozen=True)
 class PredictSetup:
-    """What is drawn, recorded and predicted.
+    """What is drawn, recorded and predicted."""
 
-    Attributes
-    ----------
-    seeds : tuple of int
-        Of the benches.
-    poses, binning : int
-        Of the board, and of the camera.
-    board_plan, part_plan : str
-        Plan files for the board and for the part that the twin is given.
-    other_plan : str
-        Plan file of the first question.
-    limits : MatchingLimits
-        Of each matching; so long that how busy the machine is does not end it.
-    """
-
-    seeds: tuple[int, ...] = tuple(range(JUDGING, JUDGING + 12))
-    poses: int = 12
-    binning: int = 8
-    board_plan: str = "plan_board.yaml"
+    seeds: tuple[int, ...] = tuple(range(JUDGING, JUDGING + 12))  # of the benches
+    poses: int = 12  # of the board, and of the camera
+    binning: int = 8  # of the board, and of the camera
+    board_plan: str = "plan_board.yaml"  # plan files for the board and for the part that the twin is given
     part_plan: str = "plan_nine_images.yaml"
-    other_plan: str = "plan_paper.yaml"
-    limits: MatchingLimits = field(default_factory=lambda: MatchingLimits(seconds=3600.0))
+    other_plan: str = "plan_paper.yaml"  # plan file of the first question
+    limits: MatchingLimits = field(default_factory=lambda: MatchingLimits(seconds=3600.0))  # of each matching
 
     @property
     def questions(self) -> tuple[Question, ...]:
@@ -126,58 +94,23 @@ FULL = PredictSetup()
 
 @dataclass(frozen=True, eq=False)
 class JudgedBench:
-    """One hidden bench.
+    """One hidden bench."""
 
-    Attributes
-    ----------
-    seed : int
-        Of the bench.
-    refused : str or None
-        Why nothing was predicted; the rest is then empty.
-    poses_um : ndarray of float64
-        Distance (P,) of every pose of the board from the truth, after a common rigid motion.
-    sigmas : dict of str to float
-        Error of each parameter over its own standard uncertainty.
-    answers : dict of str to tuple of Prediction and MeasuredFigures
-        By question.
-    """
-
-    seed: int
-    refused: str | None = None
-    poses_um: Floats = field(default_factory=lambda: np.zeros(0))
+    seed: int  # of the bench
+    refused: str | None = None  # why nothing was predicted; the rest is then empty
+    poses_um: Floats = field(default_factory=lambda: np.zeros(0))  # (P,)
     sigmas: dict[str, float] = field(default_factory=dict)
-    answers: dict[str, tuple[Prediction, MeasuredFigures]] = field(default_factory=dict)
+    answers: dict[str, tuple[Prediction, MeasuredFigures]] = field(default_factory=dict)  # by question
 
 
 def run() -> list[Result]:
-    """Measure predictions; the baselines are the targets. It takes some hours on two cores.
-
-    Returns
-    -------
-    list of Result
-        A figure each.
-    """
+    """Measure predictions; the baselines are the targets. It takes some hours on two cores."""
     with tempfile.TemporaryDirectory(prefix="fpplab-bench-") as folder:
         return figures([judged(seed, Path(folder) / str(seed)) for seed in FULL.seeds])
 
 
 def judged(seed: int, folder: Path, trial: PredictSetup = FULL) -> JudgedBench:
-    """Record a hidden bench, match a twin to it, predict, measure and compare.
-
-    Parameters
-    ----------
-    seed : int
-        Of the bench.
-    folder : Path
-        Gets recordings and twin.
-    trial : PredictSetup
-        What is recorded and predicted.
-
-    Returns
-    -------
-    JudgedBench
-        With the reason where the matching or a prediction was refused.
-    """
+    """Record a hidden bench, match a twin to it, predict, measure and compare."""
     with hidden_bench(seed, folder / "bench", trial.poses, trial.binning) as bench:
         console.say(f"Recording hidden bench {seed}")
         plan = Plan.load(trial.board_plan)
@@ -215,26 +148,7 @@ def matched(
     surfaces: Mapping[str, Session],
     response: Response,
 ) -> MatchingResult:
-    """Match the nominal twin to recordings.
-
-    Parameters
-    ----------
-    folder : Path
-        With the nominal twin in `nominal`; the matched one goes to `matched`.
-    trial : PredictSetup
-        Limits.
-    sessions : sequence of Session
-        Of the board.
-    scans, surfaces : mapping of str to Session
-        Of parts, for the comparison and for their surfaces.
-    response : Response
-        Of the bench.
-
-    Returns
-    -------
-    MatchingResult
-        As `fpplab match` finds it.
-    """
+    """Match the nominal twin to recordings."""
     wanted = MatchingRequest(response=response, scans=scans, surfaces=surfaces, limits=trial.limits)
     with Rig.load(folder / "nominal" / "rig.yaml") as rig, console.progress("Matching") as report:
         twin = twin_of(rig, BOARD)
@@ -243,20 +157,7 @@ def matched(
 
 
 def predictions(rig: Path, questions: Sequence[Question]) -> dict[str, Prediction]:
-    """Answer questions by a twin.
-
-    Parameters
-    ----------
-    rig : Path
-        Of the twin.
-    questions : sequence of Question
-        What to predict.
-
-    Returns
-    -------
-    dict of str to Prediction
-        By question.
-    """
+    """Answer questions by a twin."""
     with Rig.load(rig) as twin:
         return {one.name: predict(twin, one.loaded(), one.item) for one in questions}
 
@@ -268,18 +169,8 @@ def _measured(bench: HiddenBench, one: Question, folder: Path, known: Calibratio
 
 
 def poses_off_um(found: Sequence[RigidTransform], true: Sequence[RigidTransform]) -> Floats:
-    """Compare poses with the truth relative to each other.
-
-    Parameters
-    ----------
-    found, true : sequence of RigidTransform
-        P poses each, in the same order.
-
-    Returns
-    -------
-    ndarray of float64
-        (P,) distances in µm after the rigid motion that brings them closest (Kabsch).
-    """
+    """Compare poses with the truth relative to each other."""
+    # returns (P,) µm
     here, there = (np.array([pose.translation for pose in poses]) for poses in (found, true))
     a, b = here - here.mean(axis=0), there - there.mean(axis=0)
     left, _, right = np.linalg.svd(a.T @ b)
@@ -291,18 +182,6 @@ def errors_in_sigmas(found: TwinParameters, truth: TwinParameters) -> dict[str, 
     """Compare parameters with the truth, in units of their own standard uncertainty.
 
     Images know the print only relative to its ground, so `ink` is compared as a share of `paper`.
-
-    Parameters
-    ----------
-    found : TwinParameters
-        With `sigma`, and a calibration with uncertainty.
-    truth : TwinParameters
-        Of the bench.
-
-    Returns
-    -------
-    dict of str to float
-        Of all parameters with an uncertainty and a truth of their own.
     """
     errors = {
         name: (knob.read(found) - knob.read(truth)) / found.sigma[name]
@@ -329,18 +208,7 @@ def _parameter(calibration: Calibration, name: str) -> float:
 
 
 def figures(benches: Sequence[JudgedBench]) -> list[Result]:
-    """Sum up hidden benches.
-
-    Parameters
-    ----------
-    benches : sequence of JudgedBench
-        At least one that was not refused.
-
-    Returns
-    -------
-    list of Result
-        Beside the targets.
-    """
+    """Sum up hidden benches."""
     kept = [one for one in benches if one.refused is None]
     results = [below("predict_refused", len(benches) - len(kept), "benches", 0.0)]
     if not kept:

@@ -26,13 +26,7 @@ MOST_MS, MOST_COMMANDS = 1.0, 60
 
 
 def run() -> list[Result]:
-    """Measure the median of the round trips, and how many commands 36 patterns take.
-
-    Returns
-    -------
-    list of Result
-        A figure each.
-    """
+    """Measure the median of the round trips, and how many commands 36 patterns take."""
     clock = RealClock()
     patterns = uniform_patterns(list(range(PATTERNS)), SIZE)
     dark = np.zeros((SIZE[1], SIZE[0], 3), np.uint8)

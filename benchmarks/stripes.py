@@ -49,49 +49,18 @@ AGREEMENT = 0.1
 
 @dataclass(frozen=True)
 class Optics:
-    """What shows fringes: mirrors, the projector's lens, the camera's pixels.
+    """What shows fringes: mirrors, the projector's lens, the camera's pixels."""
 
-    Attributes
-    ----------
-    columns : int
-        Of the projector.
-    lattice : Lattice
-        Of its mirrors.
-    blur : float
-        Standard deviation of the point spread in mirrors, the defocus in it.
-    fill : float
-        Side of a mirror, in mirrors.
-    pixel : float
-        Side of a camera pixel in columns of the projector.
-    um_per_column : float
-        Depth of one column, in µm.
-    """
-
-    columns: int
-    lattice: Lattice
-    blur: float
-    fill: float
-    pixel: float
-    um_per_column: float
+    columns: int  # of the projector
+    lattice: Lattice  # of its mirrors
+    blur: float  # standard deviation of the point spread in mirrors, the defocus in it
+    fill: float  # side of a mirror, in mirrors
+    pixel: float  # side of a camera pixel in columns of the projector
+    um_per_column: float  # depth of one column, in µm
 
     @classmethod
     def of(cls, world: World, calibration: Calibration, fill: float) -> Optics:
-        """Work out the optics at the middle of the field.
-
-        Parameters
-        ----------
-        world : World
-            Of the rig.
-        calibration : Calibration
-            Of the rig.
-        fill : float
-            Side of a mirror.
-
-        Returns
-        -------
-        Optics
-            At `DEPTH_MM`.
-        """
+        """Work out the optics at the middle of the field."""
         width, height = calibration.camera.size
         pixels = np.array([[width / 2, height / 2], [width / 2 + 1, height / 2], [width / 2, height / 2]])
         depths = DEPTH_MM + np.array([[0.0], [0.0], [1.0]])
@@ -105,20 +74,7 @@ class Optics:
         return cls(projector.size[0], projector.lattice, blur, fill, abs(u[1] - u[0]), 1e3 / abs(u[2] - u[0]))
 
     def modulation(self, stripes: float, image: tuple[int, int] = (0, 0)) -> float:
-        """Compute by how much a fringe, or one of its images in the lattice, is weakened.
-
-        Parameters
-        ----------
-        stripes : float
-            Across the projector.
-        image : tuple of int
-            Whole periods per mirror along both axes of the lattice by which the image is off.
-
-        Returns
-        -------
-        float
-            1 for the even light of no stripes.
-        """
+        """Compute by how much a fringe, or one of its images in the lattice, is weakened."""
         fringe = np.array([stripes / self.columns, 0.0])
         if self.lattice is Lattice.DIAMOND:  # its axes are at 45° to the columns, which are √2 mirrors apart
             wave = np.full(2, fringe[0] / 2) + image
@@ -130,18 +86,7 @@ class Optics:
         return float(np.prod(optics) * np.sinc(self.pixel * along))
 
     def ripple_columns(self, stripes: float) -> float:
-        """Compute the error that the images in the lattice cause, root mean square in columns.
-
-        Parameters
-        ----------
-        stripes : float
-            Across the projector.
-
-        Returns
-        -------
-        float
-            In columns.
-        """
+        """Compute the error that the images in the lattice cause, root mean square in columns."""
         # An image and its opposite turn the phase against each other; every pair is met twice.
         pairs = [
             self.modulation(stripes, (k, m)) - self.modulation(stripes, (-k, -m)) for k, m in IMAGES_OF_FRINGE
@@ -150,69 +95,25 @@ class Optics:
         return float(phase * self.columns / stripes / TWO_PI)
 
     def errors_um(self, stripes: Floats, noise: float) -> Floats:
-        """Evaluate the formula.
-
-        Parameters
-        ----------
-        stripes : Floats
-            Of the finest set, any number of values.
-        noise : float
-            Error in columns that one stripe of full modulation would have.
-
-        Returns
-        -------
-        Floats
-            Root mean square error of depth in µm.
-        """
+        """Evaluate the formula."""
         coarse = sum((s * self.modulation(s)) ** 2 for s in COARSE)
         noises = [noise / np.sqrt(coarse + (s * self.modulation(s)) ** 2) for s in stripes]
         return self.um_per_column * np.hypot(noises, [self.ripple_columns(s) for s in stripes])
 
 
 def mirrors_per_column(lattice: Lattice) -> float:
-    """Give the distance of two columns in mirrors.
-
-    Parameters
-    ----------
-    lattice : Lattice
-        Of the mirrors.
-
-    Returns
-    -------
-    float
-        In mirrors.
-    """
+    """Give the distance of two columns in mirrors."""
     return float(np.sqrt(2.0)) if lattice is Lattice.DIAMOND else 1.0
 
 
 def run() -> list[Result]:
-    """Measure; a quarter of an hour on two cores.
-
-    Returns
-    -------
-    list of Result
-        Errors of the shapes' points beside the formula's, their ratio at least 1 where they agree within a
-        tenth; and the best number of stripes beside the formula's.
-    """
+    """Measure; a quarter of an hour on two cores."""
     with tempfile.TemporaryDirectory(prefix="fpplab-bench-") as folder:
         return [result for name in RIGS for result in stripe_figures(name, Path(folder))]
 
 
 def stripe_figures(name: str, folder: Path) -> list[Result]:
-    """Measure on one rig.
-
-    Parameters
-    ----------
-    name : str
-        Of the rig's file, without `rig_`.
-    folder : Path
-        For the calibration.
-
-    Returns
-    -------
-    list of Result
-        As `run` gives them.
-    """
+    """Measure on one rig."""
     file = f"rig_{name}.yaml"
     with Rig.load(file) as rig, console.progress(f"Characterising {name}") as report:
         study = with_calibrations(rig, Study.load("study_stripes.yaml"), folder / name, report)

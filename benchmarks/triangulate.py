@@ -40,16 +40,6 @@ def run() -> list[Result]:
 
     `triangulate_vs_cv2` gives points, pixels, sigma and epipolar distances with the camera's rays at hand,
     as after the first scan; `..._first` has to make them; `..._normals` adds normals.
-
-    Returns
-    -------
-    list of Result
-        A figure each.
-
-    Raises
-    ------
-    DataError
-        The two differ by more than 1 µm anywhere.
     """
     calibration = _bench()
     maps, pixels, coordinates = _scene(calibration)

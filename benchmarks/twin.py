@@ -47,16 +47,6 @@ def run(binning: int = 4) -> list[Result]:
 
     The agreements' baseline is what is allowed, that of time and memory at the full sensor size what they
     are for each sample at a sixteenth of its pixels.
-
-    Parameters
-    ----------
-    binning : int
-        Of the camera.
-
-    Returns
-    -------
-    list of Result
-        A figure each.
     """
     with tempfile.TemporaryDirectory(prefix="fpplab-bench-") as folder:
         return [*_paths(Path(folder), binning), *_full_size(Path(folder))]

@@ -37,13 +37,7 @@ Times = dict[str, float]
 
 
 def run() -> list[Result]:
-    """Measure; some three minutes on two cores.
-
-    Returns
-    -------
-    list of Result
-        Seconds with the viewer beside those without, and the greatest allowed share over the one taken.
-    """
+    """Measure; some three minutes on two cores."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         words = _prepared(folder)

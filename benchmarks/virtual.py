@@ -7,17 +7,6 @@ from sim.bench import VirtualBench
 
 
 def virtual_bench(rig: Rig) -> VirtualBench:
-    """Give the simulation behind an open rig of the twin.
-
-    Parameters
-    ----------
-    rig : Rig
-        An open rig whose `bench` is `sim.devices:VirtualBench`.
-
-    Returns
-    -------
-    VirtualBench
-        Its world and how it stands.
-    """
+    """Give the simulation behind an open rig of the twin."""
     assert isinstance(rig.simulation, VirtualBench)  # the benchmark's own rig file says so
     return rig.simulation

@@ -14,22 +14,7 @@ END_S = 5.0
 
 
 def ask_apart(answer: Callable[..., None], *words: Any, patience_s: float) -> Any:
-    """Have a function answer in a process of its own.
-
-    Parameters
-    ----------
-    answer : callable
-        Of a module, so that the process finds it; takes a connection to send its answer to, and `words`.
-    *words : Any
-        Further arguments.
-    patience_s : float
-        Time in s for the answer.
-
-    Returns
-    -------
-    Any
-        What was sent; None where nothing was, in time or before the process ended.
-    """
+    """Have a function answer in a process of its own."""
     context = multiprocessing.get_context("spawn")  # libraries and threads do not survive a fork
     mine, theirs = context.Pipe(duplex=False)
     process = context.Process(target=answer, args=(theirs, *words), name=answer.__name__, daemon=True)
@@ -50,13 +35,7 @@ def ask_apart(answer: Callable[..., None], *words: Any, patience_s: float) -> An
 
 @contextmanager
 def libraries_silent() -> Iterator[None]:
-    """Keep what libraries print off the terminal; what Python writes to `sys.stderr` still appears.
-
-    Yields
-    ------
-    None
-        While the descriptor of stderr leads nowhere: for processes of their own.
-    """
+    """Keep what libraries print off the terminal; what Python writes to `sys.stderr` still appears."""
     sys.stderr.flush()
     own, python = os.dup(2), sys.stderr
     with os.fdopen(own, "w", buffering=1) as kept, open(os.devnull, "w") as nowhere:

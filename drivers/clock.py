@@ -32,23 +32,11 @@ class RealClock:
     """The computer's monotonic clock."""
 
     def now(self) -> float:
-        """Return the current time.
-
-        Returns
-        -------
-        float
-            `time.monotonic()` in s.
-        """
+        """Return the current time."""
         return time.monotonic()
 
     def sleep(self, seconds: float) -> None:
-        """Block the calling thread.
-
-        Parameters
-        ----------
-        seconds : float
-            How long to wait, in s.
-        """
+        """Block the calling thread."""
         time.sleep(seconds)
 
 
@@ -62,21 +50,9 @@ class SteppedClock:
         self._now_s = 0.0
 
     def now(self) -> float:
-        """Return the current simulated time.
-
-        Returns
-        -------
-        float
-            Seconds since the clock was created.
-        """
+        """Return the current simulated time."""
         return self._now_s
 
     def sleep(self, seconds: float) -> None:
-        """Advance the simulated time at once.
-
-        Parameters
-        ----------
-        seconds : float
-            How far to advance, in s; a negative value counts as 0.
-        """
+        """Advance the simulated time at once."""
         self._now_s += max(0.0, seconds)

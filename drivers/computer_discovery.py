@@ -18,18 +18,7 @@ PRODUCER_PATH = "GENICAM_GENTL64_PATH"
 
 
 def displays() -> FoundDevices:
-    """List the displays of this computer, which a projector may be.
-
-    Returns
-    -------
-    FoundDevices
-        The displays, and what is missing: a graphical session.
-
-    Raises
-    ------
-    ImportError
-        PySDL2 does not load.
-    """
+    """List the displays of this computer, which a projector may be."""
     from drivers.display.window import connected_displays
 
     try:
@@ -57,13 +46,7 @@ def displays() -> FoundDevices:
 
 
 def video_cameras() -> FoundDevices:
-    """List the cameras that Linux offers by V4L2, such as webcams and other UVC cameras.
-
-    Returns
-    -------
-    FoundDevices
-        The first node of each camera, and those that this user may not open; nothing on other systems.
-    """
+    """List the cameras that Linux offers by V4L2, such as webcams and other UVC cameras."""
     found = FoundDevices([], [])
     for entry in sorted(VIDEO_CLASS.glob("video*"), key=lambda e: int(e.name.removeprefix("video") or 0)):
         if _text(entry / "index") not in ("0", ""):
@@ -82,13 +65,7 @@ def video_cameras() -> FoundDevices:
 
 
 def producers() -> FoundDevices:
-    """List the cameras of the GenTL producers that `GENICAM_GENTL64_PATH` names.
-
-    Returns
-    -------
-    FoundDevices
-        The cameras; folders that do not exist or hold no producer, and producers that do not answer.
-    """
+    """List the cameras of the GenTL producers that `GENICAM_GENTL64_PATH` names."""
     found = FoundDevices([], [])
     for name in filter(None, os.environ.get(PRODUCER_PATH, "").split(os.pathsep)):
         files = sorted(Path(name).glob("*.cti"))

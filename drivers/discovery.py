@@ -49,30 +49,14 @@ RULES = "copy the udev rules of docs/hardware.md, and plug it in again"
 
 @dataclass(frozen=True)
 class UsbDevice:
-    """One device on USB.
+    """One device on USB."""
 
-    Attributes
-    ----------
-    vendor : int
-        USB vendor id.
-    product : int
-        USB product id.
-    serial : str
-        Serial number; empty where the device has none or may not be opened.
-    location : str
-        Bus and address, such as "USB 1-4".
-    speed : int or None
-        libusb's speed number, see `SPEEDS`; None where the system does not report it.
-    is_accessible : bool
-        Whether this user may open the device node.
-    """
-
-    vendor: int
-    product: int
-    serial: str
-    location: str
-    speed: int | None
-    is_accessible: bool
+    vendor: int  # USB vendor id
+    product: int  # USB product id
+    serial: str  # serial number; empty where the device has none or may not be opened
+    location: str  # bus and address, such as "USB 1-4"
+    speed: int | None  # libusb's speed number, see `SPEEDS`; None where the system does not report it
+    is_accessible: bool  # whether this user may open the device node
 
     @property
     def ids(self) -> tuple[int, int]:
@@ -89,11 +73,6 @@ def find_devices() -> FoundDevices:
     """List every camera, projector and possible stage that this computer sees.
 
     A library that does not load is reported as missing; the other kinds of device are listed nevertheless.
-
-    Returns
-    -------
-    FoundDevices
-        The devices, and one sentence for each thing that is missing or hides a device, with its remedy.
     """
     usb, missing = usb_devices()
     found = FoundDevices([], missing)
@@ -143,15 +122,7 @@ def _with_video_port(device: FoundDevice, all_found: Iterable[FoundDevice]) -> F
 
 
 def usb_devices() -> tuple[list[UsbDevice], list[str]]:
-    """List the devices on USB.
-
-    Returns
-    -------
-    list of UsbDevice
-        All devices that libusb sees; empty when they cannot be listed.
-    list of str
-        The reason why they cannot be listed; otherwise empty.
-    """
+    """List the devices on USB."""
     try:
         import usb.core
     except ImportError as error:
@@ -190,23 +161,7 @@ def _may_use(node: Path) -> bool:
 
 
 def cameras(usb: Iterable[UsbDevice]) -> FoundDevices:
-    """List Basler cameras, including pylon's emulated ones.
-
-    Parameters
-    ----------
-    usb : iterable of UsbDevice
-        From `usb_devices`; for the connection speed, and for cameras that pylon does not show.
-
-    Returns
-    -------
-    FoundDevices
-        The cameras that pylon lists, and what is missing: permissions, a USB driver, a USB 3 connection.
-
-    Raises
-    ------
-    ImportError
-        pypylon does not load.
-    """
+    """List Basler cameras, including pylon's emulated ones."""
     from pypylon import pylon
 
     seen = pylon.TlFactory.GetInstance().EnumerateDevices()
@@ -237,21 +192,6 @@ def projectors(usb: Iterable[UsbDevice]) -> FoundDevices:
 
     The controller presents several HID interfaces; only the one that takes commands is listed: number 0, or
     -1 where the system reports no number.
-
-    Parameters
-    ----------
-    usb : iterable of UsbDevice
-        From `usb_devices`; for the connection speed, and for projectors that hidapi does not show.
-
-    Returns
-    -------
-    FoundDevices
-        The projectors that hidapi lists, and what is missing: permissions, a HID interface.
-
-    Raises
-    ------
-    ImportError
-        hidapi does not load.
     """
     import hid
 
@@ -280,21 +220,6 @@ def stages(usb: Iterable[UsbDevice]) -> FoundDevices:
     """List serial ports that a motion controller may be connected to.
 
     Ports without hardware behind them are left out. Whether a GRBL controller answers is not tested.
-
-    Parameters
-    ----------
-    usb : iterable of UsbDevice
-        From `usb_devices`; for serial adapters without a serial port.
-
-    Returns
-    -------
-    FoundDevices
-        The serial ports, and what is missing: permissions, a driver of the serial adapter.
-
-    Raises
-    ------
-    ImportError
-        pyserial does not load.
     """
     from serial.tools import list_ports
 

@@ -55,18 +55,7 @@ class VirtualBenchOptions(Document):
     """Whether vibration is switched off."""
 
     def load_world(self) -> World:
-        """Load the world with the changes that these options make.
-
-        Returns
-        -------
-        World
-            As the virtual bench uses it.
-
-        Raises
-        ------
-        ConfigError
-            The world file is missing or not valid, or its sensor does not allow the binning.
-        """
+        """Load the world with the changes that these options make."""
         world = World.load(self.world)
         if self.binning is not None:
             world = world.binned(self.binning)
@@ -81,16 +70,6 @@ class VirtualBench:
     """What the simulated devices share: the world, and the state of everything that moves.
 
     Blender starts with the first picture that needs it.
-
-    Parameters
-    ----------
-    options : dict of str to Any
-        See `VirtualBenchOptions`.
-
-    Raises
-    ------
-    ConfigError
-        An option or the world file is not valid.
     """
 
     def __init__(self, options: dict[str, Any]) -> None:
@@ -108,14 +87,7 @@ class VirtualBench:
         self._count = 0  # of frames since opening
 
     def open(self) -> None:
-        """Start with what the world has mounted, with the projector dark.
-
-        Raises
-        ------
-        ConfigError
-            The item cannot be seen in the light, or the computer lacks the render device that the world asks
-            for; found before anything is measured.
-        """
+        """Start with what the world has mounted, with the projector dark."""
         self.setup, self.show = Setup(self.world.mounted), None
         self._draws.clear()
         self._count = 0
@@ -124,37 +96,13 @@ class VirtualBench:
         self.check(self.world.mounted, 0)
 
     def check(self, item: str, pose: int) -> None:
-        """Check that an item can be made, and seen in the projector's light.
-
-        Parameters
-        ----------
-        item : str
-            Name of the item, or "nothing".
-        pose : int
-            Index of its pose.
-
-        Raises
-        ------
-        ConfigError
-            The item cannot be made, or the camera sees nothing of the light on it.
-        """
+        """Check that an item can be made, and seen in the projector's light."""
         if item != "nothing":
             with self._naming_file():
                 self._check_lit(replace(self.setup, item=item, pose=pose))
 
     def poses(self) -> dict[str, tuple[RigidTransform, ...]]:
-        """Give the poses of every item of the world.
-
-        Returns
-        -------
-        dict of str to tuple of RigidTransform
-            By name of the item, from its frame to the camera's, in mm.
-
-        Raises
-        ------
-        ConfigError
-            The target of a board is missing or damaged, or too few poses of a board can be drawn.
-        """
+        """Give the poses of every item of the world."""
         with self._naming_file():
             return {name: item_poses(self.world, name) for name in self.world.items}
 
@@ -167,11 +115,6 @@ class VirtualBench:
         """Go on with another world and the same Blender process; pictures that are still valid are kept.
 
         For searches that change the response, the sensor or the light of the world many times.
-
-        Parameters
-        ----------
-        world : World
-            The new world.
         """
         light = self._light_of(world)
         light.inherit(self.light)
@@ -194,21 +137,6 @@ class VirtualBench:
         """Make a twin that starts from this world and looks at one of its boards; see `fpplab.matching`.
 
         It renders in the same Blender process and lives as long.
-
-        Parameters
-        ----------
-        board : str
-            Name of the item.
-
-        Returns
-        -------
-        Twin
-            A `SimTwin`.
-
-        Raises
-        ------
-        ConfigError
-            The item is no board.
         """
         with self._naming_file():
             return SimTwin(self.world, board, self.blender)
@@ -217,11 +145,6 @@ class VirtualBench:
         """Let noise and vibration of the next frames follow from these numbers and the world's seed.
 
         For comparisons with common random numbers; what is left of earlier numbers is discarded.
-
-        Parameters
-        ----------
-        numbers : iterable of int
-            Not negative, one for each of the next frames.
         """
         self._draws = deque(numbers)
 
@@ -231,91 +154,30 @@ class VirtualBench:
         return self._count
 
     def number_frames(self, numbers: Sequence[int], then: int) -> None:
-        """Give the next frames numbers, from which their noise and vibration follow.
-
-        Parameters
-        ----------
-        numbers : sequence of int
-            Not negative, one for each of the next frames.
-        then : int
-            Number of the frame that follows them, from which is counted on.
-        """
+        """Give the next frames numbers, from which their noise and vibration follow."""
         self._draws, self._count = deque(numbers), then - len(numbers)
 
     def next_draw(self) -> int:
-        """Take the number that the next frame's noise and vibration follow from.
-
-        Returns
-        -------
-        int
-            A number from `draw` or `number_frames`, or else the count of frames since opening.
-        """
+        """Take the number that the next frame's noise and vibration follow from."""
         count, self._count = self._count, self._count + 1
         return self._draws.popleft() if self._draws else count
 
     def turn(self, convergence_deg: float) -> None:
-        """Turn the projector towards the camera.
-
-        Parameters
-        ----------
-        convergence_deg : float
-            In degrees from its orientation in the world file.
-        """
+        """Turn the projector towards the camera."""
         self.setup = replace(self.setup, convergence_deg=float(convergence_deg))
 
     def sampler(self, draw: int = 0) -> FrameSampler:
-        """Make a sampler of parts of the image, for predictions; see `fpplab.simulation.predictable`.
-
-        Parameters
-        ----------
-        draw : int
-            Of a world within the uncertainty of this one; 0 for this one.
-
-        Returns
-        -------
-        FrameSampler
-            Of the world as it stands.
-
-        Raises
-        ------
-        ConfigError
-            The uncertainty leaves no world.
-        """
+        """Make a sampler of parts of the image, for predictions; see `fpplab.simulation.predictable`."""
         world = self.world.drawn(draw)
         return SimSampler(world, self.light if world is self.world else self._light_of(world))
 
     def studio(self) -> SceneStudio:
-        """Make a studio that arranges scenes for data sets, see `fpplab.simulation.arrangeable`.
-
-        Returns
-        -------
-        SceneStudio
-            Replaces this bench's world with every scene.
-        """
+        """Make a studio that arranges scenes for data sets, see `fpplab.simulation.arrangeable`."""
         return SimStudio(self)
 
     def irradiance(self, settings: CameraSettings, frame: int) -> PatternLevels:
-        """Compute what reaches the sensor during a frame.
-
-        Parameters
-        ----------
-        settings : CameraSettings
-            Of which the exposure matters.
-        frame : int
-            From `next_draw`; the item's vibration and the phase of the shutter follow from it and the seed.
-
-        Returns
-        -------
-        PatternLevels
-            Irradiance (height, width), 1 for white.
-
-        Raises
-        ------
-        DeviceError
-            Blender fails.
-        ConfigError
-            Nothing of the item lies in the light.
-        """
+        """Compute what reaches the sensor during a frame."""
+        # returns (height, width)
         setup, show = self.setup, self.show
         if show is not None and setup.item != "nothing":
             with self._naming_file():

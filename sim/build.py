@@ -22,73 +22,24 @@ CIRCLE_STEP_TEXELS, CIRCLE_RATIO = 0.75, 1.3
 
 @dataclass(frozen=True)
 class Setup:
-    """The state of everything that moves in the simulation.
+    """The state of everything that moves in the simulation."""
 
-    Attributes
-    ----------
-    item : str
-        Name of the mounted item, or "nothing".
-    pose : int
-        Index of the item's pose in the world.
-    stage_mm : float
-        Position of the stage in mm.
-    vibration_mm : tuple of float
-        Displacement of the item by vibration, in mm in the camera's frame.
-    held : RigidTransform or None
-        T_camera_item in place of the world's pose.
-    convergence_deg : float
-        Turn of the projector towards the camera, in degrees.
-    """
-
-    item: str = NOTHING
-    pose: int = 0
-    stage_mm: float = 0.0
-    vibration_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    held: RigidTransform | None = None
-    convergence_deg: float = 0.0
+    item: str = NOTHING  # name of the mounted item, or "nothing"
+    pose: int = 0  # index of the item's pose in the world
+    stage_mm: float = 0.0  # position of the stage in mm
+    vibration_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)  # displacement of the item by vibration
+    held: RigidTransform | None = None  # T_camera_item in place of the world's pose
+    convergence_deg: float = 0.0  # turn of the projector towards the camera, in degrees
 
     def T_projector_camera(self, world: World) -> RigidTransform:
-        """Compute the pose of the camera in the projector's frame in this state.
-
-        Parameters
-        ----------
-        world : World
-            The world that the state is of.
-
-        Returns
-        -------
-        RigidTransform
-            In mm.
-        """
+        """Compute the pose of the camera in the projector's frame in this state."""
         return world.T_projector_camera(self.stage_mm, self.convergence_deg)
 
 
 def build_scene(
     world: World, setup: Setup, around: Surface | None = None
 ) -> tuple[RenderScene, MirrorTexture]:
-    """Build the scene with the mounted item in its pose.
-
-    Parameters
-    ----------
-    world : World
-        Devices and items.
-    setup : Setup
-        State of the moving parts; its item is not "nothing", unless there are surroundings.
-    around : Surface, optional
-        Of the surroundings, where they are to be in the scene too.
-
-    Returns
-    -------
-    scene : RenderScene
-        What Blender is sent.
-    texture : MirrorTexture
-        The texture of the scene's lamp.
-
-    Raises
-    ------
-    ConfigError
-        The item cannot be made.
-    """
+    """Build the scene with the mounted item in its pose."""
     surfaces = _mounted(world, setup)
     if around is not None:
         surfaces = (*surfaces, *_frame(world, setup), around)
@@ -96,29 +47,7 @@ def build_scene(
 
 
 def build_background(world: World, setup: Setup, around: Surface) -> tuple[RenderScene, MirrorTexture]:
-    """Build the scene in which the surroundings are seen behind the mounted item and in its shadow.
-
-    Parameters
-    ----------
-    world : World
-        Devices and items.
-    setup : Setup
-        State of the moving parts. Vibration is left out: it hardly moves a shadow.
-    around : Surface
-        Of the surroundings.
-
-    Returns
-    -------
-    scene : RenderScene
-        Surroundings, frame and item, as far as there are such.
-    texture : MirrorTexture
-        The texture of the scene's lamp.
-
-    Raises
-    ------
-    ConfigError
-        The item cannot be made.
-    """
+    """Build the scene in which the surroundings are seen behind the mounted item and in its shadow."""
     at_rest = replace(setup, vibration_mm=(0.0, 0.0, 0.0))
     surfaces = (around, *_frame(world, at_rest), *_mounted(world, at_rest))
     return _scene(world, setup, surfaces, np.concatenate([_bounding_box(one) for one in surfaces]))
@@ -152,25 +81,7 @@ def _scene(
 
 
 def is_lit_in_view(world: World, setup: Setup) -> bool:
-    """Tell whether some point of the item lies in the images of both camera and projector; shadows aside.
-
-    Parameters
-    ----------
-    world : World
-        Devices and items.
-    setup : Setup
-        State of the moving parts; its item is not "nothing".
-
-    Returns
-    -------
-    bool
-        Judged by points spread over the item's triangles.
-
-    Raises
-    ------
-    ConfigError
-        The item cannot be made.
-    """
+    """Tell whether some point of the item lies in the images of both camera and projector; shadows aside."""
     vertices, faces = item_shape(world, setup.item)
     held = setup.held or item_poses(world, setup.item)[setup.pose]
     points = held.apply(_spread_points(vertices[faces]))

@@ -14,22 +14,7 @@ from sim.worker import START_S, missing_library
 
 
 def export_preview(preview: Preview, out: Path) -> None:
-    """Write a preview as a .blend file that needs no other file.
-
-    Parameters
-    ----------
-    preview : Preview
-        What to write.
-    out : Path
-        Of the .blend file, which is replaced once the new one is complete.
-
-    Raises
-    ------
-    DataError
-        The file cannot be written.
-    DeviceError
-        Blender fails; the message names a system library that is missing.
-    """
+    """Write a preview as a .blend file that needs no other file."""
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}-") as folder:

@@ -36,13 +36,7 @@ _EPOCH = (2020, 1, 1, 0, 0, 0)
 
 
 def archive_files() -> dict[str, bytes]:
-    """Collect the files of the extension.
-
-    Returns
-    -------
-    dict of str to bytes
-        Content by name in the archive.
-    """
+    """Collect the files of the extension."""
     own = sorted(EXTENSION.glob("*.py"))
     files = [*(PACKAGE / name for name in SHARED), *own]
     placed = {f"{NAME}/{path.relative_to(PACKAGE).as_posix()}": path.read_bytes() for path in files}
@@ -50,13 +44,7 @@ def archive_files() -> dict[str, bytes]:
 
 
 def write_extension(stream: BinaryIO) -> None:
-    """Write the archive that Blender installs; the same files give the same bytes.
-
-    Parameters
-    ----------
-    stream : binary file
-        Where to write; it must allow seeking.
-    """
+    """Write the archive that Blender installs; the same files give the same bytes."""
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in archive_files().items():
             archive.writestr(zipfile.ZipInfo(name, _EPOCH), content, zipfile.ZIP_DEFLATED)

@@ -21,47 +21,18 @@ STREAM = 1
 
 @dataclass(frozen=True)
 class Fluctuation:
-    """How light changes from frame to frame.
+    """How light changes from frame to frame."""
 
-    Attributes
-    ----------
-    flicker : float
-        Standard deviation of the projector's light, relative.
-    ripple : float
-        Amplitude of the ripple of the room's light, as a share of it.
-    period : float
-        Rows of the frame from band to band.
-    seed : int
-        Of the random numbers.
-    advance : float or None
-        Periods by which bands move from frame to frame; None where they are at another place in each.
-    start : float
-        Where those that move begin, in periods.
-    """
-
-    flicker: float
-    ripple: float
-    period: float
-    seed: int
-    advance: float | None = None
-    start: float = 0.0
+    flicker: float  # standard deviation of the projector's light, relative
+    ripple: float  # amplitude of the ripple of the room's light, as a share of it
+    period: float  # rows of the frame from band to band
+    seed: int  # of the random numbers
+    advance: float | None = None  # periods by which bands move from frame to frame
+    start: float = 0.0  # where those that move begin, in periods
 
     @classmethod
     def of(cls, world: World, *numbers: int) -> Fluctuation | None:
-        """Take the changes of light from a world.
-
-        Parameters
-        ----------
-        world : World
-            Projector, light of the room and binning.
-        *numbers : int
-            What else than the world's seed the place follows from where moving bands begin.
-
-        Returns
-        -------
-        Fluctuation or None
-            None where all light is steady.
-        """
+        """Take the changes of light from a world."""
         bands, flicker = world.ambient_bands, world.projector.flicker
         ripple = bands.ripple if bands and world.has_room_light else 0.0
         if not (flicker or ripple):
@@ -74,24 +45,8 @@ class Fluctuation:
     def applied(
         self, picture: PatternLevels, ambient: PatternLevels, rows: NDArray[np.intp], frame: int
     ) -> PatternLevels:
-        """Change the light of one frame.
-
-        Parameters
-        ----------
-        picture : PatternLevels
-            Steady irradiance (R, width) of R rows.
-        ambient : PatternLevels
-            The part of it that is not the projector's, of the same shape.
-        rows : ndarray of intp
-            Numbers (R,) of the rows.
-        frame : int
-            Number of the frame, from which factor and place of the bands follow.
-
-        Returns
-        -------
-        PatternLevels
-            Irradiance (R, width), not negative.
-        """
+        """Change the light of one frame."""
+        # picture (R, width); rows (R,); returns (R, width)
         random = np.random.default_rng([self.seed, frame, STREAM])
         factor, phase = 1.0 + self.flicker * random.standard_normal(), random.uniform()
         if self.advance is not None:

@@ -32,25 +32,7 @@ PRINT_PX_PER_MM = (4.0, 32.0)
 
 
 def item_poses(world: World, name: str) -> tuple[RigidTransform, ...]:
-    """List the poses that an item is held in.
-
-    Parameters
-    ----------
-    world : World
-        Devices and items.
-    name : str
-        Name of the item.
-
-    Returns
-    -------
-    tuple of RigidTransform
-        T_camera_item in mm; one for anything but a board.
-
-    Raises
-    ------
-    ConfigError
-        There is no such item, its target file cannot be read, or its pose rules leave no room.
-    """
+    """List the poses that an item is held in."""
     item = world.item(name)
     if not isinstance(item, BoardItem):
         return (item.pose.transform(),)
@@ -60,23 +42,7 @@ def item_poses(world: World, name: str) -> tuple[RigidTransform, ...]:
 
 
 def item_mesh(item: ArtefactItem | MeshItem) -> trimesh.Trimesh:
-    """Make or load the true shape of an artefact or part.
-
-    Parameters
-    ----------
-    item : ArtefactItem or MeshItem
-        Section of the world file.
-
-    Returns
-    -------
-    trimesh.Trimesh
-        In mm in the item's own frame; shared between calls, so it must not be changed.
-
-    Raises
-    ------
-    ConfigError
-        There is no such artefact, its sizes are impossible, or the file cannot be read.
-    """
+    """Make or load the true shape of an artefact or part."""
     if isinstance(item, ArtefactItem):
         return _artefact(item.artefact, tuple(item.sizes.items()), item.layer_mm, item.bead_mm)
     path = Path(item.mesh)
@@ -84,25 +50,7 @@ def item_mesh(item: ArtefactItem | MeshItem) -> trimesh.Trimesh:
 
 
 def part_mesh(world: World, name: str) -> trimesh.Trimesh:
-    """Make or load the true shape of an item of a world.
-
-    Parameters
-    ----------
-    world : World
-        Devices and items.
-    name : str
-        Name of the item.
-
-    Returns
-    -------
-    trimesh.Trimesh
-        As of `item_mesh`.
-
-    Raises
-    ------
-    ConfigError
-        There is no such item, or it is a board or card; or as `item_mesh`.
-    """
+    """Make or load the true shape of an item of a world."""
     item = world.item(name)
     if not isinstance(item, ArtefactItem | MeshItem):
         raise ConfigError(f"world: 'items.{name}' is flat: only artefacts and parts have a mesh")
@@ -123,27 +71,8 @@ def _part(path: Path, changed_ns: int) -> trimesh.Trimesh:
 
 
 def item_shape(world: World, name: str) -> tuple[Floats, NDArray[np.int64]]:
-    """Triangulate any item.
-
-    Parameters
-    ----------
-    world : World
-        Devices and items.
-    name : str
-        Name of the item.
-
-    Returns
-    -------
-    vertices : Floats
-        Corners (V, 3) in mm in the item's own frame.
-    faces : ndarray of int64
-        Indices (F, 3) of the corners of every triangle.
-
-    Raises
-    ------
-    ConfigError
-        There is no such item, or it cannot be made; the message names the field.
-    """
+    """Triangulate any item."""
+    # returns vertices (V, 3) mm, faces (F, 3)
     item = world.item(name)
     if isinstance(item, CardItem):
         return plate_corners(item.card_mm), _PLATE
@@ -155,27 +84,7 @@ def item_shape(world: World, name: str) -> tuple[Floats, NDArray[np.int64]]:
 
 
 def item_surface(world: World, name: str, pose: RigidTransform) -> Surface:
-    """Make the surface that Blender is sent for an item.
-
-    Parameters
-    ----------
-    world : World
-        Devices and items.
-    name : str
-        Name of the item.
-    pose : RigidTransform
-        T_camera_item in mm.
-
-    Returns
-    -------
-    Surface
-        Shape, pose, paint and, for a board, print.
-
-    Raises
-    ------
-    ConfigError
-        There is no such item, or it cannot be made; the message names the field.
-    """
+    """Make the surface that Blender is sent for an item."""
     item = world.item(name)
     vertices, faces = item_shape(world, name)
     if isinstance(item, BoardItem):
@@ -192,27 +101,7 @@ def item_surface(world: World, name: str, pose: RigidTransform) -> Surface:
 
 
 def rim_surface(world: World, name: str, pose: RigidTransform) -> Surface | None:
-    """Make the dark frame of a board: a plate just behind it, of which the rim is seen.
-
-    Parameters
-    ----------
-    world : World
-        Devices and items.
-    name : str
-        Name of the item.
-    pose : RigidTransform
-        T_camera_item in mm.
-
-    Returns
-    -------
-    Surface or None
-        None for what has no frame.
-
-    Raises
-    ------
-    ConfigError
-        There is no such item, or its target file cannot be read.
-    """
+    """Make the dark frame of a board: a plate just behind it, of which the rim is seen."""
     item = world.item(name)
     if not isinstance(item, BoardItem) or not item.rim_mm:
         return None
@@ -228,25 +117,7 @@ def _ground_mask(target: Target, px_per_mm: float) -> NDArray[np.uint8]:
 
 
 def board_target(name: str, item: BoardItem) -> Target:
-    """Load what is printed on a board, with the item's own reflectances.
-
-    Parameters
-    ----------
-    name : str
-        Name of the item, for messages.
-    item : BoardItem
-        Section of the world file.
-
-    Returns
-    -------
-    Target
-        With `item.reflectance` and `item.ink` where they are given.
-
-    Raises
-    ------
-    ConfigError
-        The target file is missing or not valid; the message names the field.
-    """
+    """Load what is printed on a board, with the item's own reflectances."""
     with _named(f"items.{name}.target"):
         path = config.find_config(item.target, "target")
         target = _target(path, path.stat().st_mtime_ns)

@@ -53,21 +53,11 @@ _MIRRORS = np.arange(-12, 13)
 
 @dataclass(frozen=True)
 class Spread:
-    """What widens the light of a mirror, in units of the lattice.
+    """What widens the light of a mirror, in units of the lattice."""
 
-    Attributes
-    ----------
-    blur : float
-        Standard deviation of the lens's point spread, at least `LEAST_BLUR`.
-    fill : float
-        Side of the mirror.
-    circle : float
-        Diameter of the circle of confusion.
-    """
-
-    blur: float
-    fill: float = 1.0
-    circle: float = 0.0
+    blur: float  # standard deviation of the lens's point spread, at least `LEAST_BLUR`
+    fill: float = 1.0  # side of the mirror
+    circle: float = 0.0  # diameter of the circle of confusion
 
     @property
     def interpolated(self) -> Spread:
@@ -76,36 +66,14 @@ class Spread:
         return Spread(max(blur, LEAST_BLUR), self.fill, _rounded(min(self.circle, WIDEST_CIRCLE)))
 
     def modulation(self, frequency: Floats) -> Floats:
-        """Compute by how much waves along an axis are weakened.
-
-        Parameters
-        ----------
-        frequency : Floats
-            In periods per mirror.
-
-        Returns
-        -------
-        Floats
-            Of the same shape, 1 at 0.
-        """
+        """Compute by how much waves along an axis are weakened."""
         gaussian = np.exp(-2 * (np.pi * self.blur * frequency) ** 2)
         return np.asarray(
             np.sinc(self.fill * frequency) * gaussian * _disc_modulation(self.circle * frequency)
         )
 
     def profile(self, x: Floats) -> Floats:
-        """Compute the light of a mirror at distances along an axis, integrated over the other axis.
-
-        Parameters
-        ----------
-        x : Floats
-            Distances from the mirror's centre.
-
-        Returns
-        -------
-        Floats
-            Of the same shape; its integral is 1.
-        """
+        """Compute the light of a mirror at distances along an axis, integrated over the other axis."""
         # a disc integrated over one axis is a semicircle, for which this quadrature is Gauss's
         nodes = 12 if self.circle else 1
         angle = np.arange(1, nodes + 1) * np.pi / (nodes + 1)
@@ -120,35 +88,15 @@ class Spread:
 
 @dataclass(frozen=True, eq=False)
 class Interpolation:
-    """Interpolation between mirrors, and the filter that goes before it.
+    """Interpolation between mirrors, and the filter that goes before it."""
 
-    Attributes
-    ----------
-    weights : ndarray of float32
-        (STEPS + 1, TAPS), of the nearest mirrors at places from half a mirror before the middle one of them
-        to half a mirror after it; each row adds up to the light of white mirrors there.
-    filter : Floats
-        (2r + 1,) weights along each axis, adding up to 1.
-    """
-
-    weights: NDArray[np.float32]
-    filter: Floats
+    weights: NDArray[np.float32]  # (STEPS + 1
+    filter: Floats  # (2r + 1,) weights along each axis, adding up to 1
 
 
 @lru_cache(maxsize=256)
 def interpolation(spread: Spread) -> Interpolation:
-    """Choose interpolation and filter for a spread.
-
-    Parameters
-    ----------
-    spread : Spread
-        Of each mirror. A circle of confusion wider than `WIDEST_CIRCLE` is taken to be that wide.
-
-    Returns
-    -------
-    Interpolation
-        With the images of `spread` at the periods of fringes up to `BAND`.
-    """
+    """Choose interpolation and filter for a spread."""
     weights, gain = _interpolation(spread.interpolated)
     wider = math.sqrt(max(spread.blur**2 - WIDEST_BLUR**2, 0.0))
     wanted = spread.modulation(_FREQUENCIES) / gain
@@ -183,15 +131,8 @@ def _interpolation(spread: Spread) -> tuple[Floats, Floats]:
 
 
 def _waves(spread: Spread, places: Floats) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-    """Give waves of all frequencies at the nearest mirrors, and the light there that `spread` makes of them.
-
-    Returns
-    -------
-    near : ndarray of complex128
-        (frequencies, places, TAPS), relative to the wave at the place itself.
-    wanted : ndarray of complex128
-        (frequencies, places), likewise.
-    """
+    """Give waves of all frequencies at the nearest mirrors, and the light `spread` makes of them."""
+    # returns near (frequencies, places, TAPS), wanted (frequencies, places)
 
     def wave(mirrors: NDArray[np.intp]) -> NDArray[np.complex128]:
         turns = _FREQUENCIES[:, None, None] * (mirrors - places[:, None])
@@ -211,17 +152,8 @@ def disc_filter(circle: float) -> Floats | None:
 
     The interpolation of a circle goes axis by axis, with an axis-wise product of semicircles in place of a
     disc, and no wider than `WIDEST_CIRCLE`.
-
-    Parameters
-    ----------
-    circle : float
-        Diameter of the circle of confusion, in mirrors.
-
-    Returns
-    -------
-    Floats or None
-        (2r + 1, 2r + 1) weights, adding up to 1; None where both are the same within 1e-3 for all fringes.
     """
+    # returns (2r + 1, 2r + 1)
     if circle <= _PRODUCT_IS_DISC:
         return None
     reach = 2 + math.ceil(circle / 2)

@@ -41,22 +41,7 @@ FIELDS = {
 
 
 def parameters_of(world: World, board: str, target: Target) -> TwinParameters:
-    """Read the parameters that can be matched from a world.
-
-    Parameters
-    ----------
-    world : World
-        Of a twin.
-    board : str
-        Name of the board in it.
-    target : Target
-        The board as it is printed.
-
-    Returns
-    -------
-    TwinParameters
-        Of which `world_of` makes the same world.
-    """
+    """Read the parameters that can be matched from a world."""
     camera, projector, response = world.camera, world.projector, world.projector.response
     line = world.vibration_line
     brightest, lamp = response.a + response.b, world.lamps.get(LAMP, NO_LAMP)
@@ -100,27 +85,7 @@ def parameters_of(world: World, board: str, target: Target) -> TwinParameters:
 
 
 def world_of(nominal: World, board: str, parameters: TwinParameters) -> World:
-    """Make the nominal world with other parameters.
-
-    Parameters
-    ----------
-    nominal : World
-        What the twin's own file says.
-    board : str
-        Name of the board in it.
-    parameters : TwinParameters
-        All of them.
-
-    Returns
-    -------
-    World
-        A changed copy.
-
-    Raises
-    ------
-    ConfigError
-        No world can have these parameters.
-    """
+    """Make the nominal world with other parameters."""
     p, data = parameters, nominal.model_dump(mode="json") | {"uncertainty": {}}
     data["calibration"] = config.plain(CalibrationFile.of(replace(p.calibration, uncertainty=None)))
     data["items"][board] |= {
@@ -189,18 +154,7 @@ def _uncertainty(world: World, parameters: TwinParameters) -> dict[str, float]:
 
 
 def white_level_per_s(world: World) -> float:
-    """Compute the level above black of a white surface under the projector's white, per second at 0 dB.
-
-    Parameters
-    ----------
-    world : World
-        Its projector, distance, lens and sensor determine the level.
-
-    Returns
-    -------
-    float
-        Grey levels of 8-bit frames per second of exposure, without saturation.
-    """
+    """Compute the level above black of a white surface under the projector's white, per second at 0 dB."""
     sensor, response = SensorModel.of(world), world.projector.response
     return (response.a + response.b) * sensor.gain(CameraSettings(1.0)) * sensor.electrons(1.0, 1.0)
 

@@ -19,18 +19,8 @@ CANDIDATES = 6
 
 
 def plate_corners(size_mm: tuple[float, float]) -> Floats:
-    """List the corners of a rectangular plate centred at its origin.
-
-    Parameters
-    ----------
-    size_mm : tuple of float
-        (width, height) in mm.
-
-    Returns
-    -------
-    Floats
-        (4, 3) in mm, clockwise from the top left, z = 0.
-    """
+    """List the corners of a rectangular plate centred at its origin."""
+    # size_mm (width, height) mm; returns (4, 3) mm
     x, y = 0.5 * size_mm[0], 0.5 * size_mm[1]
     return np.array([[-x, -y, 0], [x, -y, 0], [x, y, 0], [-x, y, 0]])
 
@@ -75,28 +65,8 @@ def board_poses(
     """Draw poses of a board, reproducible from the world's seed, spread over the camera's image.
 
     Of a few random poses that fit, the one farthest from all before is taken (Mitchell's best candidate).
-
-    Parameters
-    ----------
-    world : World
-        Devices and seed.
-    name : str
-        Name of the item, which the random numbers depend on too.
-    size_mm : tuple of float
-        (width, height) of the board in mm.
-    rules : PoseRules
-        Number and range of the poses.
-
-    Returns
-    -------
-    tuple of RigidTransform
-        T_camera_board in mm.
-
-    Raises
-    ------
-    ConfigError
-        Hardly any pose lies wholly in both images.
     """
+    # size_mm (width, height) mm
     return _poses_of(world.model_dump_json(), name, size_mm, rules)
 
 

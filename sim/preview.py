@@ -29,52 +29,22 @@ UNWRAPPING_RATIO = 8.0
 
 @dataclass(frozen=True)
 class Arrangement:
-    """What is placed before the devices, where the projector is, and what it shows.
+    """What is placed before the devices, where the projector is, and what it shows."""
 
-    Attributes
-    ----------
-    item : str or None
-        Name of the item; None for the one that the world has mounted.
-    pose : int
-        Index of its pose.
-    baseline_mm : float or None
-        Distance of the projector from the camera in mm; None for that with the stage at 0.
-    axis : Axis
-        Along which the fringes' phase rises.
-    stripes : float
-        Periods across the projector's image.
-    steps : int
-        Images of the phase shift.
-    exposure_s : float
-        Of every frame, in s.
-    """
-
-    item: str | None = None
-    pose: int = 0
-    baseline_mm: float | None = None
-    axis: Axis = "x"
-    stripes: float = 64.0
-    steps: int = 12
-    exposure_s: float = 0.02
+    item: str | None = None  # name of the item; None for the one that the world has mounted
+    pose: int = 0  # index of its pose
+    baseline_mm: float | None = None  # distance of the projector from the camera in mm
+    axis: Axis = "x"  # along which the fringes' phase rises
+    stripes: float = 64.0  # periods across the projector's image
+    steps: int = 12  # images of the phase shift
+    exposure_s: float = 0.02  # of every frame, in s
 
     def fringes(self) -> Plan:
-        """Make the plan of the fringes on show alone.
-
-        Returns
-        -------
-        Plan
-            One fringe set.
-        """
+        """Make the plan of the fringes on show alone."""
         return self._plan([self.stripes])
 
     def plan(self) -> Plan:
-        """Make the plan of a scan: the fringes on show, and coarser ones to find their orders.
-
-        Returns
-        -------
-        Plan
-            Fringe sets from one stripe on, in equal ratios of at most `UNWRAPPING_RATIO`.
-        """
+        """Make the plan of a scan: the fringes on show, and coarser ones to find their orders."""
         ratios = max(1, math.ceil(math.log(max(self.stripes, 1.0), UNWRAPPING_RATIO) - 1e-9))
         counts = [self.stripes ** (n / ratios) for n in range(ratios + 1)]
         return self._plan(counts if self.stripes > 1 else [self.stripes])
@@ -85,18 +55,7 @@ class Arrangement:
 
 
 def require_simulated(rig: Rig) -> None:
-    """Refuse a rig of real or emulated devices, before any of them is opened.
-
-    Parameters
-    ----------
-    rig : Rig
-        Loaded.
-
-    Raises
-    ------
-    ConfigError
-        The rig is not simulated.
-    """
+    """Refuse a rig of real or emulated devices, before any of them is opened."""
     bench = rig.file.bench
     if bench is None or not issubclass(load_backend(bench.backend, rig.source, "bench"), VirtualBench):
         raise ConfigError(
@@ -106,44 +65,13 @@ def require_simulated(rig: Rig) -> None:
 
 
 def bench_of_rig(rig: Rig) -> VirtualBench:
-    """Give the simulation of an open rig.
-
-    Parameters
-    ----------
-    rig : Rig
-        Open, and simulated.
-
-    Returns
-    -------
-    VirtualBench
-        Its simulated world.
-    """
+    """Give the simulation of an open rig."""
     assert isinstance(rig.simulation, VirtualBench), "see require_simulated"
     return rig.simulation
 
 
 def make_preview(rig: Rig, wanted: Arrangement, step: int = 0) -> Preview:
-    """Describe what the camera of a simulated rig sees.
-
-    Parameters
-    ----------
-    rig : Rig
-        Open, and simulated.
-    wanted : Arrangement
-        Item, baseline and fringes.
-    step : int
-        Which image of the phase shift, from 0.
-
-    Returns
-    -------
-    Preview
-        For the Blender extension.
-
-    Raises
-    ------
-    ConfigError
-        The rig cannot be arranged like this; the message names what is wrong.
-    """
+    """Describe what the camera of a simulated rig sees."""
     bench, plan = bench_of_rig(rig), wanted.fringes()
     world, setup = bench.world, arranged_setup(bench.world, wanted)
     if not 0 <= step < wanted.steps:
@@ -160,50 +88,13 @@ def make_preview(rig: Rig, wanted: Arrangement, step: int = 0) -> Preview:
 
 
 def save_preview(rig: Rig, wanted: Arrangement, step: int, path: Path) -> None:
-    """Write what `make_preview` describes.
-
-    Parameters
-    ----------
-    rig : Rig
-        Open, and simulated.
-    wanted : Arrangement
-        Item, baseline and fringes.
-    step : int
-        Which image of the phase shift, from 0.
-    path : Path
-        Where to write.
-
-    Raises
-    ------
-    ConfigError
-        As `make_preview`.
-    DataError
-        The file cannot be written.
-    """
+    """Write what `make_preview` describes."""
     preview = make_preview(rig, wanted, step)
     write_atomic(path, lambda stream: write_preview(preview, stream))
 
 
 def stage_for_baseline(world: World, baseline_mm: float | None) -> float:
-    """Compute where the stage has the projector at a distance from the camera.
-
-    Parameters
-    ----------
-    world : World
-        Devices and stage.
-    baseline_mm : float or None
-        Distance in mm; None for the stage at 0.
-
-    Returns
-    -------
-    float
-        Position of the stage in mm, rounded to 1 nm; the nearer to 0 of two.
-
-    Raises
-    ------
-    ConfigError
-        The stage cannot reach it; the message states the range.
-    """
+    """Compute where the stage has the projector at a distance from the camera."""
     if baseline_mm is None:
         return 0.0
     at_zero = world.T_projector_camera().inverse().translation
@@ -222,18 +113,7 @@ def stage_for_baseline(world: World, baseline_mm: float | None) -> float:
 
 
 def baseline_range_mm(world: World) -> tuple[float, float]:
-    """Compute which baselines the stage reaches.
-
-    Parameters
-    ----------
-    world : World
-        Devices and stage.
-
-    Returns
-    -------
-    tuple of float
-        Least and greatest distance of the projector from the camera, in mm.
-    """
+    """Compute which baselines the stage reaches."""
     at_zero = world.T_projector_camera().inverse().translation
     low, high = world.stage.travel_mm
     nearest = float(np.clip(-float(at_zero @ world.stage.offset(1.0)), low, high))
@@ -242,20 +122,7 @@ def baseline_range_mm(world: World) -> tuple[float, float]:
 
 
 def arrangement_summary(rig: Rig, wanted: Arrangement) -> dict[str, object]:
-    """Tell what was arranged, and between what an operator can choose.
-
-    Parameters
-    ----------
-    rig : Rig
-        Open and simulated.
-    wanted : Arrangement
-        What was asked for.
-
-    Returns
-    -------
-    dict
-        By the keys of the command's JSON.
-    """
+    """Tell what was arranged, and between what an operator can choose."""
     world = bench_of_rig(rig).world
     setup = arranged_setup(world, wanted)
     return {
@@ -270,25 +137,7 @@ def arrangement_summary(rig: Rig, wanted: Arrangement) -> dict[str, object]:
 
 
 def arranged_setup(world: World, wanted: Arrangement) -> Setup:
-    """Find the state of the moving parts.
-
-    Parameters
-    ----------
-    world : World
-        Devices and items.
-    wanted : Arrangement
-        Item, pose and baseline.
-
-    Returns
-    -------
-    Setup
-        With an item.
-
-    Raises
-    ------
-    ConfigError
-        There is no such item, pose or baseline.
-    """
+    """Find the state of the moving parts."""
     item = world.mounted if wanted.item is None else wanted.item
     if item == "nothing":
         raise ConfigError(f"world: nothing is mounted; name an item of {', '.join(world.items)}")

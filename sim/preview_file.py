@@ -35,24 +35,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Preview:
-    """A rig with one item before it and one pattern on show.
+    """A rig with one item before it and one pattern on show."""
 
-    Attributes
-    ----------
-    rig : str
-        The rig's name.
-    shown : str
-        Item and pattern, in words.
-    render : PatternRender
-        What the camera sees.
-    grey_scale : GreyScale
-        Of the camera's frames at the exposure asked for.
-    """
-
-    rig: str
-    shown: str
-    render: PatternRender
-    grey_scale: GreyScale
+    rig: str  # the rig's name
+    shown: str  # item and pattern, in words
+    render: PatternRender  # what the camera sees
+    grey_scale: GreyScale  # of the camera's frames at the exposure asked for
 
 
 _TREE = "tree"
@@ -66,40 +54,14 @@ _CLASSES = {
 
 
 def write_preview(preview: Preview, stream: IO[bytes]) -> None:
-    """Write a preview.
-
-    Parameters
-    ----------
-    preview : Preview
-        What to write.
-    stream : binary file
-        Where to write.
-    """
+    """Write a preview."""
     arrays: dict[str, NDArray[Any]] = {}
     tree = json.dumps(_plain(preview, arrays))
     np.savez(stream, **{_TREE: np.array(tree)}, **arrays)
 
 
 def read_preview(path: Path | str) -> Preview:
-    """Read a preview.
-
-    Parameters
-    ----------
-    path : Path or str
-        A file of `write_preview`.
-
-    Returns
-    -------
-    Preview
-        As it was written.
-
-    Raises
-    ------
-    OSError
-        The file cannot be read.
-    ValueError
-        It holds something else.
-    """
+    """Read a preview."""
     with np.load(path, allow_pickle=False) as archive:
         if _TREE not in archive:
             raise ValueError(f"{path} describes no rig")

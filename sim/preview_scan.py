@@ -21,35 +21,7 @@ def record_scan(
     force: bool = False,
     progress: Progress = no_progress,
 ) -> Cloud:
-    """Measure on a simulated rig, and leave the session with its cloud.
-
-    Parameters
-    ----------
-    rig : Rig
-        Open, and simulated.
-    wanted : Arrangement
-        Item, baseline and the finest fringes.
-    out : Path
-        Folder of the session.
-    calibration : Calibration, optional
-        Of the rig at that baseline; by default the simulation's true one.
-    force : bool
-        Whether a session that is there already is replaced.
-    progress : callable
-        Told the share done, 0 … 1.
-
-    Returns
-    -------
-    Cloud
-        Points in mm in the camera's frame.
-
-    Raises
-    ------
-    ConfigError
-        The rig cannot be arranged like this.
-    DeviceError, DataError, CalibrationError
-        As `fpplab.pipeline.scan`.
-    """
+    """Measure on a simulated rig, and leave the session with its cloud."""
     bench = bench_of_rig(rig)
     setup = arranged_setup(bench.world, wanted)
     plan = wanted.plan()

@@ -37,19 +37,10 @@ LUMENS_PER_WATT = 683.0
 
 @dataclass(frozen=True)
 class Led:
-    """Light of one colour.
+    """Light of one colour."""
 
-    Attributes
-    ----------
-    lumens : float
-        Luminous flux out of the projector's lens under white, all mirrors on, averaged over a pattern's time,
-        in lm.
-    wavelength_nm : float
-        Dominant wavelength in nm.
-    """
-
-    lumens: float
-    wavelength_nm: float
+    lumens: float  # luminous flux out of the projector's lens under white
+    wavelength_nm: float  # dominant wavelength in nm
 
     @property
     def watts(self) -> float:
@@ -63,21 +54,6 @@ def photopic_efficiency(wavelength_nm: float) -> float:
     Two lobes, each a Gaussian with different standard deviations on either side. It keeps within 0.008 of the
     table: 3 % from 470 to 650 nm, 7 % at 460 and 660 nm, 13 % at 450 nm and 18 % at 440 nm. Below that it
     fails: at 400 nm it gives three times too much.
-
-    Parameters
-    ----------
-    wavelength_nm : float
-        In nm.
-
-    Returns
-    -------
-    float
-        Relative to the peak at 555 nm, 0 to 1.
-
-    References
-    ----------
-    The fit to ȳ = V of Wyman, Sloan & Shirley, Simple analytic approximations to the CIE XYZ color matching
-    functions, J. Computer Graphics Techniques 2(2), 2013.
     """
     broad = 0.821 * _lobe(wavelength_nm, 568.8, 46.9, 40.5)
     green = 0.286 * _lobe(wavelength_nm, 530.9, 16.3, 31.1)
@@ -93,66 +69,21 @@ def lit_area_m2(size: tuple[int, int], focal_px: tuple[float, float], distance_m
     """Compute the area that the projector's image covers on a surface that faces it.
 
     The principal point does not matter: it only moves the rectangle on a facing plane.
-
-    Parameters
-    ----------
-    size : tuple of int
-        (columns, rows) of mirrors.
-    focal_px : tuple of float
-        (fx, fy), in columns and in rows.
-    distance_mm : float
-        Distance of the surface in mm.
-
-    Returns
-    -------
-    float
-        In m².
     """
+    # size (columns, rows); focal_px (fx, fy)
     width, height = (side / focal * distance_mm for side, focal in zip(size, focal_px, strict=True))
     return width * height * 1e-6
 
 
 def irradiance_w_m2(led: Led, lit_area_m2: float) -> float:
-    """Compute the irradiance of a facing surface over which the LED's light is spread evenly.
-
-    Parameters
-    ----------
-    led : Led
-        The light.
-    lit_area_m2 : float
-        Illuminated area in m².
-
-    Returns
-    -------
-    float
-        In W/m².
-    """
+    """Compute the irradiance of a facing surface over which the LED's light is spread evenly."""
     return led.watts / lit_area_m2
 
 
 def photons_per_s(
     leds: Sequence[Led], lit_area_m2: float, f_number: float, transmission: float, pixel_um: float
 ) -> float:
-    """Compute the photon flux on an unbinned pixel that sees a white Lambertian surface facing the projector.
-
-    Parameters
-    ----------
-    leds : sequence of Led
-        Those that are on.
-    lit_area_m2 : float
-        Area of the projector's image at the surface's distance, in m².
-    f_number : float
-        Working f-number of the camera, image distance over the aperture's diameter.
-    transmission : float
-        τ of the camera's lens, 0 to 1.
-    pixel_um : float
-        Side of the square pixel in µm; all of it collects light.
-
-    Returns
-    -------
-    float
-        Photons per second.
-    """
+    """Compute the photon flux on an unbinned pixel at a white Lambertian surface facing the projector."""
     share = transmission / (4 * f_number**2)
     area = (pixel_um * 1e-6) ** 2
     return sum(
@@ -166,16 +97,5 @@ def _photon_energy(wavelength_nm: float) -> float:
 
 
 def gain_factor(gain_db: float) -> float:
-    """Convert a camera's gain to a factor.
-
-    Parameters
-    ----------
-    gain_db : float
-        In dB of amplitude, so 20 dB are ten times.
-
-    Returns
-    -------
-    float
-        Factor on the signal.
-    """
+    """Convert a camera's gain to a factor."""
     return float(10 ** (gain_db / 20))

@@ -30,21 +30,11 @@ KEPT_BYTES = 1 << 28
 
 @dataclass(frozen=True, eq=False)
 class FramePart:
-    """Rows and columns of an item's frames.
+    """Rows and columns of an item's frames."""
 
-    Attributes
-    ----------
-    item : str
-        Name of the item.
-    rows : Rows
-        Rows of the image, (R,).
-    columns : Columns
-        Columns of the image, (C,).
-    """
-
-    item: str
-    rows: Rows
-    columns: Columns
+    item: str  # name of the item
+    rows: Rows  # rows of the image, (R,)
+    columns: Columns  # columns of the image, (C,)
 
     @property
     def key(self) -> tuple[str, bytes, bytes]:
@@ -63,15 +53,7 @@ class FramePart:
 
 
 class SimSampler:
-    """A `fpplab.simulation.predictable.FrameSampler`.
-
-    Parameters
-    ----------
-    world : World
-        Devices, items and light.
-    light : Light
-        Of that world.
-    """
+    """A `fpplab.simulation.predictable.FrameSampler`."""
 
     def __init__(self, world: World, light: Light) -> None:
         self._world, self._light = world, light
@@ -85,44 +67,12 @@ class SimSampler:
         return Calibration(world.camera_model(), world.projector_model(), world.T_projector_camera(), {})
 
     def mesh(self, item: str) -> trimesh.Trimesh:
-        """Give the true shape of an artefact or part where it stands.
-
-        Parameters
-        ----------
-        item : str
-            Name of the item.
-
-        Returns
-        -------
-        trimesh.Trimesh
-            In mm in the camera's frame.
-
-        Raises
-        ------
-        ConfigError
-            There is no such item, or it is a board or card.
-        """
+        """Give the true shape of an artefact or part where it stands."""
         mesh = part_mesh(self._world, item)
         return mesh.copy().apply_transform(item_poses(self._world, item)[0].matrix)
 
     def surface(self, item: str) -> PartSurface | None:
-        """Give the surface of an item as it was matched to a scan.
-
-        Parameters
-        ----------
-        item : str
-            Name of the item.
-
-        Returns
-        -------
-        PartSurface or None
-            None where the world's file alone tells what the item is made of.
-
-        Raises
-        ------
-        ConfigError
-            There is no such item.
-        """
+        """Give the surface of an item as it was matched to a scan."""
         return surface_of(self._world.material_of(item))
 
     def frames(
@@ -134,33 +84,8 @@ class SimSampler:
         seed: int,
         columns: Columns | None = None,
     ) -> list[Image]:
-        """Take frames of some rows and columns, with noise, and vibration to first order.
-
-        Parameters
-        ----------
-        item : str
-            Name of the item.
-        patterns : sequence of Pattern
-            Patterns to show, one frame each.
-        settings : CameraSettings
-            Exposure, gain and bit depth.
-        rows : Rows
-            Rows of the image, (R,).
-        seed : int
-            Of noise and vibration, not negative.
-        columns : Columns, optional
-            Columns of the image, (C,); all by default.
-
-        Returns
-        -------
-        list of Image
-            Grey levels (R, C).
-
-        Raises
-        ------
-        ConfigError
-            The world has no such item.
-        """
+        """Take frames of some rows and columns, with noise, and vibration to first order."""
+        # rows (R,); columns (C,); returns (R, C)
         where = FramePart(item, rows, np.arange(self._world.camera.size[0]) if columns is None else columns)
         still, *moved = self._pictures(where, tuple(patterns))
         sensor, random = SensorModel.of(self._world), np.random.default_rng([self._world.seed, seed])

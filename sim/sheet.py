@@ -24,25 +24,7 @@ TEXTURE = "board_texture.png"
 
 
 def save_sheet(sheet: BoardSheet, folder: Path) -> dict[str, Any]:
-    """Write the file of a sheet.
-
-    Parameters
-    ----------
-    sheet : BoardSheet
-        With or without a texture.
-    folder : Path
-        Gets `board_texture.png`.
-
-    Returns
-    -------
-    dict of str to Any
-        Fields of the board's section in a world file; the name of the file is absolute.
-
-    Raises
-    ------
-    DataError
-        The folder cannot be written to.
-    """
+    """Write the file of a sheet."""
     fields: dict[str, Any] = {
         "margins_mm": sheet.margins_mm,
         "rim_mm": sheet.rim_mm,
@@ -58,40 +40,15 @@ def save_sheet(sheet: BoardSheet, folder: Path) -> dict[str, Any]:
 
 
 def board_relative_to(board: BoardItem, folder: Path) -> BoardItem:
-    """Make the name of a texture relative that lies in a folder.
-
-    Parameters
-    ----------
-    board : BoardItem
-        Section of the world file.
-    folder : Path
-        Of the world file.
-
-    Returns
-    -------
-    BoardItem
-        The same where it has none there.
-    """
+    """Make the name of a texture relative that lies in a folder."""
     if board.texture is None or Path(board.texture).parent != folder.resolve():
         return board
     return board.model_copy(update={"texture": Path(board.texture).name})
 
 
 def sheet_corners(size_mm: tuple[float, float], margins_mm: tuple[float, float, float, float]) -> Floats:
-    """List the corners of a sheet, whose target is centred at the origin.
-
-    Parameters
-    ----------
-    size_mm : tuple of float
-        (width, height) of the target.
-    margins_mm : tuple of float
-        On the left, top, right and bottom.
-
-    Returns
-    -------
-    Floats
-        (4, 3) in mm, clockwise from the top left, z = 0.
-    """
+    """List the corners of a sheet, whose target is centred at the origin."""
+    # size_mm (width, height); returns (4, 3) mm
     left, top, right, bottom = margins_mm
     x, y = 0.5 * size_mm[0], 0.5 * size_mm[1]
     low, high = (-x - left, -y - top), (x + right, y + bottom)
@@ -104,31 +61,7 @@ def drawn_sheet(
     margins_mm: tuple[float, float, float, float],
     texture: str | None,
 ) -> tuple[NDArray[np.uint8], float]:
-    """Draw the reflectance of a sheet.
-
-    Parameters
-    ----------
-    ground : ndarray of uint8
-        Of the target, 255 where nothing is printed.
-    target : Target
-        With the reflectances of ground and print.
-    margins_mm : tuple of float
-        On the left, top, right and bottom.
-    texture : str or None
-        Name of the file.
-
-    Returns
-    -------
-    picture : ndarray of uint8
-        Over the sheet, 255 at the greatest reflectance; shared, so it must not be changed.
-    white : float
-        That reflectance.
-
-    Raises
-    ------
-    ConfigError
-        The texture cannot be read.
-    """
+    """Draw the reflectance of a sheet."""
     key = (ground.shape, target, margins_mm, texture, texture and _changed_ns(texture))
     if key not in _DRAWN:
         if len(_DRAWN) >= MOST_DRAWN:

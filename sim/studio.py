@@ -41,80 +41,34 @@ class WorldHolder(Protocol):
 
 
 class SimStudio:
-    """A `fpplab.simulation.arrangeable.SceneStudio` over the world in use when it is made.
-
-    Parameters
-    ----------
-    bench : WorldHolder
-        The virtual bench, whose world and set-up are replaced with every scene.
-    """
+    """A `fpplab.simulation.arrangeable.SceneStudio` over the world in use when it is made."""
 
     def __init__(self, bench: WorldHolder) -> None:
         self._bench, self._nominal = bench, bench.world
 
     def nominal(self) -> dict[str, Any]:
-        """Give the world that scenes are variations of.
-
-        Returns
-        -------
-        dict of str to Any
-            Plain data, without the parts that every scene replaces, such as items and materials.
-        """
+        """Give the world that scenes are variations of."""
         return {name: part for name, part in config.plain(self._nominal).items() if name not in _REPLACED}
 
     def calibration(self, stage_mm: float) -> Calibration:
-        """Give the true devices.
-
-        Parameters
-        ----------
-        stage_mm : float
-            Position of the stage in mm.
-
-        Returns
-        -------
-        Calibration
-            Camera, projector and the pose between them.
-        """
+        """Give the true devices."""
         world = self._nominal
         return Calibration(
             world.camera_model(), world.projector_model(), world.T_projector_camera(stage_mm), rms_px={}
         )
 
     def arrange(self, scene: DatasetScene) -> None:
-        """Put the scene's item before the devices, in the scene's light.
-
-        Parameters
-        ----------
-        scene : DatasetScene
-            Item, pose, material, light and noise.
-
-        Raises
-        ------
-        ConfigError
-            No world can have such a scene.
-        """
+        """Put the scene's item before the devices, in the scene's light."""
         self._bench.replace_world(_world_of(self._nominal, scene))
         self._bench.light.forget()  # no scene is used twice
         self._bench.setup = replace(self._bench.setup, item=ITEM, pose=0)
 
     def world(self) -> dict[str, Any]:
-        """Give the world with the arranged scene.
-
-        Returns
-        -------
-        dict of str to Any
-            Plain data of a world file.
-        """
+        """Give the world with the arranged scene."""
         return config.plain(self._bench.world)
 
     def truth(self) -> SceneTruth:
-        """Give the ground truth of the arranged scene.
-
-        Returns
-        -------
-        SceneTruth
-            The item's surface in mm in the camera's frame, and the devices with the stage where it is.
-        """
+        """Give the ground truth of the arranged scene."""
         world = self._bench.world
         vertices, faces = item_shape(world, ITEM)
         (pose,) = item_poses(world, ITEM)

@@ -22,23 +22,7 @@ from sim.world import SurroundingsSection, World
 
 
 def surroundings_surface(world: World) -> Surface | None:
-    """Make the surface of a world's surroundings.
-
-    Parameters
-    ----------
-    world : World
-        Devices and items.
-
-    Returns
-    -------
-    Surface or None
-        Printed with the reflectance that the camera sees; None where the world has none.
-
-    Raises
-    ------
-    ConfigError
-        A file is missing or damaged; the message names the field.
-    """
+    """Make the surface of a world's surroundings."""
     section = world.surroundings
     if section is None:
         return None
@@ -62,25 +46,7 @@ def _grey(surroundings: BenchSurroundings) -> tuple[NDArray[np.uint8], float]:
 
 
 def save_surroundings(surroundings: BenchSurroundings, folder: Path) -> SurroundingsSection:
-    """Write the files of surroundings.
-
-    Parameters
-    ----------
-    surroundings : BenchSurroundings
-        Shape and reflectance.
-    folder : Path
-        Gets `surroundings.ply` and `surroundings.png`.
-
-    Returns
-    -------
-    SurroundingsSection
-        With the absolute names of both.
-
-    Raises
-    ------
-    DataError
-        The folder cannot be written to.
-    """
+    """Write the files of surroundings."""
     mesh, picture = (folder.resolve() / f"surroundings{suffix}" for suffix in (".ply", ".png"))
     grey, white = _grey(surroundings)
     content = export_ply(surroundings.mesh)

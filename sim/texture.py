@@ -41,24 +41,12 @@ Part = tuple[int, int, int, int]
 
 @dataclass(frozen=True, eq=False)
 class PatternTextures:
-    """Textures of several patterns, or a part of them, as light is looked up in them.
+    """Textures of several patterns, or a part of them, as light is looked up in them."""
 
-    Attributes
-    ----------
-    texels : Texels
-        (circles, rows, columns, patterns) of the filtered levels.
-    weights : Texels or None
-        Interpolation between texels (circles, STEPS + 1, TAPS); None for mirrors with sharp edges.
-    fill : float
-        Side of a mirror with sharp edges, in texels.
-    origin : tuple of int
-        (column, row) of the whole texture at which this part begins.
-    """
-
-    texels: Texels
-    weights: Texels | None = None
-    fill: float = 1.0
-    origin: tuple[int, int] = (0, 0)
+    texels: Texels  # (circles, rows, columns, patterns) of the filtered levels
+    weights: Texels | None = None  # interpolation between texels (circles, STEPS + 1, TAPS)
+    fill: float = 1.0  # side of a mirror with sharp edges, in texels
+    origin: tuple[int, int] = (0, 0)  # (column, row) of the whole texture at which this part begins
 
     @property
     def nbytes(self) -> int:
@@ -68,27 +56,13 @@ class PatternTextures:
 
 @dataclass(frozen=True)
 class MirrorTexture:
-    """The texture of a projector.
+    """The texture of a projector."""
 
-    Attributes
-    ----------
-    size : tuple of int
-        (columns, rows) of mirrors.
-    lattice : Lattice
-        How the mirrors are arranged.
-    blur : float
-        Standard deviation of the lens's point spread in mirrors, 0 or at least `LEAST_BLUR`.
-    fill_factor : float
-        Share of its square that a mirror fills.
-    widest : float
-        Diameter of the greatest circle of confusion that will be asked for, in texels.
-    """
-
-    size: tuple[int, int]
-    lattice: Lattice
-    blur: float
-    fill_factor: float = 1.0
-    widest: float = 0.0
+    size: tuple[int, int]  # (columns, rows) of mirrors
+    lattice: Lattice  # how the mirrors are arranged
+    blur: float  # standard deviation of the lens's point spread in mirrors, 0 or at least `LEAST_BLUR`
+    fill_factor: float = 1.0  # share of its square that a mirror fills
+    widest: float = 0.0  # diameter of the greatest circle of confusion that will be asked for, in texels
 
     @property
     def exact(self) -> bool:
@@ -132,18 +106,8 @@ class MirrorTexture:
         return rows, columns
 
     def weights(self, circles: Sequence[float]) -> Texels | None:
-        """Give the interpolation between texels for several circles of confusion.
-
-        Parameters
-        ----------
-        circles : sequence of float
-            L diameters in texels.
-
-        Returns
-        -------
-        Texels or None
-            (L, STEPS + 1, TAPS), see `sim.mirror_spread.Interpolation`; None for mirrors with sharp edges.
-        """
+        """Give the interpolation between texels for several circles of confusion."""
+        # returns (L, STEPS + 1, TAPS)
         if self.exact:
             return None
         return np.stack([interpolation(self._spread(circle)).weights for circle in circles])
@@ -151,23 +115,8 @@ class MirrorTexture:
     def filtered(
         self, light: NDArray[np.float32], circles: Sequence[float] = (0.0,), part: Part | None = None
     ) -> list[Texels]:
-        """Make the textures of mirrors with given light for several circles of confusion; dark outside.
-
-        Parameters
-        ----------
-        light : ndarray of float32
-            Of every mirror, (rows, columns).
-        circles : sequence of float
-            Diameters in texels, at most `widest`.
-        part : Part or None
-            Region of the texture to return; None for all of it.
-
-        Returns
-        -------
-        list of Texels
-            (rows, columns) of the texture or of its part, one for each circle, to be interpolated with
-            `weights`.
-        """
+        """Make the textures of mirrors with given light for several circles of confusion; dark outside."""
+        # light (rows, columns); returns (rows, columns)
         filters = [self._filters(circle) for circle in circles]
         reach = max(sum(len(kernel) // 2 for kernel in of_circle) for of_circle in filters)
         sharp, inside = self._sharp(light, part, reach)
@@ -176,22 +125,8 @@ class MirrorTexture:
     def textures(
         self, levels: Sequence[Texels] | Texels, circles: Sequence[float] = (0.0,), part: Part | None = None
     ) -> PatternTextures:
-        """Make the textures of several patterns, to look light up in.
-
-        Parameters
-        ----------
-        levels : sequence of Texels
-            Light of every mirror, (rows, columns), under each pattern.
-        circles : sequence of float
-            Diameters in texels, at most `widest`.
-        part : Part or None
-            Region of the texture; None for all of it.
-
-        Returns
-        -------
-        PatternTextures
-            Of all patterns, with their interpolation.
-        """
+        """Make the textures of several patterns, to look light up in."""
+        # levels (rows, columns)
         filtered = [self.filtered(level, circles, part) for level in levels]
         texels = np.empty((len(circles), *filtered[0][0].shape, len(levels)), np.float32)
         for of_circle, patterns in zip(texels, zip(*filtered, strict=True), strict=True):
@@ -199,21 +134,8 @@ class MirrorTexture:
         return PatternTextures(texels, self.weights(circles), self.fill, part[:2] if part else (0, 0))
 
     def fine(self, light: NDArray[np.float32], circle: float = 0.0) -> Texels:
-        """Make the texture of mirrors with given light as a renderer interpolates it; dark outside.
-
-        Parameters
-        ----------
-        light : ndarray of float32
-            Of every mirror, (rows, columns).
-        circle : float
-            Diameter of the circle of confusion in texels, at most `widest`.
-
-        Returns
-        -------
-        Texels
-            (rows, columns) of the texture times `places_per_mirror`: coefficients of cubic splines, or the
-            light itself for mirrors with sharp edges.
-        """
+        """Make the texture of mirrors with given light as a renderer interpolates it; dark outside."""
+        # light (rows, columns); returns (rows, columns)
         sharp, _ = self._sharp(light, None, 0)
         if self.exact:
             return sharp

@@ -35,27 +35,8 @@ def plane_weights(
 
     A row of grey level `sum_k b_k 2^k` has the relative light `sum_k b_k 2^k weights[k] / (2^bits - 1)`: the
     weights are 1 when the exposure is a whole number of periods, and white is always collected completely.
-
-    Parameters
-    ----------
-    rows : int
-        Of the frame.
-    bits : int
-        Of the pattern.
-    period_s : float
-        In which the pattern is shown once, in s.
-    exposure_s : float
-        Of a row, in s, more than 0.
-    line_time_s : float
-        Delay from one row of the frame to the next in s, 0 for a global shutter.
-    start_s : float
-        Start of row 0's exposure after the beginning of any period, in s, of either sign.
-
-    Returns
-    -------
-    Floats
-        (bits, rows); plane k is that of bit k, so 0 is the least significant and the last to be lit.
     """
+    # returns (bits, rows)
     duration = plane_durations(bits)[:, None]
     onset = 1 - np.cumsum(duration, axis=0)
     turns = exposure_s / period_s
@@ -67,36 +48,13 @@ def plane_weights(
 
 
 def plane_durations(bits: int) -> Floats:
-    """Compute the share of the period for which each bit's plane is lit.
-
-    Parameters
-    ----------
-    bits : int
-        Of the pattern.
-
-    Returns
-    -------
-    Floats
-        (bits,), least significant first, of sum 1.
-    """
+    """Compute the share of the period for which each bit's plane is lit."""
+    # returns (bits,)
     return np.asarray(np.exp2(np.arange(bits)) / (2**bits - 1), np.float64)
 
 
 def is_whole(exposure_s: float, period_s: float) -> bool:
-    """Tell whether the exposure is one or more whole periods within rounding, so that every weight is 1.
-
-    Parameters
-    ----------
-    exposure_s : float
-        Of a row, in s.
-    period_s : float
-        Of the projector's mirrors, in s.
-
-    Returns
-    -------
-    bool
-        Whether it is within `WHOLE`.
-    """
+    """Tell whether the exposure is one or more whole periods within rounding, so that every weight is 1."""
     turns = exposure_s / period_s
     return round(turns) >= 1 and abs(turns - round(turns)) <= WHOLE * turns
 

@@ -42,22 +42,7 @@ from sim.world import BoardItem, World
 
 
 class SimTwin:
-    """A `fpplab.simulation.matchable.Twin` that looks at one board.
-
-    Parameters
-    ----------
-    nominal : World
-        What the twin's own file says; other parameters are changes of it.
-    board : str
-        Name of the item that is looked at.
-    blender : Blender
-        The process that renders what is not flat.
-
-    Raises
-    ------
-    ConfigError
-        The item is no board.
-    """
+    """A `fpplab.simulation.matchable.Twin` that looks at one board."""
 
     def __init__(self, nominal: World, board: str, blender: Blender) -> None:
         item = nominal.item(board)
@@ -84,98 +69,34 @@ class SimTwin:
         return self._next_frame
 
     def count_frames_from(self, number: int) -> None:
-        """Give the next frame this number.
-
-        Parameters
-        ----------
-        number : int
-            Not negative.
-        """
+        """Give the next frame this number."""
         self._next_frame = number
 
     def become(self, parameters: TwinParameters) -> None:
-        """Go on with these. Tables of light are kept for all geometry that comes again.
-
-        Parameters
-        ----------
-        parameters : Parameters
-            All of them.
-
-        Raises
-        ------
-        ConfigError
-            No world can have these parameters.
-        """
+        """Go on with these. Tables of light are kept for all geometry that comes again."""
         world = world_of(self._nominal, self._board, parameters)
         light = Light(world, self._blender, analytic=True)
         light.inherit(self._light)
         self._parameters, self._world, self._light = parameters, world, light
 
     def expected(self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings) -> ExpectedLevels:
-        """Compute what the camera sees of the board on average, without noise and vibration.
-
-        Parameters
-        ----------
-        pose : int
-            Index into `parameters.poses`.
-        patterns : sequence of Pattern
-            n patterns to show.
-        settings : CameraSettings
-            Exposure, gain and bit depth.
-
-        Returns
-        -------
-        ExpectedLevels
-            Grey levels (n, h, w), 0 to full scale.
-        """
+        """Compute what the camera sees of the board on average, without noise and vibration."""
+        # returns (n, h, w)
         return self._expected(Setup(self._board, held=self._parameters.poses[pose]), patterns, settings)
 
     def expected_at(
         self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings, pixels: PixelIndices
     ) -> ExpectedLevels:
-        """Compute what `expected` gives at some pixels only.
-
-        Parameters
-        ----------
-        pose : int
-            Index into `parameters.poses`.
-        patterns : sequence of Pattern
-            n patterns to show.
-        settings : CameraSettings
-            Exposure, gain and bit depth.
-        pixels : PixelIndices
-            Rows and columns of P pixels.
-
-        Returns
-        -------
-        ExpectedLevels
-            Grey levels (n, P), 0 to full scale.
-        """
+        """Compute what `expected` gives at some pixels only."""
+        # returns (n, P)
         self._settings = settings
         return self.expected_part(self._board, self._parameters.poses[pose], patterns, settings, pixels)
 
     def expected_with_slopes(
         self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings, pixels: PixelIndices
     ) -> tuple[ExpectedLevels, ExpectedLevels] | None:
-        """Compute what `expected_at` gives, with derivatives by the places that the pixels see.
-
-        Parameters
-        ----------
-        pose : int
-            Index into `parameters.poses`.
-        patterns : sequence of Pattern
-            n patterns to show.
-        settings : CameraSettings
-            Exposure, gain and bit depth.
-        pixels : PixelIndices
-            Rows and columns of P pixels.
-
-        Returns
-        -------
-        tuple of ExpectedLevels, or None
-            Grey levels (n, P), and their derivatives (n, P, 4) by the place x, y on the board in mm and u, v
-            on the projector in px, 0 where saturated; None where the board's light is rendered.
-        """
+        """Compute what `expected_at` gives, with derivatives by the places that the pixels see."""
+        # returns (n, P) mm
         setup = Setup(self._board, held=self._parameters.poses[pose])
         light = self._light.differentiated(setup)
         if light is None:
@@ -187,27 +108,8 @@ class SimTwin:
         return levels, slopes
 
     def expected_of(self, item: str, patterns: Sequence[Pattern], settings: CameraSettings) -> ExpectedLevels:
-        """Compute what the camera sees of another item of the world on average.
-
-        Parameters
-        ----------
-        item : str
-            Name of the item, in its own pose.
-        patterns : sequence of Pattern
-            n patterns to show.
-        settings : CameraSettings
-            Exposure, gain and bit depth.
-
-        Returns
-        -------
-        ExpectedLevels
-            Grey levels (n, h, w), 0 to full scale.
-
-        Raises
-        ------
-        ConfigError
-            The world has no such item.
-        """
+        """Compute what the camera sees of another item of the world on average."""
+        # returns (n, h, w)
         return self._expected(Setup(item), patterns, settings)
 
     def expected_part(
@@ -218,51 +120,13 @@ class SimTwin:
         settings: CameraSettings,
         pixels: PixelIndices,
     ) -> ExpectedLevels:
-        """Compute what the camera sees on average of an item in any pose, at some pixels only.
-
-        Parameters
-        ----------
-        item : str
-            Name of the item.
-        pose : RigidTransform
-            T_camera_item in mm.
-        patterns : sequence of Pattern
-            n patterns to show.
-        settings : CameraSettings
-            Exposure, gain and bit depth.
-        pixels : PixelIndices
-            Rows and columns of P pixels.
-
-        Returns
-        -------
-        ExpectedLevels
-            Grey levels (n, P), 0 to full scale.
-
-        Raises
-        ------
-        ConfigError
-            The world has no such item.
-        """
+        """Compute what the camera sees on average of an item in any pose, at some pixels only."""
+        # returns (n, P)
         irradiance = self._light.irradiance_at(Setup(item, held=pose), tuple(patterns), pixels)
         return SensorModel.of(self._world).expected(irradiance, settings)
 
     def frames(self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings) -> list[Image]:
-        """Simulate frames of the board with the sensor's noise and the item's vibration.
-
-        Parameters
-        ----------
-        pose : int
-            Index into `parameters.poses`.
-        patterns : sequence of Pattern
-            Patterns to show, one frame each.
-        settings : CameraSettings
-            Exposure, gain and bit depth.
-
-        Returns
-        -------
-        list of Image
-            Grey levels [v, u]; other noise with each call.
-        """
+        """Simulate frames of the board with the sensor's noise and the item's vibration."""
         return self.scan(self._board, self._parameters.poses[pose], patterns, settings)
 
     def scan(
@@ -272,27 +136,6 @@ class SimTwin:
 
         Vibration is computed to first order in the displacement: by derivatives of the light where it is
         computed, else from four pictures of each pattern that serve any number of frames.
-
-        Parameters
-        ----------
-        item : str
-            Name of the item.
-        pose : RigidTransform
-            T_camera_item in mm.
-        patterns : sequence of Pattern
-            Patterns to show, one frame each.
-        settings : CameraSettings
-            Exposure, gain and bit depth.
-
-        Returns
-        -------
-        list of Image
-            Grey levels [v, u]; other noise with each call.
-
-        Raises
-        ------
-        ConfigError
-            The world has no such item.
         """
         self._world.item(item)
         shown, sensor, self._settings = tuple(patterns), SensorModel.of(self._world), settings
@@ -324,53 +167,15 @@ class SimTwin:
         return displacement_mm(self._world, random, frame, phase)
 
     def mesh(self, item: str) -> trimesh.Trimesh:
-        """Give the true shape of an artefact or part.
-
-        Parameters
-        ----------
-        item : str
-            Name of the item.
-
-        Returns
-        -------
-        trimesh.Trimesh
-            In mm in the item's own frame; not to be changed.
-
-        Raises
-        ------
-        ConfigError
-            There is no such item, or it is a board or card.
-        """
+        """Give the true shape of an artefact or part."""
         return part_mesh(self._world, item)
 
     def pose_of(self, item: str) -> RigidTransform:
-        """Tell where an item of the world stands.
-
-        Parameters
-        ----------
-        item : str
-            Name of the item.
-
-        Returns
-        -------
-        RigidTransform
-            T_camera_item in mm; the first pose of a board.
-
-        Raises
-        ------
-        ConfigError
-            The world has no such item.
-        """
+        """Tell where an item of the world stands."""
         return item_poses(self._world, item)[0]
 
     def appear(self, appearance: Appearance) -> None:
-        """Look as a bench does, beside what parameters tell; `save` writes it too.
-
-        Parameters
-        ----------
-        appearance : Appearance
-            In place of the one before.
-        """
+        """Look as a bench does, beside what parameters tell; `save` writes it too."""
         folder = Path(mkdtemp(prefix="fpplab-"))
         changed = self._with_appearance(self._nominal, appearance, folder)
         self._forget_files()
@@ -395,23 +200,6 @@ class SimTwin:
         """Write `rig.yaml`, `world.yaml` and `calibration.yaml`.
 
         The camera's bit depth and gain in the rig file are those last used.
-
-        Parameters
-        ----------
-        folder : Path
-            Where to write.
-        notes : sequence of str
-            What every command that opens the rig file tells.
-
-        Returns
-        -------
-        Path
-            Of the rig file.
-
-        Raises
-        ------
-        DataError
-            The folder cannot be written to.
         """
         calibration = CalibrationFile.of(self._parameters.calibration)
         changed: dict[str, Any] = {"calibration": calibration}

@@ -22,24 +22,8 @@ STREAM = 2
 
 
 def displacement_mm(world: World, random: np.random.Generator, frame: float, phase: float) -> Floats:
-    """Draw by how much vibration displaces the item in one frame.
-
-    Parameters
-    ----------
-    world : World
-        Its vibration.
-    random : Generator
-        Of the frame; three numbers are drawn, or four where there is vibration along a line.
-    frame : float
-        Number of the frame, in step with which a vibration of one frequency moves on.
-    phase : float
-        Where that begins, in cycles.
-
-    Returns
-    -------
-    Floats
-        (3,) in mm along the camera's axes.
-    """
+    """Draw by how much vibration displaces the item in one frame."""
+    # returns (3,) mm
     moved, line = world.vibration_mm * random.standard_normal(3), world.vibration_line
     if line is None:
         return moved
@@ -49,20 +33,7 @@ def displacement_mm(world: World, random: np.random.Generator, frame: float, pha
 
 
 def wave_phase(world: World, *numbers: int) -> float:
-    """Draw where a vibration of one frequency begins.
-
-    Parameters
-    ----------
-    world : World
-        Its seed.
-    *numbers : int
-        Whatever else the phase follows from.
-
-    Returns
-    -------
-    float
-        In cycles.
-    """
+    """Draw where a vibration of one frequency begins."""
     return float(np.random.default_rng([world.seed, *numbers, STREAM]).uniform())
 
 
@@ -70,20 +41,6 @@ def displaced(setup: Setup, pose: RigidTransform, step_mm: float) -> tuple[Setup
     """Displace the item of a set-up along each of the camera's axes.
 
     Callers should reuse the result for later frames, because `Light` caches pictures by these set-ups.
-
-    Parameters
-    ----------
-    setup : Setup
-        The item at rest.
-    pose : RigidTransform
-        Its pose T_camera_item in mm.
-    step_mm : float
-        Displacement along each axis in mm.
-
-    Returns
-    -------
-    tuple of Setup
-        Three, displaced along x, y and z.
     """
     return tuple(replace(setup, held=pose.moved(step_mm * axis)) for axis in np.eye(3))
 
@@ -96,28 +53,8 @@ def with_vibration(
     show: Show | None,
     row_weights: Floats | None = None,
 ) -> PatternLevels:
-    """Compute the irradiance of a displaced item to first order, from pictures of four set-ups.
-
-    Parameters
-    ----------
-    light : Light
-        Of the world.
-    still : Setup
-        The item at rest.
-    moved : sequence of Setup
-        Three, from `displaced`.
-    steps : Floats
-        Displacement (3,) as multiples of those in `moved`.
-    show : Show or None
-        Pattern on show; None where the lamp is off.
-    row_weights : Floats or None
-        As for `Light.irradiance`.
-
-    Returns
-    -------
-    PatternLevels
-        (height, width), 1 for white, not negative.
-    """
+    """Compute the irradiance of a displaced item to first order, from pictures of four set-ups."""
+    # steps (3,); returns (height, width)
     picture = np.float32(1 - steps.sum()) * light.irradiance(still, show, row_weights)
     for step, place in zip(steps.tolist(), moved, strict=True):
         picture += np.float32(step) * light.irradiance(place, show, row_weights)

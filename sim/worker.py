@@ -36,11 +36,6 @@ class Blender:
     """One Blender process, started when it is first needed and again after it has died.
 
     It knows nothing but the scene it was last sent, which is sent again after a restart.
-
-    Parameters
-    ----------
-    name : str
-        Name of the device in error messages.
     """
 
     def __init__(self, name: str) -> None:
@@ -58,17 +53,7 @@ class Blender:
         return self._process.pid if self._process and self._process.poll() is None else None
 
     def start(self) -> None:
-        """Start the process unless it runs.
-
-        Raises
-        ------
-        MissingExtraError
-            Blender's module is not installed.
-        DeviceError
-            It cannot start; the message names a system library that is missing.
-        DeviceTimeoutError
-            It is not ready within `START_S`.
-        """
+        """Start the process unless it runs."""
         if self.pid is not None:
             return
         need_extra("bpy")
@@ -107,37 +92,8 @@ class Blender:
         effort: Effort,
         timeout_s: float,
     ) -> NDArray[np.float32]:
-        """Render a scene once for every view.
-
-        Parameters
-        ----------
-        scene : RenderScene
-            Camera, lamp and surfaces; sent only when it is another object than before.
-        textures : ndarray of float32 or None
-            Of the lamp, (circles, rows, columns, 3); None for uniform white light.
-        views : list of SubpixelView
-            Points of the pixels and of the lens to look through.
-        effort : Effort
-            Samples, bounces, device and channels.
-        timeout_s : float
-            Longest time to wait, in s.
-
-        Returns
-        -------
-        ndarray of float32
-            (views, height, width, effort.channels), see `sim.scene`, in memory that the next call overwrites.
-
-        Raises
-        ------
-        DisconnectedError
-            The process dies.
-        DeviceTimeoutError
-            It does not answer in time.
-        DeviceError
-            Blender fails, or there is not enough memory.
-        ConfigError
-            The scene asks for something that Blender cannot render.
-        """
+        """Render a scene once for every view."""
+        # textures (circles, rows, columns, 3)
         self.start()
         width, height = scene.camera.size
         shape = (len(views), height, width, effort.channels)
@@ -235,18 +191,8 @@ class Blender:
 
 
 def missing_library(output: str) -> tuple[str, str] | None:
-    """Recognise a missing system library in Blender's output.
-
-    Parameters
-    ----------
-    output : str
-        Output of the process.
-
-    Returns
-    -------
-    tuple of (str, str) or None
-        What was found and the remedy; None where no library is missing.
-    """
+    """Recognise a missing system library in Blender's output."""
+    # returns (str, str)
     match = re.search(r"(lib[\w.+-]*\.so[.\d]*): cannot open shared object file", output)
     if match is None:
         return None

@@ -22,21 +22,11 @@ from benchmarks.crash.record import Campaign, CrashRecord
 
 @dataclass(frozen=True)
 class CrashPart:
-    """A part of the benchmark.
+    """A part of the benchmark."""
 
-    Attributes
-    ----------
-    disturb : callable
-        Does what a campaign says.
-    kinds : tuple of str
-        What may go wrong.
-    count : int
-        How often programs are disturbed.
-    """
-
-    disturb: Callable[[Campaign], None]
-    kinds: tuple[str, ...]
-    count: int
+    disturb: Callable[[Campaign], None]  # does what a campaign says
+    kinds: tuple[str, ...]  # what may go wrong
+    count: int  # how often programs are disturbed
 
 
 PARTS = {
@@ -47,13 +37,7 @@ PARTS = {
 
 
 def run() -> list[Result]:
-    """Disturb all programs.
-
-    Returns
-    -------
-    list of Result
-        Numbers of failures, each beside 0.
-    """
+    """Disturb all programs."""
     with tempfile.TemporaryDirectory(prefix="fpplab-crash-record-") as place:
         return crash_figures(CrashRecord(Path(place) / "record.jsonl"))
 
@@ -65,26 +49,7 @@ def crash_figures(
     count: int | None = None,
     seed: int = 1,
 ) -> list[Result]:
-    """Disturb some programs, as far as that is not recorded and there is time.
-
-    Parameters
-    ----------
-    record : CrashRecord
-        What is done, and what follows.
-    parts : tuple of str
-        Names of parts.
-    programs : tuple of DisturbedProgram
-        Which.
-    count : int, optional
-        How often; by default as often as each part says.
-    seed : int
-        Of the random moments.
-
-    Returns
-    -------
-    list of Result
-        Numbers of failures until now, each beside 0.
-    """
+    """Disturb some programs, as far as that is not recorded and there is time."""
     with tempfile.TemporaryDirectory(prefix="fpplab-crash-") as place:
         folder = Path(place)
         prepare(folder, tuple({*programs, SCAN}) if contests.CONTESTS in parts else programs)

@@ -15,18 +15,7 @@ RECORD = ROOT / "build" / "crash.jsonl"
 
 
 def main(words: list[str]) -> int:
-    """Disturb programs, and print how often each was, what a case takes, and what went wrong.
-
-    Parameters
-    ----------
-    words : list of str
-        Arguments of the command.
-
-    Returns
-    -------
-    int
-        Exit code: 0 when all is done and nothing went wrong.
-    """
+    """Disturb programs, and print how often each was, what a case takes, and what went wrong."""
     by_name = {program.name: program for program in PROGRAMS}
     parser = argparse.ArgumentParser(prog="python -m benchmarks.crash", description=__doc__)
     parser.add_argument("--part", action="append", choices=list(PARTS), help="only these")

@@ -38,18 +38,7 @@ class WitnessedBench(EmulatedBench):
 
 
 def bench_is_safe(note: Path) -> bool:
-    """Tell by its note whether a bench was left safe.
-
-    Parameters
-    ----------
-    note : Path
-        The file.
-
-    Returns
-    -------
-    bool
-        Whether it was never opened, or is closed, dark and disarmed.
-    """
+    """Tell by its note whether a bench was left safe."""
     if not note.is_file():
         return True
     left = json.loads(note.read_text("utf-8"))

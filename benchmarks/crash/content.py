@@ -23,18 +23,7 @@ IGNORED = re.compile(r"\..*\.lock|" + re.escape(LOG))
 
 
 def content_of(place: Path) -> dict[str, str]:
-    """Give a checksum for every file below a folder, or of one file with those beside it of the same stem.
-
-    Parameters
-    ----------
-    place : Path
-        Output of a command.
-
-    Returns
-    -------
-    dict of str to str
-        By relative name.
-    """
+    """Give a checksum for every file below a folder, or of one file with those beside it of the same stem."""
     found: dict[str, str] = {}
     for root in sorted(place.parent.glob(f"{place.stem}*")):
         files = sorted(root.rglob("*")) if root.is_dir() else [root]
@@ -46,20 +35,7 @@ def content_of(place: Path) -> dict[str, str]:
 
 
 def timeless(file: Path, stem: str) -> bytes:
-    """Read a file without what says when, and under which name, it was made.
-
-    Parameters
-    ----------
-    file : Path
-        The file.
-    stem : str
-        Name of the output, which differs from run to run.
-
-    Returns
-    -------
-    bytes
-        What is to be the same in every run.
-    """
+    """Read a file without what says when, and under which name, it was made."""
     read = READERS.get(file.suffix)
     if read is None:
         return file.read_bytes()

@@ -20,13 +20,7 @@ TOLD = "is writing into it"
 
 
 def contest_programs(campaign: Campaign) -> None:
-    """Start scans into one folder at once, two and four in turn, every other pair with `--force`.
-
-    Parameters
-    ----------
-    campaign : Campaign
-        How often; the program is the scan.
-    """
+    """Start scans into one folder at once, two and four in turn, every other pair with `--force`."""
     first = len(campaign.record.of(CONTESTS))
     if first >= campaign.count or not campaign.record.has_time:
         return

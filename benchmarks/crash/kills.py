@@ -111,13 +111,7 @@ class _Series:
 
 
 def kill_programs(campaign: Campaign) -> None:
-    """Kill programs at random moments.
-
-    Parameters
-    ----------
-    campaign : Campaign
-        Which, and how often.
-    """
+    """Kill programs at random moments."""
     ready = ReadyProgram(ROOT)
     try:
         _kill_each(campaign, ready)
@@ -150,18 +144,7 @@ def _acknowledged(out: Path) -> Iterator[tuple[str, str]]:
 
 
 def left_running(folder: Path) -> Iterator[int]:
-    """End the processes that commands have left running: they work in the folder, and this process does not.
-
-    Parameters
-    ----------
-    folder : Path
-        Where the commands ran.
-
-    Yields
-    ------
-    int
-        Number of each process that still runs after `CHILDREN_S`.
-    """
+    """End the processes that commands left running in the folder; this process does not work there."""
     end = time.monotonic() + CHILDREN_S
     while found := [one for one in psutil.process_iter() if _works_in(one, folder)]:
         if time.monotonic() > end:

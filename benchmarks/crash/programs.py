@@ -64,30 +64,14 @@ STUDY = {
 
 @dataclass(frozen=True)
 class DisturbedProgram:
-    """A command that leaves something.
+    """A command that leaves something."""
 
-    Attributes
-    ----------
-    name : str
-        Of the command.
-    words : str
-        What follows the interpreter; `{out}` is its output.
-    share : int
-        How often it is disturbed, in comparison with the others.
-    suffix : str
-        Of its output.
-    opens_bench : bool
-        Whether it works on the emulated bench.
-    begin : callable or None
-        Makes what its output is at first, given the folder and the output.
-    """
-
-    name: str
-    words: str
-    share: int
-    suffix: str = ""
-    opens_bench: bool = False
-    begin: Callable[[Path, Path], object] | None = None
+    name: str  # of the command
+    words: str  # what follows the interpreter; `{out}` is its output
+    share: int  # how often it is disturbed, in comparison with the others
+    suffix: str = ""  # of its output
+    opens_bench: bool = False  # whether it works on the emulated bench
+    begin: Callable[[Path, Path], object] | None = None  # makes what its output is at first
 
 
 def _new_flash(folder: Path, flash: Path) -> None:
@@ -137,15 +121,7 @@ PROGRAMS = (SCAN, SCAN_EMULATED, IMPORT, CHARACTERISE, DATASET, UPLOAD, MATCH, O
 
 
 def prepare(folder: Path, programs: tuple[DisturbedProgram, ...]) -> None:
-    """Write what the commands need.
-
-    Parameters
-    ----------
-    folder : Path
-        Empty; the commands run in it.
-    programs : tuple of DisturbedProgram
-        The commands.
-    """
+    """Write what the commands need."""
     world = _world()
     plan = config.validate({"fringes": SETS, "exposure_s": 0.02}, Plan, "plan")
     files: dict[str, Any] = {
@@ -197,28 +173,14 @@ def _write_images(session: Session, folder: Path) -> None:
 
 @dataclass(frozen=True)
 class EndedRun:
-    """How a run ended.
+    """How a run ended."""
 
-    Attributes
-    ----------
-    code : int
-        Exit code, or minus the signal.
-    out, err : str
-        What it wrote.
-    disturbed : bool
-        Whether the signal came while it ran.
-    seconds : float
-        How long it ran.
-    after_s : float
-        How long it ran on after the signal.
-    """
-
-    code: int
-    out: str
-    err: str
-    disturbed: bool = False
-    seconds: float = 0.0
-    after_s: float = 0.0
+    code: int  # exit code, or minus the signal
+    out: str  # what it wrote
+    err: str  # what it wrote
+    disturbed: bool = False  # whether the signal came while it ran
+    seconds: float = 0.0  # how long it ran
+    after_s: float = 0.0  # how long it ran on after the signal
 
     @property
     def is_done(self) -> bool:
@@ -229,26 +191,7 @@ class EndedRun:
 def start(
     program: DisturbedProgram, folder: Path, out: Path, *more: str, note: Path | None = None
 ) -> subprocess.Popen[str]:
-    """Start a command in a session of processes of its own.
-
-    Parameters
-    ----------
-    program : DisturbedProgram
-        The command.
-    folder : Path
-        Where it runs.
-    out : Path
-        Its output.
-    *more : str
-        Further words.
-    note : Path, optional
-        File in which the bench notes how it was left; by default `note_of` the output.
-
-    Returns
-    -------
-    subprocess.Popen
-        Its stdout and stderr are pipes.
-    """
+    """Start a command in a session of processes of its own."""
     return subprocess.Popen(
         [sys.executable, *program.words.format(out=out.relative_to(folder)).split(), *more],
         cwd=folder,
@@ -273,22 +216,7 @@ def _environment(note: Path) -> dict[str, str]:
 
 
 def place_of(folder: Path, program: DisturbedProgram, name: str) -> Path:
-    """Name an output of a command, begun as the command wants it.
-
-    Parameters
-    ----------
-    folder : Path
-        Where the command runs.
-    program : DisturbedProgram
-        The command.
-    name : str
-        Of the output, among those of the command.
-
-    Returns
-    -------
-    Path
-        The output.
-    """
+    """Name an output of a command, begun as the command wants it."""
     out = folder / f"{program.name.replace(' ', '_')}_{name}{program.suffix}"
     if program.begin:
         program.begin(folder, out)
@@ -296,44 +224,14 @@ def place_of(folder: Path, program: DisturbedProgram, name: str) -> Path:
 
 
 def note_of(out: Path) -> Path:
-    """Name the file in which the bench notes how it was left.
-
-    Parameters
-    ----------
-    out : Path
-        Output of a command.
-
-    Returns
-    -------
-    Path
-        In a folder of its own.
-    """
+    """Name the file in which the bench notes how it was left."""
     return out.parent / "notes" / f"{out.stem}.json"
 
 
 def run_until(
     program: DisturbedProgram, folder: Path, out: Path, moment_s: float | None = None, number: int = 0
 ) -> EndedRun:
-    """Run a command to its end, or until a moment at which it gets a signal.
-
-    Parameters
-    ----------
-    program : DisturbedProgram
-        The command.
-    folder : Path
-        Where it runs.
-    out : Path
-        Its output.
-    moment_s : float, optional
-        When, in s from its start; by default it is not disturbed.
-    number : int
-        Of the signal.
-
-    Returns
-    -------
-    EndedRun
-        How it ended.
-    """
+    """Run a command to its end, or until a moment at which it gets a signal."""
     note_of(out).parent.mkdir(exist_ok=True)
     begun = signalled = time.monotonic()
     process = start(program, folder, out)
@@ -352,26 +250,7 @@ def run_until(
 def run_until_killed(
     ready: ReadyProgram, program: DisturbedProgram, folder: Path, out: Path, moment_s: float | None = None
 ) -> EndedRun:
-    """Run a command to its end, or kill it at a moment; where it is fpplab's own, its modules are loaded.
-
-    Parameters
-    ----------
-    ready : ReadyProgram
-        The program, which is forked.
-    program : DisturbedProgram
-        The command.
-    folder : Path
-        Where it runs.
-    out : Path
-        Its output.
-    moment_s : float, optional
-        When it gets SIGKILL, in s from its start; by default never.
-
-    Returns
-    -------
-    EndedRun
-        How it ended.
-    """
+    """Run a command to its end, or kill it at a moment; where it is fpplab's own, its modules are loaded."""
     module, *words = program.words.format(out=out.relative_to(folder)).split()[1:]
     if module != "fpplab":
         return run_until(program, folder, out, moment_s, signal.SIGKILL)

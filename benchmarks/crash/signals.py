@@ -44,11 +44,6 @@ def signal_programs(campaign: Campaign) -> None:
 
     Before the program's first line, and after its last, Python itself dies of the signal, as any program
     does. Such runs are counted apart: they may not have left a trace, or have to have done all.
-
-    Parameters
-    ----------
-    campaign : Campaign
-        Which, and how often.
     """
     with _heard_by_children():
         _interrupt_each(campaign)

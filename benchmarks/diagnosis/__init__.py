@@ -100,55 +100,21 @@ Work = tuple[Callable[[str, int], T], str, int]
 
 @dataclass(frozen=True)
 class Selection:
-    """What is measured.
+    """What is measured."""
 
-    Attributes
-    ----------
-    seed : int
-        The first; all others are counted from it.
-    count : int
-        Benches of each fault.
-    causes : tuple of str
-        The faults, of `JUDGES`; empty for all of them, and for pairs, benches without fault and advice.
-    record : Path or None
-        Where each outcome is written as it comes, and whence those of an earlier run are taken.
-    """
-
-    seed: int = JUDGING_SEED
-    count: int = COUNT
-    causes: tuple[str, ...] = ()
-    record: Path | None = None
+    seed: int = JUDGING_SEED  # the first; all others are counted from it
+    count: int = COUNT  # benches of each fault
+    causes: tuple[str, ...] = ()  # the faults
+    record: Path | None = None  # where each outcome is written as it comes
 
 
 def run() -> list[Result]:
-    """Measure everything; some twenty minutes on two cores.
-
-    Returns
-    -------
-    list of Result
-        Shares named, and how near advice comes to the best noise.
-    """
+    """Measure everything; some twenty minutes on two cores."""
     return measure(Selection())
 
 
 def measure(part: Selection) -> list[Result]:
-    """Measure a part.
-
-    Parameters
-    ----------
-    part : Selection
-        Which one.
-
-    Returns
-    -------
-    list of Result
-        As of `run`; with chosen causes, those of their benches alone.
-
-    Raises
-    ------
-    ConfigError
-        There is no such cause, or the record is of another commit.
-    """
+    """Measure a part."""
     unknown = [cause for cause in part.causes if cause not in JUDGES]
     if unknown:
         raise ConfigError(f"--causes: '{unknown[0]}' is none of {', '.join(JUDGES)}")
@@ -266,13 +232,7 @@ def _of_advice(advised: Sequence[Followed]) -> list[Result]:
 
 
 def tell(judged: Sequence[Judged]) -> None:
-    """Print how often a cause was named, and what was named in its place.
-
-    Parameters
-    ----------
-    judged : sequence of Judged
-        Benches of one cause.
-    """
+    """Print how often a cause was named, and what was named in its place."""
     first, second = (sum(one.place <= k for one in judged) for k in (0, 1))
     useless = sum(one.useless for one in judged)
     instead = [f"{one.seed}: {', '.join(one.named[:3]) or 'nothing'}" for one in judged if one.place > 0]

@@ -17,39 +17,15 @@ MOST_STEPS = 8
 
 @dataclass(frozen=True)
 class Followed:
-    """Where advice has led.
+    """Where advice has led."""
 
-    Attributes
-    ----------
-    cause : str
-        What was set badly at first.
-    ratio : float
-        Error of the coordinate beside that of the best bench.
-    steps : int
-        How many remedies were applied.
-    """
-
-    cause: str
-    ratio: float
-    steps: int
+    cause: str  # what was set badly at first
+    ratio: float  # error of the coordinate beside that of the best bench
+    steps: int  # how many remedies were applied
 
 
 def follow(cause: str, seed: int) -> Followed:
-    """Apply the remedy of the first finding on a badly set bench until there is none.
-
-    Parameters
-    ----------
-    cause : str
-        Its fault.
-    seed : int
-        Of the bench and the fault's strength.
-
-    Returns
-    -------
-    Followed
-        Beside the same bench without its fault, from which come the settings that a person reads off the
-        devices.
-    """
+    """Apply the remedy of the first finding on a badly set bench until there is none."""
     bench, best = ill_set(cause, seed), well_set(cause, seed)
     for step in range(MOST_STEPS + 1):
         findings = scanned(bench).findings
@@ -63,56 +39,19 @@ def follow(cause: str, seed: int) -> Followed:
 
 
 def well_set(cause: str, seed: int) -> Bench:
-    """Give a bench without fault, well exposed, with the plan that a fault is seen with.
-
-    Parameters
-    ----------
-    cause : str
-        The fault.
-    seed : int
-        Of the bench.
-
-    Returns
-    -------
-    Bench
-        A bright board.
-    """
+    """Give a bench without fault, well exposed, with the plan that a fault is seen with."""
     bench = healthy(seed)
     good = replace(bench.parameters, paper=0.9, ink=0.05, white=1.0)
     return replace(bench, plan=faulty(cause, seed).plan, parameters=good)
 
 
 def ill_set(cause: str, seed: int) -> Bench:
-    """Give the same bench with one thing set badly.
-
-    Parameters
-    ----------
-    cause : str
-        The fault.
-    seed : int
-        Of the bench and the fault's strength.
-
-    Returns
-    -------
-    Bench
-        As `well_set` gives it, but for the fault.
-    """
+    """Give the same bench with one thing set badly."""
     return FAULTS[cause](well_set(cause, seed), np.random.default_rng([seed, 3]))
 
 
 def coordinate_error_px(bench: Bench) -> float:
-    """Compute the error of the coordinate beside that of the same bench without noise or fault.
-
-    Parameters
-    ----------
-    bench : Bench
-        Any.
-
-    Returns
-    -------
-    float
-        1.48 times the median size, in projector px; infinite where less than half of the pixels are left.
-    """
+    """Compute the error of the coordinate beside that of the same bench without noise or fault."""
     axis = bench.plan.axes[0]
     true = _expected(bench).coordinate(axis)
     seen = decode(bench.recording()).coordinate(axis)

@@ -42,30 +42,14 @@ ITEMS = ("pyramid", "steps")
 
 @dataclass(frozen=True)
 class Judged:
-    """What was said of one bench.
+    """What was said of one bench."""
 
-    Attributes
-    ----------
-    cause : str
-        Its fault; empty where it has none.
-    seed : int
-        Of the bench.
-    named : tuple of str
-        Causes found, the worst first.
-    verdict : str
-        Of the scan; empty where there was none.
-    error : float
-        Median error of the points beside that of the same bench without fault; 1 where it was not measured.
-    share : float
-        Points beside those without fault.
-    """
-
-    cause: str
-    seed: int
-    named: tuple[str, ...]
-    verdict: str = ""
-    error: float = 1.0
-    share: float = 1.0
+    cause: str  # its fault; empty where it has none
+    seed: int  # of the bench
+    named: tuple[str, ...]  # causes found, the worst first
+    verdict: str = ""  # of the scan; empty where there was none
+    error: float = 1.0  # median error of the points beside that of the same bench without fault
+    share: float = 1.0  # points beside those without fault
 
     @property
     def place(self) -> int:
@@ -79,20 +63,7 @@ class Judged:
 
 
 def of_scan(cause: str, seed: int) -> Judged:
-    """Scan a bench and judge it, and measure the points by the true shape.
-
-    Parameters
-    ----------
-    cause : str
-        Its fault; empty for none.
-    seed : int
-        Of the bench and the fault's strength.
-
-    Returns
-    -------
-    Judged
-        With errors beside those of the same bench without fault.
-    """
+    """Scan a bench and judge it, and measure the points by the true shape."""
     bench = faulty(cause, seed) if cause else healthy(seed)
     diagnosis, cloud = scanned_points(bench)
     named = _named(diagnosis.findings)
@@ -117,20 +88,7 @@ def _without_fault(seed: int, plan: Plan, window: float) -> tuple[float, int]:
 
 
 def of_rig(name: str, seed: int) -> Judged:
-    """Scan a part on a simulated rig without fault, and judge it.
-
-    Parameters
-    ----------
-    name : str
-        Of a rig that comes with fpplab.
-    seed : int
-        Of its world.
-
-    Returns
-    -------
-    Judged
-        Without errors.
-    """
+    """Scan a part on a simulated rig without fault, and judge it."""
     with TemporaryDirectory() as folder:
         rig, known = seeded_rig(name, seed, Path(folder))
         with rig:
@@ -142,24 +100,7 @@ def of_rig(name: str, seed: int) -> Judged:
 
 
 def seeded_rig(name: str, seed: int, folder: Path) -> tuple[Rig, Calibration]:
-    """Load a simulated rig whose noise is another.
-
-    Parameters
-    ----------
-    name : str
-        Of a rig that comes with fpplab.
-    seed : int
-        Of its world.
-    folder : Path
-        For the world's file.
-
-    Returns
-    -------
-    rig : Rig
-        Not open yet.
-    known : Calibration
-        The true one.
-    """
+    """Load a simulated rig whose noise is another."""
     rig = load_yaml(config.find_config(name, "rig").read_text())
     world = load_yaml(config.find_config(rig["bench"]["world"], "world").read_text())
     path = folder / "world.yaml"
@@ -171,20 +112,7 @@ def seeded_rig(name: str, seed: int, folder: Path) -> tuple[Rig, Calibration]:
 
 
 def of_pair(causes: str, seed: int) -> Judged:
-    """Put two faults into one bench: the second draws on what the first has done.
-
-    Parameters
-    ----------
-    causes : str
-        Both, with a plus sign between them.
-    seed : int
-        Of the bench and the faults' strengths.
-
-    Returns
-    -------
-    Judged
-        Without errors.
-    """
+    """Put two faults into one bench: the second draws on what the first has done."""
     first, second = causes.split("+")
     bench = FAULTS[second](faulty(first, seed), np.random.default_rng([seed, 9]))
     diagnosis = scanned(bench)
@@ -192,20 +120,7 @@ def of_pair(causes: str, seed: int) -> Judged:
 
 
 def of_scene(cause: str, seed: int) -> Judged:
-    """Scan a part with fringes that are too fine for the camera.
-
-    Parameters
-    ----------
-    cause : str
-        The fault.
-    seed : int
-        Of the number of stripes and of the noise.
-
-    Returns
-    -------
-    Judged
-        Without errors.
-    """
+    """Scan a part with fringes that are too fine for the camera."""
     stripes = int(np.random.default_rng([seed, 4]).integers(165, 200))
     scene = scenes.Bench(scenes.plan_of("x", (6, 6, 12), (1, 12, stripes)), seed=seed)
     recording = scene.recording()
@@ -215,58 +130,19 @@ def of_scene(cause: str, seed: int) -> Judged:
 
 
 def of_check(cause: str, seed: int) -> Judged:
-    """Check a rig with a fault that only further frames show.
-
-    Parameters
-    ----------
-    cause : str
-        The fault.
-    seed : int
-        Of the bench and the fault's strength.
-
-    Returns
-    -------
-    Judged
-        Without verdict.
-    """
+    """Check a rig with a fault that only further frames show."""
     bench = faulty(cause, seed)
     found = check_rig(formula_rig(cause, seed), bench.plan, "card", lambda _: None, bench.calibration)
     return Judged(cause, seed, _named(found.findings))
 
 
 def of_devices(cause: str, seed: int) -> Judged:
-    """Check a rig whose devices have a fault.
-
-    Parameters
-    ----------
-    cause : str
-        The fault.
-    seed : int
-        Of its strength.
-
-    Returns
-    -------
-    Judged
-        Without verdict.
-    """
+    """Check a rig whose devices have a fault."""
     return Judged(cause, seed, _named(check_faulty_devices(cause, seed, _flash()).findings))
 
 
 def of_lens(cause: str, seed: int) -> Judged:
-    """Characterise a rig whose camera's lens was turned between poses.
-
-    Parameters
-    ----------
-    cause : str
-        The fault.
-    seed : int
-        Of the poses and of the scale's scatter, 0.03 to 0.1 %.
-
-    Returns
-    -------
-    Judged
-        Without verdict.
-    """
+    """Characterise a rig whose camera's lens was turned between poses."""
     scatter = float(np.random.default_rng([seed, 6]).uniform(3e-4, 1e-3))
     try:
         named = breathes(*scales(fitted(breathing(scatter, seed))))
@@ -286,36 +162,12 @@ def _named(findings: Sequence[Finding]) -> tuple[str, ...]:
 
 
 def scanned(bench: Bench) -> Diagnosis:
-    """Take a scan of a bench and judge it.
-
-    Parameters
-    ----------
-    bench : Bench
-        With or without faults.
-
-    Returns
-    -------
-    Diagnosis
-        What `fpplab scan` would say.
-    """
+    """Take a scan of a bench and judge it."""
     return scanned_points(bench)[0]
 
 
 def scanned_points(bench: Bench) -> tuple[Diagnosis, Cloud | None]:
-    """Take a scan of a bench and judge it.
-
-    Parameters
-    ----------
-    bench : Bench
-        With or without faults.
-
-    Returns
-    -------
-    diagnosis : Diagnosis
-        What `fpplab scan` would say.
-    cloud : Cloud or None
-        Its points; None where there are none.
-    """
+    """Take a scan of a bench and judge it."""
     recording = bench.recording()
     decoded, cloud = decode(recording), None
     if decoded.valid.any():
@@ -325,20 +177,7 @@ def scanned_points(bench: Bench) -> tuple[Diagnosis, Cloud | None]:
 
 
 def error_mm(bench: Bench, cloud: Cloud) -> float:
-    """Compute how far points are off the board, where the true rays of their pixels meet it.
-
-    Parameters
-    ----------
-    bench : Bench
-        Whose board it is.
-    cloud : Cloud
-        Its points, at least one, with their pixels.
-
-    Returns
-    -------
-    float
-        Median distance in mm.
-    """
+    """Compute how far points are off the board, where the true rays of their pixels meet it."""
     camera, board = bench.parameters.calibration.camera, bench.parameters.poses[0]
     assert cloud.pixels is not None
     slopes = camera.normalise(cloud.pixels.astype(np.float64))

@@ -21,18 +21,7 @@ Key = tuple[str, str, int]
 
 
 class Record:
-    """Outcomes in a file of JSON lines, the first of which names the commit.
-
-    Parameters
-    ----------
-    path : Path
-        The file; made where there is none.
-
-    Raises
-    ------
-    ConfigError
-        The file is of another commit, or no record.
-    """
+    """Outcomes in a file of JSON lines, the first of which names the commit."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -53,51 +42,18 @@ class Record:
             self._known[judge, cause, seed] = TypeAdapter[Any](kind).validate_python(line["outcome"])
 
     def known(self, judge: Callable[[str, int], T], cause: str, seed: int) -> T | None:
-        """Find an outcome that an earlier run has left.
-
-        Parameters
-        ----------
-        judge : callable
-            Of the bench.
-        cause : str
-            Its fault.
-        seed : int
-            Of the bench.
-
-        Returns
-        -------
-        Judged or Followed or None
-            None where it has to be judged.
-        """
+        """Find an outcome that an earlier run has left."""
         return self._known.get((judge.__name__, cause, seed))
 
     def add(self, judge: Callable[[str, int], T], cause: str, seed: int, outcome: T) -> None:
-        """Write an outcome down.
-
-        Parameters
-        ----------
-        judge : callable
-            Of the bench.
-        cause : str
-            Its fault.
-        seed : int
-            Of the bench.
-        outcome : Judged or Followed
-            What the judge returned.
-        """
+        """Write an outcome down."""
         line = {"of": [judge.__name__, cause, seed], "outcome": asdict(outcome)}
         with self._path.open("a") as file:
             file.write(json.dumps(line) + "\n")
 
 
 def commit_of_checkout() -> str:
-    """Ask git for the commit of this checkout.
-
-    Returns
-    -------
-    str
-        Abbreviated, with "-dirty" where files differ from it; "unknown" outside of a repository.
-    """
+    """Ask git for the commit of this checkout."""
     command = ["git", "describe", "--always", "--dirty", "--exclude", "*"]
     done = subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, text=True, check=False)
     return done.stdout.strip() or "unknown"

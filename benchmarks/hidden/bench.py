@@ -39,81 +39,26 @@ FRAME_S = 0.05
 
 @dataclass(eq=False)
 class HiddenBench:
-    """An open hidden bench.
+    """An open hidden bench."""
 
-    Attributes
-    ----------
-    rig : Rig
-        Of the world, with the light of the effects.
-    world : World
-        The truth.
-    effects : Effects
-        The truth beyond it.
-    light : HiddenLight
-        Of both.
-    frames : int
-        Recorded so far: noise and all that changes with time follow from it.
-    """
-
-    rig: Rig
-    world: World
-    effects: Effects
-    light: HiddenLight
-    frames: int = field(default=0)
+    rig: Rig  # of the world, with the light of the effects
+    world: World  # the truth
+    effects: Effects  # the truth beyond it
+    light: HiddenLight  # of both
+    frames: int = field(default=0)  # recorded so far: noise and all that changes with time follow from it
 
     def response(self, exposure_s: float) -> Response:
-        """Measure the response on the card.
-
-        Parameters
-        ----------
-        exposure_s : float
-            In s.
-
-        Returns
-        -------
-        Response
-            As `fpplab gamma` fits it.
-        """
+        """Measure the response on the card."""
         self.rig.need_fixture("the benchmark").mount(CARD, 0)
         return measure_response(self.rig, exposure_s)[0]
 
     def board(self, plan: Plan, folder: Path) -> list[Session]:
-        """Record all poses of the board.
-
-        Parameters
-        ----------
-        plan : Plan
-            With both axes.
-        folder : Path
-            Gets `pose_00` …
-
-        Returns
-        -------
-        list of Session
-            In the order of the poses.
-        """
+        """Record all poses of the board."""
         poses = range(len(item_poses(self.world, BOARD)))
         return [self.record(plan, folder / f"pose_{pose:02d}", BOARD, pose) for pose in poses]
 
     def record(self, plan: Plan, path: Path, item: str, pose: int = 0) -> Session:
-        """Record a plan on an item.
-
-        Parameters
-        ----------
-        plan : Plan
-            The plan.
-        path : Path
-            Of the session; one that is there is replaced.
-        item : str
-            Of the world.
-        pose : int
-            Of the item.
-
-        Returns
-        -------
-        Session
-            Complete.
-        """
+        """Record a plan on an item."""
         return record_images(self.rig, plan, path, (item, pose), partial(self._images, item, pose))
 
     def _images(
@@ -159,26 +104,7 @@ def record_images(
     mount: tuple[str, int],
     images: Callable[[tuple[Pattern, ...], CameraSettings], Iterable[Image]],
 ) -> Session:
-    """Record images of a plan that the rig's own camera does not take.
-
-    Parameters
-    ----------
-    rig : Rig
-        Open; its devices state patterns and settings.
-    plan : Plan
-        The plan.
-    path : Path
-        Of the session; one that is there is replaced.
-    mount : tuple of str and int
-        Item and pose.
-    images : callable
-        Gives the images of the patterns, in their order.
-
-    Returns
-    -------
-    Session
-        Complete.
-    """
+    """Record images of a plan that the rig's own camera does not take."""
     caps, settings = rig.projector.caps, rig.camera_settings(plan.exposure_s, plan.bits)
     patterns = tuple(make_patterns(plan, caps.size, caps.lattice))
     session = Session.create(path, plan, rig.described(mount), force=True)
@@ -189,24 +115,7 @@ def record_images(
 
 @contextmanager
 def hidden_bench(seed: int, folder: Path, poses: int = 12, binning: int = 8) -> Iterator[HiddenBench]:
-    """Draw and open a hidden bench.
-
-    Parameters
-    ----------
-    seed : int
-        Of the bench, not negative.
-    folder : Path
-        Gets its rig and world file.
-    poses : int
-        Of the board.
-    binning : int
-        Of the camera.
-
-    Yields
-    ------
-    HiddenBench
-        With the world of `drawn_world` and the effects of `drawn_effects`.
-    """
+    """Draw and open a hidden bench."""
     world, effects = drawn_world(seed, poses, binning), drawn_effects(seed)
     path = write_rig(world, folder, "Hidden bench")
     with Rig.load(path) as rig:
@@ -217,22 +126,7 @@ def hidden_bench(seed: int, folder: Path, poses: int = 12, binning: int = 8) -> 
 
 
 def write_rig(world: World, folder: Path, name: str) -> Path:
-    """Write a world and a rig file of it.
-
-    Parameters
-    ----------
-    world : World
-        The world.
-    folder : Path
-        Where to.
-    name : str
-        Of the rig.
-
-    Returns
-    -------
-    Path
-        Of the rig file.
-    """
+    """Write a world and a rig file of it."""
     world.save(folder)
     path = config.find_config("rig_hidden", "rig")
     data = config.parse_yaml(config.read_text(path), path)

@@ -38,17 +38,7 @@ WIDEST_MM = 100.0
 
 
 class HiddenLight(Light):
-    """Light of a world with effects.
-
-    Parameters
-    ----------
-    world : World
-        The bench's.
-    blender : Blender
-        The process that renders.
-    effects : Effects
-        Of the bench.
-    """
+    """Light of a world with effects."""
 
     def __init__(self, world: World, blender: Blender, effects: Effects) -> None:
         super().__init__(world, blender, analytic=True)
@@ -57,38 +47,14 @@ class HiddenLight(Light):
         self._geometry: tuple[Setup, Floats, Floats] | None = None
 
     def irradiance(self, setup: Setup, show: Show | None, row_weights: Floats | None = None) -> PatternLevels:
-        """Compute the irradiance, that of the second lamp without its ripple.
-
-        Parameters
-        ----------
-        setup : Setup
-            State of the moving parts.
-        show : Show or None
-            Pattern on show; None where the projector is dark.
-        row_weights : Floats or None
-            As of `Light.irradiance`.
-
-        Returns
-        -------
-        PatternLevels
-            (height, width), 1 for white.
-        """
+        """Compute the irradiance, that of the second lamp without its ripple."""
+        # returns (height, width)
         seen = super().irradiance(setup, show, row_weights) * self._gain
         return np.asarray(seen + self.lamp(setup), np.float32)
 
     def lamp(self, setup: Setup) -> PatternLevels:
-        """Compute the light of the second lamp alone, without its ripple.
-
-        Parameters
-        ----------
-        setup : Setup
-            State of the moving parts.
-
-        Returns
-        -------
-        PatternLevels
-            (height, width), 1 for white.
-        """
+        """Compute the light of the second lamp alone, without its ripple."""
+        # returns (height, width)
         lamp = self.effects.lamp
         points, normals = self._surface(setup)
         to_lamp = np.array(lamp.place_mm) - points
@@ -174,22 +140,8 @@ class HiddenLight(Light):
 
 
 def falloff(of: Falloff, columns: Floats, rows: Floats, size: tuple[int, int]) -> Floats:
-    """Compute a falloff at places of an image.
-
-    Parameters
-    ----------
-    of : Falloff
-        Strength and centre.
-    columns, rows : ndarray of float64
-        Places in px, of any shape.
-    size : tuple of int
-        (width, height) of the image in px.
-
-    Returns
-    -------
-    ndarray of float64
-        Of the same shape, not below 0.
-    """
+    """Compute a falloff at places of an image."""
+    # size (width, height) px
     half = 0.5 * size[0]
     x, y = (columns + 0.5) / half - 1.0, (rows + 0.5 - 0.5 * size[1]) / half
     square = (x - of.centre[0]) ** 2 + (y - of.centre[1]) ** 2
@@ -197,20 +149,8 @@ def falloff(of: Falloff, columns: Floats, rows: Floats, size: tuple[int, int]) -
 
 
 def camera_gain(world: World, effects: Effects) -> Floats:
-    """Compute the camera's gain beside that of its world: a smooth part and one of every pixel.
-
-    Parameters
-    ----------
-    world : World
-        With the camera's size.
-    effects : Effects
-        Of the bench.
-
-    Returns
-    -------
-    ndarray of float64
-        (height, width).
-    """
+    """Compute the camera's gain beside that of its world: a smooth part and one of every pixel."""
+    # returns (height, width)
     width, height = world.camera.size
     rows, columns = np.mgrid[0:height, 0:width].astype(np.float64)
     smooth = falloff(effects.camera, columns, rows, (width, height))
@@ -219,22 +159,8 @@ def camera_gain(world: World, effects: Effects) -> Floats:
 
 
 def bend(board: Print, places_mm: Floats, half_mm: Floats) -> Floats:
-    """Compute the height of a bent board above its plane, along its own z.
-
-    Parameters
-    ----------
-    board : Print
-        Sag and twist.
-    places_mm : ndarray of float64
-        (..., 2) in the board's frame.
-    half_mm : ndarray of float64
-        (2,), half of its size.
-
-    Returns
-    -------
-    ndarray of float64
-        (...) in mm.
-    """
+    """Compute the height of a bent board above its plane, along its own z."""
+    # places_mm (..., 2); half_mm (2,)
     x, y = np.moveaxis(places_mm / half_mm, -1, 0)
     return np.asarray(board.sag_mm * (1.0 - 0.5 * (x**2 + y**2)) + board.twist_mm * x * y)
 

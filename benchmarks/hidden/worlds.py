@@ -18,27 +18,7 @@ MOVED, PAINTED = "pyramid_moved", "pyramid_painted"
 
 
 def drawn_world(seed: int, poses: int, binning: int) -> World:
-    """Draw a world around that of the data sheets.
-
-    Parameters
-    ----------
-    seed : int
-        Of the bench, not negative.
-    poses : int
-        Of the board.
-    binning : int
-        Of the camera.
-
-    Returns
-    -------
-    World
-        With a board, a grey card, `SHAPES`, `MOVED` and `PAINTED`.
-
-    Raises
-    ------
-    ConfigError
-        The drawn board finds no poses.
-    """
+    """Draw a world around that of the data sheets."""
     random = np.random.default_rng([seed, 0])
 
     def near(value: float, share: float) -> float:
@@ -124,16 +104,6 @@ def nominal_world(bench: World) -> World:
     """Give the twin's world before the matching: by the data sheets, with the parts where they stand.
 
     Where a part stands is part of the question, so the twin is told it; it is not of the card and the board.
-
-    Parameters
-    ----------
-    bench : World
-        A hidden bench.
-
-    Returns
-    -------
-    World
-        With the same items, of the data sheets' material.
     """
     data, known = _nominal(), bench.model_dump(mode="json")
     data["camera"]["binning"] = bench.camera.binning

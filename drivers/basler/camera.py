@@ -86,20 +86,6 @@ class BaslerCamera(GenicamCamera):
 
         Settings that would alter the raw sensor values (`RAW`) are reset after
         loading. A file that is refused may have been applied in part.
-
-        Parameters
-        ----------
-        path : Path
-            .pfs file, as saved by `save_features` or pylon Viewer.
-
-        Raises
-        ------
-        StateError
-            Frames are being taken, or the camera is not open.
-        ConfigError
-            The file cannot be read, or does not fit the camera.
-        DisconnectedError
-            The camera was unplugged.
         """
         self._need(State.IDLE, doing="load_features")
         text = config.read_text(path)
@@ -110,20 +96,7 @@ class BaslerCamera(GenicamCamera):
             self._known = self._read_caps()
 
     def save_features(self, path: Path) -> None:
-        """Write all settings of the camera to a .pfs file.
-
-        Parameters
-        ----------
-        path : Path
-            File to write.
-
-        Raises
-        ------
-        StateError
-            Frames are being taken, or the camera is not open.
-        DisconnectedError
-            The camera was unplugged.
-        """
+        """Write all settings of the camera to a .pfs file."""
         self._need(State.IDLE, doing="save_features")
         with self._guard("save_features"):
             text = pylon.FeaturePersistence.SaveToString(self._camera.GetNodeMap())

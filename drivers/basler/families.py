@@ -22,21 +22,11 @@ from drivers.genicam.options import RawGain
 
 @dataclass(frozen=True)
 class Family:
-    """Cameras that have the same nodes.
+    """Cameras that have the same nodes."""
 
-    Attributes
-    ----------
-    name : str
-        For messages.
-    models : str
-        Regular expression for the beginning of the model's name.
-    nodes : tuple of str
-        Nodes on which the driver relies, and that all models of the family have.
-    """
-
-    name: str
-    models: str
-    nodes: tuple[str, ...]
+    name: str  # for messages
+    models: str  # regular expression for the beginning of the model's name
+    nodes: tuple[str, ...]  # nodes on which the driver relies, and that all models of the family have
 
 
 _ALL = (
@@ -102,32 +92,10 @@ BASLER_RAW: RawSettings = (
 
 
 def family_of(model: str) -> Family | None:
-    """Find a model's family.
-
-    Parameters
-    ----------
-    model : str
-        Name as the camera tells it, such as acA2040-25gm.
-
-    Returns
-    -------
-    Family or None
-        None where the model belongs to no known family.
-    """
+    """Find a model's family."""
     return next((family for family in FAMILIES if re.match(family.models, model)), None)
 
 
 def raw_gain_of(model: str) -> RawGain | None:
-    """Find how GainRaw is meant by a model.
-
-    Parameters
-    ----------
-    model : str
-        Name as the camera tells it.
-
-    Returns
-    -------
-    RawGain or None
-        None where it is not known.
-    """
+    """Find how GainRaw is meant by a model."""
     return next((gain for models, gain in RAW_GAINS if re.match(models, model)), None)

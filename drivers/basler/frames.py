@@ -24,20 +24,7 @@ SPARE = 4
 
 
 class BufferPool:
-    """Number of grab buffers, and which of them are in use by arrays.
-
-    Parameters
-    ----------
-    waiting : int
-        Frames that may wait for the host.
-    frame_bytes : int
-        Size of one frame in bytes.
-
-    Attributes
-    ----------
-    size : int
-        Number of buffers that pylon is to allocate.
-    """
+    """Number of grab buffers, and which of them are in use by arrays."""
 
     def __init__(self, waiting: int, frame_bytes: int) -> None:
         self.size = min(waiting + SPARE, max(2 * SPARE, POOL_BYTES // frame_bytes))
@@ -48,17 +35,8 @@ class BufferPool:
 
         The array uses pylon's buffer while enough buffers remain for the transfer; otherwise, and for packed
         formats, it is a copy.
-
-        Parameters
-        ----------
-        result : pylon.GrabResult
-            A grab that succeeded.
-
-        Returns
-        -------
-        ndarray
-            Image (height, width): uint8 for Mono8, otherwise uint16.
         """
+        # returns (height, width)
         if result.GetPixelType() == pylon.PixelType_Mono12p:
             packed = np.frombuffer(result.GetImageMemoryView(), np.uint8)
             return unpack12(packed, result.GetHeight(), result.GetWidth(), result.GetPaddingX())

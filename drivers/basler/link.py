@@ -18,18 +18,7 @@ LOST = {
 
 
 def lost_on_link(nodes: Any) -> dict[str, int]:
-    """Read what the link has lost.
-
-    Parameters
-    ----------
-    nodes : pylon.NodeMap
-        Of the stream grabber.
-
-    Returns
-    -------
-    dict of str to int
-        What was lost, and how often; empty where nothing was, or where the link does not count.
-    """
+    """Read what the link has lost."""
     found: dict[str, int] = {}
     with suppress(genicam.GenericException):  # an unplugged camera; that is reported by its own error
         for what, name in LOST.items():

@@ -11,33 +11,11 @@ class Pylon:
     """Every camera that pylon's transport layers list: USB3 Vision, GigE Vision and its own emulator."""
 
     def cameras(self) -> dict[str, Any]:
-        """List the cameras that are connected now, opened or not.
-
-        Returns
-        -------
-        dict of str to pylon.DeviceInfo
-            Pylon's description of each camera, by serial number.
-        """
+        """List the cameras that are connected now, opened or not."""
         return {found.GetSerialNumber(): found for found in self._layer().EnumerateDevices()}
 
     def attach(self, info: Any) -> Any:
-        """Create pylon's handle of a camera.
-
-        Parameters
-        ----------
-        info : pylon.DeviceInfo
-            One of the values of `cameras`.
-
-        Returns
-        -------
-        pylon.InstantCamera
-            The camera, not open yet.
-
-        Raises
-        ------
-        pypylon.genicam.GenericException
-            The camera cannot be reached, or another program has it open.
-        """
+        """Create pylon's handle of a camera."""
         return pylon.InstantCamera(pylon.TlFactory.GetInstance().CreateDevice(info))
 
     def _layer(self) -> Any:

@@ -9,68 +9,26 @@ from fpplab.core.conventions import Floats
 
 
 def srgb_light(values: ArrayLike) -> Floats:
-    """Compute the light of pixel values.
-
-    Parameters
-    ----------
-    values : array of float
-        Pixel values, 0 to 1.
-
-    Returns
-    -------
-    ndarray of float64
-        Light, 1 for white.
-    """
+    """Compute the light of pixel values."""
     v = np.asarray(values, np.float64)
     return np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4)
 
 
 def srgb_values(light: ArrayLike) -> Floats:
-    """Compute the pixel values of light, the inverse of `srgb_light`.
-
-    Parameters
-    ----------
-    light : array of float
-        Light, 1 for white.
-
-    Returns
-    -------
-    ndarray of float64
-        Pixel values, 0 to 1.
-    """
+    """Compute the pixel values of light, the inverse of `srgb_light`."""
     x = np.asarray(light, np.float64)
     return np.where(x <= 0.04045 / 12.92, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
 
 
 def pixel_table(is_srgb: bool) -> NDArray[np.uint8]:
-    """Tabulate the pixel value to draw for each grey level of a pattern.
-
-    Parameters
-    ----------
-    is_srgb : bool
-        Whether light follows the pixel values by sRGB; in proportion otherwise.
-
-    Returns
-    -------
-    ndarray of uint8, (256,)
-        Pixel values.
-    """
+    """Tabulate the pixel value to draw for each grey level of a pattern."""
+    # returns (256,)
     greys = np.arange(256) / 255.0
     return np.asarray(np.rint(255.0 * (srgb_values(greys) if is_srgb else greys)), np.uint8)
 
 
 def light_table(is_srgb: bool) -> NDArray[np.uint8]:
-    """Tabulate the light of each pixel value, the other way round.
-
-    Parameters
-    ----------
-    is_srgb : bool
-        As for `pixel_table`.
-
-    Returns
-    -------
-    ndarray of uint8, (256,)
-        Light, rounded to 255 for white.
-    """
+    """Tabulate the light of each pixel value, the other way round."""
+    # returns (256,)
     values = np.arange(256) / 255.0
     return np.asarray(np.rint(255.0 * (srgb_light(values) if is_srgb else values)), np.uint8)

@@ -45,27 +45,13 @@ REMEDY = "check the display's cable and settings"
 
 @dataclass(frozen=True)
 class DisplayInfo:
-    """A display of this computer, as SDL tells it.
+    """A display of this computer, as SDL tells it."""
 
-    Attributes
-    ----------
-    index : int
-        Its number, from 0.
-    name : str
-        Its name, such as that of its connector or model.
-    size : tuple of int
-        Width and height in px, as it is set.
-    refresh_hz : int
-        Refresh rate in Hz, television rates as the whole number below; 0 where it is not told.
-    is_main : bool
-        Whether its upper left corner is the desktop's origin.
-    """
-
-    index: int
-    name: str
-    size: tuple[int, int]
-    refresh_hz: int
-    is_main: bool
+    index: int  # its number, from 0
+    name: str  # its name, such as that of its connector or model
+    size: tuple[int, int]  # width and height in px, as it is set
+    refresh_hz: int  # refresh rate in Hz, television rates as the whole number below; 0 where it is not told
+    is_main: bool  # whether its upper left corner is the desktop's origin
 
     def __str__(self) -> str:
         return "{} '{}' ({} x {})".format(self.index, self.name, *self.size)
@@ -73,64 +59,29 @@ class DisplayInfo:
 
 @dataclass(frozen=True)
 class OpenedScreen:
-    """What is known of a display once it is open, to be sent to the driver's process.
+    """What is known of a display once it is open, to be sent to the driver's process."""
 
-    Attributes
-    ----------
-    display : DisplayInfo
-        The display.
-    vsync_s : float
-        Its refresh period in s.
-    """
-
-    display: DisplayInfo
-    vsync_s: float
+    display: DisplayInfo  # the display
+    vsync_s: float  # its refresh period in s
 
 
 @dataclass(frozen=True)
 class ShowFrame:
-    """Command to show the frame in shared memory.
+    """Command to show the frame in shared memory."""
 
-    Attributes
-    ----------
-    refreshes : int or None
-        For how many refreshes, with black before and after; None until the next command.
-    """
-
-    refreshes: int | None = None
+    refreshes: int | None = None  # for how many refreshes, with black before and after
 
 
 @dataclass(frozen=True)
 class ScreenFailure:
-    """Description of a failure, to be sent to the driver's process.
+    """Description of a failure, to be sent to the driver's process."""
 
-    Attributes
-    ----------
-    found : str
-        What is wrong.
-    remedy : str
-        What the operator can do.
-    """
-
-    found: str
-    remedy: str
+    found: str  # what is wrong
+    remedy: str  # what the operator can do
 
 
 class ScreenError(Exception):
-    """The display is not, or no longer, usable as required.
-
-    Parameters
-    ----------
-    found : str
-        What is wrong.
-    remedy : str
-        What the operator can do.
-
-    Attributes
-    ----------
-    failure : ScreenFailure
-        Both, to be sent to the driver's process.
-    """
+    """The display is not, or no longer, usable as required."""
 
     def __init__(self, found: str, remedy: str = REMEDY) -> None:
         super().__init__(found)
@@ -143,15 +94,6 @@ def serve_screen(connection: Connection, wanted: int | str, size: tuple[int, int
     After opening an `OpenedScreen` is sent. The name of the shared memory for frames (red, green, blue of
     each pixel, row by row) is expected first, and then `ShowFrame` commands; after each the refresh period
     in s is sent. A `ScreenFailure` is sent instead if the display fails.
-
-    Parameters
-    ----------
-    connection : Connection
-        Receives the commands, sends the answers.
-    wanted : int or str
-        Index or name of the display.
-    size : tuple of int or None
-        Width and height that the display must have, in px; None for any.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the driver's process handles Ctrl-C
     with suppress(EOFError, OSError), libraries_silent():
@@ -171,13 +113,7 @@ def serve_screen(connection: Connection, wanted: int | str, size: tuple[int, int
 
 
 def serve_displays(connection: Connection) -> None:
-    """Send the list of displays, or a `ScreenFailure`.
-
-    Parameters
-    ----------
-    connection : Connection
-        Takes the answer.
-    """
+    """Send the list of displays, or a `ScreenFailure`."""
     try:
         with libraries_silent(), _video() as sdl:
             connection.send(_displays(sdl))
@@ -219,50 +155,13 @@ def _video() -> Iterator[Any]:
 
 @contextmanager
 def open_screen(wanted: int | str, size: tuple[int, int] | None = None) -> Iterator[Screen]:
-    """Open a display and show black; the display is released at the end of the context.
-
-    Parameters
-    ----------
-    wanted : int or str
-        Index or name of the display.
-    size : tuple of int, optional
-        Width and height that the display must have, in px; any by default.
-
-    Yields
-    ------
-    Screen
-        The open display.
-
-    Raises
-    ------
-    ScreenError
-        There is no such display, or it cannot be used as required.
-    """
+    """Open a display and show black; the display is released at the end of the context."""
     with _video() as sdl:
         yield Screen(sdl, wanted, size)
 
 
 class Screen:
-    """A window that covers a whole display.
-
-    Parameters
-    ----------
-    sdl : module
-        The module `sdl2`, initialised.
-    wanted : int or str
-        Index or name of the display.
-    size : tuple of int or None
-        Width and height that the display must have, in px; None for any.
-
-    Attributes
-    ----------
-    display : DisplayInfo
-        The display.
-    frame_bytes : int
-        Bytes of a frame.
-    vsync_s : float
-        Refresh period of the display in s.
-    """
+    """A window that covers a whole display."""
 
     def __init__(self, sdl: Any, wanted: int | str, size: tuple[int, int] | None) -> None:
         self._sdl = sdl
@@ -278,20 +177,7 @@ class Screen:
         self.vsync_s = self._locked_period_s(self.display.refresh_hz)
 
     def show(self, frame: bytes, refreshes: int | None = None) -> None:
-        """Show a frame and wait until it is transmitted.
-
-        Parameters
-        ----------
-        frame : bytes
-            Red, green and blue of each pixel, row by row.
-        refreshes : int, optional
-            For how many refreshes, with black before and after; by default it stays.
-
-        Raises
-        ------
-        ScreenError
-            The frame cannot be drawn, other pixels are read back, or the window is no longer in place.
-        """
+        """Show a frame and wait until it is transmitted."""
         self._upload(frame)
         self._draw()
         if self._read_back() != frame:
@@ -311,13 +197,7 @@ class Screen:
         self.process_events()
 
     def process_events(self) -> None:
-        """Process window events and check that the frame is still visible.
-
-        Raises
-        ------
-        ScreenError
-            The window was closed, hidden, moved or resized.
-        """
+        """Process window events and check that the frame is still visible."""
         sdl, event = self._sdl, self._sdl.SDL_Event()
         while sdl.SDL_PollEvent(byref(event)):
             if event.type == sdl.SDL_QUIT:
@@ -401,16 +281,5 @@ def _chosen(displays: list[DisplayInfo], wanted: int | str, size: tuple[int, int
 
 
 def vsync_period_s(reported_hz: int) -> float:
-    """Compute the refresh period from a reported rate, correcting television rates such as 59.94 Hz.
-
-    Parameters
-    ----------
-    reported_hz : int
-        Refresh rate in Hz as the display reports it: television rates as the whole number below.
-
-    Returns
-    -------
-    float
-        Refresh period in s.
-    """
+    """Compute the refresh period from a reported rate, correcting television rates such as 59.94 Hz."""
     return 1.0 / (reported_hz + (reported_hz + 1 in WHOLE_RATES_HZ))

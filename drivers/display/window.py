@@ -64,22 +64,6 @@ class SdlDisplay:
     """A full-screen window on a display through SDL, in a process of its own.
 
     SDL needs the main thread of a process. Frames are passed to it in shared memory.
-
-    Parameters
-    ----------
-    name : str
-        The projector's name, for errors.
-    wanted : int or str
-        Index or name of the display.
-    size : tuple of int or None
-        Width and height that the display must have, in px; None for any.
-
-    Attributes
-    ----------
-    vsync_s : float
-        Period of the video frames in s; known once open.
-    info : DisplayInfo or None
-        The display; known once open.
     """
 
     def __init__(self, name: str, wanted: int | str, size: tuple[int, int] | None) -> None:
@@ -96,20 +80,7 @@ class SdlDisplay:
         return self._process.pid if self._process is not None else None
 
     def open(self) -> None:
-        """Start the process and wait for the display.
-
-        Raises
-        ------
-        MissingExtraError
-            SDL is not installed.
-        DeviceError
-            There is no such display, it has another size (the message lists those present), or drawing does
-            not follow its refresh rate.
-        DisconnectedError
-            The process has died.
-        DeviceTimeoutError
-            The process does not answer.
-        """
+        """Start the process and wait for the display."""
         need_extra("sdl2")
         self.close()
         context = multiprocessing.get_context("spawn")  # SDL and threads do not survive a fork
@@ -132,26 +103,8 @@ class SdlDisplay:
         self._connection.send(self._memory.name)
 
     def show(self, frame: VideoFrame, refreshes: int | None = None) -> None:
-        """Show one frame; return when it is transmitted. After an error of the device the display is closed.
-
-        Parameters
-        ----------
-        frame : ndarray
-            uint8 (height, width, 3): red, green, blue.
-        refreshes : int, optional
-            For how many refreshes, with black before and after; by default it stays.
-
-        Raises
-        ------
-        ValueError
-            The frame has another shape or dtype.
-        DeviceError
-            The frame is not drawn as given.
-        DisconnectedError
-            The display is not open, or the process has died.
-        DeviceTimeoutError
-            The process does not answer.
-        """
+        """Show one frame; return when it is transmitted. A device error closes the display."""
+        # frame (height, width, 3)
         if self._connection is None or self._memory is None:
             raise DisconnectedError(self._name, "video", "its display is not open", "open it first")
         if frame.shape != self._shape or frame.dtype != np.uint8:
@@ -208,20 +161,7 @@ class SdlDisplay:
 
 
 def connected_displays() -> list[DisplayInfo]:
-    """List the displays of this computer, from a process of its own.
-
-    Returns
-    -------
-    list of DisplayInfo
-        All that SDL sees.
-
-    Raises
-    ------
-    MissingExtraError
-        SDL is not installed.
-    DeviceError
-        SDL finds none, or does not answer.
-    """
+    """List the displays of this computer, from a process of its own."""
     need_extra("sdl2")
     found = ask_apart(screen.serve_displays, patience_s=START_S)
     if isinstance(found, screen.ScreenFailure):

@@ -39,18 +39,7 @@ SETTLING_S = 5.0
 
 
 def delay_code(us: float) -> int:
-    """Convert a trigger delay to the controller's unit.
-
-    Parameters
-    ----------
-    us : float
-        Delay in µs.
-
-    Returns
-    -------
-    int
-        Delay in steps of 0.1072 µs, offset by `protocol.ZERO_DELAY`.
-    """
+    """Convert a trigger delay to the controller's unit."""
     return protocol.ZERO_DELAY + round(us / protocol.DELAY_STEP_US)
 
 
@@ -58,20 +47,6 @@ class ProjectorBoard:
     """The DLPC350 behind a link, without its sequences.
 
     Every method that sends commands may raise the errors of `Link.write` and `Link.read`.
-
-    Parameters
-    ----------
-    link : Link
-        Open link to the controller.
-    clock : Clock
-        For waits and time limits.
-    name : str
-        The projector's name, for errors.
-
-    Attributes
-    ----------
-    link : Link
-        The link to the controller.
     """
 
     def __init__(self, link: Link, clock: Clock, name: str) -> None:
@@ -81,13 +56,7 @@ class ProjectorBoard:
     # --- status and power
 
     def status(self) -> Status:
-        """Read the three status commands.
-
-        Returns
-        -------
-        Status
-            Hardware, system and main status.
-        """
+        """Read the three status commands."""
         link = self.link
         return Status(
             link.read(protocol.HARDWARE_STATUS),
@@ -96,61 +65,26 @@ class ProjectorBoard:
         )
 
     def check_health(self) -> None:
-        """Check that the controller has initialised and passed its memory test.
-
-        Raises
-        ------
-        DeviceError
-            It has not.
-        """
+        """Check that the controller has initialised and passed its memory test."""
         status = self.status()
         if not (status.hardware["initialised"] and status.system["memory_test_passed"]):
             raise DeviceError(self._name, "open", "; ".join(status.faults), "switch the projector off and on")
 
     def version(self, part: str = "application") -> str:
-        """Read the version of a part of the firmware.
-
-        Parameters
-        ----------
-        part : str
-            One of `protocol.PARTS`.
-
-        Returns
-        -------
-        str
-            Such as "4.4.0".
-        """
+        """Read the version of a part of the firmware."""
         read = self.link.read(protocol.VERSION)
         return ".".join(str(read[f"{part}_{field}"]) for field in ("major", "minor", "patch"))
 
     def firmware_tag(self) -> str:
-        """Read the firmware's name.
-
-        Returns
-        -------
-        str
-            Up to 32 ASCII characters.
-        """
+        """Read the firmware's name."""
         return self.link.read_bytes(protocol.FIRMWARE_TAG).split(b"\0")[0].decode("ascii", "replace")
 
     def is_standby(self) -> bool:
-        """Tell whether the projector is in standby.
-
-        Returns
-        -------
-        bool
-            True in standby.
-        """
+        """Tell whether the projector is in standby."""
         return bool(self.link.read(protocol.POWER)["standby"])
 
     def wake(self) -> None:
-        """Leave standby and wait for it.
-
-        Raises
-        ------
-        DeviceTimeoutError
-            The projector is still in standby after 5 s.
-        """
+        """Leave standby and wait for it."""
         with suppress(
             DeviceTimeoutError, ProtocolError
         ):  # its reply often fails while the projector wakes; the state is read below
@@ -164,13 +98,7 @@ class ProjectorBoard:
         self._until(awake, "wake", "is still in standby", WAKE_STEP_S, WAKE_S)
 
     def enter_standby(self) -> None:
-        """Switch the light off and enter standby, which is possible from video mode only.
-
-        Raises
-        ------
-        DeviceTimeoutError
-            The projector is still awake after 5 s.
-        """
+        """Switch the light off and enter standby, which is possible from video mode only."""
         self.go_dark()
         self.set_display_mode(DisplayMode.VIDEO)
         self.link.write(protocol.POWER, standby=1)
@@ -186,20 +114,7 @@ class ProjectorBoard:
     # --- light
 
     def set_led_levels(self, levels: Mapping[str, int], inverted: bool) -> None:
-        """Set the LED currents.
-
-        Parameters
-        ----------
-        levels : mapping of str to int
-            Level by colour, 0 (off) to 255 (full).
-        inverted : bool
-            Whether the board takes 255 for off and 0 for full.
-
-        Raises
-        ------
-        SettingError
-            A level is out of range.
-        """
+        """Set the LED currents."""
         for colour in COLOURS:
             if not 0 <= levels[colour] <= LED_FULL:
                 raise SettingError(
@@ -211,13 +126,7 @@ class ProjectorBoard:
         )
 
     def switch_on_leds(self, colours: Collection[str]) -> None:
-        """Switch LEDs on by hand, without a sequence, at the currents that are set; the others are off.
-
-        Parameters
-        ----------
-        colours : collection of str
-            Those that are on.
-        """
+        """Switch LEDs on by hand, without a sequence, at the currents that are set; the others are off."""
         self.link.write(
             protocol.LED_ENABLE, sequenced=0, **{colour: int(colour in colours) for colour in COLOURS}
         )
@@ -241,11 +150,6 @@ class ProjectorBoard:
 
         If the light cannot be switched off, a note is added to the original exception, which is raised in any
         case.
-
-        Yields
-        ------
-        None
-            The context.
         """
         try:
             yield
@@ -271,22 +175,7 @@ class ProjectorBoard:
             self.link.write(command, on=0)
 
     def set_trigger_out_1(self, inverted: bool, rising_us: float, falling_us: float) -> None:
-        """Configure trigger output 1, which is active while a pattern is shown.
-
-        Parameters
-        ----------
-        inverted : bool
-            Whether the output is active low.
-        rising_us : float
-            Delay of the rising edge in µs, -20.05 to 2.79.
-        falling_us : float
-            Delay of the falling edge in µs, -20.05 to 2.79.
-
-        Raises
-        ------
-        SettingError
-            A delay is out of range.
-        """
+        """Configure trigger output 1, which is active while a pattern is shown."""
         self.link.write(
             protocol.TRIGGER_OUT_1,
             inverted=int(inverted),
@@ -295,35 +184,11 @@ class ProjectorBoard:
         )
 
     def set_trigger_out_2(self, inverted: bool, rising_us: float) -> None:
-        """Configure trigger output 2, which pulses once in a run.
-
-        Parameters
-        ----------
-        inverted : bool
-            Whether the output is active low.
-        rising_us : float
-            Delay of the rising edge in µs, -20.05 to 2.79.
-
-        Raises
-        ------
-        SettingError
-            The delay is out of range.
-        """
+        """Configure trigger output 2, which pulses once in a run."""
         self.link.write(protocol.TRIGGER_OUT_2, inverted=int(inverted), rising=delay_code(rising_us))
 
     def set_display_mode(self, mode: DisplayMode) -> None:
-        """Change between video and pattern mode, and wait for the change.
-
-        Parameters
-        ----------
-        mode : DisplayMode
-            The mode to enter.
-
-        Raises
-        ------
-        DeviceTimeoutError
-            The mode is not entered within 2 s.
-        """
+        """Change between video and pattern mode, and wait for the change."""
         if self._mode() == mode:
             return
         if mode is DisplayMode.PATTERN:  # with a test pattern selected the USB link was lost on the way back
@@ -337,11 +202,6 @@ class ProjectorBoard:
         """Select 24-bit frames from the parallel port (HDMI), and wait until their signal is locked.
 
         To be called before patterns from the video port are prepared.
-
-        Raises
-        ------
-        DeviceTimeoutError
-            There is no stable signal within 1.5 s.
         """
         self.set_display_mode(DisplayMode.VIDEO)
         self.link.write(protocol.INPUT_SOURCE, **PARALLEL_24_BIT)
@@ -351,13 +211,7 @@ class ProjectorBoard:
         self._until(self.is_locked, "video", "no signal is locked on the video port", LOCK_STEP_S, LOCK_S)
 
     def show_test_pattern(self, name: str) -> None:
-        """Show an internal test pattern, white on black, lit by the LEDs at their present currents.
-
-        Parameters
-        ----------
-        name : str
-            One of `protocol.TEST_PATTERNS`.
-        """
+        """Show an internal test pattern, white on black, lit by the LEDs at their present currents."""
         self.go_dark()
         self.set_display_mode(DisplayMode.VIDEO)
         self.link.write(protocol.INPUT_SOURCE, **INTERNAL_TEST_PATTERN)
@@ -368,50 +222,21 @@ class ProjectorBoard:
         self.link.write(protocol.LED_ENABLE, red=0, green=0, blue=0, sequenced=1)
 
     def is_locked(self) -> bool:
-        """Tell whether the video port has a stable signal.
-
-        Returns
-        -------
-        bool
-            True when the signal is locked.
-        """
+        """Tell whether the video port has a stable signal."""
         return self.link.read(protocol.VIDEO_SIGNAL)["lock"] == protocol.LOCKED
 
     def images_in_flash(self) -> int:
-        """Read the number of images in flash.
-
-        Returns
-        -------
-        int
-            Number of images; 0 may also mean 256.
-        """
+        """Read the number of images in flash."""
         return self.link.read(protocol.IMAGES_IN_FLASH)["count"]
 
     def image_load_us(self, image: int) -> int:
-        """Measure the load time of a flash image.
-
-        Parameters
-        ----------
-        image : int
-            Its index.
-
-        Returns
-        -------
-        int
-            Load time in µs, rounded up.
-        """
+        """Measure the load time of a flash image."""
         self.link.write(protocol.IMAGE_LOAD_TIMING, first=image, count=1)
         ticks = self.link.read(protocol.IMAGE_LOAD_TIMING)["ticks"]
         return -(-1000 * ticks // protocol.TICKS_PER_MS)
 
     def stop(self) -> None:
-        """Stop the sequence and wait for it; the next start begins at its first pattern.
-
-        Raises
-        ------
-        DeviceTimeoutError
-            The sequence still runs after 2 s.
-        """
+        """Stop the sequence and wait for it; the next start begins at its first pattern."""
         self.link.write(protocol.SEQUENCE, run=Run.STOP)
         self._until(
             lambda: self.link.read(protocol.SEQUENCE)["run"] == Run.STOP,

@@ -41,34 +41,13 @@ class Controller(ProjectorBoard):
 
         The LEDs stay off until the start: if the cable fails before, the light could not be switched off any
         more.
-
-        Parameters
-        ----------
-        program : Program
-            The sequence.
-
-        Raises
-        ------
-        ProtocolError
-            The sequence is not valid, or does not run.
         """
         self.leds_off()
         self.prepare(program)
         self.start(program)
 
     def prepare(self, program: Program) -> None:
-        """Stop, configure a sequence and have the controller validate it.
-
-        Parameters
-        ----------
-        program : Program
-            The sequence.
-
-        Raises
-        ------
-        ProtocolError
-            The sequence is not valid; the message contains the controller's objections.
-        """
+        """Stop, configure a sequence and have the controller validate it."""
         self.set_display_mode(DisplayMode.PATTERN)
         self.stop()
         self.link.write(protocol.PATTERN_SOURCE, source=program.source)
@@ -84,13 +63,6 @@ class Controller(ProjectorBoard):
 
         Warnings do not keep a sequence from running: patterns from the video port always have that of missing
         black. They are kept, for the case that it does not run.
-
-        Raises
-        ------
-        ProtocolError
-            There is an error.
-        DeviceTimeoutError
-            The validation does not end within 2 s.
         """
         self.link.write(protocol.VALIDATE)
         found = self.link.read(protocol.VALIDATE)
@@ -113,16 +85,6 @@ class Controller(ProjectorBoard):
         A board may show a little later that it runs, and may ignore the first order: other clients order
         twice. A sequence that may end before it is shown to run is ordered twice at once, which has no effect
         while it runs; but once only, where the second order may come after its end.
-
-        Parameters
-        ----------
-        program : Program
-            The sequence that was prepared.
-
-        Raises
-        ------
-        ProtocolError
-            The sequence does not run.
         """
         self.link.write(protocol.LED_ENABLE, red=0, green=0, blue=0, sequenced=1)
         standing = hardware_faults(self.link.read(protocol.HARDWARE_STATUS))
@@ -163,18 +125,7 @@ class Controller(ProjectorBoard):
             self._clock.sleep(START_STEP_S)
 
     def await_end(self, program: Program) -> None:
-        """Wait until a sequence that is not repeated has ended; it may begin with a wait for a video frame.
-
-        Parameters
-        ----------
-        program : Program
-            The sequence that was started.
-
-        Raises
-        ------
-        DeviceTimeoutError
-            The sequence still runs 1 s after its duration.
-        """
+        """Wait until a sequence that is not repeated has ended, a first wait for a video frame included."""
         self._until(
             lambda: not self.link.read(protocol.MAIN_STATUS)["running"],
             "play",
@@ -184,13 +135,7 @@ class Controller(ProjectorBoard):
         )
 
     def has_forced_swap(self) -> bool:
-        """Tell whether an image was loaded too late and an older one was shown in its place.
-
-        Returns
-        -------
-        bool
-            The forced-swap error of the hardware status.
-        """
+        """Tell whether an image was loaded too late and an older one was shown in its place."""
         return bool(self.link.read(protocol.HARDWARE_STATUS)["forced_swap_error"])
 
     def _configure(self, program: Program) -> None:

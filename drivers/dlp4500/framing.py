@@ -32,40 +32,20 @@ DESTINATION = 0x07
 
 
 class Header(NamedTuple):
-    """The first four bytes of a message.
+    """The first four bytes of a message."""
 
-    Attributes
-    ----------
-    flags : int
-        Combination of `READ`, `REPLY_WANTED` and `ERROR`.
-    sequence : int
-        Sequence number, 0 to 255.
-    length : int
-        Bytes of payload.
-    """
-
-    flags: int
-    sequence: int
-    length: int
+    flags: int  # combination of `READ`, `REPLY_WANTED` and `ERROR`
+    sequence: int  # sequence number, 0 to 255
+    length: int  # bytes of payload
 
 
 @dataclass(frozen=True)
 class UsbMessage:
-    """One request or one reply.
+    """One request or one reply."""
 
-    Attributes
-    ----------
-    flags : int
-        Combination of `READ`, `REPLY_WANTED` and `ERROR`.
-    sequence : int
-        Sequence number, 0 to 255.
-    payload : bytes
-        Up to 508 bytes: command and data of a request, data of a reply.
-    """
-
-    flags: int
-    sequence: int
-    payload: bytes = b""
+    flags: int  # combination of `READ`, `REPLY_WANTED` and `ERROR`
+    sequence: int  # sequence number, 0 to 255
+    payload: bytes = b""  # up to 508 bytes: command and data of a request, data of a reply
 
     @property
     def failed(self) -> bool:
@@ -73,18 +53,7 @@ class UsbMessage:
         return bool(self.flags & ERROR)
 
     def reports(self) -> list[bytes]:
-        """Split the message into USB reports.
-
-        Returns
-        -------
-        list of bytes
-            Reports of 64 bytes each, the last one padded with zeros.
-
-        Raises
-        ------
-        ValueError
-            The payload has more than 508 bytes.
-        """
+        """Split the message into USB reports."""
         if len(self.payload) > MOST_PAYLOAD:
             raise ValueError(f"a payload of {len(self.payload)} bytes: at most {MOST_PAYLOAD}")
         whole = struct.pack("<BBH", self.flags, self.sequence, len(self.payload)) + self.payload
@@ -95,45 +64,12 @@ class UsbMessage:
 
 
 def make_request(command: int, data: bytes, sequence: int, flags: int) -> UsbMessage:
-    """Build a request.
-
-    Parameters
-    ----------
-    command : int
-        Number of the command, 16 bits.
-    data : bytes
-        Data of the command.
-    sequence : int
-        Sequence number, 0 to 255.
-    flags : int
-        Combination of `READ` and `REPLY_WANTED`.
-
-    Returns
-    -------
-    UsbMessage
-        The request.
-    """
+    """Build a request."""
     return UsbMessage(flags, sequence, struct.pack("<H", command) + data)
 
 
 def parse_header(report: bytes) -> Header:
-    """Parse the header in the first report of a message.
-
-    Parameters
-    ----------
-    report : bytes
-        The report, 64 bytes.
-
-    Returns
-    -------
-    Header
-        Its header.
-
-    Raises
-    ------
-    ValueError
-        The report does not have 64 bytes, or the length exceeds that of any message.
-    """
+    """Parse the header in the first report of a message."""
     if len(report) != REPORT_BYTES:
         raise ValueError(f"a report of {len(report)} bytes: {REPORT_BYTES}")
     found = Header(*struct.unpack_from("<BBH", report))
@@ -143,39 +79,12 @@ def parse_header(report: bytes) -> Header:
 
 
 def continuation_reports(length: int) -> int:
-    """Count the reports that follow the first one of a message.
-
-    Parameters
-    ----------
-    length : int
-        Bytes of the message's payload.
-
-    Returns
-    -------
-    int
-        Number of further reports.
-    """
+    """Count the reports that follow the first one of a message."""
     return max(0, -(-(length - FIRST_BYTES) // REPORT_BYTES))
 
 
 def join_reports(reports: Sequence[bytes]) -> UsbMessage:
-    """Reassemble a message from its reports.
-
-    Parameters
-    ----------
-    reports : sequence of bytes
-        All reports of one message, in order.
-
-    Returns
-    -------
-    UsbMessage
-        The message.
-
-    Raises
-    ------
-    ValueError
-        Number or size of the reports does not agree with the header.
-    """
+    """Reassemble a message from its reports."""
     flags, sequence, length = parse_header(reports[0])
     if len(reports) != 1 + continuation_reports(length) or any(len(r) != REPORT_BYTES for r in reports):
         raise ValueError(f"{len(reports)} reports for a payload of {length} bytes")

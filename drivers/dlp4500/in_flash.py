@@ -26,22 +26,7 @@ from fpplab.patterns.fringes import Pattern
 
 
 class InFlash:
-    """Storage of patterns in flash, found by an index file.
-
-    Parameters
-    ----------
-    name : str
-        The projector's name, for errors.
-    index_file : str
-        Index of the patterns in flash, see `drivers.dlp4500.index`.
-    leds : tuple of str
-        Colours of the LEDs that light the patterns.
-
-    Raises
-    ------
-    ConfigError
-        The index cannot be read.
-    """
+    """Storage of patterns in flash, found by an index file."""
 
     def __init__(self, name: str, index_file: str, leds: tuple[str, ...]) -> None:
         self._name, self._file, self._leds = name, index_file, leds
@@ -68,18 +53,7 @@ class InFlash:
         return LEAST_EXPOSURE_US[max(self.depths)]
 
     def open(self, board: Controller) -> None:
-        """Enter pattern mode and compare the index with the number of images in flash.
-
-        Parameters
-        ----------
-        board : Controller
-            The projector's controller.
-
-        Raises
-        ------
-        ConfigError
-            The index names images that are not in flash.
-        """
+        """Enter pattern mode and compare the index with the number of images in flash."""
         self._slots: list[Slot] = []
         self._load_us: dict[int, int] = {}
         self._played = self._forced_before = False
@@ -104,22 +78,7 @@ class InFlash:
         """Do nothing: flash keeps its contents."""
 
     def load(self, board: Controller, patterns: Sequence[Pattern]) -> None:
-        """Find each pattern in flash, and measure the load times where more than two images are needed.
-
-        Parameters
-        ----------
-        board : Controller
-            The projector's controller.
-        patterns : sequence of Pattern
-            Patterns with the grey levels that the mirrors show.
-
-        Raises
-        ------
-        CapabilityError
-            A pattern is not in flash.
-        SettingError
-            There are too many patterns or images.
-        """
+        """Find each pattern in flash, and measure the load times where more than two images are needed."""
         slots = [self._find(pattern) for pattern in patterns]
         if _changes(slots) > PRELOADED_IMAGES:
             board.go_dark()  # the measurement is forbidden while patterns from flash are shown
@@ -130,38 +89,13 @@ class InFlash:
         self._slots = slots
 
     def show(self, board: Controller, i: int) -> None:
-        """Show one pattern until told otherwise.
-
-        Parameters
-        ----------
-        board : Controller
-            The projector's controller.
-        i : int
-            Index of the pattern.
-        """
+        """Show one pattern until told otherwise."""
         slot = self._slots[i]
         with board.dark_on_failure():
             board.run(still_program(slot, LEAST_EXPOSURE_US[slot.bits], self._leds))
 
     def play(self, board: Controller, exposure_us: int, dark_us: int, period_us: int) -> None:
-        """Start a run of all patterns; returns once it has begun.
-
-        Parameters
-        ----------
-        board : Controller
-            The projector's controller.
-        exposure_us : int
-            Exposure of each pattern in µs.
-        dark_us : int
-            Dark time after each pattern in µs.
-        period_us : int
-            Time from pattern to pattern in µs, at least.
-
-        Raises
-        ------
-        SettingError
-            The exposure is out of range.
-        """
+        """Start a run of all patterns; returns once it has begun."""
         program = self._program(self._slots, exposure_us, dark_us, period_us)
         with board.dark_on_failure():
             self._forced_before = board.has_forced_swap()
@@ -169,18 +103,7 @@ class InFlash:
         self._played = True
 
     def check_played(self, board: Controller) -> None:
-        """Check that every image was loaded in time.
-
-        Parameters
-        ----------
-        board : Controller
-            The projector's controller.
-
-        Raises
-        ------
-        SyncError
-            An older image was shown in place of one that was loaded too late.
-        """
+        """Check that every image was loaded in time."""
         played, self._played = self._played, False
         if played and not self._forced_before and board.has_forced_swap():
             raise SyncError(

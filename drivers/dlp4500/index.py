@@ -24,35 +24,15 @@ from fpplab.patterns.fringes import Pattern, quantise
 
 
 def shown_image(pattern: Pattern) -> NDArray[np.uint8]:
-    """Compute the grey levels that the mirrors show of a pattern at its bit depth.
-
-    Parameters
-    ----------
-    pattern : Pattern
-        The pattern.
-
-    Returns
-    -------
-    ndarray
-        uint8 (height, width), scale 0 to 255.
-    """
+    """Compute the grey levels that the mirrors show of a pattern at its bit depth."""
+    # returns (height, width)
     levels = quantise(np.arange(256) / 255.0, pattern.bit_depth)
     return np.asarray(levels[pattern.image], np.uint8)
 
 
 def index_checksum(image: NDArray[np.uint8]) -> str:
-    """Compute the checksum by which a pattern is identified.
-
-    Parameters
-    ----------
-    image : ndarray
-        Grey levels, uint8 (height, width).
-
-    Returns
-    -------
-    str
-        SHA-256 of the grey levels row by row, in hexadecimal.
-    """
+    """Compute the checksum by which a pattern is identified."""
+    # image (height, width)
     return hashlib.sha256(image.tobytes()).hexdigest()
 
 
@@ -77,22 +57,7 @@ class FlashPattern(Document):
 
     @classmethod
     def of(cls, pattern: Pattern, image: int, number: int) -> FlashPattern:
-        """Create the entry of a pattern.
-
-        Parameters
-        ----------
-        pattern : Pattern
-            The pattern.
-        image : int
-            Index of the flash image.
-        number : int
-            Pattern number within the image.
-
-        Returns
-        -------
-        FlashPattern
-            The entry.
-        """
+        """Create the entry of a pattern."""
         return cls(
             id=pattern.id,
             image=image,
@@ -110,20 +75,7 @@ class FlashIndex(Document):
 
     @classmethod
     def of(cls, patterns: Sequence[Pattern], slots: Sequence[Slot]) -> FlashIndex:
-        """Create the index of patterns.
-
-        Parameters
-        ----------
-        patterns : sequence of Pattern
-            The patterns.
-        slots : sequence of Slot
-            Their locations, in the same order.
-
-        Returns
-        -------
-        FlashIndex
-            The index.
-        """
+        """Create the index of patterns."""
         places = zip(patterns, slots, strict=True)
         return cls(patterns=tuple(FlashPattern.of(p, at.image, at.number) for p, at in places))
 
@@ -133,21 +85,6 @@ class FlashIndex(Document):
         return {pattern.bits for pattern in self.patterns}
 
     def find(self, name: str, bits: int, sha256: str) -> FlashPattern | None:
-        """Find a pattern by its contents.
-
-        Parameters
-        ----------
-        name : str
-            Name of the pattern; decides among several with the same contents.
-        bits : int
-            Bit depth.
-        sha256 : str
-            Checksum, see `index_checksum`.
-
-        Returns
-        -------
-        FlashPattern or None
-            The entry; None where flash holds no such pattern.
-        """
+        """Find a pattern by its contents."""
         alike = [p for p in self.patterns if (p.bits, p.sha256) == (bits, sha256)]
         return next((p for p in alike if p.id == name), alike[0] if alike else None)

@@ -15,48 +15,19 @@ Values = dict[str, int]
 
 @dataclass(frozen=True)
 class RegisterField:
-    """One number in a register.
+    """One number in a register."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the value; empty for reserved bits, which are zero when packed and ignored when unpacked.
-    bits : int
-        Width in bits.
-    allowed : sequence of int
-        Allowed values; empty for all that the bits hold.
-    offset : int
-        Subtracted from the value when it is packed, added when it is unpacked.
-    """
-
-    name: str
-    bits: int
-    allowed: Sequence[int] = ()
-    offset: int = 0
+    name: str  # name of the value
+    bits: int  # width in bits
+    allowed: Sequence[int] = ()  # allowed values; empty for all that the bits hold
+    offset: int = 0  # subtracted from the value when it is packed, added when it is unpacked
 
     def values(self) -> Sequence[int]:
-        """List the allowed values.
-
-        Returns
-        -------
-        sequence of int
-            `allowed`, or the range that the bits hold.
-        """
+        """List the allowed values."""
         return self.allowed or range(self.offset, (1 << self.bits) + self.offset)
 
     def check(self, value: int) -> None:
-        """Check that a value is allowed.
-
-        Parameters
-        ----------
-        value : int
-            The value.
-
-        Raises
-        ------
-        ValueError
-            It is not allowed.
-        """
+        """Check that a value is allowed."""
         allowed = self.values()
         if value not in allowed:
             words = f"{allowed[0]} to {allowed[-1]}" if isinstance(allowed, range) else f"one of {allowed}"
@@ -65,15 +36,9 @@ class RegisterField:
 
 @dataclass(frozen=True)
 class RegisterLayout:
-    """Bit fields, from the lowest bit of the first byte on.
+    """Bit fields, from the lowest bit of the first byte on."""
 
-    Attributes
-    ----------
-    fields : tuple of RegisterField
-        The fields, reserved ones included.
-    """
-
-    fields: tuple[RegisterField, ...] = ()
+    fields: tuple[RegisterField, ...] = ()  # the fields, reserved ones included
 
     @property
     def size(self) -> int:
@@ -86,23 +51,7 @@ class RegisterLayout:
         return [field for field in self.fields if field.name]
 
     def pack(self, values: Mapping[str, int]) -> bytes:
-        """Encode values.
-
-        Parameters
-        ----------
-        values : mapping of str to int
-            A value for each field that is not reserved.
-
-        Returns
-        -------
-        bytes
-            The encoded fields, `size` bytes.
-
-        Raises
-        ------
-        ValueError
-            A field is missing, unknown or out of range.
-        """
+        """Encode values."""
         names = {field.name for field in self.named}
         if names != set(values):
             raise ValueError(f"the fields are {sorted(names)}, given are {sorted(values)}")
@@ -115,23 +64,7 @@ class RegisterLayout:
         return word.to_bytes(self.size, "little")
 
     def unpack(self, data: bytes) -> Values:
-        """Decode values.
-
-        Parameters
-        ----------
-        data : bytes
-            The encoded fields.
-
-        Returns
-        -------
-        dict of str to int
-            A value for each field that is not reserved.
-
-        Raises
-        ------
-        ValueError
-            The size is wrong, or a field is out of range.
-        """
+        """Decode values."""
         if len(data) != self.size:
             raise ValueError(f"{len(data)} bytes of data: {self.size}")
         word, found = int.from_bytes(data, "little"), {}
@@ -145,32 +78,13 @@ class RegisterLayout:
 
 @dataclass(frozen=True)
 class RawBytes:
-    """Data without a bit-field layout.
+    """Data without a bit-field layout."""
 
-    Attributes
-    ----------
-    least : int
-        Smallest number of bytes.
-    most : int
-        Largest number of bytes.
-    """
-
-    least: int
-    most: int
+    least: int  # smallest number of bytes
+    most: int  # largest number of bytes
 
     def check(self, data: bytes) -> None:
-        """Check the number of bytes.
-
-        Parameters
-        ----------
-        data : bytes
-            The data.
-
-        Raises
-        ------
-        ValueError
-            Their number is out of range.
-        """
+        """Check the number of bytes."""
         if not self.least <= len(data) <= self.most:
             raise ValueError(f"{len(data)} bytes of data: {self.least} to {self.most}")
 
@@ -180,27 +94,11 @@ Layout = RegisterLayout | RawBytes
 
 @dataclass(frozen=True)
 class Command:
-    """One command of the controller.
+    """One command of the controller."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the command, for errors.
-    number : int
-        Number of the command, 16 bits.
-    written : RegisterLayout or RawBytes or None
-        Data of a write; None for a command that can only be read.
-    returned : RegisterLayout or RawBytes or None
-        Data of the reply to a read; None for a command that can only be written.
-    selector : RegisterLayout
-        Data of a read request.
-    acknowledged : bool
-        Whether a write asks for a reply.
-    """
-
-    name: str
-    number: int
-    written: Layout | None = None
-    returned: Layout | None = None
-    selector: RegisterLayout = RegisterLayout()
-    acknowledged: bool = True
+    name: str  # name of the command, for errors
+    number: int  # number of the command, 16 bits
+    written: Layout | None = None  # data of a write; None for a command that can only be read
+    returned: Layout | None = None  # data of the reply to a read; None for a command that can only be written
+    selector: RegisterLayout = RegisterLayout()  # data of a read request
+    acknowledged: bool = True  # whether a write asks for a reply

@@ -28,19 +28,7 @@ MOST_IN_FRAME = len(pattern_numbers(1))
 
 
 class OnVideo:
-    """Storage of patterns in the computer's memory, sent over the video port.
-
-    Parameters
-    ----------
-    name : str
-        The projector's name, for errors.
-    display : Display
-        The display that the video port is connected to.
-    clock : Clock
-        For waits.
-    leds : tuple of str
-        Colours of the LEDs that light the patterns.
-    """
+    """Storage of patterns in the computer's memory, sent over the video port."""
 
     def __init__(self, name: str, display: Display, clock: Clock, leds: tuple[str, ...]) -> None:
         self._name, self._display, self._clock, self._leds = name, display, clock, leds
@@ -80,19 +68,7 @@ class OnVideo:
         return self._frame_us
 
     def open(self, board: Controller) -> None:
-        """Open the display, and have the projector synchronise to its signal before pattern mode.
-
-        Parameters
-        ----------
-        board : Controller
-            The projector's controller.
-
-        Raises
-        ------
-        DeviceError
-            The display cannot be used, or there is no stable signal (see `Display.open`,
-            `Controller.select_video`).
-        """
+        """Open the display, and have the projector synchronise to its signal before pattern mode."""
         self._display.open()
         board.select_video()
         board.set_display_mode(DisplayMode.PATTERN)
@@ -103,15 +79,7 @@ class OnVideo:
         self._display.close()
 
     def load(self, board: Controller, patterns: Sequence[Pattern]) -> None:
-        """Assign the patterns to frames.
-
-        Parameters
-        ----------
-        board : Controller
-            The projector's controller.
-        patterns : sequence of Pattern
-            Patterns with the grey levels that the mirrors show.
-        """
+        """Assign the patterns to frames."""
         self._patterns, self._slots, self._displayed_image = (
             patterns,
             assign_slots(patterns, MOST_IN_FRAME),
@@ -119,15 +87,7 @@ class OnVideo:
         )
 
     def show(self, board: Controller, i: int) -> None:
-        """Show one pattern in every frame, for the whole frame.
-
-        Parameters
-        ----------
-        board : Controller
-            The projector's controller.
-        i : int
-            Index of the pattern.
-        """
+        """Show one pattern in every frame, for the whole frame."""
         slot = self._slots[i]
         program = video_program([slot], self._frame_us, self._frame_us, self._leds, repeat=True)
         with board.dark_on_failure():
@@ -141,24 +101,6 @@ class OnVideo:
 
         Patterns of one frame follow each other at once. Where pulses have to be farther apart, every pattern
         has a frame of its own.
-
-        Parameters
-        ----------
-        board : Controller
-            The projector's controller.
-        exposure_us : int
-            Exposure of each pattern in µs.
-        dark_us : int
-            Dark time after each pattern in µs; only 0 is possible.
-        period_us : int
-            Time from trigger pulse to trigger pulse in µs, at least.
-
-        Raises
-        ------
-        SettingError
-            The exposure is longer than a frame.
-        CapabilityError
-            Dark time is asked for.
         """
         if dark_us:
             raise CapabilityError(
@@ -179,13 +121,7 @@ class OnVideo:
             self._play_frames(board, exposure_us, period_us)
 
     def check_played(self, board: Controller) -> None:
-        """Do nothing: `play` has waited for the end of every frame.
-
-        Parameters
-        ----------
-        board : Controller
-            The projector's controller.
-        """
+        """Do nothing: `play` has waited for the end of every frame."""
 
     @property
     def _frame_us(self) -> int:

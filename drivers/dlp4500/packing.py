@@ -17,20 +17,7 @@ Planes = NDArray[np.uint8]
 
 
 def assign_slots(patterns: Sequence[Pattern], most: int) -> list[Slot]:
-    """Assign patterns to frames in their order, as many of equal bit depth to a frame as it holds.
-
-    Parameters
-    ----------
-    patterns : sequence of Pattern
-        The patterns.
-    most : int
-        Largest number of patterns in a frame.
-
-    Returns
-    -------
-    list of Slot
-        Location of each pattern.
-    """
+    """Assign patterns to frames in their order, as many of equal bit depth to a frame as it holds."""
     slots: list[Slot] = []
     for pattern in patterns:
         image, number, bits = -1, 0, pattern.bit_depth
@@ -43,20 +30,7 @@ def assign_slots(patterns: Sequence[Pattern], most: int) -> list[Slot]:
 
 
 def pack_images(patterns: Sequence[Pattern], slots: Sequence[Slot]) -> Iterator[Planes]:
-    """Pack patterns into images.
-
-    Parameters
-    ----------
-    patterns : sequence of Pattern
-        The patterns.
-    slots : sequence of Slot
-        Their locations, in the same order and by image.
-
-    Yields
-    ------
-    ndarray
-        One image after the other, see `Planes`; unused bit planes are black.
-    """
+    """Pack patterns into images."""
     width, height = SIZE
     placed = zip(patterns, slots, strict=True)
     for _, group in groupby(placed, key=lambda pair: pair[1].image):

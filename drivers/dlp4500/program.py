@@ -36,25 +36,7 @@ EchoOption = Annotated[
 
 
 def connect_projector(serial: str | None, checks_echo: bool = True) -> Link:
-    """Begin a conversation with a projector.
-
-    Parameters
-    ----------
-    serial : str or None
-        Its serial number; None for the only one that is connected.
-    checks_echo : bool
-        Whether replies must return number and flags of their request.
-
-    Returns
-    -------
-    Link
-        Open; to be closed by the caller.
-
-    Raises
-    ------
-    DeviceError
-        There is none, or several and none is named.
-    """
+    """Begin a conversation with a projector."""
     from drivers.clock import RealClock
     from drivers.dlp4500.transport import Link, connect, load_hidapi
 

@@ -57,49 +57,14 @@ _STARTS = {
 
 
 def pattern_numbers(depth: int) -> range:
-    """List the pattern numbers of a bit depth.
-
-    Parameters
-    ----------
-    depth : int
-        Bit depth, 1 to 8.
-
-    Returns
-    -------
-    range
-        The numbers, from 0 on.
-
-    Raises
-    ------
-    ValueError
-        There is no such depth.
-    """
+    """List the pattern numbers of a bit depth."""
     if depth not in _STARTS:
         raise ValueError(f"depth is {depth}: 1 to 8")
     return range(len(_STARTS[depth]))
 
 
 def bit_planes(depth: int, number: int) -> range:
-    """List the bit planes of a pattern.
-
-    Parameters
-    ----------
-    depth : int
-        Bit depth, 1 to 8.
-    number : int
-        Pattern number.
-
-    Returns
-    -------
-    range
-        Bit planes, least significant first: 0 to 7 are green, 8 to 15 red, 16 to 23 blue. Empty for solid
-        black.
-
-    Raises
-    ------
-    ValueError
-        There is no such depth or number.
-    """
+    """List the bit planes of a pattern."""
     numbered = pattern_numbers(depth)
     if depth == 1 and number == SOLID:
         return range(0)
@@ -111,64 +76,28 @@ def bit_planes(depth: int, number: int) -> range:
 
 @dataclass(frozen=True)
 class Slot:
-    """Location of a pattern in flash or in the video frames.
+    """Location of a pattern in flash or in the video frames."""
 
-    Attributes
-    ----------
-    image : int
-        Index of the flash image or of the video frame.
-    number : int
-        Pattern number within it.
-    bits : int
-        Bit depth.
-    """
-
-    image: int
-    number: int
-    bits: int = 8
+    image: int  # index of the flash image or of the video frame
+    number: int  # pattern number within it
+    bits: int = 8  # bit depth
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One entry of the pattern table, in the terms of the protocol.
+    """One entry of the pattern table, in the terms of the protocol."""
 
-    Attributes
-    ----------
-    pattern : int
-        Pattern number within the image.
-    depth : int
-        Bit depth.
-    leds : tuple of str
-        Colours of the LEDs that are on.
-    trigger : PatternTrigger
-        What starts the pattern.
-    invert : bool
-        Whether the pattern is inverted.
-    black_after : bool
-        Whether black is inserted after the exposure.
-    swap : bool
-        Whether the next image is swapped in before the pattern.
-    share_trigger : bool
-        Whether the pattern shares the pulse on trigger output 1 with the previous one.
-    """
-
-    pattern: int
-    depth: int
-    leds: tuple[str, ...] = COLOURS
-    trigger: PatternTrigger = PatternTrigger.INTERNAL
-    invert: bool = False
-    black_after: bool = False
-    swap: bool = False
+    pattern: int  # pattern number within the image
+    depth: int  # bit depth
+    leds: tuple[str, ...] = COLOURS  # colours of the LEDs that are on
+    trigger: PatternTrigger = PatternTrigger.INTERNAL  # what starts the pattern
+    invert: bool = False  # whether the pattern is inverted
+    black_after: bool = False  # whether black is inserted after the exposure
+    swap: bool = False  # whether the next image is swapped in before the pattern
     share_trigger: bool = False
 
     def values(self) -> Values:
-        """Convert the entry to register fields.
-
-        Returns
-        -------
-        dict of str to int
-            The fields of `protocol.ENTRY`.
-        """
+        """Convert the entry to register fields."""
         lit = {colour: int(colour in self.leds) for colour in COLOURS}
         return lit | {
             "trigger": int(self.trigger),
@@ -183,30 +112,14 @@ class Entry:
 
 @dataclass(frozen=True)
 class Program:
-    """A pattern sequence with its images and timing.
+    """A pattern sequence with its images and timing."""
 
-    Attributes
-    ----------
-    source : Source
-        Flash or video port.
-    entries : tuple of Entry
-        The patterns in the order shown.
-    images : tuple of int
-        One flash index for each entry with `swap`, in the order shown; empty for the video port.
-    exposure_us : int
-        Exposure of each pattern in µs.
-    period_us : int
-        Time from pattern to pattern in µs.
-    repeat : bool
-        Whether the sequence repeats until it is stopped.
-    """
-
-    source: Source
-    entries: tuple[Entry, ...]
-    images: tuple[int, ...]
-    exposure_us: int
-    period_us: int
-    repeat: bool
+    source: Source  # flash or video port
+    entries: tuple[Entry, ...]  # the patterns in the order shown
+    images: tuple[int, ...]  # one flash index for each entry with `swap`, in the order shown
+    exposure_us: int  # exposure of each pattern in µs
+    period_us: int  # time from pattern to pattern in µs
+    repeat: bool  # whether the sequence repeats until it is stopped
 
     @property
     def variable(self) -> bool:
@@ -226,24 +139,11 @@ class Program:
         return len(self.entries) * self.period_us * 1e-6
 
     def pattern_table(self) -> bytes:
-        """Encode the pattern table.
-
-        Returns
-        -------
-        bytes
-            Data for the mailbox, 3 bytes for each entry.
-        """
+        """Encode the pattern table."""
         return b"".join(ENTRY.pack(entry.values()) for entry in self.entries)
 
     def image_table(self) -> bytes:
-        """Encode the image table.
-
-        Returns
-        -------
-        bytes
-            Data for the mailbox, one byte for each image; a table of two is reversed, as the device reads it
-            from its end.
-        """
+        """Encode the image table."""
         return bytes(reversed(self.images) if len(self.images) == 2 else self.images)
 
 
@@ -259,33 +159,6 @@ def flash_program(
     """Build a sequence of patterns in flash, each with a pulse on trigger output 1.
 
     Where an image would be loaded too late, all periods are extended, so that dark time follows each pattern.
-
-    Parameters
-    ----------
-    slots : sequence of Slot
-        Locations of the patterns, in the order shown.
-    exposure_us : int
-        Exposure of each pattern in µs.
-    leds : tuple of str
-        Colours of the LEDs that are on.
-    repeat : bool
-        Whether the sequence repeats until it is stopped.
-    load_us : mapping of int to int or None
-        Load time in µs of each flash image, by index; needed where images are swapped in more than twice.
-    dark_us : int
-        Dark time in µs that must follow each pattern.
-    period_us : int
-        Least time in µs from pattern to pattern.
-
-    Returns
-    -------
-    Program
-        The checked sequence.
-
-    Raises
-    ------
-    ValueError
-        An exposure or a pattern number is out of range, or there are too many patterns or images.
     """
     entries: list[Entry] = []
     images: list[int] = []
@@ -318,29 +191,6 @@ def video_program(
     """Build a sequence of patterns from the video port.
 
     The first pattern of a frame waits for the frame.
-
-    Parameters
-    ----------
-    slots : sequence of Slot
-        Locations of the patterns, in the order shown; `image` numbers consecutive frames.
-    exposure_us : int
-        Exposure of each pattern in µs.
-    vsync_us : int
-        Period of the video frames in µs.
-    leds : tuple of str
-        Colours of the LEDs that are on.
-    repeat : bool
-        Whether the sequence repeats until it is stopped.
-
-    Returns
-    -------
-    Program
-        The checked sequence.
-
-    Raises
-    ------
-    ValueError
-        The exposures of a frame exceed `vsync_us`, or an exposure or a pattern number is out of range.
     """
     entries = []
     for _, group in groupby(slots, key=lambda slot: slot.image):
@@ -359,36 +209,12 @@ def video_program(
 
 
 def shortest_period_us(exposure_us: int, least_us: int = 0) -> int:
-    """Compute the shortest period that the controller accepts for an exposure.
-
-    Parameters
-    ----------
-    exposure_us : int
-        Exposure in µs.
-    least_us : int
-        Lower limit of the period in µs.
-
-    Returns
-    -------
-    int
-        Period in µs: equal to the exposure, or longer by more than 230 µs.
-    """
+    """Compute the shortest period that the controller accepts for an exposure."""
     return exposure_us if least_us <= exposure_us else max(least_us, exposure_us + LEAST_GAP_US)
 
 
 def check_sequence(program: Program) -> None:
-    """Check that the controller can show a sequence as intended.
-
-    Parameters
-    ----------
-    program : Program
-        The sequence.
-
-    Raises
-    ------
-    ValueError
-        The number of patterns or images, the exposure, the period or the use of the triggers is not valid.
-    """
+    """Check that the controller can show a sequence as intended."""
     entries, exposure, period = program.entries, program.exposure_us, program.period_us
     if not 1 <= len(entries) <= MOST_VARIABLE_ENTRIES:
         raise ValueError(f"{len(entries)} patterns: 1 to {MOST_VARIABLE_ENTRIES}")
@@ -422,22 +248,7 @@ def _check_shared(entries: Sequence[Entry], exposure_us: int) -> None:
 
 
 def least_period_us(slots: Sequence[Slot], load_us: Mapping[int, int], repeat: bool = False) -> int:
-    """Compute the shortest period at which every image is loaded when it is swapped in.
-
-    Parameters
-    ----------
-    slots : sequence of Slot
-        Locations of the patterns, in the order shown.
-    load_us : mapping of int to int
-        Load time in µs of each flash image, by index; needed where images are swapped in more than twice.
-    repeat : bool
-        Whether the sequence repeats until it is stopped.
-
-    Returns
-    -------
-    int
-        Period in µs; 0 where the controller buffers all images.
-    """
+    """Compute the shortest period at which every image is loaded when it is swapped in."""
     shown = [(image, len(list(group))) for image, group in groupby(slot.image for slot in slots)]
     if len(shown) <= PRELOADED_IMAGES:
         return 0
@@ -447,25 +258,5 @@ def least_period_us(slots: Sequence[Slot], load_us: Mapping[int, int], repeat: b
 
 
 def still_program(slot: Slot, exposure_us: int, leds: tuple[str, ...] = COLOURS) -> Program:
-    """Build a sequence that shows one pattern until it is stopped.
-
-    Parameters
-    ----------
-    slot : Slot
-        Location of the pattern.
-    exposure_us : int
-        Exposure in µs, repeated without a gap.
-    leds : tuple of str
-        Colours of the LEDs that are on.
-
-    Returns
-    -------
-    Program
-        The checked sequence.
-
-    Raises
-    ------
-    ValueError
-        The exposure or the pattern number is out of range.
-    """
+    """Build a sequence that shows one pattern until it is stopped."""
     return flash_program([slot], exposure_us, leds, repeat=True)

@@ -36,21 +36,11 @@ VALIDATION_WARNINGS = {
 
 @dataclass(frozen=True)
 class Status:
-    """Replies to the three status commands.
+    """Replies to the three status commands."""
 
-    Attributes
-    ----------
-    hardware : dict of str to int
-        Fields of `protocol.HARDWARE_STATUS`.
-    system : dict of str to int
-        Fields of `protocol.SYSTEM_STATUS`.
-    main : dict of str to int
-        Fields of `protocol.MAIN_STATUS`.
-    """
-
-    hardware: Values
-    system: Values
-    main: Values
+    hardware: Values  # fields of `protocol.HARDWARE_STATUS`
+    system: Values  # fields of `protocol.SYSTEM_STATUS`
+    main: Values  # fields of `protocol.MAIN_STATUS`
 
     @property
     def faults(self) -> list[str]:
@@ -66,34 +56,10 @@ class Status:
 
 
 def hardware_faults(hardware: Values) -> list[str]:
-    """Describe the faults of a hardware status.
-
-    Parameters
-    ----------
-    hardware : dict of str to int
-        Fields of `protocol.HARDWARE_STATUS`.
-
-    Returns
-    -------
-    list of str
-        One description for each; empty where there are none.
-    """
+    """Describe the faults of a hardware status."""
     return [words for name, words in HARDWARE_FAULTS.items() if hardware[name]]
 
 
 def validation_messages(validation: Values, known: Mapping[str, str]) -> list[str]:
-    """Describe what a finished validation found.
-
-    Parameters
-    ----------
-    validation : dict of str to int
-        Fields of `protocol.VALIDATION`.
-    known : mapping of str to str
-        `VALIDATION_ERRORS` or `VALIDATION_WARNINGS`.
-
-    Returns
-    -------
-    list of str
-        One description for each; empty where there are none.
-    """
+    """Describe what a finished validation found."""
     return [words for name, words in known.items() if validation[name]]

@@ -99,23 +99,7 @@ class HidModule(Protocol):
 
 
 def load_hidapi(name: str) -> HidModule:
-    """Import hidapi.
-
-    Parameters
-    ----------
-    name : str
-        The projector's name, for errors.
-
-    Returns
-    -------
-    HidModule
-        The module `hid`.
-
-    Raises
-    ------
-    DeviceError
-        The library does not load.
-    """
+    """Import hidapi."""
     try:
         import hid
     except ImportError as error:
@@ -127,31 +111,7 @@ def load_hidapi(name: str) -> HidModule:
 
 
 def connect(hid: HidModule, name: str, serial: str | None) -> tuple[HidDevice, str]:
-    """Open a LightCrafter 4500.
-
-    Parameters
-    ----------
-    hid : HidModule
-        From `load_hidapi`, or an emulator.
-    name : str
-        The projector's name, for errors.
-    serial : str or None
-        Its serial number; None for the only projector that is connected.
-
-    Returns
-    -------
-    HidDevice
-        The open device.
-    str
-        Its serial number; empty where it has none.
-
-    Raises
-    ------
-    DisconnectedError
-        There is no such projector.
-    DeviceError
-        Several projectors match, or the device cannot be opened.
-    """
+    """Open a LightCrafter 4500."""
     found = [
         (d["path"], d["serial_number"] or "")
         for d in hid.enumerate(VENDOR, PRODUCT)
@@ -183,28 +143,7 @@ def connect(hid: HidModule, name: str, serial: str | None) -> tuple[HidDevice, s
 
 
 class Link:
-    """Exchange of requests and replies with the controller.
-
-    Parameters
-    ----------
-    wire : HidDevice
-        The open HID device.
-    clock : Clock
-        For the time limits.
-    name : str
-        The projector's name, for errors.
-    checks_echo : bool
-        Whether a reply must carry the sequence number and flags of its request.
-    timeout_s : float
-        Time limit in s for a reply.
-
-    Attributes
-    ----------
-    name : str
-        The projector's name, for errors.
-    requests : int
-        How many requests have been sent.
-    """
+    """Exchange of requests and replies with the controller."""
 
     def __init__(
         self, wire: HidDevice, clock: Clock, name: str, checks_echo: bool = True, timeout_s: float = TIMEOUT_S
@@ -218,43 +157,11 @@ class Link:
         self._wire.close()
 
     def write(self, command: Command, **values: int) -> None:
-        """Write a command whose data are bit fields.
-
-        Parameters
-        ----------
-        command : Command
-            Its `written` must be a `RegisterLayout`.
-        **values : int
-            A value for each field.
-
-        Raises
-        ------
-        SettingError
-            A value is out of range; nothing was sent.
-        ProtocolError
-            The device refused the command.
-        DeviceTimeoutError
-            The device did not answer.
-        DisconnectedError
-            The device was unplugged.
-        """
+        """Write a command whose data are bit fields."""
         self._write(command, self._packed(command, command.written, values))
 
     def write_bytes(self, command: Command, data: bytes) -> None:
-        """Write a command whose data are plain bytes; raises the same errors as `write`.
-
-        Parameters
-        ----------
-        command : Command
-            Its `written` must be `RawBytes`.
-        data : bytes
-            The data.
-
-        Raises
-        ------
-        SettingError
-            The number of bytes is out of range; nothing was sent.
-        """
+        """Write a command whose data are plain bytes; raises the same errors as `write`."""
         assert isinstance(command.written, RawBytes)
         try:
             command.written.check(data)
@@ -263,25 +170,7 @@ class Link:
         self._write(command, data)
 
     def read(self, command: Command, **selector: int) -> Values:
-        """Read a command whose reply consists of bit fields; raises the same errors as `write`.
-
-        Parameters
-        ----------
-        command : Command
-            Its `returned` must be a `RegisterLayout`.
-        **selector : int
-            A value for each field of the command's selector.
-
-        Returns
-        -------
-        dict of str to int
-            The fields of the reply.
-
-        Raises
-        ------
-        ProtocolError
-            The reply has the wrong size, or a field is out of range.
-        """
+        """Read a command whose reply consists of bit fields; raises the same errors as `write`."""
         data = self._query(command, selector)
         try:
             assert isinstance(command.returned, RegisterLayout)
@@ -290,20 +179,7 @@ class Link:
             raise self._protocol_error(command.name, str(error)) from error
 
     def read_bytes(self, command: Command, **selector: int) -> bytes:
-        """Read a command whose reply is plain bytes; raises the same errors as `read`.
-
-        Parameters
-        ----------
-        command : Command
-            Its `returned` must be `RawBytes`.
-        **selector : int
-            A value for each field of the command's selector.
-
-        Returns
-        -------
-        bytes
-            The data of the reply.
-        """
+        """Read a command whose reply is plain bytes; raises the same errors as `read`."""
         data = self._query(command, selector)
         try:
             assert isinstance(command.returned, RawBytes)

@@ -83,13 +83,7 @@ class BenchFaults(Document):
     """Number of exposures after which the camera's cable is unplugged."""
 
     def reply_faults(self) -> dict[int, UsbFault]:
-        """Return the faults of the projector's replies.
-
-        Returns
-        -------
-        dict of int to UsbFault
-            By index of the request, as `EmulatedHid` takes them.
-        """
+        """Return the faults of the projector's replies."""
         faults = dict.fromkeys(self.dropped, UsbFault.DROP) | dict.fromkeys(self.late, UsbFault.LATE)
         if self.unplug_projector is not None:
             faults[self.unplug_projector] = UsbFault.UNPLUG_BEFORE
@@ -116,34 +110,7 @@ class EmulatedBenchOptions(Document):
 
 
 class EmulatedBench:
-    """What the drivers of a rig find in place of their devices.
-
-    Parameters
-    ----------
-    options : dict of str to Any
-        The bench's section in the rig file, see `EmulatedBenchOptions`; a `ConfigError` is raised if invalid.
-
-    Attributes
-    ----------
-    faults : BenchFaults
-        Faults to provoke; those of the trigger pulses may be changed at any time.
-    pylon : BenchPylon
-        For the camera driver.
-    hid : EmulatedHid
-        For the projector driver.
-    display : EmulatedDisplay
-        For the projector driver with patterns from the video port.
-    clock : BenchClock
-        The bench's time.
-    stage_port : str or None
-        Serial port for the stage driver; None if the optics have no stage.
-    controller : Dlpc350
-        The projector's controller.
-    terminal : PseudoTerminal or None
-        The stage's end of its serial line; None if the optics have no stage.
-    optics_rig : Rig
-        The rig that renders the images.
-    """
+    """What the drivers of a rig find in place of their devices."""
 
     def __init__(self, options: dict[str, Any]) -> None:
         chosen = config.validate(options, EmulatedBenchOptions, "bench")
@@ -152,13 +119,7 @@ class EmulatedBench:
         self._stack = ExitStack()
 
     def open(self) -> None:
-        """Open the optics and connect all devices; the projector is dark, the stage at the optics' 0.
-
-        Raises
-        ------
-        ConfigError
-            The optics are an emulated bench or their projector lacks 8 bits, or a file cannot be read.
-        """
+        """Open the optics and connect all devices; the projector is dark, the stage at the optics' 0."""
         optics_rig = Rig.load(self._options.optics)
         if optics_rig.file.bench is not None and issubclass(
             load_backend(optics_rig.file.bench.backend, optics_rig.source, "bench"), EmulatedBench
@@ -190,15 +151,7 @@ class EmulatedBench:
         return optics.next_frame if isinstance(optics, NumberedFrames) else 0
 
     def number_frames(self, numbers: Sequence[int], then: int) -> None:
-        """Give the next frames that the optics render numbers, from which their noise follows.
-
-        Parameters
-        ----------
-        numbers : sequence of int
-            Not negative, one for each of the next frames.
-        then : int
-            Number of the frame that follows them, from which is counted on.
-        """
+        """Give the next frames that the optics render numbers, from which their noise follows."""
         if isinstance(self.optics_rig.simulation, NumberedFrames):
             self.optics_rig.simulation.number_frames(numbers, then)
 

@@ -34,24 +34,7 @@ ImageSource = Callable[[CameraSettings, CollectedLight], Image]
 
 
 class BenchPylon(EmulatedPylon):
-    """pylon with one camera, which is part of an emulated bench.
-
-    Parameters
-    ----------
-    size : (int, int)
-        Size (width, height) in px of the rendered images; the rest of the sensor is dark.
-    shutter : EmulatedShutter
-        The camera's shutter.
-    render : ImageSource
-        Renders an image from what the shutter collected.
-    timing : SensorTiming
-        How soon the camera tells that it takes the next pulse.
-
-    Attributes
-    ----------
-    shutter : EmulatedShutter
-        As given.
-    """
+    """pylon with one camera, which is part of an emulated bench."""
 
     def __init__(
         self,
@@ -69,31 +52,12 @@ class BenchPylon(EmulatedPylon):
         self.shutter, self._render = shutter, render
 
     def armed_camera(self) -> BenchCamera | None:
-        """Return the camera that waits for a trigger pulse.
-
-        Returns
-        -------
-        BenchCamera or None
-            None if the camera is not armed for pulses.
-        """
+        """Return the camera that waits for a trigger pulse."""
         waiting = [c for c in self._open.values() if isinstance(c, BenchCamera) and c.waits_for_pulse()]
         return waiting[0] if waiting else None
 
     def read_out(self, settings: CameraSettings, collected: CollectedLight) -> Image:
-        """Read the sensor out after an exposure.
-
-        Parameters
-        ----------
-        settings : CameraSettings
-            What the camera is set to.
-        collected : CollectedLight
-            What the shutter collected.
-
-        Returns
-        -------
-        Image
-            Raw integers of `settings.bits`, the whole sensor [v, u].
-        """
+        """Read the sensor out after an exposure."""
         picture = self._render(settings, collected)
         image: Image = np.zeros(self.size[::-1], raw_dtype(settings.bits))
         image[: picture.shape[0], : picture.shape[1]] = picture
@@ -108,20 +72,6 @@ class BenchCamera(EmulatedCamera):
 
     However long rendering takes, no timeout of the host runs out because of it: in the bench's time a frame
     takes no longer than its exposure.
-
-    Parameters
-    ----------
-    emulator : BenchPylon
-        What it is connected to.
-    serial : str
-        Serial number.
-    instant : pylon.InstantCamera
-        Pylon's camera.
-
-    Attributes
-    ----------
-    pulses : int
-        Number of trigger pulses since the camera was armed.
     """
 
     _emulator: BenchPylon
@@ -131,13 +81,7 @@ class BenchCamera(EmulatedCamera):
         self.pulses, self._frame_coming = 0, False
 
     def StartGrabbing(self, strategy: Any) -> None:
-        """Arm the camera as pylon does; earlier pulses and exposures are forgotten.
-
-        Parameters
-        ----------
-        strategy : pylon.EGrabStrategy
-            Pylon's grab strategy.
-        """
+        """Arm the camera as pylon does; earlier pulses and exposures are forgotten."""
         self.pulses, self._frame_coming = 0, False
         self._emulator.shutter.clear()
         super().StartGrabbing(strategy)
@@ -148,33 +92,14 @@ class BenchCamera(EmulatedCamera):
         self._frame_coming = not self.unplugged
 
     def waits_for_pulse(self) -> bool:
-        """Return whether a pulse on the trigger line starts an exposure.
-
-        Returns
-        -------
-        bool
-            False also for a camera that is being closed or is unplugged.
-        """
+        """Return whether a pulse on the trigger line starts an exposure."""
         with suppress(genicam.GenericException):  # it is being closed, or is gone
             mode, source = self._features.read(TRIGGER_MODE), self._features.read(TRIGGER_SOURCE)
             return not self.unplugged and (mode, source) == ("On", LINE) and bool(self.instant.IsGrabbing())
         return False
 
     def exposure_start_s(self, rise_s: float, fall_s: float) -> float:
-        """Return when a trigger pulse opens the shutter, by the edge, inverter and delay that are set.
-
-        Parameters
-        ----------
-        rise_s : float
-            Time of the rising edge in s.
-        fall_s : float
-            Time of the falling edge in s.
-
-        Returns
-        -------
-        float
-            Time in s.
-        """
+        """Return when a trigger pulse opens the shutter, by the edge, inverter and delay that are set."""
         begins_high = self._features.read(TRIGGER_EDGE) == EDGES["rising"]
         edge_s = rise_s if begins_high != bool(self._features.read(LINE_INVERTER)) else fall_s
         return edge_s + float(self._features.read(TRIGGER_DELAY_US) or 0.0) / US_PER_S

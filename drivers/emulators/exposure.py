@@ -28,37 +28,17 @@ CollectedLight = list[tuple[ProjectedLight, float]]
 
 @dataclass(frozen=True)
 class LightInterval:
-    """Constant light from the projector during an interval of time.
+    """Constant light from the projector during an interval of time."""
 
-    Attributes
-    ----------
-    light : ProjectedLight or None
-        The light; None when it is dark.
-    begin_s : float
-        Beginning in s.
-    end_s : float
-        End in s.
-    """
-
-    light: ProjectedLight | None
-    begin_s: float
-    end_s: float
+    light: ProjectedLight | None  # the light; None when it is dark
+    begin_s: float  # beginning in s
+    end_s: float  # end in s
 
 
 class BenchClock(SteppedClock):
-    """The time of an emulated bench: whatever is due during a sleep happens, in order and each at its time.
+    """The clock of an emulated bench: what is due during a sleep happens in order, at its time."""
 
-    Attributes
-    ----------
-    controller : Dlpc350
-        The projector's controller; to be set before time passes.
-    lock : threading.RLock
-        Held while time passes.
-    on_interval : callable
-        Called with every `LightInterval` that has passed.
-    """
-
-    controller: Dlpc350
+    controller: Dlpc350  # the projector's controller; to be set before time passes
 
     def __init__(self) -> None:
         super().__init__()
@@ -66,23 +46,11 @@ class BenchClock(SteppedClock):
         self.on_interval: Callable[[LightInterval], None] = lambda interval: None
 
     def sleep(self, seconds: float) -> None:
-        """Advance the time.
-
-        Parameters
-        ----------
-        seconds : float
-            By how much, in s.
-        """
+        """Advance the time."""
         self.sleep_until(self.now() + seconds)
 
     def sleep_until(self, time_s: float) -> None:
-        """Advance to a time; without effect if it has passed.
-
-        Parameters
-        ----------
-        time_s : float
-            Time in s.
-        """
+        """Advance to a time; without effect if it has passed."""
         with self.lock:
             while self._now_s < time_s:
                 light = self.controller.light()
@@ -90,13 +58,7 @@ class BenchClock(SteppedClock):
                 self.on_interval(LightInterval(light, begin_s, self._now_s))
 
     def next_change_s(self) -> float:
-        """Do what is due now, and return when the light may next change by itself.
-
-        Returns
-        -------
-        float
-            Time in s; `NEVER` if it does not.
-        """
+        """Do what is due now, and return when the light may next change by itself."""
         self.controller.advance()
         sequencer = self.controller.sequencer
         ends_s = sequencer.shown.illuminated_until_s if sequencer.shown else None
@@ -107,39 +69,17 @@ class BenchClock(SteppedClock):
 
 @dataclass(frozen=True)
 class Exposure:
-    """One exposure of the camera.
+    """One exposure of the camera."""
 
-    Attributes
-    ----------
-    settings : CameraSettings
-        What the camera is set to.
-    begin_s : float
-        Time in s when the shutter opens.
-    end_s : float
-        Time in s when it closes.
-    """
-
-    settings: CameraSettings
-    begin_s: float
-    end_s: float
+    settings: CameraSettings  # what the camera is set to
+    begin_s: float  # time in s when the shutter opens
+    end_s: float  # time in s when it closes
 
 
 class EmulatedShutter:
     """The camera's shutter, opened by pulses; a pulse before the camera is ready has no effect.
 
     Exposures are queued until they are read out.
-
-    Parameters
-    ----------
-    clock : BenchClock
-        The bench's time; its `on_interval` is taken over.
-    timing : SensorTiming
-        When the camera is ready again.
-
-    Attributes
-    ----------
-    ignored : int
-        Number of pulses since the last `clear` that came too early.
     """
 
     def __init__(self, clock: BenchClock, timing: SensorTiming = STRICT) -> None:
@@ -155,17 +95,7 @@ class EmulatedShutter:
         self._ready_s, self.ignored = -NEVER, 0
 
     def open(self, settings: CameraSettings, begin_s: float, times: int = 1) -> None:
-        """Start an exposure, unless the camera is not ready at that time.
-
-        Parameters
-        ----------
-        settings : CameraSettings
-            What the camera is set to.
-        begin_s : float
-            Time in s when it opens.
-        times : int
-            Number of equal frames that it gives.
-        """
+        """Start an exposure, unless the camera is not ready at that time."""
         if begin_s < self._ready_s - ROUNDING_S:
             self.ignored += 1
             return
@@ -173,18 +103,7 @@ class EmulatedShutter:
         self._exposures.extend([Exposure(settings, begin_s, begin_s + settings.exposure_s)] * times)
 
     def wait_next(self, patience_s: float) -> tuple[CameraSettings, CollectedLight] | None:
-        """Let time pass until an exposure is over, and read it out.
-
-        Parameters
-        ----------
-        patience_s : float
-            How long to wait in s for it to begin.
-
-        Returns
-        -------
-        (CameraSettings, CollectedLight) or None
-            Settings of the exposure and what it collected; None if none begins in time.
-        """
+        """Let time pass until an exposure is over, and read it out."""
         clock = self._clock
         with clock.lock:
             deadline_s = clock.now() + patience_s
@@ -200,18 +119,7 @@ class EmulatedShutter:
             return exposure.settings, self._collect(exposure)
 
     def expose_now(self, settings: CameraSettings) -> CollectedLight:
-        """Make an exposure that begins now, and let its time pass.
-
-        Parameters
-        ----------
-        settings : CameraSettings
-            What the camera is set to.
-
-        Returns
-        -------
-        CollectedLight
-            What the shutter collected.
-        """
+        """Make an exposure that begins now, and let its time pass."""
         with self._clock.lock:
             begin_s = self._clock.now()
             exposure = Exposure(settings, begin_s, begin_s + settings.exposure_s)
@@ -250,17 +158,8 @@ def mean_grey_levels(collected: CollectedLight) -> NDArray[np.uint8] | None:
 
     At full LED levels one pattern that was on all the time gives exactly its own grey levels; anything else
     is rounded.
-
-    Parameters
-    ----------
-    collected : CollectedLight
-        What the shutter collected.
-
-    Returns
-    -------
-    numpy.ndarray or None
-        uint8 (height, width); None if it was dark.
     """
+    # returns (height, width)
     if not collected:
         return None
     light = sum(share * light.brightness() for light, share in collected)

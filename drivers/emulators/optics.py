@@ -22,14 +22,7 @@ FRAME_TIMEOUT_S = 60.0
 
 
 class OpticsRig:
-    """A rig in place of light, lens and sensor, used as any program would use it.
-
-    Parameters
-    ----------
-    rig : Rig
-        An open rig, such as the simulation. Its projector needs 8 bits; if it has fewer mirrors than the
-        patterns, some are left out evenly.
-    """
+    """A rig in place of light, lens and sensor, used as any program would use it."""
 
     def __init__(self, rig: Rig) -> None:
         self._rig = rig
@@ -43,13 +36,7 @@ class OpticsRig:
         return self._rig.camera.caps.size
 
     def move_stage(self, stage_mm: float) -> None:
-        """Move the rig's stage, if it has one; it is homed before its first move.
-
-        Parameters
-        ----------
-        stage_mm : float
-            Position in mm.
-        """
+        """Move the rig's stage, if it has one; it is homed before its first move."""
         stage = self._rig.stage
         if stage is None or stage_mm == self._stage_mm:
             return
@@ -61,23 +48,8 @@ class OpticsRig:
     def capture(
         self, settings: CameraSettings, greys: GreyImage | None, others: Callable[[], Iterable[GreyImage]]
     ) -> Image:
-        """Capture an image under given light.
-
-        Parameters
-        ----------
-        settings : CameraSettings
-            What the camera is set to; a bit depth that the rig's camera lacks is replaced by its next lower
-            one, scaled up by a shift.
-        greys : GreyImage or None
-            What the projector shows, uint8 (height, width); None for darkness.
-        others : callable
-            Returns further patterns that are likely to be asked for next, see `PatternCache.show`.
-
-        Returns
-        -------
-        Image
-            Raw integers of `settings.bits` [v, u].
-        """
+        """Capture an image under given light."""
+        # greys (height, width)
         camera = self._rig.camera
         bits = max(bits for bits in camera.caps.bits if bits <= settings.bits)
         wanted = CameraSettings(settings.exposure_s, settings.gain_db, bits)
@@ -96,13 +68,7 @@ class OpticsRig:
 
 
 class PatternCache:
-    """The patterns that a projector holds, recognised by content, so that none is loaded twice.
-
-    Parameters
-    ----------
-    projector : Projector
-        An open projector of 8 bits.
-    """
+    """The patterns that a projector holds, recognised by content, so that none is loaded twice."""
 
     def __init__(self, projector: Projector) -> None:
         self._projector, self._size = projector, projector.caps.size
@@ -111,16 +77,8 @@ class PatternCache:
         self._indices: dict[bytes, int] = {}
 
     def show(self, greys: GreyImage, others: Callable[[], Iterable[GreyImage]]) -> None:
-        """Show grey levels.
-
-        Parameters
-        ----------
-        greys : GreyImage
-            uint8 (height, width) of any size; resampled by nearest neighbour to the projector's.
-        others : callable
-            Called if they are not loaded; returns further images to load with them, because a simulation
-            computes patterns faster that are loaded together.
-        """
+        """Show grey levels."""
+        # greys (height, width)
         fitted = self._resampled(greys)
         key = _key(fitted)
         if key not in self._indices:

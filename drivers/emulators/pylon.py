@@ -51,49 +51,18 @@ SceneSource = Callable[[CameraSettings], Image]
 
 @dataclass(frozen=True)
 class PylonPolicy:
-    """Behaviour of the emulated camera that is chosen, not documented.
+    """Behaviour of the emulated camera that is chosen, not documented."""
 
-    Attributes
-    ----------
-    exclusive : bool
-        A camera that is open cannot be opened again, as is reported of real ones; pylon's emulator allows it.
-    pulse_waits : bool
-        A trigger pulse waits for pylon's emulator, whose readiness depends on the computer's load; otherwise
-        it is lost, as on a real wire.
-    timing : SensorTiming
-        When the camera is ready for a pulse whose time is given; one that comes earlier is ignored.
-    exposure_s : float
-        Time in s that an emulated exposure takes, whatever the camera is set to.
-    """
-
-    exclusive: bool = True
-    pulse_waits: bool = True
-    timing: SensorTiming = STRICT
-    exposure_s: float = 100e-6
+    exclusive: bool = True  # A camera that is open cannot be opened again, as is reported of real ones
+    pulse_waits: bool = True  # A trigger pulse waits for pylon's emulator
+    timing: SensorTiming = STRICT  # when the camera is ready for a pulse whose time is given
+    exposure_s: float = 100e-6  # time in s that an emulated exposure takes, whatever the camera is set to
 
 
 class EmulatedPylon(Pylon):
     """Stands in for pylon, with emulated cameras only, between `start` and `close`.
 
     A rig's shared object hands it to the camera driver as its `pylon`.
-
-    Parameters
-    ----------
-    size : (int, int)
-        Sensor size (width, height) in px, at least (1024, 1040); the camera's ROI gives smaller images.
-    scene : SceneSource, optional
-        What the sensor sees; without it pylon's moving test image.
-    policy : PylonPolicy
-        Assumptions about undocumented behaviour.
-    cameras : int
-        Number of cameras.
-
-    Attributes
-    ----------
-    size, scene, policy
-        As given.
-    light : EmulatedSensorImage
-        The image on the sensor, from `start` on.
     """
 
     def __init__(
@@ -124,23 +93,7 @@ class EmulatedPylon(Pylon):
             os.environ[CAMERA_COUNT_VARIABLE] = self._before
 
     def attach(self, info: Any) -> EmulatedCamera:
-        """Create the camera of a device, as `Pylon.attach` does.
-
-        Parameters
-        ----------
-        info : pylon.DeviceInfo
-            Entry of the enumeration.
-
-        Returns
-        -------
-        EmulatedCamera
-            Not yet open.
-
-        Raises
-        ------
-        genicam.RuntimeException
-            Another program has opened the camera, or it was unplugged; the messages are pylon's.
-        """
+        """Create the camera of a device, as `Pylon.attach` does."""
         serial = info.GetSerialNumber()
         if not self._is_plugged:
             raise genicam.RuntimeException(
@@ -155,16 +108,7 @@ class EmulatedPylon(Pylon):
         return self._camera(serial, super().attach(info))
 
     def pulse(self, times: int = 1, at_s: float | None = None) -> None:
-        """Send trigger pulses to Line1 of the camera that was opened last; any thread may call it.
-
-        Parameters
-        ----------
-        times : int
-            Number of pulses.
-        at_s : float, optional
-            When a single pulse comes, in s from any origin; pulses without a time come when the camera is
-            ready.
-        """
+        """Send trigger pulses to Line1 of the camera that was opened last; any thread may call it."""
         for _ in range(times):
             for camera in list(self._open.values())[-1:]:
                 camera.pulse(at_s)
@@ -174,11 +118,6 @@ class EmulatedPylon(Pylon):
 
         Without it there, pylon 26.9 would free neither the 14 pipes nor the thread of a camera that is
         destroyed, not even of one that was closed before.
-
-        Parameters
-        ----------
-        noticed : bool
-            Whether pylon notices and calls back; sometimes it does not.
         """
         self._is_plugged = False
         for camera in self._open.values():
@@ -191,13 +130,7 @@ class EmulatedPylon(Pylon):
         self._is_plugged = True
 
     def cameras(self) -> dict[str, Any]:
-        """List the emulated cameras, as `Pylon.cameras` does.
-
-        Returns
-        -------
-        dict of str to pylon.DeviceInfo
-            By serial number; empty while the cable is unplugged.
-        """
+        """List the emulated cameras, as `Pylon.cameras` does."""
         return super().cameras() if self._is_plugged else {}
 
     def _layer(self) -> Any:
@@ -207,13 +140,7 @@ class EmulatedPylon(Pylon):
         return EmulatedCamera(self, serial, instant)
 
     def on_opened(self, camera: EmulatedCamera) -> None:
-        """Configure pylon's emulator for this sensor; called by a camera that was opened.
-
-        Parameters
-        ----------
-        camera : EmulatedCamera
-            The camera.
-        """
+        """Configure pylon's emulator for this sensor; called by a camera that was opened."""
         self._open[camera.serial] = camera
         instant = camera.instant
         instant.WidthMax.SetValue(self.size[0])
@@ -226,63 +153,21 @@ class EmulatedPylon(Pylon):
             instant.ImageFileMode.SetValue("On")
 
     def on_closed(self, camera: EmulatedCamera) -> None:
-        """Let other programs open a camera; called by the camera when it is closed.
-
-        Parameters
-        ----------
-        camera : EmulatedCamera
-            The camera.
-        """
+        """Let other programs open a camera; called by the camera when it is closed."""
         self._open.pop(camera.serial, None)
 
     def has_open(self, camera: EmulatedCamera) -> bool:
-        """Return whether a program has opened a camera.
-
-        Parameters
-        ----------
-        camera : EmulatedCamera
-            The camera.
-
-        Returns
-        -------
-        bool
-            False if it was opened through another `EmulatedCamera`.
-        """
+        """Return whether a program has opened a camera."""
         return self._open.get(camera.serial) is camera
 
     def expose(self, camera: EmulatedCamera) -> None:
-        """Put what the scene shows at this moment on the sensor.
-
-        Parameters
-        ----------
-        camera : EmulatedCamera
-            The camera, whose settings count.
-        """
+        """Put what the scene shows at this moment on the sensor."""
         if self.scene is not None:
             self.light.set_image(self.scene(camera.settings()), camera.settings().bits)
 
 
 class EmulatedCamera:
-    """An `InstantCamera` at the end of an emulated cable; all other attributes are those of pylon's.
-
-    Parameters
-    ----------
-    emulator : EmulatedPylon
-        What it is connected to.
-    serial : str
-        Serial number.
-    instant : pylon.InstantCamera
-        Pylon's camera.
-
-    Attributes
-    ----------
-    serial, instant
-        As given.
-    frames_to_lose : int
-        Number of the next frames that are lost on the way.
-    unplugged : bool
-        Whether the cable is unplugged.
-    """
+    """An `InstantCamera` at the end of an emulated cable; all other attributes are those of pylon's."""
 
     def __init__(self, emulator: EmulatedPylon, serial: str, instant: Any) -> None:
         self.serial, self.instant = serial, instant
@@ -309,13 +194,7 @@ class EmulatedCamera:
         self.instant.DestroyDevice()
 
     def GetNodeMap(self) -> Any:
-        """Return pylon's node map, with the resulting frame rate that a camera of this timing has.
-
-        Returns
-        -------
-        pylon.NodeMap
-            Of the camera.
-        """
+        """Return pylon's node map, with the resulting frame rate that a camera of this timing has."""
         rate, timing = self.instant.AcquisitionFrameRateAbs, self._emulator.policy.timing
         exposure_s = self.instant.GetNodeMap().GetNode(EXPOSURE_US[0]).GetValue() / US_PER_S
         if rate.IsWritable() and rate.GetValue() != timing.told_rate_hz(exposure_s):
@@ -323,13 +202,7 @@ class EmulatedCamera:
         return self.instant.GetNodeMap()
 
     def StartGrabbing(self, strategy: Any) -> None:
-        """Arm the camera as pylon does; it is ready then.
-
-        Parameters
-        ----------
-        strategy : pylon.EGrabStrategy
-            Pylon's grab strategy.
-        """
+        """Arm the camera as pylon does; it is ready then."""
         self._ready_s = -math.inf
         self.instant.StartGrabbing(strategy)
 
@@ -340,20 +213,7 @@ class EmulatedCamera:
             self.instant.ExecuteSoftwareTrigger()
 
     def RetrieveResult(self, timeout_ms: int, handling: Any) -> Any:
-        """Retrieve a grab result as pylon does, except for the frames that are to be lost.
-
-        Parameters
-        ----------
-        timeout_ms : int
-            How long to wait in ms, for each frame.
-        handling : pylon.ETimeoutHandling
-            What to do when none comes.
-
-        Returns
-        -------
-        pylon.GrabResult
-            Invalid if none comes.
-        """
+        """Retrieve a grab result as pylon does, except for the frames that are to be lost."""
         result = self._result(timeout_ms, handling)
         while self.frames_to_lose and result.IsValid():
             self.frames_to_lose -= 1
@@ -364,14 +224,7 @@ class EmulatedCamera:
         return self.instant.RetrieveResult(timeout_ms, handling)
 
     def pulse(self, at_s: float | None = None) -> None:
-        """Take a pulse on Line1: one frame, if the camera waits for it; without effect during closing.
-
-        Parameters
-        ----------
-        at_s : float, optional
-            When it comes, in s from any origin; one that comes before the camera is ready is ignored. Without
-            it the pulse comes when the camera is ready.
-        """
+        """Take a pulse on Line1: one frame, if the camera waits for it; without effect during closing."""
         try:
             if at_s is None or at_s >= self._ready_s - ROUNDING_S:
                 self._pulse(at_s)
@@ -391,61 +244,26 @@ class EmulatedCamera:
             self.instant.TriggerSoftware.Execute()
 
     def settings(self) -> CameraSettings:
-        """Return what the camera is set to.
-
-        Returns
-        -------
-        CameraSettings
-            Exposure, gain and bits.
-        """
+        """Return what the camera is set to."""
         bits = int(self._features.read(PIXEL_FORMAT).removeprefix("Mono"))
         return CameraSettings(self._features.read(EXPOSURE_US) / US_PER_S, self._features.read(GAIN_DB), bits)
 
     def fail_frames(self, frames: int) -> None:
-        """Let the next frames arrive incomplete.
-
-        Parameters
-        ----------
-        frames : int
-            Their number.
-        """
+        """Let the next frames arrive incomplete."""
         self.instant.ForceFailedBufferCount.SetValue(frames)
         self.instant.ForceFailedBuffer.Execute()
 
     def fail_grabbing(self, words: str) -> None:
-        """Let pylon's grab engine fail.
-
-        Parameters
-        ----------
-        words : str
-            The error message; an empty one ends the failure.
-        """
+        """Let pylon's grab engine fail."""
         self.instant.GetStreamGrabberNodeMap().GetNode("ImposedError").SetValue(words)
 
     def set_exposure_duration(self, exposure_s: float) -> None:
-        """Set how long emulated exposures take.
-
-        Parameters
-        ----------
-        exposure_s : float
-            Time in s.
-        """
+        """Set how long emulated exposures take."""
         self.instant.ExposureTimeAbs.SetValue(exposure_s * US_PER_S)
 
 
 class EmulatedSensorImage:
-    """The image on the sensor, as the file that the emulator reads at the end of an exposure.
-
-    Parameters
-    ----------
-    place : Path
-        Folder for its files.
-
-    Attributes
-    ----------
-    folder : Path
-        Folder that the emulator is told to read.
-    """
+    """The image on the sensor, as the file that the emulator reads at the end of an exposure."""
 
     def __init__(self, place: Path) -> None:
         self._place = place
@@ -455,15 +273,7 @@ class EmulatedSensorImage:
             (self.folder / name).symlink_to(place / "now.tif")
 
     def set_image(self, image: Image, bits: int) -> None:
-        """Replace the image on the sensor.
-
-        Parameters
-        ----------
-        image : Image
-            Raw integers of `bits`, the whole sensor [v, u].
-        bits : int
-            Bit depth; more than 8 are scaled to 16, of which the emulator takes the upper ones.
-        """
+        """Replace the image on the sensor."""
         scaled = image if bits == 8 else np.left_shift(image.astype(raw_dtype(16)), 16 - bits)
         self._replace(lambda path: tifffile.imwrite(path, scaled, photometric="minisblack", metadata=None))
 

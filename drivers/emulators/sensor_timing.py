@@ -33,34 +33,12 @@ class SensorTiming(Document):
     """By how many millionths the camera's times are longer than it tells."""
 
     def told_rate_hz(self, exposure_s: float) -> float:
-        """Compute the resulting frame rate that the camera tells.
-
-        Parameters
-        ----------
-        exposure_s : float
-            The exposure in s.
-
-        Returns
-        -------
-        float
-            Frame rate in Hz, rounded down to what pylon's emulator can tell.
-        """
+        """Compute the resulting frame rate that the camera tells."""
         rate_hz = 1.0 / (max(exposure_s, self.readout_us * S_PER_US) + self.dead_us * S_PER_US)
         return max(int(rate_hz * RATE_STEPS_PER_HZ), 1) / RATE_STEPS_PER_HZ
 
     def period_s(self, exposure_s: float) -> float:
-        """Compute the time from the beginning of an exposure until the camera takes the next pulse.
-
-        Parameters
-        ----------
-        exposure_s : float
-            The exposure in s.
-
-        Returns
-        -------
-        float
-            Time in s, by a clock that is right.
-        """
+        """Compute the time from the beginning of an exposure until the camera takes the next pulse."""
         dead_s = (self.dead_us + self.untold_us) * S_PER_US
         return (max(exposure_s, self.readout_us * S_PER_US) + dead_s) * (1 + 1e-6 * self.clock_ppm)
 

@@ -44,20 +44,6 @@ class PseudoTerminal:
 
     Baud rate and parity do not matter, since there is no wire. Bytes that no program reads are lost, as on a
     serial line. Entering raises `DeviceError` where the system has no pseudo-terminals.
-
-    Parameters
-    ----------
-    device : SerialEmulator
-        The emulated device.
-
-    Attributes
-    ----------
-    device : SerialEmulator
-        As given.
-    port : str
-        Name of the serial port that a program opens; empty before the context is entered.
-    lock : threading.Lock
-        Held while the device is served; take it to inspect the device.
     """
 
     def __init__(self, device: SerialEmulator) -> None:

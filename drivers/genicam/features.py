@@ -22,114 +22,34 @@ class Features:
 
     The node map is fetched anew for each access: an unplugged camera has none, whereas a stored node map goes
     on answering.
-
-    Parameters
-    ----------
-    device : str
-        Name of the camera in the rig file, for errors.
-    camera : object with `GetNodeMap`
-        The camera, open.
     """
 
     def __init__(self, device: str, camera: Any) -> None:
         self._device, self._camera = device, camera
 
     def has(self, feature: FeatureNames) -> bool:
-        """Tell whether the camera has a feature in its present mode.
-
-        Parameters
-        ----------
-        feature : tuple of str
-            Names of the feature, in order of preference.
-
-        Returns
-        -------
-        bool
-            True where its node is valid.
-        """
+        """Tell whether the camera has a feature in its present mode."""
         return bool(self._node(feature).IsValid())
 
     def read(self, feature: FeatureNames) -> Any:
-        """Read the value of a feature.
-
-        Parameters
-        ----------
-        feature : tuple of str
-            Names of the feature, in order of preference.
-
-        Returns
-        -------
-        int or float or bool or str or None
-            The value; None where the camera does not have the feature or it is not readable.
-        """
+        """Read the value of a feature."""
         node = self._node(feature)
         return node.GetValue() if node.IsReadable() else None
 
     def limits(self, feature: FeatureNames) -> tuple[float, float]:
-        """Read the range that a numeric feature takes at present.
-
-        Parameters
-        ----------
-        feature : tuple of str
-            Names of the feature, in order of preference.
-
-        Returns
-        -------
-        tuple of float
-            Minimum and maximum, in the feature's own unit.
-
-        Raises
-        ------
-        CapabilityError
-            The camera does not have the feature, or it is not readable.
-        """
+        """Read the range that a numeric feature takes at present."""
         node = self._node(feature)
         if not node.IsReadable():
             raise CapabilityError(self._device, "caps", f"the camera has no {feature[0]}")
         return float(node.GetMin()), float(node.GetMax())
 
     def choices(self, feature: FeatureNames) -> tuple[str, ...]:
-        """List the values that an enumeration can be set to at present.
-
-        Parameters
-        ----------
-        feature : tuple of str
-            Names of the feature, in order of preference.
-
-        Returns
-        -------
-        tuple of str
-            The settable values; empty where the camera has no such enumeration or it is not writable.
-        """
+        """List the values that an enumeration can be set to at present."""
         node = self._node(feature)
         return tuple(node.GetSettableValues()) if node.IsWritable() else ()
 
     def write(self, feature: FeatureNames, value: Any, operation: str, tolerance: float = 0.0) -> Any:
-        """Set a feature and read it back.
-
-        Parameters
-        ----------
-        feature : tuple of str
-            Names of the feature, in order of preference.
-        value : int or float or bool or str
-            The value to set.
-        operation : str
-            What the device is doing, for errors.
-        tolerance : float
-            Largest accepted difference between `value` and the value that is read back.
-
-        Returns
-        -------
-        int or float or bool or str
-            The value that is read back.
-
-        Raises
-        ------
-        CapabilityError
-            The feature is missing or not writable, and does not have this value already.
-        SettingError
-            The camera does not take the value, or another value is read back.
-        """
+        """Set a feature and read it back."""
         name, node = self._found(feature)
         if not node.IsWritable():
             if node.IsReadable() and node.GetValue() == value:
@@ -158,22 +78,7 @@ class Features:
         return back
 
     def ensure(self, feature: FeatureNames, value: Any, operation: str) -> None:
-        """Set a feature where the camera has it, and verify it.
-
-        Parameters
-        ----------
-        feature : tuple of str
-            Names of the feature, in order of preference.
-        value : int or float or bool or str
-            The value to set.
-        operation : str
-            What the device is doing, for errors.
-
-        Raises
-        ------
-        SettingError
-            The camera has the feature with another value, and keeps it.
-        """
+        """Set a feature where the camera has it, and verify it."""
         self.write_if_possible(feature, value)
         name, found = self._found(feature)[0], self.read(feature)
         if found is not None and found != value:
@@ -185,50 +90,18 @@ class Features:
             )
 
     def write_if_possible(self, feature: FeatureNames, value: Any) -> None:
-        """Set a feature where the camera takes the value; otherwise leave it unchanged.
-
-        Parameters
-        ----------
-        feature : tuple of str
-            Names of the feature, in order of preference.
-        value : int or float or bool or str
-            The value to set.
-        """
+        """Set a feature where the camera takes the value; otherwise leave it unchanged."""
         node = self._node(feature)
         if node.IsWritable() and not _refusal(node, value):
             node.SetValue(value)
 
     def unit(self, feature: FeatureNames) -> str | None:
-        """Read the unit of a numeric feature.
-
-        Parameters
-        ----------
-        feature : tuple of str
-            Names of the feature, in order of preference.
-
-        Returns
-        -------
-        str or None
-            The unit; None where the camera does not have the feature.
-        """
+        """Read the unit of a numeric feature."""
         node = self._node(feature)
         return str(node.GetUnit()) if node.IsValid() else None
 
     def execute(self, feature: FeatureNames, operation: str) -> None:
-        """Carry out a command.
-
-        Parameters
-        ----------
-        feature : tuple of str
-            Names of the command, in order of preference.
-        operation : str
-            What the device is doing, for errors.
-
-        Raises
-        ------
-        CapabilityError
-            The camera does not have the command, or does not take it at present.
-        """
+        """Carry out a command."""
         name, node = self._found(feature)
         if not node.IsWritable():
             raise CapabilityError(self._device, operation, f"the camera does not take {name} at present")

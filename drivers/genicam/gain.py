@@ -15,17 +15,7 @@ from drivers.genicam.options import RawGain
 
 
 class CameraGain:
-    """The gain of one open camera.
-
-    Parameters
-    ----------
-    features : Features
-        The camera's features.
-    conversion : RawGain or None
-        How a gain that is not in dB is converted, where it is known.
-    in_db : bool
-        Whether `Gain` is in dB, as with most makers; otherwise it is converted as `GainRaw` is.
-    """
+    """The gain of one open camera."""
 
     def __init__(self, features: Features, conversion: RawGain | None, in_db: bool = True) -> None:
         self._features, self._conversion = features, conversion
@@ -33,13 +23,7 @@ class CameraGain:
         self._own = GAIN_RAW if in_db else GAIN_DB
 
     def limits_db(self) -> tuple[float, float]:
-        """Read the range of gains at present.
-
-        Returns
-        -------
-        tuple of float
-            Least and greatest gain in dB; both 0 for a camera without gain, or whose conversion is unknown.
-        """
+        """Read the range of gains at present."""
         if self._in_db:
             return self._features.limits(GAIN_DB)
         if self._conversion is None or not self._features.has(self._own):
@@ -50,23 +34,7 @@ class CameraGain:
         return to_db(least, self._conversion), to_db(most, self._conversion)
 
     def set_db(self, gain_db: float) -> float:
-        """Set the gain.
-
-        Parameters
-        ----------
-        gain_db : float
-            Gain in dB, within `limits_db`.
-
-        Returns
-        -------
-        float
-            The gain that is read back, in dB.
-
-        Raises
-        ------
-        SettingError
-            The camera does not take it, or another one is read back.
-        """
+        """Set the gain."""
         if self._in_db:
             return float(self._features.write(GAIN_DB, gain_db, "configure", tolerance=1.0))
         if not self._features.has(self._own):
@@ -82,20 +50,7 @@ class CameraGain:
 
 
 def to_db(raw: float, conversion: RawGain) -> float:
-    """Convert a raw gain to dB.
-
-    Parameters
-    ----------
-    raw : float
-        The camera's own number, greater than 0 where the factor is proportional to it.
-    conversion : RawGain
-        How the camera's numbers are meant.
-
-    Returns
-    -------
-    float
-        Gain in dB.
-    """
+    """Convert a raw gain to dB."""
     if conversion.unity is not None:
         return 20.0 * math.log10(raw / conversion.unity)
     assert conversion.db_per_step is not None
@@ -103,20 +58,7 @@ def to_db(raw: float, conversion: RawGain) -> float:
 
 
 def to_raw(gain_db: float, conversion: RawGain) -> float:
-    """Convert a gain in dB to the camera's own number, not rounded: the inverse of `to_db`.
-
-    Parameters
-    ----------
-    gain_db : float
-        Gain in dB.
-    conversion : RawGain
-        How the camera's numbers are meant.
-
-    Returns
-    -------
-    float
-        The camera's own number.
-    """
+    """Convert a gain in dB to the camera's own number, not rounded: the inverse of `to_db`."""
     if conversion.unity is not None:
         return float(conversion.unity * 10.0 ** (gain_db / 20.0))
     assert conversion.db_per_step is not None

@@ -24,29 +24,8 @@ PACKED = "Mono12p"
 
 
 def image_from(raw: NDArray[np.uint8], pixel_format: str, height: int, width: int, padding: int) -> Image:
-    """Take the pixels out of the bytes of a frame, as a copy.
-
-    Parameters
-    ----------
-    raw : ndarray of uint8
-        The frame's bytes; more may follow.
-    pixel_format : str
-        One of `PIXELS`, or `PACKED`.
-    height, width : int
-        Size of the image in px.
-    padding : int
-        Bytes behind each row.
-
-    Returns
-    -------
-    ndarray of uint8 or uint16, (height, width)
-        The image.
-
-    Raises
-    ------
-    ValueError
-        The format is not known, or there are too few bytes.
-    """
+    """Take the pixels out of the bytes of a frame, as a copy."""
+    # returns (height, width)
     if pixel_format == PACKED:
         return unpack12(raw, height, width, padding)
     if pixel_format not in PIXELS:
@@ -61,30 +40,8 @@ def unpack12(raw: NDArray[np.uint8], height: int, width: int, padding: int = 0) 
 
     Without padding the pixels follow one another without gaps, even from row to row. With padding each row
     begins with a byte of its own.
-
-    Parameters
-    ----------
-    raw : ndarray of uint8
-        The frame's bytes; more may follow.
-    height, width : int
-        Size of the image in px.
-    padding : int, optional
-        Bytes behind each row.
-
-    Returns
-    -------
-    ndarray of uint16, (height, width)
-        Values 0 to 4095.
-
-    Raises
-    ------
-    ValueError
-        There are too few bytes.
-
-    References
-    ----------
-    GenICam Pixel Format Naming Convention, Mono12p
     """
+    # returns (height, width)
     if not padding:
         whole: NDArray[np.uint16] = _unpack(_rows(raw, 1, _packed_bytes(height * width), 0), height * width)
         return whole.reshape(height, width)

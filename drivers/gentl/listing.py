@@ -15,47 +15,22 @@ PATIENCE_S = 20.0
 
 @dataclass(frozen=True)
 class ListedCamera:
-    """A camera, as its producer tells it.
+    """A camera, as its producer tells it."""
 
-    Attributes
-    ----------
-    serial, vendor, model, layer : str
-        Serial number, or the producer's own name for it; maker, model and transport layer; empty if not told.
-    """
-
-    serial: str
-    vendor: str
-    model: str
-    layer: str
+    serial: str  # serial number, or the producer's own name for it
+    vendor: str  # serial number, or the producer's own name for it
+    model: str  # serial number, or the producer's own name for it
+    layer: str  # serial number, or the producer's own name for it
 
 
 def listed_cameras(path: Path) -> list[ListedCamera] | str:
-    """Ask a producer for its cameras, in a process of its own: it is a library of somebody else.
-
-    Parameters
-    ----------
-    path : Path
-        The .cti file.
-
-    Returns
-    -------
-    list of ListedCamera or str
-        The cameras, or why they cannot be told.
-    """
+    """Ask a producer for its cameras, in a process of its own: it is a library of somebody else."""
     answer: list[ListedCamera] | str | None = ask_apart(send_cameras, path, patience_s=PATIENCE_S)
     return "it crashes, or does not answer" if answer is None else answer
 
 
 def send_cameras(connection: Connection, path: Path) -> None:
-    """Send the list of cameras, or why it cannot be told.
-
-    Parameters
-    ----------
-    connection : Connection
-        Takes the answer.
-    path : Path
-        The .cti file.
-    """
+    """Send the list of cameras, or why it cannot be told."""
     try:
         from drivers.gentl.producer import GentlProducer, told_of
     except ImportError as error:

@@ -18,96 +18,42 @@ class MissingNode:
     """A feature that the camera does not have."""
 
     def IsValid(self) -> bool:
-        """Say no: the feature is missing.
-
-        Returns
-        -------
-        bool
-            False.
-        """
+        """Say no: the feature is missing."""
         return False
 
     def IsReadable(self) -> bool:
-        """Say no: the feature is missing.
-
-        Returns
-        -------
-        bool
-            False.
-        """
+        """Say no: the feature is missing."""
         return False
 
     def IsWritable(self) -> bool:
-        """Say no: the feature is missing.
-
-        Returns
-        -------
-        bool
-            False.
-        """
+        """Say no: the feature is missing."""
         return False
 
 
 class SwitchNode:
-    """A node with a value; a boolean one has nothing else.
-
-    Parameters
-    ----------
-    node : genapi.IValue
-        The node.
-    """
+    """A node with a value; a boolean one has nothing else."""
 
     def __init__(self, node: Any) -> None:
         self._node = node
 
     def IsValid(self) -> bool:
-        """Return whether the camera implements the feature.
-
-        Returns
-        -------
-        bool
-            False for one that it only names.
-        """
+        """Return whether the camera implements the feature."""
         return bool(self._mode() != genapi.EAccessMode.NI)
 
     def IsReadable(self) -> bool:
-        """Return whether the value can be read at present.
-
-        Returns
-        -------
-        bool
-            True if so.
-        """
+        """Return whether the value can be read at present."""
         return self._mode() in READABLE
 
     def IsWritable(self) -> bool:
-        """Return whether the value can be set at present.
-
-        Returns
-        -------
-        bool
-            True if so.
-        """
+        """Return whether the value can be set at present."""
         return self._mode() in WRITABLE
 
     def GetValue(self) -> Any:
-        """Return the value.
-
-        Returns
-        -------
-        int or float or bool or str
-            Of the node's own type.
-        """
+        """Return the value."""
         return self._node.value
 
     def SetValue(self, value: Any) -> None:
-        """Set the value.
-
-        Parameters
-        ----------
-        value : int or float or bool or str
-            The value, of the node's own type.
-        """
+        """Set the value."""
         self._node.value = value
 
     def _mode(self) -> Any:
@@ -118,43 +64,19 @@ class NumberNode(SwitchNode):
     """An integer or a float."""
 
     def GetMin(self) -> Any:
-        """Return the least value at present.
-
-        Returns
-        -------
-        int or float
-            In the node's own unit.
-        """
+        """Return the least value at present."""
         return self._node.min
 
     def GetMax(self) -> Any:
-        """Return the greatest value at present.
-
-        Returns
-        -------
-        int or float
-            In the node's own unit.
-        """
+        """Return the greatest value at present."""
         return self._node.max
 
     def GetInc(self) -> Any:
-        """Return the step of an integer.
-
-        Returns
-        -------
-        int
-            In the node's own unit.
-        """
+        """Return the step of an integer."""
         return self._node.inc
 
     def GetUnit(self) -> str:
-        """Return the unit, empty where the camera states none.
-
-        Returns
-        -------
-        str
-            Such as dB.
-        """
+        """Return the unit, empty where the camera states none."""
         return str(self._node.unit)
 
 
@@ -162,13 +84,7 @@ class ChoiceNode(SwitchNode):
     """An enumeration."""
 
     def GetSettableValues(self) -> tuple[str, ...]:
-        """Return the names that it can be set to at present.
-
-        Returns
-        -------
-        tuple of str
-            Those that the camera offers.
-        """
+        """Return the names that it can be set to at present."""
         return tuple(entry.symbolic for entry in self._node.entries if entry.get_access_mode() in READABLE)
 
 
@@ -190,30 +106,13 @@ KINDS: dict[type, type[SwitchNode]] = {
 
 
 class GentlNodeMap:
-    """A node map that answers as pylon's does.
-
-    Parameters
-    ----------
-    nodes : genapi.NodeMap
-        The camera's.
-    """
+    """A node map that answers as pylon's does."""
 
     def __init__(self, nodes: Any) -> None:
         self._nodes = nodes
 
     def GetNode(self, name: str) -> Any:
-        """Look a feature up.
-
-        Parameters
-        ----------
-        name : str
-            Its name.
-
-        Returns
-        -------
-        SwitchNode or MissingNode
-            Of the kind that the feature has.
-        """
+        """Look a feature up."""
         try:
             node = self._nodes.get_node(name)
         except genapi.LogicalErrorException:

@@ -34,36 +34,15 @@ FIRST_FRAME = {"U3V": 0, "GEV": 1}
 
 @dataclass(frozen=True, eq=False)
 class GentlFrame:
-    """One frame as the producer delivers it.
+    """One frame as the producer delivers it."""
 
-    Attributes
-    ----------
-    image : ndarray of uint8 or uint16, (height, width)
-        The pixels, a copy.
-    number : int
-        The camera's own count.
-    time_s : float or None
-        By the camera's clock, in s; None where it has none.
-    """
-
-    image: Image
-    number: int
-    time_s: float | None
+    image: Image  # the pixels, a copy
+    number: int  # the camera's own count
+    time_s: float | None  # by the camera's clock, in s; None where it has none
 
 
 class GentlProducer:
-    """A loaded GenTL producer.
-
-    Parameters
-    ----------
-    path : Path
-        The .cti file.
-
-    Raises
-    ------
-    ConfigError
-        The file is missing, or it is no producer for this computer.
-    """
+    """A loaded GenTL producer."""
 
     def __init__(self, path: Path) -> None:
         if not path.is_file():
@@ -73,34 +52,12 @@ class GentlProducer:
         self._harvester.add_file(str(path))
 
     def cameras(self) -> dict[str, Any]:
-        """List the cameras that the producer sees now.
-
-        Returns
-        -------
-        dict of str to harvesters.core.DeviceInfo
-            By serial number, or by the producer's own name where a camera has no serial number.
-        """
+        """List the cameras that the producer sees now."""
         self._harvester.update()
         return {told_of(info, "serial_number") or info.id_: info for info in self._harvester.device_info_list}
 
     def attach(self, info: Any) -> GentlEnd:
-        """Open a camera.
-
-        Parameters
-        ----------
-        info : harvesters.core.DeviceInfo
-            One of the values of `cameras`.
-
-        Returns
-        -------
-        GentlEnd
-            The camera, open.
-
-        Raises
-        ------
-        genicam.gentl.GenericException
-            It cannot be reached, or another program has it open.
-        """
+        """Open a camera."""
         with _own_ctrl_c():
             return GentlEnd(self._harvester.create({"id_": info.id_}), info)
 
@@ -110,22 +67,7 @@ class GentlProducer:
 
 
 class GentlEnd:
-    """An open camera.
-
-    Parameters
-    ----------
-    acquirer : harvesters.core.ImageAcquirer
-        The camera as harvesters opens it.
-    info : harvesters.core.DeviceInfo
-        What the producer tells of it.
-
-    Attributes
-    ----------
-    model, link : str
-        Maker and model, and transport layer, as the producer tells them.
-    first_number : int or None
-        Number of the first frame after a start; None where it is not laid down.
-    """
+    """An open camera."""
 
     def __init__(self, acquirer: Any, info: Any) -> None:
         self._acquirer = acquirer
@@ -134,39 +76,16 @@ class GentlEnd:
         self.first_number = FIRST_FRAME.get(told_of(info, "tl_type"))
 
     def GetNodeMap(self) -> GentlNodeMap:
-        """Return the camera's node map.
-
-        Returns
-        -------
-        GentlNodeMap
-            Its nodes answer for the camera as it is at the time.
-        """
+        """Return the camera's node map."""
         return GentlNodeMap(self._acquirer.remote_device.node_map)
 
     def start(self, frames: int) -> None:
-        """Start the transfer of frames.
-
-        Parameters
-        ----------
-        frames : int
-            How many may wait for the host.
-        """
+        """Start the transfer of frames."""
         self._acquirer.num_buffers = frames + SPARE
         self._acquirer.start()
 
     def fetch(self, timeout_s: float) -> GentlFrame | None:
-        """Wait for the next complete frame; incomplete ones are dropped, and missing from the count.
-
-        Parameters
-        ----------
-        timeout_s : float
-            Longest time to wait in s.
-
-        Returns
-        -------
-        GentlFrame or None
-            The frame; None where none came in time.
-        """
+        """Wait for the next complete frame; incomplete ones are dropped, and missing from the count."""
         deadline_s = time.monotonic() + timeout_s
         while True:
             left_s = deadline_s - time.monotonic()
@@ -244,20 +163,7 @@ def _asked(of_buffer: Callable[[], int], otherwise: Callable[[], int]) -> int:
 
 
 def told_of(info: Any, name: str) -> str:
-    """Return what a producer tells of a camera.
-
-    Parameters
-    ----------
-    info : harvesters.core.DeviceInfo
-        One of the values of `GentlProducer.cameras`.
-    name : str
-        What is asked for, such as "vendor".
-
-    Returns
-    -------
-    str
-        The answer; empty where the producer refuses one.
-    """
+    """Return what a producer tells of a camera."""
     with suppress(gentl.GenericException, AttributeError):
         return str(getattr(info, name) or "")
     return ""

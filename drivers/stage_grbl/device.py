@@ -57,60 +57,20 @@ class StageOptions(Document):
 
 @dataclass(frozen=True)
 class Mechanics:
-    """Properties of the axis, derived from the controller's settings.
+    """Properties of the axis, derived from the controller's settings."""
 
-    Attributes
-    ----------
-    step_mm : float
-        Length of one motor step in mm.
-    usable_mm : float
-        Travel in mm from the position where homing ends.
-    direction : int
-        Sign of the machine axis in the direction away from the home switch, 1 or -1.
-    braking_s : float
-        Longest time from full speed to rest, in s.
-    homing_s : float
-        Longest time of a homing cycle, in s.
-    unit_mm : float
-        Unit of reported positions in mm: 1 or 25.4.
-    rounding_mm : float
-        Half the last digit of a reported position, in mm.
-    home_mm : float
-        Machine position in mm at the end of homing, unless the controller forces the origin there.
-    """
-
-    step_mm: float
-    usable_mm: float
-    direction: int
-    braking_s: float
-    homing_s: float
-    unit_mm: float
-    rounding_mm: float
-    home_mm: float
+    step_mm: float  # length of one motor step in mm
+    usable_mm: float  # travel in mm from the position where homing ends
+    direction: int  # sign of the machine axis in the direction away from the home switch, 1 or -1
+    braking_s: float  # longest time from full speed to rest, in s
+    homing_s: float  # longest time of a homing cycle, in s
+    unit_mm: float  # unit of reported positions in mm: 1 or 25.4
+    rounding_mm: float  # half the last digit of a reported position, in mm
+    home_mm: float  # machine position in mm at the end of homing
 
     @classmethod
     def of(cls, settings: dict[int, float], axis: int) -> Mechanics:
-        """Derive the properties of an axis from the controller's settings.
-
-        Parameters
-        ----------
-        settings : dict of int to float
-            Answer to `$$`, by number.
-        axis : int
-            0 for X, 1 for Y, 2 for Z.
-
-        Returns
-        -------
-        Mechanics
-            Of that axis.
-
-        Raises
-        ------
-        KeyError
-            A setting is missing.
-        ZeroDivisionError
-            Steps per mm, a homing rate or the acceleration is 0.
-        """
+        """Derive the properties of an axis from the controller's settings."""
         unit_mm, digit = (MM_PER_INCH, DIGIT_INCH) if settings[13] else (1.0, DIGIT_MM)
         step_mm, pull_off_mm = 1.0 / settings[100 + axis], settings[27]
         seek_mm_s, slow_mm_s, pause_s = settings[25] / 60, settings[24] / 60, settings[26] / 1000

@@ -82,41 +82,23 @@ class Ok:
 
 @dataclass(frozen=True)
 class GrblError:
-    """`error:N`: the line sent was not executed.
+    """`error:N`: the line sent was not executed."""
 
-    Attributes
-    ----------
-    code : int
-        See `ERRORS`.
-    """
-
-    code: int
+    code: int  # see `ERRORS`
 
 
 @dataclass(frozen=True)
 class Alarm:
-    """`ALARM:N`: the controller has stopped and locked itself.
+    """`ALARM:N`: the controller has stopped and locked itself."""
 
-    Attributes
-    ----------
-    code : int
-        See `ALARMS`.
-    """
-
-    code: int
+    code: int  # see `ALARMS`
 
 
 @dataclass(frozen=True)
 class Welcome:
-    """Startup message: the controller has started or restarted.
+    """Startup message: the controller has started or restarted."""
 
-    Attributes
-    ----------
-    version : str
-        GRBL's version, such as "1.1h".
-    """
-
-    version: str
+    version: str  # GRBL's version, such as "1.1h"
 
 
 @dataclass(frozen=True)
@@ -125,58 +107,29 @@ class StatusReport:
 
     A report holds the machine position or the work position; the work coordinate offset is sent only in some
     reports. Positions are in mm or inches, as set by `$13`.
-
-    Attributes
-    ----------
-    state : str
-        One of `STATES`.
-    substate : int or None
-        Number behind the state, such as 0 in `Hold:0`.
-    machine : tuple of float or None
-        Machine position (MPos).
-    work : tuple of float or None
-        Work position (WPos).
-    offset : tuple of float or None
-        Work coordinate offset (WCO): machine minus work position.
-    pins : str
-        Letters of the inputs that are active (Pn), X for the limit switch of axis X.
     """
 
-    state: str
-    substate: int | None
-    machine: Axes | None
-    work: Axes | None
-    offset: Axes | None
-    pins: str
+    state: str  # one of `STATES`
+    substate: int | None  # number behind the state, such as 0 in `Hold:0`
+    machine: Axes | None  # machine position (MPos)
+    work: Axes | None  # work position (WPos)
+    offset: Axes | None  # work coordinate offset (WCO): machine minus work position
+    pins: str  # letters of the inputs that are active (Pn), X for the limit switch of axis X
 
 
 @dataclass(frozen=True)
 class Setting:
-    """One line of the answer to `$$`.
+    """One line of the answer to `$$`."""
 
-    Attributes
-    ----------
-    number : int
-        Number of the setting, 130 for `$130`.
-    value : float
-        Its value.
-    """
-
-    number: int
-    value: float
+    number: int  # number of the setting, 130 for `$130`
+    value: float  # its value
 
 
 @dataclass(frozen=True)
 class OtherLine:
-    """Any other line that the protocol allows: bracketed messages, startup lines.
+    """Any other line that the protocol allows: bracketed messages, startup lines."""
 
-    Attributes
-    ----------
-    text : str
-        The whole line.
-    """
-
-    text: str
+    text: str  # the whole line
 
 
 GrblMessage = Ok | GrblError | Alarm | Welcome | StatusReport | Setting | OtherLine
@@ -189,27 +142,7 @@ _OTHER = re.compile(r"\[[^\[\]]*\]|>.*:(ok|error:\d+)|\$N\d=.*")
 
 
 def parse_line(line: str) -> GrblMessage:
-    """Parse one line of the controller.
-
-    Parameters
-    ----------
-    line : str
-        The line without its line end.
-
-    Returns
-    -------
-    GrblMessage
-        The message.
-
-    Raises
-    ------
-    ValueError
-        The line is not part of the protocol.
-
-    References
-    ----------
-    GRBL 1.1 interface documentation, `doc/markdown/interface.md`
-    """
+    """Parse one line of the controller."""
     if line == "ok":
         return Ok()
     for beginning, kind in (("error:", GrblError), ("ALARM:", Alarm)):
@@ -251,32 +184,10 @@ def _axes(text: str | None) -> Axes | None:
 
 
 def describe_error(code: int) -> str:
-    """Describe an error code.
-
-    Parameters
-    ----------
-    code : int
-        N of `error:N`.
-
-    Returns
-    -------
-    str
-        The code and its meaning.
-    """
+    """Describe an error code."""
     return f"error:{code}, {ERRORS.get(code, 'which GRBL 1.1 does not document')}"
 
 
 def describe_alarm(code: int) -> str:
-    """Describe an alarm code.
-
-    Parameters
-    ----------
-    code : int
-        N of `ALARM:N`.
-
-    Returns
-    -------
-    str
-        The code and its meaning.
-    """
+    """Describe an alarm code."""
     return f"ALARM:{code}, {ALARMS.get(code, 'which GRBL 1.1 does not document')}"

@@ -54,13 +54,6 @@ class GrblWire:
     Every method takes the operation that the device is carrying out, for errors. Each may raise
     `DisconnectedError` when the port is gone; those that receive raise `DeviceError` for an alarm,
     `RestartedError` for an unexpected restart and `ProtocolError` for a line that is not GRBL's.
-
-    Parameters
-    ----------
-    name : str
-        The device's name, for errors.
-    port : str
-        Name of the serial port.
     """
 
     def __init__(self, name: str, port: str) -> None:
@@ -81,25 +74,7 @@ class GrblWire:
         self._serial.close()
 
     def reset(self, operation: str, timeout_s: float) -> str:
-        """Restart the controller, which stops it at once, and discard what it sent before.
-
-        Parameters
-        ----------
-        operation : str
-            What the device is doing, for errors.
-        timeout_s : float
-            Time limit in s for the welcome message.
-
-        Returns
-        -------
-        str
-            GRBL's version, such as "1.1h".
-
-        Raises
-        ------
-        DeviceTimeoutError
-            No welcome message came in time.
-        """
+        """Restart the controller, which stops it at once, and discard what it sent before."""
         self._read(operation, time.monotonic())
         self._received.clear()  # an earlier welcome message must not be taken for the answer
         self._write(operation, RESET)
@@ -121,24 +96,7 @@ class GrblWire:
         )
 
     def await_ok(self, operation: str, line: str, timeout_s: float) -> None:
-        """Wait for the `ok` to the line sent.
-
-        Parameters
-        ----------
-        operation : str
-            What the device is doing, for errors.
-        line : str
-            The line sent, for errors.
-        timeout_s : float
-            Time limit in s.
-
-        Raises
-        ------
-        DeviceTimeoutError
-            No answer came in time.
-        DeviceError
-            The controller refused the line.
-        """
+        """Wait for the `ok` to the line sent."""
         if not self.wait_for_answer(operation, line, timeout_s):
             raise DeviceTimeoutError(
                 self._name,
@@ -152,18 +110,6 @@ class GrblWire:
 
         Messages that have arrived in the meantime are processed before, so that an alarm or a restart is
         noticed.
-
-        Parameters
-        ----------
-        operation : str
-            What the device is doing, for errors.
-        line : str
-            The line in ASCII, without line end.
-
-        Raises
-        ------
-        ProtocolError
-            An answer has arrived though no line was sent: another program uses the port.
         """
         while self._process_line(operation, time.monotonic()):
             pass
@@ -177,27 +123,7 @@ class GrblWire:
         self._write(operation, line.encode("ascii") + b"\n")
 
     def wait_for_answer(self, operation: str, line: str, timeout_s: float) -> bool:
-        """Wait for the answer to the line sent.
-
-        Parameters
-        ----------
-        operation : str
-            What the device is doing, for errors.
-        line : str
-            The line sent, for errors.
-        timeout_s : float
-            How long to wait in s.
-
-        Returns
-        -------
-        bool
-            True for `ok`; False when no answer came in time.
-
-        Raises
-        ------
-        DeviceError
-            The controller refused the line.
-        """
+        """Wait for the answer to the line sent."""
         deadline = time.monotonic() + timeout_s
         while not self._answers:
             if not self._process_line(operation, deadline):
@@ -208,23 +134,7 @@ class GrblWire:
         return True
 
     def status(self, operation: str) -> StatusReport:
-        """Query state and position; the controller does not answer while it homes.
-
-        Parameters
-        ----------
-        operation : str
-            What the device is doing, for errors.
-
-        Returns
-        -------
-        StatusReport
-            The next report.
-
-        Raises
-        ------
-        DeviceTimeoutError
-            No report came within `ANSWER_S`.
-        """
+        """Query state and position; the controller does not answer while it homes."""
         self._report = None
         self._write(operation, STATUS)
         deadline = time.monotonic() + ANSWER_S
@@ -236,51 +146,21 @@ class GrblWire:
         return self._report
 
     def settings(self, operation: str) -> dict[int, float]:
-        """Read all settings (`$$`).
-
-        Parameters
-        ----------
-        operation : str
-            What the device is doing, for errors.
-
-        Returns
-        -------
-        dict of int to float
-            Values by number, 130 for `$130`.
-        """
+        """Read all settings (`$$`)."""
         self._settings.clear()
         self.send(operation, "$$")
         self.await_ok(operation, "$$", ANSWER_S)
         return dict(self._settings)
 
     def build_options(self, operation: str) -> str | None:
-        """Read the letters of the options that the controller was compiled with (`$I`).
-
-        Parameters
-        ----------
-        operation : str
-            What the device is doing, for errors.
-
-        Returns
-        -------
-        str or None
-            One letter for each option, such as "VZ"; None where the controller does not tell.
-        """
+        """Read the letters of the options that the controller was compiled with (`$I`)."""
         self._build_options = None
         self.send(operation, BUILD_INFO)
         self.await_ok(operation, BUILD_INFO, ANSWER_S)
         return self._build_options
 
     def realtime(self, operation: str, byte: bytes) -> None:
-        """Send a real-time command, which is executed at once and has no answer.
-
-        Parameters
-        ----------
-        operation : str
-            What the device is doing, for errors.
-        byte : bytes
-            `HOLD` or another single byte.
-        """
+        """Send a real-time command, which is executed at once and has no answer."""
         self._write(operation, byte)
 
     def _process_line(self, operation: str, deadline: float) -> bool:

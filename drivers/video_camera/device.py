@@ -30,53 +30,27 @@ BUFFERS = 4
 
 @dataclass(frozen=True)
 class Control:
-    """A control of the camera.
+    """A control of the camera."""
 
-    Attributes
-    ----------
-    name : str
-        As the kernel names it.
-    least, most, step, default : int
-        Its range.
-    is_settable : bool
-        False where it can be read only, or not set in the present mode.
-    """
-
-    name: str
-    least: int
-    most: int
-    step: int
-    default: int
-    is_settable: bool
+    name: str  # as the kernel names it
+    least: int  # its range
+    most: int  # its range
+    step: int  # its range
+    default: int  # its range
+    is_settable: bool  # false where it can be read only, or not set in the present mode
 
 
 @dataclass(frozen=True, eq=False)
 class StampedFrame:
-    """One frame as the kernel delivers it.
+    """One frame as the kernel delivers it."""
 
-    Attributes
-    ----------
-    pixels : ndarray of uint8
-        The bytes of all rows, a copy.
-    time_s : float or None
-        By the computer's monotonic clock; None where the driver stamps frames otherwise.
-    is_damaged : bool
-        Whether the kernel says that it may not be whole.
-    """
-
-    pixels: NDArray[np.uint8]
-    time_s: float | None
-    is_damaged: bool
+    pixels: NDArray[np.uint8]  # the bytes of all rows, a copy
+    time_s: float | None  # by the computer's monotonic clock; None where the driver stamps frames otherwise
+    is_damaged: bool  # whether the kernel says that it may not be whole
 
 
 class VideoDevice:
-    """An open device file.
-
-    Parameters
-    ----------
-    path : str
-        Such as /dev/video0.
-    """
+    """An open device file."""
 
     def __init__(self, path: str) -> None:
         if fcntl is None:
@@ -90,13 +64,8 @@ class VideoDevice:
         os.close(self._file)
 
     def identity(self) -> tuple[str, str, bool]:
-        """Return the camera's name, where it is connected, and whether it captures frames into buffers.
-
-        Returns
-        -------
-        tuple of (str, str, bool)
-            Name, connection, and whether frames can be had.
-        """
+        """Return the camera's name, where it is connected, and whether it captures frames into buffers."""
+        # returns (str, str, bool)
         found = v4l2.Capability()
         fcntl.ioctl(self._file, v4l2.QUERY_CAPABILITY, found)
         own = found.capabilities & v4l2.HAS_OWN_CAPS
@@ -105,69 +74,33 @@ class VideoDevice:
         return found.card.decode(), found.bus.decode(), caps & wanted == wanted
 
     def formats(self) -> tuple[str, ...]:
-        """Return the four letters of each pixel format.
-
-        Returns
-        -------
-        tuple of str
-            In the order in which the driver lists them.
-        """
+        """Return the four letters of each pixel format."""
         return tuple(self._formats())
 
     def format(self) -> tuple[str, int, int, int]:
-        """Return the present pixel format, width and height in px, and bytes from row to row.
-
-        Returns
-        -------
-        tuple of (str, int, int, int)
-            Format, width, height and pitch.
-        """
+        """Return the present pixel format, width and height in px, and bytes from row to row."""
+        # returns (str, int, int, int)
         now = v4l2.PixelLayout(kind=v4l2.CAPTURE)
         fcntl.ioctl(self._file, v4l2.GET_FORMAT, now)
         letters = now.pixel_format.to_bytes(4, "little").decode("ascii")
         return letters, now.width, now.height, now.bytes_per_line
 
     def set_format(self, letters: str, width: int, height: int) -> None:
-        """Set the format; the kernel takes the nearest one that the camera has.
-
-        Parameters
-        ----------
-        letters : str
-            Pixel format.
-        width, height : int
-            Size in px.
-        """
+        """Set the format; the kernel takes the nearest one that the camera has."""
         wanted = v4l2.PixelLayout(
             kind=v4l2.CAPTURE, width=width, height=height, pixel_format=v4l2.fourcc(letters), field=1
         )
         fcntl.ioctl(self._file, v4l2.SET_FORMAT, wanted)
 
     def period_s(self) -> float | None:
-        """Return the time in s from frame to frame; None where the driver does not tell.
-
-        Returns
-        -------
-        float or None
-            Time in s.
-        """
+        """Return the time in s from frame to frame; None where the driver does not tell."""
         now = v4l2.Period(kind=v4l2.CAPTURE)
         with suppress(OSError):
             fcntl.ioctl(self._file, v4l2.GET_PERIOD, now)
         return now.numerator / now.denominator if now.numerator and now.denominator else None
 
     def control(self, number: int) -> Control | None:
-        """Look a control up.
-
-        Parameters
-        ----------
-        number : int
-            The kernel's number of it.
-
-        Returns
-        -------
-        Control or None
-            None where the camera does not have it.
-        """
+        """Look a control up."""
         found = v4l2.ControlDescription(id=number)
         try:
             fcntl.ioctl(self._file, v4l2.QUERY_CONTROL, found)
@@ -181,32 +114,13 @@ class VideoDevice:
         return Control(found.name.decode(), found.least, found.most, found.step, found.default, settable)
 
     def get(self, number: int) -> int:
-        """Read a control.
-
-        Parameters
-        ----------
-        number : int
-            The kernel's number of it.
-
-        Returns
-        -------
-        int
-            Its value.
-        """
+        """Read a control."""
         found = v4l2.ControlValue(id=number)
         fcntl.ioctl(self._file, v4l2.GET_CONTROL, found)
         return int(found.value)
 
     def set(self, number: int, value: int) -> None:
-        """Set a control; the kernel may take the nearest value.
-
-        Parameters
-        ----------
-        number : int
-            The kernel's number of it.
-        value : int
-            The value.
-        """
+        """Set a control; the kernel may take the nearest value."""
         fcntl.ioctl(self._file, v4l2.SET_CONTROL, v4l2.ControlValue(id=number, value=value))
 
     def start(self) -> None:
@@ -222,18 +136,7 @@ class VideoDevice:
         self._stream(v4l2.STREAM_ON)
 
     def read(self, timeout_s: float) -> StampedFrame | None:
-        """Wait for a frame.
-
-        Parameters
-        ----------
-        timeout_s : float
-            Longest time to wait in s.
-
-        Returns
-        -------
-        StampedFrame or None
-            None where none came in time.
-        """
+        """Wait for a frame."""
         ready, _, _ = select.select([self._file], [], [], max(timeout_s, 0.0))
         if not ready:
             return None

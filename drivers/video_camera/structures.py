@@ -110,16 +110,5 @@ QUERY_CONTROL = _request(_BOTH, 36, ControlDescription)
 
 
 def fourcc(name: str) -> int:
-    """Return the number of a pixel format.
-
-    Parameters
-    ----------
-    name : str
-        Its four letters.
-
-    Returns
-    -------
-    int
-        The number.
-    """
+    """Return the number of a pixel format."""
     return int.from_bytes(name.encode("ascii"), "little")

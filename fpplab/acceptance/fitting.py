@@ -42,63 +42,27 @@ class FittedFeature(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Sphere:
-    """A sphere.
+    """A sphere."""
 
-    Attributes
-    ----------
-    centre : ndarray of float64
-        (3,) in mm.
-    radius : float
-        In mm.
-    """
-
-    centre: Floats
-    radius: float
+    centre: Floats  # (3,) in mm
+    radius: float  # in mm
 
     def distances(self, points: Floats) -> Floats:
-        """Compute radial distances from the surface.
-
-        Parameters
-        ----------
-        points : ndarray of float64
-            (N, 3) in mm.
-
-        Returns
-        -------
-        ndarray of float64
-            Distances (N,) in mm, positive outside.
-        """
+        """Compute radial distances from the surface."""
+        # points (N, 3) mm; returns (N,) mm
         return np.asarray(np.linalg.norm(points - self.centre, axis=1) - self.radius)
 
 
 @dataclass(frozen=True, eq=False)
 class Plane:
-    """A plane.
+    """A plane."""
 
-    Attributes
-    ----------
-    point : ndarray of float64
-        A point (3,) on the plane in mm; the mean of the points that were fitted.
-    normal : ndarray of float64
-        Unit normal (3,), towards the origin.
-    """
-
-    point: Floats
-    normal: Floats
+    point: Floats  # A point (3,) on the plane in mm; the mean of the points that were fitted
+    normal: Floats  # unit normal (3,), towards the origin
 
     def distances(self, points: Floats) -> Floats:
-        """Compute distances along the normal.
-
-        Parameters
-        ----------
-        points : ndarray of float64
-            (N, 3) in mm.
-
-        Returns
-        -------
-        ndarray of float64
-            Distances (N,) in mm, positive towards the origin, where the camera is.
-        """
+        """Compute distances along the normal."""
+        # points (N, 3) mm; returns (N,) mm
         return np.asarray((points - self.point) @ self.normal)
 
 
@@ -106,22 +70,8 @@ def fit_sphere(points: Floats) -> Sphere:
     """Fit a sphere of free radius, least squares in the radial distances.
 
     Gauss-Newton iteration from the algebraic fit, in which `|p|² = 2 p·c + (r² - |c|²)` is linear.
-
-    Parameters
-    ----------
-    points : ndarray of float64
-        (N, 3) in mm, at least four.
-
-    Returns
-    -------
-    Sphere
-        The fitted sphere, in mm.
-
-    Raises
-    ------
-    DataError
-        The points are fewer than four, lie on a plane or a line, or the fit does not converge.
     """
+    # points (N, 3) mm
     if len(points) < 4:
         raise DataError(f"a sphere needs at least 4 points, and there are {len(points)}")
     middle = points.mean(axis=0)
@@ -147,23 +97,8 @@ def fit_sphere(points: Floats) -> Sphere:
 
 
 def fit_plane(points: Floats) -> Plane:
-    """Fit a plane, least squares in the distances along its normal.
-
-    Parameters
-    ----------
-    points : ndarray of float64
-        (N, 3) in mm, at least three.
-
-    Returns
-    -------
-    Plane
-        The fitted plane, its normal towards the origin.
-
-    Raises
-    ------
-    DataError
-        The points are fewer than three or lie on a line.
-    """
+    """Fit a plane, least squares in the distances along its normal."""
+    # points (N, 3) mm
     if len(points) < 3:
         raise DataError(f"a plane needs at least 3 points, and there are {len(points)}")
     middle = points.mean(axis=0)
@@ -184,23 +119,8 @@ def fit_without_worst(
 
     Exactly `floor(share * N)` points are discarded: those farthest from the fit. They are chosen again
     after each fit, from all points, until the choice no longer changes (`MAX_ITERATIONS` at most).
-
-    Parameters
-    ----------
-    points : ndarray of float64
-        (N, 3) in mm.
-    fit : callable
-        Fits the shape to points (M, 3), such as `fit_sphere`.
-    share : float
-        Of the points that are discarded.
-
-    Returns
-    -------
-    feature : FittedFeature
-        The fit to the points that were kept.
-    kept : ndarray of bool
-        (N,), False for the points that were discarded.
     """
+    # points (N, 3) mm; fit (M, 3); returns kept (N,)
     keep = np.ones(len(points), bool)
     feature = fit(points)
     discarded = int(np.floor(share * len(points)))
@@ -218,16 +138,5 @@ def fit_without_worst(
 
 
 def peak_to_peak(values: Floats) -> float:
-    """Compute the greatest value minus the least.
-
-    Parameters
-    ----------
-    values : ndarray of float64
-        At least one, of any unit.
-
-    Returns
-    -------
-    float
-        The span, in the unit of the values.
-    """
+    """Compute the greatest value minus the least."""
     return float(values.max() - values.min())

@@ -35,50 +35,20 @@ F = TypeVar("F", bound=FittedFeature)
 
 @dataclass(frozen=True, eq=False)
 class MeasuredFeature:
-    """The evaluated points of one feature, and their distances from its fit.
+    """The evaluated points of one feature, and their distances from its fit."""
 
-    Attributes
-    ----------
-    points : ndarray of float32
-        (K, 3) in mm in the camera's frame.
-    pixels : ndarray of int32 or None
-        Camera pixels (K, 2) as (u, v), None where unknown.
-    distances : ndarray of float64
-        Signed distances (K,) in mm from the fit.
-    kept : ndarray of bool
-        (K,), False for the farthest points, which were discarded.
-    span_all_um : float
-        Greatest minus least distance in µm of all points from a fit to all points.
-    """
-
-    points: NDArray[np.float32]
-    pixels: NDArray[np.int32] | None
-    distances: Floats
-    kept: Mask
-    span_all_um: float
+    points: NDArray[np.float32]  # (K, 3) in mm in the camera's frame
+    pixels: NDArray[np.int32] | None  # camera pixels (K, 2) as (u, v), None where unknown
+    distances: Floats  # signed distances (K,) in mm from the fit
+    kept: Mask  # (K,), False for the farthest points, which were discarded
+    span_all_um: float  # greatest minus least distance in µm of all points from a fit to all points
 
     @classmethod
     def fitted(
         cls, cloud: Cloud, index: NDArray[np.intp], fit: Callable[[Floats], F]
     ) -> tuple[F, MeasuredFeature]:
-        """Fit a shape to the evaluated points of a cloud, without the farthest of them and to all.
-
-        Parameters
-        ----------
-        cloud : Cloud
-            The whole cloud.
-        index : ndarray of intp
-            Numbers (K,) of the evaluated points.
-        fit : callable
-            Fits the shape to points (M, 3), such as `fit_sphere`.
-
-        Returns
-        -------
-        feature : FittedFeature
-            The fit to the points that were kept.
-        measured : MeasuredFeature
-            The points, with their pixels where the cloud has them.
-        """
+        """Fit a shape to the evaluated points of a cloud, without the farthest of them and to all."""
+        # index (K,); fit (M, 3)
         points = np.asarray(cloud.points[index], np.float64)
         feature, kept = fit_without_worst(points, fit)
         pixels = None if cloud.pixels is None else cloud.pixels[index]
@@ -96,13 +66,7 @@ class MeasuredFeature:
         return 1e3 * float(np.sqrt(np.mean(self.distances[self.kept] ** 2)))
 
     def summary(self) -> dict[str, Any]:
-        """Collect counts and the root mean square, which tells how much of a span is noise.
-
-        Returns
-        -------
-        dict of str to Any
-            Plain values, part of `fpplab verify --json`.
-        """
+        """Collect counts and the root mean square, which tells how much of a span is noise."""
         return {
             "rms_um": self.rms_um,
             "points": len(self.points),
@@ -112,27 +76,13 @@ class MeasuredFeature:
 
 @dataclass(frozen=True, eq=False)
 class SphereTest:
-    """The result of one sphere in one position.
+    """The result of one sphere in one position."""
 
-    Attributes
-    ----------
-    number : int
-        1 or 2, in the order of the standard's file.
-    sphere : Sphere
-        The fit, in mm in the camera's frame.
-    calibrated_mm : float
-        Calibrated diameter in mm.
-    solid_angle_sr : float
-        Solid angle of the measured cap in sr.
-    measured : MeasuredFeature
-        The evaluated points.
-    """
-
-    number: int
-    sphere: Sphere
-    calibrated_mm: float
-    solid_angle_sr: float
-    measured: MeasuredFeature
+    number: int  # 1 or 2, in the order of the standard's file
+    sphere: Sphere  # the fit, in mm in the camera's frame
+    calibrated_mm: float  # calibrated diameter in mm
+    solid_angle_sr: float  # solid angle of the measured cap in sr
+    measured: MeasuredFeature  # the evaluated points
 
     @property
     def form_um(self) -> float:
@@ -145,13 +95,7 @@ class SphereTest:
         return 1e3 * (2.0 * self.sphere.radius - self.calibrated_mm)
 
     def summary(self) -> dict[str, Any]:
-        """Collect the figures of this sphere.
-
-        Returns
-        -------
-        dict of str to Any
-            Plain values, an entry of `spheres` in `fpplab verify --json`.
-        """
+        """Collect the figures of this sphere."""
         return {
             "sphere": self.number,
             "PF_um": self.form_um,
@@ -166,21 +110,11 @@ class SphereTest:
 
 @dataclass(frozen=True, eq=False)
 class BallBarTest:
-    """The result of a ball bar in one position.
+    """The result of a ball bar in one position."""
 
-    Attributes
-    ----------
-    source : str
-        Name of the cloud.
-    spheres : tuple of SphereTest
-        The two spheres in the order of the standard's file.
-    calibrated_mm : float
-        Calibrated distance between their centres in mm.
-    """
-
-    source: str
-    spheres: tuple[SphereTest, SphereTest]
-    calibrated_mm: float
+    source: str  # name of the cloud
+    spheres: tuple[SphereTest, SphereTest]  # the two spheres in the order of the standard's file
+    calibrated_mm: float  # calibrated distance between their centres in mm
 
     @property
     def spacing_mm(self) -> float:
@@ -196,24 +130,12 @@ class BallBarTest:
 
 @dataclass(frozen=True, eq=False)
 class PlaneTest:
-    """The result of a plane in one position.
+    """The result of a plane in one position."""
 
-    Attributes
-    ----------
-    source : str
-        Name of the cloud.
-    plane : Plane
-        The fit, in mm in the camera's frame.
-    area_mm2 : float
-        Evaluated area in mm².
-    measured : MeasuredFeature
-        The evaluated points.
-    """
-
-    source: str
-    plane: Plane
-    area_mm2: float
-    measured: MeasuredFeature
+    source: str  # name of the cloud
+    plane: Plane  # the fit, in mm in the camera's frame
+    area_mm2: float  # evaluated area in mm²
+    measured: MeasuredFeature  # the evaluated points
 
     @property
     def flatness_um(self) -> float:
@@ -221,13 +143,7 @@ class PlaneTest:
         return self.measured.span_um
 
     def summary(self) -> dict[str, Any]:
-        """Collect the figures of this plane.
-
-        Returns
-        -------
-        dict of str to Any
-            Plain values, an entry of `planes` in `fpplab verify --json`.
-        """
+        """Collect the figures of this plane."""
         return {
             "source": self.source,
             "F_um": self.flatness_um,
@@ -240,30 +156,14 @@ class PlaneTest:
 
 @dataclass(frozen=True)
 class AcceptanceJudgement:
-    """The judgement of one quantity over all positions.
+    """The judgement of one quantity over all positions."""
 
-    Attributes
-    ----------
-    worst_um : float
-        The error of greatest magnitude, signed, in µm.
-    mpe_um : float or None
-        Maximum permissible error in µm, None where none is stated.
-    reference_uncertainty_um : float
-        Uncertainty of the standard itself in µm.
-    positions : int
-        Number of values that were measured.
-    least_positions : int
-        Number of values that the standard's file asks for.
-    worst_all_um : float or None
-        For errors of form: the greatest in µm with all points, none discarded; else None.
-    """
-
-    worst_um: float
-    mpe_um: float | None
-    reference_uncertainty_um: float
-    positions: int
-    least_positions: int
-    worst_all_um: float | None = None
+    worst_um: float  # the error of greatest magnitude, signed, in µm
+    mpe_um: float | None  # maximum permissible error in µm, None where none is stated
+    reference_uncertainty_um: float  # uncertainty of the standard itself in µm
+    positions: int  # number of values that were measured
+    least_positions: int  # number of values that the standard's file asks for
+    worst_all_um: float | None = None  # for errors of form
 
     @property
     def passed(self) -> bool | None:
@@ -273,13 +173,7 @@ class AcceptanceJudgement:
         )
 
     def summary(self) -> dict[str, Any]:
-        """Collect the figures of this quantity.
-
-        Returns
-        -------
-        dict of str to Any
-            Plain values, an entry of `quantities` in `fpplab verify --json`.
-        """
+        """Collect the figures of this quantity."""
         return {
             "worst_um": self.worst_um,
             "worst_all_um": self.worst_all_um,
@@ -293,30 +187,14 @@ class AcceptanceJudgement:
 
 @dataclass(frozen=True, eq=False)
 class Acceptance:
-    """The result of an acceptance test.
+    """The result of an acceptance test."""
 
-    Attributes
-    ----------
-    standard : Standard
-        What was measured, and the maximum permissible errors.
-    bars : tuple of BallBarTest
-        One per position of the ball bar.
-    planes : tuple of PlaneTest
-        One per position of the plane.
-    """
-
-    standard: Standard
-    bars: tuple[BallBarTest, ...] = ()
-    planes: tuple[PlaneTest, ...] = ()
+    standard: Standard  # what was measured, and the maximum permissible errors
+    bars: tuple[BallBarTest, ...] = ()  # one per position of the ball bar
+    planes: tuple[PlaneTest, ...] = ()  # one per position of the plane
 
     def errors_um(self) -> dict[str, list[float]]:
-        """Collect every value of every quantity that was measured.
-
-        Returns
-        -------
-        dict of str to list of float
-            Signed errors in µm by quantity, in the order of `QUANTITIES`.
-        """
+        """Collect every value of every quantity that was measured."""
         spheres = [test for bar in self.bars for test in bar.spheres]
         values = {
             "PF": [test.form_um for test in spheres],
@@ -327,13 +205,7 @@ class Acceptance:
         return {name: values[name] for name in QUANTITIES if values[name]}
 
     def judgements(self) -> dict[str, AcceptanceJudgement]:
-        """Judge every quantity that was measured.
-
-        Returns
-        -------
-        dict of str to AcceptanceJudgement
-            By quantity, in the order of `QUANTITIES`.
-        """
+        """Judge every quantity that was measured."""
         standard, with_all = self.standard, self._form_of_all_points_um()
         return {
             name: AcceptanceJudgement(
@@ -359,13 +231,7 @@ class Acceptance:
         return all(judged) if judged else None
 
     def notices(self) -> list[str]:
-        """List what limits the significance of the result.
-
-        Returns
-        -------
-        list of str
-            Sentences for the operator: too few positions, quantities without a permissible error.
-        """
+        """List what limits the significance of the result."""
         judged = self.judgements()
         said = [
             f"{name}: measured in {found.positions} of at least {found.least_positions} positions; add "
@@ -379,13 +245,7 @@ class Acceptance:
         return said
 
     def summary(self) -> dict[str, Any]:
-        """Collect the whole result for `fpplab verify --json`.
-
-        Returns
-        -------
-        dict of str to Any
-            Plain values, errors in µm.
-        """
+        """Collect the whole result for `fpplab verify --json`."""
         return {
             "standard": self.standard.name,
             "passed": self.passed,

@@ -48,54 +48,23 @@ LARGEST_EXCESS = 1.05
 
 @dataclass(frozen=True, eq=False)
 class Cap:
-    """The points of a sphere's cap that are evaluated.
+    """The points of a sphere's cap that are evaluated."""
 
-    Attributes
-    ----------
-    index : ndarray of intp
-        Numbers (K,) of the points in the cloud.
-    solid_angle_sr : float
-        Solid angle of the cap that the points cover, seen from the sphere's centre, in sr.
-    """
-
-    index: NDArray[np.intp]
-    solid_angle_sr: float
+    index: NDArray[np.intp]  # numbers (K,) of the points in the cloud
+    solid_angle_sr: float  # solid angle of the cap that the points cover
 
 
 @dataclass(frozen=True, eq=False)
 class Face:
-    """The points of a plane that are evaluated.
+    """The points of a plane that are evaluated."""
 
-    Attributes
-    ----------
-    index : ndarray of intp
-        Numbers (K,) of the points in the cloud.
-    area_mm2 : float
-        Area of the plane that the points cover, in mm².
-    """
-
-    index: NDArray[np.intp]
-    area_mm2: float
+    index: NDArray[np.intp]  # numbers (K,) of the points in the cloud
+    area_mm2: float  # area of the plane that the points cover, in mm²
 
 
 def normals_of(cloud: Cloud) -> Floats:
-    """Look up the normals of a cloud, or compute them from its pixel grid.
-
-    Parameters
-    ----------
-    cloud : Cloud
-        With normals, or with the camera pixels of its points.
-
-    Returns
-    -------
-    ndarray of float64
-        Unit normals (N, 3) facing the camera, (0, 0, 0) where unknown.
-
-    Raises
-    ------
-    DataError
-        The cloud has neither normals nor camera pixels.
-    """
+    """Look up the normals of a cloud, or compute them from its pixel grid."""
+    # returns (N, 3)
     if cloud.normals is not None:
         return np.asarray(cloud.normals, np.float64)
     return np.asarray(cloud.grid().normals(), np.float64)
@@ -107,30 +76,8 @@ def find_spheres(points: Floats, normals: Floats, radius: float, count: int, sou
     Each point votes for the place one radius behind it along its normal; the votes of a sphere meet in
     its centre, those of anything else are scattered. The centre is then fitted robustly to the points near
     the sphere.
-
-    Parameters
-    ----------
-    points : ndarray of float64
-        (N, 3) in mm in the camera's frame.
-    normals : ndarray of float64
-        Unit normals (N, 3) facing the camera, (0, 0, 0) where unknown.
-    radius : float
-        Of the spheres, in mm.
-    count : int
-        How many spheres to find.
-    source : str
-        Name of the cloud, for error messages.
-
-    Returns
-    -------
-    list of ndarray of float64
-        Centres (3,) in mm, those with the most votes first.
-
-    Raises
-    ------
-    DataError
-        Fewer spheres are found.
     """
+    # points (N, 3) mm; normals (N, 3); returns (3,) mm
     known = np.any(normals != 0.0, axis=1)
     votes = points[known] - radius * normals[known]
     free = np.ones(len(votes), bool)
@@ -154,30 +101,8 @@ def sphere_cap(points: Floats, centre: Floats, radius: float, rule: EvaluationRu
 
     A ray that passes the centre at the distance d meets the sphere at the angle of incidence
     asin(d/r), and r - d inside its silhouette.
-
-    Parameters
-    ----------
-    points : ndarray of float64
-        (N, 3) in mm in the camera's frame.
-    centre : ndarray of float64
-        Of the sphere, (3,) in mm.
-    radius : float
-        Of the sphere, in mm.
-    rule : EvaluationRules
-        Limits of the cap, and how much of it must be measured.
-    source : str
-        Name of the cloud, for error messages.
-
-    Returns
-    -------
-    Cap
-        The points, and the solid angle they cover.
-
-    Raises
-    ------
-    DataError
-        The edge leaves nothing of the sphere, the measured cap is too small, or has too few points.
     """
+    # points (N, 3) mm; centre (3,) mm
     reach = min(radius * np.sin(np.radians(rule.cap_deg)), radius - rule.edge_mm)
     if reach <= 0:
         raise DataError(
@@ -274,30 +199,8 @@ def find_plane(points: Floats, length: float, source: str) -> Plane:
     """Find the plane with the most points near it.
 
     By random samples of three points (RANSAC), then fitted to the points near it.
-
-    Parameters
-    ----------
-    points : ndarray of float64
-        (N, 3) in mm in the camera's frame.
-    length : float
-        Length of the standard in mm, to which the tolerance of the search is proportional.
-    source : str
-        Name of the cloud, for error messages.
-
-    Returns
-    -------
-    Plane
-        The plane, its normal towards the camera.
-
-    Raises
-    ------
-    DataError
-        No plane has enough points near it.
-
-    References
-    ----------
-    Fischler and Bolles, "Random sample consensus", 1981.
     """
+    # points (N, 3) mm
     random = np.random.default_rng(0)
     sample = (
         points if len(points) <= MAX_VOTES else points[random.choice(len(points), MAX_VOTES, replace=False)]
@@ -324,31 +227,8 @@ def find_plane(points: Floats, length: float, source: str) -> Plane:
 def plane_face(
     points: Floats, plane: Plane, size: tuple[float, float], rule: EvaluationRules, source: str
 ) -> Face:
-    """Select the points whose camera ray meets the plane well inside the edge of what was measured.
-
-    Parameters
-    ----------
-    points : ndarray of float64
-        (N, 3) in mm in the camera's frame.
-    plane : Plane
-        As `find_plane` gives it.
-    size : tuple of float
-        Length and width of the standard in mm.
-    rule : EvaluationRules
-        Width of the edge that is left out, and how much of the plane must be measured.
-    source : str
-        Name of the cloud, for error messages.
-
-    Returns
-    -------
-    Face
-        The points, and the area they cover.
-
-    Raises
-    ------
-    DataError
-        The plane is larger than the standard, too little of it is measured, or it has too few points.
-    """
+    """Select the points whose camera ray meets the plane well inside the edge of what was measured."""
+    # points (N, 3) mm
     places, ahead = _on_plane(points, plane)
     near = ahead & (np.abs(plane.distances(points)) <= PLANE_REACH * max(size))
     cell = PER_CELL * _spacing(places[near])

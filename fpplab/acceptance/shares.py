@@ -11,19 +11,7 @@ LEAST_PAIRS = 100
 
 
 def shared_variance(measured: MeasuredFeature) -> float | None:
-    """Estimate which share of the variance of a feature's errors neighbouring pixels have in common.
-
-    Parameters
-    ----------
-    measured : MeasuredFeature
-        Distances of points from their fit.
-
-    Returns
-    -------
-    float or None
-        About 0 for noise that is independent from pixel to pixel, about 1 for a surface that is smooth but
-        bent; None where the points have no pixels, or too few of them are neighbours.
-    """
+    """Estimate which share of the variance of a feature's errors neighbouring pixels have in common."""
     if measured.pixels is None:
         return None
     pixels, distances = measured.pixels[measured.kept], measured.distances[measured.kept]

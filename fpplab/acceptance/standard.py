@@ -167,53 +167,15 @@ class Standard(Document):
 
     @classmethod
     def load(cls, name: str | Path) -> Standard:
-        """Read a file of standards.
-
-        Parameters
-        ----------
-        name : str or Path
-            Path of the file, or the name of one that comes with fpplab.
-
-        Returns
-        -------
-        Standard
-            The validated file.
-
-        Raises
-        ------
-        ConfigError
-            The file is missing or has a field that is not valid.
-        """
+        """Read a file of standards."""
         return config.load_document(config.find_config(name, "standard"), cls)
 
     def permitted_um(self, quantity: str) -> float | None:
-        """Look up the maximum permissible error (MPE) of a quantity.
-
-        Parameters
-        ----------
-        quantity : str
-            One of `QUANTITIES`.
-
-        Returns
-        -------
-        float or None
-            In µm, None where none is stated.
-        """
+        """Look up the maximum permissible error (MPE) of a quantity."""
         return getattr(self.mpe_um, quantity)  # type: ignore[no-any-return]
 
     def reference_uncertainty_um(self, quantity: str) -> float:
-        """Look up the uncertainty of the standard itself, by which the permissible error is reduced.
-
-        Parameters
-        ----------
-        quantity : str
-            One of `QUANTITIES`.
-
-        Returns
-        -------
-        float
-            In µm: the expanded uncertainty of the calibrated length, or the standard's own form deviation.
-        """
+        """Look up the uncertainty of the standard itself, by which the permissible error is reduced."""
         bar, plane = self.ball_bar, self.plane
         if quantity == "F":
             return plane.flatness_um if plane else 0.0
@@ -221,44 +183,12 @@ class Standard(Document):
         return float(getattr(bar, fields[quantity])) if bar else 0.0
 
     def with_mpe(self, assignments: Iterable[str]) -> Standard:
-        """Replace maximum permissible errors.
-
-        Parameters
-        ----------
-        assignments : iterable of str
-            Quantity and limit in µm, such as "PF=50".
-
-        Returns
-        -------
-        Standard
-            A copy with these limits; quantities that are not named keep theirs.
-
-        Raises
-        ------
-        ConfigError
-            An assignment has an unknown quantity or no number, or the limit is out of range.
-        """
+        """Replace maximum permissible errors."""
         limits = self.mpe_um.model_dump() | _by_quantity(assignments, "--mpe", "PF=50", float)
         return config.validate({**config.plain(self), "mpe_um": limits}, Standard, "--mpe")
 
     def with_positions(self, assignments: Iterable[str]) -> Standard:
-        """Replace least numbers of positions.
-
-        Parameters
-        ----------
-        assignments : iterable of str
-            Quantity and number, such as "SD=5".
-
-        Returns
-        -------
-        Standard
-            A copy with these numbers; quantities that are not named keep theirs.
-
-        Raises
-        ------
-        ConfigError
-            An assignment has an unknown quantity or no whole number, or the number is out of range.
-        """
+        """Replace least numbers of positions."""
         numbers = self.positions.model_dump() | _by_quantity(assignments, "--positions", "SD=5", int)
         return config.validate({**config.plain(self), "positions": numbers}, Standard, "--positions")
 

@@ -48,27 +48,6 @@ def verify(standard: Standard, bars: Clouds = (), planes: Clouds = ()) -> Accept
     """Run the acceptance test on clouds of the standards.
 
     Clouds are taken from the iterables one after the other, so that they need not all be in memory.
-
-    Parameters
-    ----------
-    standard : Standard
-        What was measured, and the maximum permissible errors.
-    bars : iterable of (str, Cloud)
-        Name and cloud, in mm in the camera's frame, of each position of the ball bar.
-    planes : iterable of (str, Cloud)
-        Name and cloud of each position of the plane.
-
-    Returns
-    -------
-    Acceptance
-        All errors and their judgement.
-
-    Raises
-    ------
-    ConfigError
-        There is nothing to test, or the file does not describe the standard.
-    DataError
-        A standard is not found in its cloud, or too little of it was measured.
     """
     found = Acceptance(
         standard,
@@ -81,29 +60,7 @@ def verify(standard: Standard, bars: Clouds = (), planes: Clouds = ()) -> Accept
 
 
 def verify_ball_bar(cloud: Cloud, standard: Standard, source: str) -> BallBarTest:
-    """Measure the two spheres of a ball bar, and their spacing.
-
-    Parameters
-    ----------
-    cloud : Cloud
-        The ball bar in one position, in mm in the camera's frame.
-    standard : Standard
-        Describes the ball bar and which points are evaluated.
-    source : str
-        Name of the cloud, for the result and error messages.
-
-    Returns
-    -------
-    BallBarTest
-        The result, its spheres in the order of the standard's file.
-
-    Raises
-    ------
-    ConfigError
-        The file does not describe a ball bar.
-    DataError
-        The spheres are not found, too little of them was measured, or they are those of another standard.
-    """
+    """Measure the two spheres of a ball bar, and their spacing."""
     bar = _described(standard.ball_bar, "ball_bar", standard)
     points = np.asarray(cloud.points, np.float64)
     radius = sum(bar.diameters_mm) / 4
@@ -124,29 +81,7 @@ def verify_ball_bar(cloud: Cloud, standard: Standard, source: str) -> BallBarTes
 
 
 def verify_plane(cloud: Cloud, standard: Standard, source: str) -> PlaneTest:
-    """Measure the flatness of a plane.
-
-    Parameters
-    ----------
-    cloud : Cloud
-        The plane in one position, in mm in the camera's frame.
-    standard : Standard
-        Describes the plane and which points are evaluated.
-    source : str
-        Name of the cloud, for the result and error messages.
-
-    Returns
-    -------
-    PlaneTest
-        The result.
-
-    Raises
-    ------
-    ConfigError
-        The file does not describe a plane.
-    DataError
-        The plane is not found, too little of it was measured, or it is larger than the standard.
-    """
+    """Measure the flatness of a plane."""
     known = _described(standard.plane, "plane", standard)
     points = np.asarray(cloud.points, np.float64)
     found = find_plane(points, max(known.size_mm), source)

@@ -42,26 +42,6 @@ def acquire(rig: Rig, plan: Plan, session: Session, observe: FrameObserver = ign
     """Take every image of the plan that the session lacks.
 
     The projector is dark afterwards, whatever happened.
-
-    Parameters
-    ----------
-    rig : Rig
-        An open rig.
-    plan : Plan
-        The session's plan.
-    session : Session
-        Takes the frames; those that it has already are not taken again.
-    observe : FrameObserver
-        Called with each frame once it is on disk.
-
-    Raises
-    ------
-    DeviceError
-        A device failed.
-    DataError
-        A frame cannot be stored.
-    SyncError
-        The frames do not show their patterns; all of them are in the session by then.
     """
     settings = rig.camera_settings(plan.exposure_s, plan.bits)
     caps = rig.projector.caps
@@ -86,27 +66,8 @@ def acquire(rig: Rig, plan: Plan, session: Session, observe: FrameObserver = ign
 
 
 def capture(rig: Rig, plan: Plan) -> list[Image]:
-    """Take every image of the plan into memory, with the same check of synchronisation as `acquire`.
-
-    Parameters
-    ----------
-    rig : Rig
-        An open rig.
-    plan : Plan
-        The plan.
-
-    Returns
-    -------
-    list of ndarray, (height, width)
-        Raw frames in the plan's order.
-
-    Raises
-    ------
-    DeviceError
-        A device failed.
-    SyncError
-        The frames do not show their patterns.
-    """
+    """Take every image of the plan into memory, with the same check of synchronisation as `acquire`."""
+    # returns (height, width)
     caps = rig.projector.caps
     ends = end_markers(plan, caps.size)
     patterns = [*make_patterns(plan, caps.size, caps.lattice), *ends]
@@ -123,20 +84,7 @@ def capture(rig: Rig, plan: Plan) -> list[Image]:
 
 
 def end_markers(plan: Plan, size: tuple[int, int]) -> list[Pattern]:
-    """Make the patterns that follow a plan whose frames alone cannot reveal a trigger slip.
-
-    Parameters
-    ----------
-    plan : Plan
-        The plan.
-    size : tuple of int
-        Width and height of the projector in px.
-
-    Returns
-    -------
-    list of Pattern
-        Black and white, or none where they are not needed.
-    """
+    """Make the patterns that follow a plan whose frames alone cannot reveal a trigger slip."""
     needed = plan.trigger == "triggered" and not provable(plan)
     return list(uniform_patterns([0, 255], size)) if needed else []
 
@@ -169,31 +117,6 @@ def expose(
 
     The projector is dark again once the generator ends or is closed; a caller that may leave it early must
     close it.
-
-    Parameters
-    ----------
-    rig : Rig
-        An open rig.
-    patterns : sequence of Pattern
-        What to show; none is allowed.
-    settings : CameraSettings
-        Exposure and gain of the camera.
-    plan : Plan, optional
-        Says whether frames are stepped or triggered, and the settling time; by default stepped without any.
-    gap_s : float
-        Further s between triggers, beyond what the devices need; less than 0 to try whether they need it.
-
-    Yields
-    ------
-    Frame
-        The frame of each pattern.
-
-    Raises
-    ------
-    DeviceError
-        A device failed or cannot take frames in this way.
-    SyncError
-        A frame names another pattern than the one that was shown.
     """
     if not patterns:
         return
@@ -235,27 +158,7 @@ def _triggered(
 
 
 def in_step(camera: Camera, frame: Frame, pattern: Pattern) -> Frame:
-    """Refuse a frame whose camera backend knows that another pattern was shown.
-
-    Parameters
-    ----------
-    camera : Camera
-        That took it.
-    frame : Frame
-        The frame.
-    pattern : Pattern
-        What was to be shown.
-
-    Returns
-    -------
-    Frame
-        The same.
-
-    Raises
-    ------
-    SyncError
-        It names another pattern.
-    """
+    """Refuse a frame whose camera backend knows that another pattern was shown."""
     if frame.pattern_id not in (None, pattern.id):
         raise SyncError(
             camera.name,

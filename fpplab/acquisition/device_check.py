@@ -57,18 +57,7 @@ CALM_SHARE = 0.4
 
 
 def device_finding(error: DeviceError) -> Finding:
-    """Say what a device's error means.
-
-    Parameters
-    ----------
-    error : DeviceError
-        That it raised.
-
-    Returns
-    -------
-    Finding
-        A lack of permission by that name, and every other error as the device's.
-    """
+    """Say what a device's error means."""
     seen = f"{error.device}: {error.operation}: {error.found} ({type(error).__name__})"
     if isinstance(error.__cause__, PermissionError) or REFUSED.search(error.found):
         return Finding(FaultCause.NO_PERMISSION, seen, RUINOUS)
@@ -76,22 +65,7 @@ def device_finding(error: DeviceError) -> Finding:
 
 
 def link_finding(info: DeviceInfo, frame_bytes: float, period_s: float) -> Finding | None:
-    """Compare what a camera's connection carries with what a plan takes.
-
-    Parameters
-    ----------
-    info : DeviceInfo
-        Of the camera; its `link` states the rate, or else nothing is known.
-    frame_bytes : float
-        Size of a frame.
-    period_s : float
-        Time in s from frame to frame.
-
-    Returns
-    -------
-    Finding or None
-        None where the link is fast enough or its rate is unknown.
-    """
+    """Compare what a camera's connection carries with what a plan takes."""
     stated = SPEED.search(info.link)
     if stated is None:
         return None
@@ -109,26 +83,8 @@ def link_finding(info: DeviceInfo, frame_bytes: float, period_s: float) -> Findi
 def disk_finding(
     folder: Path, plan: Plan, frame: Image, settings: CameraSettings, period_s: float
 ) -> Finding | None:
-    """Write some frames as a scan does, and compare the rate with that of a triggered plan.
-
-    Parameters
-    ----------
-    folder : Path
-        Where sessions are to go.
-    plan : Plan
-        What is to be recorded; a stepped one waits for the disk.
-    frame : ndarray of uint8 or uint16, (height, width)
-        One of the camera's.
-    settings : CameraSettings
-        That it was taken with.
-    period_s : float
-        Time in s from frame to frame.
-
-    Returns
-    -------
-    Finding or None
-        None where frames are written as fast as they come.
-    """
+    """Write some frames as a scan does, and compare the rate with that of a triggered plan."""
+    # frame (height, width)
     if plan.trigger != "triggered":
         return None
     count = min(WRITTEN, plan.images)
@@ -147,25 +103,7 @@ def disk_finding(
 
 
 def mains_finding(rig: Rig, plan: Plan) -> Finding | None:
-    """Tell light at the mains' frequency from light that flickers at random: whole periods calm it.
-
-    Parameters
-    ----------
-    rig : Rig
-        Open.
-    plan : Plan
-        Whose exposure shows flicker.
-
-    Returns
-    -------
-    Finding or None
-        None where no whole number of periods calms the light, or an exposure saturates.
-
-    Raises
-    ------
-    DeviceError
-        A device failed.
-    """
+    """Tell light at the mains' frequency from light that flickers at random: whole periods calm it."""
     restless = _scatter(rig, plan, plan.exposure_s)
     if restless is None or restless <= LEAST_MAINS:
         return None
@@ -191,25 +129,7 @@ def mains_finding(rig: Rig, plan: Plan) -> Finding | None:
 
 
 def flickers(rig: Rig, plan: Plan) -> bool:
-    """Tell whether the light flickers, by frames that all show one grey level: no slip changes these.
-
-    Parameters
-    ----------
-    rig : Rig
-        Open.
-    plan : Plan
-        With the exposure.
-
-    Returns
-    -------
-    bool
-        True where it does; False where the frames saturate.
-
-    Raises
-    ------
-    DeviceError
-        A device failed.
-    """
+    """Tell whether the light flickers, by frames that all show one grey level: no slip changes these."""
     levels = _levels(rig, plan, plan.exposure_s)
     if levels is None:
         return False
@@ -218,20 +138,7 @@ def flickers(rig: Rig, plan: Plan) -> bool:
 
 
 def with_mains(findings: Sequence[Finding], mains: Finding | None) -> tuple[Finding, ...]:
-    """Put the mains before the flicker that they cause.
-
-    Parameters
-    ----------
-    findings : sequence of Finding
-        The worst first.
-    mains : Finding or None
-        That of `mains_finding`.
-
-    Returns
-    -------
-    tuple of Finding
-        The mains directly before the first finding of light that flickers.
-    """
+    """Put the mains before the flicker that they cause."""
     if mains is None:
         return tuple(findings)
     flickering = [one.excess for one in findings if one.cause in (FaultCause.FLICKER, FaultCause.BANDS)]

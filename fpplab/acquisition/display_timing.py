@@ -45,23 +45,11 @@ MOST_APART = 0.1
 
 @dataclass(frozen=True)
 class DisplayTiming:
-    """Times of a projector.
+    """Times of a projector."""
 
-    Attributes
-    ----------
-    settle_s : float
-        Least time in s after `Projector.show` until a frame shows the new pattern alone: what a stepped
-        plan's `settle_s` must be.
-    refresh_s : float or None
-        Refresh period in s, as the camera measured it; None where the projector shows no display, or the
-        camera cannot expose for long enough.
-    told_s : float or None
-        The same as the display tells it.
-    """
-
-    settle_s: float
-    refresh_s: float | None
-    told_s: float | None
+    settle_s: float  # least time in s after `Projector.show` until a frame shows the new pattern alone
+    refresh_s: float | None  # refresh period in s, as the camera measured it
+    told_s: float | None  # the same as the display tells it
 
     @property
     def agrees(self) -> bool:
@@ -71,38 +59,12 @@ class DisplayTiming:
         return abs(self.refresh_s / self.told_s - 1.0) <= MOST_APART
 
     def summary(self) -> dict[str, Any]:
-        """Give the times as plain values.
-
-        Returns
-        -------
-        dict
-            The keys of `fpplab rig timing --json`.
-        """
+        """Give the times as plain values."""
         return {**asdict(self), "agrees": self.agrees}
 
 
 def measure_display(rig: Rig, plan: Plan, progress: Progress) -> DisplayTiming:
-    """Measure how late the projector of a rig shows a pattern, and its refresh period where it has one.
-
-    Parameters
-    ----------
-    rig : Rig
-        Open, with a white card or a bright part before it; it is dark afterwards.
-    plan : Plan
-        Gives exposure and bits of the frames.
-    progress : Progress
-        Called with the share that is done.
-
-    Returns
-    -------
-    DisplayTiming
-        The times.
-
-    Raises
-    ------
-    DeviceError
-        The camera does not see the projector's light, or the display takes longer than a second.
-    """
+    """Measure how late the projector of a rig shows a pattern, and its refresh period where it has one."""
     try:
         settle_s = _Levels(rig, plan, plan.exposure_s).settling_s(lambda share: progress(0.7 * share))
         projector = rig.projector

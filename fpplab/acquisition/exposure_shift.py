@@ -21,35 +21,15 @@ LEAST_SHARE, MOST_SHARE = 0.03, 0.9
 
 @dataclass(frozen=True)
 class ExposureShift:
-    """A shift of the exposures.
+    """A shift of the exposures."""
 
-    Attributes
-    ----------
-    is_late : bool
-        Whether the frames mix in the next pattern; otherwise the one before.
-    share : float
-        Share of the exposure that falls into the neighbour.
-    """
-
-    is_late: bool
-    share: float
+    is_late: bool  # whether the frames mix in the next pattern; otherwise the one before
+    share: float  # share of the exposure that falls into the neighbour
 
 
 def exposure_shift(own: Floats, seen: Floats) -> ExposureShift | None:
-    """Find the shift that explains the levels of a triggered run by those of a stepped one.
-
-    Parameters
-    ----------
-    own : ndarray of float64, (K,)
-        Level of each pattern, as the stepped run saw it in full.
-    seen : ndarray of float64, (K,)
-        Levels of the triggered run; NaN where no frame came.
-
-    Returns
-    -------
-    ExposureShift or None
-        None where no such mixture explains the levels, or they hold nothing of a neighbour.
-    """
+    """Find the shift that explains the levels of a triggered run by those of a stepped one."""
+    # own (K,); seen (K,)
     if not (np.isfinite(own).all() and np.isfinite(seen).all()):
         return None
     found = [(_mixture(own, seen, step), step) for step in (1, -1)]

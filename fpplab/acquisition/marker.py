@@ -16,22 +16,11 @@ MIDDLE_RANK = 6
 
 
 def marker() -> NDArray[np.int64]:
-    """Compute the grey levels of the marker.
-
-    Returns
-    -------
-    ndarray of int64, (12,)
-        Grey levels of 255 in the order shown.
-    """
+    """Compute the grey levels of the marker."""
+    # returns (12,)
     return np.asarray(np.rint(np.array(MARKER_ORDER) * 255 / (len(MARKER_ORDER) - 1)), np.int64)
 
 
 def middle_level() -> int:
-    """Give a grey level of the marker in the middle of the range.
-
-    Returns
-    -------
-    int
-        Of 255; a projector that shows stored patterns has it too.
-    """
+    """Give a grey level of the marker in the middle of the range."""
     return int(marker()[MARKER_ORDER.index(MIDDLE_RANK)])

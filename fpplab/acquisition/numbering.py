@@ -10,18 +10,7 @@ from fpplab.simulation.seeded import NumberedFrames
 
 
 def next_frame_of(rig: Rig) -> int | None:
-    """Give the number of the next frame that a rig takes.
-
-    Parameters
-    ----------
-    rig : Rig
-        Open.
-
-    Returns
-    -------
-    int or None
-        None where its frames are not numbered: on a real bench.
-    """
+    """Give the number of the next frame that a rig takes."""
     return rig.simulation.next_frame if isinstance(rig.simulation, NumberedFrames) else None
 
 
@@ -30,18 +19,6 @@ def number_frames(rig: Rig, session: Session) -> None:
 
     The first number is in the session's origin. Sessions that are complete are counted too, so that those
     after them get the numbers that they would have had.
-
-    Parameters
-    ----------
-    rig : Rig
-        Open.
-    session : Session
-        With its origin recorded.
-
-    Raises
-    ------
-    ConfigError
-        The record of the origin is damaged.
     """
     simulation, origin = rig.simulation, session_origin(session.path)
     if not isinstance(simulation, NumberedFrames) or origin is None or origin.first_frame is None:

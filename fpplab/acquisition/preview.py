@@ -15,46 +15,19 @@ from fpplab.patterns.plan import Plan
 
 @dataclass(frozen=True)
 class PlanPreview:
-    """A plan on a rig.
+    """A plan on a rig."""
 
-    Attributes
-    ----------
-    trigger : str
-        "stepped" or "triggered".
-    images : int
-        Number of images of the plan.
-    end_markers : int
-        Number of further patterns, black and white, that prove the synchronisation.
-    bit_planes : int
-        Sum of the bit depths of all patterns.
-    loads : int
-        How often the projector changes to another image of its flash, or to another video frame; 0 where it
-        keeps no images.
-    exposure_s : float
-        The camera's exposure in s, as read back.
-    light_s : float
-        s for which each pattern is shown; in a stepped plan at least.
-    dark_s : float
-        Least s from the end of one pattern to the beginning of the next; 0 in a stepped plan.
-    period_s : float
-        Least s from one pattern to the next.
-    period_set_by : str
-        What keeps it from being shorter.
-    least_s : float
-        Least s for all patterns, without loading them and preparing the devices.
-    """
-
-    trigger: str
-    images: int
-    end_markers: int
-    bit_planes: int
-    loads: int
-    exposure_s: float
-    light_s: float
-    dark_s: float
-    period_s: float
-    period_set_by: str
-    least_s: float
+    trigger: str  # "stepped" or "triggered"
+    images: int  # number of images of the plan
+    end_markers: int  # number of further patterns, black and white, that prove the synchronisation
+    bit_planes: int  # sum of the bit depths of all patterns
+    loads: int  # how often the projector changes to another image of its flash, or to another video frame
+    exposure_s: float  # the camera's exposure in s, as read back
+    light_s: float  # s for which each pattern is shown; in a stepped plan at least
+    dark_s: float  # least s from the end of one pattern to the beginning of the next; 0 in a stepped plan
+    period_s: float  # least s from one pattern to the next
+    period_set_by: str  # what keeps it from being shorter
+    least_s: float  # least s for all patterns, without loading them and preparing the devices
 
 
 def preview_plan(rig: Rig, plan: Plan, source: Path | str) -> tuple[PlanPreview, Sequence[Pattern]]:
@@ -62,34 +35,6 @@ def preview_plan(rig: Rig, plan: Plan, source: Path | str) -> tuple[PlanPreview,
 
     The camera is configured and the patterns are loaded, as for a measurement; nothing is projected. What
     shows only while patterns are shown is not found, such as a trigger cable that is not connected.
-
-    Parameters
-    ----------
-    rig : Rig
-        An open rig.
-    plan : Plan
-        The plan.
-    source : path or str
-        What the plan is called in messages.
-
-    Returns
-    -------
-    PlanPreview
-        Numbers of patterns, and times.
-    sequence of Pattern
-        The patterns in the order shown, those at the end included.
-
-    Raises
-    ------
-    ConfigError
-        The projector cannot resolve the stripes, or the plan was made for another size.
-    SettingError
-        The camera does not accept the exposure, gain or bits, or the projector not the number of patterns,
-        their depth or their time; the message names the limit.
-    CapabilityError
-        A device cannot take frames in the plan's way.
-    DeviceError
-        A device failed.
     """
     camera, caps = rig.camera, rig.projector.caps
     plan.check_projector(caps.size, source)

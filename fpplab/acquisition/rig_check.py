@@ -55,55 +55,22 @@ WITHOUT_CALIBRATION = "small_angle, wrong_axis, stale_calibration, undersampled:
 
 @dataclass(frozen=True, eq=False)
 class RigCheck:
-    """Result of `check_rig`.
+    """Result of `check_rig`."""
 
-    Attributes
-    ----------
-    shown : ndarray of int64, (K,)
-        Grey levels of 255 in the order shown.
-    runs : tuple of MarkerRun
-        The stepped run, and the triggered one where the rig can.
-    findings : tuple of Finding
-        What is wrong, the worst first; empty when all is well.
-    unknown : tuple of str
-        What could not be checked, and why.
-    settle_s : float or None
-        The settling time in s that a stepped plan needs, where the plan's was too short and a longer one
-        served.
-    timing : PulseTiming or None
-        The plan's times on this rig; None where the devices do not accept it.
-    recording : Recording or None
-        Frames with fringes; None where none were taken.
-    decoded : Decoded or None
-        Their projector coordinates, where they were computed.
-    cloud : Cloud or None
-        Their points, where there is a calibration.
-    rig : dict of str to object
-        As `Rig.described` gave it; the rig file alone where a device could not be opened.
-    origin : SessionOrigin or None
-        When and with which devices; None where one could not be opened.
-    """
-
-    shown: NDArray[np.int64]
-    runs: tuple[MarkerRun, ...]
-    findings: tuple[Finding, ...]
-    unknown: tuple[str, ...] = ()
-    settle_s: float | None = None
-    timing: PulseTiming | None = None
-    recording: Recording | None = None
-    decoded: Decoded | None = None
-    cloud: Cloud | None = None
-    rig: dict[str, Any] = field(default_factory=dict)
-    origin: SessionOrigin | None = None
+    shown: NDArray[np.int64]  # grey levels of 255 in the order shown
+    runs: tuple[MarkerRun, ...]  # the stepped run, and the triggered one where the rig can
+    findings: tuple[Finding, ...]  # what is wrong, the worst first; empty when all is well
+    unknown: tuple[str, ...] = ()  # what could not be checked, and why
+    settle_s: float | None = None  # the settling time in s that a stepped plan needs
+    timing: PulseTiming | None = None  # the plan's times on this rig; None where the devices do not accept it
+    recording: Recording | None = None  # frames with fringes; None where none were taken
+    decoded: Decoded | None = None  # their projector coordinates, where they were computed
+    cloud: Cloud | None = None  # their points, where there is a calibration
+    rig: dict[str, Any] = field(default_factory=dict)  # as `Rig.described` gave it
+    origin: SessionOrigin | None = None  # when and with which devices; None where one could not be opened
 
     def summary(self) -> dict[str, Any]:
-        """Give the result as plain values.
-
-        Returns
-        -------
-        dict
-            The keys of `fpplab check --json`.
-        """
+        """Give the result as plain values."""
         return {
             "ok": not self.findings,
             "findings": [finding.summary() for finding in self.findings],
@@ -130,33 +97,6 @@ def check_rig(
     """Open a rig, show it the marker and then fringes, and report what is wrong.
 
     What a device raises is a finding too.
-
-    Parameters
-    ----------
-    rig : Rig
-        A rig that is not open; it is closed afterwards.
-    plan : Plan
-        The plan that is to be measured with.
-    item : str
-        Name of the item that is mounted where the rig has a fixture, such as an evenly white card.
-    progress : Progress
-        Called with the share that is done.
-    calibration : Calibration, optional
-        Of the rig; without it nothing is said about its geometry.
-    folder : Path, optional
-        Where sessions are to go; without it nothing is said about the disk.
-
-    Returns
-    -------
-    RigCheck
-        Levels seen and findings.
-
-    Raises
-    ------
-    ConfigError
-        The rig file is wrong, or the projector cannot show the plan.
-    CalibrationError
-        The calibration is of devices of another format.
     """
     marker_seen, fringes = MarkerInspection(plan), _FringeInspection(plan, calibration)
     failed: list[Finding] = []

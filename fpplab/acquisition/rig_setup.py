@@ -42,125 +42,53 @@ OPERATOR = {"backend": "fpplab.devices.operator:Operator"}
 
 @dataclass(frozen=True)
 class CameraTest:
-    """What a camera sees, as shares of full scale.
+    """What a camera sees, as shares of full scale."""
 
-    Attributes
-    ----------
-    exposure_s : float
-        Exposure of the picture in s.
-    mean, least, most : float
-        Of the pixels; `least` and `most` without the outermost thousandth.
-    saturated : float
-        Share of the pixels at full scale.
-    """
-
-    exposure_s: float
-    mean: float
-    least: float
-    most: float
-    saturated: float
+    exposure_s: float  # exposure of the picture in s
+    mean: float  # of the pixels; `least` and `most` without the outermost thousandth
+    least: float  # of the pixels; `least` and `most` without the outermost thousandth
+    most: float  # of the pixels; `least` and `most` without the outermost thousandth
+    saturated: float  # share of the pixels at full scale
 
 
 @dataclass(frozen=True)
 class ProjectorTest:
-    """What the camera sees of the projector's black and white, as shares of full scale.
+    """What the camera sees of the projector's black and white, as shares of full scale."""
 
-    Attributes
-    ----------
-    exposure_s : float
-        Exposure in s with which white is well exposed.
-    black, white : float
-        Mean level of the pixels that the projector illuminates.
-    lit : float
-        Share of the picture that it illuminates.
-    """
-
-    exposure_s: float
-    black: float
-    white: float
-    lit: float
+    exposure_s: float  # exposure in s with which white is well exposed
+    black: float  # mean level of the pixels that the projector illuminates
+    white: float  # mean level of the pixels that the projector illuminates
+    lit: float  # share of the picture that it illuminates
 
 
 @dataclass(frozen=True)
 class StageTest:
-    """The stage.
+    """The stage."""
 
-    Attributes
-    ----------
-    homed : bool
-        Whether it was homed.
-    travel_mm : tuple of float
-        Its travel in mm.
-    """
-
-    homed: bool
-    travel_mm: tuple[float, float]
+    homed: bool  # whether it was homed
+    travel_mm: tuple[float, float]  # its travel in mm
 
 
 @dataclass(frozen=True)
 class RigDraft:
-    """A rig whose devices have passed.
+    """A rig whose devices have passed."""
 
-    Attributes
-    ----------
-    sections : dict of str to dict
-        Of the rig file, by kind of device.
-    tests : dict
-        What was seen of each, by kind.
-    """
-
-    sections: dict[str, dict[str, Any]] = field(default_factory=dict)
+    sections: dict[str, dict[str, Any]] = field(default_factory=dict)  # of the rig file, by kind of device
     tests: dict[str, CameraTest | ProjectorTest | StageTest] = field(default_factory=dict)
 
     def text(self, name: str) -> str:
-        """Give the rig file.
-
-        Parameters
-        ----------
-        name : str
-            What the rig is called.
-
-        Returns
-        -------
-        str
-            As YAML.
-
-        Raises
-        ------
-        ConfigError
-            It would not be valid.
-        """
+        """Give the rig file."""
         written = config.to_yaml({"name": name, **self.sections})
         config.validate(config.parse_yaml(written, "rig"), RigFile, "rig")
         return f"# Written by `fpplab rig new`; docs/hardware.md has every option.\n{written}"
 
     def summary(self) -> dict[str, Any]:
-        """Give what was seen as plain values.
-
-        Returns
-        -------
-        dict
-            By kind of device.
-        """
+        """Give what was seen as plain values."""
         return {kind: asdict(seen) for kind, seen in self.tests.items()}
 
 
 class RigSetup:
-    """Chooses and tests the devices of a rig, one kind after another.
-
-    Parameters
-    ----------
-    found : FoundDevices
-        What is connected.
-    names : dict of str to str
-        Devices that were named, by kind; see `FoundDevice.is_called`. "none" for no stage.
-    folder : Path
-        Of the rig file, beside which files that it names lie.
-    ask : callable or None
-        Asks the operator; None where there is nobody to ask: then each device must be named, or the only one.
-    tell : callable
-        Tells the operator a sentence.
-    """
+    """Chooses and tests the devices of a rig, one kind after another."""
 
     def __init__(
         self,
@@ -174,27 +102,7 @@ class RigSetup:
         self._ask, self._tell = ask, tell
 
     def run(self, home: bool, operator: bool) -> RigDraft:
-        """Choose, open and test camera, projector and, if there is one, stage; all are closed afterwards.
-
-        Parameters
-        ----------
-        home : bool
-            Whether to home the stage: its carriage moves. The operator is asked otherwise.
-        operator : bool
-            Whether a person holds what is measured.
-
-        Returns
-        -------
-        RigDraft
-            Sections and what was seen.
-
-        Raises
-        ------
-        DeviceError
-            A device is missing or does not work.
-        ConfigError
-            A name is of no device, or of several.
-        """
+        """Choose, open and test camera, projector and, if there is one, stage; all are closed afterwards."""
         draft = RigDraft()
         with ExitStack() as stack:
             camera = self._device(stack, draft, "camera", Camera, look_at_scene)  # type: ignore[type-abstract]
@@ -292,23 +200,7 @@ def _only(
 
 
 def look_at_scene(camera: Camera) -> CameraTest:
-    """Take a well exposed picture, if there is any light, and describe it.
-
-    Parameters
-    ----------
-    camera : Camera
-        Open.
-
-    Returns
-    -------
-    CameraTest
-        Of the picture.
-
-    Raises
-    ------
-    DeviceError
-        It gives no frame, or all its pixels are equal.
-    """
+    """Take a well exposed picture, if there is any light, and describe it."""
     settings, image = _well_exposed(camera)
     full = full_scale(settings.bits)
     least, most = (float(v) / full for v in np.quantile(image, (0.001, 0.999)))
@@ -324,25 +216,7 @@ def look_at_scene(camera: Camera) -> CameraTest:
 
 
 def look_at_light(camera: Camera, projector: Projector) -> ProjectorTest:
-    """Show white and black, and see both with the camera.
-
-    Parameters
-    ----------
-    camera : Camera
-        Open.
-    projector : Projector
-        Open; it is dark afterwards.
-
-    Returns
-    -------
-    ProjectorTest
-        Of the pixels that are illuminated.
-
-    Raises
-    ------
-    DeviceError
-        White is not brighter than black.
-    """
+    """Show white and black, and see both with the camera."""
     projector.load(uniform_patterns([255, 0], projector.caps.size))
     projector.show(0)
     time.sleep(SETTLE_S)

@@ -48,27 +48,13 @@ SAMPLE = 40_000
 
 @dataclass(frozen=True)
 class CheckedStep:
-    """What one step showed.
+    """What one step showed."""
 
-    Attributes
-    ----------
-    name : str
-        The step.
-    ok : bool
-        Whether it is as it should be.
-    seen : str
-        What was seen, with its numbers.
-    remedy : str
-        What to do; empty where all is well.
-    values : dict of str to object
-        The numbers of `seen`.
-    """
-
-    name: str
-    ok: bool
-    seen: str
-    remedy: str = ""
-    values: dict[str, Any] = field(default_factory=dict)
+    name: str  # the step
+    ok: bool  # whether it is as it should be
+    seen: str  # what was seen, with its numbers
+    remedy: str = ""  # what to do; empty where all is well
+    values: dict[str, Any] = field(default_factory=dict)  # the numbers of `seen`
 
 
 class _Steps:
@@ -194,29 +180,6 @@ def check_steps(
 
     Without light or without a first pulse, the steps that need it are left out. A rig without a trigger has
     no steps of pulses.
-
-    Parameters
-    ----------
-    rig : Rig
-        A rig that is not open; it is closed afterwards.
-    plan : Plan
-        Gives exposure, depth and fringes.
-    item : str
-        Name of the item that is mounted where the rig has a fixture, such as an evenly white card.
-    progress : Progress
-        Called with the share that is done.
-    tell : callable
-        Called with each step when it is done.
-
-    Returns
-    -------
-    list of CheckedStep
-        Those that were made, in order.
-
-    Raises
-    ------
-    ConfigError
-        The rig file is wrong, or the projector cannot show the plan.
     """
     done: list[CheckedStep] = []
     steps = _Steps(rig, plan)

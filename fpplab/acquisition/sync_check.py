@@ -60,22 +60,11 @@ SLIPS = (FaultCause.OUT_OF_STEP, FaultCause.SLOW_DISPLAY, FaultCause.CAMERA_NOT_
 
 @dataclass(frozen=True, eq=False)
 class MarkerRun:
-    """One run of the marker.
+    """One run of the marker."""
 
-    Attributes
-    ----------
-    how : str
-        "stepped" or "triggered".
-    levels : ndarray of float64, (K,)
-        Mean levels of the illuminated pixels as shares of full scale, in the order shown; NaN where no frame
-        came.
-    saturated : float
-        Share of these pixels at full scale in any frame.
-    """
-
-    how: str
-    levels: Floats
-    saturated: float
+    how: str  # "stepped" or "triggered"
+    levels: Floats  # mean levels of the illuminated pixels as shares of full scale, in the order shown
+    saturated: float  # share of these pixels at full scale in any frame
 
     @property
     def rise(self) -> float:
@@ -93,19 +82,8 @@ def matching_faults(shown: Sequence[int] | NDArray[np.int64], levels: Floats) ->
 
     Of the faults that fit, those that explain the most frames are returned. Swapped frames are not tried,
     because only the trigger can have slipped.
-
-    Parameters
-    ----------
-    shown : sequence of int, or ndarray of int64, (K,)
-        Grey levels in the order shown.
-    levels : ndarray of float64, (K,)
-        Levels seen, NaN where no frame came.
-
-    Returns
-    -------
-    tuple of SyncFault, or None
-        Empty when in step, None when no fault explains the levels.
     """
+    # shown (K,); levels (K,)
     greys, in_step = np.asarray(shown), list(range(len(shown)))
     if _departure(greys, levels, in_step) <= MOST_DEPARTURE:
         return ()
@@ -129,25 +107,7 @@ def _departure(greys: NDArray[np.int64], levels: Floats, shown: Sequence[int | N
 
 
 class MarkerInspection:
-    """What the marker tells of an open rig: an error ends it, but what was found before is kept.
-
-    Parameters
-    ----------
-    plan : Plan
-        Gives exposure and settling time.
-
-    Attributes
-    ----------
-    runs : list of MarkerRun
-        The stepped run, and the triggered one where the rig can.
-    light : list of Finding
-        Too much light or none.
-    findings : list of Finding
-        Frames that are out of step, and why.
-    settle_s : float or None
-        The settling time in s that a stepped plan needs, where the plan's was too short and a longer one
-        served.
-    """
+    """What the marker tells of an open rig: an error ends it, but what was found before is kept."""
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
@@ -158,20 +118,7 @@ class MarkerInspection:
         self._of_stepped: list[Finding] = []
 
     def at(self, rig: Rig, progress: Progress) -> None:
-        """Show the marker, stepped and where the rig can triggered.
-
-        Parameters
-        ----------
-        rig : Rig
-            Open.
-        progress : Progress
-            Told the share done, 0 … 1.
-
-        Raises
-        ------
-        DeviceError
-            A device failed.
-        """
+        """Show the marker, stepped and where the rig can triggered."""
         shown = marker()
         stepped = self._plan.model_copy(update={"trigger": "stepped"})
         self.runs.append(run := _run(rig, stepped, shown))
@@ -268,18 +215,7 @@ def _missing_colour(shown: NDArray[np.int64], levels: Floats) -> Finding | None:
 
 
 def recover_camera(rig: Rig) -> None:
-    """Open a camera anew after a run whose frames did not all come.
-
-    Parameters
-    ----------
-    rig : Rig
-        Open.
-
-    Raises
-    ------
-    DeviceError
-        The camera cannot be opened.
-    """
+    """Open a camera anew after a run whose frames did not all come."""
     if rig.camera.state is State.FAULT:
         rig.camera.close()
         rig.camera.open()

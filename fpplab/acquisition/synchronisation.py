@@ -72,35 +72,14 @@ class Cause(StrEnum):
 
 @dataclass(frozen=True)
 class SyncFault:
-    """One way in which frames are out of step with their patterns.
+    """One way in which frames are out of step with their patterns."""
 
-    Attributes
-    ----------
-    cause : Cause
-        What happened.
-    frame : int
-        Index of the frame where it begins, from 0.
-    other : int or None
-        Index of the later of two swapped frames; by default the next.
-    """
-
-    cause: Cause
-    frame: int = 0
-    other: int | None = None
+    cause: Cause  # what happened
+    frame: int = 0  # index of the frame where it begins, from 0
+    other: int | None = None  # index of the later of two swapped frames; by default the next
 
     def shown(self, frames: int) -> list[int | None]:
-        """List the patterns that the frames show under this fault.
-
-        Parameters
-        ----------
-        frames : int
-            Number of frames.
-
-        Returns
-        -------
-        list of int or None
-            Index of the pattern that each frame shows; None where it is none of them.
-        """
+        """List the patterns that the frames show under this fault."""
         k, at = list(range(frames)), self.frame
         match self.cause:
             case Cause.LATE:
@@ -122,13 +101,7 @@ class SyncFault:
         return self.frame + 1 if self.other is None else self.other
 
     def describe(self) -> str:
-        """Describe what was seen, and what probably happened.
-
-        Returns
-        -------
-        str
-            One clause, without a full stop.
-        """
+        """Describe what was seen, and what probably happened."""
         at = self.frame
         return {
             Cause.LATE: "every frame shows the pattern before its own (one too late): an extra trigger came "
@@ -145,18 +118,7 @@ class SyncFault:
 
 
 def faults(frames: int) -> Iterator[SyncFault]:
-    """Iterate over every fault that is considered.
-
-    Parameters
-    ----------
-    frames : int
-        Number of frames.
-
-    Yields
-    ------
-    SyncFault
-        Late and early first, then the others frame by frame.
-    """
+    """Iterate over every fault that is considered."""
     yield SyncFault(Cause.LATE)
     yield SyncFault(Cause.EARLY)
     # A trigger missed at the last frame is a foreign last frame; one doubled at the first is a late row.
@@ -167,42 +129,19 @@ def faults(frames: int) -> Iterator[SyncFault]:
 
 
 def far_swaps(frames: int) -> Iterator[SyncFault]:
-    """Iterate over exchanges of two frames that are not neighbours: files in a wrong order.
-
-    Parameters
-    ----------
-    frames : int
-        Number of frames.
-
-    Yields
-    ------
-    SyncFault
-        All of them.
-    """
+    """Iterate over exchanges of two frames that are not neighbours: files in a wrong order."""
     for first in range(frames - 2):
         yield from (SyncFault(Cause.SWAPPED, first, other) for other in range(first + 2, frames))
 
 
 @dataclass(frozen=True)
 class SyncVerdict:
-    """Result of `check_synchronisation`.
+    """Result of `check_synchronisation`."""
 
-    Attributes
-    ----------
-    causes : tuple of SyncFault
-        The faults that explain the frames, equally well where there are several; none when they are in step.
-    fits : bool
-        Whether any hypothesis explains them.
-    provable : bool
-        Whether the frames could have revealed a fault.
-    misfit : float
-        RMS of what frames in step would leave besides noise, as a share of the modulation.
-    """
-
-    causes: tuple[SyncFault, ...] = ()
-    fits: bool = True
-    provable: bool = True
-    misfit: float = 0.0
+    causes: tuple[SyncFault, ...] = ()  # the faults that explain the frames
+    fits: bool = True  # whether any hypothesis explains them
+    provable: bool = True  # whether the frames could have revealed a fault
+    misfit: float = 0.0  # RMS of what frames in step would leave besides noise, as a share of the modulation
 
     @property
     def in_step(self) -> bool:
@@ -210,13 +149,7 @@ class SyncVerdict:
         return self.fits and not self.causes
 
     def describe(self) -> str:
-        """Describe what is wrong.
-
-        Returns
-        -------
-        str
-            One sentence without a full stop; empty when the frames are in step.
-        """
+        """Describe what is wrong."""
         if not self.fits:
             return (
                 "the frames do not fit the plan: they are out of step with it, or the scene or its light "
@@ -226,18 +159,7 @@ class SyncVerdict:
 
 
 def remedy(plan: Plan) -> str:
-    """Give advice to the operator on a session whose frames are out of step.
-
-    Parameters
-    ----------
-    plan : Plan
-        Its plan, stepped or triggered.
-
-    Returns
-    -------
-    str
-        What to do before it is taken again.
-    """
+    """Give advice to the operator on a session whose frames are out of step."""
     if plan.trigger == "stepped":
         return "give the plan a longer settle_s: `fpplab check --rig` measures what the display needs"
     return "check the trigger's cable, edge and delay; `fpplab check --rig` shows which triggers arrive"
@@ -245,33 +167,14 @@ def remedy(plan: Plan) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Moments:
-    """Second moments of K frames over pixels, in squares of the modulation.
+    """Second moments of K frames over pixels, in squares of the modulation."""
 
-    Attributes
-    ----------
-    all : ndarray of float64, (K, K)
-        Of each pixel with itself.
-    alike : ndarray of float64, (K, K)
-        Of each pixel with its neighbour, to which noise does not contribute.
-    """
-
-    all: Floats
-    alike: Floats
+    all: Floats  # of each pixel with itself
+    alike: Floats  # of each pixel with its neighbour, to which noise does not contribute
 
 
 def check_synchronisation(recording: Recording) -> SyncVerdict:
-    """Ask the frames whether frame k shows pattern k.
-
-    Parameters
-    ----------
-    recording : Recording
-        All frames of a plan; a sample of their pixels is looked at.
-
-    Returns
-    -------
-    Verdict
-        What they say.
-    """
+    """Ask the frames whether frame k shows pattern k."""
     moments = _moments(recording)
     return SyncVerdict(provable=False) if moments is None else _decide(moments, recording.plan)
 
@@ -281,16 +184,6 @@ def provable(plan: Plan) -> bool:
 
     It does not where sinusoids with their second harmonics can pass through any frames: a single set of up
     to five steps.
-
-    Parameters
-    ----------
-    plan : Plan
-        The plan.
-
-    Returns
-    -------
-    bool
-        Whether the frames of the plan reveal such a fault.
     """
     return plan.images > 1 + sum(min(2 * NONLINEAR, fringe.images - 1) for fringe in plan.fringes)
 

@@ -45,24 +45,12 @@ class PeriodLimit(StrEnum):
 
 @dataclass(frozen=True)
 class PulseTiming:
-    """Times of a run.
+    """Times of a run."""
 
-    Attributes
-    ----------
-    light_s : float
-        s that each pattern is shown.
-    dark_s : float
-        Least s of darkness after each.
-    period_s : float
-        Least s from one trigger pulse to the next.
-    limit : PeriodLimit
-        What keeps the period from being shorter.
-    """
-
-    light_s: float
-    dark_s: float
-    period_s: float
-    limit: PeriodLimit
+    light_s: float  # s that each pattern is shown
+    dark_s: float  # least s of darkness after each
+    period_s: float  # least s from one trigger pulse to the next
+    limit: PeriodLimit  # what keeps the period from being shorter
 
 
 def pulse_timing(
@@ -73,37 +61,7 @@ def pulse_timing(
     dead_s: float | None = None,
     gap_s: float = 0.0,
 ) -> PulseTiming:
-    """Decide the times of a triggered run from what the devices say.
-
-    Parameters
-    ----------
-    camera : Camera
-        The camera, configured for the run.
-    projector : Projector
-        The projector, which has loaded the patterns.
-    patterns : sequence of Pattern
-        What is to be shown; at least one.
-    exposure_s : float
-        The camera's exposure in s, as read back.
-    dead_s : float, optional
-        Stated time in s after each exposure in which the camera ignores pulses; it counts where it is longer
-        than the camera tells.
-    gap_s : float
-        Further s between pulses; less than 0 to try what the camera does not ask for.
-
-    Returns
-    -------
-    PulseTiming
-        The times, for `Projector.play`.
-
-    Raises
-    ------
-    CapabilityError
-        The camera has no hardware trigger, or the projector no trigger output; or the camera needs darkness
-        after each exposure, and the projector has none.
-    SettingError
-        A pattern cannot be shown for so short or so long a time.
-    """
+    """Decide the times of a triggered run from what the devices say."""
     caps, shown = camera.caps, projector.caps
     if "hardware" not in caps.triggers:
         raise CapabilityError(camera.name, "arm", "has no hardware trigger", "use a stepped plan")
@@ -142,31 +100,7 @@ def _ready(told_s: float | None, end_s: float, dead_s: float | None) -> dict[Per
 
 
 def planned_timing(rig: Rig, plan: Plan, patterns: Sequence[Pattern], exposure_s: float) -> PulseTiming:
-    """Decide the times of a plan's frames, stepped or triggered.
-
-    Parameters
-    ----------
-    rig : Rig
-        An open rig whose camera is configured and whose projector has loaded the patterns.
-    plan : Plan
-        The plan.
-    patterns : sequence of Pattern
-        Its patterns.
-    exposure_s : float
-        The camera's exposure in s, as read back.
-
-    Returns
-    -------
-    PulseTiming
-        The times; in a stepped plan each pattern is shown for the whole period.
-
-    Raises
-    ------
-    CapabilityError
-        A device cannot take frames in the plan's way.
-    SettingError
-        A pattern cannot be shown for so short or so long a time.
-    """
+    """Decide the times of a plan's frames, stepped or triggered."""
     if plan.trigger == "triggered":
         return pulse_timing(rig.camera, rig.projector, patterns, exposure_s, rig.file.camera.dead_time_s)
     check_stepped(rig.camera)
@@ -175,18 +109,7 @@ def planned_timing(rig: Rig, plan: Plan, patterns: Sequence[Pattern], exposure_s
 
 
 def check_stepped(camera: Camera) -> None:
-    """Refuse a camera that cannot take a pattern which stays lit after the exposure.
-
-    Parameters
-    ----------
-    camera : Camera
-        The camera, configured for the run.
-
-    Raises
-    ------
-    CapabilityError
-        Its rows end one after another.
-    """
+    """Refuse a camera that cannot take a pattern which stays lit after the exposure."""
     if camera.caps.dark_s:
         raise CapabilityError(
             camera.name,

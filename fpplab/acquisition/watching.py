@@ -22,22 +22,6 @@ class PatternWatch:
     """Patterns of an open rig that are shown as asked for, with a frame of each.
 
     The projector keeps what it shows between frames; closing the rig makes it dark.
-
-    Parameters
-    ----------
-    rig : Rig
-        An open rig.
-    patterns : sequence of Pattern
-        What can be shown.
-    settings : CameraSettings
-        Exposure, gain and depth.
-    settle_s : float
-        Wait between showing another pattern and its frame, in s.
-
-    Raises
-    ------
-    DeviceError
-        The projector does not hold such patterns, or the camera does not accept the settings.
     """
 
     def __init__(
@@ -50,23 +34,7 @@ class PatternWatch:
         check_stepped(rig.camera)
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
-        """Change exposure, gain or depth; where the camera refuses them the former ones stay.
-
-        Parameters
-        ----------
-        settings : CameraSettings
-            What is wanted.
-
-        Returns
-        -------
-        CameraSettings
-            What the camera has, as read back.
-
-        Raises
-        ------
-        DeviceError
-            The camera does not accept them.
-        """
+        """Change exposure, gain or depth; where the camera refuses them the former ones stay."""
         try:
             self.settings = self._rig.camera.configure(settings)
         except SettingError:
@@ -75,18 +43,7 @@ class PatternWatch:
         return self.settings
 
     def dark_frame(self) -> Frame:
-        """Take a frame with hardly any light: of a short exposure, with the projector dark.
-
-        Returns
-        -------
-        Frame
-            Which shows the camera's black level.
-
-        Raises
-        ------
-        DeviceError
-            A device failed.
-        """
+        """Take a frame with hardly any light: of a short exposure, with the projector dark."""
         camera, projector = self._rig.camera, self._rig.projector
         projector.blank()
         self._shown = None
@@ -100,23 +57,7 @@ class PatternWatch:
                 camera.configure(self.settings)
 
     def shot(self, index: int) -> Frame:
-        """Take a frame of one pattern.
-
-        Parameters
-        ----------
-        index : int
-            Of the pattern among those given.
-
-        Returns
-        -------
-        Frame
-            The frame, which names the pattern.
-
-        Raises
-        ------
-        DeviceError
-            A device failed, or the frame names another pattern.
-        """
+        """Take a frame of one pattern."""
         camera, pattern = self._rig.camera, self._patterns[index]
         if index != self._shown:
             self._shown = None

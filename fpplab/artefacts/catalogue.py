@@ -21,18 +21,7 @@ if TYPE_CHECKING:
 
 
 def artefact_types() -> dict[str, type[Artefact]]:
-    """List the artefacts and standards by name, sorted by `Artefact.order` and then by name.
-
-    Returns
-    -------
-    dict of str to type of Artefact
-        The class that each file of `fpplab.artefacts.shapes` defines, by the file's name.
-
-    Raises
-    ------
-    TypeError
-        A file does not define exactly one subclass of `Artefact`.
-    """
+    """List the artefacts and standards by name, sorted by `Artefact.order` and then by name."""
     found: dict[str, type[Artefact]] = {}
     for entry in iter_modules(shapes.__path__):
         module = import_module(f"{shapes.__name__}.{entry.name}")
@@ -57,26 +46,7 @@ STANDARDS = tuple(name for name, shape in artefact_types().items() if shape.is_s
 
 
 def make(name: str, sizes: Mapping[str, Lengths] | None = None) -> trimesh.Trimesh:
-    """Build the mesh of an artefact or standard.
-
-    Parameters
-    ----------
-    name : str
-        One of `NAMES` or `STANDARDS`.
-    sizes : Mapping of str to Lengths, optional
-        Lengths in mm by field that differ from the usual ones (`usual_sizes`).
-
-    Returns
-    -------
-    trimesh.Trimesh
-        A single watertight body with outward normals, in mm: base on z = 0, z up, centred on x = y = 0.
-
-    Raises
-    ------
-    ConfigError
-        There is no artefact of that name (the message lists the names), no such length, not as many lengths
-        as the field has, or lengths that do not give a solid.
-    """
+    """Build the mesh of an artefact or standard."""
     usual = usual_sizes(name)
     for field, value in (sizes or {}).items():
         if field not in usual:
@@ -89,23 +59,7 @@ def make(name: str, sizes: Mapping[str, Lengths] | None = None) -> trimesh.Trime
 
 
 def usual_sizes(name: str) -> dict[str, Lengths]:
-    """Look up the default lengths of an artefact or standard.
-
-    Parameters
-    ----------
-    name : str
-        One of `NAMES` or `STANDARDS`.
-
-    Returns
-    -------
-    dict of str to Lengths
-        Lengths in mm by field.
-
-    Raises
-    ------
-    ConfigError
-        There is no artefact of that name; the message lists the names.
-    """
+    """Look up the default lengths of an artefact or standard."""
     return asdict(_artefact_type(name)())
 
 
@@ -117,20 +71,7 @@ def _artefact_type(name: str) -> type[Artefact]:
 
 
 def save_stl(mesh: trimesh.Trimesh, path: Path) -> None:
-    """Write a mesh as binary STL, atomically: the file is complete or unchanged.
-
-    Parameters
-    ----------
-    mesh : trimesh.Trimesh
-        Corners in mm.
-    path : Path
-        Where to write.
-
-    Raises
-    ------
-    DataError
-        The file cannot be written.
-    """
+    """Write a mesh as binary STL, atomically: the file is complete or unchanged."""
     import trimesh
 
     data = trimesh.exchange.stl.export_stl(mesh)

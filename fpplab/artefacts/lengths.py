@@ -16,15 +16,9 @@ from fpplab.core.conventions import Floats
 
 @dataclass(frozen=True, eq=False)
 class FlatFace:
-    """One or more parts of a plane surface.
+    """One or more parts of a plane surface."""
 
-    Attributes
-    ----------
-    outlines : tuple of ndarray of float64
-        Corners (n, 3) in mm of each part, which is convex; counter-clockwise as seen from outside.
-    """
-
-    outlines: tuple[Floats, ...]
+    outlines: tuple[Floats, ...]  # corners (n, 3) in mm of each part, which is convex
 
     @property
     def origin(self) -> Floats:
@@ -44,31 +38,17 @@ class FlatFace:
 
 @dataclass(frozen=True, eq=False)
 class SphereFace:
-    """A sphere, of which a part is seen.
+    """A sphere, of which a part is seen."""
 
-    Attributes
-    ----------
-    centre : ndarray of float64
-        (3,) in mm.
-    radius : float
-        In mm.
-    """
-
-    centre: Floats
-    radius: float
+    centre: Floats  # (3,) in mm
+    radius: float  # in mm
 
 
 @dataclass(frozen=True, eq=False)
 class Corner:
-    """The point in which the planes of three faces meet.
+    """The point in which the planes of three faces meet."""
 
-    Attributes
-    ----------
-    faces : tuple of FlatFace
-        Three faces, no two of them parallel.
-    """
-
-    faces: tuple[FlatFace, FlatFace, FlatFace]
+    faces: tuple[FlatFace, FlatFace, FlatFace]  # three faces, no two of them parallel
 
 
 Feature = FlatFace | SphereFace | Corner
@@ -77,20 +57,9 @@ Feature = FlatFace | SphereFace | Corner
 
 @dataclass(frozen=True, eq=False)
 class FeatureLength:
-    """A length of an artefact between two features of the same kind.
+    """A length of an artefact between two features of the same kind."""
 
-    Attributes
-    ----------
-    name : str
-        In words, for reports, such as "step height 2 to 3".
-    first, second : Feature
-        Two parallel flat faces, whose distance it is; two spheres, the distance of whose centres it is; or
-        two corners.
-    true_mm : float
-        Its true value in mm.
-    """
-
-    name: str
-    first: Feature
-    second: Feature
-    true_mm: float
+    name: str  # in words, for reports, such as "step height 2 to 3"
+    first: Feature  # two parallel flat faces, whose distance it is
+    second: Feature  # two parallel flat faces, whose distance it is
+    true_mm: float  # its true value in mm

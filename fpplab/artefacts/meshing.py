@@ -18,108 +18,38 @@ if TYPE_CHECKING:
 
 
 def rectangle_corners(x0: float, x1: float, y0: float, y1: float) -> Floats:
-    """Compute the corners of an axis-parallel rectangle at z = 0.
-
-    Parameters
-    ----------
-    x0, x1 : float
-        Range along x in mm.
-    y0, y1 : float
-        Range along y in mm.
-
-    Returns
-    -------
-    ndarray of float64
-        Loop (4, 3) in mm, counter-clockwise seen from +z, beginning at (x0, y0).
-    """
+    """Compute the corners of an axis-parallel rectangle at z = 0."""
+    # returns (4, 3) mm
     return np.array([(x0, y0, 0.0), (x1, y0, 0.0), (x1, y1, 0.0), (x0, y1, 0.0)])
 
 
 def centred_rectangle(size: tuple[float, float], z: float) -> Floats:
-    """Compute the corners of a rectangle centred on the z axis.
-
-    Parameters
-    ----------
-    size : tuple of float
-        Side lengths along x and y in mm.
-    z : float
-        Height of the rectangle in mm.
-
-    Returns
-    -------
-    ndarray of float64
-        Loop (4, 3) in mm, counter-clockwise seen from +z.
-    """
+    """Compute the corners of a rectangle centred on the z axis."""
+    # returns (4, 3) mm
     return raised(rectangle_corners(-size[0] / 2, size[0] / 2, -size[1] / 2, size[1] / 2), z)
 
 
 def raised(loop: Floats, z: float) -> Floats:
-    """Translate a loop along z.
-
-    Parameters
-    ----------
-    loop : ndarray of float64
-        Corners (n, 3) in mm.
-    z : float
-        Translation in mm.
-
-    Returns
-    -------
-    ndarray of float64
-        Corners (n, 3) in mm.
-    """
+    """Translate a loop along z."""
+    # loop (n, 3) mm; returns (n, 3) mm
     return np.asarray(loop + np.array([0.0, 0.0, z]))
 
 
 def profile_at(profile: Sequence[tuple[float, float]], y: float) -> Floats:
-    """Place a profile in the plane of a given y.
-
-    Parameters
-    ----------
-    profile : sequence of tuple of float
-        Corners (x, z) in mm.
-    y : float
-        Position of the plane in mm.
-
-    Returns
-    -------
-    ndarray of float64
-        Loop (n, 3) in mm.
-    """
+    """Place a profile in the plane of a given y."""
+    # profile (x, z) mm; returns (n, 3) mm
     return np.array([(x, y, z) for x, z in profile])
 
 
 def fan_triangles(loop: Floats) -> Floats:
-    """Triangulate a flat loop by a fan about its first corner.
-
-    Parameters
-    ----------
-    loop : ndarray of float64
-        Corners (n, 3) in mm of a polygon that is star-shaped about the first of them.
-
-    Returns
-    -------
-    ndarray of float64
-        Triangles (n - 2, 3, 3) in mm, of the loop's orientation.
-    """
+    """Triangulate a flat loop by a fan about its first corner."""
+    # loop (n, 3) mm
     return np.stack([np.broadcast_to(loop[0], loop[1:-1].shape), loop[1:-1], loop[2:]], axis=1)
 
 
 def strip_triangles(low: Floats, high: Floats) -> Floats:
-    """Triangulate the closed wall between two loops.
-
-    Parameters
-    ----------
-    low : ndarray of float64
-        Corners (n, 3) in mm of one edge of the wall.
-    high : ndarray of float64
-        As many corners, of the other edge.
-
-    Returns
-    -------
-    ndarray of float64
-        Triangles (2n, 3, 3) in mm, facing outwards if the loops are counter-clockwise seen from `high`.
-    """
+    """Triangulate the closed wall between two loops."""
+    # low (n, 3) mm; returns (2n, 3, 3) mm
     low_next, high_next = np.roll(low, -1, axis=0), np.roll(high, -1, axis=0)
     return np.concatenate(
         [np.stack([low, low_next, high_next], axis=1), np.stack([low, high_next, high], axis=1)]
@@ -127,18 +57,8 @@ def strip_triangles(low: Floats, high: Floats) -> Floats:
 
 
 def closed_body(parts: Iterable[Floats]) -> trimesh.Trimesh:
-    """Join triangles to one mesh, merging corners that coincide.
-
-    Parameters
-    ----------
-    parts : iterable of ndarray of float64
-        Triangles (m, 3, 3) in mm that together enclose a body.
-
-    Returns
-    -------
-    trimesh.Trimesh
-        The mesh, corners in mm.
-    """
+    """Join triangles to one mesh, merging corners that coincide."""
+    # parts (m, 3, 3) mm
     import trimesh  # most of a second that listing names does not need
 
     triangles = np.concatenate(list(parts))

@@ -20,22 +20,6 @@ def load_part(path: Path) -> trimesh.Trimesh:
     """Read a part from an STL, PLY or OBJ file.
 
     Corners that coincide are joined; colours and texture are ignored.
-
-    Parameters
-    ----------
-    path : Path
-        Mesh file with lengths in mm.
-
-    Returns
-    -------
-    trimesh.Trimesh
-        One closed surface facing outwards, corners in mm in the frame of the file.
-
-    Raises
-    ------
-    ConfigError
-        The file is missing or no mesh, the surface does not enclose a solid (`check_solid`), or the lengths
-        look like metres (largest extent below `SMALLEST_MM`).
     """
     from fpplab.clouds import load_mesh  # half a second that making artefacts does not need
 
@@ -53,37 +37,13 @@ def load_part(path: Path) -> trimesh.Trimesh:
 
 
 def unpaired_edges(mesh: trimesh.Trimesh) -> int:
-    """Count the edges of a mesh that do not join two faces; a closed surface has none.
-
-    Parameters
-    ----------
-    mesh : trimesh.Trimesh
-        Any mesh whose faces share their corners.
-
-    Returns
-    -------
-    int
-        Number of edges.
-    """
+    """Count the edges of a mesh that do not join two faces; a closed surface has none."""
     _, joins = np.unique(mesh.edges_sorted, axis=0, return_counts=True)
     return int((joins != 2).sum())
 
 
 def check_solid(mesh: trimesh.Trimesh, name: str) -> None:
-    """Check that a mesh is closed and its faces are directed outwards.
-
-    Parameters
-    ----------
-    mesh : trimesh.Trimesh
-        Any mesh, in mm.
-    name : str
-        What to call the part in error messages.
-
-    Raises
-    ------
-    ConfigError
-        The mesh has no faces, open edges, faces of both directions, or faces that are directed inwards.
-    """
+    """Check that a mesh is closed and its faces are directed outwards."""
     if len(mesh.faces) == 0:
         raise ConfigError(f"{name}: has no faces; give the mesh of a solid")
     if unpaired := unpaired_edges(mesh):

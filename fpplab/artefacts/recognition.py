@@ -21,33 +21,14 @@ SAME_MM = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class PlacedArtefact:
-    """An artefact, and where it is in the frame of a mesh.
+    """An artefact, and where it is in the frame of a mesh."""
 
-    Attributes
-    ----------
-    artefact : Artefact
-        With its lengths.
-    pose : RigidTransform
-        T_mesh_artefact, in mm.
-    """
-
-    artefact: Artefact
-    pose: RigidTransform
+    artefact: Artefact  # with its lengths
+    pose: RigidTransform  # T_mesh_artefact, in mm
 
 
 def recognise(mesh: trimesh.Trimesh) -> PlacedArtefact | None:
-    """Recognise an artefact or standard of usual size by its mesh, wherever that is placed.
-
-    Parameters
-    ----------
-    mesh : trimesh.Trimesh
-        In mm, as `make` gives it or read from a file that `save_stl` wrote, moved by any rigid motion.
-
-    Returns
-    -------
-    PlacedArtefact or None
-        None for any other mesh, such as that of a printed shape.
-    """
+    """Recognise an artefact or standard of usual size by its mesh, wherever that is placed."""
     for shape in artefact_types().values():
         known = shape()
         drawn = np.asarray(known.mesh().triangles, np.float64).reshape(-1, 3)

@@ -40,28 +40,6 @@ def sliced(mesh: trimesh.Trimesh, layer_mm: float, bead_mm: float = 0.0) -> trim
 
     Layer k lies between `k * layer_mm` and `(k + 1) * layer_mm`, and is the part's cross-section at
     mid-height of the layer. The printed height is the part's, rounded to whole layers (`layer_count`).
-
-    Parameters
-    ----------
-    mesh : trimesh.Trimesh
-        A watertight part that stands on z = 0 as it does in the printer, in mm.
-    layer_mm : float
-        Height of a layer in mm.
-    bead_mm : float
-        Depth of the grooves between layers on a wall in mm, less than half a layer. A layer's outline is
-        widest in the middle of the layer and `bead_mm` further in at its two edges; between them it follows
-        the arc through these three, in `LEVELS` depths. 0 leaves walls plain within a layer.
-
-    Returns
-    -------
-    trimesh.Trimesh
-        A single watertight body without inner faces, normals outward, in mm in the frame of the part.
-
-    Raises
-    ------
-    ConfigError
-        A length is out of range, the mesh is not a solid or does not stand on z = 0, a feature is thinner
-        than its grooves, or the layers make more than one body.
     """
     check_solid(mesh, "the part")
     low, high = mesh.bounds[:, 2]
@@ -82,25 +60,7 @@ def sliced(mesh: trimesh.Trimesh, layer_mm: float, bead_mm: float = 0.0) -> trim
 
 
 def layer_count(height_mm: float, layer_mm: float) -> int:
-    """Count the layers of a printed part: those whose middle lies in the part, so half a layer rounds down.
-
-    Parameters
-    ----------
-    height_mm : float
-        Height of the part in mm.
-    layer_mm : float
-        Height of a layer in mm.
-
-    Returns
-    -------
-    int
-        Number of layers, from 1 to `MAX_LAYERS`.
-
-    Raises
-    ------
-    ConfigError
-        `layer_mm` is not above 0 mm, or gives no layer or more than `MAX_LAYERS`.
-    """
+    """Count a printed part's layers, those whose middle lies in it: half a layer rounds down."""
     if not (layer_mm > 0 and np.isfinite(layer_mm)):
         raise ConfigError(f"layer_mm: {layer_mm:g} mm must be above 0 mm")
     layers = np.ceil((height_mm - NEGLIGIBLE_MM) / layer_mm - 0.5)

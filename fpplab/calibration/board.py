@@ -36,21 +36,11 @@ class FittedErrors(Document):
 
 @dataclass(frozen=True, eq=False)
 class FittedBoard:
-    """The board of a characterisation.
+    """The board of a characterisation."""
 
-    Attributes
-    ----------
-    target : dict of str to object
-        Content of the target file.
-    points : ndarray of float64, (P, 3)
-        Points of the board in mm, as the characterisation found them.
-    errors : FittedErrors
-        Sizes of the errors.
-    """
-
-    target: dict[str, Any]
-    points: Floats
-    errors: FittedErrors
+    target: dict[str, Any]  # content of the target file
+    points: Floats  # points of the board in mm, as the characterisation found them
+    errors: FittedErrors  # sizes of the errors
 
 
 class FittedBoardFile(Document):
@@ -71,27 +61,10 @@ class FittedBoardFile(Document):
 
     @classmethod
     def of(cls, board: FittedBoard) -> FittedBoardFile:
-        """Convert a board to its form in a file.
-
-        Parameters
-        ----------
-        board : FittedBoard
-            The board.
-
-        Returns
-        -------
-        FittedBoardFile
-            The same, places rounded to 10 nm.
-        """
+        """Convert a board to its form in a file."""
         rows = tuple((x, y, z) for x, y, z in np.round(board.points, 5).tolist())
         return cls(target=board.target, points_mm=rows, errors=board.errors)
 
     def board(self) -> FittedBoard:
-        """Convert to the board.
-
-        Returns
-        -------
-        FittedBoard
-            What the file holds.
-        """
+        """Convert to the board."""
         return FittedBoard(self.target, np.array(self.points_mm, float).reshape(-1, 3), self.errors)

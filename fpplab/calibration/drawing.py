@@ -16,18 +16,7 @@ if TYPE_CHECKING:
 
 
 def calibration_table(calibration: Calibration) -> str:
-    """Write what a calibration says as a table for notebooks.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        What is told.
-
-    Returns
-    -------
-    str
-        HTML that needs no other file.
-    """
+    """Write what a calibration says as a table for notebooks."""
     rows: dict[str, object] = {}
     for name, one in (("camera", calibration.camera), ("projector", calibration.projector)):
         fx, fy, cx, cy = one.matrix[0, 0], one.matrix[1, 1], one.matrix[0, 2], one.matrix[1, 2]
@@ -41,22 +30,7 @@ def calibration_table(calibration: Calibration) -> str:
 
 
 def draw_from_above(calibration: Calibration, reach_mm: float, axes: Axes | None) -> Axes:
-    """Draw camera and projector from above, with what each of them sees.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        What is drawn.
-    reach_mm : float
-        How far the fields of view are drawn.
-    axes : matplotlib.axes.Axes or None
-        Where to draw; None makes new ones.
-
-    Returns
-    -------
-    matplotlib.axes.Axes
-        In mm in the camera's frame: x to the right, z upwards.
-    """
+    """Draw camera and projector from above, with what each of them sees."""
     chosen = axes_or_new(axes)
     poses = {"camera": RigidTransform.identity(), "projector": calibration.T_projector_camera.inverse()}
     for name, one in (("camera", calibration.camera), ("projector", calibration.projector)):

@@ -15,37 +15,15 @@ LEAST_SHARE = 1e-12
 
 
 def error_modes(known: Uncertainty) -> Floats:
-    """Compute independent modes of error, each with the size of one standard deviation.
-
-    Parameters
-    ----------
-    known : Uncertainty
-        Of n parameters.
-
-    Returns
-    -------
-    ndarray of float64
-        (n, n), the parameters by the modes: the covariance is `modes modesᵀ`.
-    """
+    """Compute independent modes of error, each with the size of one standard deviation."""
+    # returns (n, n)
     scale, variances, directions = _of_correlations(known)
     return np.asarray(scale[:, None] * directions * np.sqrt(np.maximum(variances, 0.0)))
 
 
 def chi_square(known: Uncertainty, off: Floats) -> float:
-    """Compute χ² of differences of the parameters: n on average where the covariance holds.
-
-    Parameters
-    ----------
-    known : Uncertainty
-        Of n parameters.
-    off : ndarray of float64
-        Differences (n,) in the order of the names.
-
-    Returns
-    -------
-    float
-        Not negative.
-    """
+    """Compute χ² of differences of the parameters: n on average where the covariance holds."""
+    # off (n,)
     scale, variances, directions = _of_correlations(known)
     along = directions.T @ (off / scale)
     return float(np.sum(along**2 / np.maximum(variances, LEAST_SHARE * variances[-1])))

@@ -85,23 +85,7 @@ _Entries = dict[str, _Entry]
 
 
 def is_opencv(path: Path) -> bool:
-    """Detect by its first characters whether a file is OpenCV's FileStorage or a calibration of fpplab.
-
-    Parameters
-    ----------
-    path : Path
-        A calibration file of either kind.
-
-    Returns
-    -------
-    bool
-        True if it begins as a FileStorage file does.
-
-    Raises
-    ------
-    ConfigError
-        The file cannot be read.
-    """
+    """Detect by its first characters whether a file is OpenCV's FileStorage or a calibration of fpplab."""
     return _begins_as_opencv(config.read_text(path))
 
 
@@ -110,20 +94,7 @@ def _begins_as_opencv(text: str) -> bool:
 
 
 def to_opencv(calibration: Calibration, kind: Format) -> str:
-    """Convert a calibration to FileStorage text that `from_opencv` reads back without any loss of digits.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        Its uncertainty is not written.
-    kind : {"yaml", "xml", "json"}
-        Format of the text.
-
-    Returns
-    -------
-    str
-        The file's text.
-    """
+    """Convert a calibration to FileStorage text that `from_opencv` reads back without any loss of digits."""
     formats = cv2.FILE_STORAGE_FORMAT_YAML, cv2.FILE_STORAGE_FORMAT_XML, cv2.FILE_STORAGE_FORMAT_JSON
     flags = dict(zip(("yaml", "xml", "json"), formats, strict=True))[kind]
     storage = cv2.FileStorage("", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY | flags)
@@ -146,29 +117,7 @@ def from_opencv(
     projector_size: tuple[int, int] | None = None,
     lattice: Lattice | None = None,
 ) -> Calibration:
-    """Read a calibration from FileStorage files that together hold both devices and R, T between them.
-
-    Parameters
-    ----------
-    paths : sequence of Path
-        One file, or several that complement one another.
-    camera_size, projector_size : tuple of int, optional
-        Width and height in px, where the files do not give them.
-    lattice : Lattice, optional
-        Arrangement of the projector's mirrors, where the files do not give it.
-
-    Returns
-    -------
-    Calibration
-        Without uncertainty.
-
-    Raises
-    ------
-    ConfigError
-        Something is missing, given twice, given differently from the file, of the wrong shape, out of range,
-        or not covered by the model: skew, or distortion that needs more than eight coefficients. The message
-        names file, entry and what is expected.
-    """
+    """Read a calibration from FileStorage files that together hold both devices and R, T between them."""
     entries = _gathered(paths)
     source = " + ".join(str(path) for path in paths)
     camera = Pinhole(

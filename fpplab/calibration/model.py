@@ -37,24 +37,10 @@ PARAMETERS = (
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
-    """Covariance of a calibration's parameters.
+    """Covariance of a calibration's parameters."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        n of `PARAMETERS`; those that are absent were held constant and count as exact.
-    covariance : ndarray of float64
-        (n, n) in the order of `names`, in px for fx, fy, cx, cy, rad for rx, ry, rz (which add to the
-        rotation vector), mm for x, y, z.
-
-    Raises
-    ------
-    CalibrationError
-        A name is unknown or repeated, or the matrix is not a covariance of as many parameters.
-    """
-
-    names: tuple[str, ...]
-    covariance: Floats
+    names: tuple[str, ...]  # n of `PARAMETERS`; those that are absent were held constant and count as exact
+    covariance: Floats  # (n, n) px
 
     def __post_init__(self) -> None:
         if complaint := _no_covariance(self.names, self.covariance):
@@ -320,18 +306,7 @@ class PinholeFile(Document):
 
     @classmethod
     def of(cls, device: Pinhole) -> PinholeFile:
-        """Convert a device's model to its form in a file.
-
-        Parameters
-        ----------
-        device : Pinhole
-            Camera or projector.
-
-        Returns
-        -------
-        PinholeFile
-            The same parameters.
-        """
+        """Convert a device's model to its form in a file."""
         k = device.matrix
         return cls(
             size=device.size,
@@ -342,13 +317,7 @@ class PinholeFile(Document):
         )
 
     def model(self) -> Pinhole:
-        """Convert to the device's model.
-
-        Returns
-        -------
-        Pinhole
-            Camera or projector with these parameters.
-        """
+        """Convert to the device's model."""
         return Pinhole.from_focal(self.size, self.focal_px, self.centre_px, self.distortion, self.lattice)
 
 
@@ -361,29 +330,12 @@ class PoseFile(Document):
     """Translation in mm."""
 
     def transform(self) -> RigidTransform:
-        """Convert to a rigid transform.
-
-        Returns
-        -------
-        RigidTransform
-            With its translation in mm.
-        """
+        """Convert to a rigid transform."""
         return RigidTransform.from_vectors(np.radians(self.rotation_deg), np.array(self.translation_mm))
 
     @classmethod
     def of(cls, transform: RigidTransform) -> PoseFile:
-        """Convert a rigid transform to its form in a file.
-
-        Parameters
-        ----------
-        transform : RigidTransform
-            With its translation in mm.
-
-        Returns
-        -------
-        PoseFile
-            The same transform.
-        """
+        """Convert a rigid transform to its form in a file."""
         rotation, translation = np.degrees(transform.rotation_vector).tolist(), transform.translation.tolist()
         return cls(rotation_deg=tuple(rotation), translation_mm=tuple(translation))
 
@@ -406,29 +358,12 @@ class UncertaintyFile(Document):
         return self
 
     def uncertainty(self) -> Uncertainty:
-        """Convert to an uncertainty in rad.
-
-        Returns
-        -------
-        Uncertainty
-            The same covariance, in rad for rx, ry, rz.
-        """
+        """Convert to an uncertainty in rad."""
         return Uncertainty(self.names, np.array(self.covariance) / self._units(self.names))
 
     @classmethod
     def of(cls, uncertainty: Uncertainty) -> UncertaintyFile:
-        """Convert an uncertainty to its form in a file.
-
-        Parameters
-        ----------
-        uncertainty : Uncertainty
-            In rad for rx, ry, rz.
-
-        Returns
-        -------
-        UncertaintyFile
-            The same covariance, in degrees for rx, ry, rz.
-        """
+        """Convert an uncertainty to its form in a file."""
         rows = (uncertainty.covariance * cls._units(uncertainty.names)).tolist()
         return cls(names=uncertainty.names, covariance=tuple(tuple(row) for row in rows))
 
@@ -467,18 +402,7 @@ class CalibrationFile(Document):
 
     @classmethod
     def of(cls, calibration: Calibration) -> CalibrationFile:
-        """Convert a calibration to its form in a file.
-
-        Parameters
-        ----------
-        calibration : Calibration
-            Angles in rad.
-
-        Returns
-        -------
-        CalibrationFile
-            The same calibration, angles in degrees.
-        """
+        """Convert a calibration to its form in a file."""
         known = calibration.uncertainty
         return cls(
             camera=PinholeFile.of(calibration.camera),
@@ -491,13 +415,7 @@ class CalibrationFile(Document):
         )
 
     def calibration(self) -> Calibration:
-        """Convert to a calibration.
-
-        Returns
-        -------
-        Calibration
-            The same calibration, angles in rad.
-        """
+        """Convert to a calibration."""
         known = self.uncertainty.uncertainty() if self.uncertainty else None
         pose, board = self.T_projector_camera.transform(), self.board.board() if self.board else None
         devices = self.camera.model(), self.projector.model()

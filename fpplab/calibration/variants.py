@@ -39,24 +39,7 @@ ROS_FRAMES = "camera_optical_frame", "projector_optical_frame"
 
 
 def export_calibration(calibration: Calibration, path: Path | str, layout: str | None = None) -> None:
-    """Write a calibration for another program: the file is complete or unchanged.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        What to write. Its uncertainty is written to tables alone.
-    path : Path or str
-        With a suffix of the layout; of ROS a folder, which does not exist yet.
-    layout : str, optional
-        One of `LAYOUTS`; by default the first that has the path's suffix.
-
-    Raises
-    ------
-    ConfigError
-        There is no such layout, it has another suffix, or it has no place for the lens's coefficients.
-    DataError
-        The file cannot be written.
-    """
+    """Write a calibration for another program: the file is complete or unchanged."""
     path = Path(path)
     chosen = layout or layout_of(path)
     if chosen not in LAYOUTS:
@@ -69,23 +52,7 @@ def export_calibration(calibration: Calibration, path: Path | str, layout: str |
 
 
 def layout_of(path: Path) -> str:
-    """Tell which layout a path's suffix stands for.
-
-    Parameters
-    ----------
-    path : Path
-        Of the output.
-
-    Returns
-    -------
-    str
-        The first of `LAYOUTS` that has the suffix.
-
-    Raises
-    ------
-    ConfigError
-        None has it.
-    """
+    """Tell which layout a path's suffix stands for."""
     for name, (suffixes, _) in LAYOUTS.items():
         if path.suffix.lower() in suffixes:
             return name
@@ -94,18 +61,7 @@ def layout_of(path: Path) -> str:
 
 
 def parameter_rows(calibration: Calibration) -> list[Row]:
-    """List all parameters of a calibration.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        Whose parameters.
-
-    Returns
-    -------
-    list of dict
-        `parameter`, `value`, `unit`, and `sigma`, the standard uncertainty; None where it is not known.
-    """
+    """List all parameters of a calibration."""
     pose = calibration.T_projector_camera
     values = {
         f"{name}.{term}": value

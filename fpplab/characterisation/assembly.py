@@ -21,30 +21,7 @@ def calibration_of(
     rms_px: dict[str, float],
     known: Uncertainty,
 ) -> Calibration:
-    """Make a calibration.
-
-    Parameters
-    ----------
-    target : Target
-        The board that was shown.
-    lattice : Lattice
-        Arrangement of the projector's mirrors.
-    solution : Solution
-        All parameters as adjusted.
-    sizes : ErrorSizes
-        Of the errors, as estimated.
-    model : Model
-        What was fitted, with the image sizes.
-    rms_px : dict of str to float
-        RMS in px of `camera`, `projector` and `joint`.
-    known : Uncertainty
-        Covariance of the parameters.
-
-    Returns
-    -------
-    Calibration
-        Both devices, the pose between them, the covariance and the board.
-    """
+    """Make a calibration."""
     assert model.image_sizes is not None
     errors = FittedErrors(
         camera_px=sizes.camera_px,

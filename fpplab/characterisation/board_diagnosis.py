@@ -24,24 +24,8 @@ LIKELY_PX = 3.0
 def find_description_error(
     observations: Sequence[Observation], target: Target, size: ImageSize, rms_px: float = np.inf
 ) -> str | None:
-    """Find what is wrong with a board's description, if another makes the camera fit far better.
-
-    Parameters
-    ----------
-    observations : Sequence[Observation]
-        The poses, detected as the target describes.
-    target : Target
-        The description to check.
-    size : ImageSize
-        (width, height) of the camera's image in px.
-    rms_px : float
-        RMS of the camera with the board as described; infinite where it does not fit at all.
-
-    Returns
-    -------
-    str or None
-        A sentence that names the field to correct; None when no other description is clearly better.
-    """
+    """Find what is wrong with a board's description, if another makes the camera fit far better."""
+    # size (width, height) px
     flat = {words: (_off_plane(observations, other), other) for words, other in described_otherwise(target)}
     flattest = min(off for off, _ in flat.values()) if flat else np.inf
     # A single plane does not determine the ratio of the pitches; a camera in several poses does.

@@ -81,38 +81,7 @@ def adjust_bundle(
     *,
     first: ErrorSizes | None = None,
 ) -> tuple[Solution, ErrorSizes]:
-    """Find the best solution near a start, by a robust fit, and how large the errors of each kind are.
-
-    Parameters
-    ----------
-    observations : Sequence[Observation]
-        The poses.
-    start : Solution
-        Initial values.
-    model : Model
-        Which parameters are estimated.
-    sizes : ErrorSizes or None
-        Of the errors, where they are known; None estimates them.
-    first : ErrorSizes or None
-        From which the estimate starts.
-
-    Returns
-    -------
-    solution : Solution
-        At the minimum of Huber's loss of the whitened residuals.
-    sizes : ErrorSizes
-        By which they were weighted.
-
-    Raises
-    ------
-    CalibrationError
-        The poses do not determine all parameters.
-
-    References
-    ----------
-    Triggs et al., "Bundle adjustment: a modern synthesis", 2000. W. Förstner, "Ein Verfahren zur Schätzung
-    von Varianz- und Kovarianzkomponenten", 1979, for the variance components.
-    """
+    """Find the best solution near a start, by a robust fit, and how large the errors of each kind are."""
     first = sizes or first or _first_sizes(observations, start, model)
     problem = Problem(tuple(observations), model, first, start)
     vector = _descend(problem, problem.pack(start))
@@ -141,28 +110,8 @@ def variance_components(problem: Problem, vector: Floats) -> ErrorSizes:
     The squares of the residuals of one kind, less what effects of the poses leave in them, are divided by
     their redundancy: the number of residuals less the trace of their share of the normal equations. Without
     effects the fixed point is the estimate of restricted maximum likelihood.
-
-    Parameters
-    ----------
-    problem : Problem
-        With the sizes so far.
-    vector : Floats
-        (n,) parameters at its minimum.
-
-    Returns
-    -------
-    ErrorSizes
-        The next.
-
-    Raises
-    ------
-    CalibrationError
-        A parameter is not determined.
-
-    References
-    ----------
-    W. Förstner, 1979.
     """
+    # vector (n,)
     inverse = inverse_of(problem, problem.normal_equations(vector, SOFT)[0])
     of_camera, _ = problem.normal_equations(vector, SOFT, camera_alone=True)
     known, _, sigmas = problem.priors
@@ -212,27 +161,6 @@ def uncertainty(
 
     The covariance is marginal: it contains the uncertainty of the poses, of the errors that the points of
     one pose share, of the board's shape and of its scale.
-
-    Parameters
-    ----------
-    observations : Sequence[Observation]
-        The poses.
-    best : Solution
-        What `adjust_bundle` found for this model.
-    model : Model
-        Which parameters are estimated.
-    sizes : ErrorSizes
-        Of the errors, as `adjust_bundle` found them.
-
-    Returns
-    -------
-    Uncertainty
-        Covariance of the estimated parameters.
-
-    Raises
-    ------
-    CalibrationError
-        The poses do not determine the parameters.
     """
     problem = Problem(tuple(observations), model, sizes, best)
     shared = slice(problem.heads[2])
@@ -251,29 +179,7 @@ def uncertainty(
 def motions_in_poses(
     observations: Sequence[Observation], best: Solution, model: Model, sizes: ErrorSizes
 ) -> list[PoseShift]:
-    """Estimate by how much the board of each pose moved while it was taken.
-
-    Parameters
-    ----------
-    observations : Sequence[Observation]
-        The poses.
-    best : Solution
-        What `adjust_bundle` found for this model and these sizes.
-    model : Model
-        Which parameters are estimated.
-    sizes : ErrorSizes
-        Of the errors.
-
-    Returns
-    -------
-    list of PoseShift
-        By pose.
-
-    Raises
-    ------
-    CalibrationError
-        The poses do not determine the parameters.
-    """
+    """Estimate by how much the board of each pose moved while it was taken."""
     return pose_shifts(_effects(Problem(tuple(observations), model, sizes, best), best)[1])
 
 
@@ -290,27 +196,6 @@ def fits_without_each_pose(
     """Fit all poses but one, for each in turn, to first order.
 
     That is one step of Gauss and Newton from the joint fit.
-
-    Parameters
-    ----------
-    observations : Sequence[Observation]
-        The poses.
-    best : Solution
-        What `adjust_bundle` found for this model and these sizes.
-    model : Model
-        Which parameters are estimated.
-    sizes : ErrorSizes
-        By which residuals are weighted.
-
-    Returns
-    -------
-    list of Solution
-        By the pose that is left out, of which it has the pose of the joint fit.
-
-    Raises
-    ------
-    UndeterminedError
-        The other poses do not determine the parameters.
     """
     problem = Problem(tuple(observations), model, sizes, best)
     vector, (_, _, carried, first, _) = problem.pack(best), problem.heads
@@ -334,25 +219,8 @@ def fits_without_each_pose(
 
 
 def inverse_of(problem: Problem, normal: Floats) -> Floats:
-    """Invert normal equations.
-
-    Parameters
-    ----------
-    problem : Problem
-        Whose they are.
-    normal : Floats
-        (n, n) of its parameters.
-
-    Returns
-    -------
-    Floats
-        (n, n).
-
-    Raises
-    ------
-    UndeterminedError
-        A parameter is not determined.
-    """
+    """Invert normal equations."""
+    # normal (n, n); returns (n, n)
     scale = np.sqrt(np.diag(normal))
     if np.any(scale == 0):
         raise UndeterminedError(UNDETERMINED)
@@ -409,22 +277,8 @@ def _huber(residuals: Floats) -> float:
 
 
 def fit_pose(observation: Observation, solution: Solution, start: Floats) -> Floats:
-    """Fit the pose of the board in one capture, with everything else held.
-
-    Parameters
-    ----------
-    observation : Observation
-        The capture.
-    solution : Solution
-        The devices and the board.
-    start : Floats
-        (6,) initial pose.
-
-    Returns
-    -------
-    Floats
-        (6,) `T_camera_target`: rotation vector in rad and translation in mm.
-    """
+    """Fit the pose of the board in one capture, with everything else held."""
+    # start (6,); returns (6,) rad
 
     def misfit(pose: Floats) -> Floats:
         pair = replace(solution, poses=pose[None]).residuals(0, observation)

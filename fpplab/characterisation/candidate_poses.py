@@ -35,59 +35,23 @@ DEPTH_LEVELS = 3
 
 
 def tilted_away(direction: tuple[float, float], tilt_deg: float) -> Floats:
-    """Tilt a board that faces the camera.
-
-    Parameters
-    ----------
-    direction : tuple of float
-        To the right and down: the edge or corner that goes away from the camera.
-    tilt_deg : float
-        By how much.
-
-    Returns
-    -------
-    Floats
-        (3, 3) rotation of T_camera_target.
-    """
+    """Tilt a board that faces the camera."""
+    # returns (3, 3)
     x, y = np.array(direction, np.float64) / np.hypot(*direction)
     return RigidTransform.from_vectors(np.radians(tilt_deg) * np.array([y, -x, 0.0]), np.zeros(3)).rotation
 
 
 def board_grid(size_mm: tuple[float, float], rim_mm: float = 0.0) -> Floats:
-    """Spread points over a board and a rim around it.
-
-    Parameters
-    ----------
-    size_mm : tuple of float
-        (width, height) of the board in mm.
-    rim_mm : float
-        Width of the rim in mm.
-
-    Returns
-    -------
-    Floats
-        (25, 3) in mm in the board's frame; the outermost are on the edge.
-    """
+    """Spread points over a board and a rim around it."""
+    # size_mm (width, height) mm; returns (25, 3) mm
     x, y = (np.linspace(-0.5, 0.5, 5) * (side + 2.0 * rim_mm) for side in size_mm)
     u, v = np.meshgrid(x, y)
     return np.asarray(np.stack([u, v, np.zeros_like(u)], axis=-1).reshape(-1, 3))
 
 
 def share_seen(calibration: Calibration, places: Floats) -> Floats:
-    """Compute the share of points that camera and projector both see.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        Both devices.
-    places : Floats
-        (..., K, 3) in mm in the camera's frame.
-
-    Returns
-    -------
-    Floats
-        (...).
-    """
+    """Compute the share of points that camera and projector both see."""
+    # places (..., K, 3) mm
     seen: Mask = calibration.camera.sees(places)
     seen &= calibration.projector.sees(places, calibration.T_projector_camera)
     return np.asarray(seen.mean(axis=-1))
@@ -102,26 +66,8 @@ def candidate_poses(
 
     For each tilt and depth the board is in the middle of the field that both devices see, and as far from
     there as it is still seen, towards each edge and corner of the camera's image.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        Both devices, as they are known so far.
-    size_mm : tuple of float
-        (width, height) of the board in mm.
-    depth_mm : DepthInterval
-        Range of the distance of the board's centre from the camera, in mm.
-
-    Returns
-    -------
-    list of RigidTransform
-        T_camera_target; of boards that are nowhere seen whole, those that are for the greatest part.
-
-    Raises
-    ------
-    CalibrationError
-        The board is nowhere seen for the greatest part.
     """
+    # size_mm (width, height) mm
     grid = board_grid(size_mm, HAND_MM)
     for least in (1.0, LEAST_SEEN):
         if found := list(_seen_poses(calibration, grid, depth_mm, least)):

@@ -41,42 +41,15 @@ def warnings(
     calibration: Calibration,
     board: Floats,
 ) -> tuple[str, ...]:
-    """Warn of what the poses leave undetermined.
-
-    Parameters
-    ----------
-    observations : Sequence[Observation]
-        The poses used.
-    poses : Sequence[RigidTransform]
-        `T_camera_target` of each.
-    calibration : Calibration
-        Fitted to them.
-    board : Floats
-        (P, 3) points of the board in mm.
-
-    Returns
-    -------
-    tuple[str, ...]
-        A sentence for each shortcoming: tilts, distances, and parts of the images without points.
-    """
+    """Warn of what the poses leave undetermined."""
+    # board (P, 3) mm
     centres = [T.apply(board[o.ids].mean(axis=0)) for o, T in zip(observations, poses, strict=True)]
     return (*_about_tilts(poses), *_about_distances(np.array(centres)[:, 2]),
             *_about_parts(observations, np.array(centres), calibration))  # fmt: skip
 
 
 def spread_of_tilts(poses: Sequence[RigidTransform]) -> float:
-    """Compute the greatest angle between the planes of any two boards.
-
-    Parameters
-    ----------
-    poses : Sequence[RigidTransform]
-        `T_camera_target` of each.
-
-    Returns
-    -------
-    float
-        In degrees.
-    """
+    """Compute the greatest angle between the planes of any two boards."""
     normals = np.array([T.rotation[:, 2] for T in poses])
     return float(np.degrees(np.arccos(np.clip(normals @ normals.T, -1, 1).min())))
 
@@ -119,22 +92,8 @@ def _about_parts(
 def bare_parts(
     observations: Sequence[Observation], centres: Floats, calibration: Calibration
 ) -> dict[str, Ninths]:
-    """Find the parts of both images in which no point of a board lay.
-
-    Parameters
-    ----------
-    observations : Sequence[Observation]
-        The poses.
-    centres : Floats
-        (M, 3) middle of the board in each, in mm in the camera's frame.
-    calibration : Calibration
-        Of both devices.
-
-    Returns
-    -------
-    dict of str to ndarray of bool, (3, 3)
-        By `camera` and `projector`: ninths of the image without points whose centre both devices see.
-    """
+    """Find the parts of both images in which no point of a board lay."""
+    # centres (M, 3) mm; returns (3, 3)
     pair = calibration.T_projector_camera
     camera, projector = calibration.camera, calibration.projector
     sides = (
@@ -149,40 +108,14 @@ def bare_parts(
 
 
 def filled_parts(observations: Sequence[Observation], device: str, size: tuple[int, int]) -> Ninths:
-    """Tell which ninths of an image contain points of a board.
-
-    Parameters
-    ----------
-    observations : Sequence[Observation]
-        The poses.
-    device : str
-        `camera` or `projector`.
-    size : tuple of int
-        (width, height) of its image in px.
-
-    Returns
-    -------
-    ndarray of bool
-        (3, 3), by row and column.
-    """
+    """Tell which ninths of an image contain points of a board."""
+    # size (width, height) px; returns (3, 3)
     return parts_with_points(np.concatenate([getattr(o, f"{device}_px") for o in observations]), size)
 
 
 def parts_with_points(pixels: Floats, size: tuple[int, int]) -> Ninths:
-    """Tell which ninths of an image contain points.
-
-    Parameters
-    ----------
-    pixels : Floats
-        (K, 2) points in px.
-    size : tuple[int, int]
-        (width, height) of the image in px.
-
-    Returns
-    -------
-    ndarray of bool
-        (3, 3) by row and column, as `PARTS`.
-    """
+    """Tell which ninths of an image contain points."""
+    # pixels (K, 2) px; size (width, height) px; returns (3, 3)
     held = np.zeros((3, 3), np.bool_)
     column, row = np.clip((3 * (pixels + 0.5) / np.array(size)).astype(int), 0, 2).T
     held[row, column] = True

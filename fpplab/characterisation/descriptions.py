@@ -12,20 +12,8 @@ from fpplab.targets import Target
 
 
 def why_not_found(image: NDArray[Any], target: Target) -> str | None:
-    """Find the mistake in a board's description by detecting it under another.
-
-    Parameters
-    ----------
-    image : NDArray[Any]
-        Grey image (height, width) in which the board was not detected.
-    target : Target
-        The board as described.
-
-    Returns
-    -------
-    str or None
-        A clause that says what is wrong; None when no other description is detected either.
-    """
+    """Find the mistake in a board's description by detecting it under another."""
+    # image (height, width)
     for words, other in described_otherwise(target):
         if other.detect(image) is not None:
             return f"but it is there {words}"
@@ -35,20 +23,7 @@ def why_not_found(image: NDArray[Any], target: Target) -> str | None:
 
 
 def described_otherwise(target: Target) -> Iterator[tuple[str, Target]]:
-    """List descriptions that are easily confused with this one.
-
-    Parameters
-    ----------
-    target : Target
-        The board as described.
-
-    Yields
-    ------
-    words : str
-        How the other description differs and what the fields should be.
-    other : Target
-        The other description, on a board of arbitrary size.
-    """
+    """List descriptions that are easily confused with this one."""
     (columns, rows), (x, y) = target.counts, target.spacing_mm
 
     def other(**changes: Any) -> Target:

@@ -11,22 +11,8 @@ from fpplab.core.geometry import RigidTransform
 
 
 def moved_points(solution: Solution, level: DistortionModel, places: Floats) -> Floats:
-    """Differentiate triangulated points by the devices' parameters, all pixels held.
-
-    Parameters
-    ----------
-    solution : Solution
-        The devices.
-    level : DistortionModel
-        Which distortion coefficients are estimated.
-    places : Floats
-        (m, 3) the points in mm in the camera's frame.
-
-    Returns
-    -------
-    Floats
-        (3 m, n) in mm, by the parameters in the order of their covariance.
-    """
+    """Differentiate triangulated points by the devices' parameters, all pixels held."""
+    # places (m, 3) mm; returns (3 m, n) mm
     free, still = len(level.terms), np.zeros(6)
     seen = view(places, still, solution.camera)[1].reshape(-1, 2, 6 + len(INTRINSICS))
     lit = view(places, solution.T_projector_camera, solution.projector)[1].reshape(seen.shape)
@@ -40,20 +26,8 @@ def moved_points(solution: Solution, level: DistortionModel, places: Floats) -> 
 
 
 def without_motion(moved: Floats, places: Floats) -> Floats:
-    """Take the best rigid motion from changes of places: what remains is a change of form.
-
-    Parameters
-    ----------
-    moved : Floats
-        (3 m, n) changes in mm.
-    places : Floats
-        (m, 3) in mm.
-
-    Returns
-    -------
-    Floats
-        (3 m, n) in mm.
-    """
+    """Take the best rigid motion from changes of places: what remains is a change of form."""
+    # moved (3 m, n) mm; places (m, 3) mm; returns (3 m, n) mm
     x, y, z = (places - places.mean(axis=0)).T
     zero, one = np.zeros_like(x), np.ones_like(x)
     turns = [(zero, -z, y), (z, zero, -x), (-y, x, zero)]

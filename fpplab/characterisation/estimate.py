@@ -25,30 +25,14 @@ from fpplab.targets import Target
 
 @dataclass(frozen=True, eq=False)
 class JointEstimate:
-    """Joint fit of the poses so far.
+    """Joint fit of the poses so far."""
 
-    Attributes
-    ----------
-    target : Target
-        The board.
-    lattice : Lattice
-        Arrangement of the projector's mirrors.
-    model : Model
-        What is fitted, with the image sizes.
-    observations : tuple of Observation
-        The poses.
-    solution : Solution
-        All parameters.
-    sizes : ErrorSizes
-        Of the errors, as estimated.
-    """
-
-    target: Target
-    lattice: Lattice
-    model: Model
-    observations: tuple[Observation, ...]
-    solution: Solution
-    sizes: ErrorSizes
+    target: Target  # the board
+    lattice: Lattice  # arrangement of the projector's mirrors
+    model: Model  # what is fitted, with the image sizes
+    observations: tuple[Observation, ...]  # the poses
+    solution: Solution  # all parameters
+    sizes: ErrorSizes  # of the errors, as estimated
 
     @cached_property
     def calibration(self) -> Calibration:
@@ -70,61 +54,19 @@ class JointEstimate:
             return uncertainty(self.observations, self.solution, exact, self.sizes).covariance
 
     def with_pose(self, observation: Observation) -> JointEstimate:
-        """Fit one more pose together with the others.
-
-        Parameters
-        ----------
-        observation : Observation
-            The pose.
-
-        Returns
-        -------
-        JointEstimate
-            Of all of them.
-
-        Raises
-        ------
-        CalibrationError
-            The fit fails.
-        """
+        """Fit one more pose together with the others."""
         pose = fit_pose(observation, self.solution, self.started_pose(observation))
         start = replace(self.solution, poses=np.vstack([self.solution.poses, pose]))
         return self._fitted((*self.observations, observation), start)
 
     def without_pose(self, index: int) -> JointEstimate:
-        """Fit the poses but one.
-
-        Parameters
-        ----------
-        index : int
-            Of the pose that is left out.
-
-        Returns
-        -------
-        JointEstimate
-            Of the others.
-
-        Raises
-        ------
-        CalibrationError
-            They do not determine the devices.
-        """
+        """Fit the poses but one."""
         others = tuple(o for k, o in enumerate(self.observations) if k != index)
         return self._fitted(others, without_poses(self.solution, index))
 
     def started_pose(self, observation: Observation) -> Floats:
-        """Compute about where the board stands in a pose, by the camera alone.
-
-        Parameters
-        ----------
-        observation : Observation
-            The pose.
-
-        Returns
-        -------
-        Floats
-            (6,) `T_camera_target`: rotation vector in rad and translation in mm.
-        """
+        """Compute about where the board stands in a pose, by the camera alone."""
+        # returns (6,) rad
         lens, points = self.solution.camera, self.solution.board[observation.ids]
         _, turn, place = cv2.solvePnP(points, observation.camera_px, matrix_of(lens), lens[4:])
         return np.concatenate([turn, place]).ravel()
@@ -148,35 +90,8 @@ def first_estimate(
     level: DistortionModel = DEFAULT_LEVEL,
     refined: bool = True,
 ) -> tuple[JointEstimate, dict[str, str]]:
-    """JointEstimate the devices from the first poses.
-
-    Parameters
-    ----------
-    observations : sequence of Observation
-        Three poses or more, tilted differently.
-    target : Target
-        The board.
-    image_sizes : tuple of ImageSize
-        (width, height) in px of camera and projector.
-    lattice : Lattice
-        Arrangement of the projector's mirrors.
-    level : DistortionModel
-        How many distortion coefficients are estimated.
-    refined : bool
-        Whether the board's shape is estimated too.
-
-    Returns
-    -------
-    estimate : JointEstimate
-        Of the consistent poses.
-    odd : dict of str to str
-        Why each of the others is inconsistent, by name.
-
-    Raises
-    ------
-    CalibrationError
-        The poses do not determine the devices.
-    """
+    """JointEstimate the devices from the first poses."""
+    # image_sizes (width, height) px
     odd: dict[str, str] = {}
     model = model_of(target, image_sizes, level, refined)
     with threadpool_limits(limits=1, user_api="blas"):

@@ -40,48 +40,20 @@ EDGE_SHARE = 0.06
 
 @dataclass(frozen=True, eq=False)
 class RoughView:
-    """What the first poses tell before the devices can be calibrated.
+    """What the first poses tell before the devices can be calibrated."""
 
-    Attributes
-    ----------
-    camera : Pinhole
-        Without distortion.
-    first : RigidTransform
-        T_camera_target of the first pose.
-    light : Floats
-        (3, 3) homography from camera to projector pixels in the first board's plane.
-    projector_size : tuple of int
-        (width, height) in px.
-    """
-
-    camera: Pinhole
-    first: RigidTransform
-    light: Floats
-    projector_size: ImageSize
+    camera: Pinhole  # without distortion
+    first: RigidTransform  # T_camera_target of the first pose
+    light: Floats  # (3, 3) homography from camera to projector pixels in the first board's plane
+    projector_size: ImageSize  # (width, height) in px
 
     @classmethod
     def of(
         cls, observations: Sequence[Observation], target: Target, sizes: tuple[ImageSize, ImageSize],
         known: RigidTransform | None = None,
     ) -> RoughView:  # fmt: skip
-        """Estimate the camera's focal length and the first pose.
-
-        Parameters
-        ----------
-        observations : sequence of Observation
-            One pose or more.
-        target : Target
-            The board.
-        sizes : tuple of ImageSize
-            (width, height) in px of camera and projector.
-        known : RigidTransform, optional
-            T_camera_target of the first pose, where the fixture knows it.
-
-        Returns
-        -------
-        RoughView
-            Right to some percent.
-        """
+        """Estimate the camera's focal length and the first pose."""
+        # sizes (width, height) px
         first, points = observations[0], target.points()[observations[0].ids]
         middle = (0.5 * (sizes[0][0] - 1), 0.5 * (sizes[0][1] - 1))
         centred = [(target.points()[o.ids], o.camera_px - middle) for o in observations]
@@ -96,18 +68,8 @@ class RoughView:
         return cls(camera, pose, np.asarray(light, np.float64), sizes[1])
 
     def shows(self, places: Floats) -> bool:
-        """Tell whether camera and projector both see places, as far as that is known.
-
-        Parameters
-        ----------
-        places : Floats
-            (K, 3) in mm in the camera's frame.
-
-        Returns
-        -------
-        bool
-            Whether all of them are seen.
-        """
+        """Tell whether camera and projector both see places, as far as that is known."""
+        # places (K, 3) mm
         if not self.camera.sees(places).all():
             return False
         lit = cv2.perspectiveTransform(self.camera.project(places)[None], self.light)[0]
@@ -118,24 +80,7 @@ class RoughView:
 def first_pose(
     number: int, view: RoughView, target: Target, depth_mm: DepthInterval | None = None
 ) -> RigidTransform:
-    """Choose the second or third pose.
-
-    Parameters
-    ----------
-    number : int
-        Of the pose from 0, an index of `FIRST_POSES`; those after them begin again with other tilts.
-    view : RoughView
-        What the poses before tell.
-    target : Target
-        The board.
-    depth_mm : DepthInterval, optional
-        Working range of depths; by default some percent about the first pose's.
-
-    Returns
-    -------
-    RigidTransform
-        T_camera_target, moved towards the first pose until both devices see it.
-    """
+    """Choose the second or third pose."""
     (right, down), deep, edge = FIRST_POSES[number % len(FIRST_POSES)]
     sign = 1.0 if number < len(FIRST_POSES) else -1.0
     rotation = tilted_away((sign * edge[0], sign * edge[1]), TILT_DEG)
@@ -152,18 +97,7 @@ def first_pose(
 
 
 def working_depth(first: RigidTransform) -> DepthInterval:
-    """Choose the working range of depths where none is stated.
-
-    Parameters
-    ----------
-    first : RigidTransform
-        T_camera_target of the first pose.
-
-    Returns
-    -------
-    DepthInterval
-        Some percent about its distance, in mm.
-    """
+    """Choose the working range of depths where none is stated."""
     z = float(first.translation[2])
     return (1.0 - DEPTH_SHARE) * z, (1.0 + DEPTH_SHARE) * z
 

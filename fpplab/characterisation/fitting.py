@@ -93,42 +93,8 @@ def characterise(
 
     BLAS takes one thread: on matrices as small as these its threads would mostly wait for one another, on a
     busy machine for minutes.
-
-    Parameters
-    ----------
-    observations : Sequence[Observation]
-        The poses.
-    target : Target
-        The board.
-    camera_size : ImageSize
-        (width, height) in px.
-    projector_size : ImageSize
-        (width, height) in px.
-    lattice : Lattice
-        Arrangement of the projector's mirrors.
-    left_out : Mapping[str, str] or None
-        The poses that could not be observed by name, with a sentence each that names the pose and says why.
-    level : DistortionModel or 'auto'
-        How many distortion coefficients are estimated.
-    refine_board : bool or None
-        Whether the board's own shape is estimated too; how far its points are off is estimated from the
-        residuals. None does so.
-
-    Returns
-    -------
-    Characterisation
-        The calibration and all that is known about its quality.
-
-    Raises
-    ------
-    CalibrationError
-        Fewer than `LEAST_POSES` poses can be used (naming why each of the others cannot), the poses do not
-        determine the devices, the board is not the one described, or a device sees it mirrored.
-
-    References
-    ----------
-    Z. Zhang, "A flexible new technique for camera calibration", 2000.
     """
+    # camera_size (width, height) px; projector_size (width, height) px
     with threadpool_limits(limits=1, user_api="blas"):
         sizes = (camera_size, projector_size)
         return _characterised(observations, target, sizes, lattice, dict(left_out or {}), level, refine_board)
@@ -187,24 +153,8 @@ def _characterised(
 def model_of(
     target: Target, image_sizes: tuple[ImageSize, ImageSize], level: DistortionModel, refined: bool = True
 ) -> Model:
-    """State what is fitted to poses of a board.
-
-    Parameters
-    ----------
-    target : Target
-        The board.
-    image_sizes : tuple of ImageSize
-        (width, height) in px of camera and projector.
-    level : DistortionModel
-        How many distortion coefficients are estimated.
-    refined : bool
-        Whether the board's shape is estimated too.
-
-    Returns
-    -------
-    Model
-        For `settled` and `adjust_bundle`.
-    """
+    """State what is fitted to poses of a board."""
+    # image_sizes (width, height) px
     given = target.scale_tolerance
     scale = DEFAULT_SCALE_TOLERANCE if given is None else given
     return Model(level, target.points(), refined, target.tolerance_mm, scale, image_sizes)
@@ -227,35 +177,8 @@ def settled(
     observations: Sequence[Observation], target: Target, model: Model, sizes: tuple[ImageSize, ImageSize],
     missing: dict[str, str],
 ) -> tuple[list[Observation], Fit, dict[str, float]]:  # fmt: skip
-    """Select the poses that are consistent, and fit them.
-
-    Parameters
-    ----------
-    observations : Sequence[Observation]
-        The poses.
-    target : Target
-        The board.
-    model : Model
-        What is fitted.
-    sizes : tuple of ImageSize
-        (width, height) in px of camera and projector.
-    missing : dict of str to str
-        Why poses are left out, by name; those that are inconsistent are added.
-
-    Returns
-    -------
-    kept : list of Observation
-        The consistent poses.
-    fit : tuple of Solution and ErrorSizes
-        Their joint fit.
-    separate_px : dict of str to float
-        RMS in px of the steps before it.
-
-    Raises
-    ------
-    CalibrationError
-        Too few poses remain, or they do not determine the devices.
-    """
+    """Select the poses that are consistent, and fit them."""
+    # sizes (width, height) px
     kept = list(observations)
     while True:
         _enough(kept, missing)

@@ -42,41 +42,21 @@ ALIKE_MM, ALIKE_DEG = 15.0, 12.0
 
 @dataclass(frozen=True, eq=False)
 class WantedPose:
-    """A pose that is asked for.
+    """A pose that is asked for."""
 
-    Attributes
-    ----------
-    words : str
-        For a person.
-    T_camera_target : RigidTransform or None
-        For a robot or a simulation; None for the very first pose.
-    outline_px : Floats or None
-        (40, 2) outline of the board to match in the camera's image, clockwise from its upper left corner.
-    form_mm : float or None
-        Standard uncertainty of form in mm that the pose is expected to leave.
-    """
-
-    words: str
-    T_camera_target: RigidTransform | None = None
-    outline_px: Floats | None = None
-    form_mm: float | None = None
+    words: str  # for a person
+    T_camera_target: RigidTransform | None = None  # for a robot or a simulation; None for the very first pose
+    outline_px: Floats | None = None  # (40, 2)
+    form_mm: float | None = None  # standard uncertainty of form in mm that the pose is expected to leave
 
 
 @dataclass(frozen=True, eq=False)
 class PoseFit:
-    """Residuals of one pose beside those that the other poses predict.
+    """Residuals of one pose beside those that the other poses predict."""
 
-    Attributes
-    ----------
-    camera, projector : Errors
-        Of the two devices, with only the board's pose fitted.
-    odd : str or None
-        Name of an earlier pose that is in the wrong instead of this one.
-    """
-
-    camera: Errors
-    projector: Errors
-    odd: str | None = None
+    camera: Errors  # of the two devices, with only the board's pose fitted
+    projector: Errors  # of the two devices, with only the board's pose fitted
+    odd: str | None = None  # name of an earlier pose that is in the wrong instead of this one
 
     @property
     def far(self) -> tuple[str, ...]:
@@ -86,23 +66,7 @@ class PoseFit:
 
 
 class Guide:
-    """The state of a guided characterisation.
-
-    Parameters
-    ----------
-    target : Target
-        The board.
-    image_sizes : tuple of ImageSize
-        (width, height) in px of camera and projector.
-    lattice : Lattice
-        Arrangement of the projector's mirrors.
-    depth_mm : DepthInterval, optional
-        Working range of depths in mm; by default some percent about the first pose.
-    level : DistortionModel
-        How many distortion coefficients are estimated.
-    refined : bool
-        Whether the board's shape is estimated too.
-    """
+    """The state of a guided characterisation."""
 
     def __init__(
         self, target: Target, image_sizes: tuple[ImageSize, ImageSize], lattice: Lattice = Lattice.SQUARE,
@@ -139,23 +103,7 @@ class Guide:
         return volume.form_mm(self.estimate.solution, self.level, self.estimate.covariance)
 
     def wanted(self, fill: bool = False) -> WantedPose:
-        """Choose the next pose.
-
-        Parameters
-        ----------
-        fill : bool
-            Whether it has to bring points into a part of an image that has none, if any pose does.
-
-        Returns
-        -------
-        WantedPose
-            That which lessens the uncertainty of form and place in the working volume most.
-
-        Raises
-        ------
-        CalibrationError
-            No pose is left that both devices see.
-        """
+        """Choose the next pose."""
         if not self.observations:
             return WantedPose(FIRST_WORDS)
         if self.estimate is None:
@@ -201,29 +149,12 @@ class Guide:
         return found
 
     def give_up(self, wanted: WantedPose) -> None:
-        """Ask for this pose and those like it no more.
-
-        Parameters
-        ----------
-        wanted : WantedPose
-            That was rejected again.
-        """
+        """Ask for this pose and those like it no more."""
         if wanted.T_camera_target is not None:
             self._given_up.append(wanted.T_camera_target)
 
     def judged(self, observation: Observation) -> PoseFit | None:
-        """Compare the residuals of a pose with those that the poses before predict.
-
-        Parameters
-        ----------
-        observation : Observation
-            The pose.
-
-        Returns
-        -------
-        PoseFit or None
-            None where there are too few poses to predict them.
-        """
+        """Compare the residuals of a pose with those that the poses before predict."""
         if self.estimate is None:
             return None
         found = judge(self.estimate.calibration, [observation]).poses[0]
@@ -232,23 +163,7 @@ class Guide:
         return PoseFit(found.camera, found.projector, odd)
 
     def add(self, observation: Observation) -> dict[str, str]:
-        """Add a pose to the estimate.
-
-        Parameters
-        ----------
-        observation : Observation
-            The pose.
-
-        Returns
-        -------
-        dict of str to str
-            Why poses are left out again, by name: of the first poses one may turn out inconsistent.
-
-        Raises
-        ------
-        CalibrationError
-            The fit fails.
-        """
+        """Add a pose to the estimate."""
         self.observations.append(observation)
         if self.estimate is not None:
             self.estimate = self.estimate.with_pose(observation)
@@ -267,18 +182,7 @@ class Guide:
         return odd
 
     def drop(self, name: str) -> None:
-        """Take a pose out again.
-
-        Parameters
-        ----------
-        name : str
-            Of the pose.
-
-        Raises
-        ------
-        CalibrationError
-            The others do not determine the devices.
-        """
+        """Take a pose out again."""
         index = [o.name for o in self.observations].index(name)
         del self.observations[index]
         if len(self.observations) < len(FIRST_POSES):
@@ -287,18 +191,7 @@ class Guide:
             self.estimate = self.estimate.without_pose(index)
 
     def rms_px(self, name: str) -> dict[str, float]:
-        """Compute the residuals of a pose in the fit of all.
-
-        Parameters
-        ----------
-        name : str
-            Of the pose.
-
-        Returns
-        -------
-        dict of str to float
-            RMS in px of `camera` and `projector`; empty before there is an estimate.
-        """
+        """Compute the residuals of a pose in the fit of all."""
         if self.estimate is None:
             return {}
         index = [o.name for o in self.observations].index(name)

@@ -48,21 +48,11 @@ CONTRADICTED = 1e-3
 
 @dataclass(frozen=True)
 class Errors:
-    """Errors of one device, seen and predicted.
+    """Errors of one device, seen and predicted."""
 
-    Attributes
-    ----------
-    rms_px : float
-        Root mean square length of the residuals in px.
-    predicted_px : float
-        That which the calibration predicts.
-    chance : float
-        Probability of errors as great as these, if the calibration holds.
-    """
-
-    rms_px: float
-    predicted_px: float
-    chance: float
+    rms_px: float  # root mean square length of the residuals in px
+    predicted_px: float  # that which the calibration predicts
+    chance: float  # probability of errors as great as these, if the calibration holds
 
     @property
     def contradicts(self) -> bool:
@@ -72,22 +62,12 @@ class Errors:
 
 @dataclass(frozen=True, eq=False)
 class JudgedPose:
-    """A pose that was not fitted.
+    """A pose that was not fitted."""
 
-    Attributes
-    ----------
-    name : str
-        Of the pose.
-    points : int
-        How many points of the board were used.
-    camera, projector : Errors
-        Of the two devices.
-    """
-
-    name: str
-    points: int
-    camera: Errors
-    projector: Errors
+    name: str  # of the pose
+    points: int  # how many points of the board were used
+    camera: Errors  # of the two devices
+    projector: Errors  # of the two devices
 
     @property
     def contradicts(self) -> bool:
@@ -97,25 +77,13 @@ class JudgedPose:
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
-    """What poses that were not fitted say about a calibration.
+    """What poses that were not fitted say about a calibration."""
 
-    Attributes
-    ----------
-    poses : tuple of JudgedPose
-        The poses.
-    camera, projector : Errors
-        Of all poses together.
-    rejected : tuple of Rejected
-        Points that were not used.
-    left_out : dict of str to str
-        Why a pose was not used, by its name.
-    """
-
-    poses: tuple[JudgedPose, ...]
-    camera: Errors
-    projector: Errors
-    rejected: tuple[Rejected, ...]
-    left_out: dict[str, str]
+    poses: tuple[JudgedPose, ...]  # the poses
+    camera: Errors  # of all poses together
+    projector: Errors  # of all poses together
+    rejected: tuple[Rejected, ...]  # points that were not used
+    left_out: dict[str, str]  # why a pose was not used, by its name
 
     @property
     def contradicted(self) -> bool:
@@ -139,13 +107,7 @@ class Judgement:
         return f"the calibration holds: {told}"
 
     def summary(self) -> dict[str, Any]:
-        """Return the figures that the command line prints as JSON.
-
-        Returns
-        -------
-        dict of str to object
-            Plain data: verdict, errors in px seen and predicted, by device and pose.
-        """
+        """Return the figures that the command line prints as JSON."""
         return {
             "contradicted": self.contradicted,
             "verdict": self.verdict,
@@ -164,29 +126,7 @@ def judge(
     left_out: dict[str, str] | None = None,
     source: str = "the calibration",
 ) -> Judgement:
-    """Judge a calibration by poses that it was not fitted to.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        With its covariance and its board.
-    observations : Sequence[Observation]
-        Of other poses of the same board.
-    left_out : dict of str to str, optional
-        Why other poses could not be observed, by name.
-    source : str
-        Name of the calibration, for errors.
-
-    Returns
-    -------
-    Judgement
-        Errors seen and predicted.
-
-    Raises
-    ------
-    CalibrationError
-        The calibration does not say what its board and its errors are, or there is no pose to judge by.
-    """
+    """Judge a calibration by poses that it was not fitted to."""
     judged = _Judged.of(calibration, source)
     if not observations:
         raise CalibrationError(
@@ -203,25 +143,7 @@ def judge(
 
 
 def judged_board(calibration: Calibration, source: str) -> FittedBoard:
-    """Give the board by whose poses a calibration can be judged.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        The calibration.
-    source : str
-        Its name, for errors.
-
-    Returns
-    -------
-    FittedBoard
-        Its board.
-
-    Raises
-    ------
-    CalibrationError
-        The calibration does not say what its board and its errors are.
-    """
+    """Give the board by whose poses a calibration can be judged."""
     if calibration.board is None or calibration.uncertainty is None:
         missing = "board" if calibration.board is None else "uncertainty"
         raise CalibrationError(

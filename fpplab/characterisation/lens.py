@@ -28,43 +28,15 @@ def scales_of_poses(
     """Estimate by how much the camera's image of each pose is larger than the calibration says.
 
     The projector's coordinates tell where the board is, so that its distance does not explain another scale.
-
-    Parameters
-    ----------
-    observations : Sequence[Observation]
-        The poses.
-    solution : Solution
-        The fit.
-    sizes : ErrorSizes
-        How large errors are.
-
-    Returns
-    -------
-    scales : Floats
-        (M,) relative changes of scale.
-    sigmas : Floats
-        (M,) their standard uncertainties by the noise of the points.
     """
+    # returns scales (M,), sigmas (M,)
     found = [_scale(k, one, solution, sizes) for k, one in enumerate(observations)]
     scales, sigmas = np.array(found).T
     return scales, sigmas
 
 
 def breathing(scales: Floats, sigmas: Floats) -> tuple[float, float]:
-    """Compute the scatter of the scales beyond their uncertainty.
-
-    Parameters
-    ----------
-    scales, sigmas : Floats
-        As `scales_of_poses` gives them.
-
-    Returns
-    -------
-    scatter : float
-        Standard deviation of the relative scale.
-    chance : float
-        Probability of a scatter as great, given noise alone.
-    """
+    """Compute the scatter of the scales beyond their uncertainty."""
     weights = 1.0 / sigmas**2
     off = scales - float((weights * scales).sum() / weights.sum())
     freedom = len(scales) - 1
@@ -76,16 +48,6 @@ def breathes(scales: Floats, sigmas: Floats) -> bool:
     """Tell whether the scale differs between poses, even without the one in which it differs most.
 
     A board that moved in one pose looks like another scale there.
-
-    Parameters
-    ----------
-    scales, sigmas : Floats
-        As `scales_of_poses` gives them.
-
-    Returns
-    -------
-    bool
-        True where neither noise nor one pose explains the scatter.
     """
     if len(scales) < FEWEST_SCALES:
         return False

@@ -23,27 +23,9 @@ def add_points(
     weight: Floats,
     residuals: Floats,
 ) -> None:
-    """Add to normal equations what the board's points of one pose contribute. Compiled.
-
-    Parameters
-    ----------
-    matrix : Floats
-        (n, n) normal equations, added to in place.
-    gradient : Floats
-        (n,) their right-hand side, added to in place.
-    columns : NDArray[np.intp]
-        (C,) the parameters that all residuals of the pose depend on.
-    own : NDArray[np.intp]
-        (K, 3) the parameters of each point.
-    slopes : Floats
-        (4 K, C) derivatives by `columns`; rows lie by device, point and coordinate.
-    by_point : Floats
-        (4 K, 3) derivatives of each residual by its own point.
-    weight : Floats
-        (4 K,) of each residual.
-    residuals : Floats
-        (4 K,) in standard deviations.
-    """
+    """Add to normal equations what the board's points of one pose contribute. Compiled."""
+    # matrix (n, n); gradient (n,); columns (C,); own (K, 3); slopes (4 K, C); by_point (4 K, 3); weight (4
+    # K,); residuals (4 K,)
     half = len(weight) // 2
     for k in range(len(own)):
         for row in (2 * k, 2 * k + 1, half + 2 * k, half + 2 * k + 1):
@@ -61,30 +43,8 @@ def add_points(
 def pose_slopes(
     solution: Solution, index: int, observation: Observation, free: int
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Compute the residuals of one pose in px, and differentiate them.
-
-    Parameters
-    ----------
-    solution : Solution
-        Where.
-    index : int
-        Of the pose.
-    observation : Observation
-        What was measured in it.
-    free : int
-        How many intrinsics of each device are estimated.
-
-    Returns
-    -------
-    residuals : Floats
-        (4 K,) model minus observation in px: of the camera's points, then of the projector's.
-    by_pose : Floats
-        (4 K, 6) derivatives by the pose.
-    shared : Floats
-        (4 K, 2 free + 6) derivatives by the intrinsics of both devices and by T_projector_camera.
-    by_point : Floats
-        (4 K, 3) derivatives by the board's points, each residual by its own.
-    """
+    """Compute the residuals of one pose in px, and differentiate them."""
+    # returns residuals (4 K,) px, by_pose (4 K, 6), shared (4 K, 2 free + 6), by_point (4 K, 3)
     points, pose = solution.board[observation.ids], solution.poses[index]
     chained, (by_pose, by_pair) = chain(pose, solution.T_projector_camera)
     at_camera, seen = view(points, pose, solution.camera)

@@ -28,24 +28,8 @@ ROUNDS = 4
 
 
 def coordinates_at_points(maps: Floats, modulation: Map, target: Target, detection: Detection) -> Floats:
-    """Fit the projector coordinates of the points found.
-
-    Parameters
-    ----------
-    maps : Floats
-        (height, width, 2) projector coordinates (u, v) in px, NaN where invalid.
-    modulation : Map
-        (height, width), to which the noise of the coordinates is inversely proportional.
-    target : Target
-        The board.
-    detection : Detection
-        The points.
-
-    Returns
-    -------
-    Floats
-        (K, 2) in projector px; NaN where too little of the map is valid.
-    """
+    """Fit the projector coordinates of the points found."""
+    # maps (height, width, 2) px; modulation (height, width); returns (K, 2)
     board = target.points()[detection.ids, :2]
     frames = local_frames(homography(target, detection), board)
     found = np.full((len(board), 2), np.nan)

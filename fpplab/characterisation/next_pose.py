@@ -36,20 +36,7 @@ MOST_POINTS = 80
 
 
 def expected_observation(estimate: JointEstimate, pose: RigidTransform) -> Observation:
-    """Predict what a pose will show, without errors.
-
-    Parameters
-    ----------
-    estimate : JointEstimate
-        Devices and board as known so far.
-    pose : RigidTransform
-        T_camera_target.
-
-    Returns
-    -------
-    Observation
-        Of the points that both devices will see.
-    """
+    """Predict what a pose will show, without errors."""
     best, calibration = estimate.solution, estimate.calibration
     vector, places = vectors_of(pose), pose.apply(estimate.solution.board)
     seen = calibration.camera.sees(places) & calibration.projector.sees(
@@ -63,41 +50,16 @@ def expected_observation(estimate: JointEstimate, pose: RigidTransform) -> Obser
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """What the poses so far tell of devices and board, the poses' own parameters eliminated.
+    """What the poses so far tell of devices and board, the poses' own parameters eliminated."""
 
-    Attributes
-    ----------
-    estimate : JointEstimate
-        Of the poses so far.
-    information : Floats
-        (y, y) normal equations of devices and board.
-    shared : Floats
-        (y, y) covariance of their right-hand side by errors that the points of one pose share.
-    wanted : Floats
-        (y, k) factor of the mean square over the working volume of the form, by devices and board, in mm.
-    """
-
-    estimate: JointEstimate
-    information: Floats
-    shared: Floats
-    wanted: Floats
+    estimate: JointEstimate  # of the poses so far
+    information: Floats  # (y, y) normal equations of devices and board
+    shared: Floats  # (y, y) covariance of their right-hand side by errors that the points of one pose share
+    wanted: Floats  # (y, k) mm
 
     @classmethod
     def of(cls, estimate: JointEstimate, volume: WorkingVolume) -> Design:
-        """Collect what the poses so far tell.
-
-        Parameters
-        ----------
-        estimate : JointEstimate
-            Of the poses so far.
-        volume : WorkingVolume
-            Where the form is to be known.
-
-        Returns
-        -------
-        Design
-            To add candidates to.
-        """
+        """Collect what the poses so far tell."""
         thin = _thinned(estimate)
         problem = Problem(thin.observations, thin.model, thin.sizes, thin.solution)
         vector, best = problem.pack(thin.solution), thin.solution
@@ -117,18 +79,7 @@ class Design:
         return cls(thin, information, shared, wanted)
 
     def predicted_mm(self, pose: RigidTransform | None = None) -> tuple[float, float]:
-        """Predict the standard uncertainty of form with one more pose.
-
-        Parameters
-        ----------
-        pose : RigidTransform, optional
-            T_camera_target of the pose; None gives that of the poses so far.
-
-        Returns
-        -------
-        float
-            In mm, as `WorkingVolume.form_mm`; infinite where hardly a point of the board would be seen.
-        """
+        """Predict the standard uncertainty of form with one more pose."""
         information, shared = self.information, self.shared
         if pose is not None:
             told = self._told(pose)
@@ -156,22 +107,7 @@ class Design:
 
 
 def best_pose(design: Design, candidates: Sequence[RigidTransform]) -> tuple[int, float]:
-    """Choose the candidate that lessens the uncertainty of form most.
-
-    Parameters
-    ----------
-    design : Design
-        What the poses so far tell.
-    candidates : sequence of RigidTransform
-        T_camera_target of each.
-
-    Returns
-    -------
-    index : int
-        Of the candidate.
-    form_mm : float
-        Standard uncertainty of form in mm that its observation will leave.
-    """
+    """Choose the candidate that lessens the uncertainty of form most."""
     with threadpool_limits(limits=1, user_api="blas"):
         predicted = np.array([design.predicted_mm(pose) for pose in candidates])
     best = int(np.argmin(predicted.prod(axis=1)))

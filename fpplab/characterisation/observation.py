@@ -34,49 +34,18 @@ PLANE_SHARE = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """One pose of a board.
+    """One pose of a board."""
 
-    Attributes
-    ----------
-    name : str
-        Of the pose.
-    ids : NDArray[np.intp]
-        (K,) rows of `Target.points`.
-    camera_px : Floats
-        (K, 2) image coordinates (u, v) in px.
-    projector_px : Floats
-        (K, 2) projector coordinates (u, v) in px.
-    repaired : float
-        Share of the pixels used whose fringe order was corrected.
-    """
-
-    name: str
-    ids: NDArray[np.intp]
-    camera_px: Floats
-    projector_px: Floats
-    repaired: float = 0.0
+    name: str  # of the pose
+    ids: NDArray[np.intp]  # (K,) rows of `Target.points`
+    camera_px: Floats  # (K, 2) image coordinates (u, v) in px
+    projector_px: Floats  # (K, 2) projector coordinates (u, v) in px
+    repaired: float = 0.0  # share of the pixels used whose fringe order was corrected
 
 
 def finest_periods(plan: Plan, projector_size: tuple[int, int]) -> tuple[float, float]:
-    """Compute the period of the finest fringes of a plan, for `observe`.
-
-    Parameters
-    ----------
-    plan : Plan
-        The plan.
-    projector_size : tuple[int, int]
-        (width, height) in px.
-
-    Returns
-    -------
-    tuple[float, float]
-        Along u and v, in projector px.
-
-    Raises
-    ------
-    CalibrationError
-        The plan does not code both axes.
-    """
+    """Compute the period of the finest fringes of a plan, for `observe`."""
+    # projector_size (width, height) px
     if plan.axes != ("x", "y"):
         raise CalibrationError("characterisation needs fringes along x and y; use a plan that has both")
     stripes = [plan.fringes[plan.finest_set(axis)].stripes for axis in plan.axes]
@@ -90,34 +59,8 @@ def observe(
     target: Target,
     periods_px: tuple[float, float] | None = None,
 ) -> Observation:
-    """Find a board in one capture, and its points in the camera and in the projector.
-
-    Parameters
-    ----------
-    name : str
-        Of the pose.
-    image : NDArray[Any]
-        Grey image (height, width), the mean of a fringe set.
-    decoded : Decoded
-        Maps of the capture; u and v are NaN where invalid.
-    target : Target
-        The board.
-    periods_px : tuple[float, float] or None
-        Periods of the finest fringes along u and v in projector px (`finest_periods`): coordinates on the
-        board that are wrong by whole periods are corrected. None takes the fringe orders as they are, but for
-        outliers around each point.
-
-    Returns
-    -------
-    Observation
-        The points that are found in both devices.
-
-    Raises
-    ------
-    CalibrationError
-        Naming the pose: the maps have another size than the image, the board is not found, too few of its
-        points are illuminated, or its coordinates do not fit a plane.
-    """
+    """Find a board in one capture, and its points in the camera and in the projector."""
+    # image (height, width)
     if image.shape != decoded.u.shape:
         raise CalibrationError(
             f"{name}: the image is {image.shape[::-1]} but the decoded maps {decoded.u.shape[::-1]}"

@@ -29,40 +29,14 @@ MOST_REJECTED = 0.1
 
 
 def find_moved_pose(observations: Sequence[Observation], solution: Solution, least_px: float) -> int | None:
-    """Find the pose that fits so much worse than the others that something moved while it was captured.
-
-    Parameters
-    ----------
-    observations : Sequence[Observation]
-        The poses.
-    solution : Solution
-        Fitted to them.
-    least_px : float
-        RMS in px below which no pose is suspected.
-
-    Returns
-    -------
-    int or None
-        Its index; None when there is none.
-    """
+    """Find the pose that fits so much worse than the others that something moved while it was captured."""
     rms = rms_of_poses(observations, solution)
     worst = int(np.argmax(rms))
     return worst if rms[worst] > max(MOVED_POSE * float(np.median(rms)), least_px) else None
 
 
 def rejection_limits(observations: Sequence[Observation]) -> list[int]:
-    """Compute how many points of each pose may be rejected.
-
-    Parameters
-    ----------
-    observations : Sequence[Observation]
-        The poses.
-
-    Returns
-    -------
-    list[int]
-        By pose, `MOST_REJECTED` of its points.
-    """
+    """Compute how many points of each pose may be rejected."""
     return [int(MOST_REJECTED * len(o.ids)) for o in observations]
 
 
@@ -72,22 +46,6 @@ def reject_points(
     """Reject points that lie wrong in either device.
 
     The threshold is relative to each device's own robust standard deviation over all poses.
-
-    Parameters
-    ----------
-    observations : Sequence[Observation]
-        The poses.
-    solution : Solution
-        Fitted to them.
-    left : list[int]
-        How many points of each pose may still be rejected, the worst first; it is reduced in place.
-
-    Returns
-    -------
-    kept : list[Observation]
-        The poses without those points.
-    rejected : list[Rejected]
-        The points, with a reason each.
     """
     residuals = [solution.residuals(i, o) for i, o in enumerate(observations)]
     spreads = [_spread([pair[device] for pair in residuals]) for device in (0, 1)]

@@ -37,96 +37,37 @@ class DistortionModel(StrEnum):
 
 
 def parameter_names(level: DistortionModel) -> tuple[str, ...]:
-    """Name the parameters of both devices that are estimated, in the order of their covariance.
-
-    Parameters
-    ----------
-    level : DistortionModel
-        Which distortion coefficients are estimated.
-
-    Returns
-    -------
-    tuple of str
-        Such as `camera.fx`; of `fpplab.calibration.model.PARAMETERS`.
-    """
+    """Name the parameters of both devices that are estimated, in the order of their covariance."""
     terms = [f"{device}.{term}" for device in ("camera", "projector") for term in level.terms]
     return (*terms, *(f"T_projector_camera.{term}" for term in POSE))
 
 
 @dataclass(frozen=True)
 class ErrorSizes:
-    """Standard deviations of the errors of each kind.
+    """Standard deviations of the errors of each kind."""
 
-    Attributes
-    ----------
-    camera_px : float
-        Of a coordinate of a point detected in the camera's image, in px.
-    projector_px : float
-        Of a projector coordinate read there, in px of the projector, beyond what the detection error carries
-        into it.
-    in_plane_mm : float
-        Of a coordinate of a board's point within the board's plane, from where it is drawn, in mm.
-    out_of_plane_mm : float
-        Of a board's point from the plane, in mm.
-    camera_shared_px : float
-        Of each smooth function over the board that the errors of one pose share in the camera's image, in px:
-        6 functions of mean square 1 in u, and in v.
-    projector_shared_px : float
-        The same in the projector.
-    """
-
-    camera_px: float
-    projector_px: float
-    in_plane_mm: float
-    out_of_plane_mm: float
+    camera_px: float  # of a coordinate of a point detected in the camera's image, in px
+    projector_px: float  # of a projector coordinate read there
+    in_plane_mm: float  # of a coordinate of a board's point within the board's plane
+    out_of_plane_mm: float  # of a board's point from the plane, in mm
     camera_shared_px: float = 0.0
-    projector_shared_px: float = 0.0
+    projector_shared_px: float = 0.0  # the same in the projector
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """All parameters that are adjusted.
+    """All parameters that are adjusted."""
 
-    Attributes
-    ----------
-    camera : Floats
-        (12,) as named in `INTRINSICS`.
-    projector : Floats
-        (12,) as named in `INTRINSICS`.
-    T_projector_camera : Floats
-        (6,) rotation vector in rad and translation in mm.
-    poses : Floats
-        (M, 6) `T_camera_target` of every pose: rotation vectors in rad and translations in mm.
-    board : Floats
-        (P, 3) points of the board in mm.
-    carried : float
-        Share of the camera's detection error that is carried into the projector's reading, 0 to 1.
-    """
-
-    camera: Floats
-    projector: Floats
-    T_projector_camera: Floats
-    poses: Floats
-    board: Floats
-    carried: float = 0.0
+    camera: Floats  # (12,) as named in `INTRINSICS`
+    projector: Floats  # (12,) as named in `INTRINSICS`
+    T_projector_camera: Floats  # (6,) rotation vector in rad and translation in mm
+    poses: Floats  # (M, 6) `T_camera_target` of every pose: rotation vectors in rad and translations in mm
+    board: Floats  # (P, 3) points of the board in mm
+    carried: float = 0.0  # share of the camera's detection error that is carried into the projector's reading
 
     def residuals(self, index: int, observation: Observation) -> tuple[Floats, Floats]:
-        """Compute the reprojection errors of one pose.
-
-        Parameters
-        ----------
-        index : int
-            Of the pose.
-        observation : Observation
-            What was measured in it.
-
-        Returns
-        -------
-        camera : Floats
-            (K, 2) model minus observation in px.
-        projector : Floats
-            (K, 2) model minus observation in px.
-        """
+        """Compute the reprojection errors of one pose."""
+        # returns camera (K, 2) px, projector (K, 2) px
         points, pose = self.board[observation.ids], self.poses[index]
         seen = view(points, pose, self.camera)[0] - observation.camera_px
         chained, _ = chain(pose, self.T_projector_camera)
@@ -135,68 +76,25 @@ class Solution:
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """What is fitted to observations: the level of the distortion, and the board as it was drawn.
+    """What is fitted to observations: the level of the distortion, and the board as it was drawn."""
 
-    Attributes
-    ----------
-    level : DistortionModel
-        Which distortion coefficients are estimated.
-    drawn : Floats
-        (P, 3) points of the board as drawn, in mm.
-    refined : bool
-        Whether the board's shape is estimated; otherwise it is taken as exact.
-    tolerance_mm : float or None
-        From which the estimate of the errors of the board's points starts, in mm.
-    scale_tolerance : float
-        Relative standard uncertainty of the board's scale, which no image tells.
-    image_sizes : tuple of ImageSize or None
-        (width, height) in px of camera and projector, to whose corners a lens's distortion is known to be
-        moderate; None if it is only to the outermost point.
-    """
-
-    level: DistortionModel
-    drawn: Floats
-    refined: bool = False
-    tolerance_mm: float | None = None
-    scale_tolerance: float = 0.0
-    image_sizes: tuple[ImageSize, ImageSize] | None = None
+    level: DistortionModel  # which distortion coefficients are estimated
+    drawn: Floats  # (P, 3) points of the board as drawn, in mm
+    refined: bool = False  # whether the board's shape is estimated; otherwise it is taken as exact
+    tolerance_mm: float | None = None  # from which the estimate of the errors of the board's points starts
+    scale_tolerance: float = 0.0  # relative standard uncertainty of the board's scale, which no image tells
+    image_sizes: tuple[ImageSize, ImageSize] | None = None  # (width, height) px
 
 
 def vectors_of(transform: RigidTransform) -> Floats:
-    """Write a rigid transform as six numbers.
-
-    Parameters
-    ----------
-    transform : RigidTransform
-        The transform.
-
-    Returns
-    -------
-    Floats
-        (6,) rotation vector in rad and translation in mm.
-    """
+    """Write a rigid transform as six numbers."""
+    # returns (6,) rad
     return np.concatenate([transform.rotation_vector, transform.translation])
 
 
 def view(points: Floats, pose: Floats, intrinsics: Floats) -> tuple[Floats, Floats]:
-    """Project points, with derivatives.
-
-    Parameters
-    ----------
-    points : Floats
-        (K, 3) in mm.
-    pose : Floats
-        (6,) rotation vector in rad and translation in mm into the device's frame.
-    intrinsics : Floats
-        (12,) as named in `INTRINSICS`.
-
-    Returns
-    -------
-    pixels : Floats
-        (K, 2) in px.
-    slopes : Floats
-        (2 K, 18) derivatives by rotation, translation, `INTRINSICS`.
-    """
+    """Project points, with derivatives."""
+    # points (K, 3) mm; pose (6,) rad; intrinsics (12,); returns pixels (K, 2) px, slopes (2 K, 18)
     fx, fy, cx, cy = intrinsics[:4]
     matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
     pixels, slopes = cv2.projectPoints(points, pose[:3], pose[3:], matrix, intrinsics[4:])
@@ -204,22 +102,8 @@ def view(points: Floats, pose: Floats, intrinsics: Floats) -> tuple[Floats, Floa
 
 
 def chain(pose: Floats, pair: Floats) -> tuple[Floats, tuple[Floats, Floats]]:
-    """Compose two rigid transforms, with derivatives.
-
-    Parameters
-    ----------
-    pose : Floats
-        (6,) the first: rotation vector in rad and translation in mm.
-    pair : Floats
-        (6,) the second.
-
-    Returns
-    -------
-    chained : Floats
-        (6,) `pair @ pose`.
-    slopes : tuple[Floats, Floats]
-        Its derivatives (6, 6) by `pose` and by `pair`.
-    """
+    """Compose two rigid transforms, with derivatives."""
+    # pose (6,) rad; pair (6,); returns chained (6,), slopes (6, 6)
     out = cv2.composeRT(pose[:3], pose[3:], pair[:3], pair[3:])
     rotation, translation, r_r1, r_t1, r_r2, r_t2, t_r1, t_t1, t_r2, t_t2 = out
     by_pose, by_pair = np.empty((6, 6)), np.empty((6, 6))

@@ -30,18 +30,8 @@ KINDS = 4
 
 
 def smooth_functions(places: Floats) -> Floats:
-    """Evaluate polynomials of second degree over a board that are orthogonal at its points.
-
-    Parameters
-    ----------
-    places : Floats
-        (K, 2) in mm on the board, K at least 6.
-
-    Returns
-    -------
-    Floats
-        (K, 6) with a mean square of 1 each; the first is constant.
-    """
+    """Evaluate polynomials of second degree over a board that are orthogonal at its points."""
+    # places (K, 2) mm; returns (K, 6)
     centred = places - places.mean(axis=0)
     x, y = (centred / np.abs(centred).max()).T
     basis, _ = np.linalg.qr(np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1))
@@ -50,28 +40,13 @@ def smooth_functions(places: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class PoseEffects:
-    """How effects of the poses reach residuals and estimate; E effects, n parameters.
+    """How effects of the poses reach residuals and estimate; E effects, n parameters."""
 
-    Attributes
-    ----------
-    scores : Floats
-        (E,) weighted products of the effects' derivatives, in 1/px, and the residuals.
-    seen : Floats
-        (E, E) derivatives of the scores by the effects; the scores' covariance if there are none.
-    passed : Floats
-        (n, E) derivatives of the estimate by the effects.
-    device : NDArray[np.intp]
-        (E,) 0 for effects on the camera's points, 1 on the projector's.
-    leaked : Floats
-        (4, E) by kind of independent errors and effect: the sum of squares of the whitened residuals of this
-        kind that an effect of 1 px causes.
-    """
-
-    scores: Floats
-    seen: Floats
-    passed: Floats
-    device: NDArray[np.intp]
-    leaked: Floats
+    scores: Floats  # (E,) weighted products of the effects' derivatives, in 1/px, and the residuals
+    seen: Floats  # (E, E) derivatives of the scores by the effects; the scores' covariance if there are none
+    passed: Floats  # (n, E) derivatives of the estimate by the effects
+    device: NDArray[np.intp]  # (E,) 0 for effects on the camera's points, 1 on the projector's
+    leaked: Floats  # (4, E) by kind of independent errors and effect
 
     @property
     def groups(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -79,18 +54,7 @@ class PoseEffects:
         return np.flatnonzero(self.device == 0), np.flatnonzero(self.device == 1)
 
     def without(self, rows: NDArray[np.intp]) -> PoseEffects:
-        """Leave effects out.
-
-        Parameters
-        ----------
-        rows : NDArray[np.intp]
-            Of the effects.
-
-        Returns
-        -------
-        PoseEffects
-            Of the others.
-        """
+        """Leave effects out."""
         left = np.delete(np.arange(len(self.scores)), rows)
         return PoseEffects(
             self.scores[left],
@@ -101,19 +65,8 @@ class PoseEffects:
         )
 
     def variances(self) -> tuple[Floats, Floats]:
-        """Estimate the variance of the effects in each device by the method of moments.
-
-        Returns
-        -------
-        variances : Floats
-            (2,) of camera and projector in px², at least 0.
-        doubts : Floats
-            (2,) their standard uncertainties in px².
-
-        References
-        ----------
-        C. R. Rao, "Estimation of variance and covariance components - MINQUE theory", 1971.
-        """
+        """Estimate the variance of the effects in each device by the method of moments."""
+        # returns variances (2,), doubts (2,)
         groups = self.groups
         squares = np.array([np.sum(self.scores[g] ** 2) - np.trace(self.seen[np.ix_(g, g)]) for g in groups])
         design = np.array([[np.sum(self.seen[np.ix_(g, h)] ** 2) for h in groups] for g in groups])
@@ -128,33 +81,14 @@ class PoseEffects:
 
 @dataclass(frozen=True)
 class PoseShift:
-    """How far the projector's coordinates of a whole pose are shifted, and how rarely chance does so.
+    """How far the projector's coordinates of a whole pose are shifted, and how rarely chance does so."""
 
-    Attributes
-    ----------
-    shift_px : float
-        Length of the shift in px of the projector.
-    chance : float
-        Probability of a shift as clear as this one, given noise and the effects in the other poses.
-    """
-
-    shift_px: float
-    chance: float
+    shift_px: float  # length of the shift in px of the projector
+    chance: float  # probability of a shift as clear as this one
 
 
 def pose_shifts(effects: PoseEffects) -> list[PoseShift]:
-    """Estimate by how much the board of each pose moved between its image and its fringes.
-
-    Parameters
-    ----------
-    effects : PoseEffects
-        Of two poses or more.
-
-    Returns
-    -------
-    list of PoseShift
-        By pose.
-    """
+    """Estimate by how much the board of each pose moved between its image and its fringes."""
     found, size = [], 4 * FUNCTIONS
     for pose in range(len(effects.scores) // size):
         own = np.arange(pose * size, (pose + 1) * size)
@@ -171,24 +105,8 @@ def pose_shifts(effects: PoseEffects) -> list[PoseShift]:
 
 
 def pose_effects(problem: Problem, vector: Floats, inverse: Floats, limit: float) -> PoseEffects:
-    """Compute how effects of the poses reach the residuals of a fit and the estimate.
-
-    Parameters
-    ----------
-    problem : Problem
-        With the errors' sizes.
-    vector : Floats
-        (n,) parameters at its minimum.
-    inverse : Floats
-        (n, n) inverse of its normal equations.
-    limit : float
-        Residuals beyond it, in standard deviations, get Huber's weight.
-
-    Returns
-    -------
-    PoseEffects
-        By 12 effects in each device and pose: smooth functions over the board, in u and v.
-    """
+    """Compute how effects of the poses reach the residuals of a fit and the estimate."""
+    # vector (n,); inverse (n, n)
     solution = problem.unpack(vector)
     columns, scores, own, bases = [], [], [], []
     for index in range(len(problem.observations)):
@@ -212,22 +130,8 @@ def pose_effects(problem: Problem, vector: Floats, inverse: Floats, limit: float
 
 
 def effects_of_pose(problem: Problem, index: int, solution: Solution) -> Floats:
-    """Differentiate the whitened residuals of a pose by its effects.
-
-    Parameters
-    ----------
-    problem : Problem
-        With the errors' sizes.
-    index : int
-        Of the pose.
-    solution : Solution
-        Where the derivatives are taken.
-
-    Returns
-    -------
-    Floats
-        (4 K, 24) in 1/px: by device, coordinate and smooth function.
-    """
+    """Differentiate the whitened residuals of a pose by its effects."""
+    # returns (4 K, 24)
     functions = smooth_functions(problem.model.drawn[problem.observations[index].ids, :2])
     rows = np.zeros((2, len(functions), 2, 2, 2, FUNCTIONS))
     for device in (0, 1):
@@ -251,20 +155,6 @@ def _leaked(problem: Problem, vector: Floats, bases: list[Floats], passed: Float
 
 
 def widened(variances: Floats, doubts: Floats) -> Floats:
-    """Compute the expected variances, given uncertain estimates of them.
-
-    Parameters
-    ----------
-    variances : Floats
-        Estimates, in any unit.
-    doubts : Floats
-        Their standard uncertainties, of the same shape and unit.
-
-    Returns
-    -------
-    Floats
-        The mean of a normal distribution that is cut off at zero: with few poses, effects that were not
-        found may still be there.
-    """
+    """Compute the expected variances, given uncertain estimates of them."""
     at = variances / doubts
     return np.asarray(variances + doubts * np.exp(norm.logpdf(at) - norm.logcdf(at)))

@@ -26,22 +26,7 @@ FIRST_WORDS = (
 
 
 def described_pose(pose: RigidTransform, camera: Pinhole, first_mm: float) -> str:
-    """Describe a pose.
-
-    Parameters
-    ----------
-    pose : RigidTransform
-        T_camera_target.
-    camera : Pinhole
-        In whose image it is described.
-    first_mm : float
-        Distance of the first pose from the camera in mm, which the person knows.
-
-    Returns
-    -------
-    str
-        Place in the image, distance, tilt, and turn.
-    """
+    """Describe a pose."""
     u, v = camera.project(pose.translation)
     column, row = (int(np.clip(3 * (x + 0.5) / n, 0, 2)) for x, n in zip((u, v), camera.size, strict=True))
     parts = [f"in the {PARTS[row][column]} of the image", _distance(float(pose.translation[2]), first_mm)]
@@ -49,22 +34,8 @@ def described_pose(pose: RigidTransform, camera: Pinhole, first_mm: float) -> st
 
 
 def outline_px(pose: RigidTransform, camera: Pinhole, size_mm: tuple[float, float]) -> Floats:
-    """Draw a board's outline in the camera's image.
-
-    Parameters
-    ----------
-    pose : RigidTransform
-        T_camera_target.
-    camera : Pinhole
-        The camera.
-    size_mm : tuple of float
-        (width, height) of the board in mm.
-
-    Returns
-    -------
-    Floats
-        (40, 2) in px, clockwise from the board's upper left corner, 10 points of each side.
-    """
+    """Draw a board's outline in the camera's image."""
+    # size_mm (width, height) mm; returns (40, 2) px
     x, y = 0.5 * size_mm[0], 0.5 * size_mm[1]
     corners = np.array([[-x, -y, 0], [x, -y, 0], [x, y, 0], [-x, y, 0]])
     steps = np.linspace(0, 1, 11)[:-1, None]

@@ -43,23 +43,12 @@ class Problem:
 
     The vector holds the camera's estimated intrinsics, the projector's, T_projector_camera, the share that
     is carried, the poses and, where the board is refined, its points.
-
-    Attributes
-    ----------
-    observations : tuple[Observation, ...]
-        The poses.
-    model : Model
-        Which parameters are estimated.
-    sizes : ErrorSizes
-        By which residuals are weighted.
-    near : Solution
-        Where the derivatives by the detection error are taken.
     """
 
-    observations: tuple[Observation, ...]
-    model: Model
-    sizes: ErrorSizes
-    near: Solution
+    observations: tuple[Observation, ...]  # the poses
+    model: Model  # which parameters are estimated
+    sizes: ErrorSizes  # by which residuals are weighted
+    near: Solution  # where the derivatives by the detection error are taken
 
     @property
     def _free(self) -> int:
@@ -124,18 +113,8 @@ class Problem:
         return (place >= board) & (axis < 2), (place >= board) & (axis == 2)
 
     def pack(self, solution: Solution) -> Floats:
-        """Pack the estimated parameters of a solution.
-
-        Parameters
-        ----------
-        solution : Solution
-            All parameters.
-
-        Returns
-        -------
-        Floats
-            (n,) the vector.
-        """
+        """Pack the estimated parameters of a solution."""
+        # returns (n,)
         n = self._free
         parts = [
             solution.camera[:n],
@@ -149,18 +128,8 @@ class Problem:
         return np.concatenate(parts)
 
     def unpack(self, vector: Floats) -> Solution:
-        """Unpack a vector of estimated parameters.
-
-        Parameters
-        ----------
-        vector : Floats
-            (n,) as from `pack`.
-
-        Returns
-        -------
-        Solution
-            With zero for the distortion coefficients that are not estimated.
-        """
+        """Unpack a vector of estimated parameters."""
+        # vector (n,)
         projector, pair, carried, poses, board = self.heads
         held = np.zeros(len(INTRINSICS) - self._free)
         return Solution(
@@ -177,44 +146,14 @@ class Problem:
         return np.concatenate(solution.residuals(index, self.observations[index])).ravel()
 
     def weighted_residuals(self, index: int, solution: Solution, limit: float) -> tuple[Floats, Floats]:
-        """Compute the whitened residuals of one pose with their weights.
-
-        Parameters
-        ----------
-        index : int
-            Of the pose.
-        solution : Solution
-            All parameters.
-        limit : float
-            Residuals beyond it, in standard deviations, get Huber's weight.
-
-        Returns
-        -------
-        residuals : Floats
-            (4 K,) in standard deviations.
-        weight : Floats
-            (4 K,) up to 1.
-        """
+        """Compute the whitened residuals of one pose with their weights."""
+        # returns residuals (4 K,), weight (4 K,)
         residuals = self.whitened(index, self._raw(index, solution), solution.carried)
         return residuals, huber_weights(residuals, 1.0, limit)
 
     def transposed(self, index: int, solution: Solution, rows: Floats) -> Floats:
-        """Multiply rows of one pose by the transposed derivatives of its whitened residuals.
-
-        Parameters
-        ----------
-        index : int
-            Of the pose.
-        solution : Solution
-            Where the derivatives are taken.
-        rows : Floats
-            (4 K, E) a row for each residual.
-
-        Returns
-        -------
-        Floats
-            (n, E).
-        """
+        """Multiply rows of one pose by the transposed derivatives of its whitened residuals."""
+        # rows (4 K, E); returns (n, E)
         columns, slopes, by_point = self.slopes(index, solution)
         found = np.zeros((self.heads[-1] + self.model.refined * self.model.drawn.size, rows.shape[1]))
         found[columns] = slopes.T @ rows
@@ -226,22 +165,8 @@ class Problem:
         return found
 
     def applied(self, index: int, solution: Solution, change: Floats) -> Floats:
-        """Multiply changes of the parameters by the derivatives of the whitened residuals of one pose.
-
-        Parameters
-        ----------
-        index : int
-            Of the pose.
-        solution : Solution
-            Where the derivatives are taken.
-        change : Floats
-            (n, E).
-
-        Returns
-        -------
-        Floats
-            (4 K, E).
-        """
+        """Multiply changes of the parameters by the derivatives of the whitened residuals of one pose."""
+        # change (n, E); returns (4 K, E)
         columns, slopes, by_point = self.slopes(index, solution)
         found = slopes @ change[columns]
         if self.model.refined:
@@ -255,22 +180,7 @@ class Problem:
         return np.asarray(self.heads[-1] + 3 * self.observations[index].ids[:, None] + np.arange(3))
 
     def whitened(self, index: int, rows: Floats, carried: float) -> Floats:
-        """Make residuals of one pose independent of one another and of unit variance.
-
-        Parameters
-        ----------
-        index : int
-            Of the pose.
-        rows : Floats
-            (4 K, …) residuals or their derivatives in px: of the camera's points, then of the projector's.
-        carried : float
-            Share of the detection error that is carried.
-
-        Returns
-        -------
-        Floats
-            Of the same shape, in standard deviations.
-        """
+        """Make residuals of one pose independent of one another and of unit variance."""
         shape = rows.shape
         camera, projector = rows.reshape(2, shape[0] // 4, 2, -1)
         projector = projector - carried * (self._carry[index] @ camera)
@@ -278,22 +188,7 @@ class Problem:
         return np.asarray(whole.reshape(shape))
 
     def unwhitened(self, index: int, rows: Floats, carried: float) -> Floats:
-        """Make residuals of one pose of whitened ones; inverse of `whitened`.
-
-        Parameters
-        ----------
-        index : int
-            Of the pose.
-        rows : Floats
-            (4 K, …) in standard deviations.
-        carried : float
-            Share of the detection error that is carried.
-
-        Returns
-        -------
-        Floats
-            Of the same shape, in px.
-        """
+        """Make residuals of one pose of whitened ones; inverse of `whitened`."""
         shape = rows.shape
         camera, projector = rows.reshape(2, shape[0] // 4, 2, -1)
         camera = camera * self.sizes.camera_px
@@ -301,20 +196,8 @@ class Problem:
         return np.asarray(np.stack([camera, projector]).reshape(shape))
 
     def errors(self, vector: Floats) -> tuple[Floats, Floats]:
-        """Compute the whitened residuals of the points.
-
-        Parameters
-        ----------
-        vector : Floats
-            (n,) parameters.
-
-        Returns
-        -------
-        camera : Floats
-            (R,) in standard deviations.
-        projector : Floats
-            (R,) in standard deviations.
-        """
+        """Compute the whitened residuals of the points."""
+        # vector (n,); returns camera (R,), projector (R,)
         solution = self.unpack(vector)
         pairs = [
             np.split(self.weighted_residuals(i, solution, np.inf)[0], 2)
@@ -324,58 +207,21 @@ class Problem:
         return np.concatenate(cameras), np.concatenate(projectors)
 
     def misfit(self, vector: Floats) -> Floats:
-        """Compute all residuals.
-
-        Parameters
-        ----------
-        vector : Floats
-            (n,) parameters.
-
-        Returns
-        -------
-        Floats
-            (R,) in standard deviations: the points' of the camera, of the projector, then deviations from
-            prior knowledge.
-        """
+        """Compute all residuals."""
+        # vector (n,); returns (R,)
         return np.concatenate([*self.errors(vector), self.pulls(vector)])
 
     def pulls(self, vector: Floats) -> Floats:
-        """Compute the deviations from prior knowledge.
-
-        Parameters
-        ----------
-        vector : Floats
-            (n,) parameters.
-
-        Returns
-        -------
-        Floats
-            (Q,) in standard deviations, in the order of `priors`.
-        """
+        """Compute the deviations from prior knowledge."""
+        # vector (n,); returns (Q,)
         index, means, sigmas = self.priors
         return np.asarray((vector[index] - means) / sigmas)
 
     def normal_equations(
         self, vector: Floats, limit: float = np.inf, camera_alone: bool = False
     ) -> tuple[Floats, Floats]:
-        """Build the normal equations of the residuals r with derivatives J.
-
-        Parameters
-        ----------
-        vector : Floats
-            (n,) parameters.
-        limit : float
-            Residuals beyond it, in standard deviations, get Huber's weight in W.
-        camera_alone : bool
-            Whether only the camera's residuals contribute, without projector and priors.
-
-        Returns
-        -------
-        matrix : Floats
-            `JᵀWJ`, (n, n).
-        gradient : Floats
-            `JᵀWr`, (n,).
-        """
+        """Build the normal equations of the residuals r with derivatives J."""
+        # vector (n,); returns matrix (n, n), gradient (n,)
         solution = self.unpack(vector)
         matrix, gradient = np.zeros((len(vector), len(vector))), np.zeros(len(vector))
         for index in range(len(self.observations)):
@@ -389,24 +235,8 @@ class Problem:
         return matrix, gradient
 
     def pose_equations(self, index: int, vector: Floats, limit: float = np.inf) -> tuple[Floats, Floats]:
-        """Build what one pose adds to the normal equations.
-
-        Parameters
-        ----------
-        index : int
-            Of the pose.
-        vector : Floats
-            (n,) parameters.
-        limit : float
-            Residuals beyond it, in standard deviations, get Huber's weight in W.
-
-        Returns
-        -------
-        matrix : Floats
-            (n, n).
-        gradient : Floats
-            (n,).
-        """
+        """Build what one pose adds to the normal equations."""
+        # vector (n,); returns matrix (n, n), gradient (n,)
         matrix, gradient = np.zeros((len(vector), len(vector))), np.zeros(len(vector))
         self._add_pose(matrix, gradient, index, self.unpack(vector), limit, False)
         return matrix, gradient
@@ -428,24 +258,8 @@ class Problem:
         add_points(matrix, gradient, columns, self._own(index), slopes, by_point, weight, residuals)
 
     def slopes(self, index: int, solution: Solution) -> tuple[NDArray[np.intp], Floats, Floats]:
-        """Differentiate the whitened residuals of one pose.
-
-        Parameters
-        ----------
-        index : int
-            Of the pose.
-        solution : Solution
-            Where.
-
-        Returns
-        -------
-        columns : NDArray[np.intp]
-            (C,) the parameters that they all depend on.
-        slopes : Floats
-            (4 K, C) derivatives by these.
-        by_point : Floats
-            (4 K, 3) derivatives by the board's points, each residual by its own point.
-        """
+        """Differentiate the whitened residuals of one pose."""
+        # returns columns (C,), slopes (4 K, C), by_point (4 K, 3)
         return self._linearised(index, solution)[1:]
 
     def _linearised(self, index: int, solution: Solution) -> tuple[Floats, NDArray[np.intp], Floats, Floats]:
@@ -467,18 +281,5 @@ class Problem:
 
 
 def without_poses(solution: Solution, held: Sequence[int] | int) -> Solution:
-    """Leave poses out of a solution.
-
-    Parameters
-    ----------
-    solution : Solution
-        All poses.
-    held : Sequence[int] or int
-        Their indices.
-
-    Returns
-    -------
-    Solution
-        Of the other poses.
-    """
+    """Leave poses out of a solution."""
     return replace(solution, poses=np.delete(solution.poses, held, axis=0))

@@ -17,115 +17,47 @@ from fpplab.core.geometry import RigidTransform
 
 @dataclass(frozen=True)
 class Rejected:
-    """A point of a pose that was not used.
+    """A point of a pose that was not used."""
 
-    Attributes
-    ----------
-    pose : str
-        Name of the pose.
-    point : int
-        Id of the point.
-    device : str
-        `camera` or `projector`, in which it lies wrong.
-    residual_px : float
-        Distance in px from where `device` should see it.
-    why : str
-        The reason in words.
-    """
-
-    pose: str
-    point: int
-    device: str
-    residual_px: float
-    why: str
+    pose: str  # name of the pose
+    point: int  # id of the point
+    device: str  # `camera` or `projector`, in which it lies wrong
+    residual_px: float  # distance in px from where `device` should see it
+    why: str  # the reason in words
 
 
 @dataclass(frozen=True)
 class ModelTrial:
-    """Errors of one level of the distortion model.
+    """Errors of one level of the distortion model."""
 
-    Attributes
-    ----------
-    level : DistortionModel
-        The level.
-    fitted_px : dict[str, float]
-        RMS in px of `camera`, `projector` and `joint`.
-    held_out_px : dict[str, float] or None
-        The same in poses that the devices were not fitted to; None with too few poses.
-    """
-
-    level: DistortionModel
-    fitted_px: dict[str, float]
-    held_out_px: dict[str, float] | None
+    level: DistortionModel  # the level
+    fitted_px: dict[str, float]  # RMS in px of `camera`, `projector` and `joint`
+    held_out_px: dict[str, float] | None  # the same in poses that the devices were not fitted to
 
 
 @dataclass(frozen=True, eq=False)
 class Characterisation:
-    """A calibration with all that is known about its quality.
+    """A calibration with all that is known about its quality."""
 
-    Attributes
-    ----------
-    calibration : Calibration
-        Both devices and the pose between them, with the covariance.
-    observations : tuple[Observation, ...]
-        The poses used; residuals are in their order.
-    poses : tuple[RigidTransform, ...]
-        `T_camera_target` of each.
-    camera_residuals : tuple[Floats, ...]
-        Model minus observation of each pose, (K, 2) in px.
-    projector_residuals : tuple[Floats, ...]
-        Model minus observation of each pose, (K, 2) in px.
-    separate_px : dict[str, float]
-        RMS in px of `camera` and `projector` fitted separately, and of the `stereo` step on top, with
-        k1 k2 p1 p2.
-    leave_one_out_px : dict[str, float] or None
-        RMS in px of `camera` and `projector` in poses that the devices were not fitted to; None with too few
-        poses.
-    board : Floats
-        (P, 3) points of the board in mm as used.
-    left_out : dict[str, str]
-        Why a pose was not used, by its name.
-    sigma : dict[str, float]
-        Standard uncertainty by parameter, as `camera.fx` or `T_projector_camera.x`, in px, rad or mm.
-    level : DistortionModel
-        Of the model used.
-    trials : tuple[ModelTrial, ...]
-        Of every level tried.
-    rejected : tuple[Rejected, ...]
-        Points that were not used.
-    warnings : tuple[str, ...]
-        What the poses leave undetermined.
-    drawn : Floats or None
-        (P, 3) where the board's points were drawn, in mm, if its shape was estimated.
-    solution : Solution or None
-        All parameters as adjusted.
-    sizes : ErrorSizes or None
-        Standard deviations of the errors of each kind, as estimated.
-    model : Model or None
-        What was fitted.
-    validation : Validation or None
-        Calibrations from fewer poses beside what the covariance predicts; None with too few poses.
-    """
-
-    calibration: Calibration
-    observations: tuple[Observation, ...]
-    poses: tuple[RigidTransform, ...]
-    camera_residuals: tuple[Floats, ...]
-    projector_residuals: tuple[Floats, ...]
-    separate_px: dict[str, float]
+    calibration: Calibration  # both devices and the pose between them, with the covariance
+    observations: tuple[Observation, ...]  # the poses used; residuals are in their order
+    poses: tuple[RigidTransform, ...]  # `T_camera_target` of each
+    camera_residuals: tuple[Floats, ...]  # model minus observation of each pose, (K, 2) in px
+    projector_residuals: tuple[Floats, ...]  # model minus observation of each pose, (K, 2) in px
+    separate_px: dict[str, float]  # RMS in px of `camera` and `projector` fitted separately
     leave_one_out_px: dict[str, float] | None
-    board: Floats
-    left_out: dict[str, str]
-    sigma: dict[str, float]
-    level: DistortionModel = DistortionModel.TANGENTIAL
-    trials: tuple[ModelTrial, ...] = ()
-    rejected: tuple[Rejected, ...] = ()
-    warnings: tuple[str, ...] = ()
-    drawn: Floats | None = None
-    solution: Solution | None = None
-    sizes: ErrorSizes | None = None
-    model: Model | None = None
-    validation: Validation | None = None
+    board: Floats  # (P, 3) points of the board in mm as used
+    left_out: dict[str, str]  # why a pose was not used, by its name
+    sigma: dict[str, float]  # standard uncertainty by parameter
+    level: DistortionModel = DistortionModel.TANGENTIAL  # of the model used
+    trials: tuple[ModelTrial, ...] = ()  # of every level tried
+    rejected: tuple[Rejected, ...] = ()  # points that were not used
+    warnings: tuple[str, ...] = ()  # what the poses leave undetermined
+    drawn: Floats | None = None  # (P, 3) mm
+    solution: Solution | None = None  # all parameters as adjusted
+    sizes: ErrorSizes | None = None  # standard deviations of the errors of each kind, as estimated
+    model: Model | None = None  # what was fitted
+    validation: Validation | None = None  # calibrations from fewer poses beside what the covariance predicts
 
     @property
     def points(self) -> int:
@@ -133,13 +65,7 @@ class Characterisation:
         return sum(len(o.ids) for o in self.observations)
 
     def summary(self) -> dict[str, Any]:
-        """Return the figures that the command line prints as JSON.
-
-        Returns
-        -------
-        dict[str, Any]
-            Plain data: RMS in px by device, numbers of poses and points, models tried, warnings.
-        """
+        """Return the figures that the command line prints as JSON."""
         figures = self.calibration.rms_px
         return {
             "camera": {"rms_px": figures["camera"]},
@@ -161,13 +87,7 @@ class Characterisation:
         }
 
     def facts(self) -> dict[str, str]:
-        """Return the facts for the head of a report.
-
-        Returns
-        -------
-        dict[str, str]
-            By title: the model, the errors of the others tried, warnings, and points rejected.
-        """
+        """Return the facts for the head of a report."""
         facts = {"Model": _terms(self.level)}
         for trial in self.trials:
             facts[f"Error with {trial.level}"] = _errors(trial)

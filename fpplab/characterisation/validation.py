@@ -41,31 +41,14 @@ _Fit = tuple[Sequence[Observation], Solution, Model, ErrorSizes]
 
 @dataclass(frozen=True)
 class Repeat:
-    """A quantity in calibrations from fewer poses.
+    """A quantity in calibrations from fewer poses."""
 
-    Attributes
-    ----------
-    quantity : str
-        Such as `camera.fx`, `baseline`, `place` or `form`.
-    unit : str
-        Of all figures.
-    stated : float
-        Standard uncertainty that the calibration states.
-    changed : float
-        How much the quantity changes: for the jackknife its standard uncertainty as these changes tell it,
-        for halves their difference.
-    predicted : float
-        The same, as the covariances predict it.
-    chance : float
-        Probability of changes as great as these if the prediction is right, about.
-    """
-
-    quantity: str
-    unit: str
-    stated: float
-    changed: float
-    predicted: float
-    chance: float
+    quantity: str  # such as `camera.fx`, `baseline`, `place` or `form`
+    unit: str  # of all figures
+    stated: float  # standard uncertainty that the calibration states
+    changed: float  # how much the quantity changes
+    predicted: float  # the same, as the covariances predict it
+    chance: float  # probability of changes as great as these if the prediction is right, about
 
     @property
     def ratio(self) -> float:
@@ -75,18 +58,10 @@ class Repeat:
 
 @dataclass(frozen=True, eq=False)
 class Validation:
-    """The stated uncertainty, put to the test.
+    """The stated uncertainty, put to the test."""
 
-    Attributes
-    ----------
-    jackknife : tuple of Repeat
-        Each pose left out in turn.
-    halves : tuple of Repeat
-        Every other pose beside the rest; empty with fewer than 8 poses.
-    """
-
-    jackknife: tuple[Repeat, ...]
-    halves: tuple[Repeat, ...] = ()
+    jackknife: tuple[Repeat, ...]  # each pose left out in turn
+    halves: tuple[Repeat, ...] = ()  # every other pose beside the rest; empty with fewer than 8 poses
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -113,31 +88,7 @@ def compare_with_fewer_poses(
     observations: Sequence[Observation], best: Solution, model: Model, sizes: ErrorSizes,
     without: Sequence[Solution],
 ) -> Validation:  # fmt: skip
-    """Compare calibrations from fewer poses with what the covariance of all predicts.
-
-    Parameters
-    ----------
-    observations : Sequence[Observation]
-        The poses.
-    best : Solution
-        Fitted to them.
-    model : Model
-        Which parameters are estimated.
-    sizes : ErrorSizes
-        Of the errors.
-    without : Sequence[Solution]
-        Fitted without each pose in turn.
-
-    Returns
-    -------
-    Validation
-        Changes beside those predicted.
-
-    Raises
-    ------
-    CalibrationError
-        Fewer poses do not determine the parameters.
-    """
+    """Compare calibrations from fewer poses with what the covariance of all predicts."""
     whole: _Fit = (observations, best, model, sizes)
     quantities = _quantities(whole)
     covariance, count = _covariance(whole), len(observations)
@@ -247,28 +198,8 @@ def projected_uncertainty(
 
     That a device might be turned as a whole does not count: a rotation and a shifted principal point cannot
     be told from one another. So the best common rotation is removed.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        With its covariance.
-    device : str
-        `camera` or `projector`.
-    pixels : Floats
-        (m, 2) where, in px.
-    distance_mm : float
-        Distance of the places in mm.
-
-    Returns
-    -------
-    Floats
-        (m,) root mean square of the standard uncertainties in u and v, in px.
-
-    Raises
-    ------
-    CalibrationError
-        The calibration has no covariance.
     """
+    # pixels (m, 2) px; returns (m,) px
     known, lens = calibration.uncertainty, getattr(calibration, device)
     if known is None:
         raise CalibrationError("the calibration does not say how uncertain it is; characterise again")

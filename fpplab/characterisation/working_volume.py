@@ -20,37 +20,13 @@ COLUMNS, ROWS, DEPTHS = 9, 7, 3
 
 @dataclass(frozen=True, eq=False)
 class WorkingVolume:
-    """Places that camera and projector both see, within a range of depths.
+    """Places that camera and projector both see, within a range of depths."""
 
-    Attributes
-    ----------
-    points : Floats
-        (m, 3) evenly spread over it, in mm in the camera's frame.
-    """
-
-    points: Floats
+    points: Floats  # (m, 3) evenly spread over it, in mm in the camera's frame
 
     @classmethod
     def of(cls, calibration: Calibration, depth_mm: DepthInterval) -> WorkingVolume:
-        """Sample what both devices see.
-
-        Parameters
-        ----------
-        calibration : Calibration
-            Both devices.
-        depth_mm : DepthInterval
-            Least and greatest distance from the camera along its axis, in mm.
-
-        Returns
-        -------
-        WorkingVolume
-            Its points.
-
-        Raises
-        ------
-        CalibrationError
-            The devices see next to nothing in common there.
-        """
+        """Sample what both devices see."""
         camera = calibration.camera
         u, v = (np.linspace(0, n - 1, k) for n, k in zip(camera.size, (COLUMNS, ROWS), strict=True))
         slopes = camera.normalise(np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2))
@@ -66,44 +42,14 @@ class WorkingVolume:
         return cls(seen)
 
     def slopes(self, solution: Solution, level: DistortionModel) -> tuple[Floats, Floats]:
-        """Differentiate what is measured here by the devices' parameters.
-
-        Parameters
-        ----------
-        solution : Solution
-            The devices.
-        level : DistortionModel
-            Which distortion coefficients are estimated.
-
-        Returns
-        -------
-        place : Floats
-            (3 m, n) displacements in the camera's frame, divided by √m, so that the sum of squares is a mean
-            square over the volume.
-        form : Floats
-            (3 m, n) what the best rigid motion of all points leaves of them.
-        """
+        """Differentiate what is measured here by the devices' parameters."""
+        # returns place (3 m, n), form (3 m, n)
         moved = moved_points(solution, level, self.points) / np.sqrt(len(self.points))
         return moved, without_motion(moved, self.points)
 
     def form_mm(self, solution: Solution, level: DistortionModel, covariance: Floats) -> float:
-        """Compute the standard uncertainty of form in the volume.
-
-        Parameters
-        ----------
-        solution : Solution
-            The devices.
-        level : DistortionModel
-            Which distortion coefficients are estimated.
-        covariance : Floats
-            (n, n) of the devices' parameters.
-
-        Returns
-        -------
-        float
-            In mm: root mean square over the volume of the standard uncertainty of a point's position after
-            the best rigid motion of all points.
-        """
+        """Compute the standard uncertainty of form in the volume."""
+        # covariance (n, n)
         _, slopes = self.slopes(solution, level)
         return float(np.sqrt(max(np.einsum("mi,ij,mj->", slopes, covariance, slopes), 0.0)))
 

@@ -26,33 +26,9 @@ BoardPixels = list[Floats]
 def calibrate_separately(
     observations: Sequence[Observation], board: Floats, camera_size: ImageSize, projector_size: ImageSize
 ) -> tuple[Solution, Floats, dict[str, float]]:
-    """Calibrate each device by itself, and take the pose between them that agrees best with all poses.
-
-    Parameters
-    ----------
-    observations : Sequence[Observation]
-        The poses.
-    board : Floats
-        (P, 3) points of the board in mm.
-    camera_size : ImageSize
-        (width, height) in px.
-    projector_size : ImageSize
-        (width, height) in px.
-
-    Returns
-    -------
-    solution : Solution
-        Initial values, with the camera's poses.
-    projector_poses : Floats
-        (M, 6) poses of the board in the projector's frame.
-    rms_px : dict[str, float]
-        Of `camera` and `projector`.
-
-    Raises
-    ------
-    CalibrationError
-        The poses do not determine a device.
-    """
+    """Calibrate each device by itself, and take the pose between them that agrees best with all poses."""
+    # board (P, 3) mm; camera_size (width, height) px; projector_size (width, height) px; returns
+    # projector_poses (M, 6)
     boards = [board[o.ids] for o in observations]
     camera_rms, camera, poses = zhang("camera", boards, [o.camera_px for o in observations], camera_size)
     projector_rms, projector, projector_poses = zhang(
@@ -67,20 +43,8 @@ def calibrate_separately(
 
 
 def check_not_mirrored(poses: Floats, projector_poses: Floats) -> None:
-    """Refuse boards that a device sees from behind: a mirrored flat board fits so, too.
-
-    Parameters
-    ----------
-    poses : Floats
-        (M, 6) poses of the board in the camera's frame.
-    projector_poses : Floats
-        (M, 6) in the projector's frame.
-
-    Raises
-    ------
-    CalibrationError
-        The board is seen mirrored by both devices, or by one of them.
-    """
+    """Refuse boards that a device sees from behind: a mirrored flat board fits so, too."""
+    # poses (M, 6); projector_poses (M, 6)
     behind = [np.mean([_from_behind(pose) for pose in seen]) > 0.5 for seen in (poses, projector_poses)]
     if all(behind):
         raise CalibrationError(
@@ -106,36 +70,9 @@ def zhang(
 
     A projector's lens is often shifted so far that its principal point lies at the image border, where a
     start from the centre may end in a wrong minimum.
-
-    Parameters
-    ----------
-    device : str
-        Name for messages.
-    boards : BoardPixels
-        (K, 3) points of the board in mm, of each pose.
-    pixels : BoardPixels
-        (K, 2) their images in px.
-    size : ImageSize
-        (width, height) in px.
-
-    Returns
-    -------
-    rms : float
-        In px.
-    intrinsics : Floats
-        (12,) as named in `INTRINSICS`.
-    poses : Floats
-        (M, 6) rotation vectors in rad and translations in mm.
-
-    Raises
-    ------
-    UndeterminedError
-        The poses do not determine the device.
-
-    References
-    ----------
-    Z. Zhang, "A flexible new technique for camera calibration", 2000.
     """
+    # boards (K, 3) mm; pixels (K, 2) px; size (width, height) px; returns intrinsics (12,), poses (M, 6)
+    # rad
     width, height = size
     places = ((0.5, 0.5), (0.5, 1.0), (0.5, 0.0), (1.0, 0.5), (0.0, 0.5))
     guesses = [(across * (width - 1), down * (height - 1)) for across, down in places]
@@ -176,24 +113,8 @@ def _zhang_from(
 
 
 def stereo(observations: Sequence[Observation], start: Solution, size: ImageSize) -> tuple[Floats, float]:
-    """Fit the pose between both devices with both held.
-
-    Parameters
-    ----------
-    observations : Sequence[Observation]
-        The poses.
-    start : Solution
-        The devices.
-    size : ImageSize
-        (width, height) of the camera's image in px.
-
-    Returns
-    -------
-    pair : Floats
-        (6,) T_projector_camera: rotation vector in rad and translation in mm.
-    rms : float
-        Of both devices together, in px.
-    """
+    """Fit the pose between both devices with both held."""
+    # size (width, height) px; returns pair (6,) rad
     rms, *_, rotation, translation, _, _ = cv2.stereoCalibrate(
         [start.board[o.ids].astype(np.float32) for o in observations],
         [o.camera_px.astype(np.float32) for o in observations],
@@ -210,67 +131,25 @@ def stereo(observations: Sequence[Observation], start: Solution, size: ImageSize
 
 
 def matrix_of(intrinsics: Floats) -> Floats:
-    """Write the camera matrix of intrinsic parameters.
-
-    Parameters
-    ----------
-    intrinsics : Floats
-        fx, fy, cx, cy in px, then whatever follows.
-
-    Returns
-    -------
-    Floats
-        (3, 3) in px.
-    """
+    """Write the camera matrix of intrinsic parameters."""
+    # returns (3, 3) px
     fx, fy, cx, cy = intrinsics[:4]
     return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
 
 
 def transform(vectors: Floats) -> RigidTransform:
-    """Make a rigid transform of six numbers; inverse of `vectors_of`.
-
-    Parameters
-    ----------
-    vectors : Floats
-        (6,) rotation vector in rad and translation in mm.
-
-    Returns
-    -------
-    RigidTransform
-        The transform.
-    """
+    """Make a rigid transform of six numbers; inverse of `vectors_of`."""
+    # vectors (6,) rad
     return RigidTransform.from_vectors(vectors[:3], vectors[3:])
 
 
 def rms_of_poses(observations: Sequence[Observation], solution: Solution) -> Floats:
-    """Compute the RMS of each pose over both devices.
-
-    Parameters
-    ----------
-    observations : Sequence[Observation]
-        The poses.
-    solution : Solution
-        Fitted to them.
-
-    Returns
-    -------
-    Floats
-        (M,) in px.
-    """
+    """Compute the RMS of each pose over both devices."""
+    # returns (M,) px
     return np.array([rms(solution.residuals(i, o)) for i, o in enumerate(observations)])
 
 
 def rms(residuals: Sequence[Floats]) -> float:
-    """Compute the root mean square length of residuals.
-
-    Parameters
-    ----------
-    residuals : Sequence[Floats]
-        (K, 2) each.
-
-    Returns
-    -------
-    float
-        In the residuals' unit.
-    """
+    """Compute the root mean square length of residuals."""
+    # residuals (K, 2)
     return float(np.sqrt(np.mean(np.sum(np.concatenate(list(residuals)) ** 2, axis=1))))

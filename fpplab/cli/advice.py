@@ -106,40 +106,12 @@ WHENCE = {
 
 
 def missing_option(path: str, option: str) -> str:
-    """Say of a command that an option is missing, and where its value comes from.
-
-    Parameters
-    ----------
-    path : str
-        The command: `fpplab scan`.
-    option : str
-        The option, with its dashes.
-
-    Returns
-    -------
-    str
-        One sentence.
-    """
+    """Say of a command that an option is missing, and where its value comes from."""
     return f"`{path}` needs {option}; {WHENCE.get(option, f'see `{path} --help`')}"
 
 
 def unknown_command(path: str, word: str, commands: Sequence[str]) -> str:
-    """Say of a command that there is none of this name, and which was probably meant.
-
-    Parameters
-    ----------
-    path : str
-        The program, or its command that has commands of its own: `fpplab plan`.
-    word : str
-        What was given as a command.
-    commands : sequence of str
-        Those that there are.
-
-    Returns
-    -------
-    str
-        One sentence.
-    """
+    """Say of a command that there is none of this name, and which was probably meant."""
     said = f"there is no command '{' '.join([*path.split()[1:], word])}'"
     lower = word.lower()
     if lower in ("help", "version"):
@@ -157,22 +129,7 @@ def unknown_command(path: str, word: str, commands: Sequence[str]) -> str:
 
 
 def unknown_option(path: str, word: str, options: Sequence[str]) -> str:
-    """Say of an option that a command has none of this name, and which was probably meant.
-
-    Parameters
-    ----------
-    path : str
-        The command: `fpplab scan`.
-    word : str
-        What was given as an option, with its dashes.
-    options : sequence of str
-        Those that the command has, with their dashes.
-
-    Returns
-    -------
-    str
-        One sentence.
-    """
+    """Say of an option that a command has none of this name, and which was probably meant."""
     said = f"`{path}` has no option {word}"
     for option in OPTION_SYNONYMS.get(word, ()):
         if option in options:

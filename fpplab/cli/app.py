@@ -23,25 +23,7 @@ class Commands(TyperGroup):
     """A group of commands that says which one was meant, and reports Ctrl-C as `Cancelled`."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse the options of the group; those of the program may also follow its command.
-
-        Parameters
-        ----------
-        ctx : click.Context
-            Of the command line.
-        args : list of str
-            The words behind the group's name.
-
-        Returns
-        -------
-        list of str
-            The command, and what follows it.
-
-        Raises
-        ------
-        ConfigError
-            There is no such option; names the one that was probably meant.
-        """
+        """Parse the options of the group; those of the program may also follow its command."""
         try:
             return super().parse_args(ctx, args if ctx.parent else global_first(args))
         except Exception as error:
@@ -49,49 +31,13 @@ class Commands(TyperGroup):
             raise
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Find the command that was named.
-
-        Parameters
-        ----------
-        ctx : click.Context
-            Of the command line.
-        args : list of str
-            The command, and what follows it.
-
-        Returns
-        -------
-        tuple
-            Its name, the command, and what follows it.
-
-        Raises
-        ------
-        ConfigError
-            There is no such command; names the one that was probably meant.
-        """
+        """Find the command that was named."""
         if not ctx.resilient_parsing and self.get_command(ctx, args[0]) is None:
             raise ConfigError(unknown_command(ctx.command_path, args[0], list(self.commands)))
         return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:
-        """Run the command that was named.
-
-        Parameters
-        ----------
-        ctx : click.Context
-            Of the command line.
-
-        Returns
-        -------
-        object
-            What the command returns.
-
-        Raises
-        ------
-        Cancelled
-            The user pressed Ctrl-C.
-        ConfigError
-            The command has no such option; names the one that was probably meant.
-        """
+        """Run the command that was named."""
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt:

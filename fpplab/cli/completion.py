@@ -11,18 +11,7 @@ if TYPE_CHECKING:
 
 
 def names_of(kind: ConfigKind) -> Callable[[str], list[str]]:
-    """Make what completes an option that takes a configuration of one kind.
-
-    Parameters
-    ----------
-    kind : str
-        The kind, such as `rig`.
-
-    Returns
-    -------
-    callable
-        Takes the beginning of a name; gives the names that come with fpplab and begin so, and the YAML files.
-    """
+    """Make what completes an option that takes a configuration of one kind."""
 
     def complete(incomplete: str) -> list[str]:
         from fpplab.core.config import shipped_configs  # which `--help` does not need

@@ -42,18 +42,7 @@ _log = logging.getLogger(__name__)
 
 @contextmanager
 def progress(what: str) -> Iterator[Progress]:
-    """Show a progress bar on stderr while the work lasts; one line where stderr is no terminal.
-
-    Parameters
-    ----------
-    what : str
-        What is done.
-
-    Yields
-    ------
-    callable
-        Told the share done, 0 … 1.
-    """
+    """Show a progress bar on stderr while the work lasts; one line where stderr is no terminal."""
     start = time.perf_counter()
     try:
         with _bar(what) as report:
@@ -65,20 +54,7 @@ def progress(what: str) -> Iterator[Progress]:
 
 @contextmanager
 def telling_progress(what: str) -> Iterator[tuple[Progress, Say]]:
-    """Show a progress bar as `progress` does, whose words change with what is done.
-
-    Parameters
-    ----------
-    what : str
-        What is done at first.
-
-    Yields
-    ------
-    report : callable
-        Told the share done, 0 … 1.
-    tell : callable
-        Given what is done now; not shown where stderr is no terminal.
-    """
+    """Show a progress bar as `progress` does, whose words change with what is done."""
     with _words_and_bar(what) as both:
         yield both
 
@@ -109,29 +85,13 @@ def _words_and_bar(what: str) -> Iterator[tuple[Progress, Say]]:
 
 
 def say(sentence: str) -> None:
-    """Print one line to the operator on stderr, so that stdout stays a result.
-
-    Parameters
-    ----------
-    sentence : str
-        The line; not read as markup.
-    """
+    """Print one line to the operator on stderr, so that stdout stays a result."""
     with suppress(OSError):  # nobody listens: no reason to stop the work
         stderr.print(sentence, soft_wrap=True, markup=False)
 
 
 def answer(result: dict[str, Any], as_json: bool, words: Callable[[], None] | None = None) -> None:
-    """Print the command's result: exactly one JSON object, or words for a person.
-
-    Parameters
-    ----------
-    result : dict
-        By the keys of the command's JSON.
-    as_json : bool
-        Whether `--json` was given.
-    words : callable, optional
-        Prints the result for a person; by default a line or a table for each key.
-    """
+    """Print the command's result: exactly one JSON object, or words for a person."""
     if as_json:
         sys.stdout.write(json.dumps(result, default=_plain, allow_nan=False) + "\n")
     elif words:
@@ -150,26 +110,7 @@ def answer(result: dict[str, Any], as_json: bool, words: Callable[[], None] | No
 def conclude(
     diagnosis: Diagnosis, name: str, result: dict[str, Any], as_json: bool, words: Callable[[], None]
 ) -> None:
-    """Print a verdict in the first line, and then the result; refuse one that nobody should use.
-
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-        The verdict, whose keys the result has too.
-    name : str
-        What the result is called in the message.
-    result : dict
-        By the keys of the command's JSON.
-    as_json : bool
-        Whether `--json` was given.
-    words : callable
-        Prints the result for a person.
-
-    Raises
-    ------
-    UselessScanError
-        The verdict is useless; with `--json` the result is printed beside the error.
-    """
+    """Print a verdict in the first line, and then the result; refuse one that nobody should use."""
     say(diagnosis.sentence)
     for finding in diagnosis.findings:
         told = finding.sentence == diagnosis.reason
@@ -180,17 +121,7 @@ def conclude(
 
 
 def table(title: str, columns: list[str], rows: list[list[Any]]) -> None:
-    """Print a table on stdout.
-
-    Parameters
-    ----------
-    title : str
-        Above it.
-    columns : list of str
-        Their heads.
-    rows : list of list
-        Their cells.
-    """
+    """Print a table on stdout."""
     from rich.table import Table
 
     grid = Table(title=title, title_justify="left")
@@ -211,13 +142,7 @@ def _plain(value: Any) -> Any:
 
 @contextmanager
 def stopwatch() -> Iterator[Callable[[], float]]:
-    """Measure time.
-
-    Yields
-    ------
-    callable
-        Without arguments, gives the seconds since the beginning.
-    """
+    """Measure time."""
     start = time.perf_counter()
     yield lambda: round(time.perf_counter() - start, 3)
 
@@ -231,13 +156,6 @@ def run_program(command: Callable[[], object], as_json: bool) -> NoReturn:
 
     A foreseeable fault is one sentence on stderr (and `{"error": …}` on stdout with --json); SIGTERM is
     treated like Ctrl-C, so that the bench is left safe.
-
-    Parameters
-    ----------
-    command : callable
-        The program.
-    as_json : bool
-        Whether `--json` was given.
     """
     interrupts.watch_signals()
     try:

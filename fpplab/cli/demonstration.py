@@ -42,39 +42,17 @@ TRUTH, RESULT, BOARD = "truth.stl", "demo.json", "board"
 
 @dataclass(frozen=True)
 class Scan:
-    """One artefact of the demonstration, measured and compared with its true shape.
+    """One artefact of the demonstration, measured and compared with its true shape."""
 
-    Attributes
-    ----------
-    name : str
-        The artefact.
-    section : ScanSection
-        What the report shows of it.
-    comparison : Comparison
-        Of the cloud.
-    unfiltered : Comparison
-        The same without the plan's filter.
-    points : int
-        Of the cloud.
-    removed : dict or None
-        How many points the filter took out, by rule.
-    """
-
-    name: str
-    section: ScanSection
-    comparison: Comparison
-    unfiltered: Comparison
-    points: int
-    removed: dict[str, Any] | None
+    name: str  # the artefact
+    section: ScanSection  # what the report shows of it
+    comparison: Comparison  # of the cloud
+    unfiltered: Comparison  # the same without the plan's filter
+    points: int  # of the cloud
+    removed: dict[str, Any] | None  # how many points the filter took out, by rule
 
     def summary(self) -> dict[str, Any]:
-        """Give the keys of one scan in `fpplab demo --json`.
-
-        Returns
-        -------
-        dict
-            Plain values.
-        """
+        """Give the keys of one scan in `fpplab demo --json`."""
         return {
             "artefact": self.name,
             "images": self.section.images,
@@ -89,25 +67,6 @@ def run_demo(out: Path, quick: bool, force: bool) -> dict[str, Any]:
     """Measure response, characterisation and three artefacts, compare them, and write a report.
 
     The session of every measurement stays below `out`.
-
-    Parameters
-    ----------
-    out : Path
-        The folder.
-    quick : bool
-        684 x 456 pixels instead of 1368 x 912.
-    force : bool
-        Whether results that are there already are replaced.
-
-    Returns
-    -------
-    dict
-        The JSON of `fpplab demo`.
-
-    Raises
-    ------
-    FppError
-        Any; nothing is left half-written.
     """
     for name in (RESULT, REPORT, CALIBRATION, BOARD, *artefacts.NAMES):
         refuse_existing(out / name, force)

@@ -22,29 +22,7 @@ if TYPE_CHECKING:
 def wanted_mm(
     guide: bool, until: str | None, depth_mm: DepthInterval | None, rig: str | None
 ) -> float | None:
-    """Check the options that go with one another.
-
-    Parameters
-    ----------
-    guide : bool
-        Whether `--guide` was given.
-    until : str or None
-        Of `--until`.
-    depth_mm : DepthInterval or None
-        Of `--depth`.
-    rig : str or None
-        Of `--rig`.
-
-    Returns
-    -------
-    float or None
-        The uncertainty that is wanted, in mm.
-
-    Raises
-    ------
-    ConfigError
-        An option lacks another, or its value is wrong.
-    """
+    """Check the options that go with one another."""
     for option, value in (("--until", until), ("--depth", depth_mm)):
         if value is not None and not guide:
             raise ConfigError(f"{option} goes with --guide, which asks for poses; add --guide")
@@ -72,45 +50,7 @@ def run_guided(
     depth_mm: DepthInterval | None,
     observe_frame: FrameObserver,
 ) -> GuidedRun:
-    """Characterise a rig by poses asked for one at a time, and tell of each on stderr.
-
-    Parameters
-    ----------
-    rig : Rig
-        Open.
-    plan : Plan
-        What each pose records.
-    target : Target
-        The board.
-    folder : Path
-        Of the poses.
-    level : DistortionModel or str
-        Which distortion is fitted.
-    refine_board : bool or None
-        Whether the board's shape is fitted too; by default it is.
-    force : bool
-        Whether poses that were taken before are taken anew.
-    item : str
-        What the fixture calls the board.
-    poses : int
-        Most poses.
-    until_mm : float or None
-        Standard uncertainty of form at which to end.
-    depth_mm : DepthInterval or None
-        Working range of depths; None takes that of the plan, or else of the rig file.
-    observe_frame : FrameObserver
-        Given every frame once it is on disk.
-
-    Returns
-    -------
-    GuidedRun
-        The characterisation, and how it came about.
-
-    Raises
-    ------
-    FppError
-        As `fpplab.guidance.guided_characterisation`.
-    """
+    """Characterise a rig by poses asked for one at a time, and tell of each on stderr."""
     from fpplab.guidance import GuidedSettings, guided_characterisation
 
     depth = depth_mm or plan.depth_mm or rig.file.depth_mm

@@ -20,41 +20,12 @@ class TakesLists(TyperCommand):
     """Lets the options of `LISTS` be followed by any number of paths."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse the words of the command.
-
-        Parameters
-        ----------
-        ctx : click.Context
-            Of the command line.
-        args : list of str
-            The words behind the command.
-
-        Returns
-        -------
-        list of str
-            What is left over.
-        """
+        """Parse the words of the command."""
         return super().parse_args(ctx, spread(args))
 
 
 def spread(words: Sequence[str]) -> list[str]:
-    """Repeat an option before each of its paths: `--spheres A B` becomes `--spheres A --spheres B`.
-
-    Parameters
-    ----------
-    words : sequence of str
-        The words behind the command.
-
-    Returns
-    -------
-    list of str
-        The same with every option of `LISTS` repeated.
-
-    Raises
-    ------
-    ConfigError
-        No path follows such an option.
-    """
+    """Repeat an option before each of its paths: `--spheres A B` becomes `--spheres A --spheres B`."""
     plain: list[str] = []
     current, followed = "", True
     for word in [*words, "-"]:
@@ -76,18 +47,7 @@ GLOBAL, GLOBAL_WITH_VALUE = ("--verbose", "-v", "--trace"), ("--log", "--allow",
 
 
 def global_first(words: Sequence[str]) -> list[str]:
-    """Put the options of the program before its command: `scan -v` becomes `-v scan`.
-
-    Parameters
-    ----------
-    words : sequence of str
-        The words behind the program.
-
-    Returns
-    -------
-    list of str
-        The same, with these options in front; what follows `--` stays as it is.
-    """
+    """Put the options of the program before its command: `scan -v` becomes `-v scan`."""
     front: list[str] = []
     rest: list[str] = []
     left = list(words)

@@ -20,13 +20,7 @@ class StderrHandler(logging.Handler):
     """Prints records on stderr above a progress bar, if there is one."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Print one record.
-
-        Parameters
-        ----------
-        record : logging.LogRecord
-            What was logged. A traceback is left to the log file.
-        """
+        """Print one record."""
         console.say(f"{self._time(record)}{record.getMessage()}")
 
     def _time(self, record: logging.LogRecord) -> str:
@@ -35,22 +29,7 @@ class StderrHandler(logging.Handler):
 
 
 def start_logging(verbose: bool, file: Path | None, words: Sequence[str]) -> None:
-    """Write what the packages log, as the options say; without options everything stays as Python has it.
-
-    Parameters
-    ----------
-    verbose : bool
-        Whether what is done is printed on stderr.
-    file : Path or None
-        File to which the same is appended, with all details.
-    words : sequence of str
-        The command line, for the first line.
-
-    Raises
-    ------
-    DataError
-        The file cannot be written.
-    """
+    """Write what the packages log, as the options say; without options everything stays as Python has it."""
     stop_logging()
     if not (verbose or file):
         return

@@ -20,24 +20,7 @@ def diagnosed_poses(
     left_out: Mapping[str, str],
     of_fit: Sequence[Finding] = (),
 ) -> Diagnosis:
-    """Judge a characterisation by the frames of its poses.
-
-    Parameters
-    ----------
-    sessions : sequence of Session
-        One for each pose.
-    warnings : sequence of str
-        Of the fit.
-    left_out : mapping of str to str
-        Why poses could not be used, by name.
-    of_fit : sequence of Finding
-        What the fit shows.
-
-    Returns
-    -------
-    Diagnosis
-        With one finding for each cause.
-    """
+    """Judge a characterisation by the frames of its poses."""
     from fpplab.diagnosis import diagnose_poses
 
     with console.progress("Checking the frames") as report:
@@ -51,21 +34,7 @@ def diagnosed_poses(
 
 
 def with_causes(error: CalibrationError, sessions: Sequence[Session]) -> CalibrationError:
-    """Say with an error of the fit what is wrong with the frames, which may be its cause.
-
-    Parameters
-    ----------
-    error : CalibrationError
-        Why the fit failed.
-    sessions : sequence of Session
-        One for each pose.
-
-    Returns
-    -------
-    CalibrationError
-        With the worst causes in its sentence, and a verdict for `--json`; `error` itself where the frames
-        cannot be read.
-    """
+    """Say with an error of the fit what is wrong with the frames, which may be its cause."""
     try:
         found = diagnosed_poses(sessions, [str(error)], {})
     except FppError:  # frames that cannot be read were the error itself

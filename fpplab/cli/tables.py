@@ -6,18 +6,7 @@ from typing import Any
 
 
 def readable(value: Any) -> str:
-    """Write a value in one line.
-
-    Parameters
-    ----------
-    value : object
-        Of a command's result.
-
-    Returns
-    -------
-    str
-        Numbers with four digits; `none` where there is nothing.
-    """
+    """Write a value in one line."""
     if isinstance(value, dict) and value:
         return ", ".join(f"{k} {readable(v)}" for k, v in value.items())
     if isinstance(value, list | tuple) and value:
@@ -28,20 +17,7 @@ def readable(value: Any) -> str:
 
 
 def as_table(value: Any) -> tuple[list[str], list[list[Any]]] | None:
-    """Lay out what has the form of a table: dictionaries in a list, or by name.
-
-    Parameters
-    ----------
-    value : object
-        Of a command's result.
-
-    Returns
-    -------
-    columns : list of str
-        Their heads; the first is empty where rows have names.
-    rows : list of list
-        Their cells. None instead of both where the value is no table.
-    """
+    """Lay out what has the form of a table: dictionaries in a list, or by name."""
     if isinstance(value, dict) and value and all(isinstance(row, dict) for row in value.values()):
         rows = [{"": name, **_flat(row)} for name, row in value.items()]
     elif isinstance(value, list | tuple) and value and all(isinstance(row, dict) for row in value):

@@ -33,31 +33,7 @@ KeepOpen = Annotated[
 def open_viewer(
     context: typer.Context, view: type[V], wanted: bool, keep_open: bool, recording: Path | None
 ) -> Viewer[V]:
-    """Make the viewer of a command; it is closed when the command has ended, after its answer.
-
-    Parameters
-    ----------
-    context : typer.Context
-        Of the command.
-    view : type
-        What it shows.
-    wanted : bool
-        Whether `--view` was given; without, the viewer shows nothing.
-    keep_open : bool
-        Whether `--keep-open` was given, and the command waits until the operator closes the viewer.
-    recording : Path or None
-        Where the recording (.rrd) is left, if anywhere.
-
-    Returns
-    -------
-    Viewer
-        Starts when there is something to show.
-
-    Raises
-    ------
-    MissingExtraError
-        It is wanted, and rerun is not installed.
-    """
+    """Make the viewer of a command; it is closed when the command has ended, after its answer."""
     if wanted or keep_open:
         need_extra("rerun")
     from fpplab.viewer.viewer import Viewer

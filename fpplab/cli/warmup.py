@@ -37,13 +37,7 @@ PREDICTED = 2000
 
 
 def small_rig() -> Calibration:
-    """Make a small camera and projector.
-
-    Returns
-    -------
-    Calibration
-        Without uncertainty.
-    """
+    """Make a small camera and projector."""
     camera = Pinhole.from_focal(SIZE, (200.0, 200.0), (47.5, 31.5), (0.01, 0.0, 0.0, 0.0, 0.0))
     projector = Pinhole.from_focal((912, 1140), (1100.0, 2200.0), (455.5, 569.5))
     turned = RigidTransform.from_vectors(np.array([0.0, -0.24, 0.0]), np.array([100.0, 0.0, 0.0]))
@@ -51,22 +45,8 @@ def small_rig() -> Calibration:
 
 
 def frames_of_plane(plan: Plan, rig: Calibration, bits: int) -> list[Image]:
-    """Compute what the camera sees of a plane under a plan's fringes, without noise.
-
-    Parameters
-    ----------
-    plan : Plan
-        What is projected.
-    rig : Calibration
-        The devices.
-    bits : int
-        Depth of the frames.
-
-    Returns
-    -------
-    list of ndarray, (height, width) each
-        In the plan's order; the plane is at `DISTANCE_MM`.
-    """
+    """Compute what the camera sees of a plane under a plan's fringes, without noise."""
+    # returns (height, width)
     u, v = np.meshgrid(np.arange(SIZE[0], dtype=float), np.arange(SIZE[1], dtype=float))
     slopes = rig.camera.normalise(np.stack([u, v], axis=-1))
     points = DISTANCE_MM * np.concatenate([slopes, np.ones((*slopes.shape[:2], 1))], axis=-1)
@@ -84,13 +64,7 @@ def _frame(plan: Plan, index: int, step: int, seen: Floats, size: tuple[int, int
 
 
 def warm_up() -> int:
-    """Run every compiled kernel once, for every type that measurements use.
-
-    Returns
-    -------
-    int
-        How many points the small planes had in all.
-    """
+    """Run every compiled kernel once, for every type that measurements use."""
     rig = small_rig()
     plan = Plan.load("plan_paper.yaml")
     for bits in (16, 8):

@@ -367,27 +367,8 @@ def local_quadric_distance(cloud: Cloud, window: int = 15) -> CloudPoints:
     """Compute each point's distance from a quadric fitted to its pixel window.
 
     A measure of roughness where the true shape is not known.
-
-    Parameters
-    ----------
-    cloud : Cloud
-        With pixels.
-    window : int
-        Side of the square window in px, odd, at least 5.
-
-    Returns
-    -------
-    ndarray of float32
-        Signed distances (N,) in mm along the normal; NaN where less than half the window belongs to the
-        point's surface.
-
-    Raises
-    ------
-    ConfigError
-        The window is not an odd number, at least 5.
-    DataError
-        The pixels of the points are not known.
     """
+    # returns (N,) mm
     if window < 5 or window % 2 == 0:
         raise ConfigError(f"window: {window} px must be an odd number, at least 5")
     return cloud.grid().quadric_distances(window)

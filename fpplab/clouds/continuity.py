@@ -22,22 +22,5 @@ _STEEPEST = np.float32(np.tan(np.radians(STEEPEST_DEG)))
 
 @njit(inline="always")
 def is_continuous(da: float, db: float, dw: float, w: float, noise: float) -> bool:
-    """Decide whether two points lie on one surface, by the rule of this module.
-
-    Parameters
-    ----------
-    da, db : float
-        Differences of the rays' slopes.
-    dw : float
-        Difference of the inverse depths in 1/mm.
-    w : float
-        Inverse depth of the step in 1/mm.
-    noise : float
-        Sum of the two points' `PixelGrid.noise`.
-
-    Returns
-    -------
-    bool
-        True on one surface; False across a jump, or where a difference is NaN.
-    """
+    """Decide whether two points lie on one surface, by the rule of this module."""
     return bool(abs(dw) <= w * (_STEEPEST * np.sqrt(da * da + db * db) + noise))

@@ -32,45 +32,14 @@ LARGEST_E57_PIXEL = 2**16 - 1
 
 
 def export_cloud(cloud: Cloud, path: Path | str) -> None:
-    """Write a cloud, or its surface, in the format of the path's suffix: the file is complete or unchanged.
-
-    Parameters
-    ----------
-    cloud : Cloud
-        What to write.
-    path : Path or str
-        With a suffix of `EXPORTED`.
-
-    Raises
-    ------
-    ConfigError
-        The path has another suffix.
-    MissingExtraError
-        A library for the format is not installed.
-    DataError
-        The file cannot be written, or the format is one of surfaces and the pixels of the points are not
-        known.
-    """
+    """Write a cloud, or its surface, in the format of the path's suffix, completely or not at all."""
     path = Path(path)
     check_exported(path)
     _WRITERS[path.suffix.lower()](cloud, path)
 
 
 def check_exported(path: Path) -> None:
-    """Refuse at once what `export_cloud` would refuse whatever the cloud.
-
-    Parameters
-    ----------
-    path : Path
-        Of the output.
-
-    Raises
-    ------
-    ConfigError
-        It has none of the suffixes `EXPORTED`.
-    MissingExtraError
-        A library for the format is not installed.
-    """
+    """Refuse at once what `export_cloud` would refuse whatever the cloud."""
     suffix = path.suffix.lower()
     if suffix not in EXPORTED:
         raise ConfigError(f"{path}: its name must end in {', '.join(EXPORTED[:-1])} or {EXPORTED[-1]}")
@@ -79,19 +48,8 @@ def check_exported(path: Path) -> None:
 
 
 def point_columns(cloud: Cloud) -> dict[str, NDArray[Any]]:
-    """List all that is known of the points, by column.
-
-    Parameters
-    ----------
-    cloud : Cloud
-        Whose points.
-
-    Returns
-    -------
-    dict of str to ndarray
-        Values (N,) by name, with the unit in the name where there is one: `x_mm`, `pixel_u`, `nx`, `grey`,
-        `sigma_mm` and so on.
-    """
+    """List all that is known of the points, by column."""
+    # returns (N,)
     columns: dict[str, NDArray[Any]] = dict(zip(("x_mm", "y_mm", "z_mm"), cloud.points.T, strict=True))
     if cloud.pixels is not None:
         columns |= dict(zip(("pixel_u", "pixel_v"), cloud.pixels.T, strict=True))

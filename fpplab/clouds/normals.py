@@ -34,17 +34,8 @@ _ROWS = 9 * (_PART + 16)
 def surface_normals(
     index: NDArray[np.int32], a: Map, b: Map, w: Map, noise: Map, found: NDArray[np.float32]
 ) -> None:
-    """Compute the normals of all points of a pixel grid.
-
-    Parameters
-    ----------
-    index : ndarray of int32, (height, width)
-        Number of the point, -1 where there is none.
-    a, b, w, noise : ndarray of float32, (height, width)
-        As those of `fpplab.clouds.pixelgrid.PixelGrid`.
-    found : ndarray of float32, (N, 3)
-        Written: unit normals that face the camera, (0, 0, 0) where the neighbours do not span a plane.
-    """
+    """Compute the normals of all points of a pixel grid."""
+    # index (height, width); a, b, w, noise (height, width); found (N, 3)
     height, width = index.shape
     for v in prange(height):
         sums = np.empty(_ROWS)

@@ -27,28 +27,14 @@ PixelColumnsRows = NDArray[np.int32]
 
 @dataclass(frozen=True, eq=False)
 class PixelGrid:
-    """The points of a cloud arranged over the camera's pixels, all arrays (height, width) indexed [v, u].
+    """The points of a cloud arranged over the camera's pixels, all arrays (height, width) indexed [v, u]."""
 
-    Attributes
-    ----------
-    index : ndarray of int32
-        Number of the point, -1 where there is none.
-    a, b : ndarray of float32
-        Slopes x/z and y/z of the point's ray, NaN where there is no point.
-    w : ndarray of float32
-        Inverse depth 1/z in 1/mm, NaN where there is no point.
-    noise : ndarray of float32
-        The point's contribution, from its noise, to the relative step in depth that is allowed.
-    count : int
-        Number of points.
-    """
-
-    index: PixelColumnsRows
-    a: Map
-    b: Map
-    w: Map
-    noise: Map
-    count: int
+    index: PixelColumnsRows  # number of the point, -1 where there is none
+    a: Map  # slopes x/z and y/z of the point's ray, NaN where there is no point
+    b: Map  # slopes x/z and y/z of the point's ray, NaN where there is no point
+    w: Map  # inverse depth 1/z in 1/mm, NaN where there is no point
+    noise: Map  # the point's contribution, from its noise, to the relative step in depth that is allowed
+    count: int  # number of points
 
     @classmethod
     def of(
@@ -58,24 +44,8 @@ class PixelGrid:
         size: tuple[int, int],
         *sigmas_mm: GridPoints,
     ) -> PixelGrid:
-        """Arrange points over the pixels that saw them.
-
-        Parameters
-        ----------
-        points : ndarray of float32
-            (N, 3) in mm in the camera's frame.
-        pixels : ndarray of int32
-            (N, 2) as (u, v), at most one point per pixel.
-        size : tuple of int
-            Width and height of the camera in px.
-        *sigmas_mm : ndarray of float32
-            Standard deviations (N,) of each point's errors in mm, which add in quadrature; at most two.
-
-        Returns
-        -------
-        PixelGrid
-            The points by pixel.
-        """
+        """Arrange points over the pixels that saw them."""
+        # points (N, 3) mm; pixels (N, 2); *sigmas_mm (N,) mm
         shape = size[1], size[0]
         index = buffers.empty(shape, np.int32)
         a, b, w, noise = (buffers.empty(shape) for _ in range(4))
@@ -86,13 +56,8 @@ class PixelGrid:
         return cls(index, a, b, w, noise, len(points))
 
     def normals(self) -> GridPoints:
-        """Compute normals from the plane through each point and its neighbours.
-
-        Returns
-        -------
-        ndarray of float32
-            Unit normals (N, 3) facing the camera, (0, 0, 0) where the neighbours do not span a plane.
-        """
+        """Compute normals from the plane through each point and its neighbours."""
+        # returns (N, 3)
         found = buffers.empty((self.count, 3))
         surface_normals(self.index, self.a, self.b, self.w, self.noise, found)
         return found
@@ -102,12 +67,8 @@ class PixelGrid:
 
         Each square of four pixels is divided along the diagonal with the smaller step in depth; a
         square that lacks a corner still gives the triangle of the other three.
-
-        Returns
-        -------
-        ndarray of int32
-            Numbers (M, 3) of points; front sides face the camera.
         """
+        # returns (M, 3)
         planes = self.index, self.a, self.b, self.w, self.noise
         counts = np.zeros(len(self.index), np.int64)
         _faces(*planes, True, counts, np.empty((0, 3), np.int32))
@@ -119,18 +80,8 @@ class PixelGrid:
         """Compute each point's distance from the quadric fitted to its window.
 
         The quadric is that of 1/z over the pixels. The point takes part in its own fit.
-
-        Parameters
-        ----------
-        window : int
-            Side of the window in px, odd.
-
-        Returns
-        -------
-        ndarray of float32
-            Signed distances (N,) in mm along the normal, positive towards the camera; NaN where less than
-            half of the window is connected with its centre.
         """
+        # returns (N,) mm
         found = np.full(self.count, np.nan, np.float32)
         design = _quadric_design(window)
         inverse = np.ascontiguousarray(np.linalg.pinv(design)[:3])
@@ -187,20 +138,8 @@ def _scatter(
 
 
 def at_pixels(values: NDArray[Any], pixels: PixelColumnsRows) -> NDArray[Any]:
-    """Select the pixels of a map, on all processors.
-
-    Parameters
-    ----------
-    values : ndarray, (height, width)
-        Any numbers.
-    pixels : ndarray of int32, (N, 2)
-        Columns and rows, all in the map.
-
-    Returns
-    -------
-    ndarray
-        (N,), of the same type.
-    """
+    """Select the pixels of a map, on all processors."""
+    # values (height, width); pixels (N, 2); returns (N,)
     found = buffers.empty(len(pixels), values.dtype)
     _at_pixels(values, pixels, found)
     return found
@@ -214,20 +153,8 @@ def _at_pixels(values: NDArray[Any], pixels: PixelColumnsRows, found: NDArray[An
 
 @njit(parallel=True, cache=True)
 def are_within(pixels: PixelColumnsRows, width: int, height: int) -> bool:
-    """Tell whether all pixels lie in an image.
-
-    Parameters
-    ----------
-    pixels : ndarray of int32, (N, 2)
-        Columns and rows.
-    width, height : int
-        Of the image in px.
-
-    Returns
-    -------
-    bool
-        True where none lies outside.
-    """
+    """Tell whether all pixels lie in an image."""
+    # pixels (N, 2)
     outside = 0
     for i in prange(len(pixels)):
         u, v = pixels[i, 0], pixels[i, 1]

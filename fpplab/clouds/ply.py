@@ -30,17 +30,8 @@ VertexTable = NDArray[Any]
 
 
 def write(columns: Mapping[str, NDArray[Any]], comments: list[str], stream: BinaryIO) -> None:
-    """Write vertices as a little-endian binary PLY file.
-
-    Parameters
-    ----------
-    columns : mapping of str to ndarray, (N,)
-        By property, of type u1, i4 and f4; at least one.
-    comments : list of str
-        Lines for the header.
-    stream : binary file
-        Where to write.
-    """
+    """Write vertices as a little-endian binary PLY file."""
+    # columns (N,)
     kinds, count = {name: values.dtype.str[1:] for name, values in columns.items()}, _count(columns)
     lines = ["ply", "format binary_little_endian 1.0", *(f"comment {text}" for text in comments)]
     lines += [f"element vertex {count}"]
@@ -73,27 +64,7 @@ def _count(columns: Mapping[str, NDArray[Any]]) -> int:
 
 
 def read(path: Path) -> tuple[VertexTable, list[str]]:
-    """Read the vertices of a PLY file, text or binary of any byte order.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    table : structured ndarray
-        One record per vertex, its fields named as the properties.
-    comments : list of str
-        Of the header, without the word "comment".
-
-    Raises
-    ------
-    OSError
-        The file cannot be read.
-    ValueError
-        It is no PLY file, ends too early, or has lists as vertex properties or elements before the vertices.
-    """
+    """Read the vertices of a PLY file, text or binary of any byte order."""
     with open_regular(path) as stream:
         order, count, kinds, comments = _header(stream)
         dtype = np.dtype([(name, (order if order != "=" else "<") + kind) for name, kind in kinds])

@@ -18,20 +18,8 @@ Runs = NDArray[np.int64]
 
 
 def select(arrays: Sequence[NDArray[Any]], kept: Mask) -> list[NDArray[Any]]:
-    """Take the same rows of several arrays.
-
-    Parameters
-    ----------
-    arrays : sequence of ndarray, (N,) or (N, C)
-        Any numbers, contiguous.
-    kept : ndarray of bool, (N,)
-        Which rows.
-
-    Returns
-    -------
-    list of ndarray
-        (M,) or (M, C) each, of the same types.
-    """
+    """Take the same rows of several arrays."""
+    # arrays (N,); kept (N,); returns (M,)
     runs = _runs(kept)
     count = int(runs[-1, 2] + runs[-1, 1] - runs[-1, 0]) if len(runs) else 0
     chosen = []
@@ -44,18 +32,8 @@ def select(arrays: Sequence[NDArray[Any]], kept: Mask) -> list[NDArray[Any]]:
 
 
 def places_of(kept: Mask) -> NDArray[np.int32]:
-    """Tell where each row goes when rows are selected.
-
-    Parameters
-    ----------
-    kept : ndarray of bool, (N,)
-        Which rows are.
-
-    Returns
-    -------
-    ndarray of int32, (N,)
-        Among the selected rows; without meaning for the others.
-    """
+    """Tell where each row goes when rows are selected."""
+    # kept (N,); returns (N,)
     places = buffers.empty(len(kept), np.int32)
     _fill_places(_runs(kept), places)
     return places
@@ -111,18 +89,8 @@ def _copy(values: NDArray[Any], runs: Runs, width: int, found: NDArray[Any]) -> 
 
 @njit(parallel=True, cache=True)
 def are_finite(points: NDArray[np.float32]) -> bool:
-    """Tell whether all coordinates are finite.
-
-    Parameters
-    ----------
-    points : ndarray of float32, (N, 3)
-        The points.
-
-    Returns
-    -------
-    bool
-        False where one is infinite or no number.
-    """
+    """Tell whether all coordinates are finite."""
+    # points (N, 3)
     wrong = 0
     for i in prange(len(points)):
         wrong += not (np.isfinite(points[i, 0]) & np.isfinite(points[i, 1]) & np.isfinite(points[i, 2]))

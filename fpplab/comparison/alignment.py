@@ -48,30 +48,14 @@ of a part distinguish its poses."""
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """The result of an alignment.
+    """The result of an alignment."""
 
-    Attributes
-    ----------
-    transform : RigidTransform
-        T_camera_mesh, in mm.
-    rms_um : float
-        Root mean square distance in µm of the nearest `JUDGED_SHARE` of the points.
-    iterations : int
-        Number of iterations.
-    """
-
-    transform: RigidTransform
-    rms_um: float
-    iterations: int
+    transform: RigidTransform  # T_camera_mesh, in mm
+    rms_um: float  # root mean square distance in µm of the nearest `JUDGED_SHARE` of the points
+    iterations: int  # number of iterations
 
     def summary(self) -> dict[str, object]:
-        """Collect plain values for JSON.
-
-        Returns
-        -------
-        dict of str to object
-            Rotation vector in degrees, translation in mm, residual in µm, number of iterations.
-        """
+        """Collect plain values for JSON."""
         return {
             "rotation_deg": np.degrees(self.transform.rotation_vector).tolist(),
             "translation_mm": self.transform.translation.tolist(),
@@ -84,30 +68,8 @@ def align_mesh(points: Floats, mesh: trimesh.Trimesh, seed: int = 0) -> Alignmen
     """Align a mesh to points.
 
     The points are assumed to be seen from the origin, so that they lie on the mesh's outer side.
-
-    Parameters
-    ----------
-    points : ndarray of float64
-        (N, 3) in mm in the camera's frame.
-    mesh : trimesh.Trimesh
-        The true shape in mm, faces outwards; its present pose is where the search begins.
-    seed : int
-        Of the random choice of points.
-
-    Returns
-    -------
-    Alignment
-        T_camera_mesh and its quality.
-
-    Raises
-    ------
-    DataError
-        No pose of the mesh fits the points.
-
-    References
-    ----------
-    Chen and Medioni, "Object modelling by registration of multiple range images", 1992.
     """
+    # points (N, 3) mm
     random = np.random.default_rng(seed)
     fine, coarse = (_subsample(points, n, random) for n in (FINE_POINTS, COARSE_POINTS))
     target = AlignmentMesh(mesh)
@@ -129,24 +91,7 @@ def align_mesh(points: Floats, mesh: trimesh.Trimesh, seed: int = 0) -> Alignmen
 
 
 class AlignmentMesh:
-    """A mesh prepared for alignment; poses here are T_mesh_camera.
-
-    Parameters
-    ----------
-    mesh : trimesh.Trimesh
-        The true shape in mm, faces outwards.
-
-    Attributes
-    ----------
-    vertices : ndarray of float64
-        (V, 3) in mm.
-    faces : ndarray of int64
-        (F, 3).
-    normals : ndarray of float64
-        Outward unit normals (F, 3) of the faces.
-    size : float
-        Diagonal of the bounding box in mm.
-    """
+    """A mesh prepared for alignment; poses here are T_mesh_camera."""
 
     def __init__(self, mesh: trimesh.Trimesh) -> None:
         self.vertices = np.ascontiguousarray(mesh.vertices, np.float64)
@@ -161,24 +106,8 @@ class AlignmentMesh:
         return _SurfaceDirections(self._mesh, DETAIL_SIZE * self.size)
 
     def residuals(self, points: Floats, pose: RigidTransform) -> tuple[Floats, Floats, Floats]:
-        """Compute the distances of points from the planes of their nearest faces.
-
-        Parameters
-        ----------
-        points : ndarray of float64
-            (N, 3) in mm in the camera's frame.
-        pose : RigidTransform
-            T_mesh_camera.
-
-        Returns
-        -------
-        distances : ndarray of float64
-            Signed point-to-plane distances (N,) in mm.
-        placed : ndarray of float64
-            The points (N, 3) in mm in the mesh's frame.
-        normals : ndarray of float64
-            Unit normals (N, 3) of the planes in the mesh's frame.
-        """
+        """Compute the distances of points from the planes of their nearest faces."""
+        # points (N, 3) mm; returns distances (N,) mm, placed (N, 3) mm, normals (N, 3)
         placed = pose.apply(points)
         _, face, foot = igl.point_mesh_squared_distance(placed, self.vertices, self.faces)
         normals = self.normals[face]
@@ -188,21 +117,8 @@ class AlignmentMesh:
         """Judge a pose by the mean distance of the points that are nearest to the mesh.
 
         A point on a face that is seen from behind counts with the size of the mesh as its distance.
-
-        Parameters
-        ----------
-        points : ndarray of float64
-            (N, 3) in mm in the camera's frame.
-        pose : RigidTransform
-            T_mesh_camera.
-        share : float
-            Of the points, the nearest, that are averaged.
-
-        Returns
-        -------
-        float
-            Mean distance in mm.
         """
+        # points (N, 3) mm
         placed = pose.apply(points)
         square, face, foot = igl.point_mesh_squared_distance(placed, self.vertices, self.faces)
         towards, side = pose.translation - placed, self.directions.at(foot, self.normals[face])
@@ -248,30 +164,8 @@ def refine_pose(
     rounds: int,
     full_weight_distance: float = 1e-9,
 ) -> tuple[RigidTransform, int]:
-    """Refine a pose by point-to-plane ICP with Huber's weights.
-
-    Parameters
-    ----------
-    points : ndarray of float64
-        (N, 3) in mm in the camera's frame.
-    target : AlignmentMesh
-        The mesh.
-    pose : RigidTransform
-        T_mesh_camera to begin with.
-    rounds : int
-        Greatest number of iterations.
-    full_weight_distance : float
-        Distance, in sizes of the mesh, up to which points have full weight in the first iteration, even if
-        most points are nearer. Without it, a base plate that already fits would prevent features on it from
-        moving the pose.
-
-    Returns
-    -------
-    pose : RigidTransform
-        The refined T_mesh_camera.
-    iterations : int
-        Number of iterations.
-    """
+    """Refine a pose by point-to-plane ICP with Huber's weights."""
+    # points (N, 3) mm
     for done in range(rounds):
         distance, placed, normals = target.residuals(points, pose)
         spread = max(robust_spread(distance), full_weight_distance * SEARCH_DECAY**done * target.size)

@@ -238,56 +238,14 @@ class Comparison:
 
 
 def mcd(a: Floats, b: Floats) -> float:
-    """Compute the mean Chamfer distance from one point set to another.
-
-    Parameters
-    ----------
-    a : ndarray of float64
-        Points (N, 3).
-    b : ndarray of float64
-        Points (M, 3) in the same unit.
-
-    Returns
-    -------
-    float
-        Mean distance of the points of a from their nearest neighbours in b, in the points' unit.
-
-    Raises
-    ------
-    DataError
-        A set is empty or not finite.
-
-    References
-    ----------
-    The paper's eq. `mcd`.
-    """
+    """Compute the mean Chamfer distance from one point set to another."""
+    # a (N, 3); b (M, 3)
     return float(nearest(a, b)[0].mean())
 
 
 def smcd(a: Floats, b: Floats) -> float:
-    """Compute the symmetric mean Chamfer distance, (mcd(a, b) + mcd(b, a))/2.
-
-    Parameters
-    ----------
-    a : ndarray of float64
-        Points (N, 3).
-    b : ndarray of float64
-        Points (M, 3) in the same unit.
-
-    Returns
-    -------
-    float
-        The distance, in the points' unit.
-
-    Raises
-    ------
-    DataError
-        A set is empty or not finite.
-
-    References
-    ----------
-    The paper's eq. `smcd`.
-    """
+    """Compute the symmetric mean Chamfer distance, (mcd(a, b) + mcd(b, a))/2."""
+    # a (N, 3); b (M, 3)
     return (mcd(a, b) + mcd(b, a)) / 2.0
 
 
@@ -412,22 +370,11 @@ def _check_units(points: Floats, mesh: trimesh.Trimesh) -> None:
 
 
 class VisibleSurface(NamedTuple):
-    """Samples of what is visible of a mesh.
+    """Samples of what is visible of a mesh."""
 
-    Attributes
-    ----------
-    samples : ndarray of float64
-        Visible points (M, 3) of the surface in mm.
-    share : float
-        Share of the mesh's area that is visible.
-    out_of_view : float
-        Share of the area that is turned to the devices which lies outside of their images, occluded or not; 0
-        without a calibration.
-    """
-
-    samples: Floats
-    share: float
-    out_of_view: float
+    samples: Floats  # visible points (M, 3) of the surface in mm
+    share: float  # share of the mesh's area that is visible
+    out_of_view: float  # share of the area that is turned to the devices which lies outside of their images
 
 
 def visible_samples(
@@ -438,33 +385,7 @@ def visible_samples(
     seed: int,
     illuminated: bool = True,
 ) -> VisibleSurface:
-    """Draw uniform samples of the visible surface of a mesh.
-
-    Parameters
-    ----------
-    mesh : trimesh.Trimesh
-        The true shape in mm in the camera's frame.
-    shape : RayTracedShape
-        The same mesh, for rays.
-    calibration : Calibration, optional
-        Of the devices; without it, the sides that face the camera count as visible.
-    density : float
-        Samples per mm².
-    seed : int
-        Of the random samples.
-    illuminated : bool
-        Whether visible means visible to both camera and projector, and not only to the camera.
-
-    Returns
-    -------
-    VisibleSurface
-        Samples, and what is seen of the mesh.
-
-    Raises
-    ------
-    UnseenMeshError
-        Nothing is visible.
-    """
+    """Draw uniform samples of the visible surface of a mesh."""
     centres = [np.zeros(3)]
     if calibration is not None and illuminated:
         centres.append(calibration.projector_centre)

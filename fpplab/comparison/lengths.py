@@ -34,24 +34,12 @@ CAP_COSINE = 0.5
 
 @dataclass(frozen=True)
 class MeasuredLength:
-    """A length of the true shape and of the cloud.
+    """A length of the true shape and of the cloud."""
 
-    Attributes
-    ----------
-    name : str
-        As the artefact calls it.
-    true_mm : float
-        Its true value in mm.
-    measured_mm : float or None
-        Its value in the cloud in mm; None where too little of a feature was measured.
-    sigma_um : float or None
-        Standard uncertainty of `measured_mm` in µm.
-    """
-
-    name: str
-    true_mm: float
-    measured_mm: float | None
-    sigma_um: float | None
+    name: str  # as the artefact calls it
+    true_mm: float  # its true value in mm
+    measured_mm: float | None  # its value in the cloud in mm; None where too little of a feature was measured
+    sigma_um: float | None  # standard uncertainty of `measured_mm` in µm
 
     @property
     def error_um(self) -> float | None:
@@ -68,13 +56,7 @@ class MeasuredLength:
         )
 
     def texts(self) -> tuple[str, str, str, str]:
-        """Format the values for tables.
-
-        Returns
-        -------
-        tuple of str
-            True and measured value in mm, error and standard uncertainty in µm; a dash for what is not known.
-        """
+        """Format the values for tables."""
         if self.measured_mm is None or self.error_um is None or self.sigma_um is None:
             return f"{self.true_mm:.4f}", "–", "–", "–"
         return (
@@ -85,13 +67,7 @@ class MeasuredLength:
         )
 
     def summary(self) -> dict[str, object]:
-        """Collect plain values for JSON.
-
-        Returns
-        -------
-        dict of str to object
-            Name, true and measured value in mm, error and standard uncertainty in µm.
-        """
+        """Collect plain values for JSON."""
         return {
             "name": self.name,
             "true_mm": self.true_mm,
@@ -104,22 +80,8 @@ class MeasuredLength:
 def measure_lengths(
     points: Floats, camera: Floats, lengths: tuple[FeatureLength, ...]
 ) -> tuple[MeasuredLength, ...]:
-    """Measure lengths in a cloud.
-
-    Parameters
-    ----------
-    points : ndarray of float64
-        (N, 3) in mm, in the frame of the lengths, to which they are aligned.
-    camera : ndarray of float64
-        Place (3,) of the camera in the same frame; the caps of spheres face it.
-    lengths : tuple of FeatureLength
-        From `Artefact.lengths`.
-
-    Returns
-    -------
-    tuple of MeasuredLength
-        In the same order.
-    """
+    """Measure lengths in a cloud."""
+    # points (N, 3) mm; camera (3,)
     return tuple(_measure(points, camera, length) for length in lengths)
 
 

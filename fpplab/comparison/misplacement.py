@@ -21,27 +21,13 @@ EXPLAINED = 0.2
 
 @dataclass(frozen=True)
 class Misplacement:
-    """A mesh that fits the cloud, but stands elsewhere.
+    """A mesh that fits the cloud, but stands elsewhere."""
 
-    Attributes
-    ----------
-    before_mm : float
-        Root mean square distance in mm of the nearest `JUDGED_SHARE` of the points, as the mesh stands.
-    after_mm : float
-        The same after a rigid alignment.
-    """
-
-    before_mm: float
-    after_mm: float
+    before_mm: float  # root mean square distance in mm of the nearest `JUDGED_SHARE` of the points
+    after_mm: float  # the same after a rigid alignment
 
     def describe(self) -> str:
-        """Say it in one sentence, with what to do.
-
-        Returns
-        -------
-        str
-            The sentence.
-        """
+        """Say it in one sentence, with what to do."""
         return (
             f"the mesh does not stand where the cloud lies: the points are {self.before_mm:.3g} mm from it, "
             f"but {self.after_mm:.3g} mm after a rigid alignment; compare with --align"
@@ -49,22 +35,7 @@ class Misplacement:
 
 
 def find_misplacement(cloud: Cloud, mesh: trimesh.Trimesh, seed: int = 0) -> Misplacement | None:
-    """Find out whether a rigid alignment explains a large distance between a cloud and a mesh.
-
-    Parameters
-    ----------
-    cloud : Cloud
-        In mm in the camera's frame.
-    mesh : trimesh.Trimesh
-        The true shape in mm, faces outwards.
-    seed : int
-        Of the random choice of points.
-
-    Returns
-    -------
-    Misplacement or None
-        None where the distance is small, or where it remains after an alignment.
-    """
+    """Find out whether a rigid alignment explains a large distance between a cloud and a mesh."""
     points = cloud.points.astype(np.float64)
     before = _distance_mm(points, mesh, seed)
     if before <= FAR * float(np.linalg.norm(mesh.extents)):

@@ -30,27 +30,8 @@ Starts = NDArray[np.int64]
 
 
 def nearest(queries: Floats, points: Floats) -> tuple[Floats, Indices]:
-    """Find the nearest neighbour of each query.
-
-    Parameters
-    ----------
-    queries : ndarray of float64
-        (Q, 3), at least one.
-    points : ndarray of float64
-        (P, 3) in the same unit, at least one.
-
-    Returns
-    -------
-    distance : ndarray of float64
-        Distances (Q,) from the nearest points.
-    index : ndarray of int64
-        Numbers (Q,) of those points.
-
-    Raises
-    ------
-    DataError
-        A set is empty or not finite.
-    """
+    """Find the nearest neighbour of each query."""
+    # queries (Q, 3); points (P, 3); returns distance (Q,), index (Q,)
     queries, points = _checked(queries, "queries"), _checked(points, "points")
     centre, axes = _principal_axes(points)
     places, sought = (points - centre) @ axes, (queries - centre) @ axes

@@ -44,21 +44,11 @@ COVERAGE = 3.0
 
 @dataclass(frozen=True)
 class FittedScale:
-    """The scale of a best-fit similarity, cloud divided by true shape.
+    """The scale of a best-fit similarity, cloud divided by true shape."""
 
-    Attributes
-    ----------
-    ppm : float
-        Scale minus one, in 1e-6: positive when the cloud is too large.
-    sigma_ppm : float
-        Its standard uncertainty in 1e-6.
-    spread_mm : float
-        Root mean square distance of the points from their centre in mm.
-    """
-
-    ppm: float
-    sigma_ppm: float
-    spread_mm: float
+    ppm: float  # scale minus one, in 1e-6: positive when the cloud is too large
+    sigma_ppm: float  # its standard uncertainty in 1e-6
+    spread_mm: float  # root mean square distance of the points from their centre in mm
 
     @property
     def effect_um(self) -> float:
@@ -71,38 +61,13 @@ class FittedScale:
         return abs(self.ppm) > COVERAGE * self.sigma_ppm
 
     def summary(self) -> dict[str, object]:
-        """Collect plain values for JSON.
-
-        Returns
-        -------
-        dict of str to object
-            Scale and standard uncertainty in ppm, and the effect on the points in µm.
-        """
+        """Collect plain values for JSON."""
         return {"ppm": self.ppm, "sigma_ppm": self.sigma_ppm, "effect_um": self.effect_um}
 
 
 def fit_scale(points: Floats, target: AlignmentMesh, seed: int = 0) -> FittedScale | None:
-    """Fit a similarity to points that are already aligned rigidly.
-
-    Parameters
-    ----------
-    points : ndarray of float64
-        (N, 3) in mm in the frame of the mesh, as measured.
-    target : AlignmentMesh
-        The true shape, aligned to the points.
-    seed : int
-        Of the random choice of points.
-
-    Returns
-    -------
-    FittedScale or None
-        None where the shape does not determine a scale, such as a plane or a single sphere does not from one
-        place, or where there are too few points for an uncertainty.
-
-    References
-    ----------
-    Chen and Medioni, "Object modelling by registration of multiple range images", 1992.
-    """
+    """Fit a similarity to points that are already aligned rigidly."""
+    # points (N, 3) mm
     if len(points) > SCALE_POINTS:
         points = points[np.random.default_rng(seed).choice(len(points), SCALE_POINTS, replace=False)]
     points = points[_clear_of_edges(points, target)]

@@ -20,22 +20,8 @@ _STEPS = 32
 
 
 def distance_to_surface(queries: Floats, vertices: Floats, faces: NDArray[np.int32]) -> Floats:
-    """Compute the distances of points from a triangulated surface, by the local search of this module.
-
-    Parameters
-    ----------
-    queries : ndarray of float64
-        Points (Q, 3).
-    vertices : ndarray of float64
-        (V, 3) in the same unit.
-    faces : ndarray of int32
-        Numbers (F, 3) of vertices, at least one face.
-
-    Returns
-    -------
-    ndarray of float64
-        Distances (Q,).
-    """
+    """Compute the distances of points from a triangulated surface, by the local search of this module."""
+    # queries (Q, 3); vertices (V, 3); faces (F, 3); returns (Q,)
     vertices = np.ascontiguousarray(vertices, np.float64)
     touched = np.zeros(len(vertices), np.bool_)
     touched[faces] = True

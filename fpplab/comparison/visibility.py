@@ -15,20 +15,7 @@ OCCLUDED_MM = 0.02
 
 
 class RayTracedShape:
-    """A mesh prepared for ray tracing.
-
-    Parameters
-    ----------
-    mesh : trimesh.Trimesh
-        In mm in the camera's frame, faces outwards.
-
-    Attributes
-    ----------
-    triangles : ndarray of float64
-        Corners (F, 3, 3) of the faces in mm.
-    normals : ndarray of float64
-        Outward unit normals (F, 3) of the faces.
-    """
+    """A mesh prepared for ray tracing."""
 
     def __init__(self, mesh: trimesh.Trimesh) -> None:
         self.triangles = np.asarray(mesh.triangles, np.float64)
@@ -37,93 +24,33 @@ class RayTracedShape:
         TriangleMesh(self._scene, self.triangles.astype(np.float32))
 
     def facing(self, centre: Floats) -> Mask:
-        """Find the faces whose outward side is towards a point.
-
-        Parameters
-        ----------
-        centre : ndarray of float64
-            The point (3,) in mm.
-
-        Returns
-        -------
-        ndarray of bool
-            (F,), True for faces towards the point; coplanar faces agree.
-        """
+        """Find the faces whose outward side is towards a point."""
+        # centre (3,) mm; returns (F,)
         towards = np.asarray(centre) - self.triangles[:, 0]
         return np.asarray(np.einsum("ij,ij->i", towards, self.normals) > 0.0)
 
     def inclination_deg(self, centre: Floats, points: Floats, faces: NDArray[np.int64]) -> Floats:
-        """Compute the angles between lines of sight and outward normals.
-
-        Parameters
-        ----------
-        centre : ndarray of float64
-            Centre of projection (3,) in mm.
-        points : ndarray of float64
-            Points (N, 3) of the surface in mm.
-        faces : ndarray of int64
-            Numbers (N,) of the faces that the points lie on.
-
-        Returns
-        -------
-        ndarray of float64
-            Angles (N,) in degrees, 0 for a face seen perpendicularly.
-        """
+        """Compute the angles between lines of sight and outward normals."""
+        # centre (3,) mm; points (N, 3) mm; faces (N,); returns (N,) degrees
         towards = np.asarray(centre) - points
         cosine = np.einsum("ij,ij->i", towards, self.normals[faces]) / np.linalg.norm(towards, axis=1)
         return np.asarray(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
 
     def first_face(self, centre: Floats, directions: Floats) -> NDArray[np.int64]:
-        """Find the faces that rays meet first.
-
-        Parameters
-        ----------
-        centre : ndarray of float64
-            Start of the rays in mm: (3,) of all, or (N, 3) of each.
-        directions : ndarray of float64
-            Of the rays, (N, 3).
-
-        Returns
-        -------
-        ndarray of int64
-            Numbers (N,) of the faces, -1 where a ray meets none.
-        """
+        """Find the faces that rays meet first."""
+        # centre (3,) mm; directions (N, 3); returns (N,)
         return np.asarray(self._scene.run(*_rays(centre, directions), query="INTERSECT"), np.int64)
 
     def depth(self, centre: Floats, directions: Floats) -> Floats:
-        """Compute the distances along rays to the surface.
-
-        Parameters
-        ----------
-        centre : ndarray of float64
-            Start (3,) of the rays in mm.
-        directions : ndarray of float64
-            Unit directions (N, 3).
-
-        Returns
-        -------
-        ndarray of float64
-            Distances (N,) in mm to the first hit, inf where a ray meets nothing.
-        """
+        """Compute the distances along rays to the surface."""
+        # centre (3,) mm; directions (N, 3); returns (N,) mm
         # For a miss the bindings return the ray's initial length, which is huge.
         hits = self._scene.run(*_rays(centre, directions), query="DISTANCE")
         return np.where(hits < 1e30, hits, np.inf).astype(np.float64)
 
     def unoccluded(self, centre: Floats, points: Floats) -> Mask:
-        """Find the points that have a free line of sight to a centre.
-
-        Parameters
-        ----------
-        centre : ndarray of float64
-            Centre of projection (3,) in mm.
-        points : ndarray of float64
-            Points (N, 3) of the surface in mm.
-
-        Returns
-        -------
-        ndarray of bool
-            (N,), True where nothing lies between.
-        """
+        """Find the points that have a free line of sight to a centre."""
+        # centre (3,) mm; points (N, 3) mm; returns (N,)
         rays = points - centre
         lengths = np.linalg.norm(rays, axis=1)
         return np.asarray(self.depth(centre, rays / lengths[:, None]) >= lengths - OCCLUDED_MM)

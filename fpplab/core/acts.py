@@ -25,48 +25,18 @@ class DangerousAct(StrEnum):
 
 
 def allow_acts(acts: Iterable[DangerousAct]) -> None:
-    """Consent to acts in advance, and to no others.
-
-    Parameters
-    ----------
-    acts : iterable of DangerousAct
-        Those that `--allow` names.
-    """
+    """Consent to acts in advance, and to no others."""
     _allowed.clear()
     _allowed.update(acts)
 
 
 def somebody_can_agree(act: DangerousAct) -> bool:
-    """Tell whether an act is allowed already, or a person could be asked.
-
-    Parameters
-    ----------
-    act : DangerousAct
-        The act.
-
-    Returns
-    -------
-    bool
-        Whether to go on to the question.
-    """
+    """Tell whether an act is allowed already, or a person could be asked."""
     return act in _allowed or _has_terminal()
 
 
 def agreed(act: DangerousAct, what: str) -> bool:
-    """Ask whether to do what cannot be undone, unless that was allowed in advance.
-
-    Parameters
-    ----------
-    act : DangerousAct
-        The act.
-    what : str
-        What would be done, in a sentence.
-
-    Returns
-    -------
-    bool
-        Whether to do it; False where nobody can be asked.
-    """
+    """Ask whether to do what cannot be undone, unless that was allowed in advance."""
     if act in _allowed:
         return True
     if not _has_terminal():
@@ -77,18 +47,7 @@ def agreed(act: DangerousAct, what: str) -> bool:
 
 
 def consent_words(act: DangerousAct) -> str:
-    """Say how consent is given.
-
-    Parameters
-    ----------
-    act : DangerousAct
-        The act.
-
-    Returns
-    -------
-    str
-        For the end of a message.
-    """
+    """Say how consent is given."""
     return f"agree to it at a terminal, or add --allow {act.value}"
 
 

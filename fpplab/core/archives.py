@@ -27,20 +27,7 @@ NUMBERS = "biuf"
 
 
 def check_archive(archive: zipfile.ZipFile, size: int) -> None:
-    """Refuse an archive that unpacks to far more than recorded data would, before any of it is unpacked.
-
-    Parameters
-    ----------
-    archive : ZipFile
-        Open.
-    size : int
-        Bytes of its file.
-
-    Raises
-    ------
-    ValueError
-        It would unpack to more than `ALWAYS_ALLOWED` and `GREATEST_RATIO` times its own size.
-    """
+    """Refuse an archive that unpacks to far more than recorded data would, before any of it is unpacked."""
     unpacked = sum(member.file_size for member in archive.infolist())
     if unpacked > max(ALWAYS_ALLOWED, GREATEST_RATIO * size):
         raise ValueError(
@@ -50,27 +37,7 @@ def check_archive(archive: zipfile.ZipFile, size: int) -> None:
 
 
 def array_head(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """Read what stands before the values of an NPY file.
-
-    Parameters
-    ----------
-    stream : binary file
-        At its beginning; afterwards where the values begin.
-
-    Returns
-    -------
-    shape : tuple of int
-        Of the array.
-    columns_first : bool
-        Whether its values are stored in column-major order.
-    dtype : dtype
-        Of its values.
-
-    Raises
-    ------
-    ValueError
-        It is no NPY file, or one of another version.
-    """
+    """Read what stands before the values of an NPY file."""
     readers = {
         (1, 0): np.lib.format.read_array_header_1_0,
         (2, 0): np.lib.format.read_array_header_2_0,
@@ -85,27 +52,7 @@ def array_head(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]
 
 
 def load_arrays(path: Path, names: Iterable[str]) -> dict[str, NDArray[Any]]:
-    """Read arrays of numbers from an NPZ file.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    names : iterable of str
-        Those wanted.
-
-    Returns
-    -------
-    dict of str to ndarray
-        Those that it has.
-
-    Raises
-    ------
-    OSError
-        The file cannot be opened.
-    ValueError
-        It is damaged, too large for its size, or one of the arrays is none of numbers.
-    """
+    """Read arrays of numbers from an NPZ file."""
     with open_regular(path) as stream:
         try:
             with zipfile.ZipFile(stream) as archive:

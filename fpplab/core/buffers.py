@@ -31,20 +31,7 @@ _lock = threading.Lock()
 
 
 def empty(shape: int | tuple[int, ...], dtype: DTypeLike = np.float32) -> NDArray[Any]:
-    """Give an array whose values are not set, as `np.empty` does.
-
-    Parameters
-    ----------
-    shape : int or tuple of int
-        Of the array.
-    dtype : dtype
-        Of its values.
-
-    Returns
-    -------
-    ndarray
-        Contiguous and writeable.
-    """
+    """Give an array whose values are not set, as `np.empty` does."""
     kind = np.dtype(dtype)
     count = math.prod(shape) if isinstance(shape, tuple) else shape
     size = count * kind.itemsize
@@ -68,13 +55,7 @@ def release() -> None:
 
 
 def kept_bytes() -> int:
-    """Measure the memory that is kept while nobody uses it.
-
-    Returns
-    -------
-    int
-        Bytes.
-    """
+    """Measure the memory that is kept while nobody uses it."""
     with _lock:
         return sum(block.nbytes for block in (*_free, *_returned))
 

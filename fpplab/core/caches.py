@@ -21,50 +21,21 @@ CONTENTS = {"light": "rendered light of simulated scenes; the next scan of a sce
 
 @dataclass(frozen=True)
 class CacheFolder:
-    """One folder of the cache directory.
+    """One folder of the cache directory."""
 
-    Attributes
-    ----------
-    path : Path
-        The folder.
-    holds : str
-        What it holds.
-    files : int
-        How many files.
-    bytes : int
-        Space that they take on the disk.
-    """
-
-    path: Path
-    holds: str
-    files: int
-    bytes: int
+    path: Path  # the folder
+    holds: str  # what it holds
+    files: int  # how many files
+    bytes: int  # space that they take on the disk
 
 
 def cache_folders() -> list[CacheFolder]:
-    """List what is kept.
-
-    Returns
-    -------
-    list of CacheFolder
-        In the order of their names; empty where nothing is kept.
-    """
+    """List what is kept."""
     return [_described(path) for path in _folders()]
 
 
 def clear_caches() -> list[CacheFolder]:
-    """Delete all that is kept.
-
-    Returns
-    -------
-    list of CacheFolder
-        What was deleted.
-
-    Raises
-    ------
-    DataError
-        Something cannot be deleted.
-    """
+    """Delete all that is kept."""
     cleared = cache_folders()
     for folder in cleared:
         with writing(folder.path), suppress(FileNotFoundError):  # another process clears it too

@@ -21,41 +21,15 @@ from fpplab.core.strict_json import parse_object
 
 @dataclass(frozen=True)
 class RecordedFile:
-    """One line of the record: a content that was written.
+    """One line of the record: a content that was written."""
 
-    Attributes
-    ----------
-    file : str
-        Name of the file in the session's folder.
-    sha256 : str
-        Checksum of the content.
-    text : str or None
-        The content, where it is kept here too.
-    """
-
-    file: str
-    sha256: str
-    text: str | None = None
+    file: str  # name of the file in the session's folder
+    sha256: str  # checksum of the content
+    text: str | None = None  # the content, where it is kept here too
 
     @classmethod
     def of_line(cls, line: bytes) -> RecordedFile:
-        """Read a line of the record.
-
-        Parameters
-        ----------
-        line : bytes
-            Without its newline.
-
-        Returns
-        -------
-        RecordedFile
-            What it says.
-
-        Raises
-        ------
-        ValueError
-            It is damaged.
-        """
+        """Read a line of the record."""
         entry = parse_object(line)
         try:
             return cls(entry["file"], entry["sha256"], entry.get("text"))
@@ -64,22 +38,7 @@ class RecordedFile:
 
     @classmethod
     def of_text(cls, file: str, text: str, keep: bool = True) -> RecordedFile:
-        """Record a content.
-
-        Parameters
-        ----------
-        file : str
-            Name of the file in the session's folder.
-        text : str
-            Its content.
-        keep : bool
-            Whether the text is kept too.
-
-        Returns
-        -------
-        RecordedFile
-            With the content's checksum.
-        """
+        """Record a content."""
         return cls(file, _sha256(text.encode("utf-8")), text if keep else None)
 
     @property
@@ -95,22 +54,7 @@ class RecordedFile:
 
 
 def write_recorded(path: Path, text: str, keep: bool = False) -> None:
-    """Write a text file of a session, and its checksum before it.
-
-    Parameters
-    ----------
-    path : Path
-        Of the file, whose folder exists.
-    text : str
-        The content.
-    keep : bool
-        Whether the record holds the text too, so that a damaged file can be restored.
-
-    Raises
-    ------
-    DataError
-        There is no space left or the place cannot be written.
-    """
+    """Write a text file of a session, and its checksum before it."""
     record = path.parent / CHECKSUMS
     written = RecordedFile.of_text(path.name, text, keep)
     with writing(record):
@@ -122,20 +66,7 @@ def write_recorded(path: Path, text: str, keep: bool = False) -> None:
 
 
 def check_recorded(path: Path, content: bytes) -> None:
-    """Refuse a file that is not what its session wrote.
-
-    Parameters
-    ----------
-    path : Path
-        Of the file.
-    content : bytes
-        What it holds.
-
-    Raises
-    ------
-    DataError
-        Its folder records checksums of it, and none is its own; or the record is damaged.
-    """
+    """Refuse a file that is not what its session wrote."""
     known = _recorded(path.parent / CHECKSUMS, path.name)
     if known and _sha256(content) not in known:
         raise DataError(
@@ -145,23 +76,7 @@ def check_recorded(path: Path, content: bytes) -> None:
 
 
 def recorded_files(folder: Path) -> list[RecordedFile]:
-    """Read what a session records of its small files.
-
-    Parameters
-    ----------
-    folder : Path
-        Of the session.
-
-    Returns
-    -------
-    list of RecordedFile
-        In the order in which they were written; empty for a session of an earlier version.
-
-    Raises
-    ------
-    DataError
-        The record is damaged.
-    """
+    """Read what a session records of its small files."""
     record = folder / CHECKSUMS
     if not record.is_file():
         return []

@@ -10,24 +10,8 @@ from fpplab.core.conventions import Floats
 
 @njit(cache=True, error_model="numpy")
 def solve_positive(matrix: Floats, right: Floats, damping: float, found: Floats) -> bool:
-    """Solve normal equations by Cholesky's method.
-
-    Parameters
-    ----------
-    matrix : Floats
-        (n, n), symmetric; its lower triangle is read.
-    right : Floats
-        (n,) right-hand side.
-    damping : float
-        By which share the diagonal is increased, as Levenberg and Marquardt do; 0 for none.
-    found : Floats
-        (n,) the solution is written here.
-
-    Returns
-    -------
-    bool
-        False when the matrix is not positive definite; `found` is then undefined.
-    """
+    """Solve normal equations by Cholesky's method."""
+    # matrix (n, n); right (n,); found (n,)
     n = len(right)
     lower = np.zeros((n, n))
     for k in range(n):

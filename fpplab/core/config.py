@@ -61,25 +61,7 @@ _Dumper.add_implicit_resolver(
 
 
 def parse_yaml(text: str, source: Path | str) -> Any:
-    """Parse YAML text as plain data.
-
-    Parameters
-    ----------
-    text : str
-        The YAML.
-    source : Path or str
-        What messages call it.
-
-    Returns
-    -------
-    object
-        Mappings, lists, strings, numbers, booleans and None.
-
-    Raises
-    ------
-    ConfigError
-        The text is not YAML or gives a key twice; names `source` and the line.
-    """
+    """Parse YAML text as plain data."""
     try:
         return load_yaml(text)
     except yaml.MarkedYAMLError as error:
@@ -92,26 +74,7 @@ def parse_yaml(text: str, source: Path | str) -> Any:
 
 
 def read_text(path: Path) -> str:
-    """Read the text of a configuration file.
-
-    Parameters
-    ----------
-    path : Path
-        Of the file.
-
-    Returns
-    -------
-    str
-        Its text.
-
-    Raises
-    ------
-    ConfigError
-        There is no such file, it is no file but a pipe or device, it is not UTF-8, too large for a text file,
-        or cannot be read.
-    DataError
-        It is part of a session, and was changed since.
-    """
+    """Read the text of a configuration file."""
     try:
         content = read_bounded(path, MOST_TEXT_BYTES)
         check_recorded(path, content)
@@ -125,51 +88,13 @@ def read_text(path: Path) -> str:
 
 
 def load_document(path: Path | str, model: type[D]) -> D:
-    """Read one YAML file as a document.
-
-    Parameters
-    ----------
-    path : Path or str
-        Of the file.
-    model : type[D]
-        The document's class.
-
-    Returns
-    -------
-    D
-        The document.
-
-    Raises
-    ------
-    ConfigError
-        Naming file, field, value and allowed range.
-    """
+    """Read one YAML file as a document."""
     path = Path(path)
     return validate(parse_yaml(read_text(path), path), model, path)
 
 
 def validate(data: Any, model: type[D], source: Path | str) -> D:
-    """Validate plain data as a document.
-
-    Parameters
-    ----------
-    data : Any
-        A mapping of fields.
-    model : type[D]
-        The document's class.
-    source : Path or str
-        What messages call the data.
-
-    Returns
-    -------
-    D
-        The document.
-
-    Raises
-    ------
-    ConfigError
-        Naming the first wrong field.
-    """
+    """Validate plain data as a document."""
     if not isinstance(data, dict):
         raise ConfigError(f"{source}: expected a mapping of fields, found {_shown(data)}")
     try:
@@ -180,21 +105,7 @@ def validate(data: Any, model: type[D], source: Path | str) -> D:
 
 
 def describe(error: ValidationError, data: Any = None) -> str:
-    """Describe the faults of a validation in one sentence.
-
-    Parameters
-    ----------
-    error : ValidationError
-        What pydantic found.
-    data : Any
-        The data that were validated; with it fields are named as they are written there.
-
-    Returns
-    -------
-    str
-        All unknown keys, and every other fault with field, value and what is allowed; of more than five
-        how many more there are.
-    """
+    """Describe the faults of a validation in one sentence."""
     # A misspelt key is both unknown and missing: what the operator wrote comes first.
     details: list[Any] = sorted(error.errors(), key=lambda detail: detail["type"] != "extra_forbidden")
     if data is not None:
@@ -248,69 +159,23 @@ def _shown(value: Any) -> str:
 
 
 def dump(document: Document) -> str:
-    """Write a document as YAML text that `load_document` reads back.
-
-    Parameters
-    ----------
-    document : Document
-        The document.
-
-    Returns
-    -------
-    str
-        YAML.
-    """
+    """Write a document as YAML text that `load_document` reads back."""
     return to_yaml(plain(document))
 
 
 def plain(document: Document) -> dict[str, Any]:
-    """Convert a document to plain data, such as JSON and YAML hold.
-
-    Parameters
-    ----------
-    document : Document
-        The document.
-
-    Returns
-    -------
-    dict[str, Any]
-        Without the fields that are None.
-    """
+    """Convert a document to plain data, such as JSON and YAML hold."""
     data: dict[str, Any] = document.model_dump(mode="json", exclude_none=True)
     return data
 
 
 def to_yaml(data: Any) -> str:
-    """Write plain data as YAML text, keys in their own order.
-
-    Parameters
-    ----------
-    data : Any
-        Mappings, lists, strings, numbers, booleans and None.
-
-    Returns
-    -------
-    str
-        YAML.
-    """
+    """Write plain data as YAML text, keys in their own order."""
     return yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=100)
 
 
 def resolve_beside(name: str, folder: Path) -> str:
-    """Resolve a name that a file refers to relative to that file's folder.
-
-    Parameters
-    ----------
-    name : str
-        As the file gives it.
-    folder : Path
-        Of the file.
-
-    Returns
-    -------
-    str
-        The absolute path if something of that name is in the folder, else the name as it is.
-    """
+    """Resolve a name that a file refers to relative to that file's folder."""
     near = folder / name
     return str(near.resolve()) if name and near.exists() else name
 
@@ -322,18 +187,7 @@ _PACKAGE, _CHECKOUT = (Path(__file__).parents[up] / "configs" for up in (1, 2))
 
 
 def shipped_configs(kind: ConfigKind | None = None) -> list[str]:
-    """List the configurations that come with fpplab.
-
-    Parameters
-    ----------
-    kind : str, optional
-        Of this kind; by default all.
-
-    Returns
-    -------
-    list of str
-        Their names, sorted, without `.yaml`.
-    """
+    """List the configurations that come with fpplab."""
     names = {path.stem for folder in (_PACKAGE, _CHECKOUT) for path in folder.glob("*.yaml")}
     return sorted(name for name in names if kind is None or name.split("_")[0] == kind)
 
@@ -342,23 +196,6 @@ def find_config(name: str | Path, kind: ConfigKind | None = None) -> Path:
     """Find a configuration by path, or by name among those that come with fpplab.
 
     Looks at the path itself, then in the installed package, then beside the checkout.
-
-    Parameters
-    ----------
-    name : str or Path
-        Path, or name with or without `.yaml`.
-    kind : str, optional
-        What it should describe; the message then suggests only these.
-
-    Returns
-    -------
-    Path
-        Of an existing file.
-
-    Raises
-    ------
-    ConfigError
-        There is no such file; names the one that was probably meant, and those that come with fpplab.
     """
     path = Path(name)
     if path.exists():

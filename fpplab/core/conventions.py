@@ -52,22 +52,8 @@ Image = NDArray[np.uint8] | NDArray[np.uint16]
 
 
 def mirror_centres(size: tuple[int, int], lattice: Lattice) -> tuple[Floats, Floats]:
-    """Compute the coordinates of every mirror's centre.
-
-    Parameters
-    ----------
-    size : tuple[int, int]
-        (width, height) of the projector in px.
-    lattice : Lattice
-        Arrangement of the mirrors.
-
-    Returns
-    -------
-    u : Floats
-        (height, width) in projector px.
-    v : Floats
-        (height, width) in projector px.
-    """
+    """Compute the coordinates of every mirror's centre."""
+    # size (width, height) px; returns u (height, width), v (height, width)
     width, height = size
     u, v = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
     if lattice is Lattice.DIAMOND:
@@ -76,60 +62,18 @@ def mirror_centres(size: tuple[int, int], lattice: Lattice) -> tuple[Floats, Flo
 
 
 def axis_length(size: tuple[int, int], axis: Axis) -> int:
-    """Return the number of projector pixels along an axis.
-
-    Parameters
-    ----------
-    size : tuple[int, int]
-        (width, height) in px.
-    axis : Axis
-        Axis of the coordinate.
-
-    Returns
-    -------
-    int
-        Width for x, height for y.
-    """
+    """Return the number of projector pixels along an axis."""
+    # size (width, height) px
     return size[0] if axis == "x" else size[1]
 
 
 def phase_of_coordinate(coordinate: Floats, stripes: float, length: int) -> Floats:
-    """Convert projector coordinates to absolute phase, `Φ = 2π stripes (u + 0.5)/W`.
-
-    Parameters
-    ----------
-    coordinate : Floats
-        In projector px.
-    stripes : float
-        Number of periods across the projector.
-    length : int
-        Number of projector pixels along the axis, W.
-
-    Returns
-    -------
-    Floats
-        In rad, of the same shape.
-    """
+    """Convert projector coordinates to absolute phase, `Φ = 2π stripes (u + 0.5)/W`."""
     return TWO_PI * stripes * (coordinate + 0.5) / length
 
 
 def coordinate_of_phase(phase: Floats, stripes: float, length: int) -> Floats:
-    """Convert absolute phase to projector coordinates, `u = Φ W/(2π stripes) - 0.5`.
-
-    Parameters
-    ----------
-    phase : Floats
-        Absolute phase in rad.
-    stripes : float
-        Number of periods across the projector.
-    length : int
-        Number of projector pixels along the axis, W.
-
-    Returns
-    -------
-    Floats
-        In projector px, of the same shape.
-    """
+    """Convert absolute phase to projector coordinates, `u = Φ W/(2π stripes) - 0.5`."""
     return phase * length / (TWO_PI * stripes) - 0.5
 
 
@@ -137,63 +81,21 @@ def phase_steps(steps: int) -> Floats:
     """Compute the phase shifts `δ_n = 2π n/N`.
 
     Equal fractions n/N give identical numbers, such as 1/6 and 2/12.
-
-    Parameters
-    ----------
-    steps : int
-        Number of steps, N.
-
-    Returns
-    -------
-    Floats
-        (steps,) in rad.
     """
+    # returns (steps,) rad
     return TWO_PI * (np.arange(steps) / steps)
 
 
 def full_scale(bits: int) -> int:
-    """Return the greatest integer of a frame or pattern.
-
-    Parameters
-    ----------
-    bits : int
-        Bit depth.
-
-    Returns
-    -------
-    int
-        2^bits - 1.
-    """
+    """Return the greatest integer of a frame or pattern."""
     return (1 << bits) - 1
 
 
 def raw_dtype(bits: int) -> np.dtype[Any]:
-    """Return the type of a frame's integers.
-
-    Parameters
-    ----------
-    bits : int
-        Bit depth.
-
-    Returns
-    -------
-    np.dtype
-        uint8 up to 8 bits, else uint16.
-    """
+    """Return the type of a frame's integers."""
     return np.dtype(np.uint8 if bits <= 8 else np.uint16)
 
 
 def raw_per_grey(bits: int) -> int:
-    """Return how many of a frame's integers make one grey level of 8 bits.
-
-    Parameters
-    ----------
-    bits : int
-        Bit depth of the frame, at least 8.
-
-    Returns
-    -------
-    int
-        2^(bits - 8).
-    """
+    """Return how many of a frame's integers make one grey level of 8 bits."""
     return 1 << (bits - 8)

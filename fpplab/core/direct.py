@@ -23,13 +23,7 @@ STAGED_BYTES = 1 << 22
 
 
 class DirectWriter(io.BufferedIOBase):
-    """A stream that writes a file from front to back.
-
-    Parameters
-    ----------
-    handle : int
-        Descriptor of the empty file; it stays open.
-    """
+    """A stream that writes a file from front to back."""
 
     def __init__(self, handle: int) -> None:
         self._handle = handle
@@ -38,33 +32,11 @@ class DirectWriter(io.BufferedIOBase):
         _set_direct(handle, True)
 
     def writable(self) -> bool:
-        """Tell that it can be written.
-
-        Returns
-        -------
-        bool
-            True.
-        """
+        """Tell that it can be written."""
         return True
 
     def write(self, data: Any) -> int:
-        """Append bytes.
-
-        Parameters
-        ----------
-        data : bytes or contiguous buffer
-            What to write.
-
-        Returns
-        -------
-        int
-            How many bytes it has.
-
-        Raises
-        ------
-        OSError
-            The system refuses.
-        """
+        """Append bytes."""
         source, done = memoryview(data).cast("B"), 0
         while done < len(source):
             part = source[done : done + STAGED_BYTES - self._filled]
@@ -76,23 +48,11 @@ class DirectWriter(io.BufferedIOBase):
         return len(source)
 
     def tell(self) -> int:
-        """Give the number of bytes written so far.
-
-        Returns
-        -------
-        int
-            Bytes.
-        """
+        """Give the number of bytes written so far."""
         return self._before + self._filled
 
     def finish(self) -> None:
-        """Write what is left, and wait until everything is on disk.
-
-        Raises
-        ------
-        OSError
-            The system refuses.
-        """
+        """Write what is left, and wait until everything is on disk."""
         _set_direct(self._handle, False)  # which takes whole blocks only
         self._empty_stage()
         os.fsync(self._handle)

@@ -21,22 +21,6 @@ def need_space(folder: Path, needed: int, what: str, freed: int = 0) -> None:
     """Say how much space work needs, before any of it is written, and refuse what does not fit on the disk.
 
     `MUCH` and more is logged as a warning, which is printed in any case, less as information.
-
-    Parameters
-    ----------
-    folder : Path
-        Where they are to be written; it may not exist yet.
-    needed : int
-        Their size in bytes.
-    what : str
-        What needs it, for the message.
-    freed : int
-        Bytes there that are deleted before, such as those of a session that is replaced.
-
-    Raises
-    ------
-    DataError
-        There is less space; names what is needed, what is free, and the folder.
     """
     place = next(path for path in (folder, *folder.absolute().parents) if path.exists())
     with writing(folder):
@@ -57,18 +41,7 @@ def need_space(folder: Path, needed: int, what: str, freed: int = 0) -> None:
 
 
 def disk_bytes(folder: Path) -> int:
-    """Measure the space that a folder's files take on the disk.
-
-    Parameters
-    ----------
-    folder : Path
-        The folder; it may not exist.
-
-    Returns
-    -------
-    int
-        Bytes, 0 where there is no such folder.
-    """
+    """Measure the space that a folder's files take on the disk."""
     total = 0
     for path in folder.rglob("*"):
         with suppress(FileNotFoundError):  # another process has deleted it

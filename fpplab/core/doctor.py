@@ -35,34 +35,16 @@ RENDER_NODES, NVIDIA = Path("/dev/dri"), Path("/proc/driver/nvidia/version")
 
 @dataclass(frozen=True)
 class DoctorFinding:
-    """One thing that was looked at.
+    """One thing that was looked at."""
 
-    Attributes
-    ----------
-    name : str
-        What it is.
-    state : str
-        "ok", "absent" or "wrong".
-    seen : str
-        What was found.
-    remedy : str
-        What to do; empty where nothing has to be done.
-    """
-
-    name: str
-    state: Condition
-    seen: str
-    remedy: str = ""
+    name: str  # what it is
+    state: Condition  # "ok", "absent" or "wrong"
+    seen: str  # what was found
+    remedy: str = ""  # what to do; empty where nothing has to be done
 
 
 def installed_versions() -> dict[str, str]:
-    """List the versions of fpplab, of Python, and of all packages that fpplab asks for.
-
-    Returns
-    -------
-    dict of str to str
-        By name; those that are not installed are left out.
-    """
+    """List the versions of fpplab, of Python, and of all packages that fpplab asks for."""
     versions = {"fpplab": __version__, "python": platform.python_version(), "platform": platform.platform()}
     for name, _ in _required():
         try:
@@ -73,13 +55,7 @@ def installed_versions() -> dict[str, str]:
 
 
 def check_packages() -> list[DoctorFinding]:
-    """Look for the packages that fpplab always needs, and for those of each extra.
-
-    Returns
-    -------
-    list of DoctorFinding
-        One for the core, one for each extra.
-    """
+    """Look for the packages that fpplab always needs, and for those of each extra."""
     lacking = [name for name, extra in _required() if not extra and not _has(name)]
     remedy = "install fpplab again: pip install --force-reinstall fpplab"
     found = [
@@ -98,13 +74,7 @@ def check_packages() -> list[DoctorFinding]:
 
 
 def check_libraries() -> list[DoctorFinding]:
-    """Look for the system libraries of what is installed.
-
-    Returns
-    -------
-    list of DoctorFinding
-        For Blender and for USB, each where its packages are installed.
-    """
+    """Look for the system libraries of what is installed."""
     found = []
     for name, module, libraries in (("Blender's libraries", "bpy", BLENDER), ("USB", "usb", USB)):
         if find_spec(module) is not None:
@@ -121,18 +91,7 @@ def check_libraries() -> list[DoctorFinding]:
 
 
 def check_folders(folders: Iterable[Path]) -> list[DoctorFinding]:
-    """See whether files can be written where fpplab writes, and how much space is free there.
-
-    Parameters
-    ----------
-    folders : iterable of Path
-        Where results go; the folder of cached results is added.
-
-    Returns
-    -------
-    list of DoctorFinding
-        One for each.
-    """
+    """See whether files can be written where fpplab writes, and how much space is free there."""
     found = []
     for folder in dict.fromkeys(path.absolute() for path in (*folders, cache_directory())):
         place = next(path for path in (folder, *folder.parents) if path.exists())
@@ -148,20 +107,7 @@ def check_folders(folders: Iterable[Path]) -> list[DoctorFinding]:
 
 
 def check_graphics(nodes: Path = RENDER_NODES, nvidia: Path = NVIDIA) -> DoctorFinding:
-    """Look for graphics processors that Blender can render with.
-
-    Parameters
-    ----------
-    nodes : Path
-        Where the system lists them.
-    nvidia : Path
-        Where NVIDIA's driver tells its version.
-
-    Returns
-    -------
-    DoctorFinding
-        Those that there are; one that this user may not use is wrong.
-    """
+    """Look for graphics processors that Blender can render with."""
     devices = sorted(nodes.glob("renderD*"))
     closed = [str(device) for device in devices if not os.access(device, os.R_OK | os.W_OK)]
     names = [str(device) for device in devices]
@@ -177,20 +123,7 @@ def check_graphics(nodes: Path = RENDER_NODES, nvidia: Path = NVIDIA) -> DoctorF
 
 
 def check_disk(folder: Path, size: int = TRIED_BYTES) -> DoctorFinding:
-    """Measure how fast a disk takes frames, by a file that is deleted again.
-
-    Parameters
-    ----------
-    folder : Path
-        On the disk; it exists.
-    size : int
-        Bytes to write.
-
-    Returns
-    -------
-    DoctorFinding
-        The speed in MB/s, with what is written forced to the disk.
-    """
+    """Measure how fast a disk takes frames, by a file that is deleted again."""
     block = os.urandom(1 << 20)
     try:
         with tempfile.TemporaryFile(dir=folder) as stream:
@@ -207,20 +140,7 @@ def check_disk(folder: Path, size: int = TRIED_BYTES) -> DoctorFinding:
 
 
 def disk_speed_finding(folder: Path, speed: float) -> DoctorFinding:
-    """Judge the speed of a disk.
-
-    Parameters
-    ----------
-    folder : Path
-        On the disk.
-    speed : float
-        In bytes/s.
-
-    Returns
-    -------
-    DoctorFinding
-        Wrong below `SLOWEST_DISK`.
-    """
+    """Judge the speed of a disk."""
     seen = f"{folder.absolute()}: {speed / 1e6:.0f} MB/s written"
     if speed < SLOWEST_DISK:
         return DoctorFinding("disk", "wrong", seen, "measure onto a faster disk, or frames may be lost")

@@ -25,13 +25,7 @@ EXTRAS = {
 
 
 class MissingExtraError(ConfigError):
-    """A package of an extra is not installed.
-
-    Parameters
-    ----------
-    module : str
-        The module that was not found; one of `EXTRAS`.
-    """
+    """A package of an extra is not installed."""
 
     def __init__(self, module: str) -> None:
         self.module = module
@@ -43,35 +37,13 @@ class MissingExtraError(ConfigError):
 
 
 def extra_of(module: str) -> str:
-    """Name the extra that brings a module.
-
-    Parameters
-    ----------
-    module : str
-        The module, or one in it.
-
-    Returns
-    -------
-    str
-        Name of the extra; empty where none brings it.
-    """
+    """Name the extra that brings a module."""
     first = module.partition(".")[0]
     return next((extra for extra, modules in EXTRAS.items() if first in modules), "")
 
 
 def how_to_install(module: str) -> str:
-    """Say that a module is missing, and how to install it.
-
-    Parameters
-    ----------
-    module : str
-        Its name.
-
-    Returns
-    -------
-    str
-        One sentence.
-    """
+    """Say that a module is missing, and how to install it."""
     first = module.partition(".")[0]
     extra = extra_of(module)
     wanted = f"'fpplab[{extra}]'" if extra else first
@@ -79,35 +51,13 @@ def how_to_install(module: str) -> str:
 
 
 def missing_extra(error: BaseException) -> MissingExtraError | None:
-    """Tell whether an error is that a package of an extra is missing.
-
-    Parameters
-    ----------
-    error : BaseException
-        What was raised.
-
-    Returns
-    -------
-    MissingExtraError or None
-        What to say instead; None where the error is another one.
-    """
+    """Tell whether an error is that a package of an extra is missing."""
     if isinstance(error, ModuleNotFoundError) and error.name and extra_of(error.name):
         return MissingExtraError(error.name)
     return None
 
 
 def need_extra(module: str) -> None:
-    """Refuse at once what would fail later for want of a package.
-
-    Parameters
-    ----------
-    module : str
-        A module of `EXTRAS`; it is looked for and not imported.
-
-    Raises
-    ------
-    MissingExtraError
-        It is not installed.
-    """
+    """Refuse at once what would fail later for want of a package."""
     if find_spec(module) is None:
         raise MissingExtraError(module)

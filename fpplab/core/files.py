@@ -21,23 +21,7 @@ from fpplab.core.units import readable_bytes
 
 
 def open_regular(path: Path) -> BinaryIO:
-    """Open a file for reading, and nothing that is none: a pipe in its place would be waited for without end.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    binary file
-        Open; the caller closes it.
-
-    Raises
-    ------
-    OSError
-        It cannot be opened, or is a folder, a pipe, a socket or a device.
-    """
+    """Open a regular file for reading; a pipe in its place would block forever."""
     return open(path, "rb", opener=_regular)
 
 
@@ -54,25 +38,7 @@ def _regular(path: str, flags: int) -> int:
 
 
 def read_bounded(path: Path, most: int) -> bytes:
-    """Read a small file whole, and refuse to read a large one.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    most : int
-        Greatest number of bytes that one of its kind has.
-
-    Returns
-    -------
-    bytes
-        The content.
-
-    Raises
-    ------
-    OSError
-        It cannot be opened, is no file, or is larger.
-    """
+    """Read a small file whole, and refuse to read a large one."""
     with open_regular(path) as stream:
         content = stream.read(most + 1)
     if len(content) > most:
@@ -82,20 +48,7 @@ def read_bounded(path: Path, most: int) -> bytes:
 
 
 def no_such_file(path: Path, *suffixes: str) -> str:
-    """Say that a file does not exist, and which one beside it may have been meant.
-
-    Parameters
-    ----------
-    path : Path
-        What was asked for.
-    *suffixes : str
-        Of files that would do, in lower case with the dot; by default those with the path's own suffix.
-
-    Returns
-    -------
-    str
-        A clause that begins with the path.
-    """
+    """Say that a file does not exist, and which one beside it may have been meant."""
     wanted = suffixes or (path.suffix.lower(),)
     near = sorted(path.parent.iterdir()) if path.parent.is_dir() else []
     beside = {one.name: one for one in near if one.suffix.lower() in wanted and one.is_file()}
@@ -104,20 +57,7 @@ def no_such_file(path: Path, *suffixes: str) -> str:
 
 
 def write_atomic(path: Path, write: Callable[[BinaryIO], object]) -> None:
-    """Write a file that appears only once it is complete and on disk.
-
-    Parameters
-    ----------
-    path : Path
-        Of the file; missing folders are made.
-    write : Callable[[BinaryIO], object]
-        Writes the content to a stream, which can be searched but not read.
-
-    Raises
-    ------
-    DataError
-        As `write_parts`.
-    """
+    """Write a file that appears only once it is complete and on disk."""
     sweep_file_drafts(path)
     with _draft(path) as stream:
         write(cast(BinaryIO, _Sink(stream)))
@@ -126,22 +66,7 @@ def write_atomic(path: Path, write: Callable[[BinaryIO], object]) -> None:
 def write_large(
     path: Path, write: Callable[[BinaryIO], object], approve: Callable[[], object] | None = None
 ) -> None:
-    """Write a large file as `write_atomic` does, from front to back and past the system's cache.
-
-    Parameters
-    ----------
-    path : Path
-        Of the file; missing folders are made.
-    write : Callable[[BinaryIO], object]
-        Writes the content to a stream, which can be neither searched nor read.
-    approve : Callable[[], object], optional
-        Called once all is on disk; what it raises leaves the file as it was before.
-
-    Raises
-    ------
-    DataError
-        As `write_parts`.
-    """
+    """Write a large file as `write_atomic` does, from front to back and past the system's cache."""
     sweep_file_drafts(path)
     with _draft(path) as stream:
         straight = DirectWriter(stream.fileno())
@@ -177,18 +102,6 @@ def write_parts(path: Path, *parts: bytes | memoryview) -> None:
     """Write parts one after the other into a file that appears only once it is complete and on disk.
 
     The parts are not copied. On an error nothing is left behind.
-
-    Parameters
-    ----------
-    path : Path
-        Of the file; missing folders are made.
-    *parts : bytes or memoryview
-        The content.
-
-    Raises
-    ------
-    DataError
-        There is no space left or the place cannot be written.
     """
     with _draft(path) as stream:
         stream.writelines(parts)
@@ -223,11 +136,6 @@ def sweep_file_drafts(path: Path) -> None:
     """Take away drafts of a file whose process was killed while it wrote.
 
     The draft that another process writes is locked, and stays.
-
-    Parameters
-    ----------
-    path : Path
-        Of the file.
     """
     draft = re.compile(rf"\.{re.escape(path.name)}\.[a-z0-9_]{{8}}")
     with suppress(OSError):  # whether the place can be written is told by writing
@@ -243,13 +151,7 @@ def _remove_unlocked(draft: Path) -> None:
 
 
 def flush_folder(folder: Path) -> None:
-    """Flush a folder to disk, so that a new file's name survives a power failure as its content does.
-
-    Parameters
-    ----------
-    folder : Path
-        In which a file was made or renamed.
-    """
+    """Flush a folder to disk, so that a new file's name survives a power failure as its content does."""
     if os.name == "nt":  # where folders cannot be opened
         return
     handle = os.open(folder, os.O_RDONLY)
@@ -260,15 +162,7 @@ def flush_folder(folder: Path) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write UTF-8 text completely or not at all.
-
-    Parameters
-    ----------
-    path : Path
-        Of the file.
-    text : str
-        The content.
-    """
+    """Write UTF-8 text completely or not at all."""
     write_atomic(path, lambda stream: stream.write(text.encode("utf-8")))
 
 
@@ -276,18 +170,6 @@ def make_directory(path: Path, fill: Callable[[Path], object]) -> None:
     """Make a directory that appears only once it is complete.
 
     On an error nothing is left behind.
-
-    Parameters
-    ----------
-    path : Path
-        Of the directory; missing parents are made.
-    fill : Callable[[Path], object]
-        Writes the content into the empty directory that it is given.
-
-    Raises
-    ------
-    DataError
-        The place cannot be written.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -301,20 +183,7 @@ def make_directory(path: Path, fill: Callable[[Path], object]) -> None:
 
 
 def write_by_name(path: Path, write: Callable[[Path], object]) -> None:
-    """Write a file that appears only once it is complete, with a library that opens files itself.
-
-    Parameters
-    ----------
-    path : Path
-        Of the file; missing folders are made.
-    write : Callable[[Path], object]
-        Writes the content to the path that it is given, of the same name in another folder.
-
-    Raises
-    ------
-    DataError
-        There is no space left or the place cannot be written.
-    """
+    """Write a file that appears only once it is complete, with a library that opens files itself."""
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as hidden:
@@ -328,23 +197,7 @@ def write_by_name(path: Path, write: Callable[[Path], object]) -> None:
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Turn the system's refusal to write a path into `DataError`.
-
-    Parameters
-    ----------
-    path : Path
-        What is written, for the message.
-
-    Yields
-    ------
-    None
-        Nothing.
-
-    Raises
-    ------
-    DataError
-        An `OSError` was raised inside.
-    """
+    """Turn the system's refusal to write a path into `DataError`."""
     try:
         yield
     except OSError as error:
@@ -358,38 +211,12 @@ def _cannot_write(path: Path, error: OSError) -> str:
 
 
 def need_suffix(path: Path, *allowed: str) -> None:
-    """Refuse an output whose suffix does not say what it will hold.
-
-    Parameters
-    ----------
-    path : Path
-        Of the output.
-    *allowed : str
-        Suffixes in lower case, with their dots.
-
-    Raises
-    ------
-    ConfigError
-        The suffix is none of these.
-    """
+    """Refuse an output whose suffix does not say what it will hold."""
     if path.suffix.lower() not in allowed:
         raise ConfigError(f"{path}: its name must end in {' or '.join(allowed)}")
 
 
 def refuse_existing(path: Path, force: bool) -> None:
-    """Refuse an output that exists, unless it may be replaced.
-
-    Parameters
-    ----------
-    path : Path
-        Of the output.
-    force : bool
-        Whether the user gave `--force`.
-
-    Raises
-    ------
-    ConfigError
-        The output exists.
-    """
+    """Refuse an output that exists, unless it may be replaced."""
     if path.exists() and not force:
         raise ConfigError(f"{path}: exists already; name another output, or add --force to replace it")

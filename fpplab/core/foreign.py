@@ -33,30 +33,7 @@ Parts = dict[str, NDArray[Any]]
 
 
 def read_apart(kind: str, path: Path, found: BinaryIO | None = None) -> Parts:
-    """Read a file in a process of its own.
-
-    Parameters
-    ----------
-    kind : {"opencv", "stl", "ply", "obj"}
-        Format of the file.
-    path : Path
-        The file.
-    found : binary file, optional
-        Its contents, where they have been opened already.
-
-    Returns
-    -------
-    dict of str to ndarray
-        Of a mesh `vertices` and `faces`; of OpenCV's files the top-level entries: matrices and lists as
-        arrays, numbers and words as arrays without dimensions. Entries of other kinds are left out.
-
-    Raises
-    ------
-    OSError
-        The file cannot be opened.
-    ValueError
-        The parser refuses the file, or fails on it.
-    """
+    """Read a file in a process of its own."""
     with found or open_regular(path) as stream:
         size = os.fstat(stream.fileno()).st_size
         seconds = ALWAYS_S + S_PER_MB * size / 1e6
@@ -113,25 +90,8 @@ def _read(kind: str, stream: BinaryIO) -> Parts | str:
 
 
 def read_mesh(kind: str, content: bytes) -> Parts:
-    """Read the corners and faces of a mesh with trimesh, in this process.
-
-    Parameters
-    ----------
-    kind : {"stl", "ply", "obj"}
-        Format.
-    content : bytes
-        The file.
-
-    Returns
-    -------
-    dict of str to ndarray
-        `vertices`, (N, 3) float64, and `faces`, (M, 3) int64; without any where it holds something else.
-
-    Raises
-    ------
-    Exception
-        Of any kind: the file is damaged.
-    """
+    """Read the corners and faces of a mesh with trimesh, in this process."""
+    # returns (N, 3)
     import trimesh
 
     with np.errstate(invalid="ignore"):
@@ -143,23 +103,7 @@ def read_mesh(kind: str, content: bytes) -> Parts:
 
 
 def read_opencv(content: bytes) -> Parts:
-    """Read the top-level entries of OpenCV's FileStorage, in this process.
-
-    Parameters
-    ----------
-    content : bytes
-        The file, in UTF-8.
-
-    Returns
-    -------
-    dict of str to ndarray
-        As `read_apart`.
-
-    Raises
-    ------
-    ValueError, SystemError
-        It is damaged.
-    """
+    """Read the top-level entries of OpenCV's FileStorage, in this process."""
     import cv2
 
     # OpenCV would print what the error says; versions 4 and 5 keep the switch in different places.

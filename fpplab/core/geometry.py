@@ -30,46 +30,20 @@ INVERSION_STEPS = 50
 
 @dataclass(frozen=True, eq=False)
 class RigidTransform:
-    """`T_b_a`: takes coordinates in frame a to frame b, `X_b = rotation X_a + translation`.
+    """`T_b_a`: takes coordinates in frame a to frame b, `X_b = rotation X_a + translation`."""
 
-    Attributes
-    ----------
-    rotation : Floats
-        (3, 3).
-    translation : Floats
-        (3,) in mm.
-    """
-
-    rotation: Floats
-    translation: Floats
+    rotation: Floats  # (3, 3)
+    translation: Floats  # (3,) in mm
 
     @classmethod
     def identity(cls) -> RigidTransform:
-        """Return the transform that changes nothing.
-
-        Returns
-        -------
-        RigidTransform
-            Without rotation and translation.
-        """
+        """Return the transform that changes nothing."""
         return cls(np.eye(3), np.zeros(3))
 
     @classmethod
     def from_vectors(cls, rotation_rad: Floats, translation: Floats) -> RigidTransform:
-        """Make a transform of OpenCV's vectors.
-
-        Parameters
-        ----------
-        rotation_rad : Floats
-            Rotation vector (3,) in rad.
-        translation : Floats
-            (3,) in mm.
-
-        Returns
-        -------
-        RigidTransform
-            The transform.
-        """
+        """Make a transform of OpenCV's vectors."""
+        # rotation_rad (3,) rad; translation (3,) mm
         matrix, _ = cv2.Rodrigues(np.asarray(rotation_rad, np.float64).reshape(3))
         return cls(np.asarray(matrix, np.float64), np.asarray(translation, np.float64).reshape(3))
 
@@ -87,28 +61,12 @@ class RigidTransform:
         return matrix
 
     def inverse(self) -> RigidTransform:
-        """Invert the transform.
-
-        Returns
-        -------
-        RigidTransform
-            `T_a_b`.
-        """
+        """Invert the transform."""
         return RigidTransform(self.rotation.T, -self.rotation.T @ self.translation)
 
     def moved(self, by: Floats) -> RigidTransform:
-        """Translate frame a, with the rotation held.
-
-        Parameters
-        ----------
-        by : Floats
-            (3,) in mm in frame b.
-
-        Returns
-        -------
-        RigidTransform
-            With the translation added.
-        """
+        """Translate frame a, with the rotation held."""
+        # by (3,) mm
         return RigidTransform(self.rotation, self.translation + by)
 
     def __matmul__(self, other: RigidTransform) -> RigidTransform:
@@ -118,18 +76,8 @@ class RigidTransform:
         )
 
     def apply(self, points: Floats) -> Floats:
-        """Transform points.
-
-        Parameters
-        ----------
-        points : Floats
-            (..., 3) in mm in frame a.
-
-        Returns
-        -------
-        Floats
-            (..., 3) in mm in frame b.
-        """
+        """Transform points."""
+        # points (..., 3) mm; returns (..., 3) mm
         return np.asarray(points @ self.rotation.T + self.translation)
 
 
@@ -138,23 +86,6 @@ def turned_towards(T_b_a: RigidTransform, angle_rad: float) -> RigidTransform:
 
     The axis of rotation is normal to z and to the line between the two origins: for a projector and a camera
     this is their convergence.
-
-    Parameters
-    ----------
-    T_b_a : RigidTransform
-        Before the rotation.
-    angle_rad : float
-        Angle of rotation in rad.
-
-    Returns
-    -------
-    RigidTransform
-        `T_b_a` after it.
-
-    Raises
-    ------
-    ValueError
-        a's origin lies on b's z axis.
     """
     axis = np.cross((0.0, 0.0, 1.0), T_b_a.translation)
     length = float(np.linalg.norm(axis))
@@ -166,34 +97,7 @@ def turned_towards(T_b_a: RigidTransform, angle_rad: float) -> RigidTransform:
 
 # Other modules compile it into their kernels, whose caches numba renews only when those modules change.
 def distort(x: Any, y: Any, lens: Floats | Sequence[float]) -> tuple[Any, Any, Any, Any, Any]:
-    """Distort ray slopes.
-
-    Parameters
-    ----------
-    x : Any
-        Slopes x/z of rays; a number or an array.
-    y : Any
-        Slopes y/z of rays, of the same shape.
-    lens : Floats or Sequence[float]
-        Coefficients as in `DISTORTION`.
-
-    Returns
-    -------
-    xd : Any
-        Distorted slopes x/z.
-    yd : Any
-        Distorted slopes y/z.
-    xx : Any
-        Derivative ∂xd/∂x.
-    xy : Any
-        Derivative ∂xd/∂y = ∂yd/∂x.
-    yy : Any
-        Derivative ∂yd/∂y.
-
-    References
-    ----------
-    OpenCV, calib3d, "Detailed Description".
-    """
+    """Distort ray slopes."""
     k1, k2, p1, p2, k3, k4, k5, k6 = lens
     square = x * x + y * y
     below = 1.0 / (1.0 + square * (k4 + square * (k5 + square * k6)))
@@ -212,24 +116,12 @@ def distort(x: Any, y: Any, lens: Floats | Sequence[float]) -> tuple[Any, Any, A
 
 @dataclass(frozen=True, eq=False)
 class Pinhole:
-    """A camera or projector: pinhole with OpenCV's distortion.
+    """A camera or projector: pinhole with OpenCV's distortion."""
 
-    Attributes
-    ----------
-    size : tuple[int, int]
-        (width, height) in px.
-    matrix : Floats
-        (3, 3) in px.
-    distortion : Floats
-        (8,) as in `DISTORTION`; the first five may be given alone, the others are zero then.
-    lattice : Lattice
-        Arrangement of the pixels; it matters to patterns, not to projection.
-    """
-
-    size: tuple[int, int]
-    matrix: Floats
-    distortion: Floats = field(default_factory=lambda: np.zeros(len(DISTORTION)))
-    lattice: Lattice = Lattice.SQUARE
+    size: tuple[int, int]  # (width, height) in px
+    matrix: Floats  # (3, 3) in px
+    distortion: Floats = field(default_factory=lambda: np.zeros(len(DISTORTION)))  # (8,)
+    lattice: Lattice = Lattice.SQUARE  # arrangement of the pixels; it matters to patterns, not to projection
 
     def __post_init__(self) -> None:
         given = np.asarray(self.distortion, np.float64)
@@ -244,26 +136,8 @@ class Pinhole:
         distortion: tuple[float, ...] = (),
         lattice: Lattice = Lattice.SQUARE,
     ) -> Pinhole:
-        """Make a device of focal lengths and principal point.
-
-        Parameters
-        ----------
-        size : tuple[int, int]
-            (width, height) in px.
-        focal_px : tuple[float, float]
-            (fx, fy) in px.
-        centre_px : tuple[float, float]
-            Principal point (cx, cy) in px.
-        distortion : tuple[float, ...]
-            As in `DISTORTION`; coefficients that are not given are zero.
-        lattice : Lattice
-            Arrangement of the pixels.
-
-        Returns
-        -------
-        Pinhole
-            The device.
-        """
+        """Make a device of focal lengths and principal point."""
+        # size (width, height) px; focal_px (fx, fy) px; centre_px (cx, cy) px
         matrix = np.array([[focal_px[0], 0, centre_px[0]], [0, focal_px[1], centre_px[1]], [0, 0, 1.0]])
         return cls(size, matrix, np.asarray(distortion, np.float64), lattice)
 
@@ -288,20 +162,8 @@ class Pinhole:
         return float(1.0 / np.sqrt(ends.max())) if ends.size else np.inf
 
     def cropped(self, corner: tuple[int, int], size: tuple[int, int]) -> Pinhole:
-        """Make the device of a part of the image: the same rays, with pixels counted from the part's corner.
-
-        Parameters
-        ----------
-        corner : tuple of int
-            Column and row of the part's first pixel.
-        size : tuple of int
-            (width, height) of the part in px.
-
-        Returns
-        -------
-        Pinhole
-            A copy with that size.
-        """
+        """Make the device of an image region: the same rays, pixels counted from its corner."""
+        # size (width, height) px
         matrix = self.matrix.copy()
         matrix[:2, 2] -= corner
         return Pinhole(size, matrix, self.distortion, self.lattice)
@@ -311,19 +173,8 @@ class Pinhole:
 
         Without the derivatives by pose and intrinsics that `cv2.projectPoints` always computes from Python:
         several times as fast. Beyond `reach` the model has pixels too, but a lens has not.
-
-        Parameters
-        ----------
-        points : Floats
-            (..., 3) in mm, in the device's frame or, with a pose, in the world's.
-        T_device_world : RigidTransform or None
-            Pose of the device.
-
-        Returns
-        -------
-        Floats
-            (..., 2) in px.
         """
+        # points (..., 3) mm; returns (..., 2) px
         local = np.asarray(points, np.float64)
         if T_device_world is not None:
             local = T_device_world.apply(local)
@@ -334,22 +185,8 @@ class Pinhole:
     def sees(
         self, points: Floats, T_device_world: RigidTransform | None = None, margin_px: float = 0.0
     ) -> Mask:
-        """Tell which points fall into the image; occlusion is not considered.
-
-        Parameters
-        ----------
-        points : Floats
-            (..., 3) in mm, in the device's frame or, with a pose, in the world's.
-        T_device_world : RigidTransform or None
-            Pose of the device.
-        margin_px : float
-            Least distance from the image border in px.
-
-        Returns
-        -------
-        Mask
-            (...).
-        """
+        """Tell which points fall into the image; occlusion is not considered."""
+        # points (..., 3) mm
         local = np.asarray(points, np.float64)
         if T_device_world is not None:
             local = T_device_world.apply(local)
@@ -364,17 +201,8 @@ class Pinhole:
         """Undistort pixels to ray slopes; inverse of `project`.
 
         By Newton's method to `PIXEL_TOLERANCE`.
-
-        Parameters
-        ----------
-        pixels : Floats
-            (..., 2) in px.
-
-        Returns
-        -------
-        Floats
-            (x/z, y/z), (..., 2); NaN where no ray within `reach` leads to the pixel.
         """
+        # pixels (..., 2) px; returns (..., 2)
         (fx, _, cx), (_, fy, cy) = self.matrix[:2]
         given = np.asarray(pixels, np.float64)
         aim_x, aim_y = (given[..., 0] - cx) / fx, (given[..., 1] - cy) / fy

@@ -12,13 +12,7 @@ from fpplab.core.version import __version__
 
 
 def host_facts() -> dict[str, Any]:
-    """Describe program, packages and computer.
-
-    Returns
-    -------
-    dict
-        `fpplab`, `python`, `platform`, `host`, `cores`, and `packages`, versions by name.
-    """
+    """Describe program, packages and computer."""
     return {
         "fpplab": __version__,
         "python": platform.python_version(),

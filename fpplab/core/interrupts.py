@@ -48,18 +48,7 @@ def watch_signals() -> None:
 
 @contextmanager
 def held_back() -> Iterator[None]:
-    """Let what makes the bench safe come to its end: an interruption that comes meanwhile is raised after it.
-
-    Yields
-    ------
-    None
-        Nothing.
-
-    Raises
-    ------
-    KeyboardInterrupt
-        A signal came.
-    """
+    """Finish what makes the bench safe, and raise an interruption that comes meanwhile after it."""
     if threading.current_thread() is not threading.main_thread():  # which no signal interrupts
         yield
         return
@@ -75,13 +64,7 @@ def held_back() -> Iterator[None]:
 
 
 def leave_at_once() -> bool:
-    """Have these signals end the process at once: everything is closed.
-
-    Returns
-    -------
-    bool
-        Whether an interruption came that waited for a better moment until now, and was not raised.
-    """
+    """Have these signals end the process at once: everything is closed."""
     with _sending:
         waits = bool(_again)
         _again.clear()
@@ -92,20 +75,7 @@ def leave_at_once() -> bool:
 
 
 def comes_of(error: BaseException | None, kind: type[BaseException]) -> bool:
-    """Tell whether an error is what something made of another one, such as of an interruption.
-
-    Parameters
-    ----------
-    error : BaseException or None
-        The error.
-    kind : type
-        Class of the other one.
-
-    Returns
-    -------
-    bool
-        Whether one of that class was being handled when it was raised, or it is one itself.
-    """
+    """Tell whether an error is what something made of another one, such as of an interruption."""
     while error is not None:
         if isinstance(error, kind):
             return True

@@ -14,18 +14,7 @@ MOST_JOURNAL_BYTES = 256_000_000
 
 
 def make_journal(path: Path) -> None:
-    """Make an empty journal with its folder; one that is there stays as it is.
-
-    Parameters
-    ----------
-    path : Path
-        Of the journal.
-
-    Raises
-    ------
-    DataError
-        There is no space left or the place cannot be written.
-    """
+    """Make an empty journal with its folder; one that is there stays as it is."""
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.touch()
@@ -35,18 +24,6 @@ def append_line(path: Path, line: str) -> None:
     """Append one line to a journal, on disk before this returns.
 
     On an error the journal is as it was before.
-
-    Parameters
-    ----------
-    path : Path
-        Of the journal, which exists.
-    line : str
-        Without a newline.
-
-    Raises
-    ------
-    DataError
-        There is no space left or the file cannot be written.
     """
     with writing(path):
         end = path.stat().st_size
@@ -64,21 +41,6 @@ def whole_lines(path: Path) -> list[bytes]:
     """Read the complete lines of a journal.
 
     What follows the last newline was cut off while it was written, and is left out.
-
-    Parameters
-    ----------
-    path : Path
-        Of the journal.
-
-    Returns
-    -------
-    list[bytes]
-        The lines without their newlines.
-
-    Raises
-    ------
-    DataError
-        The file cannot be read, is no file, or is larger than any journal.
     """
     try:
         return read_bounded(path, MOST_JOURNAL_BYTES).split(b"\n")[:-1]
@@ -90,16 +52,6 @@ def cut_torn_line(path: Path) -> None:
     """Remove an incomplete last line of a journal, so that the next line is not appended to it.
 
     Searches backwards from the end of the file, which is not read as a whole.
-
-    Parameters
-    ----------
-    path : Path
-        Of the journal.
-
-    Raises
-    ------
-    DataError
-        The file cannot be written.
     """
     with writing(path):
         if path.stat().st_size == 0:  # which cannot be mapped

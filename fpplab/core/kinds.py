@@ -43,14 +43,9 @@ class ByKind:
     Used as ``Annotated[Base, ByKind(default="diffuse")]``. Subclasses of subclasses count too; abstract ones
     do not. The kinds are collected when the model that holds the annotation is built. Anything that is not
     of a known kind is refused with ``must have a 'kind' of diffuse, glossy, translucent``.
-
-    Attributes
-    ----------
-    default : str or None
-        Kind of a mapping without the key ``kind``; None where the key must be given.
     """
 
-    default: str | None = None
+    default: str | None = None  # kind of a mapping without the key ``kind``; None where the key must be given
 
     def __get_pydantic_core_schema__(
         self, source: type[BaseModel], handler: GetCoreSchemaHandler
@@ -78,23 +73,7 @@ class ByKind:
 
 
 def members_by_kind(base: type[BaseModel]) -> dict[str, type[BaseModel]]:
-    """Collect the concrete subclasses of a family's base class that are defined so far.
-
-    Parameters
-    ----------
-    base : type of BaseModel
-        Base class of the family, itself no member.
-
-    Returns
-    -------
-    dict of str to type of BaseModel
-        Members by their kind, the default of the field ``kind``, in alphabetical order.
-
-    Raises
-    ------
-    TypeError
-        A member has no ``kind`` with a default, or the kind of another.
-    """
+    """Collect the concrete subclasses of a family's base class that are defined so far."""
     members: dict[str, type[BaseModel]] = {}
     for member in concrete_subclasses(base):
         field = member.model_fields.get("kind")
@@ -107,18 +86,7 @@ def members_by_kind(base: type[BaseModel]) -> dict[str, type[BaseModel]]:
 
 
 def concrete_subclasses(base: type[T]) -> list[type[T]]:
-    """Collect the classes below a base class that can be made, those below them too.
-
-    Parameters
-    ----------
-    base : type
-        The base class, itself left out.
-
-    Returns
-    -------
-    list of type
-        Each once, in the order in which they were defined under each class.
-    """
+    """Collect the classes below a base class that can be made, those below them too."""
     found: dict[type[T], None] = {}
     waiting = [base]
     while waiting:
@@ -133,13 +101,6 @@ def import_members(package_name: str, package_path: Iterable[str]) -> None:
 
     Called in the package's ``__init__`` as ``import_members(__name__, __path__)``. Packages inside it are
     imported too, but not searched further.
-
-    Parameters
-    ----------
-    package_name : str
-        Full name of the package, its ``__name__``.
-    package_path : iterable of str
-        Directories in which its modules lie, its ``__path__``.
     """
     for module in sorted(iter_modules(package_path), key=lambda found: found.name):
         import_module(f"{package_name}.{module.name}")

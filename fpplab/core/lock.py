@@ -34,48 +34,12 @@ FIRST_BYTE, SHARES = 1 << 30, 32
 
 
 def open_lock(path: Path, mode: int = 0o644) -> int:
-    """Open a lock file, made if it is not there.
-
-    Parameters
-    ----------
-    path : Path
-        Of the file.
-    mode : int, optional
-        Permissions of a new one.
-
-    Returns
-    -------
-    int
-        Its descriptor, for `try_lock`; closing it gives the lock back.
-
-    Raises
-    ------
-    OSError
-        It cannot be opened.
-    """
+    """Open a lock file, made if it is not there."""
     return os.open(path, os.O_RDWR | os.O_CREAT, mode)  # Python lets no child inherit it
 
 
 def try_lock(handle: int, shared: bool = False) -> bool:
-    """Lock an open file at once, or not at all.
-
-    Parameters
-    ----------
-    handle : int
-        Descriptor of the file.
-    shared : bool, optional
-        Whether others may share the lock; by default it is held alone.
-
-    Returns
-    -------
-    bool
-        Whether it is locked now; False while another one has it.
-
-    Raises
-    ------
-    OSError
-        The file system cannot lock files.
-    """
+    """Lock an open file at once, or not at all."""
     if fcntl is None:
         return _try_bytes(handle, shared)
     try:
@@ -107,25 +71,7 @@ def _lock_bytes(handle: int, first: int, count: int) -> bool:
 
 @contextmanager
 def locked_file(path: Path) -> Iterator[bool]:
-    """Hold a file's lock alone for a while; the file, made for it, is deleted afterwards.
-
-    Parameters
-    ----------
-    path : Path
-        Of the file. Its folder must exist.
-
-    Yields
-    ------
-    bool
-        Whether the lock could be had; False while another process has it.
-
-    Raises
-    ------
-    OSError
-        The file cannot be made.
-    DataError
-        The file system cannot lock files.
-    """
+    """Hold a file's lock alone for a while; the file, made for it, is deleted afterwards."""
     handle = _locked(path)
     try:
         yield handle is not None
@@ -182,13 +128,7 @@ def _is_there_still(handle: int, path: Path) -> bool:
 
 
 def write_lock_owner(handle: int) -> None:
-    """Write this process into a file that it has locked.
-
-    Parameters
-    ----------
-    handle : int
-        Descriptor of the file, open for writing.
-    """
+    """Write this process into a file that it has locked."""
     owner = {
         "pid": os.getpid(),
         "host": socket.gethostname(),
@@ -201,18 +141,7 @@ def write_lock_owner(handle: int) -> None:
 
 
 def lock_owner(lock: Path) -> str:
-    """Say who holds a lock; it may not have written its name yet.
-
-    Parameters
-    ----------
-    lock : Path
-        The file.
-
-    Returns
-    -------
-    str
-        The process in words.
-    """
+    """Say who holds a lock; it may not have written its name yet."""
     try:
         with lock.open("rb") as file:
             found = parse_object(file.read(MOST_BYTES))

@@ -11,28 +11,12 @@ _state = {"traced": False}
 
 
 def trace_devices(wanted: bool) -> None:
-    """Have what is sent to devices, and what they answer, logged; or not any more.
-
-    Parameters
-    ----------
-    wanted : bool
-        Whether it is logged.
-    """
+    """Have what is sent to devices, and what they answer, logged; or not any more."""
     _state["traced"] = wanted
 
 
 def log_traffic(device: str, direction: str, data: bytes | str) -> None:
-    """Log one message to or from a device, if that was asked for.
-
-    Parameters
-    ----------
-    device : str
-        Name of the device.
-    direction : str
-        "to" or "from".
-    data : bytes or str
-        The message: bytes are logged in hexadecimal, without zeros at their end.
-    """
+    """Log one message to or from a device, if that was asked for."""
     if _state["traced"]:
         words = data.rstrip(b"\0").hex() if isinstance(data, bytes) else data
         _traffic.info(

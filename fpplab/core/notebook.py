@@ -21,22 +21,7 @@ CUT = (2.0, 98.0)
 
 
 def html_table(title: str, rows: Mapping[str, object], picture: bytes | None = None) -> str:
-    """Write a table of names and values, with a picture beside it.
-
-    Parameters
-    ----------
-    title : str
-        Above it.
-    rows : mapping of str to object
-        Values by name, in the order shown; those that are None are left out.
-    picture : bytes, optional
-        A PNG file.
-
-    Returns
-    -------
-    str
-        HTML that needs no other file.
-    """
+    """Write a table of names and values, with a picture beside it."""
     cells = "".join(
         f"<tr><th style='text-align:left'>{escape(name)}</th>"
         f"<td style='text-align:left'>{escape(str(value))}</td></tr>"
@@ -52,18 +37,8 @@ def html_table(title: str, rows: Mapping[str, object], picture: bytes | None = N
 
 
 def grey_picture(values: NDArray[Any]) -> bytes:
-    """Draw a small picture of a map or frame.
-
-    Parameters
-    ----------
-    values : ndarray, (height, width)
-        Drawn from black to white between the percentiles `CUT`; what is not finite is transparent.
-
-    Returns
-    -------
-    bytes
-        A PNG file, of at most `PICTURE_PX` columns and rows.
-    """
+    """Draw a small picture of a map or frame."""
+    # values (height, width)
     from PIL import Image as Pixels
 
     step = max(1, -(-max(values.shape) // PICTURE_PX))
@@ -78,18 +53,7 @@ def grey_picture(values: NDArray[Any]) -> bytes:
 
 
 def axes_or_new(axes: Axes | None) -> Axes:
-    """Give the axes to draw into.
-
-    Parameters
-    ----------
-    axes : matplotlib.axes.Axes or None
-        Those that the caller was given.
-
-    Returns
-    -------
-    matplotlib.axes.Axes
-        The same, or new ones in a figure of their own.
-    """
+    """Give the axes to draw into."""
     if axes is not None:
         return axes
     from matplotlib import pyplot as plt
@@ -98,22 +62,8 @@ def axes_or_new(axes: Axes | None) -> Axes:
 
 
 def plot_map(values: NDArray[Any], label: str, axes: Axes | None = None) -> Axes:
-    """Draw a map over the camera's pixels, with its scale.
-
-    Parameters
-    ----------
-    values : ndarray, (height, width)
-        NaN where nothing is drawn. Values beyond the percentiles `CUT` have the colours of its ends.
-    label : str
-        Of the scale.
-    axes : matplotlib.axes.Axes, optional
-        Where to draw; new ones by default.
-
-    Returns
-    -------
-    matplotlib.axes.Axes
-        With the map.
-    """
+    """Draw a map over the camera's pixels, with its scale."""
+    # values (height, width)
     chosen = axes_or_new(axes)
     known = values[np.isfinite(values)]
     low, high = np.percentile(known, CUT) if known.size else (0.0, 1.0)

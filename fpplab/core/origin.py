@@ -38,17 +38,6 @@ class Origin(Document):
 
     @classmethod
     def now(cls, **more: object) -> Self:
-        """Make the origin of something that is made now, by this program, on this computer.
-
-        Parameters
-        ----------
-        **more : object
-            Fields of a subclass.
-
-        Returns
-        -------
-        Origin
-            Of the class that it is called on.
-        """
+        """Make the origin of something that is made now, by this program, on this computer."""
         made = datetime.now(UTC).replace(microsecond=0)
         return cls.model_validate({"made": made, "host": platform.node(), "version": __version__, **more})

@@ -12,20 +12,8 @@ Say = Callable[[str], object]
 
 
 def no_progress(share: float) -> None:
-    """Report no progress; the default of every `progress` parameter.
-
-    Parameters
-    ----------
-    share : float
-        Share of the work that is done, 0 … 1; not used.
-    """
+    """Report no progress; the default of every `progress` parameter."""
 
 
 def ignore(observed: object) -> None:
-    """Ignore what is observed; the default of every `observe` parameter.
-
-    Parameters
-    ----------
-    observed : object
-        A frame, an epoch or a candidate; not used.
-    """
+    """Ignore what is observed; the default of every `observe` parameter."""

@@ -7,23 +7,7 @@ from typing import Any
 
 
 def parse_json(content: bytes | str) -> Any:
-    """Parse JSON, whoever wrote it.
-
-    Parameters
-    ----------
-    content : bytes or str
-        The text, UTF-8 where it is bytes.
-
-    Returns
-    -------
-    object
-        Mappings, lists, strings, numbers, booleans and None.
-
-    Raises
-    ------
-    ValueError
-        It is not JSON, or nested so deep that nothing could use it.
-    """
+    """Parse JSON, whoever wrote it."""
     try:
         return json.loads(content)
     except RecursionError:
@@ -31,23 +15,7 @@ def parse_json(content: bytes | str) -> Any:
 
 
 def parse_object(content: bytes | str) -> dict[str, Any]:
-    """Parse a JSON object.
-
-    Parameters
-    ----------
-    content : bytes or str
-        The text.
-
-    Returns
-    -------
-    dict
-        Its fields.
-
-    Raises
-    ------
-    ValueError
-        As `parse_json`, or it is something else than an object.
-    """
+    """Parse a JSON object."""
     found = parse_json(content)
     if not isinstance(found, dict):
         raise ValueError("it is not an object with fields")

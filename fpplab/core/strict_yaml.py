@@ -105,25 +105,7 @@ def _refusal(problem: str, at: Any) -> yaml.MarkedYAMLError:
 
 
 def load_yaml(text: str) -> Any:
-    """Parse YAML text as plain data.
-
-    Parameters
-    ----------
-    text : str
-        The YAML.
-
-    Returns
-    -------
-    object
-        Mappings, lists, strings, numbers, booleans and None.
-
-    Raises
-    ------
-    ValueError
-        The text is too long, or too deep to be read.
-    yaml.YAMLError
-        It is not YAML, has tags, gives a key twice, or is too large; most say in which line.
-    """
+    """Parse YAML text as plain data."""
     if len(text) > MOST_CHARACTERS:
         raise ValueError(f"it has {len(text)} characters, more than {MOST_CHARACTERS}")
     try:

@@ -27,30 +27,13 @@ USB = {"libusb-1.0.so.0": "libusb-1.0-0"}
 
 
 def cache_directory() -> Path:
-    """Locate this user's folder for results that can be computed again.
-
-    Returns
-    -------
-    Path
-        It may not exist yet.
-    """
+    """Locate this user's folder for results that can be computed again."""
     chosen = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")
     return Path(chosen or Path.home() / ".cache") / "fpplab"
 
 
 def missing(libraries: dict[str, str]) -> list[str]:
-    """Find the libraries that cannot be loaded.
-
-    Parameters
-    ----------
-    libraries : dict[str, str]
-        Debian packages by name of the library.
-
-    Returns
-    -------
-    list[str]
-        The packages of those that cannot be loaded.
-    """
+    """Find the libraries that cannot be loaded."""
     return [package for name, package in libraries.items() if not _loads(name)]
 
 
@@ -63,13 +46,7 @@ def _loads(name: str) -> bool:
 
 
 def main() -> int:
-    """Report everything that is missing; without the USB libraries the simulation still runs.
-
-    Returns
-    -------
-    int
-        Exit code: 1 when Blender's libraries are missing.
-    """
+    """Report everything that is missing; without the USB libraries the simulation still runs."""
     blender, usb = missing(BLENDER), missing(USB)
     if usb:
         sys.stderr.write(

@@ -20,36 +20,12 @@ SUMMARY = "summary"
 
 
 def write_csv(path: Path, rows: Iterable[Row]) -> None:
-    """Write rows as CSV (RFC 4180, UTF-8): the file is complete or unchanged.
-
-    Parameters
-    ----------
-    path : Path
-        Of the file.
-    rows : iterable of dict
-        Their columns stand in the order in which they first occur; what a row lacks is empty.
-
-    Raises
-    ------
-    DataError
-        The file cannot be written.
-    """
+    """Write rows as CSV (RFC 4180, UTF-8): the file is complete or unchanged."""
     write_text(path, csv_text(rows))
 
 
 def csv_text(rows: Iterable[Row]) -> str:
-    """Write rows as the text of a CSV file.
-
-    Parameters
-    ----------
-    rows : iterable of dict
-        As in `write_csv`.
-
-    Returns
-    -------
-    str
-        With a header, and all digits of each number.
-    """
+    """Write rows as the text of a CSV file."""
     rows = list(rows)
     columns = dict.fromkeys(name for row in rows for name in row)
     stream = io.StringIO(newline="")
@@ -60,23 +36,7 @@ def csv_text(rows: Iterable[Row]) -> str:
 
 
 def read_tables(path: Path) -> dict[str, list[Row]]:
-    """Read the tables of a `--json` answer, or of a journal with one JSON object in each line.
-
-    Parameters
-    ----------
-    path : Path
-        `.json` or `.jsonl`.
-
-    Returns
-    -------
-    dict of str to list of dict
-        As `tables_of`; a journal is one table of its own name.
-
-    Raises
-    ------
-    DataError
-        The file cannot be read, or holds no objects.
-    """
+    """Read the tables of a `--json` answer, or of a journal with one JSON object in each line."""
     try:
         with open_regular(path) as stream:
             text = stream.read().decode("utf-8")
@@ -100,16 +60,6 @@ def tables_of(answer: Mapping[str, Any]) -> dict[str, list[Row]]:
     A list of objects is a table, named by the keys that lead to it; a list in its rows is another one, whose
     rows say in the first column to which row they belong, counted from 0. What is said once is a row of the
     table `SUMMARY`. Keys of objects within objects are joined by dots, as are the places in lists of numbers.
-
-    Parameters
-    ----------
-    answer : mapping
-        As parsed from JSON.
-
-    Returns
-    -------
-    dict of str to list of dict
-        Rows by name of the table.
     """
     tables: dict[str, list[Row]] = {SUMMARY: []}
     row: Row = {}

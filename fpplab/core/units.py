@@ -12,25 +12,7 @@ MM = {"nm": 1e-6, "um": 1e-3, "µm": 1e-3, "μm": 1e-3, "mm": 1.0, "cm": 10.0, "
 
 
 def length_mm(words: str, option: str) -> float:
-    """Read a positive length with its unit.
-
-    Parameters
-    ----------
-    words : str
-        Such as `20um` or `0.02 mm`.
-    option : str
-        Whose value it is, for messages.
-
-    Returns
-    -------
-    float
-        In mm.
-
-    Raises
-    ------
-    ConfigError
-        It is no positive number with a unit of length.
-    """
+    """Read a positive length with its unit."""
     found = re.fullmatch(r"\s*([0-9.eE+-]+)\s*([^\W\d]*)\s*", words)
     units = "um, mm, cm or m"
     if found is None:
@@ -52,18 +34,7 @@ def length_mm(words: str, option: str) -> float:
 
 
 def readable_bytes(count: int) -> str:
-    """Write a number of bytes as a person reads it.
-
-    Parameters
-    ----------
-    count : int
-        Bytes.
-
-    Returns
-    -------
-    str
-        Three digits and a unit, such as `1.23 GB`.
-    """
+    """Write a number of bytes as a person reads it."""
     for unit, size in (("PB", 10**15), ("TB", 10**12), ("GB", 10**9), ("MB", 10**6), ("kB", 10**3)):
         if count >= 0.9995 * size:
             return f"{count / size:#.3g} {unit}".replace(". ", " ")

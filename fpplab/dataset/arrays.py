@@ -16,28 +16,8 @@ from fpplab.simulation.arrangeable import SceneTruth
 def sample_arrays(
     frames: list[Image], plan: Plan, exposure_s: float, bits: int, truth: SceneTruth, labels: Labels
 ) -> Arrays:
-    """Compute every field of a sample, as `FIELDS` describes them.
-
-    Parameters
-    ----------
-    frames : list of Image
-        Raw images (height, width) in the plan's order.
-    plan : Plan
-        What was projected.
-    exposure_s : float
-        Exposure of every image in seconds.
-    bits : int
-        Bit depth of the camera.
-    truth : SceneTruth
-        The true shape and devices.
-    labels : Labels
-        True maps of the camera.
-
-    Returns
-    -------
-    Arrays
-        Arrays by field, with the shapes and types of `FieldSpec`.
-    """
+    """Compute every field of a sample, as `FIELDS` describes them."""
+    # frames (height, width)
     devices = truth.calibration
     size = devices.projector.size
     recording = Recording(frames, plan, size, bits)

@@ -49,34 +49,12 @@ LIMITS = (
 
 
 def split_of(index: int) -> str:
-    """Tell which split a sample belongs to.
-
-    Parameters
-    ----------
-    index : int
-        Index of the sample in the data set.
-
-    Returns
-    -------
-    str
-        "train", "validation" or "test".
-    """
+    """Tell which split a sample belongs to."""
     return SPLITS[index % len(SPLITS)]
 
 
 def dataset_fields(bits: int) -> dict[str, FieldSpec]:
-    """Describe the fields of a data set for a camera's bit depth.
-
-    Parameters
-    ----------
-    bits : int
-        Bit depth of the camera, which decides the type of the frames.
-
-    Returns
-    -------
-    dict of str to FieldSpec
-        Fields by name.
-    """
+    """Describe the fields of a data set for a camera's bit depth."""
     frames = "|u1" if bits <= 8 else "<u2"
     return {f.name: FieldSpec(**{**asdict(f), "dtype": frames}) if f.name == FRAMES else f for f in FIELDS}
 
@@ -84,24 +62,7 @@ def dataset_fields(bits: int) -> dict[str, FieldSpec]:
 def make_card(
     recipe: dict[str, Any], fields: dict[str, FieldSpec], dimensions: dict[str, int], licence: str
 ) -> dict[str, Any]:
-    """Make the card of a data set.
-
-    Parameters
-    ----------
-    recipe : dict
-        Everything that the samples follow from, including `samples` and `shard_size`, as plain data.
-    fields : dict of str to FieldSpec
-        Fields by name.
-    dimensions : dict of str to int
-        Lengths of the dimensions, see `dimension_sizes`.
-    licence : str
-        Licence of the data.
-
-    Returns
-    -------
-    dict
-        Plain data for JSON.
-    """
+    """Make the card of a data set."""
     described = [{**asdict(f), "shape": list(f.extent(dimensions)), "axes": f.shape} for f in fields.values()]
     size = sum(np.dtype(f["dtype"]).itemsize * math.prod(f["shape"]) for f in described)
     samples = recipe["samples"]
@@ -123,22 +84,7 @@ def make_card(
 
 
 def prepare_folder(folder: Path, card: dict[str, Any]) -> None:
-    """Create the folder with its card, or check that the existing one has the same card.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the data set.
-    card : dict
-        Its card.
-
-    Raises
-    ------
-    ConfigError
-        The folder holds something else, or a data set with another card; names what differs.
-    DataError
-        The card there cannot be read, or nothing can be written.
-    """
+    """Create the folder with its card, or check that the existing one has the same card."""
     if (folder / CARD).exists():
         _check_same(folder, card)
     elif folder.exists() and not _is_empty(folder):
@@ -168,23 +114,7 @@ def _check_same(folder: Path, card: dict[str, Any]) -> None:
 
 
 def read_card(folder: Path) -> dict[str, Any]:
-    """Read the card in a folder.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of a data set.
-
-    Returns
-    -------
-    dict
-        The card.
-
-    Raises
-    ------
-    DataError
-        There is no card, or it cannot be read.
-    """
+    """Read the card in a folder."""
     path = folder / CARD
     try:
         card = parse_json(read_bounded(path, MOST_BYTES))

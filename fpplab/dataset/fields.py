@@ -16,46 +16,17 @@ Arrays = dict[str, NDArray[np.generic]]
 
 @dataclass(frozen=True)
 class FieldSpec:
-    """Description of one array of every sample.
+    """Description of one array of every sample."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the field.
-    source : str
-        "camera" is what was recorded, "measured" what fpplab computes from that, "truth" what the simulation
-        knows and no measurement does.
-    dtype : str
-        NumPy type string; empty for the frames, whose type depends on the camera.
-    shape : str
-        Dimensions separated by spaces: N (images), S (fringe sets), h, w (height and width of the image) or
-        numbers.
-    unit : str
-        Unit of the values.
-    meaning : str
-        What the values are.
-    """
-
-    name: str
-    source: Literal["camera", "measured", "truth"]
-    dtype: str
-    shape: str
-    unit: str
-    meaning: str
+    name: str  # name of the field
+    source: Literal["camera", "measured", "truth"]  # "camera" is what was recorded
+    dtype: str  # numPy type string; empty for the frames, whose type depends on the camera
+    shape: str  # dimensions separated by spaces
+    unit: str  # unit of the values
+    meaning: str  # what the values are
 
     def extent(self, dimensions: dict[str, int]) -> tuple[int, ...]:
-        """Compute the shape in numbers.
-
-        Parameters
-        ----------
-        dimensions : dict of str to int
-            Lengths of the dimensions, see `dimension_sizes`.
-
-        Returns
-        -------
-        tuple of int
-            Shape of the array.
-        """
+        """Compute the shape in numbers."""
         return tuple(dimensions[side] if side in dimensions else int(side) for side in self.shape.split())
 
 
@@ -94,18 +65,6 @@ FIELDS = (
 
 
 def dimension_sizes(plan: Plan, size: tuple[int, int]) -> dict[str, int]:
-    """Look up the lengths that the letters in `FieldSpec.shape` stand for.
-
-    Parameters
-    ----------
-    plan : Plan
-        What is projected.
-    size : (int, int)
-        Width and height of the camera's image in pixels.
-
-    Returns
-    -------
-    dict of str to int
-        Lengths of N, S, h and w.
-    """
+    """Look up the lengths that the letters in `FieldSpec.shape` stand for."""
+    # size (int, int)
     return {"N": plan.images, "S": len(plan.fringes), "h": size[1], "w": size[0]}

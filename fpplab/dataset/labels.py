@@ -21,42 +21,17 @@ uncertain.
 
 @dataclass(frozen=True, eq=False)
 class Labels:
-    """True maps of the camera, (height, width) and float32 unless stated otherwise.
+    """True maps of the camera, (height, width) and float32 unless stated otherwise."""
 
-    Attributes
-    ----------
-    depth : Map
-        Coordinate z in mm in the camera's frame, NaN where nothing is seen.
-    normals : Map
-        Unit normals (3, height, width) of the mesh's facets, towards the camera; NaN where nothing is seen.
-    mask : Mask
-        Whether the surface is seen and illuminated by the projector, shadows considered; bool.
-    u : Map
-        Projector column in px of what is seen, NaN outside the mask.
-    v : Map
-        Projector row in px of what is seen, NaN outside the mask.
-    """
-
-    depth: Map
-    normals: Map
-    mask: Mask
-    u: Map
-    v: Map
+    depth: Map  # coordinate z in mm in the camera's frame, NaN where nothing is seen
+    normals: Map  # unit normals (3, height, width) of the mesh's facets, towards the camera
+    mask: Mask  # whether the surface is seen and illuminated by the projector, shadows considered; bool
+    u: Map  # projector column in px of what is seen, NaN outside the mask
+    v: Map  # projector row in px of what is seen, NaN outside the mask
 
 
 def trace_labels(truth: SceneTruth) -> Labels:
-    """Trace the ray of every pixel's centre to the true surface, and from there to the projector's lens.
-
-    Parameters
-    ----------
-    truth : SceneTruth
-        The true shape and devices.
-
-    Returns
-    -------
-    Labels
-        Maps of the camera.
-    """
+    """Trace the ray of every pixel's centre to the true surface, and from there to the projector's lens."""
     devices, shape = truth.calibration, RayTracedShape(truth.mesh)
     rays = camera_rays(devices.camera)
     size, rays = rays.shape[:2], rays.reshape(-1, 3)

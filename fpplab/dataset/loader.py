@@ -26,31 +26,6 @@ class Dataset:
     Of a data set that is still being made, the samples of complete shards. No file is kept open, so that it
     can
     be pickled and shared by the worker processes of a data loader.
-
-    Parameters
-    ----------
-    folder : Path or str
-        Folder of the data set.
-    fields : iterable of str, optional
-        Fields that every sample has; all by default.
-
-    Attributes
-    ----------
-    folder : Path
-        Folder of the data set.
-    card : dict
-        The data card.
-    fields : tuple of str
-        Fields that every sample has.
-    indices : list of int
-        Indices of the samples in the whole data set.
-
-    Raises
-    ------
-    DataError
-        The folder holds no data set.
-    ConfigError
-        The data set does not have one of the fields.
     """
 
     def __init__(self, folder: Path | str, fields: Iterable[str] | None = None) -> None:
@@ -66,23 +41,7 @@ class Dataset:
         self.indices = [k for k in range(self.card["samples"]) if k // size in there]
 
     def split(self, name: str) -> Self:
-        """Select the samples of one split.
-
-        Parameters
-        ----------
-        name : str
-            "train", "validation" or "test".
-
-        Returns
-        -------
-        Dataset
-            With the same fields.
-
-        Raises
-        ------
-        ConfigError
-            There is no such split.
-        """
+        """Select the samples of one split."""
         if name not in SPLITS:
             raise ConfigError(
                 f"{self.folder}: has no split '{name}'; it has {', '.join(dict.fromkeys(SPLITS))}"
@@ -95,38 +54,12 @@ class Dataset:
         return len(self.indices)
 
     def __getitem__(self, k: int) -> Arrays:
-        """Read sample `k` of the split: new arrays by field, see `card["fields"]`.
-
-        Raises
-        ------
-        IndexError
-            There is no such sample.
-        DataError
-            A file is missing or damaged.
-        """
+        """Read sample `k` of the split: new arrays by field, see `card["fields"]`."""
         shard, row = self._place(k)
         return {name: _read(shard / array_file(name), row) for name in self.fields}
 
     def scene(self, k: int) -> dict[str, Any]:
-        """Read what was drawn for a sample.
-
-        Parameters
-        ----------
-        k : int
-            Index within the split.
-
-        Returns
-        -------
-        dict
-            `index` and `split` of the sample, its `scene`, and the whole `world`.
-
-        Raises
-        ------
-        DataError
-            The file cannot be read.
-        IndexError
-            There is no such sample.
-        """
+        """Read what was drawn for a sample."""
         shard, row = self._place(k)
         try:
             return parse_object(whole_lines(shard / SCENES)[row])
@@ -139,13 +72,7 @@ class Dataset:
         return config.load_document(self.folder / PLAN, Plan)
 
     def check(self) -> None:
-        """Compare every file with its checksum.
-
-        Raises
-        ------
-        DataError
-            Names the first file that is damaged.
-        """
+        """Compare every file with its checksum."""
         for number in sorted({k // self.card["shard_size"] for k in self.indices}):
             check_shard(self.folder / shard_name(number))
 

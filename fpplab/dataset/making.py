@@ -38,59 +38,21 @@ def _unobserved(arrays: Arrays, record: dict[str, Any]) -> None:
 
 @dataclass(frozen=True)
 class DatasetRequest:
-    """What the samples of a data set follow from, besides the rig.
+    """What the samples of a data set follow from, besides the rig."""
 
-    Attributes
-    ----------
-    plan : Plan
-        What is projected.
-    scenes : SceneRanges
-        Ranges that scenes are drawn from.
-    samples : int
-        Number of samples, at least 1.
-    seed : int
-        At least 0; another seed gives other scenes.
-    shard_size : int
-        Samples in a shard, at least 1.
-    """
-
-    plan: Plan
-    scenes: SceneRanges
-    samples: int
-    seed: int = 0
-    shard_size: int = 8
+    plan: Plan  # what is projected
+    scenes: SceneRanges  # ranges that scenes are drawn from
+    samples: int  # number of samples, at least 1
+    seed: int = 0  # at least 0; another seed gives other scenes
+    shard_size: int = 8  # samples in a shard, at least 1
 
     def shard(self, number: int) -> range:
-        """List the samples of a shard.
-
-        Parameters
-        ----------
-        number : int
-            Number of the shard.
-
-        Returns
-        -------
-        range
-            Indices of its samples.
-        """
+        """List the samples of a shard."""
         return range(number * self.shard_size, min((number + 1) * self.shard_size, self.samples))
 
 
 class DatasetMaker:
-    """Makes the samples of a data set on an open rig that is a simulation, in any order.
-
-    Parameters
-    ----------
-    rig : Rig
-        The open rig.
-    request : DatasetRequest
-        What is to be made.
-
-    Raises
-    ------
-    ConfigError
-        The rig cannot do the plan or the scenes.
-    """
+    """Makes the samples of a data set on an open rig that is a simulation, in any order."""
 
     def __init__(self, rig: Rig, request: DatasetRequest) -> None:
         check_unwrapping(request.plan, "plan")
@@ -106,13 +68,7 @@ class DatasetMaker:
             rig.stage.home()
 
     def card(self) -> dict[str, Any]:
-        """Make the data set's card.
-
-        Returns
-        -------
-        dict
-            Plain data for JSON, see `make_card`.
-        """
+        """Make the data set's card."""
         request = self._request
         recipe = {
             "samples": request.samples,
@@ -133,29 +89,6 @@ class DatasetMaker:
         Existing shards are checked; one that another process is making is left to it. An interrupted data set
         is
         completed by the same call, with the same result as without the interruption.
-
-        Parameters
-        ----------
-        folder : Path
-            Folder of the data set.
-        progress : Progress
-            Told the share that is done.
-        observe : callable
-            Given the arrays and the record of every sample that is made.
-
-        Returns
-        -------
-        dict
-            The card.
-
-        Raises
-        ------
-        ConfigError
-            The folder holds something else.
-        DataError
-            A shard is damaged, or the disk is full.
-        DeviceError
-            From the rig.
         """
         card, request = self.card(), self._request
         missing = [n for n in range(card["shards"]) if not (folder / shard_name(n)).exists()]
@@ -186,18 +119,7 @@ class DatasetMaker:
                     observe(arrays, record)
 
     def sample(self, index: int) -> tuple[Arrays, dict[str, Any]]:
-        """Make one sample; it does not depend on the samples made before.
-
-        Parameters
-        ----------
-        index : int
-            Index of the sample.
-
-        Returns
-        -------
-        (Arrays, dict)
-            All arrays, and the record of what was drawn: `index`, `split`, `scene` and `world`.
-        """
+        """Make one sample; it does not depend on the samples made before."""
         request, studio = self._request, self._studio
         scene = self._scene(index)
         studio.arrange(scene)
@@ -247,20 +169,7 @@ def _check_ranges(rig: Rig, scenes: SceneRanges) -> None:
 
 
 def need_simulation(rig: Rig, source: Path | str) -> None:
-    """Refuse a rig, open or not, whose scene cannot be arranged.
-
-    Parameters
-    ----------
-    rig : Rig
-        Open or not: its rig file is looked at.
-    source : path or str
-        What the rig is called in the message.
-
-    Raises
-    ------
-    ConfigError
-        The rig's simulation is missing or is not `Arrangeable`.
-    """
+    """Refuse a rig, open or not, whose scene cannot be arranged."""
     section = rig.file.bench
     if section is None or not issubclass(load_backend(section.backend, source, "bench"), Arrangeable):
         raise ConfigError(

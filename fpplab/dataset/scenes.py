@@ -108,23 +108,7 @@ class SceneRanges(Document):
 
     @classmethod
     def load(cls, path: Path | str) -> SceneRanges:
-        """Read a file of ranges.
-
-        Parameters
-        ----------
-        path : Path or str
-            Path, or the name of a file that comes with fpplab. Boards are looked up beside it first.
-
-        Returns
-        -------
-        SceneRanges
-            With paths of the boards that do not come with fpplab made absolute.
-
-        Raises
-        ------
-        ConfigError
-            The file cannot be read, or names an artefact or a board that does not exist.
-        """
+        """Read a file of ranges."""
         found = config.find_config(path, "dataset")
         scenes = config.load_document(found, cls)
         for name in scenes.artefacts:
@@ -158,31 +142,7 @@ _DRAWN_UNIFORMLY = (
 def draw_scene(
     scenes: SceneRanges, seed: int, index: int, devices: Calibration, stage_mm: float
 ) -> DatasetScene:
-    """Draw one scene of a data set.
-
-    Parameters
-    ----------
-    scenes : SceneRanges
-        Ranges to draw from.
-    seed : int
-        Seed of the data set.
-    index : int
-        Index of the sample.
-    devices : Calibration
-        Camera and projector with the stage at `stage_mm`.
-    stage_mm : float
-        Position of the stage in mm, see `draw_stage`.
-
-    Returns
-    -------
-    DatasetScene
-        The scene.
-
-    Raises
-    ------
-    ConfigError
-        Hardly any pose lies in view of both devices.
-    """
+    """Draw one scene of a data set."""
     random = _random(seed, index, _SCENE)
     items = (*scenes.artefacts, *scenes.targets)
     item = items[int(random.integers(len(items)))]
@@ -210,22 +170,7 @@ _SCENE, _STAGE = range(2)
 
 
 def draw_stage(scenes: SceneRanges, seed: int, index: int) -> float:
-    """Draw the position of the stage in one scene.
-
-    Parameters
-    ----------
-    scenes : SceneRanges
-        Ranges to draw from.
-    seed : int
-        Seed of the data set.
-    index : int
-        Index of the sample.
-
-    Returns
-    -------
-    float
-        Position in mm.
-    """
+    """Draw the position of the stage in one scene."""
     return float(_random(seed, index, _STAGE).uniform(*scenes.stage_mm))
 
 

@@ -34,58 +34,18 @@ MOST_SUMS_BYTES = 1_000_000
 
 
 def shard_name(number: int) -> str:
-    """Name the folder of a shard.
-
-    Parameters
-    ----------
-    number : int
-        Number of the shard.
-
-    Returns
-    -------
-    str
-        For example "shard_00000".
-    """
+    """Name the folder of a shard."""
     return f"shard_{number:05d}"
 
 
 def draft_name(number: int) -> str:
-    """Name the folder in which a shard is made.
-
-    Parameters
-    ----------
-    number : int
-        Number of the shard.
-
-    Returns
-    -------
-    str
-        For example ".shard_00000".
-    """
+    """Name the folder in which a shard is made."""
     return f".{shard_name(number)}"
 
 
 @contextmanager
 def claim_shard(folder: Path, number: int) -> Iterator[Path | None]:
-    """Open an empty draft of a shard, which is renamed to the shard when the block ends.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the data set.
-    number : int
-        Number of the shard.
-
-    Yields
-    ------
-    Path or None
-        The draft; None if the shard is complete already, or another process is making it.
-
-    Raises
-    ------
-    DataError
-        It cannot be written.
-    """
+    """Open an empty draft of a shard, which is renamed to the shard when the block ends."""
     final = folder / shard_name(number)
     draft = folder / draft_name(number)
     with writing(final), ExitStack() as stack:
@@ -107,19 +67,7 @@ def claim_shard(folder: Path, number: int) -> Iterator[Path | None]:
 
 
 class ShardWriter:
-    """Writes samples one after the other; leaving the `with` block puts everything on disk, checksums last.
-
-    Parameters
-    ----------
-    draft : Path
-        Empty folder, see `claim_shard`.
-    fields : dict of str to FieldSpec
-        Fields by name.
-    samples : int
-        Number of samples that will be added.
-    dimensions : dict of str to int
-        Lengths of the dimensions, see `dimension_sizes`.
-    """
+    """Writes samples in turn; leaving the `with` block puts everything on disk, checksums last."""
 
     def __init__(
         self, draft: Path, fields: dict[str, FieldSpec], samples: int, dimensions: dict[str, int]
@@ -140,15 +88,7 @@ class ShardWriter:
         return self._stack.enter_context(_Hashed(self._draft / name))
 
     def add(self, arrays: Arrays, scene: dict[str, Any]) -> None:
-        """Append a sample.
-
-        Parameters
-        ----------
-        arrays : Arrays
-            Arrays by field, of exactly the stated types and shapes.
-        scene : dict
-            What was drawn for it, as plain data.
-        """
+        """Append a sample."""
         for name, field in self._fields.items():
             array = np.asarray(arrays[name], order="C")
             assert (array.dtype.str, array.shape) == (field.dtype, field.extent(self._dimensions)), name
@@ -169,18 +109,7 @@ class ShardWriter:
 
 
 def array_file(field: str) -> str:
-    """Name the file of a field in a shard.
-
-    Parameters
-    ----------
-    field : str
-        Name of the field.
-
-    Returns
-    -------
-    str
-        For example "depth.npy".
-    """
+    """Name the file of a field in a shard."""
     return f"{field}.npy"
 
 
@@ -210,18 +139,7 @@ class _Hashed:
 
 
 def check_shard(shard: Path) -> None:
-    """Compare every file of a shard with its checksum.
-
-    Parameters
-    ----------
-    shard : Path
-        Folder of the shard.
-
-    Raises
-    ------
-    DataError
-        Names a file that is damaged, or the shard is incomplete.
-    """
+    """Compare every file of a shard with its checksum."""
     try:
         sums = parse_object(read_bounded(shard / CHECKSUMS, MOST_SUMS_BYTES))
         for name, expected in sums.items():

@@ -19,20 +19,7 @@ class PosableFixture(Fixture):
 
     @final
     def place(self, item: str, T_camera_item: RigidTransform) -> None:
-        """Put an item into a pose.
-
-        Parameters
-        ----------
-        item : str
-            What the fixture calls it.
-        T_camera_item : RigidTransform
-            The pose, in mm in the camera's frame.
-
-        Raises
-        ------
-        SettingError
-            The fixture has no such item, or cannot put it there.
-        """
+        """Put an item into a pose."""
         self._need(State.IDLE, doing="place")
         self._check_held("place", item, 0)
         with self._guard("place"):
@@ -53,24 +40,7 @@ class InstructableFixture(Fixture):
 
     @final
     def instruct(self, item: str, words: str, picture: Path | None = None) -> None:
-        """Ask for an item in a pose.
-
-        Parameters
-        ----------
-        item : str
-            What the fixture calls it.
-        words : str
-            Where it should be, as a clause that follows "Hold board".
-        picture : Path, optional
-            Image file that shows it.
-
-        Raises
-        ------
-        SettingError
-            The fixture has no such item.
-        DeviceError
-            Nobody answers.
-        """
+        """Ask for an item in a pose."""
         self._need(State.IDLE, doing="instruct")
         self._check_held("instruct", item, 0)
         with self._guard("instruct"):

@@ -40,13 +40,7 @@ _watched: set[str] = set()
 
 
 class RigTurn:
-    """The turn of a watcher on a rig; made by `watching_rig`.
-
-    Parameters
-    ----------
-    files : Path
-        Common beginning of the lock files' names.
-    """
+    """The turn of a watcher on a rig; made by `watching_rig`."""
 
     def __init__(self, files: Path) -> None:
         self._files = files
@@ -58,13 +52,7 @@ class RigTurn:
         return self._used is not None
 
     def wanted(self) -> bool:
-        """Tell whether another command wants the rig, or has it.
-
-        Returns
-        -------
-        bool
-            Whether to let go.
-        """
+        """Tell whether another command wants the rig, or has it."""
         handle = _opened(self._files, "wanted")
         try:
             return not _locks(handle)
@@ -72,23 +60,11 @@ class RigTurn:
             os.close(handle)
 
     def wanted_by(self) -> str:
-        """Say who wants the rig.
-
-        Returns
-        -------
-        str
-            The process in words.
-        """
+        """Say who wants the rig."""
         return lock_owner(_named(self._files, "wanted"))
 
     def take(self) -> bool:
-        """Take the rig, if nobody wants or has it.
-
-        Returns
-        -------
-        bool
-            Whether it is the watcher's now.
-        """
+        """Take the rig, if nobody wants or has it."""
         if self._used is None and not self.wanted():
             self._used = _if_locked(self._files, "used")
         return self.is_mine
@@ -102,23 +78,7 @@ class RigTurn:
 
 @contextmanager
 def watching_rig(source: Path | str) -> Iterator[RigTurn]:
-    """Watch a rig, beside commands that measure with it.
-
-    Parameters
-    ----------
-    source : path or str
-        The rig file.
-
-    Yields
-    ------
-    RigTurn
-        Whose turn it is; at first not the watcher's.
-
-    Raises
-    ------
-    DeviceError
-        Another process watches it already.
-    """
+    """Watch a rig, beside commands that measure with it."""
     files = _files_of(source)
     handle = _if_locked(files, "watched")
     if handle is None:
@@ -137,23 +97,7 @@ def watching_rig(source: Path | str) -> Iterator[RigTurn]:
 
 @contextmanager
 def using_rig(source: Path | str) -> Iterator[None]:
-    """Have a rig for a measurement: who watches it lets go first.
-
-    Parameters
-    ----------
-    source : path or str
-        The rig file.
-
-    Yields
-    ------
-    None
-        While the rig may be used.
-
-    Raises
-    ------
-    DeviceError
-        The watcher has not let go within `PATIENCE_S`.
-    """
+    """Have a rig for a measurement: who watches it lets go first."""
     files = _files_of(source)
     if str(files) in _watched:
         yield

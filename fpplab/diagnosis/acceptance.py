@@ -35,16 +35,6 @@ def diagnose_acceptance(found: Acceptance) -> Diagnosis:
 
     An error that is not permitted, and too few positions, make it doubtful. An error of ten times what is
     permitted, or lengths that are wrong by 1 % throughout, make it useless.
-
-    Parameters
-    ----------
-    found : Acceptance
-        Result of the test.
-
-    Returns
-    -------
-    Diagnosis
-        With a finding for each cause.
     """
     judged = found.judgements()
     findings = [*_of_form(found), *_of_lengths(found), *_of_size(found), *_of_positions(found)]
@@ -59,19 +49,7 @@ def diagnose_acceptance(found: Acceptance) -> Diagnosis:
 
 
 def mean_scale(found: Acceptance) -> tuple[float, float] | None:
-    """Estimate the error of scale from the spacings of a ball bar.
-
-    Parameters
-    ----------
-    found : Acceptance
-        Result of the test.
-
-    Returns
-    -------
-    tuple of float or None
-        Mean relative error of the spacing over all positions, and its standard uncertainty, of which the
-        standard's own is a part; None where no ball bar was measured.
-    """
+    """Estimate the error of scale from the spacings of a ball bar."""
     if not found.bars:
         return None
     errors = np.array([bar.spacing_mm / bar.calibrated_mm - 1.0 for bar in found.bars])

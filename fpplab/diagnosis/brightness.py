@@ -49,52 +49,21 @@ def frame_levels(sample: FrameSample) -> Floats:
     """Compute the brightness of each frame at the crests of its fringes, where the scene is bright.
 
     The mean would depend on the phase, where the camera sees few stripes.
-
-    Parameters
-    ----------
-    sample : FrameSample
-        Of K frames.
-
-    Returns
-    -------
-    ndarray of float64, (K,)
-        8-bit grey levels.
     """
+    # returns (K,)
     brightest = sample.spread.max(axis=0)
     bright = brightest >= 0.5 * np.percentile(brightest, 95)
     return np.asarray(np.percentile(sample.spread[:, bright], CREST_PERCENTILE, axis=1))
 
 
 def light_elsewhere(excess: float) -> Finding:
-    """Give what else than a dark projector shows no light anywhere in the image.
-
-    Parameters
-    ----------
-    excess : float
-        That of the darkness.
-
-    Returns
-    -------
-    Finding
-        Which ranks behind that of the dark projector.
-    """
+    """Give what else than a dark projector shows no light anywhere in the image."""
     words = "no light of the projector anywhere: it may be dark, or light another place; images do not tell"
     return Finding(FaultCause.NO_OVERLAP, words, excess)
 
 
 def missing_colour(sample: FrameSample) -> Finding | None:
-    """Look for a colour that is missing or weak: every third frame is darker than the others.
-
-    Parameters
-    ----------
-    sample : FrameSample
-        Of the recording.
-
-    Returns
-    -------
-    Finding or None
-        None where no third of the frames stands out.
-    """
+    """Look for a colour that is missing or weak: every third frame is darker than the others."""
     plan = sample.recording.plan
     starts = zip(pairwise(plan.set_starts), plan.fringes, strict=True)
     frames = [(one.stripes, k) for (a, b), one in starts for k in range(a, b)]
@@ -111,20 +80,8 @@ def missing_colour(sample: FrameSample) -> Finding | None:
 
 
 def colour_finding(levels: Floats, places: NDArray[np.intp]) -> Finding | None:
-    """Tell whether every third of some frames is darker than the others.
-
-    Parameters
-    ----------
-    levels : ndarray of float64, (K,)
-        Brightness that frames of equal patterns would share.
-    places : ndarray of int, (K,)
-        Which pattern of the plan each shows.
-
-    Returns
-    -------
-    Finding or None
-        None where no colour stands out.
-    """
+    """Tell whether every third of some frames is darker than the others."""
+    # levels (K,); places (K,)
     own = [levels[places % COLOURS == c] for c in range(COLOURS)]
     if any(len(part) == 0 for part in own):
         return None
@@ -146,17 +103,8 @@ def row_gains(sample: FrameSample) -> Floats | None:
 
     Sets of more than three images show the gain of each frame; sets of three only that of their mean, which
     is given as if of one frame.
-
-    Parameters
-    ----------
-    sample : FrameSample
-        Of the recording.
-
-    Returns
-    -------
-    ndarray of float64, (F, R) or None
-        Gains of R rows in F frames, as shares, with a mean of 0 in each frame; None where there are few rows.
     """
+    # returns (F, R)
     used = sample.measured
     rows = np.flatnonzero(used.sum(axis=1) >= FEWEST_IN_ROW)
     if len(rows) < FEWEST_ROWS:
@@ -209,18 +157,8 @@ def _even_waves(left: Floats, modulation: Floats, angles: Floats, used: NDArray[
 
 
 def harmonic_waves(angles: Floats) -> Iterator[Floats]:
-    """Give those harmonics of the phase that the fit of a sinusoid to N images leaves.
-
-    Parameters
-    ----------
-    angles : ndarray of float64, (N, ...)
-        Phase in each image in rad, in equal steps along the first axis.
-
-    Yields
-    ------
-    ndarray of float64, (N, ...)
-        Cosine and sine of each order that is not 0, 1 or -1 by modulo N: these go into the sinusoid.
-    """
+    """Give those harmonics of the phase that the fit of a sinusoid to N images leaves."""
+    # angles (N, ...) rad; returns (N, ...)
     turn = np.exp(1j * angles)
     harmonic, reached = turn, 1
     for order in HARMONICS:
@@ -246,18 +184,7 @@ def _between_sets(sample: FrameSample, rows: NDArray[np.intp], sets: Sequence[in
 
 
 def band_finding(sample: FrameSample) -> Finding | None:
-    """Look for bands: rows whose brightness changes from frame to frame, as neighbouring rows' does.
-
-    Parameters
-    ----------
-    sample : FrameSample
-        Of the recording.
-
-    Returns
-    -------
-    Finding or None
-        None where rows keep their brightness.
-    """
+    """Look for bands: rows whose brightness changes from frame to frame, as neighbouring rows' does."""
     gains = row_gains(sample)
     if gains is None:
         return None

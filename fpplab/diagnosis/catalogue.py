@@ -206,33 +206,15 @@ REMEDIES = {
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that is wrong with a rig or a scan.
+    """One thing that is wrong with a rig or a scan."""
 
-    Attributes
-    ----------
-    cause : FaultCause
-        What is wrong.
-    evidence : str
-        How it shows, with the measured value and its limit.
-    excess : float
-        Measured value over its limit, 1 or more, by which findings are ranked.
-    advice : str, optional
-        What to do in this very case; by default what the catalogue says.
-    factor : float, optional
-        By which to multiply the plan's exposure, where that is the remedy or goes with it.
-    ruins_points : bool
-        Whether nobody should use the points, where no finding before it may have brought it about.
-    behind : FaultCause, optional
-        A cause that was found too and may be all that shows here.
-    """
-
-    cause: FaultCause
-    evidence: str
-    excess: float
-    advice: str | None = None
-    factor: float | None = None
-    ruins_points: bool = False
-    behind: FaultCause | None = None
+    cause: FaultCause  # what is wrong
+    evidence: str  # how it shows, with the measured value and its limit
+    excess: float  # measured value over its limit, 1 or more, by which findings are ranked
+    advice: str | None = None  # what to do in this very case; by default what the catalogue says
+    factor: float | None = None  # by which to multiply the plan's exposure
+    ruins_points: bool = False  # whether nobody should use the points
+    behind: FaultCause | None = None  # A cause that was found too and may be all that shows here
 
     @property
     def sentence(self) -> str:
@@ -248,11 +230,5 @@ class Finding:
         return f"{words}; multiply exposure_s by {self.factor:.2g}" if self.factor else words
 
     def summary(self) -> dict[str, str]:
-        """Collect what is printed.
-
-        Returns
-        -------
-        dict of str to str
-            `cause`, `evidence` and `remedy`.
-        """
+        """Collect what is printed."""
         return {"cause": self.cause.value, "evidence": self.evidence, "remedy": self.remedy}

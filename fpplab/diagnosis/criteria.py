@@ -31,30 +31,14 @@ MOST_NOISE = 15.0
 
 @dataclass(frozen=True)
 class Criterion:
-    """A figure of a scan, and its limit.
+    """A figure of a scan, and its limit."""
 
-    Attributes
-    ----------
-    name : str
-        A short key.
-    meaning : str
-        What it is, for people.
-    value : float
-        As measured.
-    limit : float
-        Of a good scan.
-    unit : str
-        Of both; empty for shares and ratios.
-    at_least : bool
-        Whether the limit is the least value, and not the greatest.
-    """
-
-    name: str
-    meaning: str
-    value: float
-    limit: float
-    unit: str = ""
-    at_least: bool = False
+    name: str  # A short key
+    meaning: str  # what it is, for people
+    value: float  # as measured
+    limit: float  # of a good scan
+    unit: str = ""  # of both; empty for shares and ratios
+    at_least: bool = False  # whether the limit is the least value, and not the greatest
 
     @property
     def is_met(self) -> bool:
@@ -69,34 +53,13 @@ class Criterion:
         return f"{self.meaning} is {self.value:.2g}{unit} ({word} {self.limit:.2g}{unit})"
 
     def summary(self) -> dict[str, object]:
-        """Collect what is printed.
-
-        Returns
-        -------
-        dict of str to object
-            All attributes but the meaning, and `met`.
-        """
+        """Collect what is printed."""
         least = {"least" if self.at_least else "most": self.limit}
         return {"name": self.name, "value": self.value, **least, "unit": self.unit, "met": self.is_met}
 
 
 def criteria_of(sample: FrameSample, decoded: Decoded, cloud: Cloud) -> tuple[Criterion, ...]:
-    """Measure what a verdict is given by.
-
-    Parameters
-    ----------
-    sample : FrameSample
-        Of the scan's frames.
-    decoded : Decoded
-        Its coordinates.
-    cloud : Cloud
-        Its points.
-
-    Returns
-    -------
-    tuple of Criterion
-        Those that the scan tells.
-    """
+    """Measure what a verdict is given by."""
     found = (*_of_points(sample, decoded, cloud), *_of_fringes(sample, decoded))
     return tuple(one for one in found if math.isfinite(one.value))
 

@@ -33,23 +33,7 @@ USELESS_BLUR = 8.0
 
 
 def fringe_blur_px(sample: FrameSample, axis: Axis) -> tuple[float, float] | None:
-    """Estimate the blur of the fringes from the modulation of the finest set beside the widest.
-
-    Parameters
-    ----------
-    sample : FrameSample
-        Of the recording.
-    axis : str
-        "x" or "y".
-
-    Returns
-    -------
-    blur_px : float
-        Standard deviation of a Gaussian in projector px; 0 where the finest are as strong as the widest.
-    contrast : float
-        Modulation of the finest over that of the widest.
-        None is returned instead of both where the axis has one number of stripes.
-    """
+    """Estimate the blur of the fringes from the modulation of the finest set beside the widest."""
     plan, size = sample.recording.plan, axis_length(sample.recording.projector_size, axis)
     sets = [k for k, fringe in enumerate(plan.fringes) if fringe.axis == axis]
     frequency = {k: plan.fringes[k].stripes / size for k in sets}
@@ -66,18 +50,7 @@ def fringe_blur_px(sample: FrameSample, axis: Axis) -> tuple[float, float] | Non
 
 
 def edge_blur_px(sample: FrameSample) -> float | None:
-    """Estimate the blur of the camera's image from its sharpest strong edges.
-
-    Parameters
-    ----------
-    sample : FrameSample
-        Of the recording.
-
-    Returns
-    -------
-    float or None
-        Standard deviation of a Gaussian in camera px; None where there is no strong edge.
-    """
+    """Estimate the blur of the camera's image from its sharpest strong edges."""
     mean = sample.offsets_in_tiles.mean(axis=0)
     brightest = float(np.percentile(sample.widest.offset, 98))
     ranges = np.array([np.ptp(np.percentile(tile, (2, 98))) for tile in mean])
@@ -92,20 +65,7 @@ def edge_blur_px(sample: FrameSample) -> float | None:
 
 
 def focus_finding(sample: FrameSample, projector_px_per_px: float | None) -> Finding | None:
-    """Tell which lens is out of focus.
-
-    Parameters
-    ----------
-    sample : FrameSample
-        Of the recording.
-    projector_px_per_px : float or None
-        How many projector px one camera px covers; None where it is not known.
-
-    Returns
-    -------
-    Finding or None
-        None where the fringes have the contrast of a rig in focus.
-    """
+    """Tell which lens is out of focus."""
     seen = [
         (found[1] / _sharp_contrast(sample, axis), found, axis)
         for axis in sample.recording.plan.axes

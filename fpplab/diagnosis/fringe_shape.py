@@ -51,41 +51,14 @@ MOIRE_POINTS = 60_000
 
 
 def unevenness(phase: Floats, used: Mask) -> Floats:
-    """Measure how unevenly phases are spread over a period.
-
-    Parameters
-    ----------
-    phase : ndarray of float64, (..., P)
-        In rad.
-    used : ndarray of bool, (..., P)
-        Which of them count; at least one in each row.
-
-    Returns
-    -------
-    ndarray of float64, (...)
-        Greatest ``|mean exp(imφ)|`` of m = 1, 2 and 3: 0 for an even spread, 1 for a single phase.
-    """
+    """Measure how unevenly phases are spread over a period."""
+    # phase (..., P); used (..., P)
     turns = (np.where(used, np.exp(1j * m * phase), 0.0) for m in (1, 2, 3))
     return np.asarray(np.max([np.abs(turn.sum(axis=-1)) / used.sum(axis=-1) for turn in turns], axis=0))
 
 
 def phase_deviations(sample: FrameSample) -> Iterator[tuple[int, Floats, Floats]]:
-    """Compare the phases of wide sets with those that the coordinate gives, in which the finest set rules.
-
-    Parameters
-    ----------
-    sample : FrameSample
-        With coordinates.
-
-    Yields
-    ------
-    index : int
-        Of the set.
-    expected : ndarray of float64
-        Absolute phase in rad by the coordinate, shaped as the pixels of `spread`; NaN where it is not known.
-    deviation : ndarray of float64
-        Phase measured minus expected in rad, without its mean; NaN where it is not known.
-    """
+    """Compare the phases of wide sets with those that the coordinate gives, in which the finest set rules."""
     recording = sample.recording
     for k, fringe in enumerate(recording.plan.fringes):
         finest = recording.plan.fringes[recording.plan.finest_set(fringe.axis)]
@@ -107,16 +80,6 @@ def ripples(sample: FrameSample) -> Iterator[float]:
 
     Three images show no harmonics by themselves, and four no third one; the coordinate tells which phase each
     wider set should have.
-
-    Parameters
-    ----------
-    sample : FrameSample
-        With coordinates.
-
-    Yields
-    ------
-    float
-        In rad RMS.
     """
     plan = sample.recording.plan
     for k, expected, deviation in phase_deviations(sample):
@@ -131,20 +94,7 @@ def ripples(sample: FrameSample) -> Iterator[float]:
 
 
 def stray_light(sample: FrameSample, explained_rad: float) -> Finding | None:
-    """Look for light that reaches the surface by way of other surfaces, with the phase that is right there.
-
-    Parameters
-    ----------
-    sample : FrameSample
-        With coordinates.
-    explained_rad : float
-        Phase error in rad RMS that response and flicker explain.
-
-    Returns
-    -------
-    Finding or None
-        None where wide and fine fringes agree.
-    """
+    """Look for light that arrives by way of other surfaces, with the phase of those."""
     worst = max((_stray_rad(sample, k, e, d) for k, e, d in phase_deviations(sample)), default=0.0)
     limit = max(MOST_STRAY_RAD, 1.5 * explained_rad)
     if worst <= limit:
@@ -181,16 +131,6 @@ def moire(sample: FrameSample) -> Finding | None:
     """Look for errors of the coordinate that repeat along the projector's pixels, but not with the fringes.
 
     A picture that is scaled before it is shown has places where it is off by up to half a pixel.
-
-    Parameters
-    ----------
-    sample : FrameSample
-        With coordinates.
-
-    Returns
-    -------
-    Finding or None
-        None where there are none.
     """
     found = [one for axis in sample.coordinates if (one := moire_spectrum(sample, axis)) is not None]
     if not found:
@@ -207,22 +147,8 @@ def moire(sample: FrameSample) -> Finding | None:
 
 
 def moire_spectrum(sample: FrameSample, axis: Axis) -> tuple[Floats, Floats] | None:
-    """Measure what of the coordinate's roughness repeats with a frequency along the projector's pixels.
-
-    Parameters
-    ----------
-    sample : FrameSample
-        With coordinates.
-    axis : str
-        Of the coordinate.
-
-    Returns
-    -------
-    cycles : ndarray of float64, (F,)
-        Frequencies in cycles per projector px, without those of the fringes.
-    amplitudes : ndarray of float64, (F,)
-        In projector px. None is returned instead of both where too little of the coordinate is known.
-    """
+    """Measure what of the coordinate's roughness repeats with a frequency along the projector's pixels."""
+    # returns cycles (F,), amplitudes (F,)
     position, rough = _roughness(sample.coordinates[axis], _even(sample.recording.mean_image()), sample.step)
     if len(position) < LEAST_RIPPLED:
         return None

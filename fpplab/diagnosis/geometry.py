@@ -41,18 +41,10 @@ POINTS, NEIGHBOURS = 4000, 64
 
 @dataclass(frozen=True, eq=False)
 class PointSample:
-    """Points of a scan.
+    """Points of a scan."""
 
-    Attributes
-    ----------
-    cloud : Cloud
-        In mm in the camera's frame.
-    calibration : Calibration
-        That they were triangulated with.
-    """
-
-    cloud: Cloud
-    calibration: Calibration
+    cloud: Cloud  # in mm in the camera's frame
+    calibration: Calibration  # that they were triangulated with
 
     @cached_property
     def points(self) -> Floats:
@@ -78,20 +70,7 @@ class PointSample:
 
 
 def geometry_findings(sample: PointSample, plan: Plan) -> Iterator[Finding]:
-    """Look for what is wrong with the geometry.
-
-    Parameters
-    ----------
-    sample : PointSample
-        Of the scan.
-    plan : Plan
-        Of the scan.
-
-    Yields
-    ------
-    Finding
-        In no order.
-    """
+    """Look for what is wrong with the geometry."""
     angle = float(np.median(triangulation_angles_deg(sample.points, sample.calibration)))
     if angle < LEAST_ANGLE_DEG:
         words = f"the rays of camera and projector meet at {angle:.1f} degrees (at least {LEAST_ANGLE_DEG:g})"
@@ -133,20 +112,8 @@ def _aspect(calibration: Calibration) -> Finding | None:
 
 
 def triangulation_angles_deg(points: Floats, calibration: Calibration) -> Floats:
-    """Compute the angle between the rays of camera and projector.
-
-    Parameters
-    ----------
-    points : Floats
-        (N, 3) in mm in the camera's frame.
-    calibration : Calibration
-        Of the rig.
-
-    Returns
-    -------
-    Floats
-        (N,) in degrees.
-    """
+    """Compute the angle between the rays of camera and projector."""
+    # points (N, 3) mm; returns (N,) degrees
     pose = calibration.T_projector_camera
     light = points + pose.rotation.T @ pose.translation
     cosine = np.sum(points * light, axis=1) / np.linalg.norm(points, axis=1) / np.linalg.norm(light, axis=1)
@@ -154,19 +121,7 @@ def triangulation_angles_deg(points: Floats, calibration: Calibration) -> Floats
 
 
 def systematic_epipolar_px(cloud: Cloud) -> float | None:
-    """Compute how far points are off their epipolar lines, where noise averages out over neighbours.
-
-    Parameters
-    ----------
-    cloud : Cloud
-        With `epipolar_px` where two axes are coded.
-
-    Returns
-    -------
-    float or None
-        Median over groups of neighbours of the size of their median, in projector px; None where it is not
-        known.
-    """
+    """Compute how far points are off their epipolar lines, where noise averages out over neighbours."""
     if cloud.epipolar_px is None or len(cloud) < 2 * NEIGHBOURS:
         return None
     usable = len(cloud) // NEIGHBOURS * NEIGHBOURS

@@ -92,18 +92,7 @@ LEAST_DIMMING, MOST_DIMMING = 0.1, 0.9
 
 
 def light_findings(sample: FrameSample) -> Iterator[Finding]:
-    """Look for what is wrong with the frames.
-
-    Parameters
-    ----------
-    sample : FrameSample
-        Of the recording.
-
-    Yields
-    ------
-    Finding
-        In no order.
-    """
+    """Look for what is wrong with the frames."""
     darkness = list(_darkness(sample))
     if darkness:
         yield from darkness
@@ -355,18 +344,7 @@ def _motion(sample: FrameSample) -> Finding | None:
 
 
 def displacements_px(sample: FrameSample) -> list[tuple[float, float]]:
-    """Measure how far the scene is displaced in each fringe set beside the first.
-
-    Parameters
-    ----------
-    sample : FrameSample
-        Of the recording.
-
-    Returns
-    -------
-    list of tuple of float
-        Displacement and its standard uncertainty in camera px, of the second set and those after it.
-    """
+    """Measure how far the scene is displaced in each fringe set beside the first."""
     first, *others = sample.offsets_in_tiles
     return [_displacement(first, other) for other in others]
 

@@ -34,22 +34,7 @@ USELESS_MIRRORED, USELESS_HARM = 0.3, 13.0
 
 
 def with_mirrors(findings: Sequence[Finding], sample: FrameSample, calibration: Calibration) -> list[Finding]:
-    """Look for mirrored light too, and tell where light by way of other surfaces makes points useless.
-
-    Parameters
-    ----------
-    findings : sequence of Finding
-        What the frames show.
-    sample : FrameSample
-        Of the recording, with coordinates.
-    calibration : Calibration
-        Of the rig.
-
-    Returns
-    -------
-    list of Finding
-        At most one of them of `interreflection`, the worse one.
-    """
+    """Look for mirrored light too, and tell where light by way of other surfaces makes points useless."""
     cause = FaultCause.INTERREFLECTION
     others = [one for one in findings if one.cause is not cause]
     backward = {axis: runs_backward(sample, calibration, axis) for axis in sample.coordinates}
@@ -74,22 +59,6 @@ def runs_backward(sample: FrameSample, calibration: Calibration, axis: Axis) -> 
     """Find where the coordinate runs against the calibration.
 
     No surface that both devices see shows that, but its image in another surface does.
-
-    Parameters
-    ----------
-    sample : FrameSample
-        With coordinates.
-    calibration : Calibration
-        Of the rig.
-    axis : str
-        Of the coordinate.
-
-    Returns
-    -------
-    where : ndarray of bool
-        Shaped as the pixels of `spread`.
-    share : float
-        Of the blocks with fringes.
     """
     shares = changes_along_image(sample.coordinates[axis], calibration, axis, sample.step)
     height, width = sample.spread.shape[1:]

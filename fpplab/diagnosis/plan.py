@@ -46,28 +46,6 @@ def plan_finding(
 
     A coordinate that runs against the calibration is always noticed. Other plans are tried where it does,
     where the sets contradict each other, or where few pixels become points.
-
-    Parameters
-    ----------
-    recording : Recording
-        All frames of a plan.
-    decoded : Decoded
-        Its projector coordinates.
-    sample : FrameSample
-        Of the recording.
-    cloud : Cloud or None
-        Its points; None where there are none.
-    calibration : Calibration
-        That they were triangulated with.
-    flickers : bool
-        Whether the light is known to flicker, which shifts the phase of whole sets as other origins would.
-    bent : bool
-        Whether the fringes are known to be no sinusoids, so that sets of a right plan disagree too.
-
-    Returns
-    -------
-    list of Finding
-        One where another plan fits the images, otherwise none.
     """
     against = _runs_against(decoded, calibration, recording.plan.axes)
     if against is None and not _is_suspicious(decoded, sample, cloud):
@@ -119,23 +97,8 @@ def changes_along_image(coordinate: Map, calibration: Calibration, axis: Axis, s
 
     On a surface at constant depth the calibration tells how the coordinate changes along the image. A slope
     of the surface makes it change faster or slower, but never backwards: both devices see its front.
-
-    Parameters
-    ----------
-    coordinate : ndarray of float32, (height, width)
-        Of the projector in px, NaN where it is not measured.
-    calibration : Calibration
-        Of the rig.
-    axis : str
-        Of the coordinate.
-    stride : int
-        Distance in px between the pixels where it is compared.
-
-    Returns
-    -------
-    ndarray of float64, (rows, columns)
-        Change beside that on a surface at constant depth; NaN where it is not known.
     """
+    # coordinate (height, width) px; returns (rows, columns)
     here = coordinate[:-1:stride, :-1:stride].astype(np.float64)
     right = coordinate[:-1:stride, 1::stride][:, : here.shape[1]] - here
     down = coordinate[1::stride, :-1:stride][: here.shape[0]] - here

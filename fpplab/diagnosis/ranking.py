@@ -46,19 +46,7 @@ RUINOUS_OFFSET = 10.0
 
 
 def ranked(findings: Iterable[Finding]) -> tuple[Finding, ...]:
-    """Rank findings, the one to see to first at the front.
-
-    Parameters
-    ----------
-    findings : iterable of Finding
-        In any order, with the excess that each has by itself.
-
-    Returns
-    -------
-    tuple of Finding
-        The worst first; those that others may have brought about have an excess below theirs, and name the
-        worst of these.
-    """
+    """Rank findings, the one to see to first at the front."""
     seen = _with_rig_first(list(findings))
     weighed = [replace(one, excess=_weight(one, seen), behind=_source(one, seen)) for one in seen]
     return tuple(sorted(weighed, key=lambda one: -one.excess))

@@ -62,33 +62,14 @@ class DiagnosisFile(Origin):
     """What the verdict was given by; older files have none."""
 
     def diagnosis(self) -> Diagnosis:
-        """Convert to a diagnosis.
-
-        Returns
-        -------
-        Diagnosis
-            The same verdict and findings.
-        """
+        """Convert to a diagnosis."""
         findings = tuple(Finding(one.cause, one.evidence, one.excess, one.remedy) for one in self.findings)
         criteria = tuple(Criterion(**one.model_dump()) for one in self.criteria)
         return Diagnosis(self.verdict, self.reason, findings, self.not_checked, criteria)
 
 
 def save_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
-    """Write the verdict into a session.
-
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-        Given now.
-    folder : Path
-        Of the session.
-
-    Raises
-    ------
-    DataError
-        The file cannot be written.
-    """
+    """Write the verdict into a session."""
     findings = tuple(
         FindingFile(cause=one.cause, evidence=one.evidence, remedy=one.remedy, excess=_finite(one.excess))
         for one in diagnosis.findings
@@ -104,23 +85,7 @@ def save_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
 
 
 def load_diagnosis(folder: Path) -> DiagnosisFile | None:
-    """Read the verdict of a session.
-
-    Parameters
-    ----------
-    folder : Path
-        Of the session.
-
-    Returns
-    -------
-    DiagnosisFile or None
-        None where it is not recorded.
-
-    Raises
-    ------
-    ConfigError
-        The file is damaged.
-    """
+    """Read the verdict of a session."""
     path = folder / VERDICT
     return config.load_document(path, DiagnosisFile) if path.is_file() else None
 

@@ -38,54 +38,23 @@ MEDIAN = 0.6745
 
 @dataclass(frozen=True, eq=False)
 class SetFit:
-    """The sinusoid of one fringe set at some pixels, in 8-bit grey levels.
+    """The sinusoid of one fringe set at some pixels, in 8-bit grey levels."""
 
-    Attributes
-    ----------
-    offset : ndarray of float64
-        A, shaped as the pixels.
-    modulation : ndarray of float64
-        B, of the same shape.
-    phase : ndarray of float64
-        Phase in rad, of the same shape.
-    """
-
-    offset: Floats
-    modulation: Floats
-    phase: Floats
+    offset: Floats  # A, shaped as the pixels
+    modulation: Floats  # B, of the same shape
+    phase: Floats  # phase in rad, of the same shape
 
 
 @dataclass(frozen=True, eq=False)
 class FrameSample:
-    """Pixels of a recording.
+    """Pixels of a recording."""
 
-    Attributes
-    ----------
-    recording : Recording
-        Whose they are.
-    coordinates : dict of str to ndarray of float32, (height, width)
-        Projector coordinates in px by axis, NaN where they are not measured; empty where none are known.
-    """
-
-    recording: Recording
-    coordinates: dict[Axis, Map] = field(default_factory=dict)
+    recording: Recording  # whose they are
+    coordinates: dict[Axis, Map] = field(default_factory=dict)  # projector coordinates in px by axis
 
     @classmethod
     def of(cls, recording: Recording, decoded: Decoded | None) -> FrameSample:
-        """Take the pixels of a recording, with their coordinates where it is decoded.
-
-        Parameters
-        ----------
-        recording : Recording
-            Whose they are.
-        decoded : Decoded or None
-            Its projector coordinates.
-
-        Returns
-        -------
-        FrameSample
-            Of both.
-        """
+        """Take the pixels of a recording, with their coordinates where it is decoded."""
         known = {axis: decoded.coordinate(axis) for axis in recording.plan.axes} if decoded else {}
         return cls(recording, known)
 
@@ -182,18 +151,7 @@ class FrameSample:
         return max(robust_spread(bend.ravel(), 0.0) / math.sqrt(12.0), math.sqrt(1.0 / 12.0))
 
     def noise(self, offset: Floats | float) -> Floats:
-        """Compute the standard deviation of the modulation of the widest fringes.
-
-        Parameters
-        ----------
-        offset : float or ndarray of float64
-            A in grey levels.
-
-        Returns
-        -------
-        ndarray of float64
-            Grey levels.
-        """
+        """Compute the standard deviation of the modulation of the widest fringes."""
         steps, model = self.recording.plan.fringes[self._widest].images, self.errors.noise
         # Motion and flicker pass for noise in the model, which compares frames, but not between neighbours.
         seen = float(model.variance(float(self.offsets_in_tiles.mean())))
@@ -201,18 +159,7 @@ class FrameSample:
         return np.asarray(np.sqrt(2.0 / steps * np.maximum(share * model.variance(offset), 1.0 / 12.0)))
 
     def phase_noise(self, index: int) -> float:
-        """Compute the noise of the phase of a fringe set at a typical measured pixel; there must be some.
-
-        Parameters
-        ----------
-        index : int
-            Of the set.
-
-        Returns
-        -------
-        float
-            Standard deviation in rad.
-        """
+        """Compute the noise of the phase of a fringe set at a typical measured pixel; there must be some."""
         fit, steps = self.fits[index], self.recording.plan.fringes[index].images
         offset = float(np.median(fit.offset[self.measured]))
         modulation = max(float(np.median(fit.modulation[self.measured])), 1e-6)
@@ -235,18 +182,7 @@ class FrameSample:
         return np.asarray((self.widest.modulation >= least) | (self.saturated & (self.widest.offset > 128.0)))
 
     def pixels_seeing_fringes(self, cloud: Cloud) -> float:
-        """Count the pixels of the whole image that see the projector's fringes.
-
-        Parameters
-        ----------
-        cloud : Cloud
-            Points of the recording.
-
-        Returns
-        -------
-        float
-            All pixels that became points, and as many others as the sample's lit ones stand for.
-        """
+        """Count the pixels of the whole image that see the projector's fringes."""
         others = self.lit.copy()
         if cloud.pixels is not None:
             u, v = cloud.pixels[(cloud.pixels % self.step == 0).all(axis=1)].T // self.step

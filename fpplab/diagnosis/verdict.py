@@ -57,27 +57,13 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Verdict on a scan.
+    """Verdict on a scan."""
 
-    Attributes
-    ----------
-    verdict : Verdict
-        Whether to believe it.
-    reason : str
-        One sentence.
-    findings : tuple of Finding
-        What is wrong, the worst first.
-    unknown : tuple of str
-        What could not be checked, and why.
-    criteria : tuple of Criterion
-        What the verdict on points was given by.
-    """
-
-    verdict: Verdict
-    reason: str
-    findings: tuple[Finding, ...]
-    unknown: tuple[str, ...] = ()
-    criteria: tuple[Criterion, ...] = ()
+    verdict: Verdict  # whether to believe it
+    reason: str  # one sentence
+    findings: tuple[Finding, ...]  # what is wrong, the worst first
+    unknown: tuple[str, ...] = ()  # what could not be checked, and why
+    criteria: tuple[Criterion, ...] = ()  # what the verdict on points was given by
 
     @property
     def sentence(self) -> str:
@@ -90,31 +76,12 @@ class Diagnosis:
         return self.verdict is Verdict.USELESS
 
     def require_usable(self, name: str, figures: Mapping[str, object] | None = None) -> None:
-        """Refuse a result that nobody should use.
-
-        Parameters
-        ----------
-        name : str
-            What it is called in the message.
-        figures : mapping of str to object, optional
-            Further figures for `--json`.
-
-        Raises
-        ------
-        UselessScanError
-            It is useless.
-        """
+        """Refuse a result that nobody should use."""
         if self.is_useless:
             raise UselessScanError(name, self, figures)
 
     def summary(self) -> dict[str, object]:
-        """Collect what is printed.
-
-        Returns
-        -------
-        dict of str to object
-            `verdict`, `reason`, `findings` and `not_checked`, and `criteria` of points.
-        """
+        """Collect what is printed."""
         criteria = {"criteria": [one.summary() for one in self.criteria]} if self.criteria else {}
         return {
             "verdict": self.verdict.value,
@@ -126,17 +93,7 @@ class Diagnosis:
 
 
 class UselessScanError(DataError):
-    """A result that nobody should use; it is not written.
-
-    Parameters
-    ----------
-    name : str
-        Of the scan, or of the output.
-    diagnosis : Diagnosis
-        Why.
-    figures : mapping of str to object, optional
-        Further figures for `--json`.
-    """
+    """A result that nobody should use; it is not written."""
 
     def __init__(self, name: str, diagnosis: Diagnosis, figures: Mapping[str, object] | None = None) -> None:
         self.name, self.diagnosis, self._figures = name, diagnosis, dict(figures or {})
@@ -162,24 +119,7 @@ def diagnosis_of(
     unknown: Sequence[str] = (),
     useless: Mapping[FaultCause, float] | None = None,
 ) -> Diagnosis:
-    """Judge a result by what was found alone.
-
-    Parameters
-    ----------
-    findings : sequence of Finding
-        What is wrong, in any order.
-    good : str
-        The reason where nothing is.
-    unknown : sequence of str
-        What could not be checked, and why.
-    useless : mapping of FaultCause to float, optional
-        Excess of a finding from which on nobody should use the result, by cause.
-
-    Returns
-    -------
-    Diagnosis
-        Its findings in order, what makes the result useless before all others.
-    """
+    """Judge a result by what was found alone."""
     ruins = useless or {}
     ranked = sorted(findings, key=lambda one: (one.excess < ruins.get(one.cause, float("inf")), -one.excess))
     if not ranked:
@@ -191,20 +131,7 @@ def diagnosis_of(
 
 
 def diagnose_frames(recording: Recording, decoded: Decoded | None = None) -> tuple[Finding, ...]:
-    """Look for what is wrong with the frames of a recording alone.
-
-    Parameters
-    ----------
-    recording : Recording
-        All frames of a plan.
-    decoded : Decoded, optional
-        Its projector coordinates, which show harmonics that three steps hide.
-
-    Returns
-    -------
-    tuple of Finding
-        The worst first.
-    """
+    """Look for what is wrong with the frames of a recording alone."""
     return ranked(_of_frames(FrameSample.of(recording, decoded), None))
 
 
@@ -216,29 +143,7 @@ def diagnose_scan(
     intended: Plan | None = None,
     foreign: str | None = None,
 ) -> Diagnosis:
-    """Judge a scan.
-
-    Parameters
-    ----------
-    recording : Recording
-        Its frames.
-    decoded : Decoded
-        Its projector coordinates.
-    cloud : Cloud or None
-        Its points; None where there are none.
-    calibration : Calibration
-        That they were triangulated with.
-    intended : Plan, optional
-        The plan whose fringes must suit the rig, where the recording has more of them for the diagnosis; by
-        default the recording's.
-    foreign : str, optional
-        How the devices are others than those that the calibration was made with.
-
-    Returns
-    -------
-    Diagnosis
-        With everything that is found.
-    """
+    """Judge a scan."""
     plan, sample = intended or recording.plan, FrameSample.of(recording, decoded)
     points = PointSample(cloud, calibration) if cloud is not None else None
     scale = float(points.projector_px_per_px["xy".index(plan.axes[0])]) if points else None
@@ -274,24 +179,7 @@ def diagnose_poses(
     left_out: Mapping[str, str],
     of_fit: Sequence[Finding] = (),
 ) -> Diagnosis:
-    """Judge a characterisation by the frames of its poses, and by what the fit said.
-
-    Parameters
-    ----------
-    recordings : iterable of tuple of str and Recording
-        Name and frames of each pose.
-    warnings : sequence of str
-        Of the fit.
-    left_out : mapping of str to str
-        Why poses could not be used, by name.
-    of_fit : sequence of Finding
-        What the fit of the poses shows.
-
-    Returns
-    -------
-    Diagnosis
-        With one finding for each cause, of the pose where it is worst.
-    """
+    """Judge a characterisation by the frames of its poses, and by what the fit said."""
     found: dict[FaultCause, list[tuple[str, Finding]]] = {}
     poses = 0
     for name, recording in recordings:

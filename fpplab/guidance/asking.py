@@ -15,25 +15,7 @@ Bring = Callable[[WantedPose, Path], None]
 
 
 def bring_by(fixture: Fixture, item: str) -> Bring:
-    """Choose how the fixture is told.
-
-    Parameters
-    ----------
-    fixture : Fixture
-        The rig's, open.
-    item : str
-        What it calls the board.
-
-    Returns
-    -------
-    Bring
-        Returns once the board is at rest.
-
-    Raises
-    ------
-    CapabilityError
-        The fixture takes neither a transform nor words.
-    """
+    """Choose how the fixture is told."""
     if isinstance(fixture, PosableFixture):
         return lambda wanted, _: _place(fixture, item, wanted)
     if isinstance(fixture, InstructableFixture):
@@ -49,20 +31,7 @@ def bring_by(fixture: Fixture, item: str) -> Bring:
 
 
 def known_first(fixture: Fixture, item: str) -> RigidTransform | None:
-    """Tell where the fixture holds the board in the first pose, before the camera can measure it.
-
-    Parameters
-    ----------
-    fixture : Fixture
-        The rig's, open.
-    item : str
-        What it calls the board.
-
-    Returns
-    -------
-    RigidTransform or None
-        T_camera_item in mm; None where the fixture does not know, as a person.
-    """
+    """Tell where the fixture holds the board in the first pose, before the camera can measure it."""
     return fixture.pose(item, 0) if isinstance(fixture, PosableFixture) else None
 
 

@@ -14,61 +14,23 @@ from fpplab.sessions.session import Session
 
 @dataclass(frozen=True, eq=False)
 class PoseAttempt:
-    """One pose that was asked for and taken.
+    """One pose that was asked for and taken."""
 
-    Attributes
-    ----------
-    name : str
-        Of the pose.
-    words : str
-        What was asked for.
-    points : int
-        Points of the board that were found.
-    rms_px : dict of str to float
-        RMS of `camera` and `projector` in px; where it was accepted in the fit with all poses before, else
-        with only its own pose fitted. Empty before they are known.
-    fit : PoseFit or None
-        Residuals beside those that the poses before predict; None for the first poses.
-    form_mm : float or None
-        Standard uncertainty of form in mm with this pose; None before it is known, and where it was rejected.
-    findings : tuple of Finding
-        What is wrong with it: why it was rejected, or what it shares with the pose before it.
-    accepted : bool
-        Whether it counts.
-    """
-
-    name: str
-    words: str
-    points: int
-    rms_px: dict[str, float]
-    fit: PoseFit | None
-    form_mm: float | None
-    findings: tuple[Finding, ...]
-    accepted: bool
+    name: str  # of the pose
+    words: str  # what was asked for
+    points: int  # points of the board that were found
+    rms_px: dict[str, float]  # RMS of `camera` and `projector` in px
+    fit: PoseFit | None  # residuals beside those that the poses before predict; None for the first poses
+    form_mm: float | None  # standard uncertainty of form in mm with this pose
+    findings: tuple[Finding, ...]  # what is wrong with it
+    accepted: bool  # whether it counts
 
     def rejected_later(self, finding: Finding) -> PoseAttempt:
-        """Take the acceptance back.
-
-        Parameters
-        ----------
-        finding : Finding
-            Why.
-
-        Returns
-        -------
-        PoseAttempt
-            The same, rejected.
-        """
+        """Take the acceptance back."""
         return replace(self, accepted=False, findings=(finding, *self.findings))
 
     def summary(self) -> dict[str, Any]:
-        """Collect what is printed.
-
-        Returns
-        -------
-        dict of str to object
-            Plain data, lengths in µm.
-        """
+        """Collect what is printed."""
         fit = self.fit
         predicted = (
             {"camera": fit.camera.predicted_px, "projector": fit.projector.predicted_px} if fit else {}
@@ -87,33 +49,15 @@ class PoseAttempt:
 
 @dataclass(frozen=True, eq=False)
 class GuidedRun:
-    """Result of a guided characterisation.
+    """Result of a guided characterisation."""
 
-    Attributes
-    ----------
-    result : Characterisation
-        From the poses that were accepted.
-    sessions : tuple of Session
-        Of these poses.
-    attempts : tuple of PoseAttempt
-        All poses taken, in their order.
-    form_mm : float
-        Standard uncertainty of form in mm that the calibration leaves, without the board's scale.
-    scale_mm : float
-        What the board's scale adds to it, in mm.
-    until_mm : float or None
-        The uncertainty that was asked for.
-    depth_mm : DepthInterval
-        Working range of depths in mm.
-    """
-
-    result: Characterisation
-    sessions: tuple[Session, ...]
-    attempts: tuple[PoseAttempt, ...]
-    form_mm: float
-    scale_mm: float
-    until_mm: float | None
-    depth_mm: DepthInterval
+    result: Characterisation  # from the poses that were accepted
+    sessions: tuple[Session, ...]  # of these poses
+    attempts: tuple[PoseAttempt, ...]  # all poses taken, in their order
+    form_mm: float  # standard uncertainty of form in mm that the calibration leaves
+    scale_mm: float  # what the board's scale adds to it, in mm
+    until_mm: float | None  # the uncertainty that was asked for
+    depth_mm: DepthInterval  # working range of depths in mm
 
     @property
     def reached(self) -> bool:
@@ -135,13 +79,7 @@ class GuidedRun:
         return f"{known}; {asked}: give the same command with more --poses, which keeps those taken"
 
     def summary(self) -> dict[str, Any]:
-        """Collect what is printed.
-
-        Returns
-        -------
-        dict of str to object
-            Plain data, lengths in µm but for the depths.
-        """
+        """Collect what is printed."""
         return {
             "form_um": in_um(self.form_mm),
             "scale_um": in_um(self.scale_mm),
@@ -153,16 +91,5 @@ class GuidedRun:
 
 
 def in_um(length_mm: float | None) -> float | None:
-    """Convert a length that may be unknown.
-
-    Parameters
-    ----------
-    length_mm : float or None
-        In mm.
-
-    Returns
-    -------
-    float or None
-        In µm.
-    """
+    """Convert a length that may be unknown."""
     return None if length_mm is None else 1e3 * length_mm

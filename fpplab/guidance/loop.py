@@ -59,74 +59,22 @@ Bar = Callable[[str], AbstractContextManager[Progress]]
 
 @dataclass(frozen=True)
 class GuidedSettings:
-    """What a guided characterisation is to reach, and how.
+    """What a guided characterisation is to reach, and how."""
 
-    Attributes
-    ----------
-    item : str
-        What the rig's fixture calls the board.
-    poses : int
-        Most poses that count.
-    until_mm : float or None
-        Standard uncertainty of form in mm at which the loop ends; None takes all poses.
-    depth_mm : DepthInterval or None
-        Working range of depths in mm; None takes some percent about the first pose.
-    level : DistortionModel or str
-        Which distortion is fitted at the end; the loop takes k3 for `auto`.
-    refine_board : bool
-        Whether the board's shape is fitted too.
-    force : bool
-        Whether poses that were taken before are taken anew.
-    """
-
-    item: str = "board"
-    poses: int = 12
-    until_mm: float | None = None
-    depth_mm: DepthInterval | None = None
-    level: DistortionModel | Literal["auto"] = "auto"
-    refine_board: bool = True
-    force: bool = False
+    item: str = "board"  # what the rig's fixture calls the board
+    poses: int = 12  # most poses that count
+    until_mm: float | None = None  # standard uncertainty of form in mm at which the loop ends
+    depth_mm: DepthInterval | None = None  # working range of depths in mm
+    level: DistortionModel | Literal["auto"] = "auto"  # which distortion is fitted at the end
+    refine_board: bool = True  # whether the board's shape is fitted too
+    force: bool = False  # whether poses that were taken before are taken anew
 
 
 def guided_characterisation(
     rig: Rig, plan: Plan, target: Target, folder: Path, settings: GuidedSettings,
     tell: Callable[[str], object], bar: Bar, observe_frame: FrameObserver = ignore,
 ) -> GuidedRun:  # fmt: skip
-    """Characterise a rig by poses that are asked for one at a time.
-
-    Parameters
-    ----------
-    rig : Rig
-        Open, with a fixture that can be told or asked.
-    plan : Plan
-        With fringes along x and y.
-    target : Target
-        The board.
-    folder : Path
-        Of the poses: complete ones of an earlier run are kept and count.
-    settings : GuidedSettings
-        What is to be reached.
-    tell : callable
-        Given a line for each pose.
-    bar : Bar
-        Shows progress while a pose is taken.
-    observe_frame : FrameObserver
-        Given every frame once it is on disk.
-
-    Returns
-    -------
-    GuidedRun
-        The characterisation, and how it came about.
-
-    Raises
-    ------
-    ConfigError, DeviceError, DataError
-        As `take`; the poses until then are kept.
-    CapabilityError
-        The fixture can neither be told a pose nor be asked.
-    CalibrationError
-        Many poses in succession are rejected, or those accepted do not determine the devices.
-    """
+    """Characterise a rig by poses that are asked for one at a time."""
     return _Loop(rig, plan, target, folder, settings, tell, bar, observe_frame).run()
 
 

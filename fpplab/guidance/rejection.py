@@ -19,18 +19,7 @@ SPOILING = {
 
 
 def frame_findings(recording: Recording) -> tuple[Finding, ...]:
-    """Look for what is wrong with the frames of a pose.
-
-    Parameters
-    ----------
-    recording : Recording
-        Its frames.
-
-    Returns
-    -------
-    tuple of Finding
-        Those that spoil the pose, the worst first.
-    """
+    """Look for what is wrong with the frames of a pose."""
     return tuple(one for one in diagnose_frames(recording) if one.cause in SPOILING)
 
 
@@ -38,18 +27,6 @@ def unseen_board(reason: str, findings: tuple[Finding, ...]) -> tuple[Finding, .
     """Name a board that was not found, behind what its frames give as the cause.
 
     Where there is no board there are no fringes to be seen either, so darkness comes after it.
-
-    Parameters
-    ----------
-    reason : str
-        What the detection said.
-    findings : tuple of Finding
-        Of the frames, the worst first.
-
-    Returns
-    -------
-    tuple of Finding
-        The likeliest cause first.
     """
     dark = {FaultCause.PROJECTOR_DARK, FaultCause.NO_OVERLAP}
     unseen = Finding(FaultCause.BOARD_NOT_FOUND, reason, 1.0)
@@ -58,18 +35,7 @@ def unseen_board(reason: str, findings: tuple[Finding, ...]) -> tuple[Finding, .
 
 
 def inconsistent_pose(reason: str) -> Finding:
-    """Name a pose that turned out inconsistent with the others.
-
-    Parameters
-    ----------
-    reason : str
-        What the fit said.
-
-    Returns
-    -------
-    Finding
-        With the catalogue's remedy.
-    """
+    """Name a pose that turned out inconsistent with the others."""
     return Finding(FaultCause.POSE_MISFIT, reason, 1.0)
 
 
@@ -78,16 +44,6 @@ def residual_finding(fit: PoseFit | None) -> Finding | None:
 
     Where the camera's are as predicted and the projector's are not, the board has moved between the image in
     which it is found and the fringes.
-
-    Parameters
-    ----------
-    fit : PoseFit or None
-        Residuals beside those predicted.
-
-    Returns
-    -------
-    Finding or None
-        None where they are not far beyond those predicted.
     """
     if fit is None or not fit.far:
         return None

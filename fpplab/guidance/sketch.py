@@ -27,24 +27,8 @@ OUTLINE, TOP, INK = (60, 200, 255), (70, 110, 255), (255, 255, 255)
 
 
 def write_sketch(path: Path, wanted: WantedPose, size: ImageSize, seen: NDArray[Any] | None = None) -> None:
-    """Draw a pose.
-
-    Parameters
-    ----------
-    path : Path
-        PNG file, replaced.
-    wanted : WantedPose
-        With its outline.
-    size : ImageSize
-        (width, height) of the camera's image in px.
-    seen : ndarray, optional
-        (height, width) what the camera saw last, in any scale of grey.
-
-    Raises
-    ------
-    DataError
-        The file cannot be written.
-    """
+    """Draw a pose."""
+    # size (width, height) px; seen (height, width)
     scale = WIDTH / size[0]
     picture = np.full((round(scale * size[1]), WIDTH, 3), 40, np.uint8)
     if seen is not None:

@@ -6,22 +6,7 @@ from fpplab.guidance.attempts import PoseAttempt, in_um
 
 
 def accepted_words(number: int, attempt: PoseAttempt, until_mm: float | None) -> str:
-    """Tell of a pose that counts.
-
-    Parameters
-    ----------
-    number : int
-        How many poses count with it.
-    attempt : PoseAttempt
-        The pose.
-    until_mm : float or None
-        Uncertainty of form in mm that is wanted.
-
-    Returns
-    -------
-    str
-        Residuals beside those predicted, and the uncertainty now beside that wanted.
-    """
+    """Tell of a pose that counts."""
     parts = [f"pose {number}: {attempt.points} points"]
     if attempt.rms_px:
         parts.append(_residuals(attempt))
@@ -35,20 +20,7 @@ def accepted_words(number: int, attempt: PoseAttempt, until_mm: float | None) ->
 
 
 def rejected_words(number: int, attempt: PoseAttempt) -> str:
-    """Tell of a pose that does not count.
-
-    Parameters
-    ----------
-    number : int
-        Of the pose, had it been accepted.
-    attempt : PoseAttempt
-        The pose.
-
-    Returns
-    -------
-    str
-        What is wrong, and what to do.
-    """
+    """Tell of a pose that does not count."""
     worst, *others = attempt.findings
     more = f" (and {others[0].sentence})" if others else ""
     return f"pose {number} rejected: {worst.sentence}{more}; {worst.remedy}"

@@ -31,31 +31,15 @@ GOOD = 10
 
 @dataclass
 class BoardCoverage:
-    """Poses taken so far.
+    """Poses taken so far."""
 
-    Attributes
-    ----------
-    target : Target
-        The board.
-    camera_size, projector_size : tuple of int
-        (width, height) in px.
-    lattice : Lattice
-        Arrangement of the projector's mirrors.
-    depth_mm : DepthInterval or None
-        Working range of depths in mm, where it is known.
-    sessions : list of Path
-        Of the poses that were kept.
-    left_out : list of str
-        Why others were not.
-    """
-
-    target: Target
-    camera_size: tuple[int, int]
-    projector_size: tuple[int, int]
-    lattice: Lattice = Lattice.SQUARE
-    depth_mm: DepthInterval | None = None
-    sessions: list[Path] = field(default_factory=list)
-    left_out: list[str] = field(default_factory=list)
+    target: Target  # the board
+    camera_size: tuple[int, int]  # (width, height) in px
+    projector_size: tuple[int, int]  # (width, height) in px
+    lattice: Lattice = Lattice.SQUARE  # arrangement of the projector's mirrors
+    depth_mm: DepthInterval | None = None  # working range of depths in mm, where it is known
+    sessions: list[Path] = field(default_factory=list)  # of the poses that were kept
+    left_out: list[str] = field(default_factory=list)  # why others were not
     _seen: list[Observation] = field(default_factory=list)
     _next: tuple[str, ...] = ()
 
@@ -65,18 +49,7 @@ class BoardCoverage:
         self._next = self._lacking()
 
     def add(self, session: Session) -> str:
-        """Find the board in the frames of a pose, and count it.
-
-        Parameters
-        ----------
-        session : Session
-            Complete.
-
-        Returns
-        -------
-        str
-            What came of it, for the operator.
-        """
+        """Find the board in the frames of a pose, and count it."""
         name = session.path.name
         try:
             decoded = decode_session(session)
@@ -102,13 +75,7 @@ class BoardCoverage:
         return advise_by_coverage(self._seen, self.target, self.camera_size, self.projector_size)
 
     def summary(self) -> dict[str, object]:
-        """Collect what is shown.
-
-        Returns
-        -------
-        dict
-            `poses`, `camera` and `projector` (which ninths of their images hold points, by row), `next`.
-        """
+        """Collect what is shown."""
         return {
             "poses": len(self.sessions),
             "camera": _ninths([o.camera_px for o in self._seen], self.camera_size),
@@ -129,22 +96,8 @@ def advise_by_coverage(
     camera_size: tuple[int, int],
     projector_size: tuple[int, int],
 ) -> tuple[str, ...]:
-    """Say what is missing of the poses so far.
-
-    Parameters
-    ----------
-    observations : sequence of Observation
-        The poses so far.
-    target : Target
-        The board.
-    camera_size, projector_size : tuple of int
-        (width, height) in px.
-
-    Returns
-    -------
-    tuple of str
-        Sentences, the most helpful first.
-    """
+    """Say what is missing of the poses so far."""
+    # camera_size, projector_size (width, height) px
     if not observations:
         return ("hold the board upright in the middle, and take the first pose",)
     words: list[str] = []

@@ -41,18 +41,10 @@ LEAST_CONTRAST = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class RigGeometry:
-    """Both fields of a characterised rig, and where it is to measure.
+    """Both fields of a characterised rig, and where it is to measure."""
 
-    Attributes
-    ----------
-    calibration : Calibration
-        Of the rig.
-    stated : DepthRange or None
-        Distances between which everything lies, where they are stated.
-    """
-
-    calibration: Calibration
-    stated: DepthRange | None = None
+    calibration: Calibration  # of the rig
+    stated: DepthRange | None = None  # distances between which everything lies, where they are stated
 
     @cached_property
     def rays(self) -> Floats:
@@ -66,13 +58,7 @@ class RigGeometry:
 
     @cached_property
     def meeting_mm(self) -> float:
-        """Distance from the camera at which both devices' middle rays come nearest to each other.
-
-        Raises
-        ------
-        ConfigError
-            That is behind the camera.
-        """
+        """Distance from the camera at which both devices' middle rays come nearest to each other."""
         calibration, pose = self.calibration, self.calibration.T_projector_camera.inverse()
         middles = [(np.array(device.size) - 1) / 2 for device in (calibration.camera, calibration.projector)]
         slopes = [
@@ -90,33 +76,12 @@ class RigGeometry:
         return float(there)
 
     def overlap(self, distance_mm: float) -> float:
-        """Compute which share of the camera's image the projector lights.
-
-        Parameters
-        ----------
-        distance_mm : float
-            Of a surface that faces the camera, in mm.
-
-        Returns
-        -------
-        float
-            0 to 1.
-        """
+        """Compute which share of the camera's image the projector lights."""
         return float(self._lit(distance_mm).mean())
 
     def outline(self, distance_mm: float) -> Floats:
-        """Draw the part of a plane that both devices see.
-
-        Parameters
-        ----------
-        distance_mm : float
-            Of the plane, which faces the camera, in mm.
-
-        Returns
-        -------
-        ndarray of float64, (K, 3)
-            Corners in mm in the camera's frame, the first again at the end; empty where nothing is seen.
-        """
+        """Draw the part of a plane that both devices see."""
+        # returns (K, 3) mm
         points = (self.rays * distance_mm)[self._lit(distance_mm)]
         if len(points) < 3:
             return np.empty((0, 3))
@@ -144,21 +109,11 @@ class RigGeometry:
 
 @dataclass(frozen=True, eq=False)
 class WorkingPoint:
-    """What a rig's geometry promises at one distance.
+    """What a rig's geometry promises at one distance."""
 
-    Attributes
-    ----------
-    geometry : RigGeometry
-        Of the rig.
-    plan : Plan
-        That will be measured with.
-    distance_mm : float
-        From the camera, in mm.
-    """
-
-    geometry: RigGeometry
-    plan: Plan
-    distance_mm: float
+    geometry: RigGeometry  # of the rig
+    plan: Plan  # that will be measured with
+    distance_mm: float  # from the camera, in mm
 
     @cached_property
     def _points(self) -> Floats:
@@ -203,14 +158,7 @@ class WorkingPoint:
         return whole, form
 
     def summary(self) -> dict[str, object]:
-        """Collect what geometry alone tells.
-
-        Returns
-        -------
-        dict
-            `distance_mm`, `depth_mm`, `overlap`, `angle_deg`, and `calibration_um` and `form_um`, None where
-            they are not known.
-        """
+        """Collect what geometry alone tells."""
         whole, form = self.calibration_um or (None, None)
         return {
             "distance_mm": self.distance_mm,
@@ -222,18 +170,7 @@ class WorkingPoint:
         }
 
     def noise_um(self, sample: FrameSample) -> Floats:
-        """Compute the standard uncertainty by noise that the plan will have in the present light.
-
-        Parameters
-        ----------
-        sample : FrameSample
-            Of the set-up's cycle: the widest and the finest fringes.
-
-        Returns
-        -------
-        ndarray of float64, `REGIONS`
-            Along the camera's ray, in µm; NaN where the region is not lit or not seen by both devices.
-        """
+        """Compute the standard uncertainty by noise that the plan will have in the present light."""
         fine = sample.fits[sample.recording.plan.finest_set()]
         wide, lit = sample.widest, sample.measured
         modulation = region_medians(wide.modulation, lit)

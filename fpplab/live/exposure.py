@@ -44,25 +44,12 @@ GRID_TOLERANCE = 0.01
 
 @dataclass(frozen=True)
 class LightLevels:
-    """What the camera has of its range.
+    """What the camera has of its range."""
 
-    Attributes
-    ----------
-    peak : float
-        Level of the brightest lit pixels, as a share of full scale.
-    saturated : float
-        Share of the lit pixels that are saturated.
-    ambient : float or None
-        Light that does not change with the fringes, as a share of full scale; None where no fringes are
-        shown.
-    black : float
-        The camera's level without light, as a share of full scale; `peak` contains it, `ambient` does not.
-    """
-
-    peak: float
-    saturated: float
-    ambient: float | None = None
-    black: float = 0.0
+    peak: float  # level of the brightest lit pixels, as a share of full scale
+    saturated: float  # share of the lit pixels that are saturated
+    ambient: float | None = None  # light that does not change with the fringes, as a share of full scale
+    black: float = 0.0  # the camera's level without light, as a share of full scale
 
     @property
     def is_saturated(self) -> bool:
@@ -72,43 +59,16 @@ class LightLevels:
 
 @dataclass(frozen=True)
 class ExposureLimits:
-    """What the devices allow.
+    """What the devices allow."""
 
-    Attributes
-    ----------
-    exposure_s : tuple of float
-        Least and greatest exposure, in s.
-    gain_db : tuple of float
-        Least and greatest gain, in dB.
-    period_s : float
-        Exposures are whole multiples of this, in s; 0 where any will do.
-    of : str
-        Who limits the longest exposure, for messages.
-    """
-
-    exposure_s: tuple[float, float]
-    gain_db: tuple[float, float]
-    period_s: float = 0.0
-    of: str = "camera"
+    exposure_s: tuple[float, float]  # least and greatest exposure, in s
+    gain_db: tuple[float, float]  # least and greatest gain, in dB
+    period_s: float = 0.0  # exposures are whole multiples of this, in s; 0 where any will do
+    of: str = "camera"  # who limits the longest exposure, for messages
 
     @classmethod
     def by_devices(cls, camera: CameraCaps, projector: ProjectorCaps, plan: Plan) -> ExposureLimits:
-        """Find what a plan may be exposed with on a rig.
-
-        Parameters
-        ----------
-        camera : CameraCaps
-            Of the camera.
-        projector : ProjectorCaps
-            Of the projector.
-        plan : Plan
-            Says whether frames are stepped or triggered.
-
-        Returns
-        -------
-        ExposureLimits
-            For stepped frames whole bit-plane periods; for triggered ones what the projector can show.
-        """
+        """Find what a plan may be exposed with on a rig."""
         least, most = camera.exposure_s
         if plan.trigger == "stepped":
             return cls((least, most), camera.gain_db, projector.period_s)
@@ -119,37 +79,13 @@ class ExposureLimits:
         )
 
     def on_grid(self, exposure_s: float) -> float:
-        """Round an exposure down to whole bit-plane periods, of which there is one at least.
-
-        Parameters
-        ----------
-        exposure_s : float
-            In s.
-
-        Returns
-        -------
-        float
-            In s.
-        """
+        """Round an exposure down to whole bit-plane periods, of which there is one at least."""
         if self.period_s <= 0:
             return exposure_s
         return self.period_s * max(1, math.floor(exposure_s / self.period_s + GRID_TOLERANCE))
 
     def stepped(self, exposure_s: float, factor: float) -> float:
-        """Give the next exposure that is longer or shorter.
-
-        Parameters
-        ----------
-        exposure_s : float
-            The present one, in s.
-        factor : float
-            By which it is to change, about.
-
-        Returns
-        -------
-        float
-            In s; it may lie beyond the limits, and the camera then refuses it.
-        """
+        """Give the next exposure that is longer or shorter."""
         wanted = exposure_s * factor
         if self.period_s <= 0:
             return wanted
@@ -162,37 +98,16 @@ class ExposureLimits:
 
 @dataclass(frozen=True)
 class ExposureAdvice:
-    """An exposure to take.
+    """An exposure to take."""
 
-    Attributes
-    ----------
-    exposure_s : float
-        In s.
-    gain_db : float
-        In dB.
-    peak : float or None
-        Level that the brightest lit pixels will reach, as a share of full scale; None where the present one
-        is saturated, and a further step will be needed.
-    limits : tuple of str
-        What keeps the image from being better, and what to do about it.
-    is_right : bool
-        Whether the present exposure needs no change.
-    """
-
-    exposure_s: float
-    gain_db: float
-    peak: float | None
-    limits: tuple[str, ...]
-    is_right: bool
+    exposure_s: float  # in s
+    gain_db: float  # in dB
+    peak: float | None  # level that the brightest lit pixels will reach, as a share of full scale
+    limits: tuple[str, ...]  # what keeps the image from being better, and what to do about it
+    is_right: bool  # whether the present exposure needs no change
 
     def summary(self) -> dict[str, object]:
-        """Collect what is shown.
-
-        Returns
-        -------
-        dict
-            The attributes by name.
-        """
+        """Collect what is shown."""
         return {
             "exposure_s": self.exposure_s,
             "gain_db": self.gain_db,
@@ -203,20 +118,7 @@ class ExposureAdvice:
 
 
 def levels_of_fringes(sample: FrameSample, black: float = 0.0) -> LightLevels | None:
-    """Measure the light of a cycle of fringes.
-
-    Parameters
-    ----------
-    sample : FrameSample
-        Of all images of the cycle.
-    black : float
-        The camera's level without light, as a share of full scale.
-
-    Returns
-    -------
-    LightLevels or None
-        None where no pixel is lit.
-    """
+    """Measure the light of a cycle of fringes."""
     if not sample.lit.any():
         return None
     peaks, widest = sample.spread.max(axis=0)[sample.lit] / 255.0, sample.widest
@@ -226,44 +128,15 @@ def levels_of_fringes(sample: FrameSample, black: float = 0.0) -> LightLevels | 
 
 
 def levels_of_image(image: Image, bits: int, black: float = 0.0) -> LightLevels:
-    """Measure the light of one image of a bright pattern.
-
-    Parameters
-    ----------
-    image : ndarray of uint8 or uint16, (height, width)
-        Raw levels.
-    bits : int
-        Their depth.
-    black : float
-        The camera's level without light, as a share of full scale.
-
-    Returns
-    -------
-    LightLevels
-        Lit are the pixels with a fair share of the brightest ones' level.
-    """
+    """Measure the light of one image of a bright pattern."""
+    # image (height, width)
     levels: NDArray[np.floating[Any]] = image[::2, ::2].astype(np.float32) / full_scale(bits)
     lit = levels[levels >= LIT_SHARE * np.percentile(levels, 99.9)]
     return LightLevels(float(np.percentile(lit, BRIGHTEST)), float((lit >= 1.0).mean()), None, black)
 
 
 def advise_exposure(levels: LightLevels, now: CameraSettings, limits: ExposureLimits) -> ExposureAdvice:
-    """Propose exposure and gain.
-
-    Parameters
-    ----------
-    levels : LightLevels
-        Of an image taken with the present settings.
-    now : CameraSettings
-        The present settings.
-    limits : ExposureLimits
-        What the devices allow.
-
-    Returns
-    -------
-    ExposureAdvice
-        Within the limits.
-    """
+    """Propose exposure and gain."""
     above = max(levels.peak - levels.black, LEAST_PEAK)
     factor = SATURATED_FACTOR if levels.is_saturated else (TARGET - levels.black) / above
     light = now.exposure_s * _of_gain(now.gain_db) * factor

@@ -31,18 +31,10 @@ ALIKE_SHARE = 0.98
 
 @dataclass(frozen=True, eq=False)
 class FocusMeasure:
-    """How sharp an image is.
+    """How sharp an image is."""
 
-    Attributes
-    ----------
-    regions : ndarray of float64, `REGIONS`
-        By region; NaN where not known.
-    whole : float or None
-        Of the whole image; None where it is known of no region.
-    """
-
-    regions: Floats
-    whole: float | None
+    regions: Floats  # by region; NaN where not known
+    whole: float | None  # of the whole image; None where it is known of no region
 
 
 UNKNOWN = FocusMeasure(np.full(REGIONS, np.nan), None)
@@ -50,18 +42,8 @@ UNKNOWN = FocusMeasure(np.full(REGIONS, np.nan), None)
 
 
 def camera_sharpness(one: NDArray[np.floating[Any]], other: NDArray[np.floating[Any]]) -> FocusMeasure:
-    """Measure the sharpness of the camera's image.
-
-    Parameters
-    ----------
-    one, other : ndarray of float, (height, width)
-        Two images of the same scene in the same even light, as shares of full scale.
-
-    Returns
-    -------
-    FocusMeasure
-        RMS gradient over the mean level, 1/px; a region that is dark or without texture is not known.
-    """
+    """Measure the sharpness of the camera's image."""
+    # one, other (height, width)
     found = np.full(REGIONS, np.nan)
     powers, levels = 0.0, 0.0
     for region, part in region_slices(one.shape):
@@ -90,19 +72,7 @@ def _gradient_power(one: Floats, other: Floats) -> tuple[float, float]:
 
 
 def projector_contrast(sample: FrameSample) -> FocusMeasure:
-    """Measure how much of the fringes' contrast the projector's lens, and the camera's, leave.
-
-    Parameters
-    ----------
-    sample : FrameSample
-        Of fringes of two widths along one axis.
-
-    Returns
-    -------
-    FocusMeasure
-        Modulation of the finest over that of the widest; a region that is not lit, or saturated, is not
-        known.
-    """
+    """Measure how much of the fringes' contrast the projector's lens, and the camera's, leave."""
     known = sample.measured
     if not known.any():
         return UNKNOWN
@@ -113,46 +83,19 @@ def projector_contrast(sample: FrameSample) -> FocusMeasure:
 
 @dataclass(frozen=True, eq=False)
 class FocusTracker:
-    """A measure of focus, with the best so far.
+    """A measure of focus, with the best so far."""
 
-    Attributes
-    ----------
-    now : FocusMeasure
-        The latest.
-    best : ndarray of float64, `REGIONS`
-        The greatest of each region; NaN where it was never known.
-    best_whole : float or None
-        The greatest of the whole image.
-    """
-
-    now: FocusMeasure = UNKNOWN
-    best: Floats = field(default_factory=lambda: UNKNOWN.regions)
-    best_whole: float | None = None
+    now: FocusMeasure = UNKNOWN  # the latest
+    best: Floats = field(default_factory=lambda: UNKNOWN.regions)  # the greatest of each region
+    best_whole: float | None = None  # the greatest of the whole image
 
     def after(self, measure: FocusMeasure) -> FocusTracker:
-        """Take another measure.
-
-        Parameters
-        ----------
-        measure : FocusMeasure
-            The latest.
-
-        Returns
-        -------
-        FocusTracker
-            With it, and with the best of both.
-        """
+        """Take another measure."""
         whole = [one for one in (measure.whole, self.best_whole) if one is not None]
         return FocusTracker(measure, np.fmax(self.best, measure.regions), max(whole, default=None))
 
     def forgotten(self) -> FocusTracker:
-        """Forget what was best, after the part or its place has changed.
-
-        Returns
-        -------
-        FocusTracker
-            Whose best is the present measure.
-        """
+        """Forget what was best, after the part or its place has changed."""
         return FocusTracker(self.now, self.now.regions, self.now.whole)
 
     @property
@@ -166,13 +109,7 @@ class FocusTracker:
         return self.now.whole / self.best_whole if self.now.whole is not None and self.best_whole else None
 
     def summary(self) -> dict[str, object]:
-        """Collect what is shown.
-
-        Returns
-        -------
-        dict
-            `now` and `best` of the whole image, `share` of the best, `at_best`, and the share of each region.
-        """
+        """Collect what is shown."""
         share = self.share
         shares = [[None if np.isnan(x) else round(float(x), 3) for x in row] for row in self.shares]
         return {

@@ -28,18 +28,7 @@ CTRL_C = "\x03"
 
 @contextmanager
 def terminal_keys(orders: Orders) -> Iterator[bool]:
-    """Read keys from the terminal, without Enter and without echo; Ctrl-C keeps its meaning.
-
-    Parameters
-    ----------
-    orders : Orders
-        Takes the order of each key that has one.
-
-    Yields
-    ------
-    bool
-        Whether there is a terminal at all.
-    """
+    """Read keys from the terminal, without Enter and without echo; Ctrl-C keeps its meaning."""
     if not sys.stdin.isatty():
         yield False
         return

@@ -66,59 +66,23 @@ class LiveObserver(Protocol):
     def __call__(
         self, status: LiveStatus, frame: Frame | None, pattern: Pattern | None, dark: Mask | None
     ) -> bool:
-        """Show a snapshot.
-
-        Parameters
-        ----------
-        status : LiveStatus
-            The latest.
-        frame : Frame or None
-            The frame that was just taken; None where nothing was.
-        pattern : Pattern or None
-            What it shows.
-        dark : ndarray of bool, (height, width), or None
-            Pixels that stay dark in the light of the view.
-
-        Returns
-        -------
-        bool
-            Whether to go on: False once the operator has closed it.
-        """
+        """Show a snapshot."""
+        # dark (height, width)
         ...
 
 
 @dataclass(frozen=True)
 class LiveOptions:
-    """What the set-up is for.
+    """What the set-up is for."""
 
-    Attributes
-    ----------
-    plan : Plan
-        That will be measured with.
-    working : WorkingPoint or None
-        What the geometry promises, with a calibration.
-    target : Target or None
-        The board of the poses that are taken.
-    poses : Path or None
-        Folder of their sessions.
-    item : str or None
-        What the rig's fixture puts up.
-    stage_step_mm : float
-        How far one key moves the stage, in mm.
-    frames : int or None
-        After how many frames to end; None for never.
-    seconds : float or None
-        After how many seconds to end; None for never.
-    """
-
-    plan: Plan
-    working: WorkingPoint | None = None
-    target: Target | None = None
-    poses: Path | None = None
-    item: str | None = None
-    stage_step_mm: float = 1.0
-    frames: int | None = None
-    seconds: float | None = None
+    plan: Plan  # that will be measured with
+    working: WorkingPoint | None = None  # what the geometry promises, with a calibration
+    target: Target | None = None  # the board of the poses that are taken
+    poses: Path | None = None  # folder of their sessions
+    item: str | None = None  # what the rig's fixture puts up
+    stage_step_mm: float = 1.0  # how far one key moves the stage, in mm
+    frames: int | None = None  # after how many frames to end; None for never
+    seconds: float | None = None  # after how many seconds to end; None for never
 
 
 class _RigWanted(Exception):  # noqa: N818 - no error: another command's turn
@@ -126,19 +90,7 @@ class _RigWanted(Exception):  # noqa: N818 - no error: another command's turn
 
 
 class SetUp:
-    """The set-up at a bench; made for one run.
-
-    Parameters
-    ----------
-    rig : Rig
-        Not open.
-    options : LiveOptions
-        What it is for.
-    orders : Orders
-        Of the operator.
-    observe : LiveObserver
-        Shows every frame.
-    """
+    """The set-up at a bench; made for one run."""
 
     def __init__(self, rig: Rig, options: LiveOptions, orders: Orders, observe: LiveObserver) -> None:
         self._rig, self._options, self._orders, self._observe = rig, options, orders, observe
@@ -189,21 +141,6 @@ class SetUp:
         """Show frames until the operator ends it.
 
         Devices are open only while it is this command's turn, and closed, dark, afterwards.
-
-        Parameters
-        ----------
-        turn : RigTurn
-            On the rig, not taken.
-
-        Returns
-        -------
-        LiveStatus
-            The last snapshot.
-
-        Raises
-        ------
-        FppError
-            The rig cannot be opened, or a device fails.
         """
         if self._options.seconds is not None:
             self._end_s = time.monotonic() + self._options.seconds

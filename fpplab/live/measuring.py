@@ -22,26 +22,7 @@ DARK_SHARE = 0.03
 
 
 class LiveMeasures:
-    """Measures of the frames so far; those of another view or exposure do not mix with them.
-
-    Parameters
-    ----------
-    working : WorkingPoint, optional
-        What the geometry promises; without it no uncertainty is expected.
-
-    Attributes
-    ----------
-    black : float
-        The camera's level without light, as a share of full scale; to be set once it is known.
-    levels : LightLevels or None
-        Light of the latest cycle or image; None where it says nothing, or nothing is lit.
-    findings : tuple of Finding
-        What the latest cycle of fringes shows to be wrong.
-    camera_focus, projector_focus : FocusTracker
-        Focus by region; `camera_focus` under even light only.
-    noise_um : ndarray of float64, or None
-        Expected standard uncertainty by region, in µm.
-    """
+    """Measures of the frames so far; those of another view or exposure do not mix with them."""
 
     def __init__(self, working: WorkingPoint | None = None) -> None:
         self.working, self.black = working, 0.0
@@ -55,17 +36,8 @@ class LiveMeasures:
         self._brightest: Image | None = None
 
     def begin(self, patterns: LivePatterns, view: View, projector_size: tuple[int, int]) -> None:
-        """Begin a view anew: what was seen until now is of another light.
-
-        Parameters
-        ----------
-        patterns : LivePatterns
-            What is shown.
-        view : View
-            Which of it.
-        projector_size : tuple of int
-            (width, height) of the projector in px.
-        """
+        """Begin a view anew: what was seen until now is of another light."""
+        # projector_size (width, height) px
         self._patterns, self._view, self._projector_size = patterns, view, projector_size
         self._images, self._brightest = [], None
         self.levels, self.noise_um = None, None
@@ -73,18 +45,7 @@ class LiveMeasures:
             self.findings = ()
 
     def add(self, frame: Frame) -> bool:
-        """Take a frame of the view, in turn.
-
-        Parameters
-        ----------
-        frame : Frame
-            The next.
-
-        Returns
-        -------
-        bool
-            Whether `levels` are new.
-        """
+        """Take a frame of the view, in turn."""
         if self._view is View.MEASURE:
             return self._add_to_cycle(frame)
         previous, self._images = self._images[-1:], [frame.image]
@@ -103,18 +64,8 @@ class LiveMeasures:
         self.projector_focus = self.projector_focus.forgotten()
 
     def dark(self, bits: int) -> Mask | None:
-        """Tell which pixels stay dark in the view's light.
-
-        Parameters
-        ----------
-        bits : int
-            Depth of the frames.
-
-        Returns
-        -------
-        ndarray of bool, (height, width), or None
-            None in a view that has dark parts of its own, or before its first cycle is complete.
-        """
+        """Tell which pixels stay dark in the view's light."""
+        # returns (height, width)
         if self._brightest is None:
             return None
         return np.asarray(self._brightest < DARK_SHARE * full_scale(bits))

@@ -31,20 +31,7 @@ TEMPLATE = "page.html"
 
 
 class SetUpPage:
-    """The page, served while a `with` block lasts.
-
-    Parameters
-    ----------
-    orders : Orders
-        Takes what the buttons order.
-    viewer : str, optional
-        Address of the viewer's page, to be shown within this one.
-
-    Attributes
-    ----------
-    address : str
-        What the operator opens.
-    """
+    """The page, served while a `with` block lasts."""
 
     def __init__(self, orders: Orders, viewer: str | None = None) -> None:
         self._orders, self._viewer = orders, viewer
@@ -80,38 +67,13 @@ class SetUpPage:
         return self._left_s is not None and time.monotonic() - self._left_s > GONE_S
 
     def show(self, status: LiveStatus) -> None:
-        """Give the page a new state.
-
-        Parameters
-        ----------
-        status : LiveStatus
-            The latest snapshot.
-        """
+        """Give the page a new state."""
         self._state = json.dumps(status.summary()).encode()
 
     def answer(
         self, method: str, path: str, host: str, origin: str | None, body: bytes
     ) -> tuple[int, str, bytes]:
-        """Answer a request.
-
-        Parameters
-        ----------
-        method : str
-            GET or POST.
-        path : str
-            What is asked for.
-        host : str
-            The host that the request names.
-        origin : str or None
-            The page that makes it, where the browser tells.
-        body : bytes
-            What is posted.
-
-        Returns
-        -------
-        tuple of int, str, bytes
-            Status, kind of content, and content.
-        """
+        """Answer a request."""
         if host not in (self.host, self.host.replace(LOCAL, "localhost")):
             return _refused(HTTPStatus.FORBIDDEN, "this page is for this computer alone")
         _, token, *rest = (*path.split("/"), "", "")
@@ -149,13 +111,7 @@ class SetUpPage:
         return text.replace("{{given}}", given).encode()
 
     def headers(self) -> dict[str, str]:
-        """Give the headers of every answer.
-
-        Returns
-        -------
-        dict of str to str
-            They keep the page to itself: nothing is fetched from elsewhere, and it cannot be framed.
-        """
+        """Give the headers of every answer."""
         frame = "'none'" if self._viewer is None else "http://" + self._viewer.split("/")[2]
         policy = (
             "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; connect-src 'self'; "

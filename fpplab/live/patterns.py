@@ -55,67 +55,21 @@ class View(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class LivePatterns:
-    """The patterns that a projector holds during the set-up.
+    """The patterns that a projector holds during the set-up."""
 
-    Attributes
-    ----------
-    plan : Plan
-        Of the cycle: two sets along the first axis, the widest first.
-    patterns : tuple of Pattern
-        All of them; those of the cycle first.
-    views : dict of View to tuple of int
-        Which of them each view shows, in turn; a view that the projector cannot show is missing.
-    """
-
-    plan: Plan
-    patterns: tuple[Pattern, ...]
-    views: dict[View, tuple[int, ...]]
+    plan: Plan  # of the cycle: two sets along the first axis, the widest first
+    patterns: tuple[Pattern, ...]  # all of them; those of the cycle first
+    views: dict[View, tuple[int, ...]]  # which of them each view shows, in turn
 
 
 def live_patterns(plan: Plan, caps: ProjectorCaps) -> Iterator[LivePatterns]:
-    """Make the patterns for a plan, and fewer for a projector that only shows what is in its memory.
-
-    Parameters
-    ----------
-    plan : Plan
-        That will be measured with.
-    caps : ProjectorCaps
-        Of the projector.
-
-    Yields
-    ------
-    LivePatterns
-        The best choice first: short sets and still images; the plan's own patterns alone.
-
-    Raises
-    ------
-    ConfigError
-        The projector cannot resolve the plan's stripes.
-    """
+    """Make the patterns for a plan, and fewer for a projector that only shows what is in its memory."""
     yield _with_stills(_short(plan), caps)
     yield _of_cycle(_own(plan), caps)
 
 
 def loaded_patterns(plan: Plan, projector: Projector) -> LivePatterns:
-    """Find the patterns that a projector can show.
-
-    Parameters
-    ----------
-    plan : Plan
-        That will be measured with.
-    projector : Projector
-        Open; it holds them afterwards.
-
-    Returns
-    -------
-    LivePatterns
-        The best choice.
-
-    Raises
-    ------
-    CapabilityError
-        It does not even hold the plan's own patterns.
-    """
+    """Find the patterns that a projector can show."""
     choices = list(live_patterns(plan, projector.caps))
     for choice in choices[:-1]:
         try:

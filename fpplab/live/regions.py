@@ -18,18 +18,8 @@ LEAST_SHARE = 0.1
 
 
 def region_slices(shape: tuple[int, ...]) -> Iterator[tuple[tuple[int, int], tuple[slice, slice]]]:
-    """Divide an image.
-
-    Parameters
-    ----------
-    shape : tuple of int
-        (height, width) of the image or of a sample of its pixels.
-
-    Yields
-    ------
-    tuple of (tuple of int, tuple of slice)
-        (row, column) of the region, and its part of the image.
-    """
+    """Divide an image."""
+    # shape (height, width); returns (tuple of int, tuple of slice)
     rows, columns = (
         np.linspace(0, size, n + 1).astype(int) for size, n in zip(shape[:2], REGIONS, strict=True)
     )
@@ -42,20 +32,8 @@ def region_slices(shape: tuple[int, ...]) -> Iterator[tuple[tuple[int, int], tup
 
 
 def region_medians(values: NDArray[np.floating[Any]], known: Mask) -> Floats:
-    """Compute the median in each region.
-
-    Parameters
-    ----------
-    values : ndarray of float, (height, width)
-        Values at the pixels, or at a sample of them.
-    known : ndarray of bool, (height, width)
-        Which of them count.
-
-    Returns
-    -------
-    ndarray of float64, `REGIONS`
-        NaN where fewer than `LEAST_SHARE` of the region's pixels count.
-    """
+    """Compute the median in each region."""
+    # values (height, width); known (height, width)
     found = np.full(REGIONS, np.nan)
     for region, part in region_slices(values.shape):
         inside = values[part][known[part]]

@@ -16,86 +16,36 @@ from fpplab.live.patterns import View
 
 @dataclass(frozen=True)
 class StageState:
-    """Where the stage is.
+    """Where the stage is."""
 
-    Attributes
-    ----------
-    homed : bool
-        Whether its positions are absolute.
-    position_mm : float
-        As read from the device.
-    """
-
-    homed: bool
-    position_mm: float
+    homed: bool  # whether its positions are absolute
+    position_mm: float  # as read from the device
 
 
 @dataclass(frozen=True, eq=False)
 class LiveStatus:
-    """A snapshot of the set-up.
+    """A snapshot of the set-up."""
 
-    Attributes
-    ----------
-    frames : int
-        Frames shown so far.
-    rate_hz : float or None
-        Frames per s; None at first.
-    view : View
-        What the projector shows.
-    views : tuple of View
-        What it can show.
-    settings : CameraSettings or None
-        Of the camera, as read back; None before it was opened.
-    levels : LightLevels or None
-        Light of the latest cycle or image.
-    advice : ExposureAdvice or None
-        Exposure to take.
-    camera_focus, projector_focus : FocusTracker
-        Focus by region.
-    findings : tuple of Finding
-        What the fringes show to be wrong.
-    geometry : dict of str to object, optional
-        Overlap, distances and angle, with a calibration.
-    noise_um : ndarray of float64, optional
-        Expected standard uncertainty by noise, by region, in µm.
-    coverage : dict of str to object, optional
-        Poses of the board, with a target.
-    stage : StageState or None
-        Where the stage is, if there is one.
-    message : str
-        What the latest order came to.
-    paused_for : str or None
-        Which process has the rig at present.
-    pauses : int
-        How many times another command had the rig.
-    """
-
-    frames: int
-    rate_hz: float | None
-    view: View
-    views: tuple[View, ...]
-    settings: CameraSettings | None
-    levels: LightLevels | None
-    advice: ExposureAdvice | None
-    camera_focus: FocusTracker
-    projector_focus: FocusTracker
-    findings: tuple[Finding, ...] = ()
-    geometry: dict[str, object] | None = None
-    noise_um: Floats | None = None
-    coverage: dict[str, object] | None = None
-    stage: StageState | None = None
-    message: str = ""
-    paused_for: str | None = None
-    pauses: int = 0
+    frames: int  # frames shown so far
+    rate_hz: float | None  # frames per s; None at first
+    view: View  # what the projector shows
+    views: tuple[View, ...]  # what it can show
+    settings: CameraSettings | None  # of the camera, as read back; None before it was opened
+    levels: LightLevels | None  # light of the latest cycle or image
+    advice: ExposureAdvice | None  # exposure to take
+    camera_focus: FocusTracker  # focus by region
+    projector_focus: FocusTracker  # focus by region
+    findings: tuple[Finding, ...] = ()  # what the fringes show to be wrong
+    geometry: dict[str, object] | None = None  # overlap, distances and angle, with a calibration
+    noise_um: Floats | None = None  # expected standard uncertainty by noise, by region, in µm
+    coverage: dict[str, object] | None = None  # poses of the board, with a target
+    stage: StageState | None = None  # where the stage is, if there is one
+    message: str = ""  # what the latest order came to
+    paused_for: str | None = None  # which process has the rig at present
+    pauses: int = 0  # how many times another command had the rig
 
     def summary(self) -> dict[str, object]:
-        """Collect what is shown, as plain values.
-
-        Returns
-        -------
-        dict
-            Of what goes into JSON; None for what is not known.
-        """
+        """Collect what is shown, as plain values."""
         noise = None if self.noise_um is None else overall_median(self.noise_um)
         expected = None if self.geometry is None else {**self.geometry, "noise_um": noise}
         return {
@@ -118,13 +68,7 @@ class LiveStatus:
         }
 
     def line(self) -> str:
-        """Write the snapshot in one line, for a terminal.
-
-        Returns
-        -------
-        str
-            Without a line end.
-        """
+        """Write the snapshot in one line, for a terminal."""
         if self.paused_for:
             return f"paused: {self.paused_for} has the rig"
         if self.settings is None:
@@ -146,17 +90,6 @@ class LiveStatus:
 
 
 def overall_median(values: Floats) -> float | None:
-    """Give one figure for all regions.
-
-    Parameters
-    ----------
-    values : ndarray of float64
-        By region, NaN where not known.
-
-    Returns
-    -------
-    float or None
-        The median of those known; None where none is.
-    """
+    """Give one figure for all regions."""
     known = values[np.isfinite(values)]
     return float(np.median(known)) if known.size else None

@@ -28,16 +28,10 @@ LEAST_GAIN = 0.005
 
 @dataclass(frozen=True)
 class PartTrial:
-    """Whether a part of the appearance makes images more alike in a pose from which it was not found.
+    """Whether a part of the appearance makes images more alike in a pose from which it was not found."""
 
-    Attributes
-    ----------
-    ssim_without, ssim_with : float
-        Mean SSIM of the pose's images.
-    """
-
-    ssim_without: float
-    ssim_with: float
+    ssim_without: float  # mean SSIM of the pose's images
+    ssim_with: float  # mean SSIM of the pose's images
 
     @property
     def accepted(self) -> bool:
@@ -47,24 +41,12 @@ class PartTrial:
 
 @dataclass(frozen=True, eq=False)
 class AppearanceTrial:
-    """What was found of the appearance, and whether the twin has it.
+    """What was found of the appearance, and whether the twin has it."""
 
-    Attributes
-    ----------
-    pose : str
-        Name of the pose that was left out.
-    sheet : PartTrial
-        Of the board's sheet; SSIM over the board as the target outlines it.
-    surroundings : PartTrial
-        SSIM of whole images.
-    found : Appearance
-        What the twin has.
-    """
-
-    pose: str
-    sheet: PartTrial
-    surroundings: PartTrial
-    found: Appearance
+    pose: str  # name of the pose that was left out
+    sheet: PartTrial  # of the board's sheet; SSIM over the board as the target outlines it
+    surroundings: PartTrial  # SSIM of whole images
+    found: Appearance  # what the twin has
 
     @property
     def accepted(self) -> bool:
@@ -72,14 +54,7 @@ class AppearanceTrial:
         return self.sheet.accepted or self.surroundings.accepted
 
     def summary(self) -> dict[str, Any]:
-        """Give plain values.
-
-        Returns
-        -------
-        dict of str to Any
-            Of either part SSIM without and with it and whether it is `accepted`; margins and frame of the
-            sheet in mm, standard deviation of its texture, and number of triangles of the surroundings.
-        """
+        """Give plain values."""
         sheet, around = self.found.sheet, self.found.surroundings
         return {
             "pose": self.pose,
@@ -100,22 +75,7 @@ class AppearanceTrial:
 
 
 def match_appearance(reference: Reference, twin: Twin, progress: Progress = no_progress) -> AppearanceTrial:
-    """Find the board's sheet and the surroundings, and show what proves itself.
-
-    Parameters
-    ----------
-    reference : Reference
-        What was recorded of the bench, of at least two poses.
-    twin : Twin
-        Matched, with no appearance of its own.
-    progress : Progress
-        Told the share that is done.
-
-    Returns
-    -------
-    AppearanceTrial
-        What came of it. The twin has what is accepted, found from all poses.
-    """
+    """Find the board's sheet and the surroundings, and show what proves itself."""
     *others, held = reference.spread_poses(MOST_POSES)
     bare = _similarity(reference, twin, held)
     sheet = find_sheet(reference, twin, others, lambda share: progress(0.1 * share))

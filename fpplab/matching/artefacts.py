@@ -54,27 +54,13 @@ SHORT = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class ArtefactComparison:
-    """One artefact, measured by bench and twin and compared with its true shape.
+    """One artefact, measured by bench and twin and compared with its true shape."""
 
-    Attributes
-    ----------
-    item : str
-        The artefact, as the twin's world calls it.
-    reference : Comparison
-        Of the cloud recorded on the bench.
-    twin : Comparison
-        Of the twin's cloud.
-    reference_cloud : Cloud
-        Recorded on the bench.
-    twin_cloud : Cloud
-        Measured by the twin.
-    """
-
-    item: str
-    reference: Comparison
-    twin: Comparison
-    reference_cloud: Cloud
-    twin_cloud: Cloud
+    item: str  # the artefact, as the twin's world calls it
+    reference: Comparison  # of the cloud recorded on the bench
+    twin: Comparison  # of the twin's cloud
+    reference_cloud: Cloud  # recorded on the bench
+    twin_cloud: Cloud  # measured by the twin
 
     @property
     def reference_um(self) -> float:
@@ -92,13 +78,7 @@ class ArtefactComparison:
         return self.twin_um - self.reference_um
 
     def summary(self) -> dict[str, Any]:
-        """Give the figures that reports and the command line print.
-
-        Returns
-        -------
-        dict of str to Any
-            `item`, `bench_um`, `twin_um`, `delta_um` and `delta_percent` (absolute, of `bench_um`).
-        """
+        """Give the figures that reports and the command line print."""
         return {
             "item": self.item,
             "bench_um": self.reference_um,
@@ -115,83 +95,29 @@ def _surface(found: Comparison) -> float:
 
 @dataclass(frozen=True, eq=False)
 class BenchScan:
-    """A scan recorded on the bench, compared with the true shape of what was scanned.
+    """A scan recorded on the bench, compared with the true shape of what was scanned."""
 
-    Attributes
-    ----------
-    item : str
-        The artefact, as the twin's world calls it.
-    session : Session
-        The scan.
-    cloud : Cloud
-        Of the bench's own calibration.
-    T_camera_item : RigidTransform
-        Pose of the artefact, in mm.
-    comparison : Comparison
-        Of the cloud with the true shape.
-    """
-
-    item: str
-    session: Session
-    cloud: Cloud
-    T_camera_item: RigidTransform
-    comparison: Comparison
+    item: str  # the artefact, as the twin's world calls it
+    session: Session  # the scan
+    cloud: Cloud  # of the bench's own calibration
+    T_camera_item: RigidTransform  # pose of the artefact, in mm
+    comparison: Comparison  # of the cloud with the true shape
 
     def levels(self, images: Iterable[int], pixels: PixelIndices) -> Floats:
-        """Read some images at some pixels; they were checked when the scan was reconstructed.
-
-        Parameters
-        ----------
-        images : iterable of int
-            Indices of n images in the plan.
-        pixels : PixelIndices
-            Rows and columns of P pixels.
-
-        Returns
-        -------
-        Floats
-            Raw levels (n, P).
-        """
+        """Read some images at some pixels; they were checked when the scan was reconstructed."""
+        # returns (n, P)
         read = [self.session.read(index, verify=False)[pixels] for index in images]
         return np.array(read, np.float64)
 
 
 def placed_part(twin: Twin, scan: BenchScan) -> trimesh.Trimesh:
-    """Give the true shape of a part where its scan shows it.
-
-    Parameters
-    ----------
-    twin : Twin
-        Its world has the part.
-    scan : BenchScan
-        With the pose of the part.
-
-    Returns
-    -------
-    trimesh.Trimesh
-        In mm in the camera's frame.
-    """
+    """Give the true shape of a part where its scan shows it."""
     return twin.mesh(scan.item).copy().apply_transform(scan.T_camera_item.matrix)
 
 
 def part_surface_seen(twin: Twin, scan: BenchScan, pixels: PixelIndices) -> tuple[Floats, Floats]:
-    """Trace the rays of pixels to the surface of a part.
-
-    Parameters
-    ----------
-    twin : Twin
-        Its world has the part, and its calibration is the bench's.
-    scan : BenchScan
-        With the pose of the part.
-    pixels : PixelIndices
-        Rows and columns of P pixels that see the part.
-
-    Returns
-    -------
-    points, normals : Floats
-        Where the rays meet the surface in mm, and its outward unit normals there, (P, 3) each, in the
-        camera's frame.
-    """
+    """Trace the rays of pixels to the surface of a part."""
+    # returns (P, 3) mm
     shape, rays = RayTracedShape(placed_part(twin, scan)), camera_rays(twin.parameters.calibration.camera)
     directions = rays[pixels] / np.linalg.norm(rays[pixels], axis=1, keepdims=True)
     points = directions * shape.depth(np.zeros(3), directions)[:, None]
@@ -199,20 +125,8 @@ def part_surface_seen(twin: Twin, scan: BenchScan, pixels: PixelIndices) -> tupl
 
 
 def lit_inside(twin: Twin, scan: BenchScan) -> Mask:
-    """Find the pixels that see lit surface of a part away from its edges and shadows.
-
-    Parameters
-    ----------
-    twin : Twin
-        Its world has the part, and its calibration is the bench's.
-    scan : BenchScan
-        With the pose of the part.
-
-    Returns
-    -------
-    Mask
-        (height, width).
-    """
+    """Find the pixels that see lit surface of a part away from its edges and shadows."""
+    # returns (height, width)
     _, lit = seen_surface(placed_part(twin, scan), twin.parameters.calibration)
     side = 2 * EDGE_PX + 1
     inner = cv2.erode(lit.astype(np.uint8), np.ones((side, side), np.uint8), borderValue=(0.0,))
@@ -226,34 +140,6 @@ def fit_scan(
 
     A mean that is too great may come from a saturated highlight, which leaves holes and some points far off.
     The distance of three quarters of the points then decides.
-
-    Parameters
-    ----------
-    twin : Twin
-        It has the artefact in its world.
-    item : str
-        The artefact, as the twin's world calls it.
-    session : Session
-        Recorded on the bench.
-    calibration : Calibration
-        Found by the bench's own characterisation.
-    refusals : Refusals
-        Refuse, or note what is accepted.
-
-    Returns
-    -------
-    BenchScan
-        With the pose of the artefact.
-
-    Raises
-    ------
-    CalibrationError
-        Points are off the true shape by more than `MOST_MISFIT` of its size, in the mean and for more than
-        a quarter of them.
-    DataError
-        The true shape does not fit the cloud in any pose.
-    ConfigError
-        The twin's world has no such item.
     """
     mesh = twin.mesh(item)
     _, cloud = reconstruct(session, calibration)
@@ -296,24 +182,7 @@ def compare_artefacts(
     twin_calibration: Calibration,
     progress: Progress = no_progress,
 ) -> list[ArtefactComparison]:
-    """Scan artefacts with the twin and compare its errors with those of recorded scans.
-
-    Parameters
-    ----------
-    twin : Twin
-        Matched; it has the artefacts in its world.
-    scans : sequence of BenchScan
-        Recorded on the bench.
-    twin_calibration : Calibration
-        Found by the characterisation of the twin's own frames.
-    progress : Progress
-        Told the share of the artefacts that are done.
-
-    Returns
-    -------
-    list of ArtefactComparison
-        One for each scan, in their order.
-    """
+    """Scan artefacts with the twin and compare its errors with those of recorded scans."""
     found = []
     for number, scan in enumerate(scans, 1):
         own = _scanned(twin, scan.item, scan.session, scan.T_camera_item, twin_calibration)

@@ -40,70 +40,29 @@ AGREEING = 0.5
 
 @dataclass(frozen=True)
 class Ripple:
-    """Rippling light of the room that was found.
+    """Rippling light of the room that was found."""
 
-    Attributes
-    ----------
-    amplitude : float
-        As a share of the room's light.
-    amplitude_sigma : float
-        Standard uncertainty of that, relative.
-    period_px : float
-        From band to band, in rows of the image.
-    period_sigma : float
-        Standard uncertainty of the period, relative.
-    advance : float or None
-        Periods from frame to frame; None where frames do not agree on one.
-    gained : float
-        By how much Schwarz's criterion is lower than that of steady light.
-    """
-
-    amplitude: float
-    amplitude_sigma: float
-    period_px: float
-    period_sigma: float
-    advance: float | None
-    gained: float
+    amplitude: float  # as a share of the room's light
+    amplitude_sigma: float  # standard uncertainty of that, relative
+    period_px: float  # from band to band, in rows of the image
+    period_sigma: float  # standard uncertainty of the period, relative
+    advance: float | None  # periods from frame to frame; None where frames do not agree on one
+    gained: float  # by how much Schwarz's criterion is lower than that of steady light
 
 
 @dataclass(frozen=True, eq=False)
 class Bands:
-    """Power of waves along the rows of many frames.
+    """Power of waves along the rows of many frames."""
 
-    Attributes
-    ----------
-    rests : tuple of FringeRest
-        V sets of frames that show bands.
-    frequency : ndarray of float64
-        (F,) in periods per row of the image.
-    power : ndarray of float64
-        (V, F) mean squared amplitude of each set, relative to the level.
-    freedom : ndarray of float64
-        (V,) independent frames of each set.
-    height : float
-        Rows that the board extends over.
-    """
-
-    rests: tuple[FringeRest, ...]
-    frequency: Floats
-    power: Floats
-    freedom: Floats
-    height: float
+    rests: tuple[FringeRest, ...]  # V sets of frames that show bands
+    frequency: Floats  # (F,) in periods per row of the image
+    power: Floats  # (V, F) mean squared amplitude of each set, relative to the level
+    freedom: Floats  # (V,) independent frames of each set
+    height: float  # rows that the board extends over
 
     @classmethod
     def of(cls, rests: Sequence[FringeRest]) -> Bands | None:
-        """Compute the power of waves from `LEAST_PERIOD_PX` to the board's height.
-
-        Parameters
-        ----------
-        rests : sequence of FringeRest
-            Of a bench.
-
-        Returns
-        -------
-        Bands or None
-            None where no set shows bands.
-        """
+        """Compute the power of waves from `LEAST_PERIOD_PX` to the board's height."""
         shown = tuple(one for one in rests if one.shows_bands)
         if not shown:
             return None
@@ -134,18 +93,7 @@ class Bands:
         return float(self.frequency[k] + 0.5 * step * (before - after) / (before - 2 * here + after))
 
     def at(self, frequency: float) -> Variances:
-        """Give the power at a frequency.
-
-        Parameters
-        ----------
-        frequency : float
-            In periods per row; the nearest that is known is taken.
-
-        Returns
-        -------
-        Variances
-            Its further variance is a quarter of ρ².
-        """
+        """Give the power at a frequency."""
         index = int(np.argmin(np.abs(self.frequency - frequency)))
         return Variances(self.power[:, index], self.floor[:, index], 2.0 * self.freedom)
 
@@ -158,20 +106,7 @@ class Bands:
         return float(of_frequency / self.frequency[self.best])
 
     def advancing(self, frequency: float, advance: float) -> Variances:
-        """Give the power at a frequency of waves that advance by the same from frame to frame.
-
-        Parameters
-        ----------
-        frequency : float
-            In periods per row.
-        advance : float
-            In periods per frame.
-
-        Returns
-        -------
-        Variances
-            Of every pose; its further variance is a quarter of ρ².
-        """
+        """Give the power at a frequency of waves that advance by the same from frame to frame."""
         index = int(np.argmin(np.abs(self.frequency - frequency)))
         squares, noise = [], []
         for _, group in groupby(range(len(self.rests)), lambda n: self.rests[n].pose):
@@ -182,18 +117,7 @@ class Bands:
         return Variances(np.array(squares), np.array(noise), np.full(len(squares), 2.0))
 
     def rolling(self, room_share: float) -> Ripple:
-        """Take the strongest waves along the rows, with the advance that frames agree on, if there is one.
-
-        Parameters
-        ----------
-        room_share : float
-            Share of the room's light in the level.
-
-        Returns
-        -------
-        Ripple
-            Of amplitude 0 where there are no waves.
-        """
+        """Take the strongest waves along the rows, with the advance that frames agree on, if there is one."""
         frequency = self.best_frequency
         told, free = self.at(frequency), 2
         advance, share = self._best_advance(frequency)
@@ -239,18 +163,7 @@ def _one_wave(sets: Sequence[tuple[FringeRest, Complex]], advance: float) -> tup
 
 
 def ripple_in_step(seen: Sequence[FrameTerms]) -> Ripple:
-    """Take light of the room that is another in every frame, alike in all rows.
-
-    Parameters
-    ----------
-    seen : sequence of FrameTerms
-        Of several poses.
-
-    Returns
-    -------
-    Ripple
-        Of amplitude 0 where the light is steady; without an advance where it changes at random.
-    """
+    """Take light of the room that is another in every frame, alike in all rows."""
     found = change_of([one.series(ROOM) for one in seen])
     swings = bool(found.swing.any())
     rms = abs(float(found.swing[0])) if swings else found.random.alike
@@ -261,23 +174,7 @@ def ripple_in_step(seen: Sequence[FrameTerms]) -> Ripple:
 def match_bands(
     now: TwinParameters, seen: Sequence[FrameTerms], rests: Sequence[FringeRest]
 ) -> TwinParameters:
-    """Give a twin the rippling light of the bench's room: bands along the rows, or light that is in step.
-
-    Parameters
-    ----------
-    now : TwinParameters
-        Of the twin; not changed.
-    seen : sequence of FrameTerms
-        Of several poses.
-    rests : sequence of FringeRest
-        Of the same poses.
-
-    Returns
-    -------
-    TwinParameters
-        With ripple, period and advance and standard uncertainties; without where Schwarz's criterion does not
-        ask for them, or where there is no light of the room.
-    """
+    """Give a twin the rippling light of the bench's room: bands along the rows, or light that is in step."""
     share = float(np.mean([one.room_share for one in seen]))
     steady = now.sigma_with(ambient_ripple=0.0, band_period_px=0.0)
     still = replace(now, ambient_ripple=0.0, band_period_px=0.0, band_advance=None, sigma=steady)

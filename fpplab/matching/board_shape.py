@@ -21,20 +21,8 @@ LEAST_MM = 1e-4
 
 
 def bend_mm(board: Floats, places: Floats) -> Floats:
-    """Interpolate the shape of a board by a polynomial; beyond its points it goes on as at the last of them.
-
-    Parameters
-    ----------
-    board : ndarray of float64
-        Points (N, 3) of the board in mm in its own frame.
-    places : ndarray of float64
-        (P, 2) in mm.
-
-    Returns
-    -------
-    ndarray of float64
-        (P,), by how much the board lies along its normal from its plane there, in mm.
-    """
+    """Interpolate a board's shape by a polynomial, extended beyond its points as at the last."""
+    # board (N, 3) mm; places (P, 2) mm; returns (P,) mm
     if np.abs(board[:, 2]).max() < LEAST_MM:
         return np.zeros(len(places))
     low, high = board[:, :2].min(axis=0), board[:, :2].max(axis=0)
@@ -50,24 +38,8 @@ def _terms(places: Floats) -> Floats:
 
 
 def bend_moves(reference: Reference, parameters: TwinParameters, pose: int, pixels: PixelIndices) -> Floats:
-    """Compute by how much the bend moves the board's surface where pixels see it.
-
-    Parameters
-    ----------
-    reference : Reference
-        With the board as its characterisation found it.
-    parameters : TwinParameters
-        Of the twin.
-    pose : int
-        Index of the pose.
-    pixels : PixelIndices
-        Rows and columns of P pixels.
-
-    Returns
-    -------
-    ndarray of float64
-        (P, 3) in mm along the camera's axes.
-    """
+    """Compute by how much the bend moves the board's surface where pixels see it."""
+    # returns (P, 3) mm
     points = np.stack(pixels[::-1], axis=-1).astype(np.float64)
     there = parameters.poses[pose]
     places = places_seen(points, parameters.calibration, there)[:, :2]
@@ -77,24 +49,6 @@ def bend_moves(reference: Reference, parameters: TwinParameters, pose: int, pixe
 def change_by_bend(
     reference: Reference, parameters: TwinParameters, pose: int, pixels: PixelIndices, slopes: Floats
 ) -> Floats:
-    """Compute by how much the bend changes levels, to first order.
-
-    Parameters
-    ----------
-    reference : Reference
-        With the board as its characterisation found it.
-    parameters : TwinParameters
-        Of the twin.
-    pose : int
-        Index of the pose.
-    pixels : PixelIndices
-        Rows and columns of P pixels.
-    slopes : ndarray of float64
-        Derivatives (n, P, 3) of the levels by a displacement of the board in mm.
-
-    Returns
-    -------
-    ndarray of float64
-        (n, P).
-    """
+    """Compute by how much the bend changes levels, to first order."""
+    # slopes (n, P, 3) mm; returns (n, P)
     return np.asarray(np.einsum("npa,pa->np", slopes, bend_moves(reference, parameters, pose, pixels)))

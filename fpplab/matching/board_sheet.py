@@ -55,19 +55,11 @@ MOST_FACTOR = 1.9
 
 @dataclass(frozen=True, eq=False)
 class _Compared:
-    """One pose: how much brighter the bench is than the twin's sheet, and whether by the same fringes.
+    """One pose: how much brighter the bench is than the twin's sheet, and whether by the same fringes."""
 
-    Attributes
-    ----------
-    ratio, correlation : LevelStack
-        (height, width), NaN where the twin's sheet is not lit.
-    pose : RigidTransform
-        `T_camera_board`.
-    """
-
-    ratio: LevelStack
-    correlation: LevelStack
-    pose: RigidTransform
+    ratio: LevelStack  # (height, width), NaN where the twin's sheet is not lit
+    correlation: LevelStack  # (height, width), NaN where the twin's sheet is not lit
+    pose: RigidTransform  # `T_camera_board`
 
     @property
     def as_sheet(self) -> LevelStack:
@@ -78,24 +70,7 @@ class _Compared:
 def find_sheet(
     reference: Reference, twin: Twin, poses: Sequence[int], progress: Progress = no_progress
 ) -> BoardSheet:
-    """Find the sheet of the board.
-
-    Parameters
-    ----------
-    reference : Reference
-        What was recorded of the bench.
-    twin : Twin
-        Matched; it is left with the sheet that it has.
-    poses : sequence of int
-        Indices of the poses whose recordings are used.
-    progress : Progress
-        Told the share that is done.
-
-    Returns
-    -------
-    BoardSheet
-        Margins and frame that most poses agree on, and the texture.
-    """
+    """Find the sheet of the board."""
     reach = REACH * min(reference.target.size_mm)
     twin.appear(Appearance(BoardSheet((reach, reach, reach, reach))))
     compared = _compare_all(reference, twin, poses, progress)
@@ -118,28 +93,6 @@ def sharpened_sheet(
     """Find the texture again, beyond what the twin shows of it already.
 
     A texture that was found in images has been blurred by a lens, and the twin's lens blurs it once more.
-
-    Parameters
-    ----------
-    reference : Reference
-        What was recorded of the bench.
-    twin : Twin
-        Matched; it is left with the sheet that is returned.
-    sheet : BoardSheet
-        Of `find_sheet`, with a texture.
-    poses : sequence of int
-        Indices of the poses whose recordings are used.
-    progress : Progress
-        Told the share that is done.
-
-    Returns
-    -------
-    BoardSheet
-        With a sharper texture.
-
-    References
-    ----------
-    Van Cittert, "Zum Einfluß der Spaltbreite auf die Intensitätsverteilung in Spektrallinien II", 1931
     """
     assert sheet.texture is not None
 

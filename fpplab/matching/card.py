@@ -22,25 +22,6 @@ def card_pose(session: Session, calibration: Calibration, nominal: RigidTransfor
 
     A plane tells three of six numbers; the card is turned and moved from its nominal pose no further than
     these ask for.
-
-    Parameters
-    ----------
-    session : Session
-        The bench's scan of the card.
-    calibration : Calibration
-        Found by the bench's own characterisation.
-    nominal : RigidTransform
-        `T_camera_item` by the twin's file, in mm.
-
-    Returns
-    -------
-    RigidTransform
-        `T_camera_item` in mm.
-
-    Raises
-    ------
-    DataError
-        The scan has too few points, or they do not lie in a plane.
     """
     _, cloud = reconstruct(session, calibration)
     points = cloud.points.astype(np.float64)
@@ -56,22 +37,8 @@ def card_pose(session: Session, calibration: Calibration, nominal: RigidTransfor
 
 
 def fitted_plane(points: Floats) -> tuple[Floats, Floats, float]:
-    """Fit a plane, robust against points of other objects.
-
-    Parameters
-    ----------
-    points : ndarray of float64
-        (P, 3) in mm.
-
-    Returns
-    -------
-    centre : ndarray of float64
-        (3,), a point of the plane in mm.
-    normal : ndarray of float64
-        (3,), of length 1, away from the camera.
-    spread : float
-        Robust standard deviation of the points from the plane in mm.
-    """
+    """Fit a plane, robust against points of other objects."""
+    # points (P, 3) mm; returns centre (3,) mm, normal (3,)
     weight = np.ones(len(points))
     for _ in range(ROUNDS):
         centre = weight @ points / weight.sum()
@@ -84,20 +51,8 @@ def fitted_plane(points: Floats) -> tuple[Floats, Floats, float]:
 
 
 def moved_into_plane(pose: RigidTransform, centre: Floats, normal: Floats) -> RigidTransform:
-    """Turn and move a pose so that its x and y axes lie in a plane, as little as possible.
-
-    Parameters
-    ----------
-    pose : RigidTransform
-        To start from, in mm.
-    centre, normal : ndarray of float64
-        (3,), a point of the plane in mm, and its normal.
-
-    Returns
-    -------
-    RigidTransform
-        Its z axis is the normal, or opposite to it, whichever is nearer.
-    """
+    """Turn and move a pose so that its x and y axes lie in a plane, as little as possible."""
+    # centre, normal (3,) mm
     axis = pose.rotation[:, 2]
     wanted = normal * np.sign(axis @ normal or 1.0)
     across = np.cross(axis, wanted)

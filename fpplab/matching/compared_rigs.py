@@ -26,18 +26,10 @@ from fpplab.simulation.predictable import Predictable
 
 @dataclass(frozen=True)
 class RigComparison:
-    """A bench beside its twin, on one scan.
+    """A bench beside its twin, on one scan."""
 
-    Attributes
-    ----------
-    prediction : Prediction
-        Of the twin.
-    crossed : mapping of tuple of str to MeasuredFigures
-        By whose frames, and by whose calibration they are triangulated: each `bench` or `twin`.
-    """
-
-    prediction: Prediction
-    crossed: Mapping[tuple[str, str], MeasuredFigures]
+    prediction: Prediction  # of the twin
+    crossed: Mapping[tuple[str, str], MeasuredFigures]  # by whose frames
 
     @property
     def measured(self) -> MeasuredFigures:
@@ -54,14 +46,7 @@ class RigComparison:
         ]
 
     def summary(self) -> dict[str, Any]:
-        """Give plain values, as the command line prints them.
-
-        Returns
-        -------
-        dict of str to Any
-            `item`, `figures` (of each `predicted`, `low`, `high`, `measured`, `inside`), `outside`, and
-            `crossed`, by frames and calibration, as `bench_by_twin`.
-        """
+        """Give plain values, as the command line prints them."""
         outside = self.outside
         return {
             "item": self.prediction.item,
@@ -84,33 +69,7 @@ class RigComparison:
 
 
 def compare_rigs(rig: Rig, session: Session, item: str, calibration: Calibration) -> RigComparison:
-    """Confront a twin's prediction with a bench's scan, and cross their calibrations.
-
-    Parameters
-    ----------
-    rig : Rig
-        The twin; open.
-    session : Session
-        The bench's scan of the item, complete.
-    item : str
-        Name of the item in the twin's world, which stands there as it does on the bench.
-    calibration : Calibration
-        Of the bench.
-
-    Returns
-    -------
-    RigComparison
-        Prediction, measurement, and the four figures of frames and calibrations.
-
-    Raises
-    ------
-    ConfigError
-        The rig is no simulation that can predict, has no such item, or has another camera or projector.
-    DataError
-        The session is damaged, or shows something else.
-    CalibrationError
-        The calibration is of another bench.
-    """
+    """Confront a twin's prediction with a bench's scan, and cross their calibrations."""
     if not isinstance(rig.simulation, Predictable):
         raise ConfigError(f"{rig.source}: is no simulation that can predict; name a twin's rig file")
     _need_same_devices(rig, session)

@@ -43,40 +43,18 @@ PIXELS, LEAST_PIXELS = 4_000, 200
 
 @dataclass(frozen=True, eq=False)
 class ContrastSample:
-    """Contrast of some fringe sets at some pixels that see a part.
+    """Contrast of some fringe sets at some pixels that see a part."""
 
-    Attributes
-    ----------
-    number : int
-        Of the scan, from 0.
-    item : str
-        The part, as the twin's world calls it.
-    T_camera_item : RigidTransform
-        Pose of the part, in mm.
-    settings : CameraSettings
-        Of the bench's camera.
-    sets : tuple of FringeSet
-        The S sets that are compared.
-    patterns : tuple of Pattern
-        Of all their images, one set after the other.
-    pixels : PixelIndices
-        Rows and columns of the P pixels.
-    normals : Floats
-        Unit normals (P, 3) of what they see, in the camera's frame.
-    offset, amplitude : Floats
-        Of the bench's fringes (S, P), in raw levels; the offset with the black level. NaN where saturated.
-    """
-
-    number: int
-    item: str
-    T_camera_item: RigidTransform
-    settings: CameraSettings
-    sets: tuple[FringeSet, ...]
-    patterns: tuple[Pattern, ...]
-    pixels: PixelIndices
-    normals: Floats
-    offset: Floats
-    amplitude: Floats
+    number: int  # of the scan, from 0
+    item: str  # the part, as the twin's world calls it
+    T_camera_item: RigidTransform  # pose of the part, in mm
+    settings: CameraSettings  # of the bench's camera
+    sets: tuple[FringeSet, ...]  # the S sets that are compared
+    patterns: tuple[Pattern, ...]  # of all their images, one set after the other
+    pixels: PixelIndices  # rows and columns of the P pixels
+    normals: Floats  # unit normals (P, 3) of what they see, in the camera's frame
+    offset: Floats  # of the bench's fringes (S, P), in raw levels
+    amplitude: Floats  # of the bench's fringes (S, P), in raw levels
 
     @cached_property
     def clusters(self) -> NDArray[np.int64]:
@@ -90,21 +68,8 @@ class ContrastSample:
         return np.array([row, TILES * self.number + column, len(self.sets) * self.number + sets], np.int64)
 
     def residual(self, reference: Reference, twin: Twin) -> Floats:
-        """Compare amplitudes with those that the twin has where it is as bright.
-
-        Parameters
-        ----------
-        reference : Reference
-            What was recorded of the bench.
-        twin : Twin
-            With the parameters to evaluate.
-
-        Returns
-        -------
-        Floats
-            Bench less twin (S P,), in raw levels of the reference: of the root mean square of an image, so
-            that the noise is that of an image.
-        """
+        """Compare amplitudes with those that the twin has where it is as bright."""
+        # returns (S P,)
         black = twin.parameters.black_level * full_scale(self.settings.bits)
         short = replace(self.settings, exposure_s=SHORT * self.settings.exposure_s)
         levels = twin.expected_part(self.item, self.T_camera_item, self.patterns, short, self.pixels)
@@ -117,21 +82,7 @@ class ContrastSample:
         return _without(left, turned)
 
     def relative_residual(self, reference: Reference, twin: Twin) -> Floats:
-        """Compare contrasts by the tiles of the part.
-
-        Parameters
-        ----------
-        reference : Reference
-            What was recorded of the bench.
-        twin : Twin
-            With the parameters to evaluate.
-
-        Returns
-        -------
-        Floats
-            Medians of bench less twin, relative to the bench's amplitude, of each set's tiles that have
-            pixels which are not saturated.
-        """
+        """Compare contrasts by the tiles of the part."""
         level, tiles = self.level(reference), tile_numbers(self.pixels)
         lit = level > 0.0
         off = self.residual(reference, twin)[lit] / level[lit]
@@ -139,18 +90,8 @@ class ContrastSample:
         return np.array([np.median(off[cells == cell]) for cell in np.unique(cells)])
 
     def level(self, reference: Reference) -> Floats:
-        """Give the amplitudes of the bench in the unit of the residuals.
-
-        Parameters
-        ----------
-        reference : Reference
-            What was recorded of the bench.
-
-        Returns
-        -------
-        Floats
-            (S P,), 0 where saturated.
-        """
+        """Give the amplitudes of the bench in the unit of the residuals."""
+        # returns (S P,)
         return np.nan_to_num(self._scale(reference) * self.amplitude).ravel()
 
     def _scale(self, reference: Reference) -> Floats:
@@ -160,42 +101,13 @@ class ContrastSample:
 
 
 def sample_contrasts(twin: Twin, scans: Sequence[BenchScan], board: Plan) -> list[ContrastSample]:
-    """Sample the contrast of fringes on parts that are finer than all on the board.
-
-    Parameters
-    ----------
-    twin : Twin
-        In the geometry of the bench.
-    scans : sequence of BenchScan
-        Recorded on the bench.
-    board : Plan
-        With which the board was recorded.
-
-    Returns
-    -------
-    list of ContrastSample
-        One for each scan that has such fringes, and enough pixels that are lit and not saturated.
-    """
+    """Sample the contrast of fringes on parts that are finer than all on the board."""
     return list(_samples(twin, scans, board.most_stripes))
 
 
 def board_contrasts(reference: Reference, twin: Twin, poses: Sequence[int]) -> Floats:
-    """Compare the contrast of the board's finest fringes with the twin's.
-
-    Parameters
-    ----------
-    reference : Reference
-        What was recorded of the bench.
-    twin : Twin
-        With the parameters to evaluate.
-    poses : sequence of int
-        Indices of poses.
-
-    Returns
-    -------
-    Floats
-        Logarithms (poses, axes) of bench over twin, medians over the board.
-    """
+    """Compare the contrast of the board's finest fringes with the twin's."""
+    # returns (poses, axes)
     plan, now = reference.plan, twin.parameters
     black, sets = now.black_level * reference.full_scale, [plan.finest_set(axis) for axis in plan.axes]
 
@@ -229,24 +141,6 @@ def with_common_error(
     """Add to standard uncertainties that a whole scan's contrast may be off, as that of its tiles is.
 
     A fit of one scan takes for sharpness what all its pixels have in common, whatever it comes from.
-
-    Parameters
-    ----------
-    reference : Reference
-        What was recorded of the bench.
-    twin : Twin
-        Left with what was found.
-    found : TwinParameters
-        As they were fitted.
-    names : sequence of str
-        C keys of `ADJUSTABLE` that were fitted.
-    samples : sequence of ContrastSample
-        To which they were fitted.
-
-    Returns
-    -------
-    TwinParameters
-        With greater standard uncertainties.
     """
     twin.become(found)
     slopes = level_slopes(reference, twin, names, samples, found, light_residuals(reference, twin, samples))

@@ -43,22 +43,7 @@ the next, and of the twin there may be any number."""
 
 
 def discrepancy_of(reference: Reference, twin: Twin, scans: Sequence[BenchScan]) -> Discrepancy:
-    """Compare bench and twin where both are known.
-
-    Parameters
-    ----------
-    reference : Reference
-        What was recorded of the bench.
-    twin : Twin
-        Matched.
-    scans : sequence of BenchScan
-        Recorded on the bench.
-
-    Returns
-    -------
-    Discrepancy
-        Without distance and completeness where there is no scan.
-    """
+    """Compare bench and twin where both are known."""
     fitted = set(reference.spread_poses(SAMPLED_POSES))
     others = [pose for pose in range(len(reference.sessions)) if pose not in fitted]
     judged = others or sorted(fitted)
@@ -81,20 +66,7 @@ def discrepancy_of(reference: Reference, twin: Twin, scans: Sequence[BenchScan])
 
 
 def level_differences(reference: Reference, twin: Twin) -> LevelDifferences:
-    """Compare the levels of bench and twin by pose, pattern and place on the board.
-
-    Parameters
-    ----------
-    reference : Reference
-        What was recorded of the bench.
-    twin : Twin
-        With the parameters to compare.
-
-    Returns
-    -------
-    LevelDifferences
-        Relative to the mean level of each pose; `left_out` is empty.
-    """
+    """Compare the levels of bench and twin by pose, pattern and place on the board."""
     images = reference.one_of_each_set
     squares = [_relative_squares(reference, twin, pose, images) for pose in range(len(reference.sessions))]
     by_image, tiles, pixels = zip(*squares, strict=True)
@@ -175,22 +147,7 @@ def _contrast_deviation(
 def scan_figures(
     reference: Reference, twin: Twin, scan: BenchScan
 ) -> tuple[MeasuredFigures, MeasuredFigures]:
-    """Compute the figures of a scan on the bench, and of such scans on the twin.
-
-    Parameters
-    ----------
-    reference : Reference
-        Its characterisation is what the bench's scan is reconstructed with.
-    twin : Twin
-        Reconstructed as predictions are: with its true calibration and what the errors of the bench's add.
-    scan : BenchScan
-        Recorded on the bench.
-
-    Returns
-    -------
-    real, own : MeasuredFigures
-        Of bench and twin; the twin's are medians of `TWIN_SCANS`.
-    """
+    """Compute the figures of a scan on the bench, and of such scans on the twin."""
     placed = placed_part(twin, scan)
     real = measured_figures(scan.session, reference.characterisation.calibration, placed)
     session, known = scan.session, twin.parameters.calibration

@@ -21,33 +21,13 @@ from fpplab.simulation.matchable import Twin
 
 @dataclass(frozen=True, eq=False)
 class TwinEvaluation:
-    """How well a twin agrees with the reference.
+    """How well a twin agrees with the reference."""
 
-    Attributes
-    ----------
-    loss : Loss
-        The loss with its parts.
-    characterisation : Characterisation or None
-        Of the twin's own frames; None where the twin's RMS reprojection error was given instead.
-    """
-
-    loss: Loss
-    characterisation: Characterisation | None
+    loss: Loss  # the loss with its parts
+    characterisation: Characterisation | None  # of the twin's own frames
 
     def by_pose_name(self, reference: Reference) -> dict[str, dict[str, float]]:
-        """Give the figures of every pose; the images of all have been compared.
-
-        Parameters
-        ----------
-        reference : Reference
-            The reference that the twin was compared with.
-
-        Returns
-        -------
-        dict of str to dict of str to float
-            By name of pose: `ssim` and `ssim_board`, the mean SSIM of its images, and `epsilon_d_px`, RMS
-            reprojection error of the reference less that of the twin, where the twin's board was found.
-        """
+        """Give the figures of every pose; the images of all have been compared."""
         names = [session.path.name for session in reference.sessions]
         similar = self.loss.similarity
         figures = {
@@ -88,32 +68,6 @@ def evaluate(
     """Compare the twin's expected images with the reference, pose by pose.
 
     They have no noise: that of twin and bench are never alike, and noise is judged by its variance.
-
-    Parameters
-    ----------
-    reference : Reference
-        What was recorded of the bench.
-    twin : Twin
-        With the parameters to evaluate; they are not changed.
-    weights : Weights
-        Of the loss.
-    epsilon_v : float, optional
-        Joint RMS reprojection error of the twin in px, where it is known. Without it all frames of the plan
-        are simulated with their noise and characterised.
-    poses : sequence of int, optional
-        Indices of the poses whose images are compared; all by default. All are characterised.
-    progress : Progress
-        Told the share of the poses that are done.
-
-    Returns
-    -------
-    TwinEvaluation
-        The loss, and the characterisation unless `epsilon_v` was given.
-
-    Raises
-    ------
-    CalibrationError
-        The twin's own frames cannot be characterised.
     """
     every = range(len(twin.parameters.poses))
     chosen = set(every if poses is None else poses)
@@ -143,22 +97,7 @@ def evaluate(
 
 
 def pose_similarity(reference: Reference, twin: Twin, pose: int) -> list[tuple[float, float]]:
-    """Compare the first image of every fringe set in one pose with the twin's, which has no noise.
-
-    Parameters
-    ----------
-    reference : Reference
-        What was recorded of the bench.
-    twin : Twin
-        With the parameters to evaluate; they are not changed.
-    pose : int
-        Index of the pose.
-
-    Returns
-    -------
-    list of tuple of float
-        SSIM of the whole image and over the board, of every image.
-    """
+    """Compare the first image of every fringe set in one pose with the twin's, which has no noise."""
     now, images = twin.parameters, reference.one_of_each_set
     expected = twin.expected(pose, reference.shown(images), reference.settings)
     board = board_mask(now.calibration.camera, now.poses[pose], reference.target)

@@ -11,20 +11,7 @@ from fpplab.simulation.matchable import TwinParameters
 
 
 def match_flicker(now: TwinParameters, seen: Sequence[FrameTerms]) -> TwinParameters:
-    """Give a twin the flicker of the bench's projector.
-
-    Parameters
-    ----------
-    now : TwinParameters
-        Of the twin; not changed.
-    seen : sequence of FrameTerms
-        Of several poses.
-
-    Returns
-    -------
-    TwinParameters
-        With flicker and its standard uncertainty; without where Schwarz's criterion does not ask for it.
-    """
+    """Give a twin the flicker of the bench's projector."""
     found = change_of([one.series(GAIN) for one in seen], swings=False)
     flicker = found.random.alike
     sigma = now.sigma_with(projector_flicker=flicker * found.sigma)

@@ -40,47 +40,18 @@ LEAST_ROOM = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class FrameTerms:
-    """Terms of the frames of a pose.
+    """Terms of the frames of a pose."""
 
-    Attributes
-    ----------
-    pose : int
-        Index of the pose.
-    frames : ndarray of float64
-        Numbers (n,) of the frames in the session.
-    sets : ndarray of int64
-        Fringe set (n,) of each frame.
-    values : ndarray of float64
-        (n, 5).
-    covariance : ndarray of float64
-        (n, 5, 5), by all that the fit leaves. Residuals within a tile count as dependent.
-    noise : ndarray of float64
-        (n, 5, 5), by what of it changes from frame to frame.
-    room_share : float
-        Share of the room's light in the mean level above black.
-    """
-
-    pose: int
-    frames: Floats
-    sets: NDArray[np.int64]
-    values: Floats
-    covariance: Floats
-    noise: Floats
-    room_share: float
+    pose: int  # index of the pose
+    frames: Floats  # numbers (n,) of the frames in the session
+    sets: NDArray[np.int64]  # fringe set (n,) of each frame
+    values: Floats  # (n, 5)
+    covariance: Floats  # (n, 5, 5), by all that the fit leaves. Residuals within a tile count as dependent
+    noise: Floats  # (n, 5, 5), by what of it changes from frame to frame
+    room_share: float  # share of the room's light in the mean level above black
 
     def series(self, columns: Sequence[int]) -> Series:
-        """Take some of the terms.
-
-        Parameters
-        ----------
-        columns : sequence of int
-            `GAIN`, `ROOM` or `MOVES`.
-
-        Returns
-        -------
-        Series
-            Of all frames.
-        """
+        """Take some of the terms."""
         of = list(columns)
         # A fringe that the twin has elsewhere in all frames looks like a motion, but not like more light.
         known = self.noise if columns == GAIN else self.covariance
@@ -90,23 +61,7 @@ class FrameTerms:
 
 
 def terms_of_pose(reference: Reference, twin: Twin, pose: int) -> FrameTerms:
-    """Estimate the terms of every frame of a pose. The twin is left as it is.
-
-    Parameters
-    ----------
-    reference : Reference
-        What was recorded of the bench.
-    twin : Twin
-        With matched geometry and light.
-    pose : int
-        Index of the pose.
-
-    Returns
-    -------
-    FrameTerms
-        Of all images of the finest fringe sets along both axes: coarse fringes tell less of a motion than
-        what the twin lacks.
-    """
+    """Estimate the terms of every frame of a pose. The twin is left as it is."""
     now, images, sets = twin.parameters, *_finest(reference.plan)
     board = board_mask(now.calibration.camera, now.poses[pose], reference.target)
     pixels = subsample_pixels(board, MAX_PIXELS)

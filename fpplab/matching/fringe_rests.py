@@ -36,33 +36,15 @@ LEAST_IMAGES = 7
 
 @dataclass(frozen=True, eq=False)
 class FringeRest:
-    """What is left of one fringe set of one pose.
+    """What is left of one fringe set of one pose."""
 
-    Attributes
-    ----------
-    pose : int
-        Index of the pose.
-    frames : ndarray of float64
-        Numbers (N,) of the frames in their session.
-    rest : ndarray of float64
-        Levels (N, P), in 8-bit grey levels.
-    beyond : ndarray of float64
-        (N, N), takes off what of the frames is taken for the pixel's own offset and fringe.
-    level : ndarray of float64
-        Mean levels A (P,) above black.
-    rows : ndarray of float64
-        Rows (P,) of the image.
-    axis : str
-        Of the fringes.
-    """
-
-    pose: int
-    frames: Floats
-    rest: Floats
-    beyond: Floats
-    level: Floats
-    rows: Floats
-    axis: Axis
+    pose: int  # index of the pose
+    frames: Floats  # numbers (N,) of the frames in their session
+    rest: Floats  # levels (N, P), in 8-bit grey levels
+    beyond: Floats  # (N, N), takes off what of the frames is taken for the pixel's own offset and fringe
+    level: Floats  # mean levels A (P,) above black
+    rows: Floats  # rows (P,) of the image
+    axis: Axis  # of the fringes
 
     @property
     def freedom(self) -> int:
@@ -75,39 +57,14 @@ class FringeRest:
         return self.axis == "x"
 
     def waves(self, frequency: Floats) -> Complex:
-        """Compute the waves along the rows in every frame.
-
-        Parameters
-        ----------
-        frequency : ndarray of float64
-            (F,) in periods per row.
-
-        Returns
-        -------
-        ndarray of complex128
-            (N, F), `ρ exp(iφ) / 2` of each frame, but for what is taken for the pixel's own fringe.
-        """
+        """Compute the waves along the rows in every frame."""
+        # frequency (F,); returns (N, F)
         waves = self.level[:, None] * np.exp(-2j * np.pi * self.rows[:, None] * frequency)
         return np.asarray(self.rest @ waves / (self.level @ self.level))
 
 
 def fringe_rests(reference: Reference, parameters: TwinParameters, poses: Sequence[int]) -> list[FringeRest]:
-    """Fit the fringe sets of some poses.
-
-    Parameters
-    ----------
-    reference : Reference
-        What was recorded of the bench.
-    parameters : TwinParameters
-        Their poses tell where the board is; black level.
-    poses : sequence of int
-        Indices of the poses.
-
-    Returns
-    -------
-    list of FringeRest
-        One for each pose and fringe set of at least `LEAST_IMAGES` images.
-    """
+    """Fit the fringe sets of some poses."""
     return [one for pose in poses for one in _of_pose(reference, parameters, pose)]
 
 
@@ -139,26 +96,8 @@ def rest_of_set(
     fringe: FringeSet,
     place: tuple[int, int] = (0, 0),
 ) -> FringeRest:
-    """Take offset, fringes, flicker and motion off the frames of a set.
-
-    Parameters
-    ----------
-    levels : ndarray of float64
-        (N, P) above black, in 8-bit grey levels.
-    slopes : ndarray of float64
-        (2, P) derivatives of the mean image along its axes, in grey levels per pixel.
-    pixels : PixelIndices
-        Rows and columns (P,) of the image.
-    fringe : FringeSet
-        With N images.
-    place : tuple of int
-        Index of the pose, and number of the set's first frame in the session.
-
-    Returns
-    -------
-    FringeRest
-        Of this set.
-    """
+    """Take offset, fringes, flicker and motion off the frames of a set."""
+    # levels (N, P); slopes (2, P); pixels (P,)
     shift, count = fringe.phase_shifts(), len(levels)
     fitted, beyond = fit_sinusoids(levels, fringe), beyond_fringe(shift)
     offset, (light, across) = fitted[0], fringe_levels(fitted, shift)
@@ -189,35 +128,14 @@ def _inverse(normal: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Variances:
-    """Random numbers of known noise whose further variance is asked for.
+    """Random numbers of known noise whose further variance is asked for."""
 
-    Attributes
-    ----------
-    squares : ndarray of float64
-        (K,) squared values, or squared sizes of complex ones.
-    noise : ndarray of float64
-        (K,) their expectation by noise alone.
-    weight : ndarray of float64
-        (K,) degrees of freedom of each.
-    """
-
-    squares: Floats
-    noise: Floats
-    weight: Floats
+    squares: Floats  # (K,) squared values, or squared sizes of complex ones
+    noise: Floats  # (K,) their expectation by noise alone
+    weight: Floats  # (K,) degrees of freedom of each
 
     def misfit(self, further: float) -> float:
-        """Compute twice the negative logarithm of the likelihood of a further variance.
-
-        Parameters
-        ----------
-        further : float
-            The variance.
-
-        Returns
-        -------
-        float
-            But for a constant.
-        """
+        """Compute twice the negative logarithm of the likelihood of a further variance."""
         whole = self.noise + further
         return float(np.sum(self.weight * (np.log(whole) + self.squares / whole)))
 
@@ -241,18 +159,5 @@ class Variances:
         return float(1.0 / np.sqrt(2.0 * max(np.sum(self.weight * share**2), 1e-12)))
 
     def criterion(self, further: float, free: int) -> float:
-        """Compute Schwarz's criterion of a further variance.
-
-        Parameters
-        ----------
-        further : float
-            The variance.
-        free : int
-            Number of parameters that it takes.
-
-        Returns
-        -------
-        float
-            The least is the best.
-        """
+        """Compute Schwarz's criterion of a further variance."""
         return self.misfit(further) + free * float(np.log(np.sum(self.weight)))

@@ -31,40 +31,20 @@ CONVERGED_GAIN = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class GammaEpoch:
-    """One evaluation of the twin.
+    """One evaluation of the twin."""
 
-    Attributes
-    ----------
-    parameters : TwinParameters
-        The twin's parameters in this epoch.
-    levels : Floats
-        Mean levels (L,) that the twin's camera sees, as shares of full scale.
-    sum_of_squares : float
-        Of the differences from the reference's levels.
-    """
-
-    parameters: TwinParameters
-    levels: Floats
-    sum_of_squares: float
+    parameters: TwinParameters  # the twin's parameters in this epoch
+    levels: Floats  # mean levels (L,) that the twin's camera sees, as shares of full scale
+    sum_of_squares: float  # of the differences from the reference's levels
 
 
 @dataclass(frozen=True, eq=False)
 class GammaMatch:
-    """Result of a gamma matching.
+    """Result of a gamma matching."""
 
-    Attributes
-    ----------
-    shown : Floats
-        Levels (L,) shown on the bench, as shares of full scale.
-    seen : Floats
-        Mean levels (L,) that the bench's camera saw, as shares of full scale.
-    epochs : tuple of GammaEpoch
-        All evaluations in their order; the last is the best.
-    """
-
-    shown: Floats
-    seen: Floats
-    epochs: tuple[GammaEpoch, ...]
+    shown: Floats  # levels (L,) shown on the bench, as shares of full scale
+    seen: Floats  # mean levels (L,) that the bench's camera saw, as shares of full scale
+    epochs: tuple[GammaEpoch, ...]  # all evaluations in their order; the last is the best
 
     @property
     def parameters(self) -> TwinParameters:
@@ -72,13 +52,7 @@ class GammaMatch:
         return self.epochs[-1].parameters
 
     def summary(self) -> dict[str, float]:
-        """Give the figures that reports and the command line print.
-
-        Returns
-        -------
-        dict of str to float
-            W, a, b, g of the twin, the sum of squares that is left, and the number of epochs.
-        """
+        """Give the figures that reports and the command line print."""
         found = self.parameters
         return {
             "W": found.white,
@@ -94,29 +68,6 @@ def match_gamma(twin: Twin, response: Response, item: str, settings: CameraSetti
     """Fit the twin's response, so that it sees a card in uniform grey levels as the bench did.
 
     Starts from the fit of the measured response. The twin is left with the matched parameters.
-
-    Parameters
-    ----------
-    twin : Twin
-        To be matched.
-    response : Response
-        Measured on the bench, with the levels that were fitted.
-    item : str
-        The card, as the twin's fixture calls it.
-    settings : CameraSettings
-        Of the reference's frames.
-
-    Returns
-    -------
-    GammaMatch
-        The levels of the reference, and every epoch.
-
-    Raises
-    ------
-    CalibrationError
-        The response holds no levels, or no response of the twin fits them.
-    ConfigError
-        The twin's world has no such item.
     """
     if len(response.measured) == 0:
         raise CalibrationError("the response file holds no levels; measure it again with `fpplab gamma`")
@@ -148,27 +99,6 @@ def with_level_of_card(twin: Twin, response: Response, item: str, settings: Came
 
     Vignetting and falloff are found on the board, after the response. They change what the card shows, and
     the board's reflectance alone would make up for that: every other part would be too dark or too bright.
-
-    Parameters
-    ----------
-    twin : Twin
-        With matched light; left as it is.
-    response : Response
-        Measured on the bench, with the levels that were fitted.
-    item : str
-        The card, as the twin's fixture calls it.
-    settings : CameraSettings
-        Of the reference's frames.
-
-    Returns
-    -------
-    TwinParameters
-        With another level of white, and reflectances of the board and their uncertainties to match.
-
-    Raises
-    ------
-    ConfigError
-        The twin's world has no such item.
     """
     now, card = twin.parameters, GreyCard(twin, item, settings, response)
     shown, seen = _measured(response)
@@ -196,49 +126,21 @@ def _measured(response: Response) -> tuple[Floats, Floats]:
 
 @dataclass(frozen=True, eq=False)
 class GreyCard:
-    """The twin in front of a grey card, seen in the image regions in which the bench's response was fitted.
+    """The twin in front of a grey card, in the image regions where the bench's response was fitted."""
 
-    Attributes
-    ----------
-    twin : Twin
-        Whose camera looks at the card.
-    item : str
-        The card, as the twin's fixture calls it.
-    settings : CameraSettings
-        Of the camera.
-    response : Response
-        Measured on the bench; names the regions.
-    """
-
-    twin: Twin
-    item: str
-    settings: CameraSettings
-    response: Response
+    twin: Twin  # whose camera looks at the card
+    item: str  # the card, as the twin's fixture calls it
+    settings: CameraSettings  # of the camera
+    response: Response  # measured on the bench; names the regions
 
     def levels(self, shown: Floats) -> Floats:
-        """Give the mean levels that the twin's camera sees of uniform grey-level images.
-
-        Parameters
-        ----------
-        shown : Floats
-            Levels (L,) shown, as shares of full scale; rounded to the projector's 8 bits.
-
-        Returns
-        -------
-        Floats
-            Mean levels (L,) seen, as shares of full scale.
-        """
+        """Give the mean levels that the twin's camera sees of uniform grey-level images."""
+        # shown (L,); returns (L,)
         levels_8_bit = [round(255 * level) for level in shown.tolist()]
         return self._means(uniform_patterns(levels_8_bit, self.twin.parameters.calibration.projector.size))
 
     def dark_level(self) -> float:
-        """Give the mean level without the projector's light.
-
-        Returns
-        -------
-        float
-            As share of full scale.
-        """
+        """Give the mean level without the projector's light."""
         present = self.twin.parameters
         self.twin.become(replace(present, response=Curve(a=1.0, b=0.0, g=1.0)))
         level = float(self.levels(np.zeros(1))[0])

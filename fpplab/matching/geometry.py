@@ -51,19 +51,6 @@ def contradiction(reference: Reference, parameters: TwinParameters) -> float:
 
     Points are centres of marks: blur, grain of the print and uneven light hardly move them, while a fit of
     images takes for geometry whatever else the twin lacks. So images are believed as far as points allow.
-
-    Parameters
-    ----------
-    reference : Reference
-        What was recorded of the bench.
-    parameters : TwinParameters
-        Of the twin.
-
-    Returns
-    -------
-    float
-        χ² of the calibration by the characterisation's covariance, over the most that is likely: 1 and less
-        agrees. 0 where the characterisation states no covariance.
     """
     found = reference.characterisation
     known = found.calibration.uncertainty
@@ -80,20 +67,8 @@ def _shared(known: Calibration, free: int) -> Floats:
 
 
 def solution_of(parameters: TwinParameters, board: Floats) -> Solution:
-    """Convert the twin's geometry to the form of the bundle adjustment.
-
-    Parameters
-    ----------
-    parameters : TwinParameters
-        Of the twin.
-    board : Floats
-        Points (P, 3) of the board in mm.
-
-    Returns
-    -------
-    Solution
-        Intrinsics, pose between the devices, poses of the board, and its points.
-    """
+    """Convert the twin's geometry to the form of the bundle adjustment."""
+    # board (P, 3) mm
     known = parameters.calibration
     return Solution(
         _intrinsics(known.camera),
@@ -105,20 +80,7 @@ def solution_of(parameters: TwinParameters, board: Floats) -> Solution:
 
 
 def with_solution(parameters: TwinParameters, found: Solution) -> TwinParameters:
-    """Replace the geometry by the solution of a bundle adjustment.
-
-    Parameters
-    ----------
-    parameters : TwinParameters
-        Of the twin; not changed.
-    found : Solution
-        The new geometry; its board points are not used.
-
-    Returns
-    -------
-    TwinParameters
-        With the new calibration and poses; the calibration is as uncertain as before.
-    """
+    """Replace the geometry by the solution of a bundle adjustment."""
     known = parameters.calibration
     calibration = Calibration(
         replace(known.camera, matrix=matrix_of(found.camera), distortion=found.camera[4:]),
@@ -136,25 +98,7 @@ def _intrinsics(device: Pinhole) -> Floats:
 
 
 def refine_by_reprojection(parameters: TwinParameters, found: Characterisation) -> TwinParameters:
-    """Refine the geometry by bundle adjustment of the points observed in camera and projector.
-
-    Parameters
-    ----------
-    parameters : TwinParameters
-        To start from; not changed.
-    found : Characterisation
-        Of the reference: its observations, board and distortion model.
-
-    Returns
-    -------
-    TwinParameters
-        With the geometry of the least reprojection error.
-
-    Raises
-    ------
-    CalibrationError
-        There is no solution: the poses do not determine the parameters.
-    """
+    """Refine the geometry by bundle adjustment of the points observed in camera and projector."""
     model = Model(found.level, found.board)
     adjusted, _ = adjust_bundle(found.observations, solution_of(parameters, found.board), model)
     return with_solution(parameters, adjusted)
@@ -167,20 +111,6 @@ def refine_by_images(reference: Reference, twin: Twin, level: DistortionModel) -
     the board, an offset, a quadratic term of its response and a blur of its own (`NUISANCE_PARAMETERS`).
     Each image has a small displacement of the board, normally distributed with the twin's `displacement_mm`.
     The twin is left with the parameters that it had.
-
-    Parameters
-    ----------
-    reference : Reference
-        What was recorded of the bench.
-    twin : Twin
-        Starts from its present parameters.
-    level : DistortionModel
-        Which terms of the distortion are free.
-
-    Returns
-    -------
-    TwinParameters
-        After the step.
     """
     start = twin.parameters
     free = len(level.terms)
@@ -293,53 +223,20 @@ def _perturbed(pose: Floats, move: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class PoseResidual:
-    """Residuals of some pixels in some images of one pose.
+    """Residuals of some pixels in some images of one pose."""
 
-    Attributes
-    ----------
-    pose : int
-        Index of the pose.
-    images : tuple of int
-        Indices of the n images in the plan.
-    pixels : PixelIndices
-        Rows and columns of the P pixels.
-    valid : NDArray of bool
-        (n, P), neither saturated nor dark.
-    expected : Floats
-        Raw levels (n, P) that the twin expects.
-    residual : Floats
-        Reference less twin, bent as the reference's board is, (n, P) in raw levels; 0 where not valid.
-    laplacian : Floats
-        Of the expected image, (n, P): proportional to the effect of slightly more blur.
-    level_gradient : Floats
-        (n, P, 4), derivatives of the level by x, y on the board in mm and u, v of the projector in px.
-    """
-
-    pose: int
-    images: tuple[int, ...]
-    pixels: PixelIndices
-    valid: NDArray[np.bool_]
-    expected: Floats
-    residual: Floats
-    laplacian: Floats
-    level_gradient: Floats
+    pose: int  # index of the pose
+    images: tuple[int, ...]  # indices of the n images in the plan
+    pixels: PixelIndices  # rows and columns of the P pixels
+    valid: NDArray[np.bool_]  # (n, P), neither saturated nor dark
+    expected: Floats  # raw levels (n, P) that the twin expects
+    residual: Floats  # reference less twin, bent as the reference's board is, (n, P) in raw levels
+    laplacian: Floats  # of the expected image, (n, P): proportional to the effect of slightly more blur
+    level_gradient: Floats  # (n, P, 4) mm
 
     def jacobian(self, at: TwinParameters, free: int) -> Iterator[Floats]:
-        """Compute the derivatives of the levels by the parameters of `refine_by_images`.
-
-        Parameters
-        ----------
-        at : TwinParameters
-            Where the derivatives are taken.
-        free : int
-            Number of free intrinsic parameters of each device.
-
-        Yields
-        ------
-        Floats
-            For each image (P, C): intrinsics of camera and projector, pose between them, pose of the board,
-            nuisance parameters.
-        """
+        """Compute the derivatives of the levels by the parameters of `refine_by_images`."""
+        # returns (P, C)
         points = np.stack(self.pixels[::-1], axis=-1).astype(np.float64)
         places = place_jacobian(points, at.calibration, at.poses[self.pose], free)
         across, down = ((points - points.mean(axis=0)) / np.ptp(points, axis=0)).T
@@ -385,29 +282,8 @@ def _residual_of_pose(reference: Reference, twin: Twin, start: TwinParameters, p
 def levels_with_gradient(
     reference: Reference, twin: Twin, pose: int, images: Sequence[int], pixels: PixelIndices
 ) -> tuple[Floats, Floats]:
-    """Compute levels, and differentiate them by the places on board and projector that pixels see.
-
-    Parameters
-    ----------
-    reference : Reference
-        Patterns and settings of its images.
-    twin : Twin
-        With the parameters at which the derivatives are taken; it is left with them.
-    pose : int
-        Index of the pose.
-    images : sequence of int
-        Indices of the n images in the plan.
-    pixels : PixelIndices
-        Rows and columns of the P pixels.
-
-    Returns
-    -------
-    levels : Floats
-        Raw levels (n, P) that the twin expects.
-    gradient : Floats
-        (n, P, 4) by x, y on the board in mm and u, v of the projector in px; those of the twin, or finite
-        differences where it has none.
-    """
+    """Compute levels, and differentiate them by the places on board and projector that pixels see."""
+    # returns levels (n, P), gradient (n, P, 4) mm
     start, patterns = twin.parameters, reference.shown(images)
     own = twin.expected_with_slopes(pose, patterns, reference.settings, pixels)
     if own is not None:

@@ -32,41 +32,16 @@ LEAST_EIGENVALUE = 1e-9
 
 @dataclass(frozen=True)
 class AdjustableParameter:
-    """A scalar parameter of a twin that can be fitted.
+    """A scalar parameter of a twin that can be fitted."""
 
-    Attributes
-    ----------
-    step : float
-        Step of the finite difference, in the parameter's unit.
-    lower, upper : float
-        Range of values that a world accepts.
-    read : callable
-        Gives the value from `TwinParameters`.
-    set : callable
-        Gives `TwinParameters` with another value; the range is not checked.
-    """
-
-    step: float
-    lower: float
-    upper: float
-    read: Callable[[TwinParameters], float]
-    set: Callable[[TwinParameters, float], TwinParameters]
+    step: float  # step of the finite difference, in the parameter's unit
+    lower: float  # range of values that a world accepts
+    upper: float  # range of values that a world accepts
+    read: Callable[[TwinParameters], float]  # gives the value from `TwinParameters`
+    set: Callable[[TwinParameters, float], TwinParameters]  # gives `TwinParameters` with another value
 
     def with_value(self, parameters: TwinParameters, value: float) -> TwinParameters:
-        """Set the value, clipped to the range.
-
-        Parameters
-        ----------
-        parameters : TwinParameters
-            To start from; not changed.
-        value : float
-            In the parameter's unit.
-
-        Returns
-        -------
-        TwinParameters
-            With the value clipped to [lower, upper].
-        """
+        """Set the value, clipped to the range."""
         return self.set(parameters, min(max(value, self.lower), self.upper))
 
 
@@ -111,22 +86,7 @@ LAMP = ("lamp_irradiance", "lamp_angle_deg", "lamp_azimuth_deg", "lamp_nearness"
 
 
 def normalised_response(curve: Curve, *, black: float | None = None, g: float | None = None) -> Curve:
-    """Scale a response so that its white is 1.
-
-    Parameters
-    ----------
-    curve : Curve
-        Whose shape it gets.
-    black : float, optional
-        Level of a dark image relative to white; that of the curve by default.
-    g : float, optional
-        Exponent; that of the curve by default.
-
-    Returns
-    -------
-    Curve
-        With a + b = 1.
-    """
+    """Scale a response so that its white is 1."""
     dark = curve.b / (curve.a + curve.b) if black is None else black
     return Curve(a=1.0 - dark, b=dark, g=curve.g if g is None else g, spline=curve.spline)
 
@@ -167,42 +127,12 @@ ADJUSTABLE = {
 
 
 def light_residuals(reference: Reference, twin: Twin, samples: Sequence[LightSample]) -> Floats:
-    """Compute the residuals of the twin with its present parameters.
-
-    Parameters
-    ----------
-    reference : Reference
-        What was recorded of the bench.
-    twin : Twin
-        With the parameters to evaluate.
-    samples : sequence of LightSample
-        What is compared.
-
-    Returns
-    -------
-    Floats
-        Reference less twin in raw levels, of all samples in one row.
-    """
+    """Compute the residuals of the twin with its present parameters."""
     return np.concatenate([sample.residual(reference, twin) for sample in samples])
 
 
 def mean_square_difference(reference: Reference, twin: Twin, samples: Sequence[LightSample]) -> float:
-    """Compute the mean square of the residuals.
-
-    Parameters
-    ----------
-    reference : Reference
-        What was recorded of the bench.
-    twin : Twin
-        With the parameters to evaluate.
-    samples : sequence of LightSample
-        What is compared.
-
-    Returns
-    -------
-    float
-        In raw levels squared.
-    """
+    """Compute the mean square of the residuals."""
     return float(np.mean(light_residuals(reference, twin, samples) ** 2))
 
 
@@ -213,26 +143,6 @@ def information_criterion(
 
     Residuals of one tile of an image count as one, for neighbours share what a fit leaves. They have the
     weights of the fit: what the twin lacks at the board's edge says nothing of the light on it.
-
-    Parameters
-    ----------
-    reference : Reference
-        What was recorded of the bench.
-    twin : Twin
-        With the parameters to judge.
-    samples : sequence of LightSample
-        What is compared.
-    free : int
-        Number of parameters that were fitted beyond those of the model it is compared with.
-
-    Returns
-    -------
-    float
-        `n ln(weighted mean square) + k ln(n)`.
-
-    References
-    ----------
-    Schwarz, "Estimating the dimension of a model", 1978
     """
     count = sum(len(sample.images) * len(np.unique(sample.tiles)) for sample in samples)
     residual = light_residuals(reference, twin, samples)
@@ -247,22 +157,6 @@ def fit_light(
 
     Robust Gauss-Newton with at most `MAX_ROUNDS` steps, each halved up to `MAX_HALVINGS` times until it
     lowers the cost. The twin is left with the result.
-
-    Parameters
-    ----------
-    reference : Reference
-        What was recorded of the bench.
-    twin : Twin
-        Starts from its present parameters.
-    names : sequence of str
-        Keys of `ADJUSTABLE`.
-    samples : sequence of LightSample
-        What is compared.
-
-    Returns
-    -------
-    TwinParameters
-        With the least cost that was found.
     """
     best = twin.parameters
     residual = light_residuals(reference, twin, samples)
@@ -329,28 +223,8 @@ def level_slopes(
     start: TwinParameters,
     residual: Floats,
 ) -> Floats:
-    """Differentiate the twin's levels by parameters, by finite differences.
-
-    Parameters
-    ----------
-    reference : Reference
-        What was recorded of the bench.
-    twin : Twin
-        Left with the last parameters that were tried.
-    names : sequence of str
-        C keys of `ADJUSTABLE`.
-    samples : sequence of LightSample
-        Of N levels altogether.
-    start : TwinParameters
-        Where to differentiate.
-    residual : Floats
-        The residuals (N,) there.
-
-    Returns
-    -------
-    Floats
-        (N, C), in raw levels per unit of each parameter.
-    """
+    """Differentiate the twin's levels by parameters, by finite differences."""
+    # residual (N,); returns (N, C)
     slopes = []
     for name in names:
         knob = ADJUSTABLE[name]
@@ -395,20 +269,7 @@ def _step_candidates(
 
 
 def focus_distances(parameters: TwinParameters, focus: str) -> list[float]:
-    """Give distances at which a focus may be, by those of the board's poses.
-
-    Parameters
-    ----------
-    parameters : TwinParameters
-        With poses.
-    focus : str
-        "projector_focus_mm" or "camera_focus_mm".
-
-    Returns
-    -------
-    list of float
-        Three, in mm from that device.
-    """
+    """Give distances at which a focus may be, by those of the board's poses."""
     depths = np.array([pose.translation[2] for pose in parameters.poses])
     if focus == "projector_focus_mm":
         to_projector = parameters.calibration.T_projector_camera
@@ -428,26 +289,6 @@ def search_focus_grid(
     """Search a coarse grid of focus distance and aperture, to find a start for a fit of both.
 
     The twin is left with the result.
-
-    Parameters
-    ----------
-    reference : Reference
-        What was recorded of the bench.
-    twin : Twin
-        Starts from its present parameters.
-    samples : sequence of LightSample
-        What is compared, as near and as far as there is.
-    focus : str
-        Name of the focus distance, "projector_focus_mm" or "camera_focus_mm".
-    aperture : str
-        Name of the parameter of the aperture, "projector_aperture_mm" or "f_number".
-    apertures : sequence of float
-        Factors of the twin's present aperture parameter.
-
-    Returns
-    -------
-    TwinParameters
-        The best of the grid, or the present ones if none is better.
     """
     start = twin.parameters
     own = float(getattr(start, aperture))

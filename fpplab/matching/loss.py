@@ -47,40 +47,20 @@ class Weights(Document):
 
 @dataclass(frozen=True, eq=False)
 class Similarity:
-    """SSIM of n images.
+    """SSIM of n images."""
 
-    Attributes
-    ----------
-    whole : Floats
-        Mean over the whole image, (n,).
-    board : Floats
-        Mean over the board in the image, (n,).
-    """
-
-    whole: Floats
-    board: Floats
+    whole: Floats  # mean over the whole image, (n,)
+    board: Floats  # mean over the board in the image, (n,)
 
 
 @dataclass(frozen=True, eq=False)
 class Loss:
-    """The loss with its parts; each figure has a mean and a spread over the images.
+    """The loss with its parts; each figure has a mean and a spread over the images."""
 
-    Attributes
-    ----------
-    weights : Weights
-        Of the two parts.
-    epsilon_r : float
-        Joint RMS reprojection error of the reference in px.
-    epsilon_v : float
-        Joint RMS reprojection error of the twin in px.
-    similarity : Similarity
-        SSIM of every compared image.
-    """
-
-    weights: Weights
-    epsilon_r: float
-    epsilon_v: float
-    similarity: Similarity
+    weights: Weights  # of the two parts
+    epsilon_r: float  # joint RMS reprojection error of the reference in px
+    epsilon_v: float  # joint RMS reprojection error of the twin in px
+    similarity: Similarity  # SSIM of every compared image
 
     @property
     def epsilon_d(self) -> float:
@@ -102,14 +82,7 @@ class Loss:
         return np.asarray(geometric + self.weights.beta * (1.0 - ssim))
 
     def summary(self) -> dict[str, Any]:
-        """Give plain values: the loss over whole images and over the board, its parts, and their spread.
-
-        Returns
-        -------
-        dict of str to Any
-            `loss`, `loss_board`, `ssim`, `ssim_board`, standard deviations over the images (`..._spread`),
-            reprojection errors `epsilon_d_px`, `epsilon_r_px`, `epsilon_v_px`, and the number of `images`.
-        """
+        """Give plain values: the loss over whole images and over the board, its parts, and their spread."""
         return {
             "loss": self.whole,
             "loss_board": self.board,
@@ -126,24 +99,7 @@ class Loss:
 
 
 def ssim(reference: NDArray[Any], twin: NDArray[Any], full_scale: float, board: Mask) -> tuple[float, float]:
-    """Compute the structural similarity of two images.
-
-    Parameters
-    ----------
-    reference : NDArray
-        Image [v, u] of the reference in raw levels.
-    twin : NDArray
-        Image of the twin, of the same shape.
-    full_scale : float
-        The greatest raw level.
-    board : Mask
-        Pixels [v, u] of the board.
-
-    Returns
-    -------
-    tuple of float
-        Mean SSIM of the whole image, and over the board.
-    """
+    """Compute the structural similarity of two images."""
     from skimage import metrics
 
     compared: Any = metrics.structural_similarity
@@ -156,24 +112,7 @@ def ssim(reference: NDArray[Any], twin: NDArray[Any], full_scale: float, board: 
 def board_mask(
     camera: Pinhole, T_camera_board: RigidTransform, target: Target, margin_px: int = MARGIN_PX
 ) -> Mask:
-    """Find the pixels that see the board.
-
-    Parameters
-    ----------
-    camera : Pinhole
-        With distortion.
-    T_camera_board : RigidTransform
-        Pose of the board.
-    target : Target
-        The board; its size counts.
-    margin_px : int
-        Edge margin by which the mask lies inside the board's outline; negative: beyond it.
-
-    Returns
-    -------
-    Mask
-        [v, u] of the camera's size.
-    """
+    """Find the pixels that see the board."""
     half = 0.5 * np.array(target.size_mm)
     return rectangle_mask(camera, T_camera_board, -half, half, margin_px)
 
@@ -181,24 +120,8 @@ def board_mask(
 def rectangle_mask(
     camera: Pinhole, T_camera_board: RigidTransform, low: Floats, high: Floats, margin_px: int = 0
 ) -> Mask:
-    """Find the pixels that see a rectangle on a board.
-
-    Parameters
-    ----------
-    camera : Pinhole
-        With distortion.
-    T_camera_board : RigidTransform
-        Pose of the board.
-    low, high : Floats
-        Opposite corners (2,) in mm on the board.
-    margin_px : int
-        Edge margin by which the mask lies inside the rectangle; negative: beyond it.
-
-    Returns
-    -------
-    Mask
-        [v, u] of the camera's size.
-    """
+    """Find the pixels that see a rectangle on a board."""
+    # low, high (2,) mm
     along = np.linspace(-1.0, 1.0, EDGE_POINTS, endpoint=False)
     one = np.ones_like(along)
     square = np.stack(
@@ -218,20 +141,7 @@ def rectangle_mask(
 
 
 def subsample_pixels(area: Mask, count: int) -> PixelIndices:
-    """Subsample the pixels of a mask evenly.
-
-    Parameters
-    ----------
-    area : Mask
-        [v, u], at least one pixel is set.
-    count : int
-        Approximate greatest number of pixels that are kept.
-
-    Returns
-    -------
-    PixelIndices
-        Rows and columns of the pixels.
-    """
+    """Subsample the pixels of a mask evenly."""
     v, u = np.nonzero(area)
     stride = max(1, int(np.sqrt(len(u) / count)))
     chosen = (v % stride == 0) & (u % stride == 0)
@@ -239,17 +149,6 @@ def subsample_pixels(area: Mask, count: int) -> PixelIndices:
 
 
 def level_weights(residual: Floats) -> tuple[Floats, float]:
-    """Compute robust weights of residuals of grey levels.
-
-    Parameters
-    ----------
-    residual : Floats
-        In raw levels.
-
-    Returns
-    -------
-    tuple of Floats and float
-        Huber's weights, 1 for inliers, and the robust standard deviation in raw levels (from the median).
-    """
+    """Compute robust weights of residuals of grey levels."""
     sigma = robust_spread(residual, ROUNDING_SIGMA)
     return huber_weights(residual, sigma, HUBER_LIMIT), sigma

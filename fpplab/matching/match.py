@@ -85,28 +85,13 @@ class MatchingLimits(Document):
 
 @dataclass(frozen=True, eq=False)
 class MatchedTwin:
-    """Result of a matching.
+    """Result of a matching."""
 
-    Attributes
-    ----------
-    parameters : TwinParameters
-        The best that were found.
-    epochs : tuple of MatchingEpoch
-        All epochs, those of earlier runs included.
-    explained : dict of str to float
-        By step: share of the mean square difference that it removed. For noise, flicker and bands: the share
-        of what is left at the end that the twin's own make.
-    unexplained : float
-        RMS difference over the board that is left, in raw levels.
-    ended : str
-        Why the matching stopped.
-    """
-
-    parameters: TwinParameters
-    epochs: tuple[MatchingEpoch, ...]
-    explained: dict[str, float]
-    unexplained: float
-    ended: str
+    parameters: TwinParameters  # the best that were found
+    epochs: tuple[MatchingEpoch, ...]  # all epochs, those of earlier runs included
+    explained: dict[str, float]  # by step
+    unexplained: float  # RMS difference over the board that is left, in raw levels
+    ended: str  # why the matching stopped
 
     @property
     def refined_focus(self) -> bool:
@@ -190,41 +175,6 @@ def match_twin(
     """Match a twin to the reference, or continue where the record ends.
 
     The twin is left with the matched parameters.
-
-    Parameters
-    ----------
-    reference : Reference
-        What was recorded of the bench.
-    twin : Twin
-        To be matched.
-    start : TwinParameters
-        To start from, unless the record holds epochs.
-    record : MatchingRecord
-        Every epoch is added to it; those that it holds are not computed again.
-    weights : Weights
-        Of the loss.
-    limits : MatchingLimits
-        When to stop.
-    scans : sequence of BenchScan
-        Of parts, recorded on the bench; those with finer fringes than the board's tell the sharpness.
-    progress : Progress
-        Told an estimated share of the steps, also within them.
-    observe : EpochObserver
-        Given every epoch as it ends.
-    tell : callable
-        Given a few words on what is done: epoch, step, loss so far and time left.
-
-    Returns
-    -------
-    MatchedTwin
-        Parameters and epochs.
-
-    Raises
-    ------
-    CalibrationError
-        The twin cannot be characterised, or a step leads to images that cannot be compared.
-    DataError
-        The record is damaged.
     """
     epochs = record.read()
     if not epochs:
@@ -263,16 +213,6 @@ def explained_shares(epochs: Sequence[MatchingEpoch]) -> dict[str, float]:
     """Compute the share of the difference that each step of `EXPLAINS` removed, but for those of `CHANGING`.
 
     Shadows need relief: a flat board has none, so `shadowing` explains nothing.
-
-    Parameters
-    ----------
-    epochs : sequence of MatchingEpoch
-        In their order; the first is the start.
-
-    Returns
-    -------
-    dict of str to float
-        By step: share of the mean square difference before the step that it removed; 0 where it was rejected.
     """
     found, last = {"shadowing": 0.0}, epochs[0]
     for epoch in epochs[1:]:
@@ -358,18 +298,7 @@ def _changed(before: MatchingEpoch, after: MatchingEpoch, limits: MatchingLimits
 
 
 def moved_um(before: TwinParameters, after: TwinParameters) -> float:
-    """Compute how far the poses of the board moved.
-
-    Parameters
-    ----------
-    before, after : TwinParameters
-        With the same number of poses.
-
-    Returns
-    -------
-    float
-        RMS distance in µm.
-    """
+    """Compute how far the poses of the board moved."""
     off = [a.translation - b.translation for a, b in zip(before.poses, after.poses, strict=True)]
     return 1e3 * float(np.sqrt(np.mean(np.sum(np.square(off), axis=-1))))
 

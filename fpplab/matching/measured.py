@@ -27,29 +27,7 @@ from fpplab.sessions.session import Session
 
 
 def measured_figures(session: Session, calibration: Calibration, mesh: trimesh.Trimesh) -> MeasuredFigures:
-    """Compute the figures of a scan.
-
-    Parameters
-    ----------
-    session : Session
-        A complete scan.
-    calibration : Calibration
-        To triangulate with.
-    mesh : trimesh.Trimesh
-        The true shape in mm; its pose is where the search begins.
-
-    Returns
-    -------
-    MeasuredFigures
-        Of the points whose pixels see the shape.
-
-    Raises
-    ------
-    DataError
-        The session is damaged, or shows something else.
-    CalibrationError
-        The calibration is of another rig.
-    """
+    """Compute the figures of a scan."""
     found = reconstruct(session, calibration)
     return _figures(found, calibration, mesh, session.plan, depth_range_of(session))[0]
 
@@ -57,29 +35,7 @@ def measured_figures(session: Session, calibration: Calibration, mesh: trimesh.T
 def recorded_figures(
     recording: Recording, calibration: Calibration, mesh: trimesh.Trimesh, depth: DepthRange | None = None
 ) -> MeasuredFigures:
-    """Compute the figures of frames that are in no session, as those of a twin.
-
-    Parameters
-    ----------
-    recording : Recording
-        Frames of a plan.
-    calibration : Calibration
-        To triangulate with.
-    mesh : trimesh.Trimesh
-        The true shape in mm; its pose is where the search begins.
-    depth : DepthRange, optional
-        In which the shape lies.
-
-    Returns
-    -------
-    MeasuredFigures
-        Of the points whose pixels see the shape.
-
-    Raises
-    ------
-    DataError
-        The frames show something else.
-    """
+    """Compute the figures of frames that are in no session, as those of a twin."""
     found = _points(recording, calibration, depth)
     return _figures(found, calibration, mesh, recording.plan, depth)[0]
 
@@ -87,29 +43,7 @@ def recorded_figures(
 def expected_figures(
     recording: Recording, calibration: Calibration, mesh: trimesh.Trimesh, depth: DepthRange | None = None
 ) -> MeasuredFigures:
-    """Compute the figures of frames as a bench would see them, whose calibration is in error.
-
-    Parameters
-    ----------
-    recording : Recording
-        Frames of a plan.
-    calibration : Calibration
-        The true one, with the uncertainty of the bench's.
-    mesh : trimesh.Trimesh
-        The true shape in mm; its pose is where the search begins.
-    depth : DepthRange, optional
-        In which the shape lies.
-
-    Returns
-    -------
-    MeasuredFigures
-        Of the points whose pixels see the shape; the distance is the median over the bench's calibrations.
-
-    Raises
-    ------
-    DataError
-        The frames show something else.
-    """
+    """Compute the figures of frames as a bench would see them, whose calibration is in error."""
     found = decoded, cloud = _points(recording, calibration, depth)
     figures, placed, on_shape = _figures(found, calibration, mesh, recording.plan, depth)
     factors = distance_factors(cloud, on_shape, placed, calibration, coordinate_noise(decoded))

@@ -45,20 +45,6 @@ def match_noise(reference: Reference, twin: Twin, poses: Sequence[int]) -> TwinP
 
     Read noise is changed only where the two differ significantly at black. Rounding makes the estimates
     nonlinear, so they are compared again with the twin as it was found. The twin is left as it is.
-
-    Parameters
-    ----------
-    reference : Reference
-        What was recorded of the bench.
-    twin : Twin
-        With matched geometry, light and vibration.
-    poses : sequence of int
-        Indices of the poses whose frames are compared.
-
-    Returns
-    -------
-    TwinParameters
-        With another full-well capacity and, where significant, read noise.
     """
     now = changed = twin.parameters
     real = [_noise_of(reference, pose, reference.recorded(pose)) for pose in poses]
@@ -149,20 +135,6 @@ def noise_misfit(reference: Reference, twin: Twin, poses: Sequence[int]) -> floa
     Compared is what the phase fit leaves of the finest fringes over the board, in `LEVELS` classes of
     brightness, divided into structure finer and coarser than `FINE_PX`: the sensor's noise is fine, vibration
     is as coarse as edges and fringes are.
-
-    Parameters
-    ----------
-    reference : Reference
-        What was recorded of the bench.
-    twin : Twin
-        With the parameters to judge.
-    poses : sequence of int
-        Indices of the poses whose frames are compared.
-
-    Returns
-    -------
-    float
-        RMS difference of the logarithms of the standard deviations; 0 where three images leave nothing.
     """
     images = reference.plan.finest_images
     if len(images) < 4:

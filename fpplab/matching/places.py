@@ -15,49 +15,16 @@ from fpplab.core.geometry import Pinhole, RigidTransform, distort
 
 
 def places_seen(pixels: Floats, known: Calibration, pose: RigidTransform) -> Floats:
-    """Compute what pixels see of a board.
-
-    Parameters
-    ----------
-    pixels : Floats
-        (P, 2) in px of the camera.
-    known : Calibration
-        Of camera and projector.
-    pose : RigidTransform
-        `T_camera_board`.
-
-    Returns
-    -------
-    Floats
-        (P, 4): x and y on the board in mm, u and v on the projector in px.
-    """
+    """Compute what pixels see of a board."""
+    # pixels (P, 2) px; returns (P, 4) mm
     points = _points(known.camera.normalise(pixels), pose)
     lit = known.projector.project(points, known.T_projector_camera)
     return np.concatenate([pose.inverse().apply(points)[:, :2], lit], axis=-1)
 
 
 def place_jacobian(pixels: Floats, known: Calibration, pose: RigidTransform, free: int) -> Floats:
-    """Differentiate what pixels see of a board by every parameter.
-
-    Parameters
-    ----------
-    pixels : Floats
-        (P, 2) in px of the camera.
-    known : Calibration
-        Of camera and projector.
-    pose : RigidTransform
-        `T_camera_board`.
-    free : int
-        Number of free intrinsic parameters of each device, the first ones of
-        `fpplab.calibration.model.INTRINSICS`.
-
-    Returns
-    -------
-    Floats
-        (P, 4, 2 free + 12): by the intrinsics of the camera and of the projector; by small turns in rad about
-        the projector's axes and shifts in mm along them, of the pose between the devices; by those about the
-        camera's axes, of the board.
-    """
+    """Differentiate what pixels see of a board by every parameter."""
+    # pixels (P, 2) px; returns (P, 4, 2 free + 12) rad
     camera, projector, pair = known.camera, known.projector, known.T_projector_camera
     slopes = camera.normalise(pixels)
     points = _points(slopes, pose)
@@ -96,24 +63,8 @@ def _by_move(points: Floats, by_point: Floats, pose: RigidTransform) -> Floats:
 def slopes_by_move(
     pixels: PixelIndices, known: Calibration, pose: RigidTransform, gradient: Floats
 ) -> Floats:
-    """Differentiate levels by a displacement of the board.
-
-    Parameters
-    ----------
-    pixels : PixelIndices
-        Rows and columns of P pixels.
-    known : Calibration
-        Of camera and projector.
-    pose : RigidTransform
-        `T_camera_board`.
-    gradient : Floats
-        Derivatives (n, P, 4) of the levels by the places that the pixels see.
-
-    Returns
-    -------
-    Floats
-        (n, P, 3), per mm along the camera's axes.
-    """
+    """Differentiate levels by a displacement of the board."""
+    # gradient (n, P, 4); returns (n, P, 3)
     points = np.stack(pixels[::-1], axis=-1).astype(np.float64)
     seen = _points(known.camera.normalise(points), pose)
     by_point, _ = _by_point(seen, known, pose)

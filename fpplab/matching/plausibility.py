@@ -47,20 +47,7 @@ MAX_HARMONIC_DIFFERENCE = 0.02
 
 
 def check_devices(twin: Twin, session: Session) -> None:
-    """Refuse a session of another camera or projector.
-
-    Parameters
-    ----------
-    twin : Twin
-        With its nominal parameters.
-    session : Session
-        Recorded on the bench.
-
-    Raises
-    ------
-    ConfigError
-        Size of the camera, or size or lattice of the projector differ; the message names both.
-    """
+    """Refuse a session of another camera or projector."""
     known = twin.parameters.calibration
     width, height, _ = session.format
     size, lattice = session.projector()
@@ -78,22 +65,7 @@ def check_devices(twin: Twin, session: Session) -> None:
 
 
 def check_board(twin: Twin, target: Target, source: str) -> None:
-    """Refuse a target that is not the twin's board.
-
-    Parameters
-    ----------
-    twin : Twin
-        Whose board is compared.
-    target : Target
-        The board of the reference.
-    source : str
-        The target's file or option, for the message.
-
-    Raises
-    ------
-    ConfigError
-        Names the first field that differs, with both values.
-    """
+    """Refuse a target that is not the twin's board."""
     own = twin.target
     for name in ("kind", "counts", "spacing_mm", *OWN_FIELDS, "size_mm"):
         if (given := getattr(target, name)) != (has := getattr(own, name)):
@@ -106,20 +78,6 @@ def check_geometry(found: Calibration, nominal: Calibration, refusals: Refusals)
     """Refuse a bench whose geometry is far from that of the twin's file.
 
     A board of another pitch changes only the scale of the scene, not its images: the baseline shows it.
-
-    Parameters
-    ----------
-    found : Calibration
-        Found on the bench.
-    nominal : Calibration
-        Of the twin's file.
-    refusals : Refusals
-        Refuse, or note what is accepted.
-
-    Raises
-    ------
-    CalibrationError
-        A focal length, the baseline, or the angle between the devices differs too much.
     """
     pairs = {
         "camera's focal length": (found.camera.matrix[0, 0], nominal.camera.matrix[0, 0], "px"),
@@ -150,20 +108,6 @@ def check_response(response: Response, sessions: Sequence[Session], refusals: Re
 
     The fringes on the board are bent by the response: the second harmonic of the widest set of at least four
     images tells it without any twin.
-
-    Parameters
-    ----------
-    response : Response
-        Measured, it is said, on the bench.
-    sessions : sequence of Session
-        Recorded on the bench.
-    refusals : Refusals
-        Refuse, or note what is accepted.
-
-    Raises
-    ------
-    CalibrationError
-        The second harmonic differs by more than `MAX_HARMONIC_DIFFERENCE` of the fringe's amplitude.
     """
     plan = sessions[0].plan
     wide = [k for k, one in enumerate(plan.fringes) if one.images > 3]
@@ -187,18 +131,6 @@ def sharpness_finding(reference: Reference, twin: Twin) -> Finding | None:
 
     Each pose's edges must be as steep as the twin's, at the same brightness, relative to the other poses:
     what softens all of them alike is the bench's lens or print, not a focus that moved.
-
-    Parameters
-    ----------
-    reference : Reference
-        What was recorded of the bench.
-    twin : Twin
-        Matched.
-
-    Returns
-    -------
-    Finding or None
-        Names the pose that differs most from the median of all.
     """
     contrasts = edge_contrast(reference, twin)
     usual = float(np.median(contrasts))
@@ -216,20 +148,8 @@ def sharpness_finding(reference: Reference, twin: Twin) -> Finding | None:
 
 
 def edge_contrast(reference: Reference, twin: Twin) -> Floats:
-    """Compare how steep edges and fringes are on the bench and in the twin.
-
-    Parameters
-    ----------
-    reference : Reference
-        What was recorded of the bench.
-    twin : Twin
-        With matched geometry and light.
-
-    Returns
-    -------
-    Floats
-        Gradient of the reference relative to that of the twin, (M,), one for each pose.
-    """
+    """Compare how steep edges and fringes are on the bench and in the twin."""
+    # returns (M,)
     images = reference.finest[:2]
     return np.array([_contrast(reference, twin, pose, images) for pose in range(len(twin.parameters.poses))])
 
@@ -271,20 +191,7 @@ def _at_even_brightness(
 
 
 def similarity_finding(alike: float, unexplained: float) -> Finding | None:
-    """Find that a matching's result is not similar to the reference.
-
-    Parameters
-    ----------
-    alike : float
-        Mean SSIM over the board of bench and twin, without what the twin shows of the board's sheet.
-    unexplained : float
-        RMS difference that is left, in raw levels, for the words.
-
-    Returns
-    -------
-    Finding or None
-        Where the SSIM over the board is below `MIN_SSIM`.
-    """
+    """Find that a matching's result is not similar to the reference."""
     if alike >= MIN_SSIM:
         return None
     words = (

@@ -95,18 +95,7 @@ class ParametersFile(Document):
 
     @classmethod
     def of(cls, parameters: TwinParameters) -> ParametersFile:
-        """Convert parameters to plain data.
-
-        Parameters
-        ----------
-        parameters : TwinParameters
-            Of a twin.
-
-        Returns
-        -------
-        ParametersFile
-            Without loss.
-        """
+        """Convert parameters to plain data."""
         return cls(
             calibration=CalibrationFile.of(parameters.calibration),
             poses=tuple(PoseFile.of(pose) for pose in parameters.poses),
@@ -117,13 +106,7 @@ class ParametersFile(Document):
         )
 
     def parameters(self) -> TwinParameters:
-        """Convert back to parameters.
-
-        Returns
-        -------
-        TwinParameters
-            Of a twin.
-        """
+        """Convert back to parameters."""
         return TwinParameters(
             calibration=self.calibration.calibration(),
             poses=tuple(pose.transform() for pose in self.poses),
@@ -140,19 +123,7 @@ PLAIN = tuple(name for name in ParametersFile.model_fields if name not in _WHOLE
 
 
 def named_numbers(parameters: TwinParameters) -> dict[str, float | None]:
-    """Give every parameter that is a number by its name.
-
-    Parameters
-    ----------
-    parameters : TwinParameters
-        Of a twin.
-
-    Returns
-    -------
-    dict of str to float or None
-        In the unit of the parameter; the coefficients of the projector's falloff and the axes of the
-        vibration each by their own name, None where a lens is sharp at all depths.
-    """
+    """Give every parameter that is a number by its name."""
     several = {"projector_falloff": FALLOFF, "vibration_line_mm": LINE}
     numbers = {name: getattr(parameters, name) for name in PLAIN if name not in several}
     for name, parts in several.items():
@@ -185,29 +156,12 @@ class MatchingEpoch(Document):
 
 @dataclass(frozen=True)
 class MatchingRecord:
-    """The epochs that are recorded in a folder.
+    """The epochs that are recorded in a folder."""
 
-    Attributes
-    ----------
-    folder : Path
-        Holds the file `match.jsonl`.
-    """
-
-    folder: Path
+    folder: Path  # holds the file `match.jsonl`
 
     def read(self) -> list[MatchingEpoch]:
-        """Read the epochs; an incomplete last line is an epoch that was not recorded.
-
-        Returns
-        -------
-        list of MatchingEpoch
-            In their order; empty when there is no file.
-
-        Raises
-        ------
-        DataError
-            A line holds no epoch.
-        """
+        """Read the epochs; an incomplete last line is an epoch that was not recorded."""
         path = self.folder / EPOCHS
         if not path.is_file():
             return []
@@ -223,11 +177,6 @@ class MatchingRecord:
         """Append an epoch; it is on disk when the call returns.
 
         The folder is created, and an incomplete last line is removed.
-
-        Parameters
-        ----------
-        epoch : MatchingEpoch
-            To be appended.
         """
         path = self.folder / EPOCHS
         make_journal(path)

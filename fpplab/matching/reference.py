@@ -32,24 +32,12 @@ DARK_PX, DARKEST = 5, 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """Recordings of a board on the bench, one session for each pose, and what was found from them.
+    """Recordings of a board on the bench, one session for each pose, and what was found from them."""
 
-    Attributes
-    ----------
-    sessions : tuple of Session
-        Of the poses that the characterisation used, in its order.
-    target : Target
-        The board.
-    characterisation : Characterisation
-        Found from the sessions.
-    response : Response or None
-        Of projector and camera, where it was measured.
-    """
-
-    sessions: tuple[Session, ...]
-    target: Target
-    characterisation: Characterisation
-    response: Response | None = None
+    sessions: tuple[Session, ...]  # of the poses that the characterisation used, in its order
+    target: Target  # the board
+    characterisation: Characterisation  # found from the sessions
+    response: Response | None = None  # of projector and camera, where it was measured
 
     @classmethod
     def of(
@@ -59,24 +47,7 @@ class Reference:
         characterisation: Characterisation,
         response: Response | None = None,
     ) -> Reference:
-        """Choose the sessions whose poses the characterisation used.
-
-        Parameters
-        ----------
-        sessions : sequence of Session
-            Recorded; names are those of their folders.
-        target : Target
-            The board.
-        characterisation : Characterisation
-            Found from the sessions.
-        response : Response, optional
-            Of projector and camera.
-
-        Returns
-        -------
-        Reference
-            With the sessions in the order of the characterisation's observations.
-        """
+        """Choose the sessions whose poses the characterisation used."""
         by_name = {session.path.name: session for session in sessions}
         used = tuple(by_name[o.name] for o in characterisation.observations)
         return cls(used, target, characterisation, response)
@@ -147,65 +118,20 @@ class Reference:
         return tuple(found)
 
     def shown(self, images: Sequence[int]) -> tuple[Pattern, ...]:
-        """Give the patterns of some images.
-
-        Parameters
-        ----------
-        images : sequence of int
-            Indices of the images in the plan.
-
-        Returns
-        -------
-        tuple of Pattern
-            In the order of `images`.
-        """
+        """Give the patterns of some images."""
         return tuple(self.patterns[index] for index in images)
 
     def frames(self, pose: int, images: Sequence[int]) -> LevelStack:
-        """Read some frames of a pose; their checksums are not verified.
-
-        Parameters
-        ----------
-        pose : int
-            Index of the session.
-        images : sequence of int
-            Indices of the images in the plan.
-
-        Returns
-        -------
-        LevelStack
-            Raw levels (n, h, w), float32.
-        """
+        """Read some frames of a pose; their checksums are not verified."""
+        # returns (n, h, w)
         return np.stack([self.sessions[pose].read(i, verify=False) for i in images]).astype(np.float32)
 
     def recorded(self, pose: int) -> list[Image]:
-        """Read all frames of a pose as they were recorded; their checksums are not verified.
-
-        Parameters
-        ----------
-        pose : int
-            Index of the session.
-
-        Returns
-        -------
-        list of Image
-            Raw levels [v, u].
-        """
+        """Read all frames of a pose as they were recorded; their checksums are not verified."""
         return [self.sessions[pose].read(index, verify=False) for index in range(len(self.patterns))]
 
     def spread_poses(self, count: int) -> tuple[int, ...]:
-        """Choose poses that are evenly spread over the depths of the board.
-
-        Parameters
-        ----------
-        count : int
-            Greatest number of poses.
-
-        Returns
-        -------
-        tuple of int
-            Indices of the poses, from the nearest to the farthest.
-        """
+        """Choose poses that are evenly spread over the depths of the board."""
         depths = np.array([pose.translation[2] for pose in self.characterisation.poses])
         order = np.argsort(depths)
         chosen = np.rint(np.linspace(0, len(order) - 1, min(count, len(order)))).astype(int)

@@ -23,23 +23,7 @@ ACCEPTABLE = (
 
 
 def acceptable_causes(words: Iterable[str]) -> frozenset[FaultCause]:
-    """Read causes as an operator names them.
-
-    Parameters
-    ----------
-    words : iterable of str
-        Keys of causes.
-
-    Returns
-    -------
-    frozenset of FaultCause
-        Some of `ACCEPTABLE`.
-
-    Raises
-    ------
-    ConfigError
-        A word names none of them.
-    """
+    """Read causes as an operator names them."""
     known = {cause.value: cause for cause in ACCEPTABLE}
     for word in words:
         if word not in known:
@@ -50,33 +34,14 @@ def acceptable_causes(words: Iterable[str]) -> frozenset[FaultCause]:
 
 
 class Refusals:
-    """Refuses a matching, unless the cause was accepted, and keeps what was accepted.
-
-    Parameters
-    ----------
-    accepted : iterable of FaultCause
-        Causes for which nothing is refused.
-    """
+    """Refuses a matching, unless the cause was accepted, and keeps what was accepted."""
 
     def __init__(self, accepted: Iterable[FaultCause] = ()) -> None:
         self.accepted = frozenset(accepted)
         self.notes: list[str] = []
 
     def refuse(self, cause: FaultCause, words: str) -> None:
-        """Refuse for a cause, or note it where it was accepted.
-
-        Parameters
-        ----------
-        cause : FaultCause
-            One of `ACCEPTABLE`.
-        words : str
-            What was found, as a sentence.
-
-        Raises
-        ------
-        CalibrationError
-            The cause was not accepted; the message names the option that accepts it.
-        """
+        """Refuse for a cause, or note it where it was accepted."""
         if cause not in self.accepted:
             raise CalibrationError(f"{words} (--accept {cause} matches the twin all the same)")
         self.notes.append(f"{cause} accepted: {words}")

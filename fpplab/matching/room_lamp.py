@@ -33,23 +33,6 @@ def search_lamp(
     """Search a grid of directions for a lamp of the room, to find a start for a fit of its place.
 
     The twin is left with the result.
-
-    Parameters
-    ----------
-    reference : Reference
-        What was recorded of the bench.
-    twin : Twin
-        Starts from its present parameters, without the lamp.
-    samples : sequence of PixelSample
-        Pixels that are compared.
-    names : sequence of str
-        Keys of `fpplab.matching.light.ADJUSTABLE` that make up for the lamp's light, in which the levels
-        are about linear.
-
-    Returns
-    -------
-    TwinParameters
-        With the lamp that leaves least; without a lamp where none leaves less.
     """
     start = replace(twin.parameters, lamp_irradiance=0.0)
     twin.become(start)

@@ -37,132 +37,53 @@ from fpplab.targets import Target
 
 
 def unchanged_start(nominal: TwinParameters) -> TwinParameters:
-    """Start from the nominal twin in the geometry of the reference; the default of `MatchingRequest.start`.
-
-    Parameters
-    ----------
-    nominal : TwinParameters
-        Of the twin, with the geometry that the bench's own characterisation found.
-
-    Returns
-    -------
-    TwinParameters
-        The same.
-    """
+    """Start from the nominal twin in the reference's geometry, as `MatchingRequest.start` does by default."""
     return nominal
 
 
 @dataclass(frozen=True)
 class MatchingRequest:
-    """What to match, and how.
+    """What to match, and how."""
 
-    Attributes
-    ----------
-    board : str
-        The board, as the twin's fixture calls it.
-    card : str
-        The grey card, as the twin's fixture calls it.
-    response : Response or None
-        Measured on the bench.
-    scans : mapping of str to Session
-        Recorded scans of artefacts by name, for the comparison of bench and twin.
-    surfaces : mapping of str to Session
-        Recorded scans of parts by name, by which their surfaces are matched.
-    weights : Weights
-        Of the loss.
-    limits : MatchingLimits
-        When to stop.
-    accepted : frozenset of FaultCause
-        Causes for which the matching is not refused, of `fpplab.matching.refusal.ACCEPTABLE`.
-    card_scan : Session or None
-        The bench's scan of the grey card as it stood for the response.
-    start : callable
-        Gives the parameters to start from, given the nominal twin in the geometry of the reference.
-    """
-
-    board: str = "board"
-    card: str = "grey_card"
-    response: Response | None = None
-    scans: Mapping[str, Session] = field(default_factory=dict)
-    surfaces: Mapping[str, Session] = field(default_factory=dict)
-    weights: Weights = field(default_factory=Weights)
-    limits: MatchingLimits = field(default_factory=MatchingLimits)
-    accepted: frozenset[FaultCause] = frozenset()
-    card_scan: Session | None = None
-    start: Callable[[TwinParameters], TwinParameters] = unchanged_start
+    board: str = "board"  # the board, as the twin's fixture calls it
+    card: str = "grey_card"  # the grey card, as the twin's fixture calls it
+    response: Response | None = None  # measured on the bench
+    scans: Mapping[str, Session] = field(default_factory=dict)  # recorded scans of artefacts by name
+    surfaces: Mapping[str, Session] = field(default_factory=dict)  # recorded scans of parts by name
+    weights: Weights = field(default_factory=Weights)  # of the loss
+    limits: MatchingLimits = field(default_factory=MatchingLimits)  # when to stop
+    accepted: frozenset[FaultCause] = frozenset()  # causes for which the matching is not refused
+    card_scan: Session | None = None  # the bench's scan of the grey card as it stood for the response
+    start: Callable[[TwinParameters], TwinParameters] = unchanged_start  # gives the parameters to start from
 
 
 @dataclass(frozen=True)
 class AblationRow:
-    """One row of the paper's table: the loss with and without each part of the matching.
+    """One row of the paper's table: the loss with and without each part of the matching."""
 
-    Attributes
-    ----------
-    refined : bool
-        Whether geometry and light were refined.
-    gamma : bool
-        Whether the response was matched.
-    loss : dict of str to float
-        As `Loss.summary` gives it.
-    """
-
-    refined: bool
-    gamma: bool
-    loss: dict[str, float]
+    refined: bool  # whether geometry and light were refined
+    gamma: bool  # whether the response was matched
+    loss: dict[str, float]  # as `Loss.summary` gives it
 
 
 @dataclass(frozen=True, eq=False)
 class MatchingResult:
-    """Everything that a matching found.
+    """Everything that a matching found."""
 
-    Attributes
-    ----------
-    reference : Reference
-        What the twin was matched to.
-    nominal : TwinParameters
-        The start, with light and response of the twin's own file.
-    start : TwinParameters
-        Where the matching began, with the response matched.
-    gamma : GammaMatch or None
-        Where a response was given.
-    before : TwinEvaluation
-        Of `nominal`.
-    matched : MatchedTwin
-        The result, with its epochs.
-    final : TwinEvaluation
-        Of the result, with what it shows of the board's sheet and its surroundings.
-    rows : tuple of AblationRow
-        The paper's table; rows with the response only where it was measured.
-    artefacts : tuple of ArtefactComparison
-        One for each recorded scan.
-    accepted : frozenset of FaultCause
-        Causes for which nothing was refused.
-    noted : tuple of str
-        What was found and accepted before the matching.
-    card_measured : bool
-        Whether the pose of the grey card was measured on the bench.
-    late : tuple of Finding
-        What only the matched twin shows: poses with another focus, images that stay unlike.
-    surfaces : tuple of SurfaceMatch
-        One for each part whose surface was matched.
-    appearance : AppearanceTrial or None
-        What the twin shows of the board's sheet and of what stands beside it.
-    """
-
-    reference: Reference
-    nominal: TwinParameters
-    start: TwinParameters
-    gamma: GammaMatch | None
-    before: TwinEvaluation
-    matched: MatchedTwin
-    final: TwinEvaluation
-    rows: tuple[AblationRow, ...]
-    artefacts: tuple[ArtefactComparison, ...]
-    accepted: frozenset[FaultCause] = frozenset()
-    noted: tuple[str, ...] = ()
-    card_measured: bool = False
-    late: tuple[Finding, ...] = ()
-    surfaces: tuple[SurfaceMatch, ...] = ()
+    reference: Reference  # what the twin was matched to
+    nominal: TwinParameters  # the start, with light and response of the twin's own file
+    start: TwinParameters  # where the matching began, with the response matched
+    gamma: GammaMatch | None  # where a response was given
+    before: TwinEvaluation  # of `nominal`
+    matched: MatchedTwin  # the result, with its epochs
+    final: TwinEvaluation  # of the result, with what it shows of the board's sheet and its surroundings
+    rows: tuple[AblationRow, ...]  # the paper's table; rows with the response only where it was measured
+    artefacts: tuple[ArtefactComparison, ...]  # one for each recorded scan
+    accepted: frozenset[FaultCause] = frozenset()  # causes for which nothing was refused
+    noted: tuple[str, ...] = ()  # what was found and accepted before the matching
+    card_measured: bool = False  # whether the pose of the grey card was measured on the bench
+    late: tuple[Finding, ...] = ()  # what only the matched twin shows
+    surfaces: tuple[SurfaceMatch, ...] = ()  # one for each part whose surface was matched
     appearance: AppearanceTrial | None = None
 
     @cached_property
@@ -176,14 +97,7 @@ class MatchingResult:
         return (*self.noted, *accepted_findings(self))
 
     def summary(self) -> dict[str, Any]:
-        """Give the figures as plain data, as the command line prints them.
-
-        Returns
-        -------
-        dict of str to Any
-            The verdict, the final loss with its parts, epochs, table, explained shares, parameters, poses,
-            artefacts and surfaces.
-        """
+        """Give the figures as plain data, as the command line prints them."""
         loss, found = self.final.loss.summary(), self.matched.parameters
         light = {name: getattr(found, name) for name in PLAIN}
         return {
@@ -206,14 +120,7 @@ class MatchingResult:
         }
 
     def by_pose(self) -> list[dict[str, Any]]:
-        """Give the figures of every pose before and after the matching.
-
-        Returns
-        -------
-        list of dict of str to Any
-            Of every pose `pose`, its name, and `ssim`, `ssim_board` and `epsilon_d_px`, each with `_before`
-            and `_after`.
-        """
+        """Give the figures of every pose before and after the matching."""
         before, after = (one.by_pose_name(self.reference) for one in (self.before, self.final))
         return [
             {
@@ -226,25 +133,7 @@ class MatchingResult:
 
 
 def twin_of(rig: Rig, board: str) -> Twin:
-    """Give the twin of an open rig.
-
-    Parameters
-    ----------
-    rig : Rig
-        Open.
-    board : str
-        The board, as the rig's fixture calls it.
-
-    Returns
-    -------
-    Twin
-        Lives as long as the rig is open.
-
-    Raises
-    ------
-    ConfigError
-        The rig has no simulation that can be matched, or its fixture no such board.
-    """
+    """Give the twin of an open rig."""
     if not isinstance(rig.simulation, Matchable):
         raise ConfigError(
             "--twin: the rig has no simulation that can be matched; name a rig such as rig_twin"
@@ -267,41 +156,6 @@ def match_sessions(
     """Match the twin to recorded sessions of a board, and save it unless nobody should use it.
 
     Continues where a record in `folder` ends. The twin is left with the matched parameters.
-
-    Parameters
-    ----------
-    twin : Twin
-        Nominal.
-    sessions : sequence of Session
-        Recorded on the bench, one for each pose of the board.
-    target : Target
-        The board.
-    folder : Path
-        Gets the record and the matched twin's `rig.yaml`, `world.yaml` and `calibration.yaml`.
-    request : MatchingRequest
-        What to match, and how.
-    progress : Progress
-        Told the share that is done.
-    observe : EpochObserver
-        Given every epoch as it ends.
-    tell : callable
-        Given a few words on what is done.
-    prepared : callable
-        Given what the twin is matched to, before the first epoch.
-
-    Returns
-    -------
-    MatchingResult
-        Parameters, figures and comparisons.
-
-    Raises
-    ------
-    ConfigError
-        The twin has another camera, projector or board than the bench.
-    CalibrationError
-        The twin does not fit the bench; the message says what differs.
-    DataError
-        A session or the record is damaged, or an artefact does not fit its recorded scan.
     """
     refusals = Refusals(request.accepted)
     _check_inputs(twin, sessions, target, request)
@@ -402,21 +256,7 @@ def _placed(
 
 
 def with_reference_geometry(nominal: TwinParameters, found: Characterisation) -> TwinParameters:
-    """Put the twin into the geometry that the bench's own characterisation found.
-
-    Parameters
-    ----------
-    nominal : TwinParameters
-        Of the twin; not changed.
-    found : Characterisation
-        Of the bench.
-
-    Returns
-    -------
-    TwinParameters
-        With calibration (without its RMS values) and poses of `found`. The twin's calibration is as uncertain
-        as the bench's: images of the same board know no better what is wrong with the board.
-    """
+    """Put the twin into the geometry that the bench's own characterisation found."""
     known = found.calibration
     calibration = Calibration(known.camera, known.projector, known.T_projector_camera, {}, known.uncertainty)
     return replace(nominal, calibration=calibration, poses=found.poses)

@@ -54,24 +54,12 @@ class LightSample(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class PixelSample:
-    """Some pixels of some images of a pose.
+    """Some pixels of some images of a pose."""
 
-    Attributes
-    ----------
-    pose : int
-        Index of the pose.
-    images : tuple of int
-        Indices of the n images in the plan.
-    pixels : PixelIndices
-        Rows and columns of the P pixels.
-    seen : Floats
-        Raw levels (n, P) of the reference.
-    """
-
-    pose: int
-    images: tuple[int, ...]
-    pixels: PixelIndices
-    seen: Floats
+    pose: int  # index of the pose
+    images: tuple[int, ...]  # indices of the n images in the plan
+    pixels: PixelIndices  # rows and columns of the P pixels
+    seen: Floats  # raw levels (n, P) of the reference
 
     @property
     def tiles(self) -> NDArray[np.int64]:
@@ -86,21 +74,8 @@ class PixelSample:
         return np.array([np.tile(tiles, count), poses, np.repeat(self.images, len(tiles))], np.int64)
 
     def residual(self, reference: Reference, twin: Twin) -> Floats:
-        """Compare with the twin as it is.
-
-        Parameters
-        ----------
-        reference : Reference
-            What was recorded of the bench.
-        twin : Twin
-            With the parameters to evaluate.
-
-        Returns
-        -------
-        Floats
-            Reference less twin (n P,) in raw levels; 0 where either is saturated, and where there is no
-            light.
-        """
+        """Compare with the twin as it is."""
+        # returns (n P,)
         patterns = reference.shown(self.images)
         here = twin.expected_at(self.pose, patterns, reference.settings, self.pixels).astype(np.float64)
         # Where there is no light there is hardly any noise, and all levels are rounded to the same side.
@@ -110,18 +85,8 @@ class PixelSample:
 
 
 def tile_numbers(pixels: PixelIndices) -> NDArray[np.int64]:
-    """Number the tiles of a grid over some pixels.
-
-    Parameters
-    ----------
-    pixels : PixelIndices
-        Rows and columns of P pixels.
-
-    Returns
-    -------
-    NDArray of int64
-        (P,), 0 to `TILES`² - 1.
-    """
+    """Number the tiles of a grid over some pixels."""
+    # returns (P,)
     row, column = (TILES * (one - one.min()) // (np.ptp(one) + 1) for one in pixels)
     return np.asarray(TILES * row + column, np.int64)
 
@@ -129,24 +94,7 @@ def tile_numbers(pixels: PixelIndices) -> NDArray[np.int64]:
 def sample_pixels(
     reference: Reference, parameters: TwinParameters, poses: Sequence[int], images: Sequence[int]
 ) -> list[PixelSample]:
-    """Sample the pixels of the board and its surroundings.
-
-    Parameters
-    ----------
-    reference : Reference
-        What was recorded of the bench.
-    parameters : TwinParameters
-        Their camera and poses tell where the board is in the image.
-    poses : sequence of int
-        Indices of the poses.
-    images : sequence of int
-        Indices of the images.
-
-    Returns
-    -------
-    list of PixelSample
-        One for each pose, of at most about `MAX_PIXELS` pixels.
-    """
+    """Sample the pixels of the board and its surroundings."""
 
     def one(pose: int) -> PixelSample:
         area = board_mask(

@@ -39,18 +39,10 @@ ROUNDS = 4
 
 @dataclass(frozen=True)
 class ScanMotion:
-    """Speed of a part along the camera's axis.
+    """Speed of a part along the camera's axis."""
 
-    Attributes
-    ----------
-    um_per_frame : float
-        Away from the camera, in µm from frame to frame.
-    sigma : float
-        Standard uncertainty, by what the fit leaves and by vibration.
-    """
-
-    um_per_frame: float
-    sigma: float
+    um_per_frame: float  # away from the camera, in µm from frame to frame
+    sigma: float  # standard uncertainty, by what the fit leaves and by vibration
 
     @property
     def is_significant(self) -> bool:
@@ -59,20 +51,7 @@ class ScanMotion:
 
 
 def motion_of_scan(twin: Twin, scan: BenchScan) -> ScanMotion | None:
-    """Estimate how fast a part moved.
-
-    Parameters
-    ----------
-    twin : Twin
-        Matched: its calibration, and its vibration.
-    scan : BenchScan
-        Of the part, at its pose.
-
-    Returns
-    -------
-    ScanMotion or None
-        None where no set has four images, or too few pixels see the part well.
-    """
+    """Estimate how fast a part moved."""
     inner = lit_inside(twin, scan)
     sets = [index for index, one in enumerate(scan.session.plan.fringes) if one.images > 3]
     if not sets or np.count_nonzero(inner) < LEAST_PIXELS:

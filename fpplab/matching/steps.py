@@ -49,37 +49,17 @@ APERTURES = (0.5, 1.0, 2.0)
 
 @dataclass(frozen=True, eq=False)
 class MatchingContext:
-    """What every step is given.
+    """What every step is given."""
 
-    Attributes
-    ----------
-    reference : Reference
-        What was recorded of the bench.
-    twin : Twin
-        To be matched.
-    samples : list of PixelSample
-        Pixels at which images are compared.
-    white : str
-        The parameter that scales the levels: "white", or "paper" where a measured response fixes white.
-    contrasts : tuple of ContrastSample
-        Of finer fringes on parts: where there are, they tell the projector's sharpness.
-    """
-
-    reference: Reference
-    twin: Twin
-    samples: list[PixelSample]
-    white: str
-    contrasts: tuple[ContrastSample, ...] = ()
+    reference: Reference  # what was recorded of the bench
+    twin: Twin  # to be matched
+    samples: list[PixelSample]  # pixels at which images are compared
+    white: str  # the parameter that scales the levels
+    contrasts: tuple[ContrastSample, ...] = ()  # of finer fringes on parts
     _terms: dict[str, list[FrameTerms]] = field(default_factory=dict)
 
     def frame_terms(self) -> list[FrameTerms]:
-        """Estimate what every frame of some poses has beyond the twin's; kept while the light is the same.
-
-        Returns
-        -------
-        list of FrameTerms
-            One for each of the poses.
-        """
+        """Estimate what every frame of some poses has beyond the twin's; kept while the light is the same."""
         now = self.twin.parameters
         still = replace(now, **STEADY)
         key = ParametersFile.of(still).model_dump_json()
@@ -90,18 +70,7 @@ class MatchingContext:
         return self._terms[key]
 
     def light_parameters(self, *more: str) -> tuple[str, ...]:
-        """Name the parameters of light that are free.
-
-        Parameters
-        ----------
-        *more : str
-            Further names to be appended.
-
-        Returns
-        -------
-        tuple of str
-            Keys of `fpplab.matching.light.ADJUSTABLE`; the response is free only where it was not measured.
-        """
+        """Name the parameters of light that are free."""
         response = () if self.reference.response is not None else ("b", "g")
         black = () if self._black_is_held else ("black_level",)
         return (self.white, "ink", "ambient", *black, *response, *more)
@@ -119,18 +88,7 @@ class MatchingContext:
         return abs(self.twin.parameters.black_level - self._most_black) < 1e-9
 
     def fit(self, *names: str) -> TwinParameters:
-        """Fit parameters of light and sharpness to the samples; the darkest places limit the black level.
-
-        Parameters
-        ----------
-        *names : str
-            Keys of `fpplab.matching.light.ADJUSTABLE`.
-
-        Returns
-        -------
-        TwinParameters
-            As `fpplab.matching.light.fit_light` finds them; the twin is left with them.
-        """
+        """Fit parameters of light and sharpness to the samples; the darkest places limit the black level."""
         found = light.fit_light(self.reference, self.twin, names, self.samples)
         if "black_level" not in names or found.black_level <= self._most_black:
             return found
@@ -158,11 +116,6 @@ class MatchingContext:
         """Fit blur, focus and aperture of the projector to contrasts, or without them to the board's images.
 
         Together, what the twin lacks of the light on the board would decide: it is most of what is left.
-
-        Returns
-        -------
-        TwinParameters
-            As `fpplab.matching.light.fit_light` finds them; the twin is left with them.
         """
         names = ("projector_blur", *self.projector_focus)
         if not self.contrasts:
@@ -173,36 +126,16 @@ class MatchingContext:
 
 @dataclass(frozen=True)
 class MatchingStep:
-    """One step of a matching.
+    """One step of a matching."""
 
-    Attributes
-    ----------
-    name : str
-        As recorded and reported.
-    propose : callable
-        Gives the parameters to try, from the `MatchingContext` whose twin has the best ones so far.
-    characterises : bool
-        Whether the twin's own RMS reprojection error must be found again.
-    misfit : callable or None
-        What the step is judged by, less is better, in place of the loss; None where that is to judge.
-    allowed : callable
-        Whether what was proposed, which the twin has, may be accepted at all.
-    applies : callable
-        Whether the step is taken; told once, before the first round or after the last.
-    same_images : bool
-        Whether the images that the twin expects, which have no noise, stay the same: the loss then does too.
-    again : bool
-        Whether it is tried in a later round after it was refused.
-    """
-
-    name: str
-    propose: Callable[[MatchingContext], TwinParameters]
-    characterises: bool = False
-    misfit: Callable[[MatchingContext], float | None] = lambda at: None
-    allowed: Callable[[MatchingContext], bool] = lambda at: True
-    applies: Callable[[MatchingContext], bool] = lambda at: True
-    same_images: bool = False
-    again: bool = True
+    name: str  # as recorded and reported
+    propose: Callable[[MatchingContext], TwinParameters]  # gives the parameters to try
+    characterises: bool = False  # whether the twin's own RMS reprojection error must be found again
+    misfit: Callable[[MatchingContext], float | None] = lambda at: None  # what the step is judged by
+    allowed: Callable[[MatchingContext], bool] = lambda at: True  # whether what was proposed
+    applies: Callable[[MatchingContext], bool] = lambda at: True  # whether the step is taken
+    same_images: bool = False  # whether the images that the twin expects, which have no noise, stay the same
+    again: bool = True  # whether it is tried in a later round after it was refused
 
 
 def _projector_defocus(at: MatchingContext) -> TwinParameters:

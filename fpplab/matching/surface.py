@@ -43,39 +43,17 @@ STEP = 1.05
 
 @dataclass(frozen=True, eq=False)
 class SurfaceMatch:
-    """The surface of a part.
+    """The surface of a part."""
 
-    Attributes
-    ----------
-    scan : BenchScan
-        That it was matched to.
-    surface : PartSurface
-        With standard uncertainties.
-    criterion : dict of str to float
-        Schwarz's criterion of every kind of surface that was tried; the least is the best.
-    unexplained : float
-        RMS difference of levels that is left, relative to their mean.
-    explained : float
-        Share of the mean square difference to the surface of the twin's own file that was removed.
-    saturated : float
-        Share of the compared levels that are saturated on the bench.
-    """
-
-    scan: BenchScan
-    surface: PartSurface
-    criterion: dict[str, float]
-    unexplained: float
+    scan: BenchScan  # that it was matched to
+    surface: PartSurface  # with standard uncertainties
+    criterion: dict[str, float]  # schwarz's criterion of every kind of surface that was tried
+    unexplained: float  # RMS difference of levels that is left, relative to their mean
     explained: float
-    saturated: float
+    saturated: float  # share of the compared levels that are saturated on the bench
 
     def summary(self) -> dict[str, Any]:
-        """Give plain values.
-
-        Returns
-        -------
-        dict of str to Any
-            `item`, what `PartSurface.summary` gives, `criterion`, `unexplained`, `explained` and `saturated`.
-        """
+        """Give plain values."""
         return {
             "item": self.scan.item,
             **self.surface.summary(),
@@ -87,20 +65,7 @@ class SurfaceMatch:
 
 
 def with_surfaces(parameters: TwinParameters, found: Sequence[SurfaceMatch]) -> TwinParameters:
-    """Give a twin the surfaces of parts, and put the parts where their scans show them.
-
-    Parameters
-    ----------
-    parameters : TwinParameters
-        Of the twin; not changed.
-    found : sequence of SurfaceMatch
-        One for each part.
-
-    Returns
-    -------
-    TwinParameters
-        With these surfaces and poses.
-    """
+    """Give a twin the surfaces of parts, and put the parts where their scans show them."""
     surfaces = {one.scan.item: one.surface for one in found}
     placed = {one.scan.item: one.scan.T_camera_item for one in found}
     return replace(
@@ -111,25 +76,7 @@ def with_surfaces(parameters: TwinParameters, found: Sequence[SurfaceMatch]) -> 
 
 
 def match_surface(twin: Twin, scan: BenchScan) -> SurfaceMatch:
-    """Estimate the surface of a part; the twin is left as it is.
-
-    Parameters
-    ----------
-    twin : Twin
-        Matched to the bench by its board.
-    scan : BenchScan
-        The bench's scan of the part, at its pose.
-
-    Returns
-    -------
-    SurfaceMatch
-        The kind that the evidence asks for, with standard uncertainties.
-
-    Raises
-    ------
-    DataError
-        Too few pixels see lit surface that is not saturated.
-    """
+    """Estimate the surface of a part; the twin is left as it is."""
     now = twin.parameters
     try:
         return _matched(_View(twin, scan))

@@ -69,26 +69,7 @@ def rebuild_surroundings(
     poses: Sequence[int],
     progress: Progress = no_progress,
 ) -> BenchSurroundings | None:
-    """Rebuild what stands beside the board.
-
-    Parameters
-    ----------
-    reference : Reference
-        What was recorded of the bench.
-    twin : Twin
-        Matched; it is left with the sheet, and without surroundings.
-    sheet : BoardSheet
-        Of the board.
-    poses : sequence of int
-        Indices of the poses whose recordings are used.
-    progress : Progress
-        Told the share that is done.
-
-    Returns
-    -------
-    BenchSurroundings or None
-        None where the recordings show nothing beside the board.
-    """
+    """Rebuild what stands beside the board."""
     depths = _depths(reference, twin, sheet, poses, lambda share: progress(0.6 * share))
     camera = twin.parameters.calibration.camera
     depths = _smoothed(depths)
@@ -148,20 +129,8 @@ def _cells(cloud: Cloud, chosen: Mask) -> Floats:
 
 
 def grid_mesh(depths: Floats, camera: Pinhole) -> trimesh.Trimesh:
-    """Join depths in cells of pixels to a mesh, where neighbours are near.
-
-    Parameters
-    ----------
-    depths : Floats
-        (rows, columns) in mm along the camera's axis, of cells of `CELL_PX` pixels; NaN where unknown.
-    camera : Pinhole
-        Of the pixels.
-
-    Returns
-    -------
-    trimesh.Trimesh
-        In the camera's frame in mm, front sides towards the camera.
-    """
+    """Join depths in cells of pixels to a mesh, where neighbours are near."""
+    # depths (rows, columns) mm
     number = np.full(depths.shape, -1)
     known = np.isfinite(depths)
     number[known] = np.arange(known.sum())
@@ -183,17 +152,8 @@ def continued(depths: Floats) -> Floats:
 
     The inverse depth of a plane is linear in the image, so each ring of cells around what is known gets the
     value of the linear fit to the known cells of its window.
-
-    Parameters
-    ----------
-    depths : Floats
-        (rows, columns) in mm along the camera's axis; NaN where unknown, but not everywhere.
-
-    Returns
-    -------
-    Floats
-        Of the same shape, never nearer or further than what is known.
     """
+    # depths (rows, columns) mm
     inverse = 1.0 / depths
     least, most = np.nanmin(inverse), np.nanmax(inverse)
     for _ in range(CONTINUED_CELLS):
@@ -227,18 +187,6 @@ def backdrop_mesh(depth_mm: float, camera: Pinhole) -> trimesh.Trimesh:
     """Make a plane that faces the camera and fills its image: what is seen where no shape is known.
 
     It stands behind all else, so that it neither hides nor shades anything.
-
-    Parameters
-    ----------
-    depth_mm : float
-        Along the camera's axis.
-    camera : Pinhole
-        Whose image is filled.
-
-    Returns
-    -------
-    trimesh.Trimesh
-        In the camera's frame in mm, its front side towards the camera.
     """
     width, height = camera.size
     columns, rows = (-(-side // BACKDROP_PX) + 1 for side in (width, height))
@@ -308,22 +256,8 @@ def _hidden(reference: Reference, twin: Twin, sheet: BoardSheet, pose: int) -> M
 
 
 def sheet_outline(target: Target, sheet: BoardSheet, beyond_mm: float) -> tuple[Floats, Floats]:
-    """Give the corners of a sheet with a margin.
-
-    Parameters
-    ----------
-    target : Target
-        What is printed on it.
-    sheet : BoardSheet
-        Its margins and frame.
-    beyond_mm : float
-        Margin beyond the frame on all sides.
-
-    Returns
-    -------
-    low, high : Floats
-        The top left and bottom right corners (2,) in mm on the board.
-    """
+    """Give the corners of a sheet with a margin."""
+    # returns (2,) mm
     left, top, right, bottom = sheet.margins_mm
     half = 0.5 * np.array(target.size_mm)
     beyond = sheet.rim_mm + beyond_mm

@@ -49,19 +49,7 @@ RUINOUS = {
 
 
 def diagnose_matching(found: MatchingResult) -> Diagnosis:
-    """Judge a matched twin.
-
-    Parameters
-    ----------
-    found : MatchingResult
-        The matching.
-
-    Returns
-    -------
-    Diagnosis
-        What the recordings show, and what the fit left. It is useless where the twin is further from the
-        bench than it was before, or its images differ by three times as much as they may.
-    """
+    """Judge a matched twin."""
     recorded = diagnose_poses(_recordings(found.reference.sessions), (), {}).findings
     ruinous = {cause: excess for cause, excess in RUINOUS.items() if cause not in found.accepted}
     unknown = [] if found.artefacts else ["artefact_misfit: no --scan of an artefact was given"]
@@ -75,18 +63,7 @@ def diagnose_matching(found: MatchingResult) -> Diagnosis:
 
 
 def accepted_findings(found: MatchingResult) -> tuple[str, ...]:
-    """List what would have made the twin useless, had it not been accepted.
-
-    Parameters
-    ----------
-    found : MatchingResult
-        The matching.
-
-    Returns
-    -------
-    tuple of str
-        Sentences.
-    """
+    """List what would have made the twin useless, had it not been accepted."""
     return tuple(
         f"{one.cause} accepted: {one.evidence}"
         for one in _own_findings(found)

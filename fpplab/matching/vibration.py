@@ -18,21 +18,7 @@ from fpplab.simulation.matchable import NO_LINE, TwinParameters
 
 
 def match_vibration(now: TwinParameters, seen: Sequence[FrameTerms]) -> TwinParameters:
-    """Give a twin the vibration of the bench.
-
-    Parameters
-    ----------
-    now : TwinParameters
-        Of the twin; not changed.
-    seen : sequence of FrameTerms
-        Of several poses.
-
-    Returns
-    -------
-    TwinParameters
-        With vibration in all directions, along a line and of one frequency, as far as each explains more than
-        its parameters cost.
-    """
+    """Give a twin the vibration of the bench."""
     found = change_of([one.series(MOVES) for one in seen])
     sigma = now.sigma_with(
         vibration_mm=found.random.alike * found.sigma, vibration_cycles_per_frame=found.cycles_sigma

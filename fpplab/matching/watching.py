@@ -17,20 +17,7 @@ from fpplab.targets import Target
 
 
 def watched_twin(twin: Twin, watch: Callable[[], None]) -> Twin:
-    """Give a twin that does what another does, and calls a function before it computes images of its board.
-
-    Parameters
-    ----------
-    twin : Twin
-        That does the work.
-    watch : callable
-        Called without arguments. What it raises ends the work; the twin keeps the parameters that it has.
-
-    Returns
-    -------
-    Twin
-        Its parameters are those of `twin`.
-    """
+    """Wrap a twin to call a function before it computes images of its board."""
     return _WatchedTwin(twin, watch)
 
 

@@ -35,18 +35,10 @@ SMALLEST = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Random:
-    """Random numbers of every frame, independent from frame to frame.
+    """Random numbers of every frame, independent from frame to frame."""
 
-    Attributes
-    ----------
-    alike : float
-        Standard deviation of what is equally large in all directions.
-    line : ndarray of float64
-        Standard deviation (k,) along a line, with signs that tell its direction.
-    """
-
-    alike: float
-    line: Floats
+    alike: float  # standard deviation of what is equally large in all directions
+    line: Floats  # standard deviation (k,) along a line, with signs that tell its direction
 
     @property
     def covariance(self) -> Floats:
@@ -61,24 +53,12 @@ class Random:
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """What was estimated of every frame of a pose.
+    """What was estimated of every frame of a pose."""
 
-    Attributes
-    ----------
-    frames : ndarray of float64
-        Numbers (n,) of the frames in the session.
-    sets : ndarray of int64
-        Fringe set (n,) of each.
-    values : ndarray of float64
-        (n, k).
-    covariance : ndarray of float64
-        (n, k, k) by noise.
-    """
-
-    frames: Floats
-    sets: NDArray[np.int64]
-    values: Floats
-    covariance: Floats
+    frames: Floats  # numbers (n,) of the frames in the session
+    sets: NDArray[np.int64]  # fringe set (n,) of each
+    values: Floats  # (n, k)
+    covariance: Floats  # (n, k, k) by noise
 
     @property
     def freedom(self) -> int:
@@ -86,55 +66,20 @@ class Series:
         return len(self.frames) - len(np.unique(self.sets))
 
     def along(self, direction: Floats, alike: float) -> Series:
-        """Estimate the values along a direction, which is all that there is but for random numbers.
-
-        Parameters
-        ----------
-        direction : ndarray of float64
-            Unit vector (k,).
-        alike : float
-            Standard deviation of random numbers in all directions.
-
-        Returns
-        -------
-        Series
-            Of one value in each frame, weighted by the noise of all components.
-        """
+        """Estimate the values along a direction, which is all that there is but for random numbers."""
+        # direction (k,)
         inverse = np.linalg.inv(self.covariance + alike**2 * np.eye(len(direction)))
         variance = 1.0 / np.einsum("i,nij,j->n", direction, inverse, direction)
         values = variance * np.einsum("i,nij,nj->n", direction, inverse, self.values)
         return Series(self.frames, self.sets, values[:, None], variance[:, None, None])
 
     def whitening(self, random: Random) -> Floats:
-        """Give matrices (n, k, k) that make noise and random numbers have the variance 1.
-
-        Parameters
-        ----------
-        random : Random
-            Beside the noise.
-
-        Returns
-        -------
-        ndarray of float64
-            Lower triangular.
-        """
+        """Give matrices (n, k, k) that make noise and random numbers have the variance 1."""
         return np.asarray(np.linalg.inv(np.linalg.cholesky(self.covariance + random.covariance)))
 
     def centred(self, values: Floats, white: Floats) -> Floats:
-        """Take off the weighted mean of every fringe set.
-
-        Parameters
-        ----------
-        values : ndarray of float64
-            (n, k).
-        white : ndarray of float64
-            (n, k, k), of `whitening`.
-
-        Returns
-        -------
-        ndarray of float64
-            (n, k).
-        """
+        """Take off the weighted mean of every fringe set."""
+        # values (n, k); white (n, k, k); returns (n, k)
         left = values.copy()
         weights = np.einsum("nki,nkj->nij", white, white)
         for one in np.unique(self.sets):
@@ -146,30 +91,14 @@ class Series:
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """What a series has beside noise.
+    """What a series has beside noise."""
 
-    Attributes
-    ----------
-    random : Random
-        From frame to frame.
-    swing : ndarray of float64
-        RMS value (k,) of the swing; 0 for none.
-    cycles_per_frame : float
-        Of the swing.
-    cycles_sigma : float
-        Standard uncertainty of that.
-    sigma : float
-        Standard uncertainty of the size of swing or random numbers, relative.
-    gained : float
-        By how much Schwarz's criterion is lower than that of noise alone.
-    """
-
-    random: Random
-    swing: Floats
-    cycles_per_frame: float
-    cycles_sigma: float
-    sigma: float
-    gained: float
+    random: Random  # from frame to frame
+    swing: Floats  # RMS value (k,) of the swing; 0 for none
+    cycles_per_frame: float  # of the swing
+    cycles_sigma: float  # standard uncertainty of that
+    sigma: float  # standard uncertainty of the size of swing or random numbers, relative
+    gained: float  # by how much Schwarz's criterion is lower than that of noise alone
 
     @property
     def size(self) -> float:
@@ -178,20 +107,7 @@ class Change:
 
 
 def change_of(seen: Sequence[Series], swings: bool = True) -> Change:
-    """Estimate what changes, as far as Schwarz's criterion asks for it.
-
-    Parameters
-    ----------
-    seen : sequence of Series
-        Of several poses, at least one.
-    swings : bool
-        Whether a swing is looked for, in poses of at least `LEAST_FRAMES` frames.
-
-    Returns
-    -------
-    Change
-        The model of the least criterion: nothing, random numbers, also along a line, also a swing.
-    """
+    """Estimate what changes, as far as Schwarz's criterion asks for it."""
     size = seen[0].values.shape[1]
     best, still = Random(0.0, np.zeros(size)), _misfit_of_noise(seen)
     least = still

@@ -32,13 +32,7 @@ TRAVEL_TOLERANCE, TRAVEL_TOLERANCE_MM = 0.05, 1.0
 
 
 class RigArranger:
-    """Brings an open rig to a measuring setup, moving only what has to move.
-
-    Parameters
-    ----------
-    rig : Rig
-        The open rig.
-    """
+    """Brings an open rig to a measuring setup, moving only what has to move."""
 
     def __init__(self, rig: Rig) -> None:
         self._rig = rig
@@ -64,19 +58,7 @@ class RigArranger:
 
 
 class StageCalibrations:
-    """Calibrations of a rig by stage position.
-
-    Parameters
-    ----------
-    by_position : mapping of float or None to Calibration
-        Calibrations by position of the stage in mm; or a single one under None, which holds for the stage
-        wherever it is.
-
-    Raises
-    ------
-    CalibrationError
-        The calibrations are of different devices, or the projector has not moved as far as the stage has.
-    """
+    """Calibrations of a rig by stage position."""
 
     def __init__(self, by_position: Mapping[float | None, Calibration]) -> None:
         if None in by_position and len(by_position) > 1:
@@ -93,25 +75,7 @@ class StageCalibrations:
         self._check_travel()
 
     def at(self, stage_mm: float | None = None, convergence_deg: float | None = None) -> Calibration:
-        """Compute the calibration for a stage position and a rotation of the projector.
-
-        Parameters
-        ----------
-        stage_mm : float, optional
-            Position of the stage in mm; None is where it is, which only a single calibration can tell.
-        convergence_deg : float, optional
-            Rotation of the projector towards the camera in degrees.
-
-        Returns
-        -------
-        Calibration
-            A known calibration, or one interpolated between the two nearest positions.
-
-        Raises
-        ------
-        CalibrationError
-            The position lies outside what was characterised, or is missing.
-        """
+        """Compute the calibration for a stage position and a rotation of the projector."""
         where = stage_mm, convergence_deg or 0.0
         if where not in self._made:
             found = self._at_stage(stage_mm)
@@ -124,18 +88,7 @@ class StageCalibrations:
         return all(known.uncertainty is None for known in self._known)
 
     def sample(self, random: np.random.Generator) -> StageCalibrations:
-        """Draw calibrations that could as well have been found, each from its own covariance.
-
-        Parameters
-        ----------
-        random : numpy.random.Generator
-            Source of the random numbers.
-
-        Returns
-        -------
-        StageCalibrations
-            Other calibrations at the same positions.
-        """
+        """Draw calibrations that could as well have been found, each from its own covariance."""
         others = [sample_calibration(known, random) for known in self._known]
         return StageCalibrations(dict(zip(self._positions or (None,), others, strict=True)))
 
@@ -172,39 +125,13 @@ class StageCalibrations:
 
 
 def turn_projector(calibration: Calibration, convergence_deg: float) -> Calibration:
-    """Rotate the projector of a calibration towards the camera, about its own centre.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        As it is before.
-    convergence_deg : float
-        Angle in degrees.
-
-    Returns
-    -------
-    Calibration
-        With the other pose, without uncertainty.
-    """
+    """Rotate the projector of a calibration towards the camera, about its own centre."""
     pose = turned_towards(calibration.T_projector_camera, float(np.radians(convergence_deg)))
     return replace(calibration, T_projector_camera=pose, uncertainty=None)
 
 
 def sample_calibration(calibration: Calibration, random: np.random.Generator) -> Calibration:
-    """Draw a calibration from the covariance of a measured one.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        The mean, with its covariance.
-    random : numpy.random.Generator
-        Source of the random numbers.
-
-    Returns
-    -------
-    Calibration
-        One that could as well have been found; the same object if it has no covariance.
-    """
+    """Draw a calibration from the covariance of a measured one."""
     known = calibration.uncertainty
     if known is None:
         return calibration
@@ -229,20 +156,6 @@ def interpolate_calibrations(low: Calibration, high: Calibration, share: float) 
     """Interpolate linearly between two calibrations of the same devices.
 
     Rotations are interpolated about their common axis.
-
-    Parameters
-    ----------
-    low : Calibration
-        The calibration at share 0.
-    high : Calibration
-        The calibration at share 1.
-    share : float
-        Position between the two, 0 … 1.
-
-    Returns
-    -------
-    Calibration
-        The calibration there, without uncertainty.
     """
     turn = (high.T_projector_camera.rotation @ low.T_projector_camera.rotation.T).astype(np.float64)
     whole = RigidTransform(turn, np.zeros(3)).rotation_vector
@@ -278,37 +191,6 @@ def characterise_positions(
     """Characterise an open rig with its stage at several positions.
 
     Sessions and calibrations are kept in `folder`; positions whose calibration is there already are skipped.
-
-    Parameters
-    ----------
-    rig : Rig
-        The open rig.
-    positions : sequence of float or None
-        Positions of the stage in mm; None for where it is.
-    plan : Plan
-        Plan with which the board is measured.
-    board : str
-        Item of the fixture that is the calibration board.
-    target : Target
-        The calibration board.
-    poses : int
-        Number of poses of the board at each position.
-    folder : Path
-        Where sessions and calibrations are stored.
-    progress : Progress
-        Told the share that is done.
-
-    Returns
-    -------
-    dict of float or None to Path
-        Calibration file of each position.
-
-    Raises
-    ------
-    CalibrationError, DataError
-        From the characterisation.
-    DeviceError
-        From the rig.
     """
     files: dict[float | None, Path] = {}
     for done, mm in enumerate(positions):

@@ -12,44 +12,21 @@ from fpplab.patterns.plan import Plan
 
 @dataclass(frozen=True)
 class Fringes:
-    """One fringe set of a candidate.
+    """One fringe set of a candidate."""
 
-    Attributes
-    ----------
-    axis : Axis
-        Direction along which the phase grows.
-    stripes : float
-        Number of periods across the projector.
-    steps : int
-        Number of phase-shifted images.
-    """
-
-    axis: Axis
-    stripes: float
-    steps: int
+    axis: Axis  # direction along which the phase grows
+    stripes: float  # number of periods across the projector
+    steps: int  # number of phase-shifted images
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """One arrangement that a search can try.
+    """One arrangement that a search can try."""
 
-    Attributes
-    ----------
-    fringes : tuple of Fringes
-        Fringe sets, the base first.
-    exposure_s : float
-        Exposure of every image in seconds.
-    stage_mm : float or None
-        Position of the stage that moves a device, which sets the baseline; None leaves it.
-    convergence_deg : float or None
-        Rotation of the projector towards the camera in degrees, relative to its given orientation; None
-        leaves it. Only a simulation can do this.
-    """
-
-    fringes: tuple[Fringes, ...]
-    exposure_s: float
-    stage_mm: float | None = None
-    convergence_deg: float | None = None
+    fringes: tuple[Fringes, ...]  # fringe sets, the base first
+    exposure_s: float  # exposure of every image in seconds
+    stage_mm: float | None = None  # position of the stage that moves a device, which sets the baseline
+    convergence_deg: float | None = None  # rotation of the projector towards the camera in degrees
 
     @property
     def images(self) -> int:
@@ -57,18 +34,7 @@ class Candidate:
         return sum(one.steps for one in self.fringes)
 
     def plan(self, template: Plan) -> Plan:
-        """Make the plan that projects this candidate.
-
-        Parameters
-        ----------
-        template : Plan
-            Plan from which everything but fringes, exposure and stage position is taken.
-
-        Returns
-        -------
-        Plan
-            The candidate's plan.
-        """
+        """Make the plan that projects this candidate."""
         sets = tuple(Sinusoid(**asdict(one)) for one in self.fringes)
         changed = {"fringes": sets, "exposure_s": self.exposure_s, "stage_mm": self.stage_mm}
         return template.model_copy(update=changed)
@@ -76,58 +42,26 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Accuracy:
-    """Deviation of a measurement from the true shape, as `fpplab.comparison` defines it.
+    """Deviation of a measurement from the true shape, as `fpplab.comparison` defines it."""
 
-    Attributes
-    ----------
-    points : int
-        Measured points that lie on the shape.
-    surface_smcd_um : float
-        Symmetric mean distance between points and true surface in µm.
-    smcd_um : float
-        Symmetric mean Chamfer distance between measured and sampled true points in µm.
-    smcd_floor_um : float
-        What a perfect measurement would have for `smcd_um`, in µm.
-    surface_rms_um : float
-        Root mean square distance of the points from the true surface in µm.
-    completeness : float
-        Share of the true surface that has a measured point nearby, 0 … 1.
-    wrong_orders : float
-        Share of points whose projector coordinate is off by half a period of the finest set or more, 0 … 1.
-    outliers : float
-        Share of points that the outlier filter removed, 0 … 1.
-    """
-
-    points: int
-    surface_smcd_um: float
-    smcd_um: float
-    smcd_floor_um: float
-    surface_rms_um: float
-    completeness: float
+    points: int  # measured points that lie on the shape
+    surface_smcd_um: float  # symmetric mean distance between points and true surface in µm
+    smcd_um: float  # symmetric mean Chamfer distance between measured and sampled true points in µm
+    smcd_floor_um: float  # what a perfect measurement would have for `smcd_um`, in µm
+    surface_rms_um: float  # root mean square distance of the points from the true surface in µm
+    completeness: float  # share of the true surface that has a measured point nearby, 0 … 1
     wrong_orders: float
-    outliers: float
+    outliers: float  # share of points that the outlier filter removed, 0 … 1
 
 
 @dataclass(frozen=True)
 class Score(Accuracy):
-    """The result of measuring one artefact once with one candidate.
+    """The result of measuring one artefact once with one candidate."""
 
-    Attributes
-    ----------
-    artefact : str
-        Name of the artefact.
-    seed : int
-        Seed of the noise on a simulation, number of the repeat on a real rig.
-    images : int
-        Images that the measurement took.
-    seconds : float
-        Acquisition time on the projector and camera, from the exposure and their stated dead times.
-    """
-
-    artefact: str
-    seed: int
-    images: int
-    seconds: float
+    artefact: str  # name of the artefact
+    seed: int  # seed of the noise on a simulation, number of the repeat on a real rig
+    images: int  # images that the measurement took
+    seconds: float  # acquisition time on the projector and camera
 
 
 class Evaluator(Protocol):

@@ -22,30 +22,14 @@ class BudgetExhausted(Exception):  # noqa: N818 - no fault: the budget is used u
 
 @dataclass(frozen=True)
 class SearchEpoch:
-    """One round of a search.
+    """One round of a search."""
 
-    Attributes
-    ----------
-    number : int
-        Counted from 0, which is the start.
-    step : str
-        What the method did in it, for example "poll" or "generation".
-    trials : tuple of MeasuredCandidate
-        Candidates of this round, in the order asked.
-    best : MeasuredCandidate
-        The best of all candidates so far.
-    measured : int
-        Number of candidates measured so far.
-    front : tuple of MeasuredCandidate
-        The Pareto front of all candidates so far.
-    """
-
-    number: int
-    step: str
-    trials: tuple[MeasuredCandidate, ...]
-    best: MeasuredCandidate
-    measured: int
-    front: tuple[MeasuredCandidate, ...] = ()
+    number: int  # counted from 0, which is the start
+    step: str  # what the method did in it, for example "poll" or "generation"
+    trials: tuple[MeasuredCandidate, ...]  # candidates of this round, in the order asked
+    best: MeasuredCandidate  # the best of all candidates so far
+    measured: int  # number of candidates measured so far
+    front: tuple[MeasuredCandidate, ...] = ()  # the Pareto front of all candidates so far
 
 
 CandidateObserver = Callable[[SearchEpoch], None]
@@ -53,28 +37,7 @@ CandidateObserver = Callable[[SearchEpoch], None]
 
 
 class CandidateRunner:
-    """Measures points of a search space, keeps the results, and counts the rounds.
-
-    Parameters
-    ----------
-    space : SearchSpace
-        The study's parameters.
-    workers : Workers
-        Processes that measure.
-    journal : Journal
-        Measurements so far; new ones are added.
-    observe : callable, optional
-        Called with every `SearchEpoch` when it has ended.
-
-    Attributes
-    ----------
-    space : SearchSpace
-        The study's parameters.
-    refused : Counter of str
-        How often a point was refused, by reason.
-    epochs : list of SearchEpoch
-        The rounds so far.
-    """
+    """Measures points of a search space, keeps the results, and counts the rounds."""
 
     def __init__(
         self, space: SearchSpace, workers: Workers, journal: Journal, observe: CandidateObserver = ignore
@@ -92,13 +55,7 @@ class CandidateRunner:
 
     @cached_property
     def start(self) -> MeasuredCandidate:
-        """The start of the study, measured on first use; limits are relative to it.
-
-        Raises
-        ------
-        DataError
-            The start cannot be measured.
-        """
+        """The start of the study, measured on first use; limits are relative to it."""
         begin = MeasuredCandidate(self.space.start, self.space.candidate(self.space.start))
         trial = self._take([begin])[0]
         if trial.failed:
@@ -124,16 +81,6 @@ class CandidateRunner:
         """Check whether the rig and the study allow a point, without measuring it.
 
         If not, the refusal is counted in `refused`.
-
-        Parameters
-        ----------
-        point : Point
-            Point of the space.
-
-        Returns
-        -------
-        bool
-            Whether its candidate can be measured.
         """
         refused = self._asked(point).refused
         if refused:
@@ -141,23 +88,7 @@ class CandidateRunner:
         return refused is None
 
     def measure(self, points: Sequence[Point]) -> list[MeasuredCandidate]:
-        """Measure points of the space; those that were measured before are not measured again.
-
-        Parameters
-        ----------
-        points : sequence of Point
-            Points of the space. One that the rig or the study does not allow is refused, not measured.
-
-        Returns
-        -------
-        list of MeasuredCandidate
-            One for each point, in the same order.
-
-        Raises
-        ------
-        BudgetExhausted
-            The budget was used up before this call; a round that has begun is always completed.
-        """
+        """Measure points of the space; those that were measured before are not measured again."""
         if self.start and len(self._by_candidate) >= self.space.study.budget:
             raise BudgetExhausted
         asked = [self._asked(point) for point in points]
@@ -166,20 +97,7 @@ class CandidateRunner:
         return [trial if trial.refused else next(taken) for trial in asked]
 
     def epoch(self, step: str, trials: Sequence[MeasuredCandidate]) -> SearchEpoch:
-        """Record the end of a round, and tell the observer.
-
-        Parameters
-        ----------
-        step : str
-            What the method did in this round.
-        trials : sequence of MeasuredCandidate
-            Candidates of this round.
-
-        Returns
-        -------
-        SearchEpoch
-            The round as recorded.
-        """
+        """Record the end of a round, and tell the observer."""
         epoch = SearchEpoch(
             len(self.epochs), step, tuple(trials), self.best, len(self._by_candidate), tuple(self.front)
         )
@@ -188,20 +106,7 @@ class CandidateRunner:
         return epoch
 
     def rescore(self, candidates: Sequence[Candidate], seeds: Sequence[int]) -> list[tuple[Score, ...]]:
-        """Measure candidates with seeds other than the study's, for figures that no choice was based on.
-
-        Parameters
-        ----------
-        candidates : sequence of Candidate
-            What to measure.
-        seeds : sequence of int
-            Seeds of the noise.
-
-        Returns
-        -------
-        list of tuple of Score
-            Scores of each candidate with all seeds; empty where one of the measurements failed.
-        """
+        """Measure candidates with seeds other than the study's, for figures that no choice was based on."""
         found = iter(self._outcomes([(candidate, seed) for candidate in candidates for seed in seeds]))
         scores = []
         for _ in candidates:

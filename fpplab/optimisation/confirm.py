@@ -39,22 +39,11 @@ RepeatedFigures = dict[str, tuple[ArtefactFigures, ...]]
 
 @dataclass(frozen=True)
 class Confirmation:
-    """The figures of two plans on one rig.
+    """The figures of two plans on one rig."""
 
-    Attributes
-    ----------
-    before : dict of str to tuple of ArtefactFigures
-        Every repeat of every artefact with the first plan.
-    after : dict of str to tuple of ArtefactFigures
-        The same with the second plan, in the same order.
-    by_calibration : float
-        Standard uncertainty of the gain due to the calibration; 0 where that is exact, as that of a
-        simulation is.
-    """
-
-    before: RepeatedFigures
-    after: RepeatedFigures
-    by_calibration: float
+    before: RepeatedFigures  # every repeat of every artefact with the first plan
+    after: RepeatedFigures  # the same with the second plan, in the same order
+    by_calibration: float  # standard uncertainty of the gain due to the calibration
 
     @property
     def gain(self) -> float:
@@ -83,13 +72,7 @@ class Confirmation:
         return float(np.sqrt(self.by_repeat**2 + self.by_sample**2 + self.by_calibration**2))
 
     def summary(self) -> dict[str, Any]:
-        """Collect the gain, its uncertainties and the mean figures of both plans.
-
-        Returns
-        -------
-        dict
-            Plain data for JSON.
-        """
+        """Collect the gain, its uncertainties and the mean figures of both plans."""
         return {
             "gain": self.gain,
             "uncertainty": self.uncertainty,
@@ -125,36 +108,7 @@ def confirm(
     repeats: int = REPEATS,
     progress: Progress = no_progress,
 ) -> Confirmation:
-    """Measure the artefacts of a study on a rig with two plans, alternately.
-
-    Parameters
-    ----------
-    rig : str
-        Rig file, by path or name.
-    study : Study
-        Names the artefacts, the calibrations of this rig and, by whether it moves the projector, what surface
-        counts in the comparison.
-    before : Plan
-        The first plan.
-    after : Plan
-        The second plan; may differ in fringes, exposure and stage position.
-    repeats : int
-        Measurements of each artefact with each plan, at least 2.
-    progress : Progress
-        Told the share that is done.
-
-    Returns
-    -------
-    Confirmation
-        Figures of both plans, and the gain.
-
-    Raises
-    ------
-    ConfigError
-        Fewer than two repeats, or plans that differ in something else.
-    FppError
-        From measuring, see `RigEvaluator.measure`.
-    """
+    """Measure the artefacts of a study on a rig with two plans, alternately."""
     if repeats < 2:
         raise ConfigError(f"--repeats: {repeats}: at least 2, or nothing is known of the uncertainty")
     _check_comparable(before, after)

@@ -18,33 +18,15 @@ from fpplab.patterns.plan import Plan
 
 @dataclass(frozen=True, eq=False)
 class ConfirmedPlan:
-    """A plan that was found, compared with the plan of the start on a rig.
+    """A plan that was found, compared with the plan of the start on a rig."""
 
-    Attributes
-    ----------
-    rig : str
-        Name in the rig's file.
-    plan : Path
-        File of the plan.
-    images : int
-        Images that the plan takes.
-    confirmation : Confirmation
-        Figures of both plans, and the gain.
-    """
-
-    rig: str
-    plan: Path
-    images: int
-    confirmation: Confirmation
+    rig: str  # name in the rig's file
+    plan: Path  # file of the plan
+    images: int  # images that the plan takes
+    confirmation: Confirmation  # figures of both plans, and the gain
 
     def summary(self) -> dict[str, Any]:
-        """Collect the gain and the figures.
-
-        Returns
-        -------
-        dict
-            Plain data for JSON.
-        """
+        """Collect the gain and the figures."""
         return {
             "rig": self.rig,
             "plan": str(self.plan),
@@ -54,22 +36,7 @@ class ConfirmedPlan:
 
 
 def check_confirmable(rig: str, study: Study, source: str) -> None:
-    """Refuse a rig that cannot hold the artefacts of a study.
-
-    Parameters
-    ----------
-    rig : str
-        Rig file, by path or name.
-    study : Study
-        Names the artefacts.
-    source : str
-        Name of the study in the message.
-
-    Raises
-    ------
-    ConfigError
-        The fixture does not hold one of the artefacts.
-    """
+    """Refuse a rig that cannot hold the artefacts of a study."""
     with Rig.load(rig) as opened:
         check_artefacts(study, RigLimits.of(opened), source)
 
@@ -81,29 +48,6 @@ def confirm_result(
 
     Of a front the first, the middle and the last plan are measured. The rig is characterised unless it is the
     one that was searched on.
-
-    Parameters
-    ----------
-    rig : str
-        Rig file, by path or name.
-    found : SearchResult
-        What the search has found.
-    folder : Path
-        Where the rig's characterisation is kept.
-    progress : Progress
-        Told the share that is done.
-
-    Returns
-    -------
-    tuple of ConfirmedPlan
-        One for each plan measured.
-
-    Raises
-    ------
-    ConfigError
-        A plan exceeds the limits of the rig.
-    FppError
-        From characterising and measuring.
     """
     chosen = sorted({0, len(found.plans) // 2, len(found.plans) - 1})
     trials = [(found.plans[i], found.planned[i]) for i in chosen]

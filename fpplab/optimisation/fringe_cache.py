@@ -32,24 +32,12 @@ CACHE_BYTES = 3 << 28
 
 @dataclass(frozen=True)
 class MeasuringSetup:
-    """Everything but the fringes that an image depends on.
+    """Everything but the fringes that an image depends on."""
 
-    Attributes
-    ----------
-    item : str
-        Item of the fixture that the camera looks at.
-    exposure_s : float
-        Exposure of every image in seconds.
-    stage_mm : float or None
-        Position of the stage in mm; None leaves it.
-    convergence_deg : float or None
-        Rotation of the projector towards the camera in degrees; None leaves it.
-    """
-
-    item: str
-    exposure_s: float
-    stage_mm: float | None = None
-    convergence_deg: float | None = None
+    item: str  # item of the fixture that the camera looks at
+    exposure_s: float  # exposure of every image in seconds
+    stage_mm: float | None = None  # position of the stage in mm; None leaves it
+    convergence_deg: float | None = None  # rotation of the projector towards the camera in degrees
 
 
 @dataclass(frozen=True)
@@ -64,24 +52,7 @@ class _Key:
 
 
 class FringeSetCache:
-    """The frames of fringe sets on an open rig, acquired when they are first asked for.
-
-    Parameters
-    ----------
-    rig : Rig
-        The open rig.
-    template : Plan
-        Plan from which everything but fringes and exposure is taken.
-    arrange : callable
-        Brings the rig to a `MeasuringSetup`; called before anything is acquired there.
-    keep_bytes : int
-        Memory for frames; the sets unused for longest are removed beyond that.
-
-    Attributes
-    ----------
-    acquired : int
-        Images taken so far.
-    """
+    """The frames of fringe sets on an open rig, acquired when they are first asked for."""
 
     def __init__(
         self,
@@ -97,27 +68,8 @@ class FringeSetCache:
         """Images taken since the beginning."""
 
     def frames(self, setup: MeasuringSetup, fringes: Sequence[Fringes], seed: int) -> list[Image]:
-        """Return the images of fringe sets, acquiring those that are missing.
-
-        Parameters
-        ----------
-        setup : MeasuringSetup
-            Item, exposure and geometry.
-        fringes : sequence of Fringes
-            The sets of a plan in its order.
-        seed : int
-            Seed of the noise, or number of the repeat.
-
-        Returns
-        -------
-        list of Image
-            Raw images (height, width), set by set.
-
-        Raises
-        ------
-        DeviceError, ConfigError
-            From the rig.
-        """
+        """Return the images of fringe sets, acquiring those that are missing."""
+        # returns (height, width)
         keys = [self._key(setup, one, place, seed) for place, one in enumerate(fringes)]
         missing = [i for i, key in enumerate(keys) if self._found(key, fringes[i].steps) is None]
         if missing:
@@ -167,18 +119,6 @@ def noise_numbers(key: _Key, steps: int) -> list[int]:
 
     It depends neither on the stripe count nor on the number of steps, so that similar candidates have equal
     noise.
-
-    Parameters
-    ----------
-    key : _Key
-        The fringe set.
-    steps : int
-        Its number of images.
-
-    Returns
-    -------
-    list of int
-        One number for each image.
     """
     return [
         _hash_number(key.seed, key.setup.item, key.axis, key.place, Fraction(n, steps)) for n in range(steps)

@@ -19,59 +19,21 @@ BITS = Pattern.bit_depth
 
 @dataclass(frozen=True)
 class RigLimits:
-    """Limits of a rig.
+    """Limits of a rig."""
 
-    Attributes
-    ----------
-    name : str
-        Name in the rig's file.
-    size : (int, int)
-        Width and height of the projector in pixels.
-    max_patterns : int
-        Patterns that the projector can hold.
-    exposure_s : (float, float)
-        Shortest and longest exposure that both projector and camera can do, in seconds.
-    dead_time_s : float
-        Time between two exposures in seconds.
-    stage_mm : (float, float) or None
-        Travel of the stage in mm; None without a stage.
-    can_turn_projector : bool
-        Whether the projector can be rotated, which only a simulation can do.
-    items : frozenset of str or None
-        What the fixture holds; None where it can be anything.
-    allows_copies : bool
-        Whether several processes can each open the rig, which is so only for a simulation.
-    """
-
-    name: str
-    size: tuple[int, int]
-    max_patterns: int
-    exposure_s: tuple[float, float]
-    dead_time_s: float
-    stage_mm: tuple[float, float] | None
-    can_turn_projector: bool
-    items: frozenset[str] | None
-    allows_copies: bool = False
+    name: str  # name in the rig's file
+    size: tuple[int, int]  # width and height of the projector in pixels
+    max_patterns: int  # patterns that the projector can hold
+    exposure_s: tuple[float, float]  # shortest and longest exposure that both projector and camera can do
+    dead_time_s: float  # time between two exposures in seconds
+    stage_mm: tuple[float, float] | None  # travel of the stage in mm; None without a stage
+    can_turn_projector: bool  # whether the projector can be rotated, which only a simulation can do
+    items: frozenset[str] | None  # what the fixture holds; None where it can be anything
+    allows_copies: bool = False  # whether several processes can each open the rig
 
     @classmethod
     def of(cls, rig: Rig) -> RigLimits:
-        """Read the limits of an open rig from its devices.
-
-        Parameters
-        ----------
-        rig : Rig
-            The open rig.
-
-        Returns
-        -------
-        RigLimits
-            Its limits.
-
-        Raises
-        ------
-        ConfigError
-            The rig has no fixture, or its projector cannot show fringes.
-        """
+        """Read the limits of an open rig from its devices."""
         projector, camera = rig.projector.caps, rig.camera.caps
         if BITS not in projector.bit_depths:
             raise ConfigError(
@@ -97,37 +59,11 @@ class RigLimits:
         return 1.0 / (self.exposure_s[0] + self.dead_time_s)
 
     def max_stripes(self, axis: Axis, pixels_per_period: float) -> float:
-        """Compute the highest stripe count for which periods are long enough.
-
-        Parameters
-        ----------
-        axis : Axis
-            Direction of the fringes.
-        pixels_per_period : float
-            Shortest period allowed, in projector pixels.
-
-        Returns
-        -------
-        float
-            Highest number of periods across the projector.
-        """
+        """Compute the highest stripe count for which periods are long enough."""
         return axis_length(self.size, axis) / pixels_per_period
 
     def refusals(self, candidate: Candidate, pixels_per_period: float = 2.0) -> Iterator[str]:
-        """List the limits that a candidate exceeds.
-
-        Parameters
-        ----------
-        candidate : Candidate
-            What is to be measured.
-        pixels_per_period : float
-            Shortest period allowed, in projector pixels.
-
-        Yields
-        ------
-        str
-            One sentence for each limit exceeded, naming field, value and limit.
-        """
+        """List the limits that a candidate exceeds."""
         for i, fringe in enumerate(candidate.fringes):
             most = self.max_stripes(fringe.axis, pixels_per_period)
             if fringe.stripes > most:
@@ -156,19 +92,6 @@ class RigLimits:
             yield f"'stage_mm' is {mm:g}: the stage travels from {least:g} to {most:g} mm"
 
     def check(self, candidate: Candidate, source: str) -> None:
-        """Refuse a candidate that exceeds a limit.
-
-        Parameters
-        ----------
-        candidate : Candidate
-            What is to be measured.
-        source : str
-            Where the candidate comes from, for the message.
-
-        Raises
-        ------
-        ConfigError
-            Names the first limit that is exceeded.
-        """
+        """Refuse a candidate that exceeds a limit."""
         for reason in self.refusals(candidate):
             raise ConfigError(f"{source}: {reason} (rig '{self.name}')")

@@ -40,18 +40,7 @@ KEPT_SHAPES = 6
 
 
 def candidate_from_plan(plan: Plan) -> Candidate:
-    """Describe a plan as a candidate.
-
-    Parameters
-    ----------
-    plan : Plan
-        The plan.
-
-    Returns
-    -------
-    Candidate
-        Its fringes, exposure and stage position.
-    """
+    """Describe a plan as a candidate."""
     sets = tuple(Fringes(one.axis, one.stripes, one.images) for one in plan.fringes)
     return Candidate(sets, plan.exposure_s, plan.stage_mm)
 
@@ -62,15 +51,6 @@ class RigEvaluator:
     Where the study moves the projector, the true surface is what the camera sees, the same for every
     candidate;
     otherwise it is what is also illuminated.
-
-    Parameters
-    ----------
-    rig : str
-        Rig file, by path or name.
-    study : Study
-        Names the artefacts, the calibrations and the plan of the start.
-    samples : int or None
-        Pixels, and points of the true surface, that are compared, see `TrueShape`; None for all of them.
     """
 
     def __init__(self, rig: str, study: Study, samples: int | None = SAMPLES) -> None:
@@ -80,73 +60,17 @@ class RigEvaluator:
         self._placed: dict[str, trimesh.Trimesh] = {}
 
     def described(self) -> tuple[dict[str, Any], SessionOrigin]:
-        """Describe the rig, as sessions do.
-
-        Returns
-        -------
-        tuple of dict and SessionOrigin
-            Its file as resolved, and its devices.
-
-        Raises
-        ------
-        ConfigError, DeviceError
-            From the rig.
-        """
+        """Describe the rig, as sessions do."""
         return self._rig.described(), SessionOrigin.of(self._rig)
 
     def measure(self, candidate: Candidate, seed: int) -> tuple[Score, ...]:
-        """Measure every artefact of the study, and compare it after aligning the true shape to the cloud.
-
-        Parameters
-        ----------
-        candidate : Candidate
-            What to measure with.
-        seed : int
-            Seed of the noise where the rig is a simulation; on any other, another seed is another
-            measurement.
-
-        Returns
-        -------
-        tuple of Score
-            One for each artefact.
-
-        Raises
-        ------
-        ConfigError, DeviceError
-            From the rig.
-        CalibrationError
-            The stage would be outside of what was characterised.
-        DataError
-            Nothing could be measured.
-        """
+        """Measure every artefact of the study, and compare it after aligning the true shape to the cloud."""
         return tuple(self._score(name, candidate, seed) for name in self._study.artefacts)
 
     def figures(
         self, name: str, candidate: Candidate, seed: int, calibrations: StageCalibrations | None = None
     ) -> ArtefactFigures:
-        """Measure one artefact; what was acquired before is not acquired again.
-
-        Parameters
-        ----------
-        name : str
-            Name of the artefact.
-        candidate : Candidate
-            What to measure with.
-        seed : int
-            Seed of the noise, or number of the repeat.
-        calibrations : StageCalibrations, optional
-            Used in place of the study's.
-
-        Returns
-        -------
-        ArtefactFigures
-            Deviation from the true shape.
-
-        Raises
-        ------
-        ConfigError, DeviceError, CalibrationError, DataError
-            As `measure`.
-        """
+        """Measure one artefact; what was acquired before is not acquired again."""
         known = calibrations or self.calibrations
         calibration = known.at(candidate.stage_mm, candidate.convergence_deg)
         shape = self._true_shape(name, candidate)  # may raise, so before anything is acquired
@@ -154,27 +78,7 @@ class RigEvaluator:
         return shape.score(decoded, plan, calibration)
 
     def compare(self, name: str, candidate: Candidate, seed: int) -> tuple[Cloud, Comparison]:
-        """Measure one artefact and compare all of its points, for an error map.
-
-        Parameters
-        ----------
-        name : str
-            Name of the artefact.
-        candidate : Candidate
-            What to measure with.
-        seed : int
-            Seed of the noise, or number of the repeat.
-
-        Returns
-        -------
-        (Cloud, Comparison)
-            The points in mm in the camera's frame, and their distances from the true shape.
-
-        Raises
-        ------
-        ConfigError, DeviceError, CalibrationError, DataError
-            As `measure`.
-        """
+        """Measure one artefact and compare all of its points, for an error map."""
         calibration = self.calibrations.at(candidate.stage_mm, candidate.convergence_deg)
         plan = candidate.plan(self._study.start)
         _, cloud = points_of(self._decoded(name, candidate, seed, calibration), calibration, plan)
@@ -184,21 +88,6 @@ class RigEvaluator:
         """Compute the triangulation angle: that between camera and projector as seen from an artefact.
 
         Seen from the centre of its bounding box.
-
-        Parameters
-        ----------
-        candidate : Candidate
-            Gives the position of the stage and the rotation of the projector.
-
-        Returns
-        -------
-        float
-            Angle in degrees, mean over the artefacts.
-
-        Raises
-        ------
-        ConfigError, DeviceError, CalibrationError, DataError
-            As `measure`.
         """
         projector = self.calibrations.at(candidate.stage_mm, candidate.convergence_deg).projector_centre
         middles = np.array([self._mesh(name).bounds.mean(axis=0) for name in self._study.artefacts])
@@ -222,13 +111,7 @@ class RigEvaluator:
 
     @cached_property
     def calibrations(self) -> StageCalibrations:
-        """Calibrations that the study names.
-
-        Raises
-        ------
-        CalibrationError
-            The study names none.
-        """
+        """Calibrations that the study names."""
         files = self._study.calibrations
         if not files:
             raise CalibrationError(
@@ -288,27 +171,7 @@ class RigEvaluator:
 def possible_coordinates(
     plan: Plan, calibration: Calibration, rig: Rig
 ) -> dict[Axis, PossibleCoordinates] | None:
-    """Bound projector coordinates by the range of depths.
-
-    Parameters
-    ----------
-    plan : Plan
-        Of a measurement.
-    calibration : Calibration
-        Of both devices; the camera's may be cropped.
-    rig : Rig
-        Whose file may state the range, if the plan does not.
-
-    Returns
-    -------
-    dict of str to PossibleCoordinates, or None
-        By axis; None where no range is stated.
-
-    Raises
-    ------
-    DataError
-        The plan cannot be unwrapped within the range.
-    """
+    """Bound projector coordinates by the range of depths."""
     depth = first_stated(
         (plan.depth_mm, "plan: 'depth_mm'"), (rig.file.depth_mm, f"{rig.source}: 'depth_mm'")
     )

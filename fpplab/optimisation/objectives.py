@@ -25,63 +25,24 @@ UNMEASURED = 1e6
 
 @dataclass(frozen=True)
 class CandidateFigures:
-    """Figures of a candidate: means over artefacts and seeds, unless stated otherwise.
+    """Figures of a candidate: means over artefacts and seeds, unless stated otherwise."""
 
-    Attributes
-    ----------
-    surface_smcd_um : float
-        Symmetric mean distance between points and true surface in µm.
-    smcd_spread_um : float or None
-        Standard deviation over the seeds of its mean over artefacts, in µm; None with one seed.
-    worst_smcd_um : float
-        The same distance for the worst seed, in µm.
-    worst_artefact_um : float
-        The same distance for the worst artefact, in µm.
-    surface_rms_um : float
-        Root mean square distance of the points from the true surface in µm.
-    smcd_um : float
-        Symmetric mean Chamfer distance between points and sampled surface in µm.
-    smcd_floor_um : float
-        What a perfect measurement would have for `smcd_um`, in µm.
-    completeness : float
-        Share of the surface that was measured, 0 … 1.
-    wrong_orders : float
-        Share of points with a wrong fringe order, 0 … 1.
-    outliers : float
-        Share of points that the filter removed, 0 … 1.
-    images : int
-        Images that a measurement takes.
-    seconds : float
-        Acquisition time of a measurement.
-    """
-
-    surface_smcd_um: float
-    smcd_spread_um: float | None
-    worst_smcd_um: float
-    worst_artefact_um: float
-    surface_rms_um: float
-    smcd_um: float
-    smcd_floor_um: float
-    completeness: float
-    wrong_orders: float
-    outliers: float
-    images: int
-    seconds: float
+    surface_smcd_um: float  # symmetric mean distance between points and true surface in µm
+    smcd_spread_um: float | None  # standard deviation over the seeds of its mean over artefacts, in µm
+    worst_smcd_um: float  # the same distance for the worst seed, in µm
+    worst_artefact_um: float  # the same distance for the worst artefact, in µm
+    surface_rms_um: float  # root mean square distance of the points from the true surface in µm
+    smcd_um: float  # symmetric mean Chamfer distance between points and sampled surface in µm
+    smcd_floor_um: float  # what a perfect measurement would have for `smcd_um`, in µm
+    completeness: float  # share of the surface that was measured, 0 … 1
+    wrong_orders: float  # share of points with a wrong fringe order, 0 … 1
+    outliers: float  # share of points that the filter removed, 0 … 1
+    images: int  # images that a measurement takes
+    seconds: float  # acquisition time of a measurement
 
     @classmethod
     def of(cls, scores: Sequence[Score]) -> CandidateFigures:
-        """Average the scores of a candidate.
-
-        Parameters
-        ----------
-        scores : sequence of Score
-            Of every artefact with every seed.
-
-        Returns
-        -------
-        CandidateFigures
-            The means.
-        """
+        """Average the scores of a candidate."""
 
         def mean(name: str) -> float:
             return float(np.mean([getattr(score, name) for score in scores]))
@@ -104,18 +65,7 @@ class CandidateFigures:
 
 
 def seed_means(scores: Sequence[Score]) -> Mapping[int, float]:
-    """Average the surface SMCD over the artefacts, for each seed.
-
-    Parameters
-    ----------
-    scores : sequence of Score
-        Of every artefact with every seed.
-
-    Returns
-    -------
-    mapping of int to float
-        Mean distance in µm by seed.
-    """
+    """Average the surface SMCD over the artefacts, for each seed."""
     return _means(scores, "seed")
 
 
@@ -129,27 +79,13 @@ def _means(scores: Sequence[Score], key: str) -> Mapping[Any, float]:
 
 @dataclass(frozen=True)
 class MeasuredCandidate:
-    """A candidate with its scores, or the reason why it has none.
+    """A candidate with its scores, or the reason why it has none."""
 
-    Attributes
-    ----------
-    point : Point
-        Point of the search space.
-    candidate : Candidate
-        What the point stands for.
-    scores : tuple of Score
-        Of every artefact with every seed; empty if not measured.
-    refused : str or None
-        Why the rig or the study does not allow it.
-    failed : str or None
-        Why the measurement failed.
-    """
-
-    point: Point
-    candidate: Candidate
-    scores: tuple[Score, ...] = ()
-    refused: str | None = None
-    failed: str | None = None
+    point: Point  # point of the search space
+    candidate: Candidate  # what the point stands for
+    scores: tuple[Score, ...] = ()  # of every artefact with every seed; empty if not measured
+    refused: str | None = None  # why the rig or the study does not allow it
+    failed: str | None = None  # why the measurement failed
 
     @cached_property
     def figures(self) -> CandidateFigures:
@@ -162,13 +98,7 @@ class MeasuredCandidate:
         return self.refused is None and self.failed is None
 
     def summary(self) -> dict[str, Any]:
-        """Describe the candidate and its figures.
-
-        Returns
-        -------
-        dict
-            Plain data for JSON.
-        """
+        """Describe the candidate and its figures."""
         known = asdict(self.candidate)
         known["fringes"] = list(known["fringes"])
         return {
@@ -183,35 +113,15 @@ Rank = tuple[float, tuple[float, ...], float]
 
 @dataclass(frozen=True)
 class CandidateRanking:
-    """How a study compares its candidates.
+    """How a study compares its candidates."""
 
-    Attributes
-    ----------
-    study : Study
-        Limits and objectives.
-    start : CandidateFigures
-        Figures of the start, to which some limits are relative.
-    """
-
-    study: Study
-    start: CandidateFigures
+    study: Study  # limits and objectives
+    start: CandidateFigures  # figures of the start, to which some limits are relative
 
     def violations(self, trial: MeasuredCandidate) -> dict[str, float]:
         """Compute by how much each limit is exceeded.
 
         A share of wrong orders that the start has as well is not counted.
-
-        Parameters
-        ----------
-        trial : MeasuredCandidate
-            The candidate.
-
-        Returns
-        -------
-        dict of str to float
-            Excess by name of the limit, 0 or less where the limit is kept: as a share for shares, else
-            relative to
-            the limit.
         """
         if not trial.measured:
             return {"measured": UNMEASURED}
@@ -228,33 +138,11 @@ class CandidateRanking:
         return broken
 
     def violation(self, trial: MeasuredCandidate) -> float:
-        """Add up the excess over all limits.
-
-        Parameters
-        ----------
-        trial : MeasuredCandidate
-            The candidate.
-
-        Returns
-        -------
-        float
-            Total excess, 0 if every limit is kept.
-        """
+        """Add up the excess over all limits."""
         return sum(max(excess, 0.0) for excess in self.violations(trial).values())
 
     def values(self, trial: MeasuredCandidate) -> tuple[float, ...]:
-        """Compute the study's objectives, signed so that lower is better.
-
-        Parameters
-        ----------
-        trial : MeasuredCandidate
-            The candidate.
-
-        Returns
-        -------
-        tuple of float
-            In the study's order; infinite for a candidate that was not measured.
-        """
+        """Compute the study's objectives, signed so that lower is better."""
         if not trial.measured:
             return (math.inf,) * len(self.study.objectives)
         found = trial.figures
@@ -263,66 +151,23 @@ class CandidateRanking:
         )
 
     def rank(self, trial: MeasuredCandidate) -> Rank:
-        """Compute a sort key: acceptable before others, then by the objectives, then by the mean distance.
-
-        Parameters
-        ----------
-        trial : MeasuredCandidate
-            The candidate.
-
-        Returns
-        -------
-        Rank
-            The lower the better.
-        """
+        """Compute a sort key: acceptable before others, then by the objectives, then by the mean distance."""
         distance = trial.figures.surface_smcd_um if trial.measured else math.inf
         return self.violation(trial), self.values(trial), distance
 
     def rank_by_distance(self, trial: MeasuredCandidate) -> Rank:
-        """Compute a sort key that ignores the objectives: acceptable before others, then the mean distance.
-
-        Parameters
-        ----------
-        trial : MeasuredCandidate
-            The candidate.
-
-        Returns
-        -------
-        Rank
-            The lower the better.
-        """
+        """Compute a sort key without the objectives: acceptable first, then by mean distance."""
         violation, _, distance = self.rank(trial)
         return violation, (distance,), distance
 
     def is_acceptable(self, trial: MeasuredCandidate) -> bool:
-        """Check whether a candidate keeps every limit.
-
-        Parameters
-        ----------
-        trial : MeasuredCandidate
-            The candidate.
-
-        Returns
-        -------
-        bool
-            Whether no limit is exceeded.
-        """
+        """Check whether a candidate keeps every limit."""
         return self.violation(trial) == 0.0
 
     def front(self, trials: Sequence[MeasuredCandidate]) -> list[MeasuredCandidate]:
         """Select the Pareto front: acceptable candidates that no other dominates.
 
         Of several candidates with equal objectives the first is kept.
-
-        Parameters
-        ----------
-        trials : sequence of MeasuredCandidate
-            All candidates.
-
-        Returns
-        -------
-        list of MeasuredCandidate
-            The front, in descending order of the last objective.
         """
         wanted = [trial for trial in trials if self.is_acceptable(trial)]
         values = {trial.candidate: self.values(trial) for trial in wanted}

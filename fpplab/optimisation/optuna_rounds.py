@@ -21,13 +21,7 @@ MAX_REFUSED_PER_POINT = 50
 
 @contextmanager
 def quiet_optuna() -> Iterator[None]:
-    """Silence optuna's log messages and warnings.
-
-    Yields
-    ------
-    None
-        While they are silenced.
-    """
+    """Silence optuna's log messages and warnings."""
     before = optuna.logging.get_verbosity()
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     try:
@@ -39,35 +33,12 @@ def quiet_optuna() -> Iterator[None]:
 
 
 def make_optuna_study(runner: CandidateRunner, sampler: Any) -> Any:
-    """Make an optuna study in memory; the journal makes it unnecessary to store it.
-
-    Parameters
-    ----------
-    runner : CandidateRunner
-        Its study tells the number of objectives.
-    sampler : optuna.samplers.BaseSampler
-        Proposes points.
-
-    Returns
-    -------
-    optuna.Study
-        The study, which minimises every objective.
-    """
+    """Make an optuna study in memory; the journal makes it unnecessary to store it."""
     return optuna.create_study(directions=["minimize"] * len(runner.space.study.objectives), sampler=sampler)
 
 
 def enqueue_points(study: Any, runner: CandidateRunner, points: Sequence[Point]) -> None:
-    """Have points proposed before any that the sampler chooses.
-
-    Parameters
-    ----------
-    study : optuna.Study
-        The optuna study.
-    runner : CandidateRunner
-        Knows the parameters.
-    points : sequence of Point
-        Points of the space.
-    """
+    """Have points proposed before any that the sampler chooses."""
     for point in points:
         named = zip(runner.space.parameters, point, strict=True)
         study.enqueue_trial({p.name: int(v) if p.is_integer else v for p, v in named})
@@ -77,25 +48,6 @@ def measure_round(study: Any, runner: CandidateRunner, size: int) -> list[Measur
     """Ask the sampler for points, measure them together, and tell it the results in the order asked.
 
     A point that the rig or the study does not allow is told as failed, and another one is asked for.
-
-    Parameters
-    ----------
-    study : optuna.Study
-        The optuna study.
-    runner : CandidateRunner
-        Measures the points.
-    size : int
-        Number of points.
-
-    Returns
-    -------
-    list of MeasuredCandidate
-        The candidates in the order asked; fewer than `size`, or none, if the sampler finds no more.
-
-    Raises
-    ------
-    BudgetExhausted
-        From `CandidateRunner.measure`.
     """
     asked: list[tuple[Any, Point]] = []
     for _ in range(MAX_REFUSED_PER_POINT * size):

@@ -18,76 +18,32 @@ from fpplab.optimisation.study import Study
 
 @dataclass(frozen=True)
 class Gain:
-    """Decrease of the mean distance to the surface, each seed compared with itself.
+    """Decrease of the mean distance to the surface, each seed compared with itself."""
 
-    Attributes
-    ----------
-    down_um : float
-        Decrease in µm.
-    uncertainty_um : float or None
-        Standard uncertainty over the seeds in µm; None with one seed.
-    down_percent : float
-        Decrease in % of the start's distance.
-    """
-
-    down_um: float
-    uncertainty_um: float | None
-    down_percent: float
+    down_um: float  # decrease in µm
+    uncertainty_um: float | None  # standard uncertainty over the seeds in µm; None with one seed
+    down_percent: float  # decrease in % of the start's distance
 
 
 @dataclass(frozen=True, eq=False)
 class SearchResult:
-    """The result of a search.
+    """The result of a search."""
 
-    Attributes
-    ----------
-    study : Study
-        What was searched.
-    rig : str
-        Name in the rig's file.
-    space : SearchSpace
-        The parameters.
-    start : MeasuredCandidate
-        Where the search began.
-    optimum : MeasuredCandidate
-        The best candidate by `CandidateRanking.rank`.
-    front : tuple of MeasuredCandidate
-        The Pareto front, see `CandidateRanking.front`.
-    epochs : tuple of SearchEpoch
-        The rounds.
-    trials : tuple of MeasuredCandidate
-        Every candidate measured, in the order asked.
-    refused : dict of str to int
-        How often a point was refused, by reason.
-    rescored : dict of Candidate to tuple of Score
-        Scores of start, optimum and front with seeds on which no choice was based.
-    ended : str
-        Why the search ended.
-    plans : tuple of Path
-        Plan files written: that of the optimum, or those of the front in its order.
-    planned : tuple of MeasuredCandidate
-        The candidates of `plans`.
-    ended_early : bool
-        Whether the budget ended the search, and not its method.
-    screened : bool
-        Whether `trials` were predicted, and those of `rescored` alone were measured.
-    """
-
-    study: Study
-    rig: str
-    space: SearchSpace
-    start: MeasuredCandidate
-    optimum: MeasuredCandidate
-    front: tuple[MeasuredCandidate, ...]
-    epochs: tuple[SearchEpoch, ...]
-    trials: tuple[MeasuredCandidate, ...]
-    refused: dict[str, int]
-    rescored: dict[Candidate, tuple[Score, ...]]
-    ended: str
-    plans: tuple[Path, ...]
-    planned: tuple[MeasuredCandidate, ...]
-    ended_early: bool
-    screened: bool = False
+    study: Study  # what was searched
+    rig: str  # name in the rig's file
+    space: SearchSpace  # the parameters
+    start: MeasuredCandidate  # where the search began
+    optimum: MeasuredCandidate  # the best candidate by `CandidateRanking.rank`
+    front: tuple[MeasuredCandidate, ...]  # the Pareto front, see `CandidateRanking.front`
+    epochs: tuple[SearchEpoch, ...]  # the rounds
+    trials: tuple[MeasuredCandidate, ...]  # every candidate measured, in the order asked
+    refused: dict[str, int]  # how often a point was refused, by reason
+    rescored: dict[Candidate, tuple[Score, ...]]  # scores of start
+    ended: str  # why the search ended
+    plans: tuple[Path, ...]  # plan files written: that of the optimum, or those of the front in its order
+    planned: tuple[MeasuredCandidate, ...]  # the candidates of `plans`
+    ended_early: bool  # whether the budget ended the search, and not its method
+    screened: bool = False  # whether `trials` were predicted, and those of `rescored` alone were measured
 
     @property
     def ranking(self) -> CandidateRanking:
@@ -100,13 +56,7 @@ class SearchResult:
         return _gain(self.rescored[self.start.candidate], self.rescored[self.optimum.candidate])
 
     def summary(self) -> dict[str, Any]:
-        """Collect the figures that the command line prints.
-
-        Returns
-        -------
-        dict
-            Plain data for JSON.
-        """
+        """Collect the figures that the command line prints."""
         return {
             "study": self.study.name,
             "rig": self.rig,

@@ -61,44 +61,6 @@ def run_search(
     candidates where `can_screen` holds, and measures the start and what it has found.
 
     An interrupted search continues from its journals, beside the plan or in the folder.
-
-    Parameters
-    ----------
-    scope : SearchScope
-        What is searched.
-    rig : str
-        Rig file, by path or name.
-    study : Study
-        Space, limits, objectives and method.
-    out : Path
-        Plan file to write; with `SearchScope.PARETO` a folder.
-    source : str
-        Name of the study in messages.
-    workers : int or None
-        Processes that measure; None for one per core on a simulation, if memory allows, else one.
-    scheduler : str, optional
-        Address of a dask scheduler whose workers measure.
-    factory : EvaluatorFactory, optional
-        Opens what is measured on; by default `rig` itself.
-    observe : callable, optional
-        Called with every `SearchEpoch` when it has ended.
-    progress : Progress
-        Told the share of the characterisation that is done, if there is one.
-
-    Returns
-    -------
-    SearchResult
-        What was found.
-
-    Raises
-    ------
-    ConfigError
-        The study suits neither `scope` nor the rig, or several workers are asked for on a rig that is not a
-        simulation.
-    DataError
-        The start cannot be measured, or no plan keeps the limits.
-    FppError
-        A fault of the rig.
     """
     with Rig.load(rig) as opened:
         limits, file = RigLimits.of(opened), opened.file.model_dump(mode="json")
@@ -151,25 +113,7 @@ def run_search(
 
 
 def worker_count(limits: RigLimits, wanted: int | None) -> int:
-    """Decide how many processes measure.
-
-    Parameters
-    ----------
-    limits : RigLimits
-        Limits of the rig.
-    wanted : int or None
-        Number asked for; None for one per core where the rig is a simulation and memory allows, else one.
-
-    Returns
-    -------
-    int
-        At least 1.
-
-    Raises
-    ------
-    ConfigError
-        Several are asked for on a rig that is not a simulation.
-    """
+    """Decide how many processes measure."""
     if wanted is None:
         fit = psutil.virtual_memory().available // WORKER_BYTES
         return max(1, min(os.cpu_count() or 1, fit)) if limits.allows_copies else 1
@@ -196,29 +140,6 @@ def with_calibrations(
     """Characterise an open rig at the ends of the stage positions that a study needs, and at its start.
 
     Sessions and calibrations are kept in `folder`; what is there already is not measured again.
-
-    Parameters
-    ----------
-    rig : Rig
-        The open rig.
-    study : Study
-        Names the board, and the positions of the stage that are searched.
-    folder : Path
-        Where sessions and calibrations are stored.
-    progress : Progress
-        Told the share that is done.
-    stage_positions : sequence of float, optional
-        Positions in mm that the stage will have besides the start's; by default all that are searched.
-
-    Returns
-    -------
-    Study
-        The study with these calibrations.
-
-    Raises
-    ------
-    FppError
-        From characterising, see `characterise_positions`.
     """
     searched, start = study.space.stage_mm, study.start.stage_mm
     positions: Sequence[float | None] = [start]
@@ -241,74 +162,24 @@ def with_calibrations(
 
 
 def work_folder(out: Path) -> Path:
-    """Name the folder for what belongs to a search.
-
-    Parameters
-    ----------
-    out : Path
-        Plan file, or folder of a front.
-
-    Returns
-    -------
-    Path
-        The folder of a front, or one named as the plan without suffix.
-    """
+    """Name the folder for what belongs to a search."""
     return out.with_suffix("")
 
 
 def journal_paths(scope: SearchScope, out: Path) -> tuple[Path, Path]:
-    """Name the journals of a search.
-
-    Parameters
-    ----------
-    scope : SearchScope
-        What is searched.
-    out : Path
-        Plan file, or folder of a front.
-
-    Returns
-    -------
-    measured, predicted : Path
-        In the folder, or beside the plan.
-    """
+    """Name the journals of a search."""
     if scope is SearchScope.PARETO:
         return out / JOURNAL, out / f"predicted_{JOURNAL}"
     return out.with_suffix(".jsonl"), out.with_suffix(".predicted.jsonl")
 
 
 def report_path(scope: SearchScope, out: Path) -> Path:
-    """Name the report of a search.
-
-    Parameters
-    ----------
-    scope : SearchScope
-        What is searched.
-    out : Path
-        Plan file, or folder of a front.
-
-    Returns
-    -------
-    Path
-        In the folder, or beside the plan.
-    """
+    """Name the report of a search."""
     return out / REPORT if scope is SearchScope.PARETO else out.with_suffix(".html")
 
 
 def plan_paths(scope: SearchScope, out: Path) -> list[Path]:
-    """List the plans that a search has written, which it does only at its end.
-
-    Parameters
-    ----------
-    scope : SearchScope
-        What is searched.
-    out : Path
-        Plan file, or folder of a front.
-
-    Returns
-    -------
-    list of Path
-        Files that exist, sorted.
-    """
+    """List the plans that a search has written, which it does only at its end."""
     return sorted(out.glob("plan_*.yaml")) if scope is SearchScope.PARETO else [out] if out.exists() else []
 
 
@@ -328,22 +199,7 @@ def _other_seeds(study: Study) -> list[int]:
 
 
 def check_artefacts(study: Study, limits: RigLimits, source: str) -> None:
-    """Refuse a study with artefacts that the rig's fixture does not hold.
-
-    Parameters
-    ----------
-    study : Study
-        Names the artefacts.
-    limits : RigLimits
-        Limits of the rig.
-    source : str
-        Name of the study in the message.
-
-    Raises
-    ------
-    ConfigError
-        Names the first artefact that is missing, and those that there are.
-    """
+    """Refuse a study with artefacts that the rig's fixture does not hold."""
     for name in study.artefacts:
         if limits.items is not None and name not in limits.items:
             raise ConfigError(
@@ -394,22 +250,7 @@ def _save(
 
 
 def plan_text(study: Study, rig: str, trial: MeasuredCandidate) -> str:
-    """Write the plan of a candidate as a file for `fpplab scan`, with a comment that says what it achieved.
-
-    Parameters
-    ----------
-    study : Study
-        The study that found it.
-    rig : str
-        Name of the rig in the comment.
-    trial : MeasuredCandidate
-        The candidate.
-
-    Returns
-    -------
-    str
-        YAML text.
-    """
+    """Write a candidate's plan as a file for `fpplab scan`, with what it achieved as a comment."""
     found, candidate = trial.figures, trial.candidate
     head = [
         f"# Found by the study '{study.name}' on '{rig}': {found.surface_smcd_um:.2f} µm mean distance to "

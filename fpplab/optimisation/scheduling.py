@@ -55,18 +55,10 @@ class EvaluatorFactory(Protocol):
 
 @dataclass(frozen=True)
 class RigEvaluatorFactory:
-    """Opens the rig of a study.
+    """Opens the rig of a study."""
 
-    Attributes
-    ----------
-    rig : str
-        Rig file, by path or name, as the worker finds it.
-    study : Study
-        What is measured.
-    """
-
-    rig: str
-    study: Study
+    rig: str  # rig file, by path or name, as the worker finds it
+    study: Study  # what is measured
 
     def __call__(self) -> Evaluator:
         """Make an evaluator, which opens the rig when it measures first."""
@@ -101,27 +93,7 @@ class Workers(Protocol):
 
 
 def measure_outcome(evaluator: Evaluator, candidate: Candidate, seed: int) -> ScoresOrReason:
-    """Measure, and turn failures that are the candidate's into a reason; those of the rig are raised.
-
-    Parameters
-    ----------
-    evaluator : Evaluator
-        Measures on the open rig.
-    candidate : Candidate
-        What to measure with.
-    seed : int
-        Seed of the noise, or number of the repeat.
-
-    Returns
-    -------
-    tuple of Score or str
-        Scores, or why the measurement failed.
-
-    Raises
-    ------
-    FppError
-        A fault of the rig.
-    """
+    """Measure, and turn failures that are the candidate's into a reason; those of the rig are raised."""
     try:
         scores = evaluator.measure(candidate, seed)
     except (DataError, CalibrationError) as error:
@@ -133,33 +105,14 @@ def measure_outcome(evaluator: Evaluator, candidate: Candidate, seed: int) -> Sc
 
 
 class InProcessWorkers:
-    """Measures in this process, one task after another.
-
-    Parameters
-    ----------
-    factory : EvaluatorFactory
-        Opens the rig when the first task comes.
-    """
+    """Measures in this process, one task after another."""
 
     def __init__(self, factory: EvaluatorFactory) -> None:
         self._factory = factory
         self._evaluator: Evaluator | None = None
 
     def measure(self, tasks: Sequence[Task], on_outcome: OutcomeCallback) -> None:
-        """Measure all tasks, as `Workers.measure`.
-
-        Parameters
-        ----------
-        tasks : sequence of Task
-            Candidates and seeds.
-        on_outcome : OutcomeCallback
-            Called after each task, in order.
-
-        Raises
-        ------
-        FppError
-            A fault of the rig.
-        """
+        """Measure all tasks, as `Workers.measure`."""
         for place, (candidate, seed) in enumerate(tasks):
             if self._evaluator is None:
                 self._evaluator = self._factory()
@@ -189,22 +142,7 @@ def _close_on_worker() -> None:
 
 
 class DaskWorkers:
-    """Measures on the workers of a `dask` scheduler: an existing one, or processes started here.
-
-    Parameters
-    ----------
-    factory : EvaluatorFactory
-        Opens the rig on every worker.
-    workers : int
-        Processes to start, without an address.
-    address : str, optional
-        Address of an existing scheduler.
-
-    Raises
-    ------
-    DeviceError
-        Nothing answers at the address, or the scheduler has no workers.
-    """
+    """Measures on the workers of a `dask` scheduler: an existing one, or processes started here."""
 
     def __init__(self, factory: EvaluatorFactory, workers: int = 1, address: str | None = None) -> None:
         import dask
@@ -239,22 +177,7 @@ class DaskWorkers:
             ) from error
 
     def measure(self, tasks: Sequence[Task], on_outcome: OutcomeCallback) -> None:
-        """Measure all tasks, as `Workers.measure`.
-
-        Parameters
-        ----------
-        tasks : sequence of Task
-            Candidates and seeds.
-        on_outcome : OutcomeCallback
-            Called as soon as a task is done, in any order.
-
-        Raises
-        ------
-        DeviceError
-            A fault of the rig, or too many workers died of one measurement.
-        FppError
-            Any other fault of the rig.
-        """
+        """Measure all tasks, as `Workers.measure`."""
         from distributed import as_completed
 
         ended: Any = as_completed
@@ -324,27 +247,7 @@ def _start_processes(library: Any, workers: int) -> Any:
 
 
 def make_workers(factory: EvaluatorFactory, count: int, address: str | None) -> Workers:
-    """Choose who measures: this process for one worker, other processes for more, or those of a scheduler.
-
-    Parameters
-    ----------
-    factory : EvaluatorFactory
-        Opens the rig.
-    count : int
-        Number of workers.
-    address : str or None
-        Address of a dask scheduler; takes precedence over `count`.
-
-    Returns
-    -------
-    Workers
-        To be closed by the caller.
-
-    Raises
-    ------
-    DeviceError
-        Nothing answers at the address, or the scheduler has no workers.
-    """
+    """Choose who measures: this process for one worker, other processes for more, or those of a scheduler."""
     if count == 1 and address is None:
         return InProcessWorkers(factory)
     return DaskWorkers(factory, count, address)

@@ -55,40 +55,13 @@ The pixels around it are included, because a pixel at an edge sees more than its
 
 @dataclass(frozen=True)
 class ArtefactFigures(Accuracy):
-    """Figures of one artefact, with the uncertainty due to the sample.
+    """Figures of one artefact, with the uncertainty due to the sample."""
 
-    Attributes
-    ----------
-    surface_spread_um : float
-        Standard error of `surface_smcd_um` due to the choice of the sample, in µm.
-    """
-
-    surface_spread_um: float
+    surface_spread_um: float  # standard error of `surface_smcd_um` due to the choice of the sample, in µm
 
 
 class TrueShape:
-    """A true shape as a calibrated rig sees it, with everything precomputed for comparisons.
-
-    Parameters
-    ----------
-    mesh : trimesh.Trimesh
-        The shape in the camera's frame in mm, where it is known to be, at least nearly.
-    calibration : Calibration
-        Of the rig.
-    illuminated : bool
-        Whether only surface that the projector reaches counts. Where a search moves the projector, the same
-        surface has to count for all candidates: then it is what the camera sees, and shadow reduces
-        completeness.
-    samples : int or None
-        Approximate number of pixels and of surface points that are compared; None for all.
-    density : float
-        Surface samples per mm², as in `fpplab.comparison.compare`.
-
-    Raises
-    ------
-    DataError
-        Nothing of the shape is visible.
-    """
+    """A true shape as a calibrated rig sees it, with everything precomputed for comparisons."""
 
     def __init__(
         self,
@@ -109,27 +82,7 @@ class TrueShape:
         self._expected: tuple[Calibration, CoordinateBounds] | None = None
 
     def part(self, camera: Pinhole, corner: tuple[int, int], border: int) -> TrueShape:
-        """Make the shape as a part of the camera's image sees it, compared at all of its pixels.
-
-        Parameters
-        ----------
-        camera : Pinhole
-            Of the part, see `Pinhole.cropped`.
-        corner : tuple of int
-            Column and row of the part's first pixel.
-        border : int
-            Pixels along the part's edges that only serve as neighbours, since the surface goes on beyond.
-
-        Returns
-        -------
-        TrueShape
-            Shares the shape with this one.
-
-        Raises
-        ------
-        DataError
-            Within the borders nothing of the shape is visible.
-        """
+        """Make the shape as a part of the camera's image sees it, compared at all of its pixels."""
         part, (left, top), (width, height) = copy(self), corner, camera.size
         for computed in ("_tree", "floor_um"):
             vars(part).pop(computed, None)
@@ -177,29 +130,8 @@ class TrueShape:
     def score(
         self, decoded: Decoded, plan: Plan, calibration: Calibration, align: bool = True
     ) -> ArtefactFigures:
-        """Triangulate a decoded measurement, filter it as its plan says, and compare it.
-
-        Parameters
-        ----------
-        decoded : Decoded
-            Projector coordinates of every camera pixel, maps (height, width) in px.
-        plan : Plan
-            Plan of the measurement.
-        calibration : Calibration
-            Used for triangulation; may differ from that of the constructor.
-        align : bool
-            Whether the true shape is first aligned to the cloud, beginning near its pose.
-
-        Returns
-        -------
-        ArtefactFigures
-            Deviation from the true shape.
-
-        Raises
-        ------
-        DataError
-            Nothing of the shape was measured.
-        """
+        """Triangulate a decoded measurement, filter it as its plan says, and compare it."""
+        # decoded (height, width) px
         decoded, cloud = points_of(decoded, calibration, plan)
         removed = removal(decoded)
         outliers = removed["share"] if removed else 0.0
@@ -214,33 +146,8 @@ class TrueShape:
         outliers: float = 0.0,
         align: bool = True,
     ) -> ArtefactFigures:
-        """Compare a cloud with the true shape.
-
-        Parameters
-        ----------
-        decoded : Decoded
-            Maps (height, width) that the cloud was triangulated from.
-        cloud : Cloud
-            Points in mm in the camera's frame, with their pixels.
-        plan : Plan
-            Plan of the measurement; its fringe periods decide which fringe orders are wrong.
-        calibration : Calibration
-            The calibration that the cloud was triangulated with.
-        outliers : float
-            Share of points that a filter has removed, which is only copied to the figures.
-        align : bool
-            Whether the true shape is first aligned to the cloud, beginning near its pose.
-
-        Returns
-        -------
-        ArtefactFigures
-            Deviation from the true shape.
-
-        Raises
-        ------
-        DataError
-            No point lies on the shape, or the points do not form a surface.
-        """
+        """Compare a cloud with the true shape."""
+        # decoded (height, width)
         assert cloud.pixels is not None
         u, v = cloud.pixels.T
         counted, compared = self._on_shape[v, u], self._compared[v, u]

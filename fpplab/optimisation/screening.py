@@ -52,34 +52,13 @@ class _ImagePart:
 
 
 def can_screen(rig: Rig, study: Study) -> bool:
-    """Tell whether a study's candidates can be screened: on a simulation, in one geometry.
-
-    Parameters
-    ----------
-    rig : Rig
-        Open.
-    study : Study
-        Names what is searched.
-
-    Returns
-    -------
-    bool
-        Whether the study asks for it and `SampledEvaluator` can predict all of its candidates.
-    """
+    """Tell whether a study's candidates can be screened: on a simulation, in one geometry."""
     moves = study.space.stage_mm is not None or study.space.convergence_deg is not None
     return study.screening and isinstance(rig.simulation, Predictable) and not moves
 
 
 class SampledEvaluator:
-    """Predicts scores on a rig of a simulation, which is opened when first needed.
-
-    Parameters
-    ----------
-    rig : str
-        Rig file, by path or name.
-    study : Study
-        Names the artefacts and the plan of the start; it moves neither stage nor projector.
-    """
+    """Predicts scores on a rig of a simulation, which is opened when first needed."""
 
     def __init__(self, rig: str, study: Study) -> None:
         self._file, self._study, self._stack = rig, study, ExitStack()
@@ -88,27 +67,7 @@ class SampledEvaluator:
         self._patterns: OrderedDict[Fringes, tuple[Pattern, ...]] = OrderedDict()
 
     def measure(self, candidate: Candidate, seed: int) -> tuple[Score, ...]:
-        """Predict the scores of every artefact of the study.
-
-        Parameters
-        ----------
-        candidate : Candidate
-            What would be measured with.
-        seed : int
-            Of the noise, and of the twin where it states its uncertainty.
-
-        Returns
-        -------
-        tuple of Score
-            One for each artefact.
-
-        Raises
-        ------
-        ConfigError
-            The rig is no simulation that can be sampled, or has no such artefact.
-        DataError
-            Nothing could be measured.
-        """
+        """Predict the scores of every artefact of the study."""
         dead = RigLimits.of(self._rig).dead_time_s + self._study.start.settle_s
         seconds = candidate.images * (candidate.exposure_s + dead)
         scores = []
@@ -238,18 +197,10 @@ def _joined(found: Sequence[tuple[int, ArtefactFigures]], of_all: int) -> Artefa
 
 @dataclass(frozen=True)
 class SampledEvaluatorFactory:
-    """Opens the rig of a study for predictions.
+    """Opens the rig of a study for predictions."""
 
-    Attributes
-    ----------
-    rig : str
-        Rig file, by path or name, as the worker finds it.
-    study : Study
-        What is predicted.
-    """
-
-    rig: str
-    study: Study
+    rig: str  # rig file, by path or name, as the worker finds it
+    study: Study  # what is predicted
 
     def __call__(self) -> Evaluator:
         """Make an evaluator, which opens the rig when it predicts first."""

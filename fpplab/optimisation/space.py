@@ -28,47 +28,18 @@ DECIMALS = {"stripes": 3, "exposure_s": 6, "stage_mm": 3, "convergence_deg": 3}
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter of a search.
+    """One parameter of a search."""
 
-    Attributes
-    ----------
-    name : str
-        As in a study file, for example "stripes[1]".
-    group : ParameterGroup
-        What it belongs to.
-    lower : float
-        Least value, in the parameter's unit.
-    upper : float
-        Greatest value.
-    is_integer : bool
-        Whether only integers are allowed.
-    is_logarithmic : bool
-        Whether equal ratios of values count as equal distances.
-    grid_step : float or None
-        Distance between allowed values, counted from `lower`; None if all are allowed.
-    """
-
-    name: str
-    group: ParameterGroup
-    lower: float
-    upper: float
-    is_integer: bool = False
-    is_logarithmic: bool = False
-    grid_step: float | None = None
+    name: str  # as in a study file, for example "stripes[1]"
+    group: ParameterGroup  # what it belongs to
+    lower: float  # least value, in the parameter's unit
+    upper: float  # greatest value
+    is_integer: bool = False  # whether only integers are allowed
+    is_logarithmic: bool = False  # whether equal ratios of values count as equal distances
+    grid_step: float | None = None  # distance between allowed values
 
     def fraction(self, value: float) -> float:
-        """Compute where in its range a value lies.
-
-        Parameters
-        ----------
-        value : float
-            In the parameter's unit.
-
-        Returns
-        -------
-        float
-            0 at the lower end of the range, 1 at the upper.
-        """
+        """Compute where in its range a value lies."""
         if self.upper == self.lower:
             return 0.0
         if self.is_logarithmic:
@@ -76,18 +47,7 @@ class Parameter:
         return (value - self.lower) / (self.upper - self.lower)
 
     def value_at(self, fraction: float) -> float:
-        """Compute the value at a fraction of the range.
-
-        Parameters
-        ----------
-        fraction : float
-            0 at the lower end of the range, 1 at the upper.
-
-        Returns
-        -------
-        float
-            The value, rounded as by `rounded`.
-        """
+        """Compute the value at a fraction of the range."""
         if self.is_logarithmic:
             value = self.lower * (self.upper / self.lower) ** fraction
         else:
@@ -95,18 +55,7 @@ class Parameter:
         return self.rounded(value)
 
     def rounded(self, value: float) -> float:
-        """Round a value to an integer, to the grid, or to a few decimals, within the range.
-
-        Parameters
-        ----------
-        value : float
-            In the parameter's unit.
-
-        Returns
-        -------
-        float
-            The value that a candidate gets.
-        """
+        """Round a value to an integer, to the grid, or to a few decimals, within the range."""
         if self.is_integer:
             return float(round(value))
         if self.grid_step is not None:
@@ -115,68 +64,23 @@ class Parameter:
         return min(max(tidy, self.lower), self.upper)  # rounding alone must not leave the range
 
     def contains(self, value: float) -> bool:
-        """Check whether a value lies in the range.
-
-        Parameters
-        ----------
-        value : float
-            In the parameter's unit.
-
-        Returns
-        -------
-        bool
-            Whether it is within the bounds, inclusive.
-        """
+        """Check whether a value lies in the range."""
         return self.lower <= value <= self.upper
 
 
 @dataclass(frozen=True)
 class SearchSpace:
-    """The parameters of a study on a rig.
+    """The parameters of a study on a rig."""
 
-    Attributes
-    ----------
-    study : Study
-        What is searched.
-    limits : RigLimits
-        Limits of the rig.
-    parameters : tuple of Parameter
-        Those whose range is more than one value.
-    template : Candidate
-        The start with as many fringe sets as the study allows at most; what is not searched is taken from it.
-    start : Point
-        Where the search begins.
-    """
-
-    study: Study
-    limits: RigLimits
-    parameters: tuple[Parameter, ...]
-    template: Candidate
-    start: Point
+    study: Study  # what is searched
+    limits: RigLimits  # limits of the rig
+    parameters: tuple[Parameter, ...]  # those whose range is more than one value
+    template: Candidate  # the start with as many fringe sets as the study allows at most
+    start: Point  # where the search begins
 
     @classmethod
     def of(cls, study: Study, limits: RigLimits, source: str) -> SearchSpace:
-        """Make the space of a study on a rig.
-
-        Parameters
-        ----------
-        study : Study
-            What is searched.
-        limits : RigLimits
-            Limits of the rig.
-        source : str
-            Name of the study in messages.
-
-        Returns
-        -------
-        SearchSpace
-            The space.
-
-        Raises
-        ------
-        ConfigError
-            The space is empty, contradicts itself or the start, or exceeds the limits of the rig.
-        """
+        """Make the space of a study on a rig."""
         template = _template_candidate(study, source)
         parameters = tuple(p for p in _parameters(study) if p.lower < p.upper)
         if not parameters:
@@ -187,18 +91,7 @@ class SearchSpace:
         return space
 
     def candidate(self, point: Point) -> Candidate:
-        """Make the candidate that a point stands for.
-
-        Parameters
-        ----------
-        point : Point
-            Point of the space.
-
-        Returns
-        -------
-        Candidate
-            The candidate, whether it can be measured or not.
-        """
+        """Make the candidate that a point stands for."""
         values = {p.name: v for p, v in zip(self.parameters, point, strict=True)}
         template = self.template
         fringes = [
@@ -221,18 +114,7 @@ class SearchSpace:
         )
 
     def refusal(self, candidate: Candidate) -> str | None:
-        """Tell why a candidate cannot be measured.
-
-        Parameters
-        ----------
-        candidate : Candidate
-            The candidate.
-
-        Returns
-        -------
-        str or None
-            The first reason; None if it can be measured.
-        """
+        """Tell why a candidate cannot be measured."""
         return next(self._refusals(candidate), None)
 
     def _refusals(self, candidate: Candidate) -> Iterator[str]:
@@ -246,18 +128,7 @@ class SearchSpace:
         yield from self.limits.refusals(candidate, wanted.pixels_per_period)
 
     def of_group(self, *groups: ParameterGroup) -> tuple[int, ...]:
-        """Find the parameters of some groups.
-
-        Parameters
-        ----------
-        *groups : ParameterGroup
-            Groups.
-
-        Returns
-        -------
-        tuple of int
-            Indices of the parameters.
-        """
+        """Find the parameters of some groups."""
         return tuple(i for i, p in enumerate(self.parameters) if p.group in groups)
 
 

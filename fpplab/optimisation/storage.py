@@ -32,29 +32,7 @@ _candidate, _scores = TypeAdapter(Candidate), TypeAdapter(tuple[Score, ...])
 
 
 class Journal:
-    """The measurements of one study on one rig.
-
-    Parameters
-    ----------
-    path : Path
-        File of the journal; it need not exist.
-    study : Study
-        Its `IDENTITY_FIELDS` have to equal those of the journal.
-    rig : dict
-        Plain data of the rig's file, which have to equal those of the journal.
-
-    Attributes
-    ----------
-    path : Path
-        File of the journal.
-
-    Raises
-    ------
-    ConfigError
-        The file holds the measurements of another study or rig.
-    DataError
-        The file is damaged.
-    """
+    """The measurements of one study on one rig."""
 
     def __init__(self, path: Path, study: Study, rig: dict[str, Any]) -> None:
         self.path = path
@@ -68,39 +46,11 @@ class Journal:
         return len(self._known)
 
     def get(self, candidate: Candidate, seed: int) -> ScoresOrReason | None:
-        """Look up a measurement.
-
-        Parameters
-        ----------
-        candidate : Candidate
-            What was measured.
-        seed : int
-            Seed of the noise, or number of the repeat.
-
-        Returns
-        -------
-        tuple of Score or str or None
-            Scores, or why the measurement failed; None if there was none.
-        """
+        """Look up a measurement."""
         return self._known.get((candidate, seed))
 
     def add(self, candidate: Candidate, seed: int, outcome: ScoresOrReason) -> None:
-        """Store a measurement, on disk before this returns.
-
-        Parameters
-        ----------
-        candidate : Candidate
-            What was measured.
-        seed : int
-            Seed of the noise, or number of the repeat.
-        outcome : tuple of Score or str
-            Scores, or why the measurement failed.
-
-        Raises
-        ------
-        DataError
-            The file cannot be written.
-        """
+        """Store a measurement, on disk before this returns."""
         if not (self.path.is_file() and self.path.stat().st_size):
             make_journal(self.path)
             append_line(self.path, json.dumps({**self._header, "fpplab": __version__}))

@@ -76,13 +76,8 @@ class SpaceFile(Document):
         return self
 
     def bounds(self) -> list[tuple[str, tuple[float, float]]]:
-        """List every range that is given.
-
-        Returns
-        -------
-        list of (str, (float, float))
-            Name in the file, and [least, most].
-        """
+        """List every range that is given."""
+        # returns (float, float)
         named: list[tuple[str, tuple[float, float] | None]] = [("sets", self.sets)]
         named += [(f"steps[{i}]", bounds) for i, bounds in enumerate(self.steps)]
         named += [(f"stripes[{i}]", bounds) for i, bounds in enumerate(self.stripes)]
@@ -181,23 +176,7 @@ class Study(Document):
 
     @classmethod
     def load(cls, path: Path | str) -> Study:
-        """Read a study file.
-
-        Parameters
-        ----------
-        path : Path or str
-            Path, or the name of a study that comes with fpplab.
-
-        Returns
-        -------
-        Study
-            With the start's plan in place, and absolute paths of files found beside the study.
-
-        Raises
-        ------
-        ConfigError
-            The file cannot be read or is not a study; names file, field, value and allowed range.
-        """
+        """Read a study file."""
         found = config.find_config(path, "study")
         data = config.parse_yaml(config.read_text(found), found)
         if isinstance(data, dict):
@@ -205,20 +184,7 @@ class Study(Document):
         return config.validate(data, cls, found)
 
     def check_rig(self, name: str, source: Path | str) -> None:
-        """Refuse to be used on a rig that the study is not for.
-
-        Parameters
-        ----------
-        name : str
-            Name in the rig's file.
-        source : Path or str
-            Name of the study in the message.
-
-        Raises
-        ------
-        ConfigError
-            The study is for another rig.
-        """
+        """Refuse to be used on a rig that the study is not for."""
         if self.rig not in (ANY_RIG, name):
             raise ConfigError(
                 f"{source}: 'rig' is '{self.rig}', but the rig given is '{name}'; name that one, or `any`"

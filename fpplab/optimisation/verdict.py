@@ -37,18 +37,6 @@ def diagnose_search(found: SearchResult, confirmed: Sequence[ConfirmedPlan] = ()
 
     It is useless where the plan found is worse than the start's beyond the uncertainty, with seeds that the
     search did not use or where it was confirmed.
-
-    Parameters
-    ----------
-    found : SearchResult
-        Result of the search.
-    confirmed : sequence of ConfirmedPlan
-        Confirmations on a rig.
-
-    Returns
-    -------
-    Diagnosis
-        With a finding for each cause.
     """
     findings = [
         *_gain(found),

@@ -55,50 +55,16 @@ class Curve(Document):
         return self
 
     def shape(self, levels_in: ArrayLike) -> Floats:
-        """Compute S, the share of the light between black and white.
-
-        Parameters
-        ----------
-        levels_in : array_like
-            Levels shown, in [0, 1].
-
-        Returns
-        -------
-        ndarray of float64
-            In [0, 1], of the same shape.
-        """
+        """Compute S, the share of the light between black and white."""
         levels = np.asarray(levels_in, np.float64)
         return evaluate_spline(self.spline, levels) if self.spline else np.asarray(levels**self.g)
 
     def apply(self, levels_in: ArrayLike) -> Floats:
-        """Compute the levels seen for levels shown.
-
-        Parameters
-        ----------
-        levels_in : array_like
-            Levels shown, in [0, 1].
-
-        Returns
-        -------
-        ndarray of float64
-            Levels seen, as shares of full scale, of the same shape.
-        """
+        """Compute the levels seen for levels shown."""
         return np.asarray(self.a * self.shape(levels_in) + self.b)
 
     def invert(self, levels_out: ArrayLike) -> Floats:
-        """Compute the levels shown for levels seen.
-
-        Parameters
-        ----------
-        levels_out : array_like
-            Levels seen, as shares of full scale.
-
-        Returns
-        -------
-        ndarray of float64
-            Levels shown, of the same shape; NaN below b, which no level shown gives, and for a spline above
-            a + b.
-        """
+        """Compute the levels shown for levels seen."""
         share = (np.asarray(levels_out, np.float64) - self.b) / self.a
         if self.spline:
             return np.where((share >= 0) & (share <= 1 + 1e-12), self.correct(np.clip(share, 0, 1)), np.nan)
@@ -109,16 +75,6 @@ class Curve(Document):
 
         The light that can be reached is b … a + b, so `levels` are shares of that, and the result is the
         inverse of S. Gain, black level and exposure cancel, black stays black and white stays white.
-
-        Parameters
-        ----------
-        levels : array_like
-            Wanted light, in [0, 1].
-
-        Returns
-        -------
-        ndarray of float64
-            Levels to show, in [0, 1], of the same shape.
         """
         wanted = np.asarray(levels, np.float64)
         if self.spline:
@@ -126,13 +82,7 @@ class Curve(Document):
         return np.asarray(wanted ** (1.0 / self.g))
 
     def check_correctable(self) -> None:
-        """Refuse a response whose inverse a projector cannot show.
-
-        Raises
-        ------
-        ValueError
-            g is outside of `CORRECTABLE`, or a spline rises too steeply for 256 grey levels.
-        """
+        """Refuse a response whose inverse a projector cannot show."""
         if self.spline:
             jump = float(np.diff(self.shape(np.arange(256) / 255)).max())
             if jump > MOST_JUMP:
@@ -150,37 +100,13 @@ class Curve(Document):
 
 
 def knots(coefficients: int) -> Floats:
-    """Give the clamped, equally spaced knots of a spline over [0, 1].
-
-    Parameters
-    ----------
-    coefficients : int
-        Number of its coefficients, more than `DEGREE`.
-
-    Returns
-    -------
-    ndarray of float64
-        (coefficients + `DEGREE` + 1,).
-    """
+    """Give the clamped, equally spaced knots of a spline over [0, 1]."""
     ends = np.full(DEGREE, 1.0)
     return np.concatenate([0.0 * ends, np.linspace(0.0, 1.0, coefficients - DEGREE + 1), ends])
 
 
 def evaluate_spline(coefficients: tuple[float, ...], levels: Floats) -> Floats:
-    """Evaluate a spline.
-
-    Parameters
-    ----------
-    coefficients : tuple of float
-        As in `Curve.spline`.
-    levels : ndarray of float64
-        In [0, 1], of any shape.
-
-    Returns
-    -------
-    ndarray of float64
-        Of the same shape.
-    """
+    """Evaluate a spline."""
     spline = BSpline(knots(len(coefficients)), np.asarray(coefficients), DEGREE)
     return np.asarray(spline(np.clip(levels, 0.0, 1.0)), np.float64)
 
@@ -191,18 +117,5 @@ def _rising(coefficients: tuple[float, ...]) -> Floats:
 
 
 def power_law(shown: Floats, a: float, b: float, g: float) -> Floats:
-    """Compute `a I^g + b`.
-
-    Parameters
-    ----------
-    shown : ndarray of float64
-        Levels shown, in [0, 1].
-    a, b, g : float
-        Gain, dark level and exponent.
-
-    Returns
-    -------
-    ndarray of float64
-        Levels seen, of the same shape.
-    """
+    """Compute `a I^g + b`."""
     return np.asarray(a * shown**g + b)

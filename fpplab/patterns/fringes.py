@@ -17,38 +17,15 @@ from fpplab.patterns.plan import Plan
 
 @dataclass(frozen=True, eq=False)
 class Pattern:
-    """One image for a projector.
+    """One image for a projector."""
 
-    Attributes
-    ----------
-    id : str
-        Names the pattern in frames and journals.
-    image : ndarray of uint8, (height, width)
-        Grey levels [row, column] of the mirrors, quantised to `bit_depth`; the full scale is always 255.
-    bit_depth : int
-        Bits per mirror that the projector shows.
-    """
-
-    id: str
-    image: NDArray[np.uint8]
-    bit_depth: int = 8
+    id: str  # names the pattern in frames and journals
+    image: NDArray[np.uint8]  # grey levels [row
+    bit_depth: int = 8  # bits per mirror that the projector shows
 
 
 def quantise(level: NDArray[np.float64], bit_depth: int = 8) -> NDArray[np.uint8]:
-    """Round levels to the nearest grey level of a projector.
-
-    Parameters
-    ----------
-    level : ndarray of float64
-        Levels in [0, 1], of any shape.
-    bit_depth : int
-        Bits per mirror that the projector shows.
-
-    Returns
-    -------
-    ndarray of uint8
-        Grey levels on the scale 0 … 255, of the same shape.
-    """
+    """Round levels to the nearest grey level of a projector."""
     greys = full_scale(bit_depth)
     return np.asarray(np.rint(np.rint(level * greys) * (255.0 / greys)), np.uint8)
 
@@ -60,27 +37,8 @@ def pattern_image(
 
     It is corrected for the plan's response before it is quantised, so that each grey level is the nearest to
     the light that is wanted.
-
-    Parameters
-    ----------
-    plan : Plan
-        The plan.
-    index : int
-        Of the fringe set in `plan.fringes`.
-    step : int
-        Of the phase shift within the set, from 0.
-    size : tuple of int
-        Width and height of the projector in px.
-    lattice : Lattice
-        Layout of the projector's mirrors.
-    bit_depth : int
-        Bits per mirror that the projector shows.
-
-    Returns
-    -------
-    ndarray of uint8, (height, width)
-        Grey levels on the scale 0 … 255.
     """
+    # returns (height, width)
     fringe, (width, height) = plan.fringes[index], size
     # Along x two rows hold all there is, on either lattice; along y one column does.
     repeated = (width, min(height, 2)) if fringe.axis == "x" else (1, height)
@@ -98,27 +56,6 @@ def make_patterns(
 
     A plan with a response gives the patterns whose light is sinusoidal, see `pattern_image`. The same
     arguments give the same, read-only, patterns again, so that a backend can tell them by identity.
-
-    Parameters
-    ----------
-    plan : Plan
-        The plan.
-    size : tuple of int
-        Width and height of the projector in px.
-    lattice : Lattice
-        Layout of the projector's mirrors.
-    bit_depth : int
-        Bits per mirror that the projector shows.
-
-    Returns
-    -------
-    tuple of Pattern
-        One per image of the plan.
-
-    Raises
-    ------
-    ConfigError
-        The projector cannot resolve the stripes, or the plan was made for another size.
     """
     plan.check_projector(size, "plan")
     return _made(plan, size, lattice, bit_depth)
@@ -135,18 +72,5 @@ def _made(plan: Plan, size: tuple[int, int], lattice: Lattice, bit_depth: int) -
 
 
 def uniform_patterns(greys: list[int], size: tuple[int, int]) -> list[Pattern]:
-    """Make uniform grey-level images, for measuring the response and for alignment.
-
-    Parameters
-    ----------
-    greys : list of int
-        Grey levels 0 … 255.
-    size : tuple of int
-        Width and height of the projector in px.
-
-    Returns
-    -------
-    list of Pattern
-        One per grey level, in the order given.
-    """
+    """Make uniform grey-level images, for measuring the response and for alignment."""
     return [Pattern(f"grey-{grey:03d}", np.full((size[1], size[0]), grey, np.uint8)) for grey in greys]

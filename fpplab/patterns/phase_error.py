@@ -46,19 +46,8 @@ def harmonics(g: float, highest: int) -> Floats:
     """Compute the Fourier coefficients of a sinusoid under a power law.
 
     `((1 + cos φ)/2)^g = c_0 + 2 Σ c_k cos kφ`.
-
-    Parameters
-    ----------
-    g : float
-        Exponent of the response.
-    highest : int
-        Highest harmonic.
-
-    Returns
-    -------
-    ndarray of float64, (highest + 1,)
-        `c_0 … c_highest`.
     """
+    # returns (highest + 1,)
     # cos^2g(φ/2), whose coefficients are Γ(2g + 1)/(4^g Γ(g + k + 1) Γ(g - k + 1)).
     mean = math.exp(math.lgamma(2.0 * g + 1.0) - 2.0 * math.lgamma(g + 1.0) - g * math.log(4.0))
     k = np.arange(1, highest + 1)
@@ -66,22 +55,8 @@ def harmonics(g: float, highest: int) -> Floats:
 
 
 def relative_harmonics(response: Curve, correction: Curve | None = None, highest: int = _HIGHEST) -> Floats:
-    """Compute the harmonics of a sinusoid through a response, relative to the fringe.
-
-    Parameters
-    ----------
-    response : Curve
-        From the level shown to the light.
-    correction : Curve, optional
-        Response whose inverse the patterns are shown through; by default they are shown as they are.
-    highest : int
-        Highest harmonic.
-
-    Returns
-    -------
-    ndarray of float64, (highest + 1,)
-        `c_0/c_1 … c_highest/c_1`, signed, of `c_0 + 2 Σ c_k cos kφ`.
-    """
+    """Compute the harmonics of a sinusoid through a response, relative to the fringe."""
+    # returns (highest + 1,)
     phase = TWO_PI * np.arange(16 * _PHASES) / (16 * _PHASES)
     wanted = 0.5 + 0.5 * np.cos(phase)
     light = response.shape(wanted if correction is None else correction.correct(wanted))
@@ -90,44 +65,15 @@ def relative_harmonics(response: Curve, correction: Curve | None = None, highest
 
 
 def harmonic_phase_error(relative: Floats, steps: int) -> float:
-    """Compute the RMS phase error that harmonics cause.
-
-    Parameters
-    ----------
-    relative : ndarray of float64, (K,)
-        Harmonics relative to the fringe, as `relative_harmonics` gives them.
-    steps : int
-        Number N of equally spaced steps.
-
-    Returns
-    -------
-    float
-        RMS phase error in rad.
-
-    References
-    ----------
-    Guo, He and Zhang, Opt. Lett. 29, 2004
-    """
+    """Compute the RMS phase error that harmonics cause."""
+    # relative (K,)
     order = np.abs(steps * np.arange(-_REACH, _REACH + 1) + 1)
     shares = np.where(order < len(relative), relative[np.minimum(order, len(relative) - 1)], 0.0)
     return _rms(np.angle(np.einsum("m,mp->p", shares, _TURNS)))
 
 
 def phase_error(g: float, steps: int) -> float:
-    """Compute the RMS phase error of phase shifting under a power-law response.
-
-    Parameters
-    ----------
-    g : float
-        Exponent of the response.
-    steps : int
-        Number N of equally spaced steps.
-
-    Returns
-    -------
-    float
-        RMS phase error in rad, without the rounding of the patterns.
-    """
+    """Compute the RMS phase error of phase shifting under a power-law response."""
     amplitudes = harmonics(g, _REACH * steps + 1)
     return harmonic_phase_error(amplitudes / amplitudes[1], steps)
 
@@ -139,22 +85,6 @@ def shown_phase_error(
 
     What the rounding to grey levels leaves is that of one mirror; a camera pixel that averages over mirrors
     of different phase sees less of it.
-
-    Parameters
-    ----------
-    response : Curve
-        From the level shown to the light.
-    steps : int
-        Number of equally spaced steps.
-    correction : Curve, optional
-        Response whose inverse the patterns are shown through; by default they are shown as they are.
-    greys : int
-        Number of grey levels of the projector.
-
-    Returns
-    -------
-    float
-        RMS phase error in rad.
     """
     phase = TWO_PI * (np.arange(16 * _PHASES) + 0.5) / (16 * _PHASES)
     shifts = phase_steps(steps)
@@ -166,20 +96,7 @@ def shown_phase_error(
 
 
 def least_steps(response: Curve, allowed_rad: float = ALLOWED_RAD) -> int | None:
-    """Find the fewest steps from which on the phase error is acceptable without correction.
-
-    Parameters
-    ----------
-    response : Curve
-        From the level shown to the light.
-    allowed_rad : float
-        Greatest acceptable RMS phase error in rad.
-
-    Returns
-    -------
-    int or None
-        From 3 to `MOST_STEPS`; None where even `MOST_STEPS` are too few.
-    """
+    """Find the fewest steps from which on the phase error is acceptable without correction."""
     relative = relative_harmonics(response, highest=_REACH * MOST_STEPS + 1)
     found = None
     for steps in range(MOST_STEPS, 2, -1):
@@ -193,16 +110,6 @@ def unexplained_phase_error(response: Response) -> float:
     """Compute the RMS phase error that levels may hide from a fitted curve.
 
     What the curve leaves of the levels, spread over the harmonics, is taken to rotate the fringe.
-
-    Parameters
-    ----------
-    response : Response
-        The fit, with the misfit of its levels.
-
-    Returns
-    -------
-    float
-        RMS phase error in rad, a standard uncertainty.
     """
     left = response.residual if response.misfit is None else response.misfit
     return float(2.0 * left * np.sqrt(2.0 / response.levels) / response.a)
@@ -253,20 +160,6 @@ def judge_response(response: Response, plan: Plan, size: tuple[int, int]) -> Res
     """Judge whether a response is good enough for a plan.
 
     A plan that corrects its patterns is judged with that correction.
-
-    Parameters
-    ----------
-    response : Response
-        The measured response, with the uncertainty of its exponent.
-    plan : Plan
-        The plan.
-    size : tuple of int
-        Width and height of the projector in px.
-
-    Returns
-    -------
-    ResponseJudgement
-        The verdict with its figures.
     """
     curve = Curve(a=response.a, b=response.b, g=response.g, spline=response.spline)
     ends, hidden = _ends(response, curve), COVERAGE * unexplained_phase_error(response)

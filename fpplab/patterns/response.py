@@ -118,13 +118,7 @@ class Response(Curve):
         }
 
     def summary(self) -> dict[str, Any]:
-        """Give the result as plain values, as the command line prints them with `--json`.
-
-        Returns
-        -------
-        dict
-            The fields, with the fitted levels under `levels`, and `normalised`.
-        """
+        """Give the result as plain values, as the command line prints them with `--json`."""
         return {
             **self.model_dump(mode="json", exclude={"levels", "measured"}),
             "levels": [level.model_dump(mode="json") for level in self.measured],
@@ -132,54 +126,16 @@ class Response(Curve):
         }
 
     def save(self, path: Path) -> None:
-        """Write a YAML file, whole or not at all.
-
-        Parameters
-        ----------
-        path : Path
-            The file; replaced if it exists.
-        """
+        """Write a YAML file, whole or not at all."""
         write_text(path, config.dump(self))
 
     @classmethod
     def load(cls, path: Path | str) -> Response:
-        """Read a response file.
-
-        Parameters
-        ----------
-        path : path or str
-            The file.
-
-        Returns
-        -------
-        Response
-            The response.
-
-        Raises
-        ------
-        ConfigError
-            The file is missing or wrong.
-        """
+        """Read a response file."""
         return config.load_document(path, cls)
 
     def curve(self, source: Path | str) -> Curve:
-        """Give the curve alone, for correcting patterns.
-
-        Parameters
-        ----------
-        source : path or str
-            What the response is called in the message.
-
-        Returns
-        -------
-        Curve
-            a, b, g and spline.
-
-        Raises
-        ------
-        ConfigError
-            It cannot be inverted, or g is too uncertain.
-        """
+        """Give the curve alone, for correcting patterns."""
         try:
             self.check_correctable()
         except ValueError as error:
@@ -194,25 +150,7 @@ class Response(Curve):
 
 
 def with_named_response(data: Any, source: Path) -> Any:
-    """Put the values of a response file in place of its name.
-
-    Parameters
-    ----------
-    data : any
-        Contents of a plan or rig file; its key `response` may name a file, beside it or by path.
-    source : Path
-        That file.
-
-    Returns
-    -------
-    any
-        The same, with `{a, b, g}` for a name.
-
-    Raises
-    ------
-    ConfigError
-        The response file is missing or wrong, or too uncertain to be used.
-    """
+    """Put the values of a response file in place of its name."""
     if not (isinstance(data, dict) and isinstance(data.get("response"), str)):
         return data
     file = Path(config.resolve_beside(data["response"], source.parent))
@@ -241,36 +179,8 @@ def fit_response(
     With `sigma_out`, a misfit that it does not explain is added to every level as a further, equal variance,
     chosen so that chi² equals its degrees of freedom: levels known to a millionth must not bend the curve
     where no law holds to a millionth.
-
-    Parameters
-    ----------
-    levels_in : array_like, (n,)
-        Levels shown, as shares of full scale.
-    levels_out : array_like, (n,)
-        Levels seen, as shares of full scale.
-    sigma_out : array_like, (n,), optional
-        Standard uncertainties of the levels seen; without them the uncertainties come from the misfit.
-    saturation : float
-        Levels seen at or above it are left out, and named in `Response.left_out`.
-    saturated : array_like of bool, (n,), optional
-        Further levels to leave out, whose mean hides clipped pixels.
-    power_only : bool
-        Whether the power law is fitted alone.
-
-    Returns
-    -------
-    Response
-        The fit; without regions and dark level.
-
-    Raises
-    ------
-    CalibrationError
-        A level is outside of [0, 1], too few remain, they do not rise, or they do not follow the law.
-
-    References
-    ----------
-    Mandel and Paule, Anal. Chem. 42, 1970 (the further variance)
     """
+    # levels_in (n,); levels_out (n,); sigma_out (n,); saturated (n,)
     shown, seen = _levels("levels_in", levels_in), _levels("levels_out", levels_out)
     sigma = None if sigma_out is None else np.asarray(sigma_out, np.float64)
     if shown.shape != seen.shape or (sigma is not None and sigma.shape != seen.shape):

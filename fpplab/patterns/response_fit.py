@@ -31,22 +31,8 @@ MEAN, NOISE, SPREAD, WHITE = range(4)
 
 
 def statistics(image: Image, bits: int) -> Floats:
-    """Compute mean, noise, variance and saturation of each region of a frame.
-
-    Parameters
-    ----------
-    image : ndarray, (height, width)
-        Raw frame.
-    bits : int
-        Its depth.
-
-    Returns
-    -------
-    ndarray of float64, (4, GRID²)
-        Of each of the `GRID²` regions, row by row, levels as shares of full scale. `MEAN`: mean level.
-        `NOISE`: variance of a pixel's noise, from the differences of neighbours, which uneven light does not
-        change. `SPREAD`: variance of the pixels. `WHITE`: share of pixels at full scale.
-    """
+    """Compute mean, noise, variance and saturation of each region of a frame."""
+    # image (height, width); returns (4, GRID²)
     return np.stack([_of_region(part / full_scale(bits)) for part in _regions(image)], axis=1)
 
 
@@ -65,42 +51,18 @@ def _regions(image: Image) -> list[Image]:
 
 @dataclass(frozen=True)
 class GreyLevelImages:
-    """Statistics of the frames of uniform grey-level images.
+    """Statistics of the frames of uniform grey-level images."""
 
-    Attributes
-    ----------
-    shown : ndarray of float64, (L,)
-        Levels shown, as shares of full scale, rising.
-    seen : ndarray of float64, (R, L, 4, GRID²)
-        `statistics` of the frame of every repeat and level.
-    dark : ndarray of float64, (4, GRID²)
-        `statistics` of the frame with the projector off.
-    pixels : ndarray of float64, (GRID²,)
-        Number of pixels of each region.
-    bits : int
-        Depth of the frames.
-    """
-
-    shown: Floats
-    seen: Floats
-    dark: Floats
-    pixels: Floats
-    bits: int
+    shown: Floats  # levels shown, as shares of full scale, rising
+    seen: Floats  # `statistics` of the frame of every repeat and level
+    dark: Floats  # `statistics` of the frame with the projector off
+    pixels: Floats  # number of pixels of each region
+    bits: int  # depth of the frames
 
 
 def pixels_of_regions(image: Image) -> Floats:
-    """Count the pixels of each region.
-
-    Parameters
-    ----------
-    image : ndarray, (height, width)
-        A frame.
-
-    Returns
-    -------
-    ndarray of float64, (GRID²,)
-        Number of pixels, row by row of the grid.
-    """
+    """Count the pixels of each region."""
+    # image (height, width); returns (GRID²,)
     return np.array([float(part.size) for part in _regions(image)])
 
 
@@ -110,20 +72,6 @@ def rounding_variance(spread: Floats) -> Floats:
     Rounding errors of equal values are equal, and averaging does not reduce them; values spread over more
     than half an integer dither them away: `Σ_k exp(-4π² k² s²)/(2π² k²)`, which is 1/12 for s = 0 (Gaussian
     values).
-
-    Parameters
-    ----------
-    spread : ndarray of float64
-        Variance s² of the values before rounding, in integers squared, of any shape.
-
-    Returns
-    -------
-    ndarray of float64
-        Variance of the mean's error, in integers squared, of the same shape.
-
-    References
-    ----------
-    Widrow and Kollár, Quantization Noise, 2008
     """
     k = np.arange(1.0, 41.0)
     terms = np.exp(-4 * np.pi**2 * k**2 * spread[..., None]) / (2 * np.pi**2 * k**2)
@@ -136,23 +84,8 @@ def levels_of(greys: GreyLevelImages, regions: Mask) -> tuple[Floats, Floats, Ma
     The uncertainty has three parts: the pixels' noise over all pixels and repeats; the scatter of the repeats
     beyond it (an unsteady lamp), pooled over the levels; and rounding, as far as the noise does not dither
     it away.
-
-    Parameters
-    ----------
-    greys : GreyLevelImages
-        Of all regions.
-    regions : ndarray of bool, (GRID²,)
-        Which regions to average over.
-
-    Returns
-    -------
-    levels : ndarray of float64, (L,)
-        Mean levels seen, as shares of full scale.
-    sigma : ndarray of float64, (L,)
-        Their standard uncertainties.
-    clipped : ndarray of bool, (L,)
-        Whether a level is saturated.
     """
+    # regions (GRID²,); returns levels (L,), sigma (L,), clipped (L,)
     seen, weight = greys.seen[..., regions], greys.pixels[regions]
     pixels, step = weight.sum(), 1.0 / full_scale(greys.bits)
     means, noise, spread, white = (seen[:, :, i] @ weight / pixels for i in (MEAN, NOISE, SPREAD, WHITE))
@@ -171,21 +104,6 @@ def fit_greys(greys: GreyLevelImages) -> Response:
 
     When every illuminated region saturates, its saturated levels are left out instead. Both are named in
     `Response.left_out`.
-
-    Parameters
-    ----------
-    greys : GreyLevelImages
-        The measurement.
-
-    Returns
-    -------
-    Response
-        The common fit, with the fits of the regions and the dark level.
-
-    Raises
-    ------
-    CalibrationError
-        No region is illuminated, there are too few levels, or the regions do not agree on one exponent.
     """
     chosen, left_out = _choose(greys)
     response = _fit(greys, chosen)

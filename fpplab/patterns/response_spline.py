@@ -33,48 +33,20 @@ COVERAGE = 2.0
 
 @dataclass(frozen=True, eq=False)
 class SplineFit:
-    """A monotone spline through levels.
+    """A monotone spline through levels."""
 
-    Attributes
-    ----------
-    a, b : float
-        Rise from dark to white, and level of a dark image.
-    coefficients : tuple of float
-        As in `Curve.spline`.
-    residual : ndarray of float64, (L,)
-        Levels seen minus fitted.
-    left_out : ndarray of float64, (L,)
-        Errors of the prediction of each level from the others.
-    sigma : tuple of float
-        Standard uncertainties of a and b.
-    freedom : int
-        Degrees of freedom of the residuals.
-    """
-
-    a: float
-    b: float
-    coefficients: tuple[float, ...]
-    residual: Floats
-    left_out: Floats
-    sigma: tuple[float, float]
-    freedom: int
+    a: float  # rise from dark to white, and level of a dark image
+    b: float  # rise from dark to white, and level of a dark image
+    coefficients: tuple[float, ...]  # as in `Curve.spline`
+    residual: Floats  # levels seen minus fitted
+    left_out: Floats  # errors of the prediction of each level from the others
+    sigma: tuple[float, float]  # standard uncertainties of a and b
+    freedom: int  # degrees of freedom of the residuals
 
 
 def fit_spline(shown: Floats, seen: Floats, sigma: Floats | None) -> SplineFit | None:
-    """Fit the monotone spline that predicts left-out levels best.
-
-    Parameters
-    ----------
-    shown, seen : ndarray of float64, (L,)
-        Levels, as shares of full scale.
-    sigma : ndarray of float64, (L,), or None
-        Standard uncertainties of the levels seen, where they are known.
-
-    Returns
-    -------
-    SplineFit or None
-        None where the levels do not reach from black to white, or are too few.
-    """
+    """Fit the monotone spline that predicts left-out levels best."""
+    # shown, seen (L,); sigma (L,)
     if shown.min() > 1.0 - LEAST_REACH or shown.max() < LEAST_REACH:
         return None
     most = min(MOST_COEFFICIENTS, len(np.unique(shown)) - 2)
@@ -118,20 +90,8 @@ def _fit(shown: Floats, seen: Floats, weight: Floats, count: int) -> SplineFit |
 
 
 def leave_one_out(residual: Floats, leverage: Floats) -> Floats:
-    """Compute by how much each level would be missed by a fit to the others.
-
-    Parameters
-    ----------
-    residual : ndarray of float64, (L,)
-        Of the fit to all levels.
-    leverage : ndarray of float64, (L,)
-        Diagonal of the matrix that takes levels to fitted levels.
-
-    Returns
-    -------
-    ndarray of float64
-        (L,), in the unit of the residuals.
-    """
+    """Compute by how much each level would be missed by a fit to the others."""
+    # residual (L,); leverage (L,); returns (L,)
     return np.asarray(residual / np.maximum(1.0 - leverage, 1e-3))
 
 
@@ -139,19 +99,8 @@ def prefers_spline(power: Floats, spline: Floats, sigma: Floats | None) -> bool:
     """Decide between power law and spline.
 
     The levels at both ends, which a spline predicts by extrapolation alone, do not count.
-
-    Parameters
-    ----------
-    power, spline : ndarray of float64, (L,)
-        Errors of prediction of the two.
-    sigma : ndarray of float64, (L,), or None
-        Standard uncertainties of the levels, where they are known: errors below them are none.
-
-    Returns
-    -------
-    bool
-        Whether the spline predicts better than chance explains.
     """
+    # power, spline (L,); sigma (L,)
     floor = 0.0 if sigma is None else float(np.mean(sigma[1:-1] ** 2))
     gain = power[1:-1] ** 2 - spline[1:-1] ** 2
     of_power, of_spline = (float(np.mean(one[1:-1] ** 2)) for one in (power, spline))

@@ -23,27 +23,12 @@ FARTHEST = 9.0
 
 @dataclass(frozen=True, eq=False)
 class Alternatives:
-    """Shifts of the position along one axis, J of them, nearest first; each counts in both directions.
+    """Shifts of the position along one axis, J of them, nearest first; each counts in both directions."""
 
-    Attributes
-    ----------
-    shifts : ndarray of float64, (J,)
-        Share of the projector's length, positive.
-    turns : ndarray of float64, (J, K)
-        What every set's phase changes by, in -0.5 … 0.5 turns, sets as in `WavelengthSequence.sets`.
-    separations : ndarray of float64, (J,)
-        χ² between the two where noise and modulation of a grey level are equal in all images.
-    causes : ndarray of int64, (J,)
-        Index into `Plan.fringes` of the set that tells most of the difference.
-    least_separation : float
-        Least separation of a shift by at most half of the widest interval of possible positions, which even
-        pixels in its middle risk.
-    """
-
-    shifts: Floats
-    turns: Floats
-    separations: Floats
-    causes: NDArray[np.int64]
+    shifts: Floats  # share of the projector's length, positive
+    turns: Floats  # what every set's phase changes by
+    separations: Floats  # (J,)
+    causes: NDArray[np.int64]  # index into `Plan.fringes` of the set that tells most of the difference
     least_separation: float
 
     @property
@@ -54,20 +39,7 @@ class Alternatives:
 
 
 def alternatives_of(plan: Plan, sequence: WavelengthSequence) -> Alternatives:
-    """Find the shifts that a wrong order may cause along one axis.
-
-    Parameters
-    ----------
-    plan : Plan
-        The plan.
-    sequence : WavelengthSequence
-        Of the axis.
-
-    Returns
-    -------
-    Alternatives
-        At least one where the sets have more than one period in the interval.
-    """
+    """Find the shifts that a wrong order may cause along one axis."""
     fringes = [plan.fringes[k] for k in sequence.sets]
     stripes = np.array([f.stripes for f in fringes])
     weights = (TWO_PI * stripes / [f.phase_noise for f in fringes]) ** 2

@@ -18,31 +18,14 @@ PositionInterval = tuple[float | Floats, float | Floats]
 
 @dataclass(frozen=True, eq=False)
 class PossibleCoordinates:
-    """Interval of one projector coordinate for every camera pixel, maps [v, u] in px.
+    """Interval of one projector coordinate for every camera pixel, maps [v, u] in px."""
 
-    Attributes
-    ----------
-    least, most : ndarray of float32, (height, width)
-        Ends of the interval, within the projector: -0.5 … W - 0.5. Where `least` exceeds `most` the pixel
-        cannot see the projector within the depth range, and is not measured.
-    """
-
-    least: Map
-    most: Map
+    least: Map  # ends of the interval, within the projector
+    most: Map  # ends of the interval, within the projector
 
     def positions(self, length: int) -> tuple[Map, Map]:
-        """Convert the ends of the intervals.
-
-        Parameters
-        ----------
-        length : int
-            Of the projector along the coordinate, in px.
-
-        Returns
-        -------
-        tuple of ndarray of float32, (height, width)
-            Least and greatest position, as shares of the length.
-        """
+        """Convert the ends of the intervals."""
+        # returns (height, width)
         half, px = np.float32(0.5), np.float32(length)
         return (self.least + half) / px, (self.most + half) / px
 
@@ -50,22 +33,8 @@ class PossibleCoordinates:
 def widest(
     bounds: Mapping[Axis, PossibleCoordinates] | None, axis: Axis, projector_size: tuple[int, int]
 ) -> float | None:
-    """Find the greatest width of the intervals along one axis.
-
-    Parameters
-    ----------
-    bounds : mapping of str to PossibleCoordinates, or None
-        By axis.
-    axis : str
-        Which axis.
-    projector_size : tuple of int
-        (width, height) in px.
-
-    Returns
-    -------
-    float or None
-        Share of the projector's length, never 0; None where no intervals are known.
-    """
+    """Find the greatest width of the intervals along one axis."""
+    # projector_size (width, height) px
     if bounds is None or axis not in bounds:
         return None
     one = bounds[axis]
@@ -78,24 +47,8 @@ def interval_of(
     length: int,
     pixels: NDArray[np.int64] | None = None,
 ) -> PositionInterval:
-    """Give the intervals along one axis as positions.
-
-    Parameters
-    ----------
-    bounds : mapping of str to PossibleCoordinates, or None
-        By axis.
-    axis : str
-        Which axis.
-    length : int
-        Of the projector along it, in px.
-    pixels : ndarray of int64, (P,), optional
-        Flat indices of the pixels wanted; by default all, as maps.
-
-    Returns
-    -------
-    tuple of float or ndarray of float64
-        Least and greatest position; 0 and 1 where no intervals are known.
-    """
+    """Give the intervals along one axis as positions."""
+    # pixels (P,)
     if bounds is None or axis not in bounds:
         return 0.0, 1.0
     low, high = (end.astype(np.float64) for end in bounds[axis].positions(length))
@@ -103,20 +56,7 @@ def interval_of(
 
 
 def check_bounds(bounds: Mapping[Axis, PossibleCoordinates] | None, recording: Recording) -> None:
-    """Refuse intervals of another camera.
-
-    Parameters
-    ----------
-    bounds : mapping of str to PossibleCoordinates, or None
-        By axis.
-    recording : Recording
-        Frames that are to be decoded with them.
-
-    Raises
-    ------
-    DataError
-        Their maps have another size than the frames.
-    """
+    """Refuse intervals of another camera."""
     shape = recording.frames[0].shape
     for axis, one in (bounds or {}).items():
         if one.least.shape != shape or one.most.shape != shape:

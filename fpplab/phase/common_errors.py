@@ -45,39 +45,16 @@ _PIXELS = 2000
 
 @dataclass(frozen=True, eq=False)
 class CommonErrors:
-    """Errors of one fringe set that are common to all of its pixels.
+    """Errors of one fringe set that are common to all of its pixels."""
 
-    Attributes
-    ----------
-    harmonics : ndarray of float64, (4,)
-        Amplitudes of `HARMONICS` as shares of the fringe's; NaN where nothing tells them.
-    harmonic_rad : float
-        RMS phase error in rad that the response causes; NaN where nothing tells it.
-    gain_first, gain_second : float
-        `|Σ ε_n exp(iδ_n)|` and `|Σ ε_n exp(2iδ_n)|` of the lamp's gains ε_n; NaN where nothing tells them.
-    images : int
-        Number N of images of the set.
-    """
-
-    harmonics: Floats
-    harmonic_rad: float
-    gain_first: float
-    gain_second: float
-    images: int
+    harmonics: Floats  # amplitudes of `HARMONICS` as shares of the fringe's; NaN where nothing tells them
+    harmonic_rad: float  # RMS phase error in rad that the response causes; NaN where nothing tells it
+    gain_first: float  # `|Σ ε_n exp(iδ_n)|` and `|Σ ε_n exp(2iδ_n)|` of the lamp's gains ε_n
+    gain_second: float  # `|Σ ε_n exp(iδ_n)|` and `|Σ ε_n exp(2iδ_n)|` of the lamp's gains ε_n
+    images: int  # number N of images of the set
 
     def variance(self, offset_per_modulation: Floats | float) -> Floats:
-        """Compute the mean square phase error, over all phases.
-
-        Parameters
-        ----------
-        offset_per_modulation : float or ndarray of float64
-            A/B of the pixel.
-
-        Returns
-        -------
-        ndarray of float64
-            rad².
-        """
+        """Compute the mean square phase error, over all phases."""
         constant, rising = self.terms
         return np.asarray(constant + rising * np.square(offset_per_modulation))
 
@@ -95,29 +72,14 @@ class Group:
     An image is a linear combination of R features of its pixel: the offset A and, for each of S sets, the
     real and imaginary parts of `B exp(ikφ)` for the harmonics k. All that is asked of many pixels therefore
     follows from sums of products of features and images.
-
-    Attributes
-    ----------
-    members : tuple of int
-        Indices of the sets.
-    images : ndarray of float64, (N, P)
-        Their images, one set after the other, in grey levels.
-    features : ndarray of float64, (R, P)
-        The offset first, the mean of all sets; then set after set, by harmonic.
-    shift : ndarray of float64, (N,)
-        Phase shift δ_n of each image.
-    seen : ndarray of float64, (F, N)
-        Orthonormal rows that no fringe fills; common errors and noise are seen in them.
-    quiet : ndarray of float64, (Q, N)
-        Orthonormal rows that noise alone fills, once the common errors are taken away.
     """
 
-    members: tuple[int, ...]
-    images: Floats
-    features: Floats
-    shift: Floats
-    seen: Floats
-    quiet: Floats
+    members: tuple[int, ...]  # indices of the sets
+    images: Floats  # their images, one set after the other, in grey levels
+    features: Floats  # the offset first, the mean of all sets; then set after set, by harmonic
+    shift: Floats  # phase shift δ_n of each image
+    seen: Floats  # orthonormal rows that no fringe fills; common errors and noise are seen in them
+    quiet: Floats  # orthonormal rows that noise alone fills, once the common errors are taken away
 
     @property
     def freedom(self) -> int:
@@ -155,20 +117,8 @@ class Group:
         return wave
 
     def rest(self, rows: Floats, found: Found) -> Floats:
-        """Take the common errors from the images.
-
-        Parameters
-        ----------
-        rows : ndarray of float64, (F, N)
-            `seen` or `quiet`.
-        found : Found
-            The common errors.
-
-        Returns
-        -------
-        ndarray of float64, (F, P)
-            What is left of the images in these rows.
-        """
+        """Take the common errors from the images."""
+        # rows (F, N); returns (F, P)
         common = found.gains[:, None] * self.fringe + np.tensordot(found.harmonics, self.waves, 1)
         offset = rows @ self.membership @ found.offsets
         return _product(rows, self.images) - _product(rows @ common, self.features) - offset[:, None]
@@ -176,49 +126,20 @@ class Group:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """What least squares found in a group.
+    """What least squares found in a group."""
 
-    Attributes
-    ----------
-    harmonics : ndarray of float64, (4,)
-        Shares c_k of `HARMONICS`.
-    uncertainty : ndarray of float64, (4,)
-        Standard uncertainties of them.
-    gains : ndarray of float64, (N,)
-        ε_n.
-    covariance : ndarray of float64, (N, N)
-        Of the gains.
-    offsets : ndarray of float64, (N,)
-        Offsets of whole sets in grey levels, where sets are compared.
-    """
-
-    harmonics: Floats
-    uncertainty: Floats
-    gains: Floats
-    covariance: Floats
-    offsets: Floats
+    harmonics: Floats  # shares c_k of `HARMONICS`
+    uncertainty: Floats  # standard uncertainties of them
+    gains: Floats  # ε_n
+    covariance: Floats  # of the gains
+    offsets: Floats  # offsets of whole sets in grey levels, where sets are compared
 
 
 def groups_of(
     samples: Sequence[Floats], fringes: Sequence[FringeSet], modulation_min: float = 0.0
 ) -> list[Group]:
-    """Group fringe sets by what shows their errors.
-
-    Parameters
-    ----------
-    samples : sequence of ndarray of float64, (N, P)
-        Grey levels of each set, of the same P pixels in all.
-    fringes : sequence of FringeSet
-        The sets.
-    modulation_min : float
-        Least modulation of pixels that are used.
-
-    Returns
-    -------
-    list of Group
-        One for each set of more than three images; if there is none, one for all sets; none for a single set
-        of three, or where fewer than `LEAST_PIXELS` pixels are modulated enough.
-    """
+    """Group fringe sets by what shows their errors."""
+    # samples (N, P)
     fitted = [fit_sinusoids(*one) for one in zip(samples, fringes, strict=True)]
     long = [k for k, fringe in enumerate(fringes) if fringe.images > 3]
     used = long or range(len(fringes))
@@ -241,57 +162,21 @@ def groups_of(
 
 
 def show_common_errors(fringes: Sequence[FringeSet]) -> bool:
-    """Tell whether images of these fringe sets show common errors, given enough pixels.
-
-    Parameters
-    ----------
-    fringes : sequence of FringeSet
-        All sets of a plan.
-
-    Returns
-    -------
-    bool
-        True where a set has more than three images, or where there are two sets or more of three, one of
-        them of at least four stripes. A measured response does not change it: it tells nothing of the lamp.
-    """
+    """Tell whether images of these fringe sets show common errors, given enough pixels."""
     return any(one.images > 3 for one in fringes) or (
         len(fringes) > 1 and any(one.stripes >= _FEWEST_STRIPES for one in fringes)
     )
 
 
 def fit_sinusoids(sample: Floats, fringe: FringeSet) -> Floats:
-    """Fit the sinusoid of a fringe set at each pixel by least squares.
-
-    Parameters
-    ----------
-    sample : ndarray of float64, (N, P)
-        Grey levels of the set's images.
-    fringe : FringeSet
-        The set.
-
-    Returns
-    -------
-    ndarray of float64, (3, P)
-        Offset A, `B cos φ` and `B sin φ` in grey levels.
-    """
+    """Fit the sinusoid of a fringe set at each pixel by least squares."""
+    # sample (N, P); returns (3, P)
     return _product(np.linalg.pinv(_waves(fringe.phase_shifts(), 1)), sample)
 
 
 def fringe_levels(fitted: Floats, shift: Floats) -> tuple[Floats, Floats]:
-    """Compute the images of fitted sinusoids, and their derivatives by the phase.
-
-    Parameters
-    ----------
-    fitted : ndarray of float64
-        Offset A, `B cos φ` and `B sin φ` (3, P) of `fit_sinusoids`.
-    shift : ndarray of float64
-        Phase shifts δ_n (N,) in rad.
-
-    Returns
-    -------
-    levels, by_phase : ndarray of float64
-        `A + B cos(φ - δ_n)` and `-B sin(φ - δ_n)`, (N, P) each.
-    """
+    """Compute the images of fitted sinusoids, and their derivatives by the phase."""
+    # fitted (3, P); shift (N,) rad; returns (N, P)
     offset, cosine, sine = fitted
     levels = offset + np.outer(np.cos(shift), cosine) + np.outer(np.sin(shift), sine)
     return levels, np.outer(np.sin(shift), cosine) - np.outer(np.cos(shift), sine)
@@ -320,20 +205,8 @@ def _waves(shift: Floats, highest: int) -> Floats:
 
 
 def beyond_fringe(shift: Floats, highest: int = 1) -> Floats:
-    """Give the projection that takes offset and fringe off the images of a pixel.
-
-    Parameters
-    ----------
-    shift : ndarray of float64
-        Phase shifts (N,) of a fringe set in rad.
-    highest : int
-        Harmonic of the fringe up to which they are taken off.
-
-    Returns
-    -------
-    ndarray of float64
-        (N, N), symmetric.
-    """
+    """Give the projection that takes offset and fringe off the images of a pixel."""
+    # shift (N,) rad; returns (N, N)
     waves = _waves(shift, highest)
     return np.asarray(np.eye(len(shift)) - waves @ np.linalg.pinv(waves))
 
@@ -350,18 +223,7 @@ def _product(few: Floats, many: Floats) -> Floats:
 
 
 def fit_group(group: Group) -> Found:
-    """Fit gains and harmonics of a group by least squares, without pixels that noise does not explain.
-
-    Parameters
-    ----------
-    group : Group
-        Images of many pixels.
-
-    Returns
-    -------
-    Found
-        What is common to them.
-    """
+    """Fit gains and harmonics of a group by least squares, without pixels that noise does not explain."""
     every = slice(None, None, -(-group.images.shape[1] // (_PIXELS * len(group.members) ** 2)))
     group = replace(group, images=group.images[:, every], features=group.features[:, every])
     terms = np.concatenate([group.features, group.images, np.ones((1, group.images.shape[1]))])
@@ -428,21 +290,8 @@ def noise_power(group: Group, found: Found) -> tuple[Floats, int]:
     """Measure what noise alone leaves in each pixel.
 
     Of sets of seven images and more, harmonics 2 and 3 are left out pixel by pixel too.
-
-    Parameters
-    ----------
-    group : Group
-        Images of P pixels.
-    found : Found
-        What is common to them.
-
-    Returns
-    -------
-    power : ndarray of float64, (P,)
-        Sum of squares, in grey levels squared.
-    freedom : int
-        Its degrees of freedom.
     """
+    # returns power (P,)
     return np.square(group.rest(group.quiet, found)).sum(axis=0), len(group.quiet)
 
 
@@ -452,21 +301,8 @@ def errors_of_sets(
     """Tell the common errors of every set, also of those whose own images do not show them.
 
     Those take the exponent of the response and the scatter of the lamp from the sets that show them.
-
-    Parameters
-    ----------
-    groups, found : sequence of Group and of Found
-        What was fitted.
-    fringes : sequence of FringeSet
-        All sets.
-    known : ndarray of float64, (K,), optional
-        Harmonics that a measured response causes, relative to the fringe.
-
-    Returns
-    -------
-    list of CommonErrors
-        Of every set.
     """
+    # known (K,)
     bent = {k: _exponent(group, one) for group, one in zip(groups, found, strict=True) for k in group.members}
     sums = {
         k: s for group, one in zip(groups, found, strict=True) for k, s in _gain_sums(group, one, fringes)

@@ -22,56 +22,21 @@ from fpplab.phase.unwrapping import (
 
 @dataclass(frozen=True, eq=False)
 class Wrapped:
-    """One demodulated fringe set: maps [v, u], in the grey levels of its frames.
+    """One demodulated fringe set: maps [v, u], in the grey levels of its frames."""
 
-    Attributes
-    ----------
-    phase : ndarray of float32, (height, width)
-        Of `2π stripes (u + 0.5)/W`, in [0, 2π) rad.
-    modulation : ndarray of float32, (height, width)
-        B.
-    offset : ndarray of float32, (height, width)
-        The mean.
-    misfit : ndarray of float32, (height, width)
-        RMS of what the fringe leaves.
-    peak : ndarray of float32, (height, width)
-        The greatest value in any frame that was used.
-    loss : ndarray of float32, (height, width)
-        Variance of the phase relative to that from all samples; above 1 where saturated ones were left out.
-    """
-
-    phase: Map
-    modulation: Map
-    offset: Map
-    misfit: Map
-    peak: Map
-    loss: Map
+    phase: Map  # of `2π stripes (u + 0.5)/W`, in [0, 2π) rad
+    modulation: Map  # B
+    offset: Map  # the mean
+    misfit: Map  # RMS of what the fringe leaves
+    peak: Map  # the greatest value in any frame that was used
+    loss: Map  # variance of the phase relative to that from all samples
 
 
 def wrapped_phase(
     frames: Sequence[NDArray[np.generic]], fringe: FringeSet, saturation: float = np.inf
 ) -> Wrapped:
-    """Demodulate one fringe set: `φ = atan2(Σ I_n sin δ_n, Σ I_n cos δ_n)` less the phase origin.
-
-    Parameters
-    ----------
-    frames : sequence of ndarray, (height, width) each
-        The set's images in order, of any real type.
-    fringe : FringeSet
-        The set.
-    saturation : float
-        Value from which on a sample is saturated and left out, as long as those that remain give a phase.
-
-    Returns
-    -------
-    Wrapped
-        Phase, modulation, offset, misfit, peak and loss.
-
-    Raises
-    ------
-    DataError
-        Their number is not that of the set's images.
-    """
+    """Demodulate one fringe set: `φ = atan2(Σ I_n sin δ_n, Σ I_n cos δ_n)` less the phase origin."""
+    # frames (height, width)
     if len(frames) != fringe.images:
         raise DataError(
             f"a fringe set of {fringe.images} images was given {len(frames)} frames; give all, in order"
@@ -132,23 +97,12 @@ def _fit_unsaturated(
 
 @dataclass(frozen=True, eq=False)
 class AxisPhases:
-    """What pixels of any shape (...) see of the K sets of one axis, fewest stripes first.
+    """What pixels of any shape (...) see of the K sets of one axis, fewest stripes first."""
 
-    Attributes
-    ----------
-    phases : ndarray of float64, (K, ...)
-        Wrapped phases in rad.
-    noise, common : ndarray of float64, (K, ...)
-        Variance of the position that each set gives, as a squared share of the projector's length: by noise,
-        and by errors that all pixels of one phase share.
-    stripes : ndarray of float64, (K,)
-        Of each set.
-    """
-
-    phases: Floats
-    noise: Floats
-    common: Floats
-    stripes: Floats
+    phases: Floats  # wrapped phases in rad
+    noise: Floats  # variance of the position that each set gives
+    common: Floats  # variance of the position that each set gives
+    stripes: Floats  # of each set
 
     @property
     def position_sigma(self) -> Floats:
@@ -157,22 +111,7 @@ class AxisPhases:
 
 
 def axis_phases(recording: Recording, sequence: WavelengthSequence, errors: ErrorModel) -> AxisPhases:
-    """Demodulate all sets of one axis.
-
-    Parameters
-    ----------
-    recording : Recording
-        Frames of any shape (...).
-    sequence : WavelengthSequence
-        Of the axis.
-    errors : ErrorModel
-        Of the recording.
-
-    Returns
-    -------
-    AxisPhases
-        Of the frames' shape.
-    """
+    """Demodulate all sets of one axis."""
     fringes = [recording.plan.fringes[k] for k in sequence.sets]
     sets = [
         wrapped_phase(recording.of_set(k), f, errors.saturation)

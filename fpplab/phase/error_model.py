@@ -36,22 +36,11 @@ _VALUES = 32_000
 
 @dataclass(frozen=True, eq=False)
 class ErrorModel:
-    """Errors of a recording.
+    """Errors of a recording."""
 
-    Attributes
-    ----------
-    noise : NoiseModel
-        Of the grey levels.
-    sets : tuple of CommonErrors
-        Of each fringe set.
-    saturation : int
-        Raw value from which on a sample is saturated: a container deeper than its data ends before its full
-        scale.
-    """
-
-    noise: NoiseModel
-    sets: tuple[CommonErrors, ...]
-    saturation: int
+    noise: NoiseModel  # of the grey levels
+    sets: tuple[CommonErrors, ...]  # of each fringe set
+    saturation: int  # raw value from which on a sample is saturated
 
     @property
     def phase_error_is_known(self) -> bool:
@@ -60,18 +49,7 @@ class ErrorModel:
 
 
 def error_model_of(recording: Recording) -> ErrorModel:
-    """Estimate the errors of a recording.
-
-    Parameters
-    ----------
-    recording : Recording
-        All frames of a plan.
-
-    Returns
-    -------
-    ErrorModel
-        In 8-bit grey levels and rad.
-    """
+    """Estimate the errors of a recording."""
     plan = recording.plan
     return fit_errors(
         _sample(recording), plan.fringes, recording.bits, plan.masks.modulation_min, recording.harmonics
@@ -99,25 +77,8 @@ def fit_errors(
     Where a set has more than three steps, noise is what the sinusoid leaves. Where all have three, it is the
     difference between the sets' offsets. One set of three steps does not reveal the noise: the model is then
     the rounding alone, a lower bound.
-
-    Parameters
-    ----------
-    samples : sequence of ndarray of uint8 or uint16, (N, P)
-        Raw values of each fringe set, of the same P pixels in all.
-    fringes : sequence of FringeSet
-        The sets that the samples are of.
-    bits : int
-        Depth of the values.
-    modulation_min : float
-        Least modulation in 8-bit grey levels of pixels that are used.
-    known : ndarray of float64, (K,), optional
-        Harmonics that a measured response causes, relative to the fringe.
-
-    Returns
-    -------
-    ErrorModel
-        In 8-bit grey levels and rad.
     """
+    # samples (N, P); known (K,)
     step, grey = level_step(np.concatenate([sample.ravel() for sample in samples])), 1.0 / raw_per_grey(bits)
     saturation = math.floor(full_scale(bits) - step) + 1
     usable = np.flatnonzero(_usable(samples, saturation))

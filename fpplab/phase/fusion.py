@@ -42,19 +42,8 @@ FUSION_ROWS = 10
 
 @compiled
 def find_repeated(offset: Any, repeated: Any, recipe: Any, n: int) -> None:
-    """Give the part of the variance that repeats, because levels are rounded.
-
-    Parameters
-    ----------
-    offset : ndarray of float32, (n,)
-        Mean level of the pixels, in 8-bit grey levels.
-    repeated : ndarray of float32, (n,)
-        Written: in 8-bit grey levels squared.
-    recipe : fpplab.phase.tables.Recipe
-        With the noise of the grey levels.
-    n : int
-        Number of pixels.
-    """
+    """Give the part of the variance that repeats, because levels are rounded."""
+    # offset (n,); repeated (n,)
     constant, per_level = recipe.noise_constant, recipe.noise_per_level
     step_squared = recipe.step * recipe.step
     per_step_squared = _ONE / step_squared
@@ -80,28 +69,8 @@ def weigh(
 
     The variance is that of noise and that of the errors that all pixels of one phase share. Where nothing
     tells the second, noise alone counts.
-
-    Parameters
-    ----------
-    modulation : ndarray of float32, (n,)
-        B of the set, in 8-bit grey levels.
-    offset : ndarray of float32, (n,)
-        Its mean level; replaced by the weight, per squared share of the projector's length.
-    share : ndarray of float32, (n,)
-        Written: what noise has of the variance.
-    loss : ndarray of float32, (n,)
-        Variance of the phase relative to that from all samples.
-    bent : ndarray of float32, (n,)
-        Mean square phase error that does not depend on the modulation, as `Recipe.error_constant`.
-    repeated : ndarray of float32, (n,)
-        From `find_repeated`; zeros where noise is great enough.
-    s : int
-        The set.
-    recipe : Recipe
-        With the noise of the grey levels.
-    n : int
-        Number of pixels.
     """
+    # modulation (n,); offset (n,); share (n,); loss (n,); bent (n,); repeated (n,)
     constant, per_level = recipe.noise_constant, recipe.noise_per_level
     noise, rising = recipe.phase_noise[s], recipe.error_rising[s]
     square = recipe.set_stripes[s] * recipe.set_stripes[s]
@@ -191,35 +160,8 @@ def fuse_axis(
     common: Any,
     chi2: Any,
 ) -> int:
-    """Give the coordinate from all sets of one axis.
-
-    Parameters
-    ----------
-    axis : int
-        0 or 1.
-    recipe : Recipe
-        Which sets there are.
-    rows : ndarray of float32
-        Positions of the finest set, as shares of the projector's length.
-    sums : ndarray of float32, (FUSION_ROWS * ROW,)
-        Working buffer.
-    turns : ndarray of float32, (S, n)
-        Wrapped phases; replaced by the distance of every other set from the finest, as a share of the length.
-    weights, shares : ndarray of float32, (S, n)
-        From `weigh`.
-    n : int
-        Number of pixels.
-    coordinate, sigma, common : ndarray of float32, (n,)
-        Written, in px: with the 1-sigma by noise, and that by errors that all pixels of one phase share.
-        Those of two sets are taken as independent, since they repeat with fringes of different lengths.
-    chi2 : ndarray of float32, (n,)
-        Added to: the weighted squares of all sets about their mean.
-
-    Returns
-    -------
-    int
-        How many sets the axis has.
-    """
+    """Give the coordinate from all sets of one axis."""
+    # turns (S, n); weights, shares (S, n); coordinate, sigma, common (n,) px; chi2 (n,)
     finest, count = recipe.finest[axis], 0
     _start_fusion(sums, rows, weights[finest], shares[finest], _unit(recipe, finest), n)
     for s in range(len(recipe.axis)):

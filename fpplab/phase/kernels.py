@@ -376,22 +376,6 @@ def decode_pixels(recipe: Recipe, like: Any, start: int, stop: int, maps: Maps) 
     """Fill the maps for a range of pixels.
 
     Releases the interpreter's lock, so that threads may share a frame's pixels.
-
-    Parameters
-    ----------
-    recipe : Recipe
-        Frames, plan, rules and noise.
-    like : ndarray
-        An empty array of the frames' type.
-    start, stop : int
-        The range of flat pixel indices.
-    maps : Maps
-        Filled in place, between `start` and `stop`.
-
-    Returns
-    -------
-    float32
-        The greatest raw value in these pixels of all frames.
     """
     sets = len(recipe.origin)
     sums, rows = np.zeros((_SUM_ROWS + 1) * ROW, np.float32), np.empty(_UNWRAP_ROWS * ROW, np.float32)
@@ -458,22 +442,8 @@ def decode_pixels(recipe: Recipe, like: Any, start: int, stop: int, maps: Maps) 
 
 @compiled
 def read_all(addresses: Any, like: Any, start: int, stop: int) -> int:
-    """Sum a range of pixels of all frames, to measure the time of reading alone.
-
-    Parameters
-    ----------
-    addresses : ndarray of uintp, (F,)
-        Address of every frame's first pixel.
-    like : ndarray
-        An empty array of the frames' type.
-    start, stop : int
-        The range of flat pixel indices.
-
-    Returns
-    -------
-    int
-        The sum.
-    """
+    """Sum a range of pixels of all frames, to measure the time of reading alone."""
+    # addresses (F,)
     total = 0
     for k in range(len(addresses)):
         pixels = _pixels(addresses[k], start, stop - start, like)

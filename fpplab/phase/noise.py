@@ -44,20 +44,6 @@ def repeated_rounding(spread: Floats) -> Floats:
     Noise of standard deviation s spreads a value over several steps, which leaves of the rounding error's
     variance `Σ exp(-4π²k²s²)/(2π²k²)` as a function of the value alone: 1/12 without noise, nothing from half
     a step on. The three terms here follow that sum within 0.001.
-
-    Parameters
-    ----------
-    spread : ndarray of float64
-        Variance s² of a level before rounding, in steps squared, at least `LEAST_SPREAD`; any shape.
-
-    Returns
-    -------
-    ndarray of float64
-        In steps squared, of the same shape.
-
-    References
-    ----------
-    Widrow and Kollár, Quantization Noise, Cambridge 2008
     """
     # The power of a rational function is exp, but compiled to vector instructions.
     w = _ONE / (_ONE + _RATE * spread)
@@ -73,35 +59,14 @@ def repeated_rounding(spread: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """Variance of a grey level I: `constant + per_level * I`, in 8-bit grey levels squared.
+    """Variance of a grey level I: `constant + per_level * I`, in 8-bit grey levels squared."""
 
-    Attributes
-    ----------
-    constant : float
-        Variance at level 0 (read-out noise and rounding), in grey levels squared.
-    per_level : float
-        Increase of the variance per grey level (shot noise), in grey levels.
-    step : float
-        Smallest difference of two levels of the frames, in grey levels.
-    """
-
-    constant: float
-    per_level: float
-    step: float = 1.0
+    constant: float  # variance at level 0 (read-out noise and rounding), in grey levels squared
+    per_level: float  # increase of the variance per grey level (shot noise), in grey levels
+    step: float = 1.0  # smallest difference of two levels of the frames, in grey levels
 
     def variance(self, level: Floats | float) -> Floats:
-        """Compute the variance at the given levels.
-
-        Parameters
-        ----------
-        level : float or ndarray of float64
-            8-bit grey levels.
-
-        Returns
-        -------
-        ndarray of float64
-            Variance in grey levels squared, of the same shape.
-        """
+        """Compute the variance at the given levels."""
         return np.asarray(self.constant + self.per_level * np.asarray(level))
 
     @property
@@ -110,18 +75,7 @@ class NoiseModel:
         return bool(self.repeated(0.0) > _NEGLIGIBLE * self.variance(0.0))
 
     def repeated(self, level: Floats | float) -> Floats:
-        """Compute the part of the variance that is rounding and repeats in all pixels of the same light.
-
-        Parameters
-        ----------
-        level : float or ndarray of float64
-            8-bit grey levels.
-
-        Returns
-        -------
-        ndarray of float64
-            Variance in grey levels squared, of the same shape; `variance` contains it.
-        """
+        """Compute the part of the variance that is rounding and repeats in all pixels of the same light."""
         spread = self.variance(level) / self.step**2 - QUANTISATION
         return np.asarray(repeated_rounding(np.maximum(spread, LEAST_SPREAD)) * self.step**2)
 
@@ -131,16 +85,6 @@ def level_step(values: Image) -> float:
 
     8-bit data stored as multiples of 16 in 12 bits have a step of 16. Values that were scaled by no whole
     number have steps of two neighbouring sizes, of which the mean is given.
-
-    Parameters
-    ----------
-    values : ndarray of uint8 or uint16
-        A sample of raw values, any shape.
-
-    Returns
-    -------
-    float
-        In raw units, at least 1; 1 too where there are too few levels, or spaced too unevenly, to tell.
     """
     gaps = np.diff(np.flatnonzero(np.bincount(values.ravel())))
     if len(gaps) + 1 < _LEAST_LEVELS:
@@ -156,23 +100,8 @@ def fit_line(level: Floats, variance: Floats, freedom: int, step: float) -> Nois
     Pixels whose variance chance does not explain (motion, edges) are left out of their bin's mean. Bins whose
     variance is less than that of rounding are undersampled, their levels do not change over a whole step:
     they say nothing about noise and have no weight.
-
-    Parameters
-    ----------
-    level : ndarray of float64, (P,)
-        Mean grey level of each pixel.
-    variance : ndarray of float64, (P,)
-        Measured variance of each pixel, in grey levels squared.
-    freedom : int
-        Degrees of freedom of each variance.
-    step : float
-        Smallest difference of two levels, in grey levels.
-
-    Returns
-    -------
-    NoiseModel
-        The line; rounding alone where every bin is undersampled.
     """
+    # level (P,); variance (P,)
     floor = QUANTISATION * step**2
     bins = max(1, min(_BINS, len(level) // _LEAST_PER_BIN))
     order = np.argsort(level)[len(level) % bins :].reshape(bins, -1)
@@ -188,22 +117,8 @@ def fit_line(level: Floats, variance: Floats, freedom: int, step: float) -> Nois
 
 
 def robust_mean(variance: Floats, freedom: int, floor: float) -> Floats:
-    """Average variances, leaving out those that chance does not explain.
-
-    Parameters
-    ----------
-    variance : ndarray of float64, (..., P)
-        Measured variances of P alike pixels.
-    freedom : int
-        Degrees of freedom of each.
-    floor : float
-        Variances below it are never left out.
-
-    Returns
-    -------
-    ndarray of float64, (...)
-        Their means, corrected for the tail that is cut off; `floor` where none is left.
-    """
+    """Average variances, leaving out those that chance does not explain."""
+    # variance (..., P)
     cut = float(chdtri(freedom, _REJECTED)) / freedom
     # Mean of χ²/ν below the cut: the distribution of two more degrees of freedom.
     kept_mean = float(chdtr(freedom + 2, cut * freedom)) / (1.0 - _REJECTED)

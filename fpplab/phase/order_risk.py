@@ -26,29 +26,8 @@ def order_risk(
     A shifted position whose phases are χ² = d² away, in units of their noise, is the likelier one with the
     probability `erfc(d / √8) / 2`; the sum over all shifts, in both directions, bounds the risk from above.
     Shifts that only pixels near the projector's edges can suffer are not counted.
-
-    Parameters
-    ----------
-    decoded : Decoded
-        Maps of the plan.
-    plan : Plan
-        The plan.
-    projector_size : tuple of int
-        (width, height) in px.
-    widths : mapping of str to float, optional
-        By axis the greatest width of the interval of possible positions, as a share of the projector's
-        length, as for `wavelength_sequence`.
-
-    Returns
-    -------
-    ndarray of float32, (height, width)
-        Of the axis that risks more, at most 1; NaN where the pixel is not measured.
-
-    Raises
-    ------
-    ConfigError
-        The plan cannot be unwrapped, as `wavelength_sequence`.
     """
+    # projector_size (width, height) px; returns (height, width)
     risk = np.where(decoded.valid, np.float32(0.0), np.float32(np.nan))
     for axis in plan.axes:
         sequence = wavelength_sequence(plan, axis, "plan", (widths or {}).get(axis))

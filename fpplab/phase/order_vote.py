@@ -23,26 +23,8 @@ def vote_orders(
     a doubtful pixel vote for the one of its two coordinates that lies within a quarter of their difference of
     their own; a neighbour that is near neither abstains. Only doubtful pixels ever change, so a step edge in
     clean data cannot be voted away.
-
-    Parameters
-    ----------
-    coordinate : ndarray of float32, (height, width)
-        px, NaN where invalid; repaired in place.
-    pixels : ndarray of int64, (P,)
-        Flat indices of the doubtful pixels.
-    alternative : ndarray of float64, (P,)
-        px, the coordinate that each would have with its second-best order, NaN if that lies outside the
-        projector.
-    window : int
-        Side of the square of neighbours, odd.
-    period : float
-        px of the finest fringes; a quarter of it is near enough where there is no alternative.
-
-    Returns
-    -------
-    ndarray of bool, (P,)
-        Whether more than half of the measured neighbours agree with the pixel's coordinate.
     """
+    # coordinate (height, width); pixels (P,); alternative (P,); returns (P,)
     other = alternative.astype(np.float32)
     backed = np.zeros(len(pixels), np.bool_)
     for _ in range(_PASSES):

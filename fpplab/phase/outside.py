@@ -35,27 +35,13 @@ FAR_BEYOND_SIGMAS = 5.0
 
 @dataclass(frozen=True)
 class OutsideShare:
-    """How many of the sampled pixels with fringes may see something outside of the possible positions.
+    """How many of the sampled pixels with fringes may see something outside of the possible positions."""
 
-    Attributes
-    ----------
-    likelier : float
-        Share whose phases noise explains outside and nowhere inside, 0 … 1.
-    as_likely : float
-        Share whose phases noise explains inside as well as outside, so that they cannot tell.
-    """
-
-    likelier: float
-    as_likely: float
+    likelier: float  # share whose phases noise explains outside and nowhere inside, 0 … 1
+    as_likely: float  # share whose phases noise explains inside as well as outside, so that they cannot tell
 
     def warnings(self) -> tuple[str, ...]:
-        """Say what these shares mean, where they are worth it.
-
-        Returns
-        -------
-        tuple of str
-            Sentences without a full stop.
-        """
+        """Say what these shares mean, where they are worth it."""
         said = []
         if self.likelier > WORTH_SAYING:
             said.append(
@@ -77,24 +63,7 @@ def outside_share(
     errors: ErrorModel,
     bounds: Mapping[Axis, PossibleCoordinates] | None,
 ) -> OutsideShare | None:
-    """Examine a sample of pixels, whether measured or not.
-
-    Parameters
-    ----------
-    recording : Recording
-        All frames.
-    sequences : sequence of WavelengthSequence
-        Of every coded axis; the first one with intervals and several sets is examined.
-    errors : ErrorModel
-        Of the recording.
-    bounds : mapping of str to PossibleCoordinates, or None
-        By axis, which coordinates each pixel may have.
-
-    Returns
-    -------
-    OutsideShare or None
-        None where nothing is known: no intervals, a single fringe set, or hardly a pixel with fringes.
-    """
+    """Examine a sample of pixels, whether measured or not."""
     sequence = next((s for s in sequences if s.axis in (bounds or {}) and len(s.sets) > 1), None)
     if sequence is None:
         return None

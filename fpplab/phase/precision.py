@@ -18,23 +18,8 @@ def coordinate_spread(
     """Compute the standard uncertainty of a coordinate where noise and modulation are alike in all sets.
 
     It is the Cramér-Rao bound of their images: `1/√Σ σ_k⁻²` with the uncertainty σ_k of each set alone.
-
-    Parameters
-    ----------
-    plan : Plan
-        The plan.
-    axis : str
-        Axis of the coordinate, x or y.
-    projector_size : tuple of int
-        (width, height) in px.
-    sets : sequence of int, optional
-        Indices into `Plan.fringes` of the sets that take part; by default all along the axis.
-
-    Returns
-    -------
-    float
-        Projector px per unit of u_I/B.
     """
+    # projector_size (width, height) px
     length = axis_length(projector_size, axis)
     fringes = [plan.fringes[k] for k in (plan.sets_along(axis) if sets is None else sets)]
     alone = [coordinate_uncertainty(f.phase_noise, f.stripes, length) for f in fringes]
@@ -42,21 +27,7 @@ def coordinate_spread(
 
 
 def uncertain_orders(decoded: Decoded, plan: Plan) -> dict[str, int] | None:
-    """Count the pixels that are not measured because noise leaves their fringe order too uncertain.
-
-    Parameters
-    ----------
-    decoded : Decoded
-        Maps of the plan.
-    plan : Plan
-        The plan.
-
-    Returns
-    -------
-    dict of str to int, or None
-        Number of pixels by the fringe set that is the cause, such as `x 8 stripes`, only sets that cost any;
-        None where it is not known.
-    """
+    """Count the pixels that are not measured because noise leaves their fringe order too uncertain."""
     if decoded.uncertain_order is None:
         return None
     counts = np.bincount(decoded.uncertain_order.ravel(), minlength=len(plan.fringes) + 1)[1:]

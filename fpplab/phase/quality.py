@@ -15,44 +15,12 @@ from fpplab.patterns.plan import MaskRules
 def phase_uncertainty(
     noise: float | Floats, modulation: float | Floats, steps: int, repeats: int = 1
 ) -> Floats:
-    """Compute the standard uncertainty of the phase, `u_φ = √2/√(M N) · u_I/B`.
-
-    Parameters
-    ----------
-    noise : float or ndarray of float64
-        Standard deviation u_I of a grey level.
-    modulation : float or ndarray of float64
-        Fringe amplitude B, in the same grey levels.
-    steps : int
-        Number N of steps.
-    repeats : int
-        Number M of frames per step.
-
-    Returns
-    -------
-    ndarray of float64
-        In rad.
-    """
+    """Compute the standard uncertainty of the phase, `u_φ = √2/√(M N) · u_I/B`."""
     return np.asarray(np.sqrt(2.0 / (repeats * steps)) * np.asarray(noise) / np.asarray(modulation))
 
 
 def coordinate_uncertainty(phase_sigma: float | Floats, stripes: float, length: int) -> Floats:
-    """Compute the standard uncertainty of a projector coordinate, `u_φ W/(2π stripes)`.
-
-    Parameters
-    ----------
-    phase_sigma : float or ndarray of float64
-        Standard uncertainty of its phase in rad.
-    stripes : float
-        Number of stripes of the fringe set.
-    length : int
-        Length W of the projector along the axis, in px.
-
-    Returns
-    -------
-    ndarray of float64
-        In projector px.
-    """
+    """Compute the standard uncertainty of a projector coordinate, `u_φ W/(2π stripes)`."""
     return np.asarray(np.asarray(phase_sigma) * length / (TWO_PI * stripes))
 
 
@@ -64,29 +32,7 @@ def measurable(
     rules: MaskRules,
     full_scale: float,
 ) -> Mask:
-    """Find the pixels where one fringe set satisfies the mask rules.
-
-    Parameters
-    ----------
-    modulation : ndarray of float64
-        Fringe amplitude B, in 8-bit grey levels.
-    offset : ndarray of float64
-        Mean level, in 8-bit grey levels.
-    misfit : ndarray of float64
-        RMS residual of the sinusoid, in 8-bit grey levels.
-    peak : ndarray of float64
-        Greatest raw value of the samples that were used; it reaches `full_scale` where too few are left
-        without the saturated ones.
-    rules : MaskRules
-        Of the plan.
-    full_scale : float
-        Raw value of a saturated pixel.
-
-    Returns
-    -------
-    ndarray of bool
-        Where the pixel is measured, of the maps' shape.
-    """
+    """Find the pixels where one fringe set satisfies the mask rules."""
     return np.asarray(
         (modulation > 0)
         & (modulation >= rules.modulation_min)

@@ -23,24 +23,7 @@ def recipe_of(
     errors: ErrorModel,
     bounds: Mapping[Axis, PossibleCoordinates] | None = None,
 ) -> Recipe:
-    """Give frames, plan, rules and noise as tables.
-
-    Parameters
-    ----------
-    recording : Recording
-        Checked: its frames are contiguous, and outlive the recipe, which holds their addresses.
-    sequences : sequence of WavelengthSequence
-        Of every coded axis, x before y.
-    errors : ErrorModel
-        Of the recording.
-    bounds : mapping of str to PossibleCoordinates, optional
-        By axis, which coordinates each pixel may have; by default all of the projector's.
-
-    Returns
-    -------
-    Recipe
-        For `fpplab.phase.kernels.decode_pixels`.
-    """
+    """Give frames, plan, rules and noise as tables."""
     addresses, weights, shift, first = _frame_tables(recording)
     plan, size = recording.plan, recording.projector_size
     wavelengths = [one for sequence in sequences for one in sequence.wavelengths]

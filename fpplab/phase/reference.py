@@ -33,27 +33,13 @@ from fpplab.phase.wrong_order import LEAST_INSIDE, LIKELIEST, MOVES
 
 @dataclass(frozen=True, eq=False)
 class Unwrapped:
-    """Unwrapped phases of one axis, all shaped like one phase map.
+    """Unwrapped phases of one axis, all shaped like one phase map."""
 
-    Attributes
-    ----------
-    position : ndarray of float64
-        (u + 0.5)/W, the share of the projector's length, 0 … 1.
-    disagreement : ndarray of float64
-        Greatest |coarse prediction − fine phase| of any wavelength, in its periods.
-    second_best_order : ndarray of int64
-        Index of the wavelength that disagreed most, signed towards its second-best order; 0 if none did.
-    is_possible : ndarray of bool
-        The position lies in the interval of possible ones, but for noise.
-    is_told_apart : ndarray of bool
-        Its rival, the other hypothesis of the base, is told apart from it.
-    """
-
-    position: Floats
-    disagreement: Floats
-    second_best_order: NDArray[np.int64]
-    is_possible: NDArray[np.bool_]
-    is_told_apart: NDArray[np.bool_]
+    position: Floats  # (u + 0.5)/W, the share of the projector's length, 0 … 1
+    disagreement: Floats  # greatest |coarse prediction − fine phase| of any wavelength, in its periods
+    second_best_order: NDArray[np.int64]  # index of the wavelength that disagreed most
+    is_possible: NDArray[np.bool_]  # the position lies in the interval of possible ones, but for noise
+    is_told_apart: NDArray[np.bool_]  # its rival, the other hypothesis of the base, is told apart from it
 
     @property
     def is_unambiguous(self) -> NDArray[np.bool_]:
@@ -69,29 +55,8 @@ def unwrap(
     changed_order: NDArray[np.int64] | None = None,
     interval: PositionInterval = (0.0, 1.0),
 ) -> Unwrapped:
-    """Unwrap the wrapped phases of one axis.
-
-    Parameters
-    ----------
-    phases : ndarray of float64, (K, ...)
-        rad, of the sequence's sets, fewest stripes first.
-    sequence : WavelengthSequence
-        The axis' synthetic wavelengths.
-    sigma : float or ndarray of float64, (...)
-        1-sigma of the position, as a share of the projector's length.
-    edge_margin : float
-        How far beyond the projector's edge a position may lie without noise, the same.
-    changed_order : ndarray of int64, (...), optional
-        A wavelength's index, up to its sign: the order chosen on that wavelength is changed by that sign; 0
-        changes nothing.
-    interval : tuple of float or ndarray of float64, (...)
-        Least and greatest possible position, as shares of the projector's length.
-
-    Returns
-    -------
-    Unwrapped
-        Positions, and how far they can be trusted.
-    """
+    """Unwrap the wrapped phases of one axis."""
+    # phases (K, ...)
     turns, wavelengths = phases / TWO_PI, sequence.wavelengths
     measured = [np.tensordot(np.array(w.coefficients, np.float64), turns, axes=1) % 1.0 for w in wavelengths]
     period = 1.0 / wavelengths[0].stripes
@@ -153,39 +118,16 @@ def _beyond(position: Floats, low: float | Floats, high: float | Floats, toleran
 
 @dataclass(frozen=True, eq=False)
 class Fused:
-    """The position from all sets of one axis; see `fpplab.phase.fusion`.
+    """The position from all sets of one axis; see `fpplab.phase.fusion`."""
 
-    Attributes
-    ----------
-    position : ndarray of float64, (...)
-        Share of the projector's length.
-    sigma, phase_error : ndarray of float64, (...)
-        Its 1-sigma by noise, and by errors that all pixels of one phase share.
-    chi2 : ndarray of float64, (...)
-        Weighted squares of all K sets about their mean: of K - 1 degrees of freedom.
-    """
-
-    position: Floats
-    sigma: Floats
-    phase_error: Floats
-    chi2: Floats
+    position: Floats  # share of the projector's length
+    sigma: Floats  # its 1-sigma by noise, and by errors that all pixels of one phase share
+    phase_error: Floats  # its 1-sigma by noise, and by errors that all pixels of one phase share
+    chi2: Floats  # weighted squares of all K sets about their mean: of K - 1 degrees of freedom
 
 
 def fuse(seen: AxisPhases, position: Floats) -> Fused:
-    """Give the inverse-variance mean of the positions of all sets that agree with the finest.
-
-    Parameters
-    ----------
-    seen : AxisPhases
-        Phases and their uncertainties.
-    position : ndarray of float64, (...)
-        Of the finest set, as a share of the projector's length.
-
-    Returns
-    -------
-    Fused
-        Position, sigma and χ².
-    """
+    """Give the inverse-variance mean of the positions of all sets that agree with the finest."""
     off, variance = _distances(seen, position), seen.position_sigma**2
     weight = 1.0 / variance
     agrees = off**2 <= AGREEING_SIGMAS**2 * (variance + variance[-1])
@@ -222,21 +164,11 @@ def _evidence(seen: AxisPhases, position: Floats, ends: tuple[Floats, Floats]) -
 
 @dataclass(frozen=True, eq=False)
 class LikeliestOrder:
-    """The likeliest position of each pixel, see `fpplab.phase.wrong_order`.
+    """The likeliest position of each pixel, see `fpplab.phase.wrong_order`."""
 
-    Attributes
-    ----------
-    position : ndarray of float64, (...)
-        Of the finest set, as a share of the projector's length.
-    is_changed : ndarray of bool, (...)
-        It is another than the one that was found step by step.
-    wrong : ndarray of float64, (...)
-        Probability that its order is wrong, 0 … 1.
-    """
-
-    position: Floats
-    is_changed: NDArray[np.bool_]
-    wrong: Floats
+    position: Floats  # of the finest set, as a share of the projector's length
+    is_changed: NDArray[np.bool_]  # it is another than the one that was found step by step
+    wrong: Floats  # probability that its order is wrong, 0 … 1
 
 
 def likeliest_order(
@@ -246,26 +178,7 @@ def likeliest_order(
     interval: PositionInterval,
     edge_margin: float,
 ) -> LikeliestOrder:
-    """Move every pixel to its likeliest position, and compute the probability that this is wrong.
-
-    Parameters
-    ----------
-    seen : AxisPhases
-        Phases and their uncertainties.
-    found : ndarray of float64, (...)
-        Position of the finest set, as a share of the projector's length.
-    alternatives : Alternatives
-        Of the plan along this axis.
-    interval : tuple of float or ndarray of float64, (...)
-        Least and greatest possible position.
-    edge_margin : float
-        How far beyond them a position may lie without noise.
-
-    Returns
-    -------
-    LikeliestOrder
-        Of the shape of `found`.
-    """
+    """Move every pixel to its likeliest position, and compute the probability that this is wrong."""
     ends = np.asarray(interval[0]) - edge_margin, np.asarray(interval[1]) + edge_margin
     position = found
     for _ in range(MOVES):
@@ -294,22 +207,12 @@ def _likeliest_shift(
 
 @dataclass(frozen=True, eq=False)
 class DecodedAxis:
-    """One axis as the reference decodes it: maps [v, u], NaN where the order stays ambiguous.
+    """One axis as the reference decodes it: maps [v, u], NaN where the order stays ambiguous."""
 
-    Attributes
-    ----------
-    coordinate, sigma : ndarray of float32, (height, width)
-        Projector coordinate and its 1-sigma in px.
-    disagreement : ndarray of float32, (height, width)
-        Root of χ² per degree of freedom; 0 for a single set.
-    wrong_order : ndarray of float32, (height, width)
-        Probability that the fringe order is wrong; known where the order is ambiguous too.
-    """
-
-    coordinate: Map
-    sigma: Map
-    disagreement: Map
-    wrong_order: Map
+    coordinate: Map  # projector coordinate and its 1-sigma in px
+    sigma: Map  # projector coordinate and its 1-sigma in px
+    disagreement: Map  # root of χ² per degree of freedom; 0 for a single set
+    wrong_order: Map  # probability that the fringe order is wrong; known where the order is ambiguous too
 
 
 def decode_axis(
@@ -318,25 +221,6 @@ def decode_axis(
     """Decode one axis, without masks and without repair of orders.
 
     The compiled decoder (`fpplab.phase.decoding.decode`) must give the same wherever it gives anything.
-
-    Parameters
-    ----------
-    recording : Recording
-        Frames of a plan that codes the axis.
-    axis : str
-        Which axis, x or y.
-    bounds : mapping of str to PossibleCoordinates, optional
-        As for `fpplab.phase.decoding.decode`.
-
-    Returns
-    -------
-    DecodedAxis
-        Maps of float32.
-
-    Raises
-    ------
-    ConfigError
-        The plan cannot be unwrapped.
     """
     plan, length = recording.plan, axis_length(recording.projector_size, axis)
     width, margin = widest(bounds, axis, recording.projector_size), EDGE_MARGIN_PX / length

@@ -23,27 +23,8 @@ too close together beyond it.
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def fit_unsaturated(levels: Any, cosine: Any, sine: Any, full: Any, shares: Any, fitted: Any) -> bool:
-    """Fit a sinusoid to the unsaturated samples of one pixel.
-
-    Parameters
-    ----------
-    levels : ndarray of float32, (N,)
-        Raw values.
-    cosine, sine : ndarray of float32, (N,)
-        Of the phase shifts; both zero for a value that is padding.
-    full : float
-        Raw value from which on a sample is saturated.
-    shares : ndarray of float32, (K,)
-        Harmonics of the response from the second on, as shares of the fringe.
-    fitted : ndarray of float64, (6,)
-        Result: offset, cosine and sine of the fringe and mean square residual in raw units; variance of the
-        phase relative to that from all samples; phase error in rad by the harmonics.
-
-    Returns
-    -------
-    bool
-        Whether enough samples are left, and far enough apart; nothing is in `fitted` otherwise.
-    """
+    """Fit a sinusoid to the unsaturated samples of one pixel."""
+    # levels (N,); cosine, sine (N,); shares (K,); fitted (6,) rad
     count = total = 0
     c = s = cc = ss = cs = y = yc = ys = 0.0
     for n in range(len(levels)):

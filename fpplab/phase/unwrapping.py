@@ -29,28 +29,13 @@ EDGE_SIGMAS = 1.5
 
 @dataclass(frozen=True)
 class WavelengthSequence:
-    """How one axis is unwrapped.
+    """How one axis is unwrapped."""
 
-    Attributes
-    ----------
-    axis : str
-        x or y.
-    sets : tuple of int
-        Indices into `Plan.fringes` of the axis' sets, fewest stripes first.
-    wavelengths : tuple of SyntheticWavelength
-        From coarse to fine: the first has at most one stripe, the last is the finest set itself.
-    trust : tuple of float
-        Of each wavelength the inverse variance of its disagreement with the one before, where the variance of
-        the finest phase is one; 0 for the base.
-    width : float
-        Greatest width of the interval of possible positions of a pixel, as a share of the projector's length.
-    """
-
-    axis: Axis
-    sets: tuple[int, ...]
-    wavelengths: tuple[SyntheticWavelength, ...]
+    axis: Axis  # x or y
+    sets: tuple[int, ...]  # indices into `Plan.fringes` of the axis' sets, fewest stripes first
+    wavelengths: tuple[SyntheticWavelength, ...]  # from coarse to fine
     trust: tuple[float, ...]
-    width: float
+    width: float  # greatest width of the interval of possible positions of a pixel
 
     @property
     def finest(self) -> int:
@@ -61,31 +46,7 @@ class WavelengthSequence:
 def wavelength_sequence(
     plan: Plan, axis: Axis, source: str, width: float | None = None
 ) -> WavelengthSequence:
-    """Give the synthetic wavelengths of one coded axis.
-
-    Parameters
-    ----------
-    plan : Plan
-        The plan.
-    axis : str
-        An axis that it codes.
-    source : str
-        What the plan is called in the message.
-    width : float, optional
-        Greatest width of the interval of possible positions of a pixel, as a share of the projector's length;
-        by default calibration and depth range are not known.
-
-    Returns
-    -------
-    WavelengthSequence
-        From coarse to fine.
-
-    Raises
-    ------
-    ConfigError
-        The plan cannot be unwrapped without ambiguity; the message says which stripes would do. Or it is
-        unwrapped with a calibration and a depth range, and they are not known.
-    """
+    """Give the synthetic wavelengths of one coded axis."""
     sets, method = plan.sets_along(axis), unwrapping_methods()[plan.unwrapping]
     units = [
         SyntheticWavelength(tuple(int(i == k) for i in range(len(sets))), plan.fringes[index].stripes)
@@ -111,22 +72,7 @@ def wavelength_sequence(
 
 
 def check_unwrapping(plan: Plan, source: str, widths: Mapping[Axis, float | None] | None = None) -> None:
-    """Refuse a plan that cannot be unwrapped, before anything is projected.
-
-    Parameters
-    ----------
-    plan : Plan
-        The plan.
-    source : str
-        What it is called in the message.
-    widths : mapping of str to float, optional
-        By axis, as for `wavelength_sequence`; by default neither calibration nor depth range are known.
-
-    Raises
-    ------
-    ConfigError
-        As `wavelength_sequence`.
-    """
+    """Refuse a plan that cannot be unwrapped, before anything is projected."""
     for axis in plan.axes:
         wavelength_sequence(plan, axis, source, (widths or {}).get(axis))
 

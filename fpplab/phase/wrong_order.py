@@ -59,32 +59,8 @@ def settle_orders(
     Unwrapping goes step by step, and so its order is not always the likeliest of all sets together. A pixel
     whose steps disagree by more than the allowed share or lead out of the possible positions, or whose order
     is changed here, is measured only if the likeliest position is a possible one and noise explains χ².
-
-    Parameters
-    ----------
-    axis : int
-        0 or 1.
-    recipe : fpplab.phase.tables.Recipe
-        With the shifts.
-    rows : ndarray of float32
-        Buffer of unwrapping: positions of the finest set, replaced where the order changes, and the interval
-        of possible positions.
-    sums : ndarray of float32
-        Buffer of the finished fusion.
-    off : ndarray of float32, (S, n)
-        Distance of every other set from the finest, as a share of the projector's length; as the positions.
-    weights, shares : ndarray of float32, (S, n)
-        Inverse variances of the sets' positions, and what noise has of the variances.
-    good : ndarray of float32, (n,)
-        1 where a pixel is measured, `TO_EXPLAIN` where its steps disagree too much or lead out of the
-        possible positions, 0 elsewhere; set to 0 or 1.
-    n : int
-        Number of pixels.
-    coordinate, sigma, common, chi2 : ndarray of float32, (n,)
-        As `fuse_axis` has left them; replaced where the order changes.
-    cause : ndarray of uint8, (n,)
-        Set to 1 + the index of the fringe set whose noise leaves the order uncertain, where masked.
     """
+    # off (S, n); weights, shares (S, n); good (n,); coordinate, sigma, common, chi2 (n,); cause (n,)
     first, last = recipe.alternatives[axis], recipe.alternatives[axis + 1]
     if first == last or recipe.wrong_order_max > 1.0:
         return

@@ -84,18 +84,7 @@ def characterise_sessions(
 
 
 def require_plan_fits(session: Session) -> None:
-    """Refuse a plan that does not describe the images, before many poses are decoded by it.
-
-    Parameters
-    ----------
-    session : Session
-        A complete one.
-
-    Raises
-    ------
-    CalibrationError
-        Another plan fits the images far better.
-    """
+    """Refuse a plan that does not describe the images, before many poses are decoded by it."""
     if fault := plan_fault(session.recording(verify=False)):
         raise CalibrationError(f"{session.path}: {fault}")
 
@@ -106,30 +95,7 @@ def judge_sessions(
     source: Path | str,
     progress: Progress = no_progress,
 ) -> Judgement:
-    """Judge a calibration by poses of its board that it was not fitted to, one session each.
-
-    Parameters
-    ----------
-    sessions : sequence of Session
-        Complete, of one plan and format.
-    calibration : Calibration
-        With its board.
-    source : Path or str
-        Name of the calibration, for errors.
-    progress : callable
-        Told the share done, 0 … 1.
-
-    Returns
-    -------
-    Judgement
-        Errors in these poses beside those predicted.
-
-    Raises
-    ------
-    CalibrationError
-        The calibration is for another camera or projector, does not say what its board was, or the board is
-        found in no pose.
-    """
+    """Judge a calibration by poses of its board that it was not fitted to, one session each."""
     board = judged_board(calibration, str(source))
     width, height, _ = sessions[0].format
     calibration.check_camera((width, height), sessions[0].path)
@@ -156,27 +122,7 @@ def _observe_sessions(
 
 
 def observe_session(session: Session, target: Target, periods: tuple[float, float]) -> Observation:
-    """Find a board in one pose, and its points in camera and projector.
-
-    Parameters
-    ----------
-    session : Session
-        A complete one.
-    target : Target
-        The board.
-    periods : tuple of float
-        Of the finest fringes, from `finest_periods`.
-
-    Returns
-    -------
-    Observation
-        What the pose tells.
-
-    Raises
-    ------
-    CalibrationError
-        It tells nothing: the message names the pose, and says why.
-    """
+    """Find a board in one pose, and its points in camera and projector."""
     name, recording = session.path.name, session.recording()
     if fault := fault_in_step(session, recording):
         raise CalibrationError(f"{name}: {fault}; take this pose again")

@@ -12,30 +12,8 @@ from fpplab.sessions.session import Session
 def decode_session(
     session: Session, progress: Progress = no_progress, *, as_recorded: bool = False
 ) -> Decoded:
-    """Find the projector coordinates of every camera pixel of a session.
-
-    Parameters
-    ----------
-    session : Session
-        A complete one.
-    progress : callable
-        Told the share done, 0 … 1.
-    as_recorded : bool
-        Whether the frames are decoded even where they are out of step with the plan or another plan fits
-        them better.
-
-    Returns
-    -------
-    Decoded
-        Maps (height, width) of float32.
-
-    Raises
-    ------
-    DataError
-        Frames are missing or damaged, or do not fit the plan.
-    ConfigError
-        The plan cannot be unwrapped.
-    """
+    """Find the projector coordinates of every camera pixel of a session."""
+    # returns (height, width)
     recording = session.recording(progress=lambda share: progress(0.5 * share))
     if not as_recorded:
         require_in_step(session, recording)

@@ -135,24 +135,7 @@ def _reconstruct(
 
 
 def diagnose(session: Session, decoded: Decoded, cloud: Cloud, calibration: Calibration) -> Diagnosis:
-    """Judge whether to believe a reconstruction.
-
-    Parameters
-    ----------
-    session : Session
-        What was reconstructed.
-    decoded : Decoded
-        Its projector coordinates.
-    cloud : Cloud
-        Its points.
-    calibration : Calibration
-        Of the rig that took it.
-
-    Returns
-    -------
-    Diagnosis
-        Verdict and findings.
-    """
+    """Judge whether to believe a reconstruction."""
     foreign = foreign_calibration(calibration, session)
     return diagnose_scan(session.recording(verify=False), decoded, cloud, calibration, foreign=foreign)
 
@@ -163,34 +146,7 @@ def finish_scan(
     progress: Progress = no_progress,
     judged: Callable[[Decoded, Cloud, Diagnosis], object] | None = None,
 ) -> tuple[Decoded, Cloud]:
-    """Reconstruct a complete session and leave every result in it; a cloud that is useless is not written.
-
-    Parameters
-    ----------
-    session : Session
-        A complete one.
-    calibration : Calibration
-        Of the rig that took it; a copy is left in the session.
-    progress : callable
-        Told the share done, 0 … 1.
-    judged : callable, optional
-        Given the maps, the points and the verdict on them, also where they are useless, before they are
-        written.
-
-    Returns
-    -------
-    decoded : Decoded
-        As written to `decoded.npz`.
-    cloud : Cloud
-        As written to `cloud.ply`.
-
-    Raises
-    ------
-    CalibrationError, DataError
-        As `reconstruct`.
-    UselessScanError
-        Nobody should use the points; it says why.
-    """
+    """Reconstruct a complete session and leave every result in it; a cloud that is useless is not written."""
     recording = _checked_recording(session, calibration, lambda share: progress(0.3 * share))
     depth = depth_range_of(session)
     with (

@@ -29,34 +29,8 @@ def measure_response(
 
     They are shown from black to white and back, `repeats` times in all, so that a lamp that drifts does not
     pass for a response; before them one frame with the projector off.
-
-    Parameters
-    ----------
-    rig : Rig
-        Open, looking at an evenly white surface.
-    exposure_s : float
-        Exposure in s.
-    greys : GreyLevels, optional
-        How many levels, how often.
-    progress : callable
-        Told the share done, 0 … 1.
-    observe_frame : callable
-        Given every grey level that was shown, 0 … 255, with its frame.
-
-    Returns
-    -------
-    response : Response
-        The fit.
-    levels : ndarray of float64, (K, 2)
-        The levels fitted, in and out, in [0, 1].
-
-    Raises
-    ------
-    CalibrationError
-        The levels do not rise, or are saturated.
-    DeviceError
-        A device failed.
     """
+    # returns levels (K, 2)
     wanted = greys or GreyLevels()
     settings = rig.camera_settings(exposure_s)
     patterns = uniform_patterns(wanted.shown, rig.projector.caps.size)

@@ -35,42 +35,6 @@ def take(
     """Acquire a plan on an open rig, or complete an interrupted session.
 
     Where the stage cannot go nothing is replaced.
-
-    Parameters
-    ----------
-    rig : Rig
-        Open.
-    plan : Plan
-        What to project and capture.
-    out : path
-        Folder of the session.
-    mount : tuple of str and int, optional
-        Item and pose that the rig's fixture puts up first.
-    force : bool
-        Whether a session that is there already is replaced.
-    complete_too : bool
-        Whether a session that is complete is left as it is, instead of refused.
-    bring : callable, optional
-        Puts up the item, in place of the fixture's own poses by number.
-    progress : callable
-        Told the share of the frames that are on disk, 0 … 1.
-    observe_frame : callable
-        Given every frame once it is on disk.
-
-    Returns
-    -------
-    Session
-        Complete.
-
-    Raises
-    ------
-    ConfigError
-        The output exists, or the rig lacks what the plan or the item needs.
-    DeviceError
-        A device failed; the frames until then are kept.
-    DataError
-        The session there is of another plan, rig or item, another process writes into it, or the disk is
-        full.
     """
     if plan.stage_mm is not None:
         rig.need_stage(plan.stage_mm)
@@ -96,34 +60,7 @@ def take(
 
 
 def foresee_scan(rig: Rig, plan: Plan, out: Path, force: bool) -> dict[str, Any]:
-    """Tell what `take` would do; nothing moves, nothing is projected, and nothing is written.
-
-    Parameters
-    ----------
-    rig : Rig
-        Open.
-    plan : Plan
-        What would be projected and captured.
-    out : path
-        Folder of the session.
-    force : bool
-        Whether a session that is there already would be replaced.
-
-    Returns
-    -------
-    dict
-        `images`, how many are taken; `stage`, the move of the stage or None; `replaces`, whether a session is
-        there that would be replaced; `dry_run`, true.
-
-    Raises
-    ------
-    ConfigError
-        The rig lacks what the plan needs.
-    LimitError
-        The stage cannot go there.
-    DataError
-        The session does not fit on the disk.
-    """
+    """Tell what `take` would do; nothing moves, nothing is projected, and nothing is written."""
     check_space(rig, plan, [out], force)
     move = None if plan.stage_mm is None else asdict(rig.foresee_stage(plan.stage_mm))
     replaces = force and (out / JOURNAL).is_file()
@@ -131,24 +68,7 @@ def foresee_scan(rig: Rig, plan: Plan, out: Path, force: bool) -> dict[str, Any]
 
 
 def check_space(rig: Rig, plan: Plan, paths: Sequence[Path], force: bool) -> None:
-    """Refuse sessions that do not fit on the disk, before anything is projected or written.
-
-    Parameters
-    ----------
-    rig : Rig
-        Open.
-    plan : Plan
-        What each session records.
-    paths : sequence of path
-        Folders of the sessions.
-    force : bool
-        Whether sessions that are there already are replaced.
-
-    Raises
-    ------
-    DataError
-        Names what the frames need, what is free, and the folder.
-    """
+    """Refuse sessions that do not fit on the disk, before anything is projected or written."""
     bits = rig.camera_settings(plan.exposure_s, plan.bits).bits
     need_space_for_frames(paths, plan, rig.camera.caps.size, bits, force)
 
@@ -163,37 +83,7 @@ def take_poses(
     progress: Progress = no_progress,
     observe_frame: FrameObserver = ignore,
 ) -> list[Session]:
-    """Take one session for each pose of a target that the rig's fixture holds.
-
-    Parameters
-    ----------
-    rig : Rig
-        Open, with a fixture.
-    plan : Plan
-        With fringes along x and y.
-    item : str
-        What the fixture calls the target.
-    poses : int
-        How many.
-    folder : path
-        Their folder: `pose_00`, `pose_01` … in it.
-    force : bool
-        Whether poses taken before are taken again; they are kept otherwise.
-    progress : callable
-        Told the share done, 0 … 1.
-    observe_frame : callable
-        Given every frame once it is on disk.
-
-    Returns
-    -------
-    list of Session
-        In the order of the poses.
-
-    Raises
-    ------
-    ConfigError, DeviceError, DataError
-        As `take`.
-    """
+    """Take one session for each pose of a target that the rig's fixture holds."""
     paths = [folder / f"pose_{pose:02d}" for pose in range(poses)]
     check_space(rig, plan, paths, force)
 

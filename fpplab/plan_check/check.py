@@ -46,27 +46,13 @@ class Disagreement(NamedTuple):
 
 @dataclass(frozen=True)
 class PlanCheck:
-    """What the images say of their plan.
+    """What the images say of their plan."""
 
-    Attributes
-    ----------
-    disagreement : float
-        Median over the lit pixels, in units of what noise explains; infinite where most are not decoded.
-    better : Edit or None
-        A plan that fits much better.
-    better_disagreement : float
-        Its disagreement.
-    unusual : Edit or None
-        Another plan that fits as well, by which camera and projector stand upright.
-    mirrored : bool
-        Whether the plan has the scene mirrored, so that it cannot be right.
-    """
-
-    disagreement: float
-    better: Edit | None = None
-    better_disagreement: float = np.nan
-    unusual: Edit | None = None
-    mirrored: bool = False
+    disagreement: float  # median over the lit pixels, in units of what noise explains
+    better: Edit | None = None  # A plan that fits much better
+    better_disagreement: float = np.nan  # its disagreement
+    unusual: Edit | None = None  # another plan that fits as well, by which camera and projector stand upright
+    mirrored: bool = False  # whether the plan has the scene mirrored, so that it cannot be right
 
     @property
     def fault(self) -> str | None:
@@ -96,18 +82,7 @@ class PlanCheck:
 
 
 def check_plan_fit(recording: Recording) -> PlanCheck | None:
-    """Ask the images of a recording whether their plan describes them.
-
-    Parameters
-    ----------
-    recording : Recording
-        All frames of a plan.
-
-    Returns
-    -------
-    PlanCheck or None
-        None where too few pixels see the fringes, or the plan has sets of other kinds than sinusoids.
-    """
+    """Ask the images of a recording whether their plan describes them."""
     sets = tuple(s for s in recording.plan.fringes if isinstance(s, Sinusoid))
     if len(sets) < len(recording.plan.fringes):
         return None
@@ -145,23 +120,7 @@ def _orientation(sets: Sets, sample: PhaseSample, given: float) -> PlanCheck:
 
 
 def disagreement(few: Recording, plan: Plan, sample: PhaseSample) -> Disagreement:
-    """Decode some pixels by a plan and say how much its sets disagree.
-
-    Parameters
-    ----------
-    few : Recording
-        Frames of the pixels of a sample.
-    plan : Plan
-        That is tried.
-    sample : PhaseSample
-        Which of the pixels are lit.
-
-    Returns
-    -------
-    Disagreement
-        Infinite where the plan cannot be unwrapped; NaN where it has one set for each axis, or needs a
-        calibration to be unwrapped.
-    """
+    """Decode some pixels by a plan and say how much its sets disagree."""
     alone = all(len(plan.sets_along(axis)) < 2 for axis in plan.axes)
     if alone or unwrapping_methods()[plan.unwrapping].guided:
         return Disagreement(np.nan, np.nan)

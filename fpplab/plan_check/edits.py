@@ -27,53 +27,19 @@ Sets = tuple[Sinusoid, ...]
 
 @dataclass(frozen=True)
 class Edit:
-    """A plan next to the one given.
+    """A plan next to the one given."""
 
-    Attributes
-    ----------
-    mistake : str
-        What would be wrong with the given plan, as a clause.
-    remedy : str
-        What to write in it.
-    sets : tuple of Sinusoid
-        The fringe sets of the plan that is right then.
-    """
-
-    mistake: str
-    remedy: str
-    sets: Sets
+    mistake: str  # what would be wrong with the given plan, as a clause
+    remedy: str  # what to write in it
+    sets: Sets  # the fringe sets of the plan that is right then
 
     def plan(self, given: Plan) -> Plan:
-        """Give the whole plan.
-
-        Parameters
-        ----------
-        given : Plan
-            The plan that is edited.
-
-        Returns
-        -------
-        Plan
-            With other fringe sets.
-        """
+        """Give the whole plan."""
         return given.model_copy(update={"fringes": self.sets})
 
 
 def edits(sets: Sets, sample: PhaseSample) -> Iterator[Edit]:
-    """Go through the plans next to one, the simplest first.
-
-    Parameters
-    ----------
-    sets : tuple of Sinusoid
-        Of the plan given.
-    sample : PhaseSample
-        What the images show.
-
-    Yields
-    ------
-    Edit
-        Another plan.
-    """
+    """Go through the plans next to one, the simplest first."""
     yield from _other_steps(sets)
     finest = finest_of(sets)
     seen = directions(sample, finest)
@@ -87,18 +53,7 @@ def edits(sets: Sets, sample: PhaseSample) -> Iterator[Edit]:
 
 
 def finest_of(sets: Sets) -> int:
-    """Find the set with most stripes.
-
-    Parameters
-    ----------
-    sets : tuple of Sinusoid
-        All sets.
-
-    Returns
-    -------
-    int
-        Its index.
-    """
+    """Find the set with most stripes."""
     return max(range(len(sets)), key=lambda k: sets[k].stripes)
 
 
@@ -207,26 +162,7 @@ def _stripes_near(
 
 
 def refined_stripes(sets: Sets, along: Sequence[int], k: int, about: float, sample: PhaseSample) -> float:
-    """Measure the stripes of a set by the positions that coarser sets tell.
-
-    Parameters
-    ----------
-    sets : tuple of Sinusoid
-        All sets.
-    along : sequence of int
-        Indices of those of the same axis, one of them coarser.
-    k : int
-        Of the set.
-    about : float
-        Its stripes, to `SEARCHED`.
-    sample : PhaseSample
-        What the images show.
-
-    Returns
-    -------
-    float
-        A whole number where it nearly is one.
-    """
+    """Measure the stripes of a set by the positions that coarser sets tell."""
     others = [j for j in along if j != k and sets[j].stripes < about]
     position = unwrapped(sets, others, sample) / sets[max(others, key=lambda j: sets[j].stripes)].stripes
     phase = phases_of(sets, sample)[k]
@@ -271,20 +207,7 @@ def _with_origins_too(edit: Edit, sample: PhaseSample) -> Iterator[Edit]:
 
 
 def with_origins(sets: Sets, sample: PhaseSample) -> Sets:
-    """Give each set the phase origin with which it continues the coarser ones of its axis.
-
-    Parameters
-    ----------
-    sets : tuple of Sinusoid
-        With the right axes, stripes and signs.
-    sample : PhaseSample
-        What the images show.
-
-    Returns
-    -------
-    tuple of Sinusoid
-        The coarsest of each axis as given.
-    """
+    """Give each set the phase origin with which it continues the coarser ones of its axis."""
     found = list(sets)
     for axis in AXES:
         along = indices_along(sets, axis)
@@ -298,42 +221,16 @@ def with_origins(sets: Sets, sample: PhaseSample) -> Sets:
 
 
 def phases_of(sets: Sequence[Sinusoid], sample: PhaseSample) -> Floats:
-    """Give the phases that a plan's sets have in the images.
-
-    Parameters
-    ----------
-    sets : sequence of Sinusoid
-        S sets.
-    sample : PhaseSample
-        Of P pixels.
-
-    Returns
-    -------
-    ndarray of float64, (S, P)
-        In rad, 2π stripes (u + 0.5)/W but for whole turns.
-    """
+    """Give the phases that a plan's sets have in the images."""
+    # returns (S, P)
     return np.stack(
         [s.shift_sign * phase - s.phase_origin_rad for s, phase in zip(sets, sample.phases, strict=True)]
     )
 
 
 def unwrapped(sets: Sequence[Sinusoid], along: Sequence[int], sample: PhaseSample) -> Floats:
-    """Unwrap the finest of some sets by the coarser ones.
-
-    Parameters
-    ----------
-    sets : sequence of Sinusoid
-        All sets.
-    along : sequence of int
-        Indices of sets of one axis.
-    sample : PhaseSample
-        Of P pixels.
-
-    Returns
-    -------
-    ndarray of float64, (P,)
-        Phase in rad of the set with most stripes.
-    """
+    """Unwrap the finest of some sets by the coarser ones."""
+    # returns (P,) rad
     ranked = sorted(along, key=lambda k: sets[k].stripes)
     seen = phases_of(sets, sample)
     phase = seen[ranked[0]] % TWO_PI
@@ -344,20 +241,7 @@ def unwrapped(sets: Sequence[Sinusoid], along: Sequence[int], sample: PhaseSampl
 
 
 def upright(sets: Sets, seen: list[Direction]) -> Edit | None:
-    """Give axes and signs by which columns run to the right in the image and rows down.
-
-    Parameters
-    ----------
-    sets : tuple of Sinusoid
-        Of the plan given.
-    seen : list of Direction
-        Of its sets.
-
-    Returns
-    -------
-    Edit or None
-        None where they do already.
-    """
+    """Give axes and signs by which columns run to the right in the image and rows down."""
     axes: list[Axis] = ["x" if each.level else "y" for each in seen]
     other_axes = [k for k, axis in enumerate(axes) if axis != sets[k].axis]
     other_signs = [k for k, each in enumerate(seen) if each.way(each.level) != sets[k].shift_sign]
@@ -382,18 +266,6 @@ def is_mirrored(sets: Sets, sample: PhaseSample) -> bool:
 
     Both look at the same side of a surface, so columns and rows of the projector turn in the same sense in
     the image.
-
-    Parameters
-    ----------
-    sets : tuple of Sinusoid
-        Of the plan.
-    sample : PhaseSample
-        What the images show.
-
-    Returns
-    -------
-    bool
-        False too where only one axis is coded.
     """
     along = [indices_along(sets, axis) for axis in AXES]
     if not all(along):

@@ -42,50 +42,18 @@ VISIBLE_TURNS = 1.2
 
 @dataclass(frozen=True)
 class PlanGuess:
-    """A plan that describes some images.
+    """A plan that describes some images."""
 
-    Attributes
-    ----------
-    plan : Plan
-        The plan.
-    disagreement : float
-        Of its sets, in units of what noise explains; NaN where there is one set for each axis.
-    assumed : tuple of str
-        What the images do not tell, one sentence each.
-    """
-
-    plan: Plan
-    disagreement: float
-    assumed: tuple[str, ...]
+    plan: Plan  # the plan
+    disagreement: float  # of its sets, in units of what noise explains
+    assumed: tuple[str, ...]  # what the images do not tell, one sentence each
 
 
 def guess_plan(
     frames: Sequence[Image], bits: int, projector_size: tuple[int, int], finest: float | None = None
 ) -> PlanGuess:
-    """Find a plan that describes images.
-
-    Parameters
-    ----------
-    frames : sequence of ndarray, (height, width) each
-        Raw frames in the order shown: phase-shifted sinusoids, set after set.
-    bits : int
-        Depth of their grey levels.
-    projector_size : tuple of int
-        (width, height) in px.
-    finest : float, optional
-        Stripes of the finest set across the whole projector, where they are known.
-
-    Returns
-    -------
-    PlanGuess
-        With what was assumed.
-
-    Raises
-    ------
-    DataError
-        The images are no sets of phase-shifted sinusoids, too few pixels see them, or their stripes cannot
-        be told.
-    """
+    """Find a plan that describes images."""
+    # frames (height, width); projector_size (width, height) px
     images = set_sizes(frames, full_scale(bits))
     sample = PhaseSample.of(frames, images, full_scale(bits))
     if sample is None:
@@ -117,25 +85,8 @@ def _assumed(coarsest: float, finest: float | None) -> tuple[str, ...]:
 
 
 def set_sizes(frames: Sequence[Image], full: int) -> list[int]:
-    """Find which runs of images are sets of phase-shifted sinusoids.
-
-    Parameters
-    ----------
-    frames : sequence of ndarray, (height, width) each
-        Raw frames in the order shown.
-    full : int
-        Raw value of a saturated pixel.
-
-    Returns
-    -------
-    list of int
-        How many images each set has.
-
-    Raises
-    ------
-    DataError
-        There are none, or they do not make up all images.
-    """
+    """Find which runs of images are sets of phase-shifted sinusoids."""
+    # frames (height, width)
     count = len(frames)
     if count < FEWEST_STEPS:
         raise DataError(f"{count} images are too few: a set has at least {FEWEST_STEPS}")

@@ -30,22 +30,8 @@ FEWEST = 4
 
 
 def name_other_patterns(frames: Sequence[Image], full: int, sizes: Sequence[int] = ()) -> str | None:
-    """Say which images are no sinusoids with equal steps, and what they are.
-
-    Parameters
-    ----------
-    frames : sequence of ndarray, (height, width) each
-        Raw frames in the order shown.
-    full : int
-        Raw value of a saturated pixel.
-    sizes : sequence of int
-        How many images each set of a plan has; without, unequal steps are not looked for.
-
-    Returns
-    -------
-    str or None
-        A clause with a remedy; None where nothing of the kind is seen. Images count from 0.
-    """
+    """Say which images are no sinusoids with equal steps, and what they are."""
+    # frames (height, width)
     levels = _lit_levels(frames, full)
     if levels is None:
         return None
@@ -164,18 +150,8 @@ def _worst(shifts: Floats, wanted: Floats) -> float:
 
 
 def phase_shifts_seen(levels: Floats) -> Floats | None:
-    """Find the phase shifts of images that are sinusoids of one number of stripes.
-
-    Parameters
-    ----------
-    levels : ndarray of float64, (N, P)
-        Levels of P pixels, of N images, in any unit.
-
-    Returns
-    -------
-    ndarray of float64, (N,), or None
-        Degrees after the first image, of any sign; None where the images are no such set.
-    """
+    """Find the phase shifts of images that are sinusoids of one number of stripes."""
+    # levels (N, P); returns (N,)
     # Offset, cosine and sine span all levels of a pixel, whatever the steps are.
     directions, strength, _ = np.linalg.svd(levels - levels.mean(axis=0), full_matrices=False)
     if np.sum(strength[2:] ** 2) > RANK_MISFIT * np.sum(strength**2):

@@ -35,43 +35,17 @@ fringes, 0 for noise, and 0.5 where noise is 0.5 rad.
 
 @dataclass(frozen=True, eq=False)
 class PhaseSample:
-    """Phases of S sets at P pixels that see all of them.
+    """Phases of S sets at P pixels that see all of them."""
 
-    Attributes
-    ----------
-    phases : ndarray of float64, (S, P)
-        In rad, as if every set had equal steps, no origin, and the usual sign.
-    gradients : ndarray of float64, (S, P, 2)
-        Change of phase in rad per px to the right and down.
-    rows : tuple of slice
-        Which pixels of a frame the sample was taken from.
-    lit : ndarray of bool
-        Of those, the P pixels.
-    """
-
-    phases: Floats
-    gradients: Floats
-    rows: tuple[slice, slice]
-    lit: Mask
+    phases: Floats  # in rad, as if every set had equal steps, no origin, and the usual sign
+    gradients: Floats  # change of phase in rad per px to the right and down
+    rows: tuple[slice, slice]  # which pixels of a frame the sample was taken from
+    lit: Mask  # of those, the P pixels
 
     @classmethod
     def of(cls, frames: Sequence[Image], images: Sequence[int], full_scale: int) -> PhaseSample | None:
-        """Measure phases at pixels spread over the image.
-
-        Parameters
-        ----------
-        frames : sequence of ndarray, (height, width) each
-            Raw frames, set after set.
-        images : sequence of int
-            How many each of the S sets has.
-        full_scale : int
-            Raw value of a saturated pixel.
-
-        Returns
-        -------
-        PhaseSample or None
-            None where too few pixels see all sets, or the phase of a set is noise: it has no direction then.
-        """
+        """Measure phases at pixels spread over the image."""
+        # frames (height, width)
         height, width = frames[0].shape
         step = max(1, int(np.sqrt(height * width / ANCHORS)))
         lags = [lag for lag in LAGS if 4 * lag < min(height, width)]
@@ -118,37 +92,18 @@ def _coherence(
 
 
 def wrapped(phase: Floats) -> Floats:
-    """Bring phases into [-π, π).
-
-    Parameters
-    ----------
-    phase : ndarray of float64
-        In rad, any shape.
-
-    Returns
-    -------
-    ndarray of float64
-        Of the same shape.
-    """
+    """Bring phases into [-π, π)."""
     return np.asarray((phase + np.pi) % TWO_PI - np.pi)
 
 
 @dataclass(frozen=True)
 class Direction:
-    """How a set's phase changes beside that of another, the reference.
+    """How a set's phase changes beside that of another, the reference."""
 
-    Attributes
-    ----------
-    along, across : float
-        Change along the reference's gradient and across it, as shares of the reference's.
-    right, down : float
-        Typical change in rad per px to the right and down.
-    """
-
-    along: float
-    across: float
-    right: float
-    down: float
+    along: float  # change along the reference's gradient and across it, as shares of the reference's
+    across: float  # change along the reference's gradient and across it, as shares of the reference's
+    right: float  # typical change in rad per px to the right and down
+    down: float  # typical change in rad per px to the right and down
 
     @property
     def parallel(self) -> bool:
@@ -166,36 +121,12 @@ class Direction:
         return abs(self.right) >= abs(self.down)
 
     def way(self, level: bool) -> Literal[1, -1]:
-        """Tell whether the phase rises or falls.
-
-        Parameters
-        ----------
-        level : bool
-            To the right, or else down.
-
-        Returns
-        -------
-        int
-            1 where it rises, -1 where it falls.
-        """
+        """Tell whether the phase rises or falls."""
         return 1 if (self.right if level else self.down) > 0 else -1
 
 
 def directions(sample: PhaseSample, reference: int) -> list[Direction]:
-    """Compare the gradients of all sets with those of one.
-
-    Parameters
-    ----------
-    sample : PhaseSample
-        Of S sets.
-    reference : int
-        Index of the set with which all are compared.
-
-    Returns
-    -------
-    list of Direction
-        One for each set.
-    """
+    """Compare the gradients of all sets with those of one."""
     u, v = sample.gradients[reference].T
     square = np.maximum(u * u + v * v, 1e-12)
     found = []

@@ -41,39 +41,12 @@ class Deviation(Document):
 
     @classmethod
     def of(cls, differences: Sequence[float], fitted: bool) -> Deviation:
-        """Summarise comparisons of one kind.
-
-        Parameters
-        ----------
-        differences : sequence of float
-            Bench less twin, at least one.
-        fitted : bool
-            Whether the twin was fitted to the same recordings.
-
-        Returns
-        -------
-        Deviation
-            See `of_kinds`.
-        """
+        """Summarise comparisons of one kind."""
         return cls.of_kinds([differences], fitted)
 
     @classmethod
     def of_kinds(cls, kinds: Sequence[Sequence[float]], fitted: bool) -> Deviation:
-        """Summarise comparisons of several kinds, which count alike however many there are of each.
-
-        Parameters
-        ----------
-        kinds : sequence of sequence of float
-            Bench less twin, at least one in all; a kind may be empty.
-        fitted : bool
-            Whether the twin was fitted to the same recordings.
-
-        Returns
-        -------
-        Deviation
-            With the spread within kinds and between their means. A single comparison has twice its own size
-            as spread: one alone tells little of the next.
-        """
+        """Summarise comparisons of several kinds, which count alike however many there are of each."""
         there = [np.asarray(one, np.float64) for one in kinds if len(one)]
         means, count = np.array([one.mean() for one in there]), sum(len(one) for one in there)
         if count == 1:
@@ -105,16 +78,6 @@ class ContrastDeviation(Document):
 
         Blur of any kind lowers the contrast's logarithm by the square of the number of stripes, as long as
         it is less than a fringe.
-
-        Parameters
-        ----------
-        stripes : float
-            Over the projector's image.
-
-        Returns
-        -------
-        float
-            0 where the fringes are not finer than those that were compared.
         """
         ratio = (stripes / self.stripes) ** 2
         return self.relative * float(np.sqrt(ratio**2 - 1.0)) if ratio > 1.0 else 0.0
@@ -135,21 +98,11 @@ class LevelDifferences(Document):
 
 @dataclass(frozen=True)
 class ScanEffects:
-    """What a scan of a part shows by itself.
+    """What a scan of a part shows by itself."""
 
-    Attributes
-    ----------
-    item : str
-        The part.
-    contrast : float
-        By how much the contrast of fine fringes is greater than the twin's, relative; 0 without such fringes.
-    um_per_frame : float or None
-        Speed of the part away from the camera in µm from frame to frame; None where it is not significant.
-    """
-
-    item: str
-    contrast: float
-    um_per_frame: float | None
+    item: str  # the part
+    contrast: float  # by how much the contrast of fine fringes is greater than the twin's, relative
+    um_per_frame: float | None  # speed of the part away from the camera in µm from frame to frame
 
 
 class Discrepancy(Document):
@@ -171,34 +124,12 @@ class Discrepancy(Document):
     """For which measurements the twin must not be believed."""
 
     def save(self, folder: Path) -> None:
-        """Write the file.
-
-        Parameters
-        ----------
-        folder : Path
-            Of the twin's rig file.
-        """
+        """Write the file."""
         write_text(folder / DISCREPANCY, config.dump(self))
 
     @classmethod
     def beside(cls, rig: Path) -> Discrepancy | None:
-        """Read the file beside a rig file.
-
-        Parameters
-        ----------
-        rig : Path
-            The rig file.
-
-        Returns
-        -------
-        Discrepancy or None
-            None where there is none: the rig is no matched twin.
-
-        Raises
-        ------
-        ConfigError
-            The file is damaged.
-        """
+        """Read the file beside a rig file."""
         path = rig.parent / DISCREPANCY
         return config.load_document(path, cls) if path.is_file() else None
 
@@ -213,22 +144,6 @@ def named_effects(
 
     Points that are further from the surface than the twin's while their noise is alike have an error that is
     no noise: something reaches the camera on another way than the twin's light.
-
-    Parameters
-    ----------
-    found : Discrepancy
-        Of bench and twin.
-    board_noise : sequence of float
-        Logarithms of the noise of bench over twin on the board; at least one.
-    part_noise : sequence of float
-        The same of the scans that the distances are of.
-    scans : sequence of ScanEffects
-        What scans show by themselves.
-
-    Returns
-    -------
-    tuple of str or None
-        What it looks like, and for which measurements not; None where nothing is large.
     """
     pairs = [
         *_of_scans(scans),

@@ -26,68 +26,27 @@ EDGE_PX = 0.5
 
 @dataclass(frozen=True)
 class MeasuredFigures:
-    """Figures of one measurement.
+    """Figures of one measurement."""
 
-    Attributes
-    ----------
-    distance_um : float
-        Mean distance of the points from the true surface, in µm.
-    noise_um : float
-        Median standard uncertainty of a point by the noise of the images, in µm.
-    completeness : float
-        Share of the pixels that see lit surface which became points.
-    wrong_order : float
-        Mean probability that the fringe order of a point is wrong, by noise alone.
-    """
-
-    distance_um: float
-    noise_um: float
-    completeness: float
-    wrong_order: float
+    distance_um: float  # mean distance of the points from the true surface, in µm
+    noise_um: float  # median standard uncertainty of a point by the noise of the images, in µm
+    completeness: float  # share of the pixels that see lit surface which became points
+    wrong_order: float  # mean probability that the fringe order of a point is wrong, by noise alone
 
     def summary(self) -> dict[str, float]:
-        """Give plain values.
-
-        Returns
-        -------
-        dict of str to float
-            By attribute.
-        """
+        """Give plain values."""
         return asdict(self)
 
 
 def median_figures(measured: Sequence[MeasuredFigures]) -> MeasuredFigures:
-    """Give the median of every figure.
-
-    Parameters
-    ----------
-    measured : sequence of MeasuredFigures
-        At least one.
-
-    Returns
-    -------
-    MeasuredFigures
-        Each figure by itself.
-    """
+    """Give the median of every figure."""
     every = np.array([list(one.summary().values()) for one in measured])
     return MeasuredFigures(*np.median(every, axis=0).tolist())
 
 
 def seen_surface(mesh: trimesh.Trimesh, calibration: Calibration) -> tuple[Mask, Mask]:
-    """Find the pixels that see a shape, and those where it is lit as well.
-
-    Parameters
-    ----------
-    mesh : trimesh.Trimesh
-        In mm in the camera's frame.
-    calibration : Calibration
-        Of both devices.
-
-    Returns
-    -------
-    seen, lit : ndarray of bool, (height, width)
-        By the ray through the middle of each pixel.
-    """
+    """Find the pixels that see a shape, and those where it is lit as well."""
+    # returns (height, width)
     shape, rays = RayTracedShape(mesh), camera_rays(calibration.camera)
     directions = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
     depth = shape.depth(np.zeros(3), directions.reshape(-1, 3)).reshape(rays.shape[:2])
@@ -114,35 +73,8 @@ def figures_of(
     seen: tuple[Mask, Mask],
     bounds: Mapping[Axis, PossibleCoordinates] | None = None,
 ) -> MeasuredFigures:
-    """Compute the figures of a measurement.
-
-    Parameters
-    ----------
-    decoded : Decoded
-        Maps (height, width).
-    cloud : Cloud
-        Triangulated from them, with pixels.
-    mesh : trimesh.Trimesh
-        The true shape in mm in the camera's frame.
-    calibration : Calibration
-        The cloud was triangulated with.
-    plan : Plan
-        Of the measurement.
-    seen : tuple of ndarray of bool, (height, width)
-        Pixels that see the shape, and where it is lit, of `seen_surface`; False where pixels do not count.
-    bounds : mapping of str to PossibleCoordinates, optional
-        By axis, where the depth range is known.
-
-    Returns
-    -------
-    MeasuredFigures
-        Of the points whose pixels see the shape.
-
-    Raises
-    ------
-    DataError
-        No point lies on the shape.
-    """
+    """Compute the figures of a measurement."""
+    # decoded (height, width); seen (height, width)
     assert cloud.pixels is not None
     u, v = cloud.pixels.T
     on_shape, lit = seen

@@ -24,24 +24,8 @@ DRAWS = 500
 
 
 def form_errors(points: Floats, normals: Floats, calibration: Calibration, noise: CoordinateNoise) -> Floats:
-    """Compute what the modes of calibration error leave of form along the normals, after an alignment.
-
-    Parameters
-    ----------
-    points : ndarray of float64
-        (N, 3) in mm in the camera's frame.
-    normals : ndarray of float64
-        Unit normals (N, 3) of the surface there.
-    calibration : Calibration
-        With a covariance.
-    noise : CoordinateNoise
-        By which triangulation weights the projector's coordinates.
-
-    Returns
-    -------
-    ndarray of float64
-        (N, n) in mm, by n independent modes of one standard deviation.
-    """
+    """Compute what the modes of calibration error leave of form along the normals, after an alignment."""
+    # points (N, 3) mm; normals (N, 3); returns (N, n) mm
     moved = np.einsum("ni,nik->nk", normals, displacements_by_mode(points, calibration, noise))
     rigid = np.einsum("ni,nik->nk", normals, rigid_motions(points - points.mean(axis=0)))
     # Motions within a plane leave no trace: then the smallest is taken.
@@ -51,26 +35,8 @@ def form_errors(points: Floats, normals: Floats, calibration: Calibration, noise
 def distance_factors(
     cloud: Cloud, on_shape: Mask, mesh: trimesh.Trimesh, calibration: Calibration, noise: CoordinateNoise
 ) -> Floats:
-    """Draw by which factors errors of a calibration change the mean distance of points from a true surface.
-
-    Parameters
-    ----------
-    cloud : Cloud
-        With pixels, triangulated without an error of the calibration.
-    on_shape : ndarray of bool, (height, width)
-        Pixels that see the shape.
-    mesh : trimesh.Trimesh
-        The true shape in mm in the camera's frame.
-    calibration : Calibration
-        Whose covariance the errors are drawn from.
-    noise : CoordinateNoise
-        By which triangulation weights the projector's coordinates.
-
-    Returns
-    -------
-    ndarray of float64
-        (DRAWS,), equally likely; 1 alone where the calibration has no covariance.
-    """
+    """Draw factors by which calibration errors change the mean distance from a true surface."""
+    # on_shape (height, width); returns (DRAWS,)
     if calibration.uncertainty is None:
         return np.ones(1)
     assert cloud.pixels is not None

@@ -20,41 +20,18 @@ STEPS = 1_000
 
 @dataclass(frozen=True)
 class FigureInterval:
-    """A predicted figure with its interval of 95 %.
+    """A predicted figure with its interval of 95 %."""
 
-    Attributes
-    ----------
-    value, low, high : float
-        In the unit of the figure.
-    """
-
-    value: float
-    low: float
-    high: float
+    value: float  # in the unit of the figure
+    low: float  # in the unit of the figure
+    high: float  # in the unit of the figure
 
     def contains(self, measured: float) -> bool:
-        """Tell whether a measured figure lies within.
-
-        Parameters
-        ----------
-        measured : float
-            In the unit of the figure.
-
-        Returns
-        -------
-        bool
-            Ends included.
-        """
+        """Tell whether a measured figure lies within."""
         return self.low <= measured <= self.high
 
     def summary(self) -> dict[str, float]:
-        """Give plain values.
-
-        Returns
-        -------
-        dict of str to float
-            `value`, `low` and `high`.
-        """
+        """Give plain values."""
         return {"value": self.value, "low": self.low, "high": self.high}
 
 
@@ -69,25 +46,8 @@ def figure_intervals(
 
     Flicker and vibration now and then make a measurement much worse, so that distance and noise are the
     medians of their draws. The noise of a surface is at most inversely proportional to its reflectance.
-
-    Parameters
-    ----------
-    draws : sequence of MeasuredFigures
-        At least two, which differ by noise alone.
-    by_calibration : ndarray of float64
-        (K,) factors of the distance, drawn as calibrations may be off.
-    discrepancy : Discrepancy
-        Of bench and twin.
-    of_surface : float
-        Relative standard uncertainty of the surface.
-    stripes : float
-        Of the finest fringes: the contrast of finer ones than bench and twin were compared by is uncertain.
-
-    Returns
-    -------
-    dict of str to FigureInterval
-        By attribute of `MeasuredFigures`.
     """
+    # by_calibration (K,)
     values = {name: np.array([getattr(one, name) for one in draws]) for name in draws[0].summary()}
     # Of one measurement beside the middle of the draws.
     spread = {name: float(one.std(ddof=1) * np.sqrt(1.0 + 1.0 / len(one))) for name, one in values.items()}

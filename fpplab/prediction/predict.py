@@ -45,44 +45,18 @@ DRAWS = 8
 
 @dataclass(frozen=True)
 class Prediction:
-    """What a measurement will give.
+    """What a measurement will give."""
 
-    Attributes
-    ----------
-    item : str
-        Name of the item.
-    figures : dict of str to FigureInterval
-        By attribute of `MeasuredFigures`, and `seconds`.
-    images : int
-        Number of images.
-    pixels : int
-        Number of pixels on the item that were simulated.
-    stripes : float
-        Of the finest fringes.
-    discrepancy : Discrepancy or None
-        That the intervals contain; None for a rig that is no matched twin.
-    surface : PartSurface or None
-        Of the item as it was matched to a scan; None where it was not.
-    """
-
-    item: str
-    figures: dict[str, FigureInterval]
-    images: int
-    pixels: int
-    stripes: float
-    discrepancy: Discrepancy | None
-    surface: PartSurface | None = None
+    item: str  # name of the item
+    figures: dict[str, FigureInterval]  # by attribute of `MeasuredFigures`, and `seconds`
+    images: int  # number of images
+    pixels: int  # number of pixels on the item that were simulated
+    stripes: float  # of the finest fringes
+    discrepancy: Discrepancy | None  # that the intervals contain; None for a rig that is no matched twin
+    surface: PartSurface | None = None  # of the item as it was matched to a scan; None where it was not
 
     def summary(self) -> dict[str, Any]:
-        """Give plain values, as the command line prints them.
-
-        Returns
-        -------
-        dict of str to Any
-            The figures with their intervals, `item`, `images`, `pixels`, `surface`, of the discrepancy
-            `looks_like` and `not_for`, and `compared_stripes`: those of the finest fringes that bench and
-            twin were compared by, where the plan's are finer, otherwise None.
-        """
+        """Give plain values, as the command line prints them."""
         known = self.discrepancy
         return {
             "item": self.item,
@@ -105,34 +79,7 @@ class Prediction:
 def predict(
     rig: Rig, plan: Plan, item: str, calibration: Calibration | None = None, pixels: int = PIXELS
 ) -> Prediction:
-    """Predict a measurement of an item on an open rig of a simulation.
-
-    Parameters
-    ----------
-    rig : Rig
-        Open; its simulation can be sampled.
-    plan : Plan
-        What to project and capture.
-    item : str
-        Name of the item in the simulation.
-    calibration : Calibration, optional
-        To triangulate with; by default the simulation's true one, and the uncertainty of the file
-        `calibration.yaml` beside the rig file, if there is one.
-    pixels : int
-        Number of pixels on the item that are simulated, about.
-
-    Returns
-    -------
-    Prediction
-        Every figure with its interval.
-
-    Raises
-    ------
-    ConfigError
-        The rig is no simulation that can be sampled, or has no such item; or its plan cannot be unwrapped.
-    DataError
-        Nothing of the item can be measured.
-    """
+    """Predict a measurement of an item on an open rig of a simulation."""
     if not isinstance(rig.simulation, Predictable):
         raise ConfigError(f"{rig.source}: is no simulation that can predict; name a twin's rig file")
     sampler, folder = rig.simulation.sampler(), Path(rig.source).parent
@@ -168,42 +115,15 @@ def _with_uncertainty_beside(true: Calibration, folder: Path) -> Calibration:
 
 
 def plan_seconds(rig: Rig, plan: Plan) -> float:
-    """Compute how long the images of a plan take, by what the devices state of themselves.
-
-    Parameters
-    ----------
-    rig : Rig
-        Open.
-    plan : Plan
-        The plan.
-
-    Returns
-    -------
-    float
-        In s.
-    """
+    """Compute how long the images of a plan take, by what the devices state of themselves."""
     camera = rig.camera.caps
     images = sum(fringe.images for fringe in plan.fringes)
     return images * (plan.exposure_s + camera.readout_s + camera.dark_s + plan.settle_s)
 
 
 def sampled_rows(seen: Mask, pixels: int) -> tuple[Rows, Rows]:
-    """Choose bands of rows, evenly spread over what is seen of an item.
-
-    Parameters
-    ----------
-    seen : ndarray of bool, (height, width)
-        Pixels that see the item.
-    pixels : int
-        Number of such pixels that are wanted, about.
-
-    Returns
-    -------
-    rows : Rows
-        Rows of all bands.
-    inner : Rows
-        Those of them that have all their neighbours among the rows.
-    """
+    """Choose bands of rows, evenly spread over what is seen of an item."""
+    # seen (height, width)
     used = np.flatnonzero(seen.any(axis=1))
     first, end = max(0, int(used[0]) - MARGIN), min(len(seen), int(used[-1]) + 1 + MARGIN)
     share = min(1.0, pixels / max(1, int(np.count_nonzero(seen))))

@@ -29,60 +29,21 @@ GRID_PX = 16
 
 @dataclass(frozen=True)
 class DepthRange:
-    """A range of distances from the camera, and who has stated it.
+    """A range of distances from the camera, and who has stated it."""
 
-    Attributes
-    ----------
-    mm : tuple of float
-        Least and greatest distance along the camera's axis, in mm.
-    source : str
-        For messages and reports: option, or file and field.
-    """
-
-    mm: DepthInterval
-    source: str
+    mm: DepthInterval  # least and greatest distance along the camera's axis, in mm
+    source: str  # for messages and reports: option, or file and field
 
 
 def first_stated(*stated: tuple[DepthInterval | None, str]) -> DepthRange | None:
-    """Give the range that counts.
-
-    Parameters
-    ----------
-    *stated : tuple of (tuple of float or None, str)
-        Ranges in mm with their sources, the one with precedence first; None where none is stated.
-
-    Returns
-    -------
-    DepthRange or None
-        The first that is stated.
-    """
+    """Give the range that counts."""
     return next((DepthRange(mm, source) for mm, source in stated if mm is not None), None)
 
 
 def depth_bounds(
     plan: Plan, calibration: Calibration, depth: DepthRange | None
 ) -> dict[Axis, PossibleCoordinates] | None:
-    """Compute the possible projector coordinates of every camera pixel within a range of depths.
-
-    Parameters
-    ----------
-    plan : Plan
-        Says which axes are coded.
-    calibration : Calibration
-        Of the rig.
-    depth : DepthRange, or None
-        The range, if one is known.
-
-    Returns
-    -------
-    dict of str to PossibleCoordinates, or None
-        By coded axis; None without a range.
-
-    Raises
-    ------
-    ConfigError
-        Part of the range lies behind the projector.
-    """
+    """Compute the possible projector coordinates of every camera pixel within a range of depths."""
     if depth is None:
         return None
     width, height = calibration.camera.size

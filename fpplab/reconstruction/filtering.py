@@ -74,30 +74,8 @@ def filtered(
     """Apply the plan's filter to decoded maps and their cloud.
 
     A plan with an order vote has biased coarse fringe sets: the contradiction rule is not applied then.
-
-    Parameters
-    ----------
-    decoded : Decoded
-        Maps as decoded by the plan.
-    cloud : Cloud
-        The same pixels, triangulated.
-    plan : Plan
-        Its `filter` has the thresholds.
-    projector_size : tuple[int, int]
-        (width, height) in px.
-
-    Returns
-    -------
-    decoded : Decoded
-        With `removed`, the rule by which each pixel was removed; as given where the plan has no filter.
-    cloud : Cloud
-        Without the points removed, with normals; as given where the plan has no filter.
-
-    Raises
-    ------
-    DataError
-        No point remains.
     """
+    # projector_size (width, height) px
     rules = plan.filter
     if rules is None:
         return decoded, cloud
@@ -133,19 +111,7 @@ def filtered(
 
 
 def removal(decoded: Decoded) -> dict[str, int | float] | None:
-    """Count the points that the filter removed.
-
-    Parameters
-    ----------
-    decoded : Decoded
-        Maps, filtered or not.
-
-    Returns
-    -------
-    dict[str, int | float] or None
-        Number of points by rule (`contradiction`, `half_lit`, `isolated`, `flying`) and `share`, their sum
-        relative to the number of valid pixels; None when no filter was applied.
-    """
+    """Count the points that the filter removed."""
     if decoded.removed is None:
         return None
     counts = {rule.name.lower(): int(np.count_nonzero(decoded.removed == rule)) for rule in Rule}

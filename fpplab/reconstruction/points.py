@@ -16,30 +16,7 @@ from fpplab.reconstruction.triangulation import triangulate
 def points_of(
     decoded: Decoded, calibration: Calibration, plan: Plan, texture: NDArray[np.uint8] | None = None
 ) -> tuple[Decoded, Cloud]:
-    """Triangulate, and filter as the plan says.
-
-    Parameters
-    ----------
-    decoded : Decoded
-        Projector coordinates of every camera pixel.
-    calibration : Calibration
-        Of the rig that they were seen with.
-    plan : Plan
-        Its `filter` says which points are removed.
-    texture : ndarray of uint8, (height, width), optional
-        Grey levels of the points.
-
-    Returns
-    -------
-    decoded : Decoded
-        The same maps, which now know what was removed.
-    cloud : Cloud
-        Points in mm in the camera's frame.
-
-    Raises
-    ------
-    CalibrationError
-        As `fpplab.reconstruction.triangulation.triangulate`.
-    """
+    """Triangulate, and filter as the plan says."""
+    # texture (height, width)
     cloud = triangulate(decoded, calibration, texture, normals=plan.filter is None)
     return filtered(decoded, cloud, plan, calibration.projector.size)

@@ -33,31 +33,15 @@ Singles = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class RayGrid:
-    """A box in x/z, y/z and z, and its nodes.
+    """A box in x/z, y/z and z, and its nodes."""
 
-    Attributes
-    ----------
-    lower, upper : ndarray of float64, (3,)
-        Corners: slopes of the ray, and depth in mm.
-    """
-
-    lower: Floats
-    upper: Floats
+    lower: Floats  # corners: slopes of the ray, and depth in mm
+    upper: Floats  # corners: slopes of the ray, and depth in mm
 
     @classmethod
     def around(cls, points: AnyPoints) -> RayGrid | None:
-        """Place a grid around nearly all points.
-
-        Parameters
-        ----------
-        points : ndarray of floating, (N, 3)
-            In mm in the camera's frame.
-
-        Returns
-        -------
-        RayGrid or None
-            None where there are fewer points than nodes.
-        """
+        """Place a grid around nearly all points."""
+        # points (N, 3)
         if len(points) <= np.prod(NODES):
             return None
         some = points[:: max(1, len(points) // SAMPLE)].astype(np.float64)
@@ -74,20 +58,8 @@ class RayGrid:
         return np.stack([across * depth, down * depth, depth], axis=-1)
 
     def interpolate(self, values: Floats, points: AnyPoints) -> NDArray[np.float32]:
-        """Interpolate by cubic polynomials to `FINER` times as many nodes, and linearly between those.
-
-        Parameters
-        ----------
-        values : ndarray of float64, (nodes, K)
-            At `points` of the grid.
-        points : ndarray of floating, (N, 3)
-            In mm in the camera's frame.
-
-        Returns
-        -------
-        ndarray of float32, (K, N)
-            NaN outside of the grid.
-        """
+        """Interpolate by cubic polynomials to `FINER` times as many nodes, and linearly between those."""
+        # values (nodes, K); points (N, 3); returns (K, N)
         finer = values.reshape(*NODES, -1)
         for axis, nodes in enumerate(NODES):
             finer = np.moveaxis(np.tensordot(_cubic_weights(nodes), finer, (1, axis)), 0, axis)
@@ -148,18 +120,8 @@ def _bilinear(flat: Singles, at: int, per_y: int, per_z: int, y: float, z: float
 
 @njit(parallel=True, cache=True)
 def are_positive(values: Singles) -> bool:
-    """Tell whether all values are positive.
-
-    Parameters
-    ----------
-    values : ndarray of float32, (K, N)
-        Any numbers.
-
-    Returns
-    -------
-    bool
-        False where one is zero, negative or no number.
-    """
+    """Tell whether all values are positive."""
+    # values (K, N)
     others = 0
     for n in prange(values.shape[1]):
         for k in range(values.shape[0]):

@@ -23,21 +23,8 @@ _RowStarts = NDArray[np.int64]
 def mark_small_regions(
     w: Map, across: Mask, down: Mask, least: int, removed: NDArray[np.uint8], mark: int
 ) -> None:
-    """Mark the pixels of connected regions that have too few.
-
-    Parameters
-    ----------
-    w : ndarray of float32, (height, width)
-        NaN where there is no point.
-    across, down : ndarray of bool, (height, width)
-        Whether each pixel sees one surface with the next in its row, and in its column.
-    least : int
-        Fewest pixels of a region that is kept.
-    removed : ndarray of uint8, (height, width)
-        Set to the mark at the pixels of smaller regions.
-    mark : int
-        What they are marked with.
-    """
+    """Mark the pixels of connected regions that have too few."""
+    # w (height, width); across, down (height, width); removed (height, width)
     counts = np.zeros(len(w), np.int64)
     _find_runs(w, across, True, counts, np.empty((0, 2), np.int32))
     starts = np.concatenate([[0], np.cumsum(counts)])

@@ -78,32 +78,8 @@ def triangulate(
     Where two axes are coded a pixel needs both, and each is weighted by its inverse variance. Left out are
     points behind a device, outside the projector's image or where its distortion folds back, and pixels
     without a solution.
-
-    Parameters
-    ----------
-    decoded : DecodedMaps
-        Projector coordinates of every camera pixel, maps (height, width) in px.
-    calibration : Calibration
-        Of the rig that took the frames.
-    texture : NDArray[np.uint8] or None
-        Grey levels (height, width) for the points' colour.
-    normals : bool
-        Whether normals are computed too.
-
-    Returns
-    -------
-    Cloud
-        Points (N, 3) in mm in the camera's frame, in the order of the camera's pixels. `sigma_noise_mm` is
-        the decoded sigma propagated along the ray, `sigma_phase_error_mm` that of common errors;
-        `epipolar_px` is given where two axes are coded.
-
-    Raises
-    ------
-    CalibrationError
-        The maps are of another camera.
-    DataError
-        The texture has another size, no pixel has a coordinate, or no pixel triangulates.
     """
+    # decoded (height, width) px; texture (height, width); returns (N, 3) mm
     height, width = decoded.u.shape
     calibration.check_camera((width, height), "decoded maps")
     if texture is not None and texture.shape != (height, width):
@@ -173,17 +149,8 @@ def camera_slopes(camera: Pinhole) -> Floats:
     """Compute the ray slopes of every pixel's centre.
 
     The inverse of the distortion to `PIXEL_TOLERANCE`; the last `CACHED_CAMERAS` results are cached.
-
-    Parameters
-    ----------
-    camera : Pinhole
-        The camera.
-
-    Returns
-    -------
-    Floats
-        x/z and y/z, float64 (2, height, width), read-only; NaN where no ray leads to the pixel.
     """
+    # returns (2, height, width)
     key = (camera.size, camera.matrix.tobytes(), camera.distortion.tobytes())
     with _lock:
         if key not in _slopes:
@@ -198,18 +165,8 @@ def camera_slopes(camera: Pinhole) -> Floats:
 
 
 def camera_rays(camera: Pinhole) -> Floats:
-    """Compute the rays of every pixel's centre, by `camera_slopes`.
-
-    Parameters
-    ----------
-    camera : Pinhole
-        The camera.
-
-    Returns
-    -------
-    Floats
-        (x/z, y/z, 1), float64 (height, width, 3).
-    """
+    """Compute the rays of every pixel's centre, by `camera_slopes`."""
+    # returns (height, width, 3)
     slopes = camera_slopes(camera)
     return np.stack([*slopes, np.ones(slopes.shape[1:])], axis=-1)
 
@@ -265,18 +222,8 @@ def _invert(camera: Numbers, reach: float, slopes: Floats) -> None:
 
 @njit(cache=True)
 def any_known(values: Map) -> bool:
-    """Tell whether a map has any value.
-
-    Parameters
-    ----------
-    values : ndarray of float32, (height, width)
-        The map.
-
-    Returns
-    -------
-    bool
-        Whether one is finite.
-    """
+    """Tell whether a map has any value."""
+    # values (height, width)
     if (
         values.strides[0] == 0 and values.strides[1] == 0
     ):  # one value for all, as of an axis that is not coded

@@ -50,18 +50,7 @@ CoordinateNoise = tuple[float, float]
 
 
 def coordinate_noise(decoded: DecodedMaps) -> CoordinateNoise:
-    """Find the relative noise of the projector coordinates, by which triangulation weights them.
-
-    Parameters
-    ----------
-    decoded : DecodedMaps
-        Maps that are triangulated.
-
-    Returns
-    -------
-    CoordinateNoise
-        Of u and v; infinite for an axis that is not coded.
-    """
+    """Find the relative noise of the projector coordinates, by which triangulation weights them."""
     if not any_known(decoded.u):
         return np.inf, 1.0
     return 1.0, decoded.v_per_u if any_known(decoded.v) else np.inf
@@ -73,25 +62,7 @@ def with_uncertainty(
     noise: CoordinateNoise,
     progress: Progress = no_progress,
 ) -> Cloud:
-    """Add the calibration's contribution to each point's uncertainty.
-
-    Parameters
-    ----------
-    cloud : Cloud
-        As triangulated with this calibration.
-    calibration : Calibration
-        Its covariance is propagated.
-    noise : CoordinateNoise
-        From `coordinate_noise` of the maps.
-    progress : Progress
-        Called with the share of the points that are done.
-
-    Returns
-    -------
-    Cloud
-        With `sigma_calibration_mm` and `sigma_form_mm`, the part that no rigid motion of the cloud removes;
-        as given when the calibration has no covariance.
-    """
+    """Add the calibration's contribution to each point's uncertainty."""
     if calibration.uncertainty is None:
         return cloud
     modes = _Modes.of(calibration, noise)
@@ -133,27 +104,8 @@ def point_covariance(cloud: Cloud, calibration: Calibration, noise: CoordinateNo
     """Compute the covariance of each point's coordinates from noise, phase error and calibration.
 
     How points vary together follows from `calibration_jacobian`.
-
-    Parameters
-    ----------
-    cloud : Cloud
-        As triangulated with this calibration; without `sigma_noise_mm` only the calibration contributes. A
-        phase error, where it is known, counts with the noise.
-    calibration : Calibration
-        Its covariance is propagated.
-    noise : CoordinateNoise
-        From `coordinate_noise` of the maps.
-
-    Returns
-    -------
-    Floats
-        (N, 3, 3) in mm², in the camera's frame.
-
-    Raises
-    ------
-    CalibrationError
-        The calibration has no covariance.
     """
+    # returns (N, 3, 3) mm²
     modes, covariance = _Modes.of(calibration, noise), np.empty((len(cloud), 3, 3))
     for part in _blocks(len(cloud)):
         moved = modes.moved(cloud.points[part])
@@ -169,22 +121,8 @@ def calibration_jacobian(points: AnyPoints, calibration: Calibration, noise: Coo
     """Compute the derivatives of points by the calibration's parameters.
 
     Camera pixels and projector coordinates are held.
-
-    Parameters
-    ----------
-    points : AnyPoints
-        (N, 3) in mm in the camera's frame.
-    calibration : Calibration
-        At which the derivatives are taken.
-    noise : CoordinateNoise
-        From `coordinate_noise` of the maps.
-
-    Returns
-    -------
-    Floats
-        ∂X/∂θ, (N, 3, n), by `PARAMETERS`, whose units and meaning are those of `Uncertainty`: rx, ry, rz
-        add to the rotation vector.
     """
+    # points (N, 3) mm; returns (N, 3, n)
     pose, n = calibration.T_projector_camera, len(INTRINSICS)
     seen, by_camera = _slopes(points, calibration.camera, RigidTransform.identity())
     projected, by_projector = _slopes(points, calibration.projector, pose)
@@ -203,26 +141,8 @@ def displacements_by_mode(points: AnyPoints, calibration: Calibration, noise: Co
 
     Any error of the calibration is a sum of the modes, each times a number drawn from the standard normal
     distribution.
-
-    Parameters
-    ----------
-    points : AnyPoints
-        (N, 3) in mm in the camera's frame.
-    calibration : Calibration
-        Its covariance has the modes.
-    noise : CoordinateNoise
-        From `coordinate_noise` of the maps.
-
-    Returns
-    -------
-    Floats
-        (N, 3, n) in mm by n modes of one standard deviation.
-
-    Raises
-    ------
-    CalibrationError
-        The calibration has no covariance.
     """
+    # points (N, 3) mm; returns (N, 3, n) mm
     return _Modes.of(calibration, noise).moved(points)
 
 
@@ -283,18 +203,8 @@ def _rigid_part(modes: _Modes, sample: Floats, centre: Floats) -> Floats:
 
 
 def rigid_motions(points: AnyPoints) -> Floats:
-    """Give the displacement of points by small translations and rotations.
-
-    Parameters
-    ----------
-    points : AnyPoints
-        (N, 3) in mm, from the centre of the rotations.
-
-    Returns
-    -------
-    Floats
-        (N, 3, 6) in mm: by 1 mm along each axis, then by 1 rad about each.
-    """
+    """Give the displacement of points by small translations and rotations."""
+    # points (N, 3) mm; returns (N, 3, 6) mm
     x, y, z = points.T
     motions = np.zeros((len(points), 3, 6))
     motions[:, range(3), range(3)] = 1.0

@@ -68,26 +68,7 @@ def write_acceptance_report(
     answer: Mapping[str, Any],
     provenance: Mapping[str, Provenance],
 ) -> None:
-    """Write the acceptance test as one HTML file.
-
-    Parameters
-    ----------
-    path : Path
-        Of the file; an earlier one is replaced.
-    found : Acceptance
-        Result of the test.
-    diagnosis : Diagnosis
-        The verdict on it.
-    answer : mapping of str to object
-        What the command prints with `--json`.
-    provenance : mapping of str to Provenance
-        Of each position, by its name.
-
-    Raises
-    ------
-    DataError
-        The file cannot be written.
-    """
+    """Write the acceptance test as one HTML file."""
     rule = found.standard.evaluation
     facts = {
         "Standard": found.standard.name,
@@ -191,16 +172,6 @@ def sphere_errors(spheres: tuple[SphereTest, SphereTest]) -> Sheet:
     """Draw both spheres of a ball bar, on one colour scale of signed errors, without discarded points.
 
     The colours span ± the 98th percentile of the absolute error, which the colour bar states.
-
-    Parameters
-    ----------
-    spheres : tuple of SphereTest
-        Both spheres at one position of the bar.
-
-    Returns
-    -------
-    bytes
-        PNG file.
     """
     drawn = [_Drawn.of(test.measured) for test in spheres]
     limit = error_limit(1e3 * np.concatenate([distances for _, distances in drawn]))

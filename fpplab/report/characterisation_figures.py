@@ -63,19 +63,8 @@ def epipolar_distances(observation: Observation, calibration: Calibration) -> Fl
     is that of the projector's point from it, at the depth at which both rays pass nearest, positive to the
     right of the direction in which depth moves it. Unlike the reprojection errors it does not depend on the
     board.
-
-    Parameters
-    ----------
-    observation : Observation
-        K points of the board in camera and projector.
-    calibration : Calibration
-        Of both devices.
-
-    Returns
-    -------
-    Floats
-        (K,) in px of the projector.
     """
+    # returns (K,) px
     pair_of, projector = calibration.T_projector_camera, calibration.projector
     slopes = calibration.camera.normalise(observation.camera_px)
     rays = np.column_stack([slopes, np.ones(len(slopes))])
@@ -97,18 +86,7 @@ def _depths(rays: Floats, projector_px: Floats, calibration: Calibration) -> Flo
 
 @as_png
 def epipolar_figure(found: Characterisation) -> Figure:
-    """Draw the epipolar distances of all points as a histogram, and by pose.
-
-    Parameters
-    ----------
-    found : Characterisation
-        With at least one observation.
-
-    Returns
-    -------
-    bytes
-        PNG file.
-    """
+    """Draw the epipolar distances of all points as a histogram, and by pose."""
     poses = [epipolar_distances(o, found.calibration) for o in found.observations]
     distances = np.concatenate(poses)
     rms = float(np.sqrt(np.mean(distances**2)))
@@ -140,18 +118,7 @@ def _by_pose(axes: Axes, names: Sequence[str], poses: Sequence[Floats], reach: f
 
 @as_png
 def scales_by_pose(found: Characterisation) -> Figure:
-    """Draw the scale of the camera's image in each pose, which a lens that is not locked changes.
-
-    Parameters
-    ----------
-    found : Characterisation
-        With its solution and the sizes of errors.
-
-    Returns
-    -------
-    bytes
-        PNG file.
-    """
+    """Draw the scale of the camera's image in each pose, which a lens that is not locked changes."""
     assert found.solution is not None
     assert found.sizes is not None
     scales, sigmas = scales_of_poses(found.observations, found.solution, found.sizes)
@@ -171,22 +138,8 @@ def board_deviation(found: Characterisation) -> tuple[Floats, Floats]:
     """Compute how far the refined board differs from the board as drawn.
 
     Position, rotation and scale of the board do not count; no image can tell the scale from the distance.
-
-    Parameters
-    ----------
-    found : Characterisation
-        Whose board was refined.
-
-    Returns
-    -------
-    tuple of Floats
-        Of the K points seen: drawn positions (K, 3) in mm, and deviations (K, 3) in µm.
-
-    Raises
-    ------
-    DataError
-        The board was taken as it is drawn.
     """
+    # returns (K, 3) mm
     if found.drawn is None:
         raise DataError("the board was taken as it is drawn; there is no shape to show")
     seen = np.unique(np.concatenate([o.ids for o in found.observations]))
@@ -195,24 +148,8 @@ def board_deviation(found: Characterisation) -> tuple[Floats, Floats]:
 
 
 def align_similarity(points: Floats, onto: Floats) -> Floats:
-    """Align points with others by the least-squares rotation, translation and scale.
-
-    Parameters
-    ----------
-    points : Floats
-        (K, 3), to be aligned.
-    onto : Floats
-        (K, 3), their counterparts.
-
-    Returns
-    -------
-    Floats
-        The aligned points (K, 3).
-
-    References
-    ----------
-    Umeyama, 1991
-    """
+    """Align points with others by the least-squares rotation, translation and scale."""
+    # points (K, 3); onto (K, 3); returns (K, 3)
     centre, there = points.mean(axis=0), onto.mean(axis=0)
     u, sizes, vt = np.linalg.svd((onto - there).T @ (points - centre))
     handed = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
@@ -222,23 +159,7 @@ def align_similarity(points: Floats, onto: Floats) -> Floats:
 
 @as_png
 def board_shape(found: Characterisation) -> Figure:
-    """Draw the refined board: height above the drawn plane as a map, displacement within it as arrows.
-
-    Parameters
-    ----------
-    found : Characterisation
-        Whose board was refined.
-
-    Returns
-    -------
-    bytes
-        PNG file.
-
-    Raises
-    ------
-    DataError
-        The board was taken as it is drawn.
-    """
+    """Draw the refined board: height above the drawn plane as a map, displacement within it as arrows."""
     place, deviation = board_deviation(found)
     (x, y), along, height = place[:, :2].T, deviation[:, :2], deviation[:, 2]
     sides = np.ptp(place[:, :2], axis=0)
@@ -268,18 +189,7 @@ def _rms(values: Floats) -> float:
 
 @as_png
 def uncertainty_maps(found: Characterisation) -> Figure:
-    """Draw how uncertain the pixel is at which each device sees a place, over its image.
-
-    Parameters
-    ----------
-    found : Characterisation
-        With its uncertainty.
-
-    Returns
-    -------
-    bytes
-        PNG file.
-    """
+    """Draw how uncertain the pixel is at which each device sees a place, over its image."""
     calibration, grid = found.calibration, (24, 32)
     figure, both = side_by_side(3.4, (1.0, 1.0))
     to_projector = [calibration.T_projector_camera @ pose for pose in found.poses]
@@ -307,18 +217,7 @@ def uncertainty_maps(found: Characterisation) -> Figure:
 
 @as_png
 def judged_errors(found: Judgement) -> Figure:
-    """Draw the errors of poses that were not fitted beside those predicted.
-
-    Parameters
-    ----------
-    found : Judgement
-        Of one pose or more.
-
-    Returns
-    -------
-    bytes
-        PNG file.
-    """
+    """Draw the errors of poses that were not fitted beside those predicted."""
     figure, both = side_by_side(2.6, (1.0, 1.0))
     places, names = np.arange(len(found.poses)), [pose.name for pose in found.poses]
     for axes, device in zip(both, ("camera", "projector"), strict=True):

@@ -26,43 +26,13 @@ def write_check_report(
     answer: Mapping[str, Any],
     calibration: Calibration | None = None,
 ) -> None:
-    """Write what a check found as one HTML file.
-
-    Parameters
-    ----------
-    path : Path
-        Of the file; an earlier one is replaced.
-    found : RigCheck
-        Result of the check.
-    provenance : Provenance
-        Of the rig.
-    answer : mapping of str to object
-        What the command prints with `--json`.
-    calibration : Calibration, optional
-        That the check was made with.
-
-    Raises
-    ------
-    DataError
-        The file cannot be written.
-    """
+    """Write what a check found as one HTML file."""
     basis = PageBasis((check_verdict(found),), {"rig": provenance}, answer)
     write_page(path, "Check of a rig", [], _sections(found, calibration), basis=basis)
 
 
 def check_verdict(found: RigCheck) -> PageVerdict:
-    """Say whether a rig is fit to measure with.
-
-    Parameters
-    ----------
-    found : RigCheck
-        Result of the check.
-
-    Returns
-    -------
-    PageVerdict
-        Good without findings, doubtful otherwise.
-    """
+    """Say whether a rig is fit to measure with."""
     if not found.findings:
         said = "Nothing is wrong with what was checked."
         return PageVerdict("", "good", "In order", said, unknown=found.unknown)
@@ -72,20 +42,7 @@ def check_verdict(found: RigCheck) -> PageVerdict:
 
 
 def evidence_of(found: RigCheck, calibration: Calibration | None) -> Evidence:
-    """Collect what the findings of a check were drawn from.
-
-    Parameters
-    ----------
-    found : RigCheck
-        Result of the check.
-    calibration : Calibration or None
-        That it was made with.
-
-    Returns
-    -------
-    Evidence
-        Frames, points and levels of the marker.
-    """
+    """Collect what the findings of a check were drawn from."""
     runs = {run.how: run.levels for run in found.runs}
     return Evidence(found.recording, found.decoded, found.cloud, calibration, found.shown, runs)
 

@@ -44,51 +44,21 @@ GREY = 0.6
 
 @dataclass(frozen=True, eq=False)
 class CloudQuantity:
-    """What colours the points of a view.
+    """What colours the points of a view."""
 
-    Attributes
-    ----------
-    name : str
-        Of the quantity, in the list of colours.
-    unit : str
-        Of its values.
-    values : ndarray of float32, (N,)
-        NaN where it is not known.
-    low, high : float
-        Values of the first and the last colour.
-    colours : str
-        Name of the colour map.
-    """
-
-    name: str
-    unit: str
-    values: NDArray[np.float32]
-    low: float
-    high: float
-    colours: str
+    name: str  # of the quantity, in the list of colours
+    unit: str  # of its values
+    values: NDArray[np.float32]  # naN where it is not known
+    low: float  # values of the first and the last colour
+    high: float  # values of the first and the last colour
+    colours: str  # name of the colour map
 
     @classmethod
     def of(
         cls, name: str, unit: str, values: NDArray[Any], colours: str, symmetric: bool = False
     ) -> CloudQuantity:
-        """Choose the range of colours from the values.
-
-        Parameters
-        ----------
-        name, unit : str
-            What it is.
-        values : ndarray, (N,)
-            NaN where it is not known; at least one is.
-        colours : str
-            Name of a colour map.
-        symmetric : bool
-            Whether the range is as far on both sides of zero.
-
-        Returns
-        -------
-        CloudQuantity
-            From the 1st to the 99th percentile, or ± the 98th of the absolute values.
-        """
+        """Choose the range of colours from the values."""
+        # values (N,)
         known = values[np.isfinite(values)]
         if symmetric:
             high = max(float(np.percentile(np.abs(known), 98)), 1e-6)
@@ -102,66 +72,28 @@ class CloudQuantity:
         return f"{self.name} in {self.unit}"
 
     def quantised(self) -> NDArray[np.uint16]:
-        """Give the values in steps of the range of colours.
-
-        Returns
-        -------
-        ndarray of uint16, (N,)
-            1 … `STEPS`, clipped to the range; 0 where it is not known.
-        """
+        """Give the values in steps of the range of colours."""
+        # returns (N,)
         share = np.clip((self.values - self.low) / (self.high - self.low), 0.0, 1.0)
         return np.where(np.isfinite(share), 1 + np.nan_to_num(share) * (STEPS - 1), 0).astype("<u2")
 
 
 @dataclass(frozen=True)
 class CloudView:
-    """A cloud as a page holds it.
+    """A cloud as a page holds it."""
 
-    Attributes
-    ----------
-    name : str
-        Of the object.
-    described : str
-        JSON for the page's script: numbers of points, box, place of the eye, quantities with colours.
-    packed : str
-        Base64 of positions (N, 3) of uint16, quantities (N,) of uint16 each, normals (N, 3) of int8.
-    still : str
-        PNG file of the first view as base64.
-    alt : str
-        What it shows.
-    caption : str
-        Below it.
-    """
-
-    name: str
-    described: str
-    packed: str
-    still: str
-    alt: str
-    caption: str
+    name: str  # of the object
+    described: str  # JSON for the page's script
+    packed: str  # base64 of positions (N
+    still: str  # PNG file of the first view as base64
+    alt: str  # what it shows
+    caption: str  # below it
 
 
 def cloud_view(
     name: str, cloud: Cloud, comparison: Comparison | None = None, most: int = MOST_POINTS
 ) -> CloudView:
-    """Prepare a cloud for a page.
-
-    Parameters
-    ----------
-    name : str
-        Of the object.
-    cloud : Cloud
-        With at least one point.
-    comparison : Comparison, optional
-        Of this cloud with the true shape; its signed errors colour the points at first.
-    most : int
-        Number of points that remain, at most.
-
-    Returns
-    -------
-    CloudView
-        With height, and uncertainty, error and intensity where they are known.
-    """
+    """Prepare a cloud for a page."""
     errors = None if comparison is None else np.where(comparison.counted, comparison.distances_mm, np.nan)
     kept = decimate(cloud, most)
     shown = cloud.only(kept)
@@ -183,20 +115,8 @@ def cloud_view(
 
 
 def decimate(cloud: Cloud, most: int) -> NDArray[np.bool_]:
-    """Choose points that represent a cloud: every k-th column and row of the camera, or every k-th point.
-
-    Parameters
-    ----------
-    cloud : Cloud
-        N points.
-    most : int
-        How many may remain.
-
-    Returns
-    -------
-    ndarray of bool, (N,)
-        At least one, without points far from all others.
-    """
+    """Choose points that represent a cloud: every k-th column and row of the camera, or every k-th point."""
+    # returns (N,)
     near = _near(cloud.points)
     if cloud.pixels is not None:
         u, v = cloud.pixels.T

@@ -29,34 +29,7 @@ def write_comparison_report(
     provenance: Provenance,
     answer: Mapping[str, Any],
 ) -> None:
-    """Write a comparison as one HTML file.
-
-    Parameters
-    ----------
-    path : Path
-        Of the file; an earlier one is replaced.
-    name : str
-        Of the cloud.
-    cloud : Cloud
-        Its points.
-    found : Comparison
-        With the true shape.
-    headline : str
-        What matters, in one line.
-    misplaced : str or None
-        That the mesh stands elsewhere, and what to do.
-    diagnosis : Diagnosis or None
-        Verdict on the scan that the cloud is of, where its session records one.
-    provenance : Provenance
-        Of the cloud.
-    answer : mapping of str to object
-        What the command prints with `--json`.
-
-    Raises
-    ------
-    DataError
-        The file cannot be written.
-    """
+    """Write a comparison as one HTML file."""
     verdicts = [comparison_verdict(found, headline, misplaced)]
     if diagnosis is not None:
         verdicts.append(PageVerdict.of(diagnosis, "The scan itself"))
@@ -72,22 +45,7 @@ def write_comparison_report(
 
 
 def comparison_verdict(found: Comparison, headline: str, misplaced: str | None) -> PageVerdict:
-    """Say how far the cloud is, and what contradicts that.
-
-    Parameters
-    ----------
-    found : Comparison
-        With the true shape.
-    headline : str
-        What matters, in one line.
-    misplaced : str or None
-        That the mesh stands elsewhere, and what to do.
-
-    Returns
-    -------
-    PageVerdict
-        Doubtful where something contradicts the figures; none otherwise, since no limit is given.
-    """
+    """Say how far the cloud is, and what contradicts that."""
     if misplaced:
         advice = "Compare again with --align."
         finding = ("the mesh stands elsewhere", misplaced, advice)

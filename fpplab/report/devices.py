@@ -43,18 +43,7 @@ JUDGED_CAPTION = (
 
 
 def summary_table(found: Characterisation) -> ReportTable:
-    """Make the table at the top of the page.
-
-    Parameters
-    ----------
-    found : Characterisation
-        The result.
-
-    Returns
-    -------
-    ReportTable
-        A row for each device.
-    """
+    """Make the table at the top of the page."""
     return ReportTable(
         CHARACTERISED, tuple(_device_row(found, d) for d in ("camera", "projector")), REPROJECTION
     )
@@ -80,18 +69,7 @@ def _with_sigma(found: Characterisation, value: float, name: str) -> str:
 
 
 def characterisation_section(found: Characterisation) -> ReportSection:
-    """Show a characterisation: residuals, coverage, the board, and the uncertainty put to the test.
-
-    Parameters
-    ----------
-    found : Characterisation
-        The result.
-
-    Returns
-    -------
-    ReportSection
-        Text, tables and figures.
-    """
+    """Show a characterisation: residuals, coverage, the board, and the uncertainty put to the test."""
     calibration, observations = found.calibration, found.observations
     rms = found.pose_rms_px
     bars = figures.pose_rms(
@@ -165,18 +143,7 @@ def _repeat_row(one: Repeat) -> tuple[str, ...]:
 
 
 def judgement_verdict(found: Judgement) -> PageVerdict:
-    """Say whether later poses contradict a calibration.
-
-    Parameters
-    ----------
-    found : Judgement
-        Of one pose or more.
-
-    Returns
-    -------
-    PageVerdict
-        Useless where they contradict it.
-    """
+    """Say whether later poses contradict a calibration."""
     sentence = found.verdict[0].upper() + found.verdict[1:] + "."
     if found.contradicted:
         return PageVerdict("", "useless", "Contradicted", sentence)
@@ -184,18 +151,7 @@ def judgement_verdict(found: Judgement) -> PageVerdict:
 
 
 def judgement_section(found: Judgement) -> ReportSection:
-    """Show the errors of poses that were not fitted, beside those predicted.
-
-    Parameters
-    ----------
-    found : Judgement
-        Of one pose or more.
-
-    Returns
-    -------
-    ReportSection
-        Verdict, table and figure.
-    """
+    """Show the errors of poses that were not fitted, beside those predicted."""
     rows = [(p.name, str(p.points), p.camera, p.projector) for p in found.poses]
     rows.append(("all", str(sum(p.points for p in found.poses)), found.camera, found.projector))
     cells = tuple(

@@ -51,18 +51,7 @@ P = ParamSpec("P")
 
 
 def as_png(draw: Callable[P, Figure]) -> Callable[P, bytes]:
-    """Decorate a drawing function: apply the common style and return the PNG file.
-
-    Parameters
-    ----------
-    draw : callable
-        Returns a matplotlib figure.
-
-    Returns
-    -------
-    callable
-        With the same parameters; returns the bytes of the PNG file, of 256 colours.
-    """
+    """Decorate a drawing function: apply the common style and return the PNG file."""
 
     @wraps(draw)
     def drawn(*args: P.args, **kwargs: P.kwargs) -> bytes:
@@ -83,53 +72,18 @@ def _png(figure: Figure) -> bytes:
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """Make an empty figure; axes are added by `subplots` or `add_gridspec`.
-
-    Parameters
-    ----------
-    width, height : float
-        In inches.
-
-    Returns
-    -------
-    Figure
-        With constrained ("compressed") layout.
-    """
+    """Make an empty figure; axes are added by `subplots` or `add_gridspec`."""
     return Figure(figsize=(width, height), dpi=DPI, layout="compressed", facecolor="white")
 
 
 def single_axes(width: float, height: float) -> tuple[Figure, Axes]:
-    """Make a figure with one pair of axes.
-
-    Parameters
-    ----------
-    width, height : float
-        In inches.
-
-    Returns
-    -------
-    tuple of Figure and Axes
-        The figure and its axes.
-    """
+    """Make a figure with one pair of axes."""
     figure = new_figure(width, height)
     return figure, figure.subplots()
 
 
 def side_by_side(height: float, ratios: tuple[float, float]) -> tuple[Figure, tuple[Axes, Axes]]:
-    """Make a figure of full width with two pairs of axes side by side.
-
-    Parameters
-    ----------
-    height : float
-        In inches.
-    ratios : tuple of float
-        Relative widths of the left and the right axes.
-
-    Returns
-    -------
-    tuple of Figure and tuple of Axes
-        The figure; left and right axes.
-    """
+    """Make a figure of full width with two pairs of axes side by side."""
     figure = new_figure(FULL, height)
     cast(Any, figure.get_layout_engine()).set(wspace=0.05)
     left, right = figure.subplots(1, 2, width_ratios=ratios)
@@ -137,51 +91,19 @@ def side_by_side(height: float, ratios: tuple[float, float]) -> tuple[Figure, tu
 
 
 def map_axes(shape: tuple[int, ...]) -> tuple[Figure, Axes]:
-    """Make a figure of half width for a map.
-
-    Parameters
-    ----------
-    shape : tuple of int
-        Of the map, (h, w) or (h, w, C).
-
-    Returns
-    -------
-    tuple of Figure and Axes
-        The figure and its axes.
-    """
+    """Make a figure of half width for a map."""
+    # shape (h, w)
     return single_axes(HALF, map_height(shape, HALF))
 
 
 def map_height(shape: tuple[int, ...], width: float) -> float:
-    """Compute the height of a figure for a map, with room for labels; limited to 1.25 of the width.
-
-    Parameters
-    ----------
-    shape : tuple of int
-        Of the map, (h, w) or (h, w, C).
-    width : float
-        Of the figure in inches.
-
-    Returns
-    -------
-    float
-        In inches.
-    """
+    """Compute the height of a figure for a map, with room for labels; limited to 1.25 of the width."""
+    # shape (h, w)
     return float(np.clip((width - 1.1) * shape[0] / shape[1] + 0.7, 1.8, 1.25 * width))
 
 
 def sensor_axes(axes: Axes, size: tuple[int, int], device: str) -> None:
-    """Set axes to the whole sensor of a device, its first pixel at the upper left.
-
-    Parameters
-    ----------
-    axes : Axes
-        To be set.
-    size : tuple of int
-        Width and height of the device in px.
-    device : str
-        Name of the device, for the labels.
-    """
+    """Set axes to the whole sensor of a device, its first pixel at the upper left."""
     axes.set(
         xlim=(-0.5, size[0] - 0.5),
         ylim=(size[1] - 0.5, -0.5),
@@ -199,28 +121,7 @@ def draw_map(
     extent: Extent | None = None,
     background: bool = True,
 ) -> ScalarMappable:
-    """Draw a map, subsampled to about `MAX_COLUMNS` columns.
-
-    Parameters
-    ----------
-    axes : Axes
-        To draw on.
-    values : NDArray
-        Map [v, u], NaN where not measured.
-    colours : str or Colormap
-        Colour map.
-    limits : tuple of float
-        Values of the first and the last colour.
-    extent : Extent, optional
-        Left, right, bottom and top edge in the units of the axes; the camera's pixels by default.
-    background : bool
-        Whether to colour what is not measured, and to label the axes as the camera's.
-
-    Returns
-    -------
-    ScalarMappable
-        For a colour bar.
-    """
+    """Draw a map, subsampled to about `MAX_COLUMNS` columns."""
     height, width = values.shape
     step = display_stride(values.shape)
     if background:
@@ -236,65 +137,20 @@ def draw_map(
 
 
 def colour_bar(figure: Figure, axes: Axes, mappable: ScalarMappable, label: str) -> mpl.colorbar.Colorbar:
-    """Add a colour bar beside axes.
-
-    Parameters
-    ----------
-    figure : Figure
-        That holds the axes.
-    axes : Axes
-        Beside which the bar is placed.
-    mappable : ScalarMappable
-        Whose colours are explained.
-    label : str
-        Quantity and unit.
-
-    Returns
-    -------
-    Colorbar
-        The bar.
-    """
+    """Add a colour bar beside axes."""
     bar = figure.colorbar(mappable, ax=axes, label=label, fraction=0.05, pad=0.02, aspect=28)
     bar.outline.set_visible(False)
     return bar
 
 
 def display_stride(shape: tuple[int, ...]) -> int:
-    """Compute the sampling stride with which a map is drawn.
-
-    Parameters
-    ----------
-    shape : tuple of int
-        Of the map, (h, w).
-
-    Returns
-    -------
-    int
-        At least 1; at most `MAX_COLUMNS` columns remain.
-    """
+    """Compute the sampling stride with which a map is drawn."""
+    # shape (h, w)
     return max(1, -(-shape[1] // MAX_COLUMNS))
 
 
 def value_range(values: Map, least: float, most: float) -> tuple[float, float]:
-    """Compute two percentiles of a map, for the limits of its colours.
-
-    Parameters
-    ----------
-    values : Map
-        NaN where not measured.
-    least, most : float
-        Percentiles, 0 … 100.
-
-    Returns
-    -------
-    tuple of float
-        The second is always greater than the first.
-
-    Raises
-    ------
-    DataError
-        No pixel of the map is measured.
-    """
+    """Compute two percentiles of a map, for the limits of its colours."""
     known = values[np.isfinite(values)]
     if not len(known):
         raise DataError("the map has no measured pixel; nothing to draw")

@@ -16,24 +16,8 @@ from fpplab.report.drawing import ERROR_COLOURS
 
 
 def write_error_cloud(path: Path, cloud: Cloud, distances_mm: Map, counted: Mask) -> None:
-    """Write the points that are compared, with their error in µm, coloured as in the picture of the errors.
-
-    Parameters
-    ----------
-    path : Path
-        PLY file with the properties x, y, z in mm, red, green, blue, and error_um.
-    cloud : Cloud
-        N points.
-    distances_mm : Map
-        (N,) signed, NaN where a point has no counterpart.
-    counted : Mask
-        (N,), the points that are compared.
-
-    Raises
-    ------
-    DataError
-        No point is compared, or the file cannot be written.
-    """
+    """Write the compared points with their errors in µm, coloured as in the picture of the errors."""
+    # distances_mm (N,); counted (N,)
     kept = counted & np.isfinite(distances_mm)
     if not kept.any():
         raise DataError(f"{path}: none of the {len(cloud)} points is compared, so there is nothing to write")

@@ -24,30 +24,14 @@ from fpplab.report.response_figures import marker_levels
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What findings were drawn from.
+    """What findings were drawn from."""
 
-    Attributes
-    ----------
-    recording : Recording or None
-        Frames with fringes; None where none were taken.
-    decoded : Decoded or None
-        Their projector coordinates.
-    cloud : Cloud or None
-        Their points.
-    calibration : Calibration or None
-        That the points were triangulated with.
-    marker : ndarray of int64, (K,), or None
-        Grey levels of the synchronisation marker in the order shown.
-    runs : mapping of str to ndarray of float64
-        Levels (K,) seen of it in each run.
-    """
-
-    recording: Recording | None = None
-    decoded: Decoded | None = None
-    cloud: Cloud | None = None
-    calibration: Calibration | None = None
-    marker: NDArray[np.int64] | None = None
-    runs: Mapping[str, Floats] = field(default_factory=dict)
+    recording: Recording | None = None  # frames with fringes; None where none were taken
+    decoded: Decoded | None = None  # their projector coordinates
+    cloud: Cloud | None = None  # their points
+    calibration: Calibration | None = None  # that the points were triangulated with
+    marker: NDArray[np.int64] | None = None  # grey levels of the synchronisation marker in the order shown
+    runs: Mapping[str, Floats] = field(default_factory=dict)  # levels (K,) seen of it in each run
 
     @cached_property
     def frames(self) -> FrameSample | None:
@@ -152,39 +136,13 @@ OF_RESULTS = frozenset(
 
 
 def evidence_pictures(findings: Sequence[Finding], given: Evidence) -> list[tuple[Finding, bytes]]:
-    """Draw what shows each finding.
-
-    Parameters
-    ----------
-    findings : sequence of Finding
-        The worst first.
-    given : Evidence
-        What they were drawn from.
-
-    Returns
-    -------
-    list of tuple of Finding and bytes
-        PNG files, without findings that show in words alone.
-    """
+    """Draw what shows each finding."""
     pictures = [(one, PICTURES[one.cause](given, one)) for one in findings if one.cause in PICTURES]
     return [(one, picture) for one, picture in pictures if picture is not None]
 
 
 def evidence_report(findings: Sequence[Finding], given: Evidence) -> tuple[ReportFigure, ...]:
-    """Draw what shows each finding, as figures of a page.
-
-    Parameters
-    ----------
-    findings : sequence of Finding
-        The worst first.
-    given : Evidence
-        What they were drawn from.
-
-    Returns
-    -------
-    tuple of ReportFigure
-        Captions give measured value and limit.
-    """
+    """Draw what shows each finding, as figures of a page."""
     return tuple(
         ReportFigure.of(picture, f"What shows {_words(one)}", f"{_words(one).capitalize()}: {one.evidence}.")
         for one, picture in evidence_pictures(findings, given)

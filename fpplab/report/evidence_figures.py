@@ -51,18 +51,7 @@ def _map(
 
 @as_png
 def needed_rate(excess: float) -> Figure:
-    """Draw how many frames per second a plan takes beside what is possible.
-
-    Parameters
-    ----------
-    excess : float
-        Rate needed over the rate possible.
-
-    Returns
-    -------
-    bytes
-        PNG file.
-    """
+    """Draw how many frames per second a plan takes beside what is possible."""
     figure, axes = single_axes(HALF, 1.5)
     axes.barh(["possible", "needed"], [1.0, excess], color=[SECOND, ALARM], height=0.6)
     axes.axvline(1.0, color=SECOND, linewidth=1.2)
@@ -72,36 +61,14 @@ def needed_rate(excess: float) -> Figure:
 
 @as_png
 def modulation_of_widest(sample: FrameSample) -> Figure:
-    """Draw the modulation of the widest fringes.
-
-    Parameters
-    ----------
-    sample : FrameSample
-        Of the recording.
-
-    Returns
-    -------
-    bytes
-        PNG file.
-    """
+    """Draw the modulation of the widest fringes."""
     values = sample.widest.modulation
     return _map(values, sample, "viridis", (0.0, max(sample.strongest, 1.0)), FROM_FRAME)
 
 
 @as_png
 def lit_part(sample: FrameSample) -> Figure:
-    """Draw which part of the image sees the fringes.
-
-    Parameters
-    ----------
-    sample : FrameSample
-        Of the recording.
-
-    Returns
-    -------
-    bytes
-        PNG file.
-    """
+    """Draw which part of the image sees the fringes."""
     figure, axes = map_axes(sample.lit.shape)
     mean = sample.spread.mean(axis=0)
     shown = draw_map(axes, mean, "gray", (0.0, max(float(np.percentile(mean, 99.8)), 1.0)), _extent(sample))
@@ -115,36 +82,14 @@ def lit_part(sample: FrameSample) -> Figure:
 
 
 def brightest_frame(sample: FrameSample) -> bytes:
-    """Draw the brightest grey level of every pixel, saturated ones marked.
-
-    Parameters
-    ----------
-    sample : FrameSample
-        Of the recording.
-
-    Returns
-    -------
-    bytes
-        PNG file.
-    """
+    """Draw the brightest grey level of every pixel, saturated ones marked."""
     recording = sample.recording
     return figures.camera_image(np.max(np.stack(recording.frames), axis=0), recording.bits)
 
 
 @as_png
 def brightness_histogram(sample: FrameSample) -> Figure:
-    """Draw how bright lit pixels become, beside the least that the brightest should reach.
-
-    Parameters
-    ----------
-    sample : FrameSample
-        Of the recording.
-
-    Returns
-    -------
-    bytes
-        PNG file.
-    """
+    """Draw how bright lit pixels become, beside the least that the brightest should reach."""
     brightest = sample.spread.max(axis=0)
     shown = brightest[sample.lit] if sample.lit.any() else brightest.ravel()
     figure, axes = single_axes(HALF, LOW)
@@ -156,18 +101,7 @@ def brightness_histogram(sample: FrameSample) -> Figure:
 
 @as_png
 def unchanging_light(sample: FrameSample) -> Figure:
-    """Draw the light that does not change beside the modulation.
-
-    Parameters
-    ----------
-    sample : FrameSample
-        Of the recording.
-
-    Returns
-    -------
-    bytes
-        PNG file.
-    """
+    """Draw the light that does not change beside the modulation."""
     fit = sample.widest
     share = np.where(
         sample.measured, (fit.offset - fit.modulation) / np.maximum(fit.modulation, 1e-3), np.nan
@@ -180,18 +114,7 @@ def unchanging_light(sample: FrameSample) -> Figure:
 
 @as_png
 def focus(sample: FrameSample) -> Figure:
-    """Draw the part of the image with the sharpest edges, and the contrast of the finest fringes.
-
-    Parameters
-    ----------
-    sample : FrameSample
-        Of the recording.
-
-    Returns
-    -------
-    bytes
-        PNG file.
-    """
+    """Draw the part of the image with the sharpest edges, and the contrast of the finest fringes."""
     figure, (left, right) = side_by_side(3.0, (1.0, 1.4))
     tile = sample.offsets_in_tiles.mean(axis=0)[0]
     left.imshow(tile, cmap="gray")
@@ -205,18 +128,7 @@ def focus(sample: FrameSample) -> Figure:
 
 @as_png
 def displaced_sets(sample: FrameSample) -> Figure:
-    """Draw how far the scene is displaced in each fringe set, and what that changes in the image.
-
-    Parameters
-    ----------
-    sample : FrameSample
-        Of two fringe sets or more.
-
-    Returns
-    -------
-    bytes
-        PNG file.
-    """
+    """Draw how far the scene is displaced in each fringe set, and what that changes in the image."""
     moved = [shift for shift, _ in light.displacements_px(sample)]
     worst = int(np.argmax(moved))
     change = (sample.offsets_in_tiles[worst + 1] - sample.offsets_in_tiles[0])[0]
@@ -236,18 +148,7 @@ def displaced_sets(sample: FrameSample) -> Figure:
 
 @as_png
 def error_by_phase(sample: FrameSample) -> Figure:
-    """Draw by how much fringes depart from sinusoids, and the phase from what the coordinate says, by phase.
-
-    Parameters
-    ----------
-    sample : FrameSample
-        Of the recording.
-
-    Returns
-    -------
-    bytes
-        PNG file.
-    """
+    """Draw, by phase, how fringes depart from sinusoids and the phase from the coordinate's."""
     figure, (left, right) = side_by_side(2.8, (1.0, 1.0))
     for k, fringe in enumerate(sample.recording.plan.fringes):
         fit, used = sample.fits[k], sample.measured
@@ -281,18 +182,7 @@ def _binned(angles: Floats, values: Floats) -> tuple[Floats, Floats]:
 
 @as_png
 def brightness_by_frame(sample: FrameSample) -> Figure:
-    """Draw the brightness of each frame beside the mean of its fringe set.
-
-    Parameters
-    ----------
-    sample : FrameSample
-        Of the recording.
-
-    Returns
-    -------
-    bytes
-        PNG file.
-    """
+    """Draw the brightness of each frame beside the mean of its fringe set."""
     levels, starts = frame_levels(sample), sample.recording.plan.set_starts
     figure, axes = single_axes(HALF, LOW)
     sets = sample.recording.plan.fringes
@@ -321,35 +211,13 @@ def _rows(gains: Floats) -> Figure:
 
 
 def rows_by_frame(sample: FrameSample) -> bytes | None:
-    """Draw the brightness of rows in each frame beside the fit of the fringes.
-
-    Parameters
-    ----------
-    sample : FrameSample
-        Of the recording.
-
-    Returns
-    -------
-    bytes or None
-        PNG file; None where there are few rows.
-    """
+    """Draw the brightness of rows in each frame beside the fit of the fringes."""
     gains = row_gains(sample)
     return None if gains is None else _rows(gains)
 
 
 def phase_disagreement(sample: FrameSample) -> bytes | None:
-    """Draw where the phase of the wide fringes departs most from that of the finest.
-
-    Parameters
-    ----------
-    sample : FrameSample
-        With coordinates.
-
-    Returns
-    -------
-    bytes or None
-        PNG file; None where no wider set is known beside the finest.
-    """
+    """Draw where the phase of the wide fringes departs most from that of the finest."""
     found = [deviation for _, _, deviation in phase_deviations(sample)]
     return _disagreement(max(found, key=lambda one: float(np.nanstd(one))), sample) if found else None
 
@@ -361,18 +229,7 @@ def _disagreement(deviation: Floats, sample: FrameSample) -> Figure:
 
 
 def roughness_spectrum(sample: FrameSample) -> bytes | None:
-    """Draw how often along the projector's pixels errors of the coordinate repeat.
-
-    Parameters
-    ----------
-    sample : FrameSample
-        With coordinates.
-
-    Returns
-    -------
-    bytes or None
-        PNG file; None where too little of the coordinates is known.
-    """
+    """Draw how often along the projector's pixels errors of the coordinate repeat."""
     found = [one for axis in sample.coordinates if (one := moire_spectrum(sample, axis)) is not None]
     return _spectrum(*max(found, key=lambda one: float(one[1].max()))) if found else None
 
@@ -389,18 +246,7 @@ def _spectrum(cycles: Floats, amplitudes: Floats) -> Figure:
 
 @as_png
 def phases_of_sets(sample: FrameSample) -> Figure:
-    """Draw the wrapped phase of every fringe set, under the axis and number of stripes of the plan.
-
-    Parameters
-    ----------
-    sample : FrameSample
-        Of the recording.
-
-    Returns
-    -------
-    bytes
-        PNG file.
-    """
+    """Draw the wrapped phase of every fringe set, under the axis and number of stripes of the plan."""
     sets = sample.recording.plan.fringes
     columns = min(len(sets), 3)
     rows = -(-len(sets) // columns)
@@ -416,18 +262,7 @@ def phases_of_sets(sample: FrameSample) -> Figure:
 
 @as_png
 def finest_fringes(sample: FrameSample) -> Figure:
-    """Draw the finest fringes along some pixels in the middle of the image.
-
-    Parameters
-    ----------
-    sample : FrameSample
-        Of the recording.
-
-    Returns
-    -------
-    bytes
-        PNG file.
-    """
+    """Draw the finest fringes along some pixels in the middle of the image."""
     plan = sample.recording.plan
     k = plan.finest_set()
     frame = sample.recording.frames[plan.set_starts[k]]
@@ -446,18 +281,7 @@ def finest_fringes(sample: FrameSample) -> Figure:
 
 @as_png
 def angles(points: PointSample, _: FrameSample) -> Figure:
-    """Draw the angles between the rays of camera and projector.
-
-    Parameters
-    ----------
-    points : PointSample
-        Of the scan.
-
-    Returns
-    -------
-    bytes
-        PNG file.
-    """
+    """Draw the angles between the rays of camera and projector."""
     figure, axes = single_axes(HALF, LOW)
     axes.hist(triangulation_angles_deg(points.points, points.calibration), bins=60, color=ACCENT)
     _limit(axes, geometry.LEAST_ANGLE_DEG, "least")
@@ -468,20 +292,7 @@ def angles(points: PointSample, _: FrameSample) -> Figure:
 
 @as_png
 def sensitivity(points: PointSample, sample: FrameSample) -> Figure:
-    """Draw how the projector's coordinates change with depth, those that the plan codes marked.
-
-    Parameters
-    ----------
-    points : PointSample
-        Of the scan.
-    sample : FrameSample
-        Of its recording.
-
-    Returns
-    -------
-    bytes
-        PNG file.
-    """
+    """Draw how the projector's coordinates change with depth, those that the plan codes marked."""
     by_depth = points.px_per_mm_of_depth
     coded = [ACCENT if axis in sample.recording.plan.axes else SECOND for axis in "xy"]
     names = [
@@ -497,18 +308,7 @@ def sensitivity(points: PointSample, sample: FrameSample) -> Figure:
 
 
 def epipolar_map(points: PointSample, _: FrameSample) -> bytes | None:
-    """Draw how far points are off their epipolar lines.
-
-    Parameters
-    ----------
-    points : PointSample
-        Of the scan.
-
-    Returns
-    -------
-    bytes or None
-        PNG file; None where the plan codes one axis.
-    """
+    """Draw how far points are off their epipolar lines."""
     off = points.cloud.epipolar_px
     if off is None or points.cloud.pixels is None:
         return None

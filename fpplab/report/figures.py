@@ -49,20 +49,7 @@ THUMBNAIL = 232
 
 @as_png
 def camera_image(image: Image, bits: int = 8) -> Figure:
-    """Draw one frame with its saturated pixels marked.
-
-    Parameters
-    ----------
-    image : Image
-        Raw integers [v, u].
-    bits : int
-        Bit depth of the frame.
-
-    Returns
-    -------
-    bytes
-        PNG file.
-    """
+    """Draw one frame with its saturated pixels marked."""
     full = full_scale(bits)
     saturated = image >= full
     figure, axes = map_axes(image.shape)
@@ -88,18 +75,7 @@ def camera_image(image: Image, bits: int = 8) -> Figure:
 
 @as_png
 def wrapped_phase_figure(phase: Map) -> Figure:
-    """Draw the wrapped phase of one fringe set on a cyclic colour map.
-
-    Parameters
-    ----------
-    phase : Map
-        [v, u] in rad, [0, 2π), NaN where not measured.
-
-    Returns
-    -------
-    bytes
-        PNG file.
-    """
+    """Draw the wrapped phase of one fringe set on a cyclic colour map."""
     figure, axes = map_axes(phase.shape)
     bar = colour_bar(figure, axes, draw_map(axes, phase, "twilight", (0.0, TWO_PI)), "wrapped phase in rad")
     bar.set_ticks([0, np.pi / 2, np.pi, 1.5 * np.pi, TWO_PI], labels=["0", "π/2", "π", "3π/2", "2π"])
@@ -108,25 +84,7 @@ def wrapped_phase_figure(phase: Map) -> Figure:
 
 @as_png
 def coordinate_map(values: Map, axis: Axis) -> Figure:
-    """Draw a projector coordinate with contour lines.
-
-    Parameters
-    ----------
-    values : Map
-        [v, u] in px of the projector, NaN where not measured.
-    axis : Axis
-        "x" for columns, "y" for rows.
-
-    Returns
-    -------
-    bytes
-        PNG file.
-
-    Raises
-    ------
-    DataError
-        No pixel of the map is measured.
-    """
+    """Draw a projector coordinate with contour lines."""
     figure, axes = map_axes(values.shape)
     limits = value_range(values, 0.1, 99.9)
     mappable = draw_map(axes, values, "viridis", limits)
@@ -144,23 +102,7 @@ def coordinate_map(values: Map, axis: Axis) -> Figure:
 
 @as_png
 def modulation_map(values: Map) -> Figure:
-    """Draw the modulation, the amplitude of the fringes.
-
-    Parameters
-    ----------
-    values : Map
-        [v, u] in grey levels of 255, NaN where not measured.
-
-    Returns
-    -------
-    bytes
-        PNG file.
-
-    Raises
-    ------
-    DataError
-        No pixel of the map is measured.
-    """
+    """Draw the modulation, the amplitude of the fringes."""
     figure, axes = map_axes(values.shape)
     mappable = draw_map(axes, values, "inferno", (0.0, value_range(values, 0.0, 99.5)[1]))
     colour_bar(figure, axes, mappable, "modulation in grey levels of 255")
@@ -169,23 +111,7 @@ def modulation_map(values: Map) -> Figure:
 
 @as_png
 def shaded_relief(cloud: CloudLike) -> Figure:
-    """Draw the measured surface as the camera sees it, illuminated from the upper left.
-
-    Parameters
-    ----------
-    cloud : CloudLike
-        With at least one point.
-
-    Returns
-    -------
-    bytes
-        PNG file.
-
-    Raises
-    ------
-    DataError
-        The cloud has no points.
-    """
+    """Draw the measured surface as the camera sees it, illuminated from the upper left."""
     grid = raster_of(cloud)
     points, extent = rasterise(grid, cloud.points)
     figure, axes = map_axes(points.shape)
@@ -195,23 +121,7 @@ def shaded_relief(cloud: CloudLike) -> Figure:
 
 
 def depth_map(cloud: CloudLike) -> bytes:
-    """Draw the distance of the points from the camera along its axis.
-
-    Parameters
-    ----------
-    cloud : CloudLike
-        With at least one point.
-
-    Returns
-    -------
-    bytes
-        PNG file.
-
-    Raises
-    ------
-    DataError
-        The cloud has no points.
-    """
+    """Draw the distance of the points from the camera along its axis."""
     return point_map(cloud, cloud.points[:, 2], "viridis_r", "distance z from the camera in mm")
 
 
@@ -223,31 +133,8 @@ def point_map(
     label: str,
     limits: tuple[float, float] | None = None,
 ) -> Figure:
-    """Draw a value of every point.
-
-    Parameters
-    ----------
-    cloud : CloudLike
-        N points, at least one.
-    values : NDArray of float
-        (N,), NaN where it is not known.
-    colours : str
-        Colour map.
-    label : str
-        Quantity and unit, for the colour bar.
-    limits : tuple of float, optional
-        Values of the first and the last colour; by default from the 0.5th to the 99.5th percentile.
-
-    Returns
-    -------
-    bytes
-        PNG file.
-
-    Raises
-    ------
-    DataError
-        The cloud has no points, or none has a value.
-    """
+    """Draw a value of every point."""
+    # values (N,)
     grid = raster_of(cloud)
     mapped, extent = rasterise(grid, np.asarray(values, np.float32)[:, None])
     figure, axes = map_axes(mapped.shape)
@@ -258,23 +145,7 @@ def point_map(
 
 
 def thumbnail(cloud: CloudLike) -> bytes:
-    """Draw the measured surface small, without axes.
-
-    Parameters
-    ----------
-    cloud : CloudLike
-        With at least one point.
-
-    Returns
-    -------
-    bytes
-        PNG file, `THUMBNAIL` px wide.
-
-    Raises
-    ------
-    DataError
-        The cloud has no points.
-    """
+    """Draw the measured surface small, without axes."""
     bright = np.nan_to_num(shading(rasterise(raster_of(cloud), cloud.points)[0]), nan=0.85)
     height = max(1, min(2 * THUMBNAIL, round(THUMBNAIL * bright.shape[0] / bright.shape[1])))
     small = cv2.resize(bright, (THUMBNAIL, height), interpolation=cv2.INTER_AREA)
@@ -282,18 +153,8 @@ def thumbnail(cloud: CloudLike) -> bytes:
 
 
 def shading(points: Map) -> Map:
-    """Compute the brightness of an illuminated, slightly glossy surface.
-
-    Parameters
-    ----------
-    points : Map
-        (h, w, 3) in mm of the camera's frame, NaN where not measured.
-
-    Returns
-    -------
-    Map
-        In [0, 1], averaged to about `RELIEF_COLUMNS` columns; NaN where there are no points.
-    """
+    """Compute the brightness of an illuminated, slightly glossy surface."""
+    # points (h, w, 3) mm
     coarse = block_mean(points, RELIEF_COLUMNS)
     known = np.isfinite(coarse[..., 0])
     if min(known.shape) < 2:  # one line of pixels has no normals
@@ -320,28 +181,8 @@ def error_map(
     """Draw a cloud coloured by its signed distance from the true shape, and the distribution of these.
 
     The colours span ± the 98th percentile of the absolute distance, which the colour bar states.
-
-    Parameters
-    ----------
-    cloud : CloudLike
-        N points.
-    distances_mm : NDArray of float
-        (N,) signed, NaN where a point has no counterpart.
-    counted : Mask, optional
-        (N,), the points that are compared; the others are left out.
-    quantity : str
-        What the distances are.
-
-    Returns
-    -------
-    bytes
-        PNG file.
-
-    Raises
-    ------
-    DataError
-        The numbers of points and distances differ, or no distance is left to draw.
     """
+    # distances_mm (N,); counted (N,)
     errors = 1e3 * np.asarray(distances_mm, np.float32)
     if counted is not None:
         errors = np.where(counted, errors, np.float32(np.nan))
@@ -372,29 +213,8 @@ def _distribution(axes: Axes, errors: NDArray[np.floating[Any]], limit: float, q
 
 @as_png
 def residuals_figure(pixels: Floats, errors: Floats, size: tuple[int, int], device: str) -> Figure:
-    """Draw reprojection errors over the sensor as arrows, and as a scatter plot with their RMS as a circle.
-
-    Parameters
-    ----------
-    pixels : Floats
-        (N, 2), where the points are, in px.
-    errors : Floats
-        (N, 2) in px.
-    size : tuple of int
-        Width and height of the device in px.
-    device : str
-        "camera" or "projector".
-
-    Returns
-    -------
-    bytes
-        PNG file.
-
-    Raises
-    ------
-    DataError
-        There are no points, or the shapes differ.
-    """
+    """Draw reprojection errors as arrows over the sensor, and as a scatter plot with their RMS."""
+    # pixels (N, 2) px; errors (N, 2) px
     if pixels.shape != errors.shape or not len(pixels):
         raise DataError(f"{device}: {len(errors)} residuals were given for {len(pixels)} pixels")
     length = np.linalg.norm(errors, axis=1)
@@ -433,22 +253,8 @@ def residuals_figure(pixels: Floats, errors: Floats, size: tuple[int, int], devi
 
 @as_png
 def coverage(poses: Sequence[Floats], size: tuple[int, int], device: str) -> Figure:
-    """Draw where the board's points were on a sensor, one colour per pose.
-
-    Parameters
-    ----------
-    poses : sequence of Floats
-        (N, 2) in px for each pose.
-    size : tuple of int
-        Width and height of the device in px.
-    device : str
-        "camera" or "projector".
-
-    Returns
-    -------
-    bytes
-        PNG file.
-    """
+    """Draw where the board's points were on a sensor, one colour per pose."""
+    # poses (N, 2) px
     figure, axes = map_axes(size[::-1])
     sensor_axes(axes, size, device)
     axes.set_facecolor("white")
@@ -464,20 +270,7 @@ def coverage(poses: Sequence[Floats], size: tuple[int, int], device: str) -> Fig
 
 @as_png
 def pose_rms(names: Sequence[str], camera_px: Sequence[float], projector_px: Sequence[float]) -> Figure:
-    """Draw the RMS reprojection error of each pose, camera and projector side by side.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Of the poses.
-    camera_px, projector_px : sequence of float
-        RMS errors in px, one for each pose.
-
-    Returns
-    -------
-    bytes
-        PNG file.
-    """
+    """Draw the RMS reprojection error of each pose, camera and projector side by side."""
     figure, axes = single_axes(FULL, 2.6)
     place = np.arange(len(names))
     axes.bar(place - 0.2, camera_px, 0.38, color=ACCENT, label="camera")

@@ -24,28 +24,8 @@ def write_gamma_report(
     provenance: Provenance,
     answer: Mapping[str, Any],
 ) -> None:
-    """Write a response as one HTML file.
-
-    Parameters
-    ----------
-    path : Path
-        Of the file; an earlier one is replaced.
-    response : Response
-        The fit.
-    levels : Floats
-        (K, 2), levels shown and seen, in [0, 1].
-    judgement : ResponseJudgement
-        Whether it is good enough for the plan.
-    provenance : Provenance
-        Of the measurement.
-    answer : mapping of str to object
-        What the command prints with `--json`.
-
-    Raises
-    ------
-    DataError
-        The file cannot be written.
-    """
+    """Write a response as one HTML file."""
+    # levels (K, 2)
     verdict = PageVerdict(
         "",
         "good" if judgement.good_enough else "doubtful",

@@ -28,18 +28,7 @@ FIGURE = (
 
 
 def guided_section(run: GuidedRun) -> ReportSection:
-    """Show the poses of a guided characterisation in their order.
-
-    Parameters
-    ----------
-    run : GuidedRun
-        Its result.
-
-    Returns
-    -------
-    ReportSection
-        Table and figure.
-    """
+    """Show the poses of a guided characterisation in their order."""
     rows = tuple(_row(k, one) for k, one in enumerate(run.attempts, 1))
     picture = ReportFigure.of(sequence_figure(run), "Uncertainty and residuals by pose", FIGURE, wide=True)
     text = run.sentence[0].upper() + run.sentence[1:] + "."
@@ -50,18 +39,7 @@ def guided_section(run: GuidedRun) -> ReportSection:
 
 @as_png
 def sequence_figure(run: GuidedRun) -> Figure:
-    """Draw the uncertainty after each pose, and the residuals of each.
-
-    Parameters
-    ----------
-    run : GuidedRun
-        With at least one attempt.
-
-    Returns
-    -------
-    bytes
-        PNG file.
-    """
+    """Draw the uncertainty after each pose, and the residuals of each."""
     figure = new_figure(FULL, 3.4)
     grid = figure.add_gridspec(2, 2, width_ratios=(1.0, 1.2))
     _draw_form(figure.add_subplot(grid[:, 0]), run)

@@ -52,26 +52,7 @@ def write_matching_report(
     answer: Mapping[str, Any] | None = None,
     provenance: Mapping[str, Provenance] | None = None,
 ) -> None:
-    """Write a matching as one HTML file. The twin is left with the matched parameters.
-
-    Parameters
-    ----------
-    path : Path
-        Of the file; an earlier one is replaced.
-    found : MatchingResult
-        Result of the matching.
-    twin : Twin
-        Renders the images before and after the matching.
-    answer : mapping of str to object, optional
-        What the command prints with `--json`.
-    provenance : mapping of str to Provenance, optional
-        Of the bench's recordings, as `matching_provenance` gives it.
-
-    Raises
-    ------
-    DataError
-        The file cannot be written, or a session is damaged.
-    """
+    """Write a matching as one HTML file. The twin is left with the matched parameters."""
     sections = [_epochs_section(found)]
     if found.gamma:
         sections.append(_gamma_section(found.gamma))
@@ -91,25 +72,7 @@ def write_matching_report(
 
 
 def matching_provenance(found: MatchingResult, scans: Mapping[str, Session]) -> dict[str, Provenance]:
-    """Tell which recordings a twin was matched to and judged by.
-
-    Parameters
-    ----------
-    found : MatchingResult
-        Result of the matching.
-    scans : mapping of str to Session
-        The bench's scans of artefacts, by item.
-
-    Returns
-    -------
-    dict of str to Provenance
-        Of the bench's poses, and of each scan.
-
-    Raises
-    ------
-    ConfigError
-        A record of a session is damaged.
-    """
+    """Tell which recordings a twin was matched to and judged by."""
     known = found.reference.characterisation.calibration
     poses = poses_provenance(found.reference.sessions, known)
     return {"poses": poses, **{item: session_provenance(scan, known) for item, scan in scans.items()}}
@@ -195,18 +158,7 @@ def _appearance_section(found: AppearanceTrial) -> ReportSection:
 
 @as_png
 def loss_curve(epochs: Sequence[MatchingEpoch]) -> Sheet:
-    """Draw loss and difference by epoch; rejected epochs are hollow, the band is the spread over the images.
-
-    Parameters
-    ----------
-    epochs : sequence of MatchingEpoch
-        In their order.
-
-    Returns
-    -------
-    bytes
-        PNG file.
-    """
+    """Draw loss and difference by epoch; rejected ones are hollow, the band is the images' spread."""
     figure, (left, right) = side_by_side(3.0, (1.4, 1.0))
     numbers = [epoch.epoch for epoch in epochs]
     for key, colour, words in (("loss", ACCENT, "whole image"), ("loss_board", SECOND, "over the board")):
@@ -251,18 +203,7 @@ def _gamma_section(found: GammaMatch) -> ReportSection:
 
 @as_png
 def gamma_curves(found: GammaMatch) -> Sheet:
-    """Draw the levels seen against the levels shown, of the bench and of the twin in every epoch.
-
-    Parameters
-    ----------
-    found : GammaMatch
-        Result of the gamma matching.
-
-    Returns
-    -------
-    bytes
-        PNG file.
-    """
+    """Draw the levels seen against the levels shown, of the bench and of the twin in every epoch."""
     figure, (left, right) = side_by_side(3.0, (1.2, 1.0))
     for number, epoch in enumerate(found.epochs):
         shade = 0.25 + 0.75 * (number + 1) / len(found.epochs)
@@ -341,20 +282,7 @@ def _seen(
 
 @as_png
 def difference_images(real: GreyPicture, before: GreyPicture, after: GreyPicture) -> Sheet:
-    """Draw the bench's image, the matched twin's, and the differences before and after the matching.
-
-    Parameters
-    ----------
-    real : GreyPicture
-        Of the reference, in raw levels.
-    before, after : GreyPicture
-        Of the twin, in raw levels.
-
-    Returns
-    -------
-    bytes
-        PNG file.
-    """
+    """Draw the bench's image, the matched twin's, and the differences before and after the matching."""
     figure = new_figure(FULL, 2 * map_height(real.shape, FULL / 2))
     (a, b), (c, d) = cast(Any, figure.subplots(2, 2))
     bright = max(float(np.percentile(real, 99.8)), 1.0)

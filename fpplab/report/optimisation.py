@@ -54,21 +54,11 @@ ErrorMaps = Mapping[str, tuple[bytes, bytes]]
 
 @dataclass(frozen=True)
 class SearchMaps:
-    """What is measured on the rig of a search when it is over.
+    """What is measured on the rig of a search when it is over."""
 
-    Attributes
-    ----------
-    error_maps : ErrorMaps
-        Of every artefact.
-    angles : mapping of float to float
-        Angles of triangulation in degrees by the stage's position in mm; empty where nothing moves it.
-    provenance : mapping of str to Provenance
-        Of the rig, with the start's plan.
-    """
-
-    error_maps: ErrorMaps
-    angles: Mapping[float, float]
-    provenance: Mapping[str, Provenance] = field(default_factory=dict)
+    error_maps: ErrorMaps  # of every artefact
+    angles: Mapping[float, float]  # angles of triangulation in degrees by the stage's position in mm
+    provenance: Mapping[str, Provenance] = field(default_factory=dict)  # of the rig, with the start's plan
 
 
 CONFIRMED = (
@@ -91,26 +81,7 @@ def write_optimisation_report(
     maps: SearchMaps | None = None,
     answer: Mapping[str, Any] | None = None,
 ) -> None:
-    """Write a search as one HTML file.
-
-    Parameters
-    ----------
-    path : Path
-        Of the file; an earlier one is replaced.
-    found : SearchResult
-        Result of the search.
-    confirmed : sequence of ConfirmedPlan
-        Confirmations on another rig, if there are any.
-    maps : SearchMaps, optional
-        Without it the page has no error maps.
-    answer : mapping of str to object, optional
-        What the command prints with `--json`.
-
-    Raises
-    ------
-    DataError
-        The file cannot be written.
-    """
+    """Write a search as one HTML file."""
     sections = [_confirmed_section(confirmed)] if confirmed else []
     sections.append(_convergence_section(found))
     if len(found.front) > 1:
@@ -132,31 +103,7 @@ def _how_scored(found: SearchResult) -> str:
 
 
 def measure_search_maps(rig: str, found: SearchResult) -> SearchMaps:
-    """Measure every artefact once more on the rig of the search, with the first plan and with the plan found.
-
-    Parameters
-    ----------
-    rig : str
-        Rig file, by path or name; it is opened and closed.
-    found : SearchResult
-        Result of the search.
-
-    Returns
-    -------
-    SearchMaps
-        Error maps with the first seed, and angles of triangulation.
-
-    Raises
-    ------
-    ConfigError
-        The rig cannot take a candidate.
-    DeviceError
-        A device of the rig fails.
-    CalibrationError
-        No calibration fits a candidate's position of the stage, or the study names none.
-    DataError
-        No point of a scan is on the artefact.
-    """
+    """Measure every artefact once more on the search's rig, with the first and the best plan."""
     seed, plans = found.study.seeds[0], (found.start.candidate, found.optimum.candidate)
     candidates = {trial.candidate.stage_mm: trial.candidate for trial in found.trials}
     with closing(RigEvaluator(rig, found.study)) as evaluator:
@@ -266,18 +213,7 @@ def _convergence_section(found: SearchResult) -> ReportSection:
 
 @as_png
 def convergence_figure(found: SearchResult) -> Sheet:
-    """Draw distance, and number of images if it differs, of every candidate in order, and of the best so far.
-
-    Parameters
-    ----------
-    found : SearchResult
-        Result of the search.
-
-    Returns
-    -------
-    bytes
-        PNG file.
-    """
+    """Draw every candidate's distance, and images if they differ, in order, and the best so far."""
     measured = [(i, trial) for i, trial in enumerate(found.trials) if trial.measured]
     best = [(epoch.measured - 1, epoch.best.figures) for epoch in found.epochs]
     names: tuple[tuple[str, Callable[[CandidateFigures], float]], ...] = (
@@ -329,18 +265,7 @@ def _front_section(found: SearchResult) -> ReportSection:
 
 @as_png
 def pareto_front(found: SearchResult) -> Sheet:
-    """Draw mean distance against number of images: all candidates, and the Pareto front with its spread.
-
-    Parameters
-    ----------
-    found : SearchResult
-        Result of the search.
-
-    Returns
-    -------
-    bytes
-        PNG file.
-    """
+    """Draw mean distance against number of images: all candidates, and the Pareto front with its spread."""
     figure, axes = single_axes(FULL, 3.6)
     measured = [trial for trial in found.trials if trial.measured]
     for keeps, mark, colour, words in (
@@ -413,24 +338,7 @@ def _parameter_section(found: SearchResult, angles: Mapping[float, float]) -> Re
 def completeness_by_parameter(
     found: SearchResult, i: int, parameter: Parameter, angles: Mapping[float, float]
 ) -> Sheet:
-    """Draw completeness and RMS of every candidate against one parameter of the geometry, or its angle.
-
-    Parameters
-    ----------
-    found : SearchResult
-        Result of the search.
-    i : int
-        Index of the parameter in the search space.
-    parameter : Parameter
-        That parameter.
-    angles : mapping of float to float
-        Angle of triangulation in degrees by value of the parameter; empty to draw against the value itself.
-
-    Returns
-    -------
-    bytes
-        PNG file.
-    """
+    """Draw completeness and RMS of every candidate against one parameter of the geometry, or its angle."""
     figure, axes = single_axes(HALF, 3.0)
     rms = axes.twinx()
     measured = sorted((t for t in found.trials if t.measured), key=lambda t: t.point[i])
@@ -452,22 +360,7 @@ def completeness_by_parameter(
 
 @as_png
 def distance_by_parameter(found: SearchResult, i: int, parameter: Parameter) -> Sheet:
-    """Draw the mean distance of every candidate against one parameter, with the spread over seeds.
-
-    Parameters
-    ----------
-    found : SearchResult
-        Result of the search.
-    i : int
-        Index of the parameter in the search space.
-    parameter : Parameter
-        That parameter.
-
-    Returns
-    -------
-    bytes
-        PNG file.
-    """
+    """Draw the mean distance of every candidate against one parameter, with the spread over seeds."""
     figure, axes = single_axes(HALF, 3.0)
     measured = [trial for trial in found.trials if trial.measured]
     for keeps, mark, colour in ((True, ".", GREY), (False, "x", SECOND)):

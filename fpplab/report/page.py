@@ -40,20 +40,10 @@ GENERATOR, LONGEST_HEAD = b'<meta name="generator" content="fpplab">', 1024
 
 @dataclass(frozen=True)
 class PageBasis:
-    """What a page is based on: verdicts, where its figures come from, and the same as data.
+    """What a page is based on: verdicts, where its figures come from, and the same as data."""
 
-    Attributes
-    ----------
-    verdicts : tuple of PageVerdict
-        At the top of the page.
-    provenance : mapping of str to Provenance
-        By name of what was measured; one name or several.
-    answer : mapping of str to object
-        What the command prints with `--json`; the page holds it as a file to save.
-    """
-
-    verdicts: tuple[PageVerdict, ...] = ()
-    provenance: Mapping[str, Provenance] = field(default_factory=dict)
+    verdicts: tuple[PageVerdict, ...] = ()  # at the top of the page
+    provenance: Mapping[str, Provenance] = field(default_factory=dict)  # by name of what was measured
     answer: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -70,36 +60,8 @@ def write_report(
     basis: PageBasis | None = None,
     when: datetime | None = None,
 ) -> None:
-    """Write the report of measurements as one HTML file. If it fails, an earlier file is unchanged.
-
-    Parameters
-    ----------
-    path : Path
-        Of the file; an earlier one is replaced.
-    title : str
-        Heading of the page.
-    facts : mapping of str to str, optional
-        What the head of the page says besides (rig, plan, operator).
-    response : tuple of Response and Floats, optional
-        The fit, and its levels (K, 2), shown and seen, in [0, 1].
-    characterisation : Characterisation, optional
-        Shown with its residuals.
-    judgement : Judgement, optional
-        Errors in poses that were not fitted, beside those predicted.
-    guided : GuidedRun, optional
-        How a guided characterisation came about.
-    scans : sequence of ScanSection
-        One section each; their verdicts and provenance stand beside those of `basis`.
-    basis : PageBasis, optional
-        Verdicts, provenance and data of what is no scan.
-    when : datetime, optional
-        Time of the measurement; now by default.
-
-    Raises
-    ------
-    DataError
-        The file cannot be written, or there is nothing to draw.
-    """
+    """Write the report of measurements as one HTML file. If it fails, an earlier file is unchanged."""
+    # facts (rig, plan, operator); response (K, 2)
     given = basis or PageBasis()
     alone = len(scans) == 1
     verdicts = [PageVerdict.of(s.diagnosis, "" if alone else s.name) for s in scans if s.diagnosis]
@@ -129,30 +91,7 @@ def write_page(
     when: datetime | None = None,
     basis: PageBasis | None = None,
 ) -> None:
-    """Write verdicts, tables and sections as one HTML file. If it fails, an earlier file is unchanged.
-
-    Parameters
-    ----------
-    path : Path
-        Of the file; an earlier one is replaced.
-    title : str
-        Heading of the page.
-    summary : sequence of ReportTable
-        Below the verdicts.
-    sections : sequence of ReportSection
-        In their order.
-    facts : mapping of str to str, optional
-        What the head of the page says besides.
-    when : datetime, optional
-        Time of the measurement; now by default.
-    basis : PageBasis, optional
-        Verdicts, provenance and data; by default none.
-
-    Raises
-    ------
-    DataError
-        The file cannot be written.
-    """
+    """Write verdicts, tables and sections as one HTML file. If it fails, an earlier file is unchanged."""
     given = basis or PageBasis()
     environment = _environment()
     viewed = any(section.views for section in sections)
@@ -179,16 +118,6 @@ def is_report(path: Path) -> bool:
     """Tell whether a file is a page that this module wrote.
 
     Commands write their page before their result, so a page alone is of a run that was ended between.
-
-    Parameters
-    ----------
-    path : Path
-        The file; it need not exist.
-
-    Returns
-    -------
-    bool
-        Whether it is one.
     """
     if not path.is_file():
         return False

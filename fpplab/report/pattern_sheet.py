@@ -20,16 +20,6 @@ def pattern_sheet(patterns: Sequence[Pattern]) -> Figure:
     """Draw patterns as they are loaded, in their order from the upper left, each with its id.
 
     They are reduced by averaging: stripes that are too fine for the sheet appear grey.
-
-    Parameters
-    ----------
-    patterns : sequence of Pattern
-        At least one.
-
-    Returns
-    -------
-    bytes
-        PNG file.
     """
     rows = -(-len(patterns) // COLUMNS)
     figure = new_figure(FULL, rows * ROW_HEIGHT)

@@ -56,78 +56,29 @@ LABELS = {
 
 @dataclass(frozen=True)
 class Provenance:
-    """Where figures come from.
+    """Where figures come from."""
 
-    Attributes
-    ----------
-    values : mapping of str to str or None
-        By key of `LABELS`; None where it is not recorded. Keys that are absent do not apply.
-    """
-
-    values: Mapping[str, str | None]
+    values: Mapping[str, str | None]  # by key of `LABELS`; None where it is not recorded
 
     def rows(self) -> tuple[tuple[str, str], ...]:
-        """List what is known and what is not.
-
-        Returns
-        -------
-        tuple of tuple of str
-            Label and value, in the order of `LABELS`.
-        """
+        """List what is known and what is not."""
         return tuple(
             (label, self.values[key] or NOT_RECORDED) for key, label in LABELS.items() if key in self.values
         )
 
     def summary(self) -> dict[str, str | None]:
-        """Collect what is printed.
-
-        Returns
-        -------
-        dict of str to str or None
-            By key, in the order of `LABELS`.
-        """
+        """Collect what is printed."""
         return {key: self.values[key] for key in LABELS if key in self.values}
 
     def with_values(self, **more: str | None) -> Provenance:
-        """Add values.
-
-        Parameters
-        ----------
-        **more : str or None
-            By key of `LABELS`.
-
-        Returns
-        -------
-        Provenance
-            With these in place of earlier ones.
-        """
+        """Add values."""
         return Provenance({**self.values, **more})
 
 
 def session_provenance(
     session: Session, calibration: Calibration | None = None, file: Path | None = None
 ) -> Provenance:
-    """Tell where a recorded scan comes from.
-
-    Parameters
-    ----------
-    session : Session
-        With at least one frame.
-    calibration : Calibration, optional
-        That it is reconstructed with.
-    file : Path, optional
-        That the calibration was read from, where it does not say itself what it is called.
-
-    Returns
-    -------
-    Provenance
-        As its files record.
-
-    Raises
-    ------
-    ConfigError
-        A record is damaged.
-    """
+    """Tell where a recorded scan comes from."""
     rig, times = session.rig() or {}, taken_at(session)
     origin = session_origin(session.path)
     mounted = rig.get("resolved", {}).get("mounted")
@@ -153,27 +104,7 @@ def session_provenance(
 def poses_provenance(
     poses: Sequence[Session], calibration: Calibration, file: Path | None = None
 ) -> Provenance:
-    """Tell which poses of a board a calibration was made from, or is judged by.
-
-    Parameters
-    ----------
-    poses : sequence of Session
-        At least one.
-    calibration : Calibration
-        Made of them, or judged by them.
-    file : Path, optional
-        Of the calibration, where it has one.
-
-    Returns
-    -------
-    Provenance
-        That of the first pose, with the time from the first pose to the last.
-
-    Raises
-    ------
-    ConfigError
-        A record is damaged.
-    """
+    """Tell which poses of a board a calibration was made from, or is judged by."""
     first = session_provenance(poses[0], calibration, file)
     times = [taken_at(pose) for pose in poses]
     began, ended = ([one[k] for one in times if one] for k in (0, 1))
@@ -192,28 +123,7 @@ def rig_provenance(
     calibration: Calibration | None = None,
     file: Path | None = None,
 ) -> Provenance:
-    """Tell what a check or a response was measured with, without a session.
-
-    Parameters
-    ----------
-    rig : mapping
-        As `Rig.described` gave it.
-    origin : SessionOrigin or None
-        Of the open rig; None where it could not be opened.
-    plan : Plan
-        That was used.
-    exposure_s : float, optional
-        Exposure in s, where it is not the plan's.
-    calibration : Calibration, optional
-        That was checked.
-    file : Path, optional
-        That the calibration was read from.
-
-    Returns
-    -------
-    Provenance
-        Of a measurement just made.
-    """
+    """Tell what a check or a response was measured with, without a session."""
     camera = rig.get("camera")
     section = camera if isinstance(camera, Mapping) else {}
     exposure = plan.exposure_s if exposure_s is None else exposure_s
@@ -239,46 +149,12 @@ def rig_provenance(
 
 
 def described_rig(rig: Rig) -> tuple[dict[str, object], SessionOrigin]:
-    """Describe an open rig for `rig_provenance`.
-
-    Parameters
-    ----------
-    rig : Rig
-        Open.
-
-    Returns
-    -------
-    tuple of dict and SessionOrigin
-        Its file as resolved, and its devices.
-
-    Raises
-    ------
-    DeviceError
-        A device does not answer.
-    """
+    """Describe an open rig for `rig_provenance`."""
     return rig.described(), SessionOrigin.of(rig)
 
 
 def cloud_provenance(cloud: Path, calibration: Calibration | None = None) -> Provenance:
-    """Tell where a cloud comes from: of its session if it lies in one, else of the file alone.
-
-    Parameters
-    ----------
-    cloud : Path
-        Its file.
-    calibration : Calibration, optional
-        That is used with it.
-
-    Returns
-    -------
-    Provenance
-        As recorded.
-
-    Raises
-    ------
-    ConfigError
-        A record of the session is damaged.
-    """
+    """Tell where a cloud comes from: of its session if it lies in one, else of the file alone."""
     size, changed = cloud.stat().st_size, datetime.fromtimestamp(cloud.stat().st_mtime).astimezone()
     own: dict[str, str | None] = {"cloud": f"{cloud}, {readable_bytes(size)}, written {local_time(changed)}"}
     if (cloud.parent / JOURNAL).is_file():
@@ -290,29 +166,7 @@ def cloud_provenance(cloud: Path, calibration: Calibration | None = None) -> Pro
 def source_provenance(
     source: Path, calibration: Calibration | None = None, file: Path | None = None
 ) -> Provenance:
-    """Tell where a cloud or a session comes from.
-
-    Parameters
-    ----------
-    source : Path
-        A session, or a cloud's file.
-    calibration : Calibration, optional
-        That is used with it; by default the one beside the points.
-    file : Path, optional
-        That the calibration was read from, where it does not say itself what it is called.
-
-    Returns
-    -------
-    Provenance
-        As recorded.
-
-    Raises
-    ------
-    CalibrationError
-        The calibration beside the points cannot be read.
-    ConfigError
-        A record of the session is damaged.
-    """
+    """Tell where a cloud or a session comes from."""
     beside = (source if source.is_dir() else source.parent) / CALIBRATION
     used = calibration or (Calibration.load(beside) if beside.is_file() else None)
     if source.is_dir():
@@ -326,24 +180,7 @@ def calibration_values(
     used: datetime | None,
     devices: SessionOrigin | None = None,
 ) -> dict[str, str | None]:
-    """Tell which calibration it was, and how old.
-
-    Parameters
-    ----------
-    calibration : Calibration or None
-        None where there is none.
-    file : Path or None
-        That it was read from.
-    used : datetime or None
-        When the measurement began that it is used for.
-    devices : SessionOrigin, optional
-        Of the measurement, to tell whether the devices are those of the calibration.
-
-    Returns
-    -------
-    dict of str to str or None
-        By key of `LABELS`.
-    """
+    """Tell which calibration it was, and how old."""
     if calibration is None:
         return {"calibration": None}
     origin = calibration.origin
@@ -361,18 +198,7 @@ def calibration_values(
 
 
 def plan_words(plan: Plan) -> str:
-    """Describe a plan by what it projects.
-
-    Parameters
-    ----------
-    plan : Plan
-        The plan.
-
-    Returns
-    -------
-    str
-        Such as "x: 1, 8, 64 stripes in 12, 12, 12 steps; hierarchical".
-    """
+    """Describe a plan by what it projects."""
     axes = []
     for axis in plan.axes:
         sets = [plan.fringes[i] for i in plan.sets_along(axis)]
@@ -383,34 +209,12 @@ def plan_words(plan: Plan) -> str:
 
 
 def local_time(when: datetime) -> str:
-    """Write a time as people read it, in the time zone of this computer.
-
-    Parameters
-    ----------
-    when : datetime
-        With a time zone.
-
-    Returns
-    -------
-    str
-        Date, time and time zone.
-    """
+    """Write a time as people read it, in the time zone of this computer."""
     return when.astimezone().strftime("%Y-%m-%d %H:%M:%S %Z").strip()
 
 
 def duration_words(length: timedelta) -> str:
-    """Write a duration in its two greatest units.
-
-    Parameters
-    ----------
-    length : timedelta
-        Not negative.
-
-    Returns
-    -------
-    str
-        Such as "3 h 12 min".
-    """
+    """Write a duration in its two greatest units."""
     left = length.total_seconds()
     if left < 60:
         return f"{left:.1f} s"
@@ -423,13 +227,7 @@ def duration_words(length: timedelta) -> str:
 
 
 def written_now() -> dict[str, str | None]:
-    """Tell when and where the report is written.
-
-    Returns
-    -------
-    dict of str to str
-        By key of `LABELS`.
-    """
+    """Tell when and where the report is written."""
     now = Origin.now()
     return {"written": f"{local_time(now.made)}, fpplab {now.version}, on {now.host}"}
 

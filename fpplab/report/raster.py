@@ -34,45 +34,17 @@ class CloudLike(Protocol):
 
 
 class Raster(NamedTuple):
-    """Where N points lie on a grid.
+    """Where N points lie on a grid."""
 
-    Attributes
-    ----------
-    columns, rows : NDArray of int64
-        (N,).
-    origin : tuple of float
-        Coordinates of column 0 and row 0 in the units of the axes.
-    pitch : float
-        Of columns and rows, in the units of the axes.
-    names : tuple of str
-        Labels of the horizontal and the vertical axis.
-    """
-
-    columns: NDArray[np.int64]
-    rows: NDArray[np.int64]
-    origin: tuple[float, float]
-    pitch: float
-    names: tuple[str, str]
+    columns: NDArray[np.int64]  # (N,)
+    rows: NDArray[np.int64]  # (N,)
+    origin: tuple[float, float]  # coordinates of column 0 and row 0 in the units of the axes
+    pitch: float  # of columns and rows, in the units of the axes
+    names: tuple[str, str]  # labels of the horizontal and the vertical axis
 
 
 def raster_of(cloud: CloudLike) -> Raster:
-    """Put points on the grid of the camera's pixels; without these, on one in mm across the optical axis.
-
-    Parameters
-    ----------
-    cloud : CloudLike
-        With at least one point.
-
-    Returns
-    -------
-    Raster
-        Columns and rows of the points.
-
-    Raises
-    ------
-    DataError
-        The cloud has no points.
-    """
+    """Put points on the grid of the camera's pixels; without these, on one in mm across the optical axis."""
     if not len(cloud.points):
         raise DataError("the cloud has no points; nothing to draw")
     if cloud.pixels is not None:
@@ -91,19 +63,8 @@ def rasterise(grid: Raster, values: NDArray[np.float32]) -> tuple[Map, Extent]:
 
     The map is cropped to the points with a margin, a few outliers left aside, so that a small object fills
     it.
-
-    Parameters
-    ----------
-    grid : Raster
-        Of N points.
-    values : NDArray of float32
-        (N, C).
-
-    Returns
-    -------
-    tuple of Map and Extent
-        Map (h, w, C), NaN where there is no point, and its extent in the units of the axes.
     """
+    # values (N, C); returns (h, w, C)
     left, top, right, bottom = (round(edge) for edge in _box(grid.columns, grid.rows))
     inside = (grid.columns >= left) & (grid.columns <= right) & (grid.rows >= top) & (grid.rows <= bottom)
     mapped = np.full((bottom - top + 1, right - left + 1, values.shape[1]), np.nan, np.float32)
@@ -114,20 +75,8 @@ def rasterise(grid: Raster, values: NDArray[np.float32]) -> tuple[Map, Extent]:
 
 
 def block_mean(values: Map, columns: int) -> Map:
-    """Average a map over square blocks.
-
-    Parameters
-    ----------
-    values : Map
-        (h, w) or (h, w, C), NaN where not measured.
-    columns : int
-        Approximate number of columns that remain.
-
-    Returns
-    -------
-    Map
-        Means of what is finite; NaN where less than half of a block is.
-    """
+    """Average a map over square blocks."""
+    # values (h, w)
     step = max(1, min(round(values.shape[1] / columns), values.shape[0]))
     if step == 1:
         return values

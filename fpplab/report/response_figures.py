@@ -58,20 +58,8 @@ class ResponseLike(Protocol):
 
 @as_png
 def response_curve(response: ResponseLike, levels: Floats) -> Figure:
-    """Draw levels measured and fitted, and the residuals.
-
-    Parameters
-    ----------
-    response : ResponseLike
-        The fit.
-    levels : Floats
-        (K, 2), levels shown and seen, both in [0, 1].
-
-    Returns
-    -------
-    bytes
-        PNG file.
-    """
+    """Draw levels measured and fitted, and the residuals."""
+    # levels (K, 2)
     shown, seen = levels.T
     axis = np.linspace(0, 1, 200)
     figure, (left, right) = side_by_side(3.2, (1.3, 1.0))
@@ -107,21 +95,6 @@ def response_fit(response: Response) -> Figure:
     """Draw a fitted response: levels with error bars, the curve, the residuals, and the exponents of regions.
 
     Error bars span two standard uncertainties each way.
-
-    Parameters
-    ----------
-    response : Response
-        With the levels and regions that it was fitted to.
-
-    Returns
-    -------
-    bytes
-        PNG file.
-
-    Raises
-    ------
-    DataError
-        The response holds no levels and regions.
     """
     if not response.measured or not response.regions:
         raise DataError("the response holds no levels and regions to draw; measure it with `fpplab gamma`")
@@ -181,19 +154,8 @@ def marker_levels(shown: NDArray[np.integer[Any]], seen: Mapping[str, Floats]) -
 
     The levels seen are expected to rise with the levels shown: expected are the levels seen of a run, sorted
     in the order of the levels shown.
-
-    Parameters
-    ----------
-    shown : NDArray of int
-        (K,) grey levels in the order shown.
-    seen : mapping of str to Floats
-        For each run (K,) shares of full scale, NaN where no frame came.
-
-    Returns
-    -------
-    bytes
-        PNG file.
     """
+    # shown (K,); seen (K,)
     figure = new_figure(FULL, 2.6)
     sheets = np.atleast_1d(figure.subplots(1, len(seen), sharey=True))
     for axes, (how, levels) in zip(sheets, seen.items(), strict=True):

@@ -9,20 +9,8 @@ from fpplab.report.parts import ReportFigure, ReportSection, ReportTable
 
 
 def response_section(response: Response, levels: Floats) -> ReportSection:
-    """Show a fitted response.
-
-    Parameters
-    ----------
-    response : Response
-        The fit.
-    levels : Floats
-        (K, 2), levels shown and seen, in [0, 1].
-
-    Returns
-    -------
-    ReportSection
-        Figure and table.
-    """
+    """Show a fitted response."""
+    # levels (K, 2)
     values = zip((response.a, response.b, response.g), response.sigma, strict=True)
     row = (str(response.levels), *(f"{v:.4f} ± {s:.4f}" for v, s in values), f"{255 * response.residual:.2f}")
     columns = ("Levels fitted", "a", "b", "g", "Residual RMS in grey levels of 255")

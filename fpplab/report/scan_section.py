@@ -48,69 +48,26 @@ ROUGHNESS = (
 
 @dataclass(frozen=True, eq=False)
 class ScanSection:
-    """What the report shows of one scan.
+    """What the report shows of one scan."""
 
-    Attributes
-    ----------
-    name : str
-        Of the object.
-    images : int
-        Number of images of the plan.
-    frame : Image
-        One raw frame [v, u] of the finest fringe set.
-    wrapped : Wrapped
-        Wrapped phase of that set.
-    decoded : Decoded or None
-        Projector coordinates; None where there are none.
-    cloud : Cloud or None
-        Points; None where there are none.
-    comparison : Comparison or None
-        With the true shape, where it is known.
-    bits : int
-        Bit depth of the frame.
-    uncertain_orders : dict of str to int or None
-        Pixels left out for an uncertain fringe order, by the fringe set that is the cause.
-    depth : DepthRange or None
-        The range of depths that the scan was reconstructed with.
-    diagnosis : Diagnosis or None
-        Whether to believe it.
-    provenance : Provenance or None
-        Where it comes from.
-    evidence : tuple of ReportFigure
-        What shows each finding of the diagnosis.
-    plan : Plan or None
-        That was measured.
-    """
-
-    name: str
-    images: int
-    frame: Image
-    wrapped: Wrapped
-    decoded: Decoded | None
-    cloud: Cloud | None
-    comparison: Comparison | None = None
-    bits: int = 8
-    uncertain_orders: dict[str, int] | None = None
-    depth: DepthRange | None = None
-    diagnosis: Diagnosis | None = None
-    provenance: Provenance | None = None
-    evidence: tuple[ReportFigure, ...] = ()
-    plan: Plan | None = None
+    name: str  # of the object
+    images: int  # number of images of the plan
+    frame: Image  # one raw frame [v, u] of the finest fringe set
+    wrapped: Wrapped  # wrapped phase of that set
+    decoded: Decoded | None  # projector coordinates; None where there are none
+    cloud: Cloud | None  # points; None where there are none
+    comparison: Comparison | None = None  # with the true shape, where it is known
+    bits: int = 8  # bit depth of the frame
+    uncertain_orders: dict[str, int] | None = None  # pixels left out for an uncertain fringe order
+    depth: DepthRange | None = None  # the range of depths that the scan was reconstructed with
+    diagnosis: Diagnosis | None = None  # whether to believe it
+    provenance: Provenance | None = None  # where it comes from
+    evidence: tuple[ReportFigure, ...] = ()  # what shows each finding of the diagnosis
+    plan: Plan | None = None  # that was measured
 
 
 def scan_tables(scans: Sequence[ScanSection]) -> list[ReportTable]:
-    """Tabulate the figures of scans, those with a true shape apart from those without.
-
-    Parameters
-    ----------
-    scans : sequence of ScanSection
-        Those without points are left out.
-
-    Returns
-    -------
-    list of ReportTable
-        For the top of the page.
-    """
+    """Tabulate the figures of scans, those with a true shape apart from those without."""
     tables = []
     compared = tuple(_compared_row(s, s.cloud, s.comparison) for s in scans if s.cloud and s.comparison)
     if compared:
@@ -146,19 +103,7 @@ def _compared_row(scan: ScanSection, cloud: Cloud, found: Comparison) -> tuple[s
 
 
 def roughness_um(cloud: Cloud) -> float | None:
-    """Measure how rough a cloud is.
-
-    Parameters
-    ----------
-    cloud : Cloud
-        Its points.
-
-    Returns
-    -------
-    float or None
-        Median distance in µm of a point from the quadric fitted to its neighbours; None without pixels, or
-        where no point has enough neighbours.
-    """
+    """Measure how rough a cloud is."""
     if cloud.pixels is None:
         return None
     distances = np.abs(local_quadric_distance(cloud))
@@ -167,36 +112,12 @@ def roughness_um(cloud: Cloud) -> float | None:
 
 
 def noise_um(cloud: Cloud) -> float | None:
-    """Give the median standard uncertainty of the points by noise.
-
-    Parameters
-    ----------
-    cloud : Cloud
-        Its points.
-
-    Returns
-    -------
-    float or None
-        In µm along the ray; None where it is not known.
-    """
+    """Give the median standard uncertainty of the points by noise."""
     return None if cloud.sigma_noise_mm is None else 1e3 * float(np.median(cloud.sigma_noise_mm))
 
 
 def section_of(scan: ScanSection, points: int = MOST_POINTS) -> ReportSection:
-    """Show a scan.
-
-    Parameters
-    ----------
-    scan : ScanSection
-        With points or without.
-    points : int
-        Greatest number of points of its view in three dimensions.
-
-    Returns
-    -------
-    ReportSection
-        Text, view, figures and tables.
-    """
+    """Show a scan."""
     name, found = scan.name, scan.comparison
     views = () if scan.cloud is None else (cloud_view(name, scan.cloud, found, points),)
     tables = () if found is None else lengths_tables(found)
@@ -257,38 +178,14 @@ def _pictures(scan: ScanSection) -> Iterator[ReportFigure]:
 
 
 def frame_figure(scan: ScanSection) -> ReportFigure:
-    """Draw a frame of a scan.
-
-    Parameters
-    ----------
-    scan : ScanSection
-        The scan.
-
-    Returns
-    -------
-    ReportFigure
-        Of the finest fringe set.
-    """
+    """Draw a frame of a scan."""
     drawn = figures.camera_image(scan.frame, scan.bits)
     alt = f"Camera image of the {scan.name} under the finest fringes"
     return ReportFigure.of(drawn, alt, "One frame of the finest fringe set.")
 
 
 def relief_figure(name: str, cloud: Cloud) -> ReportFigure:
-    """Draw the measured surface, illuminated.
-
-    Parameters
-    ----------
-    name : str
-        Of the object.
-    cloud : Cloud
-        Its points.
-
-    Returns
-    -------
-    ReportFigure
-        As the camera sees it.
-    """
+    """Draw the measured surface, illuminated."""
     return ReportFigure.of(
         figures.shaded_relief(cloud),
         f"Shaded relief of the measured {name}",
@@ -297,20 +194,7 @@ def relief_figure(name: str, cloud: Cloud) -> ReportFigure:
 
 
 def depth_figure(name: str, cloud: Cloud) -> ReportFigure:
-    """Draw the distance of a surface from the camera.
-
-    Parameters
-    ----------
-    name : str
-        Of the object.
-    cloud : Cloud
-        Its points.
-
-    Returns
-    -------
-    ReportFigure
-        As the camera sees it.
-    """
+    """Draw the distance of a surface from the camera."""
     return ReportFigure.of(
         figures.depth_map(cloud),
         f"Map of the distance of the {name} from the camera",
@@ -319,22 +203,7 @@ def depth_figure(name: str, cloud: Cloud) -> ReportFigure:
 
 
 def sigma_figures(name: str, cloud: Cloud, plan: Plan | None = None) -> list[ReportFigure]:
-    """Draw the standard uncertainty of the points.
-
-    Parameters
-    ----------
-    name : str
-        Of the object.
-    cloud : Cloud
-        Its points.
-    plan : Plan, optional
-        That they were measured with.
-
-    Returns
-    -------
-    list of ReportFigure
-        Empty where it is not known.
-    """
+    """Draw the standard uncertainty of the points."""
     if cloud.sigma_noise_mm is None:
         return []
     alt = f"Maps of the standard uncertainty of the points of the {name}"
@@ -343,22 +212,7 @@ def sigma_figures(name: str, cloud: Cloud, plan: Plan | None = None) -> list[Rep
 
 
 def error_figure(name: str, cloud: Cloud, found: Comparison) -> ReportFigure:
-    """Draw the signed errors of a cloud.
-
-    Parameters
-    ----------
-    name : str
-        Of the object.
-    cloud : Cloud
-        Its points.
-    found : Comparison
-        With the true shape.
-
-    Returns
-    -------
-    ReportFigure
-        A map, and the distribution.
-    """
+    """Draw the signed errors of a cloud."""
     alt = f"Signed error of the {name}, with its distribution; RMS {number_words(found.surface_rms_um)} µm"
     caption = (
         f"Signed distance of every compared point from the true surface; red is outside the "
@@ -369,18 +223,7 @@ def error_figure(name: str, cloud: Cloud, found: Comparison) -> ReportFigure:
 
 
 def lengths_tables(found: Comparison) -> tuple[ReportTable, ...]:
-    """Tabulate measured and true lengths, with what contradicts the distances below.
-
-    Parameters
-    ----------
-    found : Comparison
-        After an alignment.
-
-    Returns
-    -------
-    tuple of ReportTable
-        Empty if there are neither lengths nor contradictions.
-    """
+    """Tabulate measured and true lengths, with what contradicts the distances below."""
     rows = tuple((m.name, *m.texts()) for m in found.lengths)
     said = found.warnings()
     columns = ("Length", "True in mm", "Measured in mm", "Error in µm", "Standard uncertainty in µm")

@@ -32,34 +32,7 @@ def write_scan_report(
     calibration: Calibration | None = None,
     answer: Mapping[str, Any] | None = None,
 ) -> None:
-    """Write the figures of one scan as an HTML page.
-
-    Parameters
-    ----------
-    path : Path
-        Of the file; an earlier one is replaced.
-    session : Session
-        The recorded scan.
-    decoded : Decoded or None
-        Its projector coordinates; None where there are none.
-    cloud : Cloud or None
-        Its points; None where there are none.
-    depth : DepthRange, optional
-        The range of depths that it was reconstructed with.
-    diagnosis : Diagnosis, optional
-        Whether to believe it.
-    provenance : Provenance, optional
-        Where it comes from.
-    calibration : Calibration, optional
-        That it was reconstructed with.
-    answer : mapping of str to object, optional
-        What the command prints with `--json`.
-
-    Raises
-    ------
-    DataError
-        The file cannot be written, or there is nothing to draw.
-    """
+    """Write the figures of one scan as an HTML page."""
     name = session.path.name
     section = scan_section(
         *(name, session, decoded, cloud),
@@ -82,34 +55,7 @@ def scan_section(
     provenance: Provenance | None = None,
     calibration: Calibration | None = None,
 ) -> ScanSection:
-    """Make the section of one scan: the finest fringes along the first axis, and the results.
-
-    Parameters
-    ----------
-    name : str
-        Of the object.
-    session : Session
-        The recorded scan.
-    decoded : Decoded or None
-        Its projector coordinates; None where there are none.
-    cloud : Cloud or None
-        Its points; None where there are none.
-    comparison : Comparison, optional
-        With the true shape, where it is known.
-    depth : DepthRange, optional
-        The range of depths that it was reconstructed with.
-    diagnosis : Diagnosis, optional
-        Whether to believe it.
-    provenance : Provenance, optional
-        Where it comes from.
-    calibration : Calibration, optional
-        That it was reconstructed with.
-
-    Returns
-    -------
-    ScanSection
-        For `write_report`.
-    """
+    """Make the section of one scan: the finest fringes along the first axis, and the results."""
     recording = session.recording(verify=False)
     fringe, frames = recording.finest()
     wrapped = wrapped_phase(frames, fringe)

@@ -35,39 +35,17 @@ MOST_SCANS = 8
 
 @dataclass(frozen=True, eq=False)
 class ScanRecord:
-    """What is recorded of one scan.
+    """What is recorded of one scan."""
 
-    Attributes
-    ----------
-    name : str
-        On the page.
-    provenance : Provenance
-        Where it comes from.
-    cloud : Cloud or None
-        Its points; None where there are none.
-    calibration : Calibration or None
-        That it was reconstructed with, where it is recorded.
-    diagnosis : Diagnosis or None
-        Whether to believe it, where that is recorded or can be found out.
-    frame : tuple of Image and int, or None
-        A frame of the finest fringes and its bit depth; None for a cloud alone.
-    """
-
-    name: str
-    provenance: Provenance
-    cloud: Cloud | None
-    calibration: Calibration | None
-    diagnosis: Diagnosis | None
-    frame: tuple[Image, int] | None
+    name: str  # on the page
+    provenance: Provenance  # where it comes from
+    cloud: Cloud | None  # its points; None where there are none
+    calibration: Calibration | None  # that it was reconstructed with, where it is recorded
+    diagnosis: Diagnosis | None  # whether to believe it, where that is recorded or can be found out
+    frame: tuple[Image, int] | None  # A frame of the finest fringes and its bit depth; None for a cloud alone
 
     def verdict(self) -> PageVerdict:
-        """Say whether to believe the scan, with a small picture of it.
-
-        Returns
-        -------
-        PageVerdict
-            Without a verdict where none is recorded.
-        """
+        """Say whether to believe the scan, with a small picture of it."""
         picture = base64.b64encode(figures.thumbnail(self.cloud)).decode("ascii") if self.cloud else ""
         if self.diagnosis is not None:
             return replace(PageVerdict.of(self.diagnosis, self.name), thumbnail=picture)
@@ -77,13 +55,7 @@ class ScanRecord:
         return PageVerdict(self.name, "none", "Not judged", said, thumbnail=picture)
 
     def summary(self) -> dict[str, Any]:
-        """Collect the figures for JSON.
-
-        Returns
-        -------
-        dict of str to object
-            `name`, `points`, `roughness_um`, `noise_um` and the keys of a verdict, null where not known.
-        """
+        """Collect the figures for JSON."""
         judged = self.diagnosis.summary() if self.diagnosis else {"verdict": None}
         cloud = self.cloud
         return {
@@ -97,32 +69,15 @@ class ScanRecord:
 
 @dataclass(frozen=True, eq=False)
 class CloudDifference:
-    """How far two clouds of one calibration are apart, along the camera's rays.
+    """How far two clouds of one calibration are apart, along the camera's rays."""
 
-    Attributes
-    ----------
-    scan, reference : str
-        Names of the two.
-    distances_mm : ndarray of float32, or None
-        (N,) for every point of the scan, positive where it is farther from the camera than the reference, NaN
-        where that has no point; None where the two cannot be compared.
-    reason : str
-        Why not.
-    """
-
-    scan: str
-    reference: str
-    distances_mm: NDArray[np.float32] | None
-    reason: str = ""
+    scan: str  # names of the two
+    reference: str  # names of the two
+    distances_mm: NDArray[np.float32] | None  # (N,) for every point of the scan
+    reason: str = ""  # why not
 
     def summary(self) -> dict[str, Any]:
-        """Collect the figures for JSON.
-
-        Returns
-        -------
-        dict of str to object
-            `scan`, `reference`, and `pixels`, `median_um`, `rms_um`, `p95_um` or `not_compared`.
-        """
+        """Collect the figures for JSON."""
         names = {"scan": self.scan, "reference": self.reference}
         if self.distances_mm is None:
             return {**names, "not_compared": self.reason}
@@ -140,25 +95,6 @@ def read_scan(path: Path, name: str) -> ScanRecord:
     """Read what a session or a cloud tells of a scan.
 
     Where a session records no verdict, it is given now.
-
-    Parameters
-    ----------
-    path : Path
-        A session, or a cloud.
-    name : str
-        What it is called on the page.
-
-    Returns
-    -------
-    ScanRecord
-        What is there.
-
-    Raises
-    ------
-    ConfigError
-        There is neither, or a record is damaged.
-    DataError
-        A file is damaged.
     """
     folder = path if path.is_dir() else path.parent
     if not path.exists():
@@ -196,23 +132,7 @@ def _diagnosis(
 
 
 def short_names(paths: Sequence[Path]) -> list[str]:
-    """Name scans by the last part of their paths, or by as many as tell them apart.
-
-    Parameters
-    ----------
-    paths : sequence of Path
-        Of sessions and clouds.
-
-    Returns
-    -------
-    list of str
-        All different.
-
-    Raises
-    ------
-    ConfigError
-        One is given twice.
-    """
+    """Name scans by the last part of their paths, or by as many as tell them apart."""
     # The cloud of a session is called as the session.
     whole = [(path.parent if path.name == CLOUD else path).resolve() for path in paths]
     for path in whole:
@@ -226,20 +146,7 @@ def short_names(paths: Sequence[Path]) -> list[str]:
 
 
 def difference(scan: ScanRecord, reference: ScanRecord) -> CloudDifference:
-    """Subtract two clouds, where both were reconstructed with the same calibration.
-
-    Parameters
-    ----------
-    scan : ScanRecord
-        One.
-    reference : ScanRecord
-        That the other is compared with.
-
-    Returns
-    -------
-    CloudDifference
-        Along the camera's rays, by pixel; or why there is none.
-    """
+    """Subtract two clouds, where both were reconstructed with the same calibration."""
     names = scan.name, reference.name
     one, other = scan.cloud, reference.cloud
     if one is None or other is None:
@@ -271,22 +178,7 @@ def _same_geometry(one: Calibration, other: Calibration) -> bool:
 def write_scans_report(
     path: Path, scans: Sequence[ScanRecord], differences: Sequence[CloudDifference]
 ) -> None:
-    """Write several scans side by side as one HTML file.
-
-    Parameters
-    ----------
-    path : Path
-        Of the file; an earlier one is replaced.
-    scans : sequence of ScanRecord
-        At most `MOST_SCANS`.
-    differences : sequence of CloudDifference
-        Between them.
-
-    Raises
-    ------
-    DataError
-        None has points, or the file cannot be written.
-    """
+    """Write several scans side by side as one HTML file."""
     if not any(scan.cloud for scan in scans):
         raise DataError(f"none of {len(scans)} sessions holds a cloud; reconstruct them first")
     basis = PageBasis(
@@ -300,20 +192,7 @@ def write_scans_report(
 
 
 def scans_answer(scans: Sequence[ScanRecord], differences: Sequence[CloudDifference]) -> dict[str, Any]:
-    """Give what `fpplab report --json` prints.
-
-    Parameters
-    ----------
-    scans : sequence of ScanRecord
-        On the page.
-    differences : sequence of CloudDifference
-        Between them.
-
-    Returns
-    -------
-    dict
-        `scans` and `differences`.
-    """
+    """Give what `fpplab report --json` prints."""
     return {
         "scans": [scan.summary() for scan in scans],
         "differences": [one.summary() for one in differences],

@@ -35,23 +35,7 @@ PARTS = {
 
 @as_png
 def sigma_maps(cloud: Cloud) -> Figure:
-    """Draw the standard uncertainties of the points in µm, a map with its median for each part that is known.
-
-    Parameters
-    ----------
-    cloud : Cloud
-        With at least one uncertainty.
-
-    Returns
-    -------
-    bytes
-        PNG file.
-
-    Raises
-    ------
-    DataError
-        The cloud holds no uncertainty, or no points.
-    """
+    """Draw the points' standard uncertainties in µm, a map with its median for each known part."""
     known = {
         title: 1e3 * sigma for name, title in PARTS.items() if (sigma := getattr(cloud, name)) is not None
     }
@@ -71,20 +55,7 @@ def sigma_maps(cloud: Cloud) -> Figure:
 
 
 def sigma_caption(cloud: Cloud, plan: Plan | None = None) -> str:
-    """Explain what `sigma_maps` shows, and which figure holds for the place and which for the shape.
-
-    Parameters
-    ----------
-    cloud : Cloud
-        With at least the uncertainty from noise.
-    plan : Plan, optional
-        That the cloud was measured with; it tells why a phase error is not known.
-
-    Returns
-    -------
-    str
-        Sentences for the figure's caption.
-    """
+    """Explain what `sigma_maps` shows, and which figure holds for the place and which for the shape."""
     noise = "Noise: predicted from the fringes, along the camera's ray, independent from point to point."
     if cloud.sigma_phase_error_mm is None:
         noise += f" {_why_unknown(plan)}"
@@ -115,19 +86,8 @@ def sigma_caption(cloud: Cloud, plan: Plan | None = None) -> str:
 
 
 def shape_sigma_mm(cloud: Cloud) -> CloudPoints | None:
-    """Combine what is uncertain in the shape of a cloud, wherever the whole of it lies.
-
-    Parameters
-    ----------
-    cloud : Cloud
-        A phase error that it does not know is not in the result.
-
-    Returns
-    -------
-    ndarray of float32 or None
-        Noise, phase error and `sigma_form_mm` added in squares, (N,) in mm; None where noise or form is not
-        known.
-    """
+    """Combine what is uncertain in the shape of a cloud, wherever the whole of it lies."""
+    # returns (N,) mm
     along = cloud.sigma_along_ray_mm
     return None if along is None or cloud.sigma_form_mm is None else np.hypot(along, cloud.sigma_form_mm)
 

@@ -45,21 +45,11 @@ OLDEST = (1980, 1, 1, 0, 0, 0)
 
 @dataclass(frozen=True)
 class ReportEntry:
-    """A file in a bug report.
+    """A file in a bug report."""
 
-    Attributes
-    ----------
-    name : str
-        In the ZIP file.
-    content : bytes
-        What it holds.
-    what : str
-        What it is, in words.
-    """
-
-    name: str
-    content: bytes
-    what: str
+    name: str  # in the ZIP file
+    content: bytes  # what it holds
+    what: str  # what it is, in words
 
     @property
     def size(self) -> int:
@@ -68,29 +58,7 @@ class ReportEntry:
 
 
 def write_bug_report(out: Path, sources: Sequence[Path], frames: bool) -> list[ReportEntry]:
-    """Write a bug report.
-
-    Parameters
-    ----------
-    out : Path
-        The ZIP file.
-    sources : sequence of Path
-        Sessions, whole or damaged, and other files.
-    frames : bool
-        Whether the frames of sessions are taken too.
-
-    Returns
-    -------
-    list of ReportEntry
-        What is in it, the list of contents first.
-
-    Raises
-    ------
-    ConfigError
-        A source does not exist.
-    DataError
-        A source cannot be read, or the disk is full.
-    """
+    """Write a bug report."""
     entries = [_host()]
     for number, source in enumerate(sources, 1):
         entries += _session(source, number, frames) if source.is_dir() else [_file(source, number)]

@@ -23,22 +23,7 @@ from fpplab.sessions.rig_record import RigRecord
 
 
 def furnish(path: Path, plan: Plan, rig: RigRecord) -> None:
-    """Write what a session without frames holds.
-
-    Parameters
-    ----------
-    path : Path
-        The directory, which exists.
-    plan : Plan
-        What will be projected.
-    rig : dict or None
-        The rig as `Rig.described` gives it; None for images from elsewhere.
-
-    Raises
-    ------
-    DataError
-        The disk is full.
-    """
+    """Write what a session without frames holds."""
     write_recorded(path / PLAN, config.dump(plan), keep=True)
     if rig is not None:
         write_recorded(path / RIG, config.to_yaml(rig), keep=True)
@@ -47,13 +32,7 @@ def furnish(path: Path, plan: Plan, rig: RigRecord) -> None:
 
 
 def tidy(path: Path) -> None:
-    """Take away what a crash left: halves of files, and an incomplete last line of the journal.
-
-    Parameters
-    ----------
-    path : Path
-        Of the session.
-    """
+    """Take away what a crash left: halves of files, and an incomplete last line of the journal."""
     for draft in (path / FRAMES).glob(".*"):
         draft.unlink()
     for name in SESSION_FILES:
@@ -62,49 +41,21 @@ def tidy(path: Path) -> None:
 
 
 def remove_session(path: Path) -> None:
-    """Delete a session that is to be replaced; nothing that fpplab did not write into it is ever deleted.
-
-    Parameters
-    ----------
-    path : Path
-        Of the session.
-
-    Raises
-    ------
-    DataError
-        What is there is no session, or holds other files too.
-    """
+    """Delete a session that is to be replaced; nothing that fpplab did not write into it is ever deleted."""
     require_session(path)
     with writing(path):
         shutil.rmtree(path)
 
 
 def sweep_drafts(path: Path) -> None:
-    """Take away drafts of a session whose process was killed.
-
-    Parameters
-    ----------
-    path : Path
-        Of the session.
-    """
+    """Take away drafts of a session whose process was killed."""
     for draft in path.parent.glob(f".{glob.escape(path.name)}.*"):
         if draft.is_dir() and [inside.name for inside in draft.iterdir()] == [path.name]:
             shutil.rmtree(draft)
 
 
 def require_session(path: Path) -> None:
-    """Refuse to replace a directory that is no session, or holds what fpplab did not write.
-
-    Parameters
-    ----------
-    path : Path
-        The directory.
-
-    Raises
-    ------
-    DataError
-        It has no journal, or other files too; names them.
-    """
+    """Refuse to replace a directory that is no session, or holds what fpplab did not write."""
     if not (path / JOURNAL).is_file():
         raise DataError(f"{path}: is not a session, so --force does not replace it; remove it yourself")
     if foreign := _foreign(path):
@@ -129,18 +80,7 @@ def _foreign(path: Path) -> list[str]:
 
 
 def refuse_foreign(path: Path) -> None:
-    """Refuse, before anything is done, an output for a session that is something else.
-
-    Parameters
-    ----------
-    path : Path
-        The output.
-
-    Raises
-    ------
-    ConfigError
-        It exists and is no session.
-    """
+    """Refuse, before anything is done, an output for a session that is something else."""
     if path.exists() and not (path / JOURNAL).is_file():
         raise ConfigError(f"{path}: exists and is not a session; name another output")
 
@@ -158,27 +98,8 @@ def need_space_for_frames(
 
     Frames that interrupted sessions have already need no more space, and a session that is replaced frees its
     own.
-
-    Parameters
-    ----------
-    paths : sequence of Path
-        Directories of the sessions, on one disk.
-    plan : Plan
-        What each of them records.
-    size : tuple of int
-        (width, height) of a frame in px.
-    bits : int
-        Depth of its grey levels.
-    force : bool
-        Whether sessions that are there already are replaced.
-    replaced_last : bool
-        Whether they free their space only when the new ones are complete.
-
-    Raises
-    ------
-    DataError
-        There is too little space.
     """
+    # size (width, height) px
     images = freed = 0
     for path in paths:
         begun = (path / JOURNAL).is_file()

@@ -34,25 +34,7 @@ class SessionFormat(Document):
 
 
 def session_format(path: Path) -> int:
-    """Tell in which version of the format a session is.
-
-    Parameters
-    ----------
-    path : Path
-        Of the session.
-
-    Returns
-    -------
-    int
-        From 1 to `PRESENT`.
-
-    Raises
-    ------
-    ConfigError
-        `session.yaml` holds something else.
-    DataError
-        It is a later one, or `session.yaml` was changed.
-    """
+    """Tell in which version of the format a session is."""
     file = path / FORMAT
     if not file.exists():
         return 1
@@ -66,20 +48,7 @@ def session_format(path: Path) -> int:
 
 
 def check_format(path: Path) -> None:
-    """Refuse a session of a later version, and one that lacks a file which it records.
-
-    Parameters
-    ----------
-    path : Path
-        Of the session.
-
-    Raises
-    ------
-    ConfigError
-        `session.yaml` holds something else.
-    DataError
-        The version is a later one, or a file is gone.
-    """
+    """Refuse a session of a later version, and one that lacks a file which it records."""
     found = session_format(path)
     if found > 1 and not (path / CHECKSUMS).is_file():
         raise DataError(f"{path}: {CHECKSUMS} is gone; `fpplab session repair` tells what is lost")
@@ -90,45 +59,17 @@ def check_format(path: Path) -> None:
 
 
 def present_format() -> str:
-    """Give the content of `session.yaml` in the present format.
-
-    Returns
-    -------
-    str
-        YAML.
-    """
+    """Give the content of `session.yaml` in the present format."""
     return config.dump(SessionFormat(format=PRESENT))
 
 
 def write_format(path: Path) -> None:
-    """Record in a session that it has the present format.
-
-    Parameters
-    ----------
-    path : Path
-        Of the session.
-
-    Raises
-    ------
-    DataError
-        The disk is full.
-    """
+    """Record in a session that it has the present format."""
     write_recorded(path / FORMAT, present_format(), keep=True)
 
 
 def upgrade_format(path: Path) -> None:
-    """Bring a session to the present format; nothing where it has it already.
-
-    Parameters
-    ----------
-    path : Path
-        Of the session; this process alone writes into it.
-
-    Raises
-    ------
-    ConfigError, DataError
-        As `session_format`; the disk is full.
-    """
+    """Bring a session to the present format; nothing where it has it already."""
     for step in UPGRADES[session_format(path) - 1 :]:
         step(path)
 

@@ -21,45 +21,16 @@ from fpplab.sessions.journal import FrameRecord
 
 @cache
 def tiff_head(shape: tuple[int, ...], dtype: np.dtype[Any]) -> bytes:
-    """Give what stands before the pixels of an image in the file that tifffile writes.
-
-    Parameters
-    ----------
-    shape : tuple of int
-        (height, width).
-    dtype : dtype
-        Of the pixels.
-
-    Returns
-    -------
-    bytes
-        The head of the file.
-    """
+    """Give what stands before the pixels of an image in the file that tifffile writes."""
+    # shape (height, width)
     image, file = np.zeros(shape, dtype), io.BytesIO()
     tifffile.imwrite(file, image, photometric="minisblack", metadata=None)
     return file.getvalue()[: -image.nbytes]
 
 
 def write_frame(path: Path, image: NDArray[Any]) -> str:
-    """Write a frame, atomically, while its checksum is computed.
-
-    Parameters
-    ----------
-    path : Path
-        Of the file.
-    image : ndarray of uint8 or uint16, (height, width)
-        Contiguous.
-
-    Returns
-    -------
-    str
-        SHA-256 of the pixels, hexadecimal.
-
-    Raises
-    ------
-    DataError
-        There is no space.
-    """
+    """Write a frame, atomically, while its checksum is computed."""
+    # image (height, width)
     with ThreadPoolExecutor(max_workers=1) as beside:  # neither holds Python's lock
         checksum = beside.submit(_checksum, image)
         write_parts(path, tiff_head(image.shape, image.dtype), image.data)
@@ -67,27 +38,8 @@ def write_frame(path: Path, image: NDArray[Any]) -> str:
 
 
 def read_frame(path: Path, record: FrameRecord, verify: bool) -> Image:
-    """Read a frame, checked against its line of the journal.
-
-    Parameters
-    ----------
-    path : Path
-        Of the file.
-    record : FrameRecord
-        The line.
-    verify : bool
-        Whether its checksum is compared.
-
-    Returns
-    -------
-    ndarray of uint8 or uint16, (height, width)
-        Memory-mapped and read-only.
-
-    Raises
-    ------
-    DataError
-        It is missing, truncated, altered or of another kind than the journal says.
-    """
+    """Read a frame, checked against its line of the journal."""
+    # returns (height, width)
     index = record.index
     try:
         open_regular(path).close()

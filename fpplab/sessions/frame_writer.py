@@ -22,18 +22,6 @@ def write_frames(session: Session, observe: Callable[[Frame], None]) -> Iterator
     be. The caller's thread shows each to `observe` once it is on disk. What was given is written also when
     the block ends by an exception. What `Session.write` raises is raised by the function or at the end of
     the block.
-
-    Parameters
-    ----------
-    session : Session
-        Where they go.
-    observe : callable
-        Given every frame once it is on disk.
-
-    Yields
-    ------
-    callable
-        Takes a frame; a full queue blocks it.
     """
     waiting: deque[tuple[Frame, Future[None]]] = deque()
 

@@ -19,50 +19,22 @@ FEWEST_LEVELS = 64
 
 
 def check_bits(bits: int | None) -> None:
-    """Refuse a depth that no images have.
-
-    Parameters
-    ----------
-    bits : int or None
-        As asked for; None where it is to be found.
-
-    Raises
-    ------
-    ConfigError
-        It is another than 8, 10, 12, 14 or 16.
-    """
+    """Refuse a depth that no images have."""
     if bits is not None and bits not in BIT_DEPTHS:
         raise ConfigError(f"--bits is {bits}: one of {', '.join(map(str, BIT_DEPTHS))}")
 
 
 @dataclass(eq=False)
 class StoredLevels:
-    """The grey levels that occur in 16-bit files, whatever the depth of the camera.
+    """The grey levels that occur in 16-bit files, whatever the depth of the camera."""
 
-    Attributes
-    ----------
-    seen : ndarray of bool, (65536,)
-        Whether a level occurs.
-    greatest : int
-        The greatest level.
-    where : str
-        The first image that has it.
-    """
-
-    seen: Mask = field(default_factory=lambda: np.zeros(1 << STORED_BITS, np.bool_))
-    greatest: int = -1
-    where: str = ""
+    seen: Mask = field(default_factory=lambda: np.zeros(1 << STORED_BITS, np.bool_))  # whether a level occurs
+    greatest: int = -1  # the greatest level
+    where: str = ""  # the first image that has it
 
     def add(self, image: Image, name: str) -> None:
-        """Take note of the levels of one more image.
-
-        Parameters
-        ----------
-        image : ndarray of uint16, (height, width)
-            As stored.
-        name : str
-            What it is called in messages.
-        """
+        """Take note of the levels of one more image."""
+        # image (height, width)
         self.seen[image.ravel()] = True
         if (brightest := int(image.max())) > self.greatest:
             self.greatest, self.where = brightest, name
@@ -73,27 +45,7 @@ class StoredLevels:
         return np.flatnonzero(self.seen).astype(np.int64)
 
     def depth(self, bits: int | None, warn: Say, tell: Say) -> tuple[int, int]:
-        """Find the depth, or confirm the one that is said.
-
-        Parameters
-        ----------
-        bits : int or None
-            As said; None where it is to be found.
-        warn, tell : callable
-            Given a sentence that may be a mistake, or what has been found.
-
-        Returns
-        -------
-        bits, shift : int
-            The depth, and by how many bits levels have to be moved down.
-
-        Raises
-        ------
-        ConfigError
-            Nothing is said and the levels do not tell.
-        DataError
-            There are levels that the bits do not hold.
-        """
+        """Find the depth, or confirm the one that is said."""
         return self._found(tell) if bits is None else self._confirmed(bits, warn)
 
     def _found(self, tell: Say) -> tuple[int, int]:

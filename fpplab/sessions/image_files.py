@@ -104,21 +104,6 @@ def open_image_file(path: Path) -> Iterator[ImageFile]:
     """Open a file of grey images: PNG, TIFF of any number of pages, JPEG, BMP, PGM, NPY, NPZ of one array.
 
     What the file is is told by its first bytes, not by its name.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Yields
-    ------
-    ImageFile
-        Open until the end of the block.
-
-    Raises
-    ------
-    DataError
-        The file is damaged or something else; also where reading from it fails within the block.
     """
     try:
         with open_regular(path) as stream:
@@ -150,45 +135,13 @@ def _opened(stream: IO[bytes]) -> Pillow.Image:
 
 
 def places_in(path: Path) -> list[ImagePlace]:
-    """List the images of a file.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    list of ImagePlace
-        One for each.
-
-    Raises
-    ------
-    DataError
-        The file is damaged or holds something else.
-    """
+    """List the images of a file."""
     with open_image_file(path) as file:
         return [ImagePlace(path, page, file.pages) for page in range(file.pages)]
 
 
 def grey_images(places: list[ImagePlace]) -> Iterator[tuple[ImagePlace, Image, bool]]:
-    """Read images one after the other; all have the size of the first.
-
-    Parameters
-    ----------
-    places : list of ImagePlace
-        Which, in what order.
-
-    Yields
-    ------
-    tuple of ImagePlace, ndarray of uint8 or uint16, bool
-        The image and its grey levels as stored, and whether its compression has changed them.
-
-    Raises
-    ------
-    DataError
-        One is damaged, not grey, or of another size.
-    """
+    """Read images one after the other; all have the size of the first."""
     size: tuple[int, int] | None = None
     for path, together in groupby(places, key=lambda place: place.path):
         with open_image_file(path) as file:

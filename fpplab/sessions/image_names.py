@@ -21,47 +21,15 @@ _SHOWN = 5
 
 @dataclass(frozen=True)
 class NumberedNames:
-    """A format of file names in a folder, and the numbers at which it begins to count.
+    """A format of file names in a folder, and the numbers at which it begins to count."""
 
-    Attributes
-    ----------
-    folder : Path
-        Where the files are.
-    form : str
-        With one `{index}`, or with `{set}` and `{step}`; each with or without the width of its number.
-    first : tuple of int
-        The least numbers: (index,) or (set, step).
-    """
-
-    folder: Path
-    form: str
-    first: NameNumbers
+    folder: Path  # where the files are
+    form: str  # with one `{index}`
+    first: NameNumbers  # the least numbers: (index,) or (set, step)
 
     @classmethod
     def parse(cls, folder: Path, form: str, first: int, first_step: int | None) -> NumberedNames:
-        """Check a format.
-
-        Parameters
-        ----------
-        folder : Path
-            Where the files are.
-        form : str
-            The format.
-        first : int
-            The first index, or the first set and step.
-        first_step : int or None
-            The first step where it is another number than the first set's.
-
-        Returns
-        -------
-        NumberedNames
-            The names.
-
-        Raises
-        ------
-        ConfigError
-            It is none.
-        """
+        """Check a format."""
         fields = _fields(form)
         if fields == ["index"] and first_step is not None:
             raise ConfigError("--first-step goes with names that have a {step}; --first is the first {index}")
@@ -75,28 +43,11 @@ class NumberedNames:
         return len(self.first) == 2
 
     def name(self, numbers: NameNumbers) -> str:
-        """Give the name of one image.
-
-        Parameters
-        ----------
-        numbers : tuple of int
-            Its index, or its set and step.
-
-        Returns
-        -------
-        str
-            Relative to the folder.
-        """
+        """Give the name of one image."""
         return self.form.format(**dict(zip(self._fields, numbers, strict=True)))
 
     def there(self) -> list[NameNumbers]:
-        """Find the files whose names have the form.
-
-        Returns
-        -------
-        list of tuple of int
-            Their numbers, ascending.
-        """
+        """Find the files whose names have the form."""
         parts = list(string.Formatter().parse(self.form))
         pattern = "".join(glob.escape(text) + ("*" if field else "") for text, field, _, _ in parts)
         form = "".join(
@@ -108,21 +59,7 @@ class NumberedNames:
         return sorted(one for one in numbers if (self.folder / self.name(one)).is_file())
 
     def expected(self, sets: Sequence[int] | None, skipped: int = 0) -> list[NameNumbers]:
-        """List the images that there should be.
-
-        Parameters
-        ----------
-        sets : sequence of int or None
-            How many images each fringe set has; None where it is not known: all between the first and the
-            last that is there.
-        skipped : int
-            How many images there are beside those of the sets.
-
-        Returns
-        -------
-        list of tuple of int
-            Their numbers, in order.
-        """
+        """List the images that there should be."""
         first = self.first[-1]
         if not self.has_steps:
             count = self._counted(n for (n,) in self.there()) if sets is None else sum(sets) + skipped
@@ -134,20 +71,7 @@ class NumberedNames:
         return [(self.first[0] + k, first + n) for k, count in enumerate(sets) for n in range(count)]
 
     def check(self, wanted: Sequence[NameNumbers], skipped: Sequence[NameNumbers], planned: bool) -> None:
-        """Refuse a folder that lacks images or has more of the same name.
-
-        Parameters
-        ----------
-        wanted, skipped : sequence of tuple of int
-            The images that there should be, and those that may be there beside.
-        planned : bool
-            Whether a plan says how many there should be.
-
-        Raises
-        ------
-        DataError
-            It names them.
-        """
+        """Refuse a folder that lacks images or has more of the same name."""
         there = self.there()
         missing = sorted(set(wanted) - set(there))
         surplus = sorted(set(there) - set(wanted) - set(skipped))
@@ -216,17 +140,6 @@ def _fields(form: str) -> list[str]:
 
 
 def shown(names: Iterable[str]) -> str:
-    """Give the first names of many.
-
-    Parameters
-    ----------
-    names : iterable of str
-        The names.
-
-    Returns
-    -------
-    str
-        With commas between.
-    """
+    """Give the first names of many."""
     names = list(names)
     return ", ".join(names[:_SHOWN]) + (" …" if len(names) > _SHOWN else "")

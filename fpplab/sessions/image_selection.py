@@ -16,30 +16,13 @@ from fpplab.sessions.image_names import NumberedNames, shown
 
 @dataclass(frozen=True)
 class ImageSelection:
-    """Where images are and in which order they were taken.
+    """Where images are and in which order they were taken."""
 
-    Attributes
-    ----------
-    places : tuple of Path
-        One folder, or image files in the order taken; files of several images (TIFF, NPY, NPZ) count as all
-        of them. May be empty where `names` is a list.
-    names : str or None
-        The images of the folder: a format such as `f_{index:02d}.png` or `set{set}_step{step}.png`, a pattern
-        such as `*.png`, in the order of the numbers in the names, or `@list.txt`, a file with a name in each
-        line.
-    first : int
-        Number of the first image, by which also `skip` counts; with {set} and {step}, of both.
-    first_step : int or None
-        Number of the first step, where it is another.
-    skip : tuple of int
-        Numbers of images that are not the plan's, such as white and black ones. They are not used.
-    """
-
-    places: tuple[Path, ...]
-    names: str | None = None
-    first: int = 0
-    first_step: int | None = None
-    skip: tuple[int, ...] = ()
+    places: tuple[Path, ...]  # one folder, or image files in the order taken
+    names: str | None = None  # the images of the folder
+    first: int = 0  # number of the first image, by which also `skip` counts; with {set} and {step}, of both
+    first_step: int | None = None  # number of the first step, where it is another
+    skip: tuple[int, ...] = ()  # numbers of images that are not the plan's, such as white and black ones
 
     @property
     def title(self) -> str:
@@ -51,27 +34,7 @@ class ImageSelection:
     def images(
         self, sets: Sequence[int] | None = None, warn: Say = ignore, tell: Say = ignore
     ) -> list[ImagePlace]:
-        """Find the images.
-
-        Parameters
-        ----------
-        sets : sequence of int or None
-            How many images each fringe set of the plan has; None where there is no plan.
-        warn, tell : callable
-            Given a sentence that may be a mistake, or what has been found.
-
-        Returns
-        -------
-        list of ImagePlace
-            In the plan's order, none missing and none left over.
-
-        Raises
-        ------
-        ConfigError
-            The source does not say which images; a file or folder does not exist.
-        DataError
-            Images are missing or left over, or a file is none of images.
-        """
+        """Find the images."""
         numbered = self._numbered()
         if numbered is not None:
             return self._by_numbers(numbered, sets)
@@ -179,23 +142,7 @@ class ImageSelection:
 
 
 def numbers_of(words: str | None) -> tuple[int, ...]:
-    """Read numbers as they are written for `--skip`.
-
-    Parameters
-    ----------
-    words : str or None
-        Such as `0,1` or `0-1,38`.
-
-    Returns
-    -------
-    tuple of int
-        The numbers, ascending.
-
-    Raises
-    ------
-    ConfigError
-        It is something else.
-    """
+    """Read numbers as they are written for `--skip`."""
     found: set[int] = set()
     for word in words.split(",") if words else []:
         match = re.fullmatch(r"\s*(\d{1,6})(?:-(\d{1,6}))?\s*", word, re.ASCII)

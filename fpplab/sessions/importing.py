@@ -41,45 +41,8 @@ def import_images(
     """Bring grey images into a new session, in the plan's order.
 
     Every image is checked before the session is made.
-
-    Parameters
-    ----------
-    source : ImageSelection
-        Which images, in which order: `plan.images` of them.
-    plan : Plan
-        What they show.
-    out : Path
-        Directory of the session.
-    bits : int, optional
-        Depth of the images' grey levels, 8, 10, 12, 14 or 16; by default it is found. Levels that lie in the
-        upper bits of 16, or were scaled to 16 bits, are moved to the lower ones.
-    force : bool
-        Whether a session that is there already is replaced.
-    progress : callable
-        Told the share done, 0 … 1.
-    projector_size : tuple of int, optional
-        (width, height) in px of the projector that showed the patterns; by default as the plan says.
-    lattice : Lattice, optional
-        How its mirrors lie; by default square, unless the projector's mirrors are known to lie otherwise.
-    warn : callable
-        Given a sentence for everything that is accepted but may be a mistake.
-    tell : callable
-        Given a sentence for everything that was found out.
-
-    Returns
-    -------
-    Session
-        Complete.
-
-    Raises
-    ------
-    ConfigError
-        The source does not say which images, the output exists, the depth cannot be told, or size or lattice
-        of the projector are not known or are not the plan's.
-    DataError
-        Images are missing or left over; one is damaged, coloured, of another size or depth, or there twice
-        under two names.
     """
+    # projector_size (width, height) px
     check_bits(bits)
     rig = _projector_record(plan, projector_size, lattice)
     images = _checked(source, [fringe.images for fringe in plan.fringes], bits, warn, tell)
@@ -99,29 +62,8 @@ def import_images(
 def read_images(
     source: ImageSelection, bits: int | None = None, *, warn: Say = ignore, tell: Say = ignore
 ) -> tuple[list[Image], int]:
-    """Read grey images whose plan is not known.
-
-    Parameters
-    ----------
-    source : ImageSelection
-        Which images, in which order.
-    bits : int, optional
-        Depth of the images' grey levels, as for `import_images`.
-    warn, tell : callable
-        As for `import_images`.
-
-    Returns
-    -------
-    images : list of ndarray of uint8 or uint16, (height, width) each
-        All that there are.
-    bits : int
-        Depth of their grey levels.
-
-    Raises
-    ------
-    ConfigError, DataError
-        As for `import_images`.
-    """
+    """Read grey images whose plan is not known."""
+    # returns images (height, width)
     check_bits(bits)
     images = _checked(source, None, bits, warn, tell)
     return list(images.read()), images.bits

@@ -41,38 +41,14 @@ RESULTS = (DECODED, CLOUD, CALIBRATION, VERDICT, REPORT)
 
 @dataclass(frozen=True)
 class SessionFault:
-    """One thing that is wrong with a session.
+    """One thing that is wrong with a session."""
 
-    Attributes
-    ----------
-    file : str
-        Relative to the session.
-    found : str
-        What is wrong with it, in a sentence.
-    """
-
-    file: str
-    found: str
+    file: str  # relative to the session
+    found: str  # what is wrong with it, in a sentence
 
 
 def describe_session(session: Session) -> dict[str, Any]:
-    """Tell what a session is.
-
-    Parameters
-    ----------
-    session : Session
-        Whole or not.
-
-    Returns
-    -------
-    dict of str to object
-        Plain values: format, plan, frames, devices, times and results.
-
-    Raises
-    ------
-    ConfigError
-        A record is damaged.
-    """
+    """Tell what a session is."""
     origin, times = session_origin(session.path), taken_at(session)
     return {
         "session": str(session.path),
@@ -92,25 +68,7 @@ def describe_session(session: Session) -> dict[str, Any]:
 
 
 def session_faults(path: Path, progress: Progress = no_progress) -> list[SessionFault]:
-    """Read everything in a session, and name all that is wrong with it.
-
-    Parameters
-    ----------
-    path : Path
-        Of the session.
-    progress : callable
-        Told the share done, 0 … 1.
-
-    Returns
-    -------
-    list of SessionFault
-        Empty where all is whole. Frames that were never taken are no fault.
-
-    Raises
-    ------
-    ConfigError
-        It is no session at all.
-    """
+    """Read everything in a session, and name all that is wrong with it."""
     if not (path / JOURNAL).is_file() and not (path / PLAN).is_file():
         raise ConfigError(f"{path}: is not a session (it has neither {PLAN} nor {JOURNAL})")
     faults: list[SessionFault] = []
@@ -137,22 +95,7 @@ def session_faults(path: Path, progress: Progress = no_progress) -> list[Session
 def frame_faults(
     path: Path, records: list[FrameRecord], progress: Progress = no_progress
 ) -> Iterator[SessionFault]:
-    """Read frames, and name those that are not whole.
-
-    Parameters
-    ----------
-    path : Path
-        Of the session.
-    records : list of FrameRecord
-        Their lines of the journal.
-    progress : callable
-        Told the share done, 0 … 1.
-
-    Yields
-    ------
-    SessionFault
-        One for each that is damaged or gone.
-    """
+    """Read frames, and name those that are not whole."""
     for done, record in enumerate(records, 1):
         faults: list[SessionFault] = []
         with _noted(faults, path, record.file):

@@ -45,22 +45,7 @@ class FrameRecord(Document):
 
     @classmethod
     def of(cls, frame: Frame, file: str, sha256: str) -> FrameRecord:
-        """Describe a frame that is on disk.
-
-        Parameters
-        ----------
-        frame : Frame
-            With the plan's index and pattern id.
-        file : str
-            Its file, relative to the session.
-        sha256 : str
-            Checksum of its pixels.
-
-        Returns
-        -------
-        FrameRecord
-            Its line.
-        """
+        """Describe a frame that is on disk."""
         height, width = frame.image.shape
         return cls(
             index=frame.index,
@@ -88,78 +73,25 @@ class FrameRecord(Document):
 
 
 def format_words(form: tuple[int, int, int]) -> str:
-    """Put the format of frames into words.
-
-    Parameters
-    ----------
-    form : tuple of int
-        (width, height, bits).
-
-    Returns
-    -------
-    str
-        Such as "1368 x 912 at 8 bits".
-    """
+    """Put the format of frames into words."""
+    # form (width, height, bits)
     return f"{form[0]} x {form[1]} at {form[2]} bits"
 
 
 def frame_file(index: int, pattern: str) -> str:
-    """Name the file of a frame.
-
-    Parameters
-    ----------
-    index : int
-        Of the image in the plan.
-    pattern : str
-        The pattern that was on show.
-
-    Returns
-    -------
-    str
-        Relative to the session.
-    """
+    """Name the file of a frame."""
     return f"{FRAMES}/{index:04d}_{pattern}.tif"
 
 
 def pattern_ids(plan: Plan) -> list[str]:
-    """List the patterns of a plan in the order of its images.
-
-    Parameters
-    ----------
-    plan : Plan
-        What is projected.
-
-    Returns
-    -------
-    list of str
-        One for each image.
-    """
+    """List the patterns of a plan in the order of its images."""
     return [name for _, _, name in plan.steps()]
 
 
 def check_frame_place(
     index: int, pattern: str, ids: list[str], taken: Container[int], where: Path | str
 ) -> None:
-    """Refuse a frame that does not belong where it claims to.
-
-    Parameters
-    ----------
-    index : int
-        Of the image in the plan.
-    pattern : str
-        The pattern that was on show.
-    ids : list of str
-        As `pattern_ids` gives them.
-    taken : container of int
-        Frames that are recorded already.
-    where : Path or str
-        For the message.
-
-    Raises
-    ------
-    DataError
-        The frame is recorded already, or the plan has another pattern there.
-    """
+    """Refuse a frame that does not belong where it claims to."""
     if index in taken:
         raise DataError(f"{where}: frame {index} is recorded already")
     if not 0 <= index < len(ids) or pattern != ids[index]:
@@ -170,25 +102,7 @@ def check_frame_place(
 
 
 def read_journal(path: Path, plan: Plan) -> dict[int, FrameRecord]:
-    """Read the journal of a session; an incomplete last line is a frame that was not recorded.
-
-    Parameters
-    ----------
-    path : Path
-        Of the session.
-    plan : Plan
-        What was projected.
-
-    Returns
-    -------
-    dict of int to FrameRecord
-        By index of the image in the plan.
-
-    Raises
-    ------
-    DataError
-        A line is damaged, or of another plan.
-    """
+    """Read the journal of a session; an incomplete last line is a frame that was not recorded."""
     ids = pattern_ids(plan)
     records: dict[int, FrameRecord] = {}
     for number, line in enumerate(whole_lines(path / JOURNAL), 1):
@@ -199,35 +113,14 @@ def read_journal(path: Path, plan: Plan) -> dict[int, FrameRecord]:
 
 @dataclass(frozen=True)
 class JournalLines:
-    """A journal, line by line.
+    """A journal, line by line."""
 
-    Attributes
-    ----------
-    records : dict of int to FrameRecord
-        Of the lines that are whole, by index of the image in the plan.
-    faults : tuple of str
-        What is wrong with the others.
-    """
-
-    records: dict[int, FrameRecord]
-    faults: tuple[str, ...]
+    records: dict[int, FrameRecord]  # of the lines that are whole, by index of the image in the plan
+    faults: tuple[str, ...]  # what is wrong with the others
 
 
 def readable_lines(path: Path, plan: Plan | None) -> JournalLines:
-    """Read the lines of a journal that are whole, and name the others.
-
-    Parameters
-    ----------
-    path : Path
-        Of the session.
-    plan : Plan or None
-        What was projected; None where that is lost.
-
-    Returns
-    -------
-    JournalLines
-        Both.
-    """
+    """Read the lines of a journal that are whole, and name the others."""
     ids = None if plan is None else pattern_ids(plan)
     records: dict[int, FrameRecord] = {}
     faults = []
@@ -254,22 +147,7 @@ def _record_of(line: bytes, where: str, ids: list[str] | None, taken: Container[
 
 
 def check_whole(path: Path, plan: Plan, records: Sequence[FrameRecord]) -> None:
-    """Refuse a session that lacks frames, or has frames of several formats.
-
-    Parameters
-    ----------
-    path : Path
-        Of the session.
-    plan : Plan
-        What was projected.
-    records : sequence of FrameRecord
-        The journal, in the order of the plan.
-
-    Raises
-    ------
-    DataError
-        The message names the frames.
-    """
+    """Refuse a session that lacks frames, or has frames of several formats."""
     there = {record.index for record in records}
     if missing := [i for i in range(plan.images) if i not in there]:
         shown = ", ".join(map(str, missing[:8])) + (" …" if len(missing) > 8 else "")

@@ -22,21 +22,6 @@ def only_writer(path: Path) -> Iterator[None]:
 
     The lock is a file beside the session, `.NAME.lock`, which the system unlocks when its process ends,
     however it does; a session that is replaced keeps its lock. It names the process that holds it.
-
-    Parameters
-    ----------
-    path : Path
-        Directory of the session; it need not exist yet.
-
-    Yields
-    ------
-    None
-        While the lock is held.
-
-    Raises
-    ------
-    DataError
-        Another process writes into it, or the file system cannot lock files.
     """
     place = path.resolve()
     if place in _held:

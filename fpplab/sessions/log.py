@@ -29,13 +29,7 @@ FIELDS = ("phase", "seconds", "device", "sent")
 
 
 class SessionLog(logging.Handler):
-    """Appends records to the log of a session.
-
-    Parameters
-    ----------
-    folder : Path
-        Of the session.
-    """
+    """Appends records to the log of a session."""
 
     def __init__(self, folder: Path) -> None:
         super().__init__(logging.INFO)
@@ -52,13 +46,7 @@ class SessionLog(logging.Handler):
                 logger.setLevel(logging.INFO)
 
     def append(self, **fields: Any) -> None:
-        """Append a line, or nothing where it cannot be written.
-
-        Parameters
-        ----------
-        **fields : object
-            Plain values.
-        """
+        """Append a line, or nothing where it cannot be written."""
         now = datetime.now(UTC).isoformat(timespec="milliseconds")
         with suppress(OSError):  # a full disk, or a session that was removed, stops no measurement here
             handle = os.open(self._file, os.O_WRONLY | os.O_APPEND)
@@ -68,26 +56,14 @@ class SessionLog(logging.Handler):
                 os.close(handle)
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Append one record.
-
-        Parameters
-        ----------
-        record : logging.LogRecord
-            What was logged.
-        """
+        """Append one record."""
         more = {name: getattr(record, name) for name in FIELDS if hasattr(record, name)}
         self.append(level=record.levelname.lower(), logger=record.name, message=record.getMessage(), **more)
         if record.levelno >= logging.WARNING and logging.lastResort and not _is_heard_elsewhere(record.name):
             logging.lastResort.handle(record)  # as without this log
 
     def end(self, error: BaseException | None) -> None:
-        """Append how it ended, and listen no longer.
-
-        Parameters
-        ----------
-        error : BaseException or None
-            What ended it, if anything did.
-        """
+        """Append how it ended, and listen no longer."""
         for name, level in self._levels.items():
             logging.getLogger(name).removeHandler(self)
             logging.getLogger(name).setLevel(level)
@@ -99,13 +75,7 @@ _open: dict[Path, SessionLog] = {}
 
 
 def begin_session_log(path: Path) -> None:
-    """Log into a session from now on, until the process no longer is its writer.
-
-    Parameters
-    ----------
-    path : Path
-        Of the session, which exists and is locked.
-    """
+    """Log into a session from now on, until the process no longer is its writer."""
     place = path.resolve()
     if place not in _open:
         _open[place] = SessionLog(path)
@@ -117,15 +87,7 @@ def end_session_log(
     error: BaseException | None,
     trace: TracebackType | None,
 ) -> None:
-    """End the log of a session, if there is one: an exit callback.
-
-    Parameters
-    ----------
-    place : Path
-        Of the session, resolved.
-    kind, error, trace
-        What ended the work, as `__exit__` is given it.
-    """
+    """End the log of a session, if there is one: an exit callback."""
     log = _open.pop(place, None)
     if log is not None:
         log.end(error)

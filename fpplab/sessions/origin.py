@@ -43,25 +43,7 @@ class SessionOrigin(Origin):
 
     @classmethod
     def of(cls, rig: Rig, first_frame: int | None = None) -> SessionOrigin:
-        """Describe an open rig, now.
-
-        Parameters
-        ----------
-        rig : Rig
-            Open.
-        first_frame : int, optional
-            Number of the first frame in the simulation.
-
-        Returns
-        -------
-        SessionOrigin
-            With the devices as they tell of themselves.
-
-        Raises
-        ------
-        DeviceError
-            A device does not answer.
-        """
+        """Describe an open rig, now."""
         opened = {
             "camera": rig.camera,
             "projector": rig.projector,
@@ -74,65 +56,19 @@ class SessionOrigin(Origin):
 
 
 def record_origin(folder: Path, rig: Rig, first_frame: int | None = None) -> None:
-    """Record the origin of a session that has none yet.
-
-    Parameters
-    ----------
-    folder : Path
-        Of the session.
-    rig : Rig
-        Open.
-    first_frame : int, optional
-        Number of the first frame in the simulation.
-
-    Raises
-    ------
-    DataError
-        The record cannot be written.
-    DeviceError
-        A device does not answer.
-    """
+    """Record the origin of a session that has none yet."""
     if not (folder / ORIGIN).is_file():
         write_text(folder / ORIGIN, config.dump(SessionOrigin.of(rig, first_frame)))
 
 
 def session_origin(folder: Path) -> SessionOrigin | None:
-    """Read the origin of a session.
-
-    Parameters
-    ----------
-    folder : Path
-        Of the session.
-
-    Returns
-    -------
-    SessionOrigin or None
-        None where it is not recorded.
-
-    Raises
-    ------
-    ConfigError
-        The record is damaged.
-    """
+    """Read the origin of a session."""
     path = folder / ORIGIN
     return config.load_document(path, SessionOrigin) if path.is_file() else None
 
 
 def other_devices(calibration: CalibrationOrigin, measured: SessionOrigin) -> list[str]:
-    """List the devices of a measurement that a calibration was not made with, by their serial numbers.
-
-    Parameters
-    ----------
-    calibration : CalibrationOrigin
-        Of the calibration.
-    measured : SessionOrigin
-        Of the measurement.
-
-    Returns
-    -------
-    list of str
-        "camera", "projector", both or none; devices without a serial number cannot be told apart.
-    """
+    """List the devices of a measurement that a calibration was not made with, by their serial numbers."""
     made_with = {"camera": calibration.camera, "projector": calibration.projector}
     pairs = [(name, one, measured.devices.get(name)) for name, one in made_with.items()]
     return [
@@ -141,25 +77,7 @@ def other_devices(calibration: CalibrationOrigin, measured: SessionOrigin) -> li
 
 
 def foreign_calibration(calibration: Calibration, session: Session) -> str | None:
-    """Tell how the devices of a session differ from those that a calibration was made with.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        That the session is measured with.
-    session : Session
-        The measurement.
-
-    Returns
-    -------
-    str or None
-        A clause; None where they are the same, or nothing tells.
-
-    Raises
-    ------
-    ConfigError
-        The record of the session's devices is damaged.
-    """
+    """Tell how the devices of a session differ from those that a calibration was made with."""
     made, measured = calibration.origin, session_origin(session.path)
     if made is None or measured is None:
         return None
@@ -173,18 +91,7 @@ def foreign_calibration(calibration: Calibration, session: Session) -> str | Non
 
 
 def taken_at(session: Session) -> tuple[datetime, datetime] | None:
-    """Tell when the frames of a session were taken.
-
-    Parameters
-    ----------
-    session : Session
-        With frames or without.
-
-    Returns
-    -------
-    tuple of datetime, or None
-        Arrival of the first and the last frame, UTC; None for images from elsewhere, and without frames.
-    """
+    """Tell when the frames of a session were taken."""
     if session.is_imported or not session.records:
         return None
     times = [record.host_time_s for record in session.records]
@@ -192,23 +99,7 @@ def taken_at(session: Session) -> tuple[datetime, datetime] | None:
 
 
 def calibration_origin(poses: Sequence[Session]) -> CalibrationOrigin:
-    """Describe what a calibration is made from, now.
-
-    Parameters
-    ----------
-    poses : sequence of Session
-        Of the board.
-
-    Returns
-    -------
-    CalibrationOrigin
-        With the time of the last frame and the devices, where the sessions agree on them.
-
-    Raises
-    ------
-    ConfigError
-        The record of a session is damaged.
-    """
+    """Describe what a calibration is made from, now."""
     ends = [times[1] for times in map(taken_at, poses) if times]
     known = [origin.devices if (origin := session_origin(pose.path)) else {} for pose in poses]
     agreed = {

@@ -35,24 +35,12 @@ from fpplab.sessions.session import Session
 
 @dataclass
 class RepairReport:
-    """What a repair found and did.
+    """What a repair found and did."""
 
-    Attributes
-    ----------
-    kept : int
-        Frames that are whole.
-    restored : list of str
-        Files that were written anew, and from what.
-    lost : list of str
-        What is lost, in sentences.
-    aside : list of str
-        Where damaged files are now.
-    """
-
-    kept: int = 0
-    restored: list[str] = field(default_factory=list)
-    lost: list[str] = field(default_factory=list)
-    aside: list[str] = field(default_factory=list)
+    kept: int = 0  # frames that are whole
+    restored: list[str] = field(default_factory=list)  # files that were written anew, and from what
+    lost: list[str] = field(default_factory=list)  # what is lost, in sentences
+    aside: list[str] = field(default_factory=list)  # where damaged files are now
 
     @property
     def is_unchanged(self) -> bool:
@@ -61,28 +49,7 @@ class RepairReport:
 
 
 def repair_session(path: Path, progress: Progress = no_progress) -> RepairReport:
-    """Make a damaged session readable again.
-
-    Parameters
-    ----------
-    path : Path
-        Of the session.
-    progress : callable
-        Told the share of frames that are read, 0 … 1.
-
-    Returns
-    -------
-    RepairReport
-        What was kept, restored and lost.
-
-    Raises
-    ------
-    ConfigError
-        It is no session.
-    DataError
-        Its plan or journal is lost, without which its frames mean nothing; the disk is full; or another
-        process writes into it.
-    """
+    """Make a damaged session readable again."""
     with only_writer(path):
         report = RepairReport()
         if not session_faults(path):

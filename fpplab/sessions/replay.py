@@ -53,34 +53,11 @@ class RecordedSession:
         """Nothing is held open between frames."""
 
     def first(self) -> FrameRecord:
-        """Give the record that stands for the settings of all.
-
-        Returns
-        -------
-        FrameRecord
-            Of the first frame.
-        """
+        """Give the record that stands for the settings of all."""
         return self.session.records[0]
 
     def info(self, name: str) -> DeviceInfo:
-        """Describe a replayed device.
-
-        Parameters
-        ----------
-        name : str
-            "camera" or "projector".
-
-        Returns
-        -------
-        DeviceInfo
-            Model and serial number of the device that recorded, by which a calibration knows it; where they
-            are not recorded, "replay" without a serial number.
-
-        Raises
-        ------
-        ConfigError
-            The record of the session's devices is damaged.
-        """
+        """Describe a replayed device."""
         path = self.session.path
         origin = session_origin(path)
         recorded = origin.devices.get(name) if origin else None

@@ -16,22 +16,7 @@ RigRecord = dict[str, Any] | None
 
 
 def check_same_rig(began: RigRecord, now: RigRecord, path: Path) -> None:
-    """Refuse to continue a session on another rig.
-
-    Parameters
-    ----------
-    began : dict or None
-        The rig that the session records.
-    now : dict or None
-        The rig that would continue it; None where it is not known.
-    path : Path
-        Of the session.
-
-    Raises
-    ------
-    DataError
-        Rig, mounted item or its pose is another.
-    """
+    """Refuse to continue a session on another rig."""
     if now is not None and began != now:
         what = "item or pose" if _but_mounted(began) == _but_mounted(now) else "rig"
         raise DataError(f"{path}: was begun with another {what}; name another output, or add --force")
@@ -44,29 +29,8 @@ def _but_mounted(rig: RigRecord) -> dict[str, Any]:
 
 
 def recorded_projector(rig: RigRecord, plan: Plan, path: Path) -> tuple[tuple[int, int], Lattice]:
-    """Tell which projector showed the patterns of a session.
-
-    Parameters
-    ----------
-    rig : dict or None
-        As the session records it.
-    plan : Plan
-        What was projected; says it where `rig` is None, on a square lattice.
-    path : Path
-        Of the session.
-
-    Returns
-    -------
-    size : tuple of int
-        (width, height) in px.
-    lattice : Lattice
-        How the mirrors lie.
-
-    Raises
-    ------
-    DataError
-        Neither says.
-    """
+    """Tell which projector showed the patterns of a session."""
+    # returns size (width, height) px
     if rig is None and plan.projector_size:
         return plan.projector_size, Lattice.SQUARE
     try:
@@ -80,24 +44,6 @@ def recorded_projector(rig: RigRecord, plan: Plan, path: Path) -> tuple[tuple[in
 
 
 def recorded_response(rig: RigRecord, path: Path) -> Curve | None:
-    """Give the measured response of the rig of a session, where its file states one.
-
-    Parameters
-    ----------
-    rig : dict or None
-        As the session records it.
-    path : Path
-        Of the session.
-
-    Returns
-    -------
-    Curve or None
-        The response.
-
-    Raises
-    ------
-    ConfigError
-        The record holds something else.
-    """
+    """Give the measured response of the rig of a session, where its file states one."""
     found = (rig or {}).get("response")
     return None if found is None else config.validate(found, Curve, f"{path}: response of the rig")

@@ -535,25 +535,7 @@ class Session:
 
 
 def recorded_sessions(paths: list[Path]) -> list[Session]:
-    """Open sessions that are named one by one, or by the directory that holds them.
-
-    Parameters
-    ----------
-    paths : list of Path
-        Sessions, or directories of sessions.
-
-    Returns
-    -------
-    list of Session
-        All of one plan and format.
-
-    Raises
-    ------
-    ConfigError
-        One is given twice.
-    DataError
-        A path holds none, or they do not belong together.
-    """
+    """Open sessions that are named one by one, or by the directory that holds them."""
     sessions: list[Session] = []
     for path in paths:
         alone = (path / JOURNAL).is_file()

@@ -14,55 +14,25 @@ NO_MARGINS = 0.0, 0.0, 0.0, 0.0
 
 @dataclass(frozen=True, eq=False)
 class BenchSurroundings:
-    """Matt surfaces that stand still in front of camera and projector.
+    """Matt surfaces that stand still in front of camera and projector."""
 
-    Attributes
-    ----------
-    mesh : trimesh.Trimesh
-        In mm in the camera's frame, front sides towards the camera.
-    reflectance : ndarray of float32
-        Of what every pixel of the camera sees where no item hides it, (height, width), 0 to 1.
-    """
-
-    mesh: trimesh.Trimesh
-    reflectance: NDArray[np.float32]
+    mesh: trimesh.Trimesh  # in mm in the camera's frame, front sides towards the camera
+    reflectance: NDArray[np.float32]  # of what every pixel of the camera sees where no item hides it
 
 
 @dataclass(frozen=True, eq=False)
 class BoardSheet:
-    """The sheet that a board is printed on.
-
-    Attributes
-    ----------
-    margins_mm : tuple of float
-        Width of the blank sheet beyond the target on the left, top, right and bottom, as the target is
-        printed, in mm.
-    rim_mm : float
-        Width of a dark frame around the sheet, in mm.
-    rim_reflectance : float
-        Of the frame, 0 to 1.
-    texture : ndarray of float32 or None
-        Factor by which the reflectance differs from place to place, [v, u] over the sheet with its margins;
-        None where it is 1.
-    """
+    """The sheet that a board is printed on."""
 
     margins_mm: tuple[float, float, float, float] = NO_MARGINS
-    rim_mm: float = 0.0
-    rim_reflectance: float = 0.0
-    texture: NDArray[np.float32] | None = None
+    rim_mm: float = 0.0  # width of a dark frame around the sheet, in mm
+    rim_reflectance: float = 0.0  # of the frame, 0 to 1
+    texture: NDArray[np.float32] | None = None  # factor by which the reflectance differs from place to place
 
 
 @dataclass(frozen=True, eq=False)
 class Appearance:
-    """The sheet of the board, and what stands beside it.
+    """The sheet of the board, and what stands beside it."""
 
-    Attributes
-    ----------
-    sheet : BoardSheet
-        Of the board.
-    surroundings : BenchSurroundings or None
-        None where nothing is known.
-    """
-
-    sheet: BoardSheet = BoardSheet()
-    surroundings: BenchSurroundings | None = None
+    sheet: BoardSheet = BoardSheet()  # of the board
+    surroundings: BenchSurroundings | None = None  # none where nothing is known

@@ -16,18 +16,10 @@ from fpplab.simulation.scene import DatasetScene
 
 @dataclass(frozen=True, eq=False)
 class SceneTruth:
-    """Ground truth of an arranged scene.
+    """Ground truth of an arranged scene."""
 
-    Attributes
-    ----------
-    mesh : trimesh.Trimesh
-        True surface in mm in the camera's frame; flat items are meshes of two sides.
-    calibration : Calibration
-        The true devices, with the stage where it is.
-    """
-
-    mesh: trimesh.Trimesh
-    calibration: Calibration
+    mesh: trimesh.Trimesh  # true surface in mm in the camera's frame; flat items are meshes of two sides
+    calibration: Calibration  # the true devices, with the stage where it is
 
 
 class SceneStudio(Protocol):

@@ -34,106 +34,40 @@ ExpectedLevels = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class TwinParameters:
-    """Everything of a twin that matching may change. A parameter that is None is absent from the world.
+    """Everything of a twin that matching may change. A parameter that is None is absent from the world."""
 
-    Attributes
-    ----------
-    calibration : Calibration
-        Both devices and the pose between them.
-    poses : tuple of RigidTransform
-        `T_camera_item` of the board.
-    white : float
-        Level above black of a surface that faces the lamp at its distance, relative to what the twin's own
-        file gives. A change of `f_number`, `full_well_e` or `black_level` does not change it (the lamp makes
-        up for it).
-    response : Curve
-        Of the projector, with a + b = 1, since `white` takes the scale.
-    ambient : float
-        Even ambient light, relative to the projector's white.
-    paper, ink : float
-        Reflectances of the board's ground and print.
-    projector_blur : float
-        Standard deviation of the projector lens's point spread at its sharpest, in mirrors.
-    projector_focus_mm : float or None
-        Distance in focus of the projector, as in a world file; None: sharp at every depth.
-    projector_aperture_mm : float
-        Diameter of the projector's aperture, as in a world file.
-    camera_focus_mm : float or None
-        Distance in focus of the camera; None: sharp at every depth.
-    f_number : float
-        Of the camera's lens.
-    vignetting : float
-        Exponent n of the camera's loss of light cosⁿ towards the edge.
-    black_level : float
-        Share of full scale.
-    read_noise_e, full_well_e : float
-        Electrons of the unbinned pixel.
-    vibration_mm : float
-        Standard deviation of the item's position from frame to frame.
-    vibration_line_mm : tuple of float
-        Root mean square displacement along the camera's axes by vibration along a line, beside that.
-    vibration_periodic : float
-        Share of its variance that has one frequency.
-    vibration_cycles_per_frame : float
-        That frequency, as frames at regular intervals sample it; 0 where there is none.
-    projector_falloff : tuple of float
-        Coefficients of x, y, x², xy and y², as in a world file.
-    projector_flicker : float
-        Standard deviation of the projector's light from frame to frame, relative.
-    lamp_irradiance : float
-        Light of the room's lamp on a surface that faces it, relative to the projector's white, at the point
-        from which its place is given: on the camera's axis at the projector's distance. 0 for no lamp.
-    lamp_angle_deg, lamp_azimuth_deg, lamp_distance_mm : float
-        Place of the lamp from that point: angle from the way to the camera, direction in the image (0 right,
-        90 below), and distance.
-    ambient_ripple : float
-        Amplitude of the rolling bands of ambient light and lamp, as a share of it; 0 where it is steady.
-    band_period_px : float
-        From band to band, in rows of the frame; 0 where there are none.
-    band_advance : float or None
-        Share of a period by which they move from frame to frame; None where they are at another place in
-        each.
-    placed : mapping of str to RigidTransform
-        `T_camera_item` of other items that were measured on the bench, by name; the others stand where the
-        twin's own file says.
-    surfaces : mapping of str to PartSurface
-        Of items whose surface was matched, by name; the others are what the twin's own file says.
-    sigma : mapping of str to float
-        Standard uncertainties that a fit stated, by name of the parameter, in its unit.
-    """
-
-    calibration: Calibration
-    poses: tuple[RigidTransform, ...]
-    white: float
-    response: Curve
-    ambient: float
-    paper: float
-    ink: float
-    projector_blur: float
-    projector_focus_mm: float | None
-    projector_aperture_mm: float
-    camera_focus_mm: float | None
-    f_number: float
-    vignetting: float
-    black_level: float
-    read_noise_e: float
-    full_well_e: float
-    vibration_mm: float
+    calibration: Calibration  # both devices and the pose between them
+    poses: tuple[RigidTransform, ...]  # `T_camera_item` of the board
+    white: float  # level above black of a surface that faces the lamp at its distance
+    response: Curve  # of the projector, with a + b = 1, since `white` takes the scale
+    ambient: float  # even ambient light, relative to the projector's white
+    paper: float  # reflectances of the board's ground and print
+    ink: float  # reflectances of the board's ground and print
+    projector_blur: float  # standard deviation of the projector lens's point spread at its sharpest
+    projector_focus_mm: float | None  # distance in focus of the projector, as in a world file
+    projector_aperture_mm: float  # diameter of the projector's aperture, as in a world file
+    camera_focus_mm: float | None  # distance in focus of the camera; None: sharp at every depth
+    f_number: float  # of the camera's lens
+    vignetting: float  # exponent n of the camera's loss of light cosⁿ towards the edge
+    black_level: float  # share of full scale
+    read_noise_e: float  # electrons of the unbinned pixel
+    full_well_e: float  # electrons of the unbinned pixel
+    vibration_mm: float  # standard deviation of the item's position from frame to frame
     vibration_line_mm: tuple[float, float, float] = NO_LINE
-    vibration_periodic: float = 0.0
-    vibration_cycles_per_frame: float = 0.0
-    projector_falloff: tuple[float, float, float, float, float] = NO_FALLOFF
-    projector_flicker: float = 0.0
-    lamp_irradiance: float = 0.0
-    lamp_angle_deg: float = 45.0
-    lamp_azimuth_deg: float = -90.0
-    lamp_distance_mm: float = 2000.0
-    ambient_ripple: float = 0.0
-    band_period_px: float = 0.0
-    band_advance: float | None = None
+    vibration_periodic: float = 0.0  # share of its variance that has one frequency
+    vibration_cycles_per_frame: float = 0.0  # that frequency, as frames at regular intervals sample it
+    projector_falloff: tuple[float, float, float, float, float] = NO_FALLOFF  # coefficients of x
+    projector_flicker: float = 0.0  # standard deviation of the projector's light from frame to frame
+    lamp_irradiance: float = 0.0  # light of the room's lamp on a surface that faces it
+    lamp_angle_deg: float = 45.0  # place of the lamp from that point
+    lamp_azimuth_deg: float = -90.0  # place of the lamp from that point
+    lamp_distance_mm: float = 2000.0  # place of the lamp from that point
+    ambient_ripple: float = 0.0  # amplitude of the rolling bands of ambient light and lamp, as a share of it
+    band_period_px: float = 0.0  # from band to band, in rows of the frame; 0 where there are none
+    band_advance: float | None = None  # share of a period by which they move from frame to frame
     placed: Mapping[str, RigidTransform] = field(default_factory=dict)
-    surfaces: Mapping[str, PartSurface] = field(default_factory=dict)
-    sigma: Mapping[str, float] = field(default_factory=dict)
+    surfaces: Mapping[str, PartSurface] = field(default_factory=dict)  # of items whose surface was matched
+    sigma: Mapping[str, float] = field(default_factory=dict)  # standard uncertainties that a fit stated
 
     @property
     def displacement_mm(self) -> float:
@@ -141,35 +75,11 @@ class TwinParameters:
         return float(np.sqrt(self.vibration_mm**2 + np.mean(np.square(self.vibration_line_mm))))
 
     def sigma_with(self, **known: float) -> dict[str, float]:
-        """Give the standard uncertainties with some replaced.
-
-        Parameters
-        ----------
-        **known : float
-            By name of the parameter; 0 for one that is not known.
-
-        Returns
-        -------
-        dict of str to float
-            Without those that are 0.
-        """
+        """Give the standard uncertainties with some replaced."""
         return {name: value for name, value in {**self.sigma, **known}.items() if value or name not in known}
 
     def with_pose(self, index: int, pose: RigidTransform) -> TwinParameters:
-        """Replace one of the poses.
-
-        Parameters
-        ----------
-        index : int
-            Of the pose.
-        pose : RigidTransform
-            `T_camera_item` of the board.
-
-        Returns
-        -------
-        TwinParameters
-            The same but for that pose.
-        """
+        """Replace one of the poses."""
         return replace(self, poses=(*self.poses[:index], pose, *self.poses[index + 1 :]))
 
 

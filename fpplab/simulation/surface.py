@@ -9,27 +9,13 @@ from typing import Any
 
 @dataclass(frozen=True)
 class PartSurface:
-    """A matt or translucent body under a gloss coat.
+    """A matt or translucent body under a gloss coat."""
 
-    Attributes
-    ----------
-    reflectance : float
-        Share of the light that the body reflects of what reaches it, 0 to 1.
-    gloss : float
-        Share of the light that meets the gloss coat, 0 to 1; 0 for no coat.
-    gloss_roughness : float
-        Square root of the width parameter of GGX, of the coat.
-    radius_mm : float
-        Mean free path of light in the body in mm; 0 where light leaves it where it entered.
-    sigma : mapping of str to float
-        Standard uncertainties by attribute, in its unit; only of what was fitted.
-    """
-
-    reflectance: float
-    gloss: float = 0.0
-    gloss_roughness: float = 0.3
-    radius_mm: float = 0.0
-    sigma: Mapping[str, float] = field(default_factory=dict)
+    reflectance: float  # share of the light that the body reflects of what reaches it, 0 to 1
+    gloss: float = 0.0  # share of the light that meets the gloss coat, 0 to 1; 0 for no coat
+    gloss_roughness: float = 0.3  # square root of the width parameter of GGX, of the coat
+    radius_mm: float = 0.0  # mean free path of light in the body in mm
+    sigma: Mapping[str, float] = field(default_factory=dict)  # standard uncertainties by attribute
 
     @property
     def kind(self) -> str:
@@ -44,22 +30,10 @@ class PartSurface:
         return self.sigma.get("reflectance", 0.0) / max(self.reflectance, 1e-6)
 
     def numbers(self) -> dict[str, float]:
-        """Give what describes a surface of this kind.
-
-        Returns
-        -------
-        dict of str to float
-            By attribute, without those that its kind does not have.
-        """
+        """Give what describes a surface of this kind."""
         further = {"glossy": ("gloss", "gloss_roughness"), "translucent": ("radius_mm",)}
         return {name: getattr(self, name) for name in ("reflectance", *further.get(self.kind, ()))}
 
     def summary(self) -> dict[str, Any]:
-        """Give plain values.
-
-        Returns
-        -------
-        dict of str to Any
-            `kind`, `numbers()`, and `sigma` by name.
-        """
+        """Give plain values."""
         return {"kind": self.kind, **self.numbers(), "sigma": dict(self.sigma)}

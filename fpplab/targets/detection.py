@@ -24,24 +24,8 @@ def detect(layout: BoardLayout, image: NDArray[Any]) -> Detection | None:
 
     Of a board that looks the same after half a turn, the order is the one whose x axis points right or
     down in the image.
-
-    Parameters
-    ----------
-    layout : BoardLayout
-        The board.
-    image : NDArray[Any]
-        Grey image (height, width) of integers or floats.
-
-    Returns
-    -------
-    Detection or None
-        Points found; None when the board is not there.
-
-    Raises
-    ------
-    CalibrationError
-        The image is not two-dimensional or smaller than 16 px.
     """
+    # image (height, width)
     if image.ndim != 2 or min(image.shape) < 16:
         raise CalibrationError(f"a board is detected in a grey image, not in an array {image.shape}")
     level = np.nan_to_num(np.asarray(image, np.float64))
@@ -50,22 +34,8 @@ def detect(layout: BoardLayout, image: NDArray[Any]) -> Detection | None:
 
 
 def refined(layout: BoardLayout, coarse: Detection, level: Floats) -> Detection | None:
-    """Locate every point by a model fit of its own.
-
-    Parameters
-    ----------
-    layout : BoardLayout
-        The board.
-    coarse : Detection
-        Points to about a pixel.
-    level : Floats
-        Grey image (height, width).
-
-    Returns
-    -------
-    Detection or None
-        Without the points whose fit failed; None when fewer than `LEAST_POINTS` are left.
-    """
+    """Locate every point by a model fit of its own."""
+    # level (height, width)
     board = layout.points()[coarse.ids, :2]
     frames = local_frames(homography(layout, coarse), board)
     centres = fit_centres(level, coarse.pixels, frames, layout.point_model())

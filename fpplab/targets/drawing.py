@@ -11,42 +11,20 @@ from fpplab.core.conventions import Floats
 
 
 class InkBox(NamedTuple):
-    """A rectangle in the foreground's colour, in mm in the board's frame.
+    """A rectangle in the foreground's colour, in mm in the board's frame."""
 
-    Attributes
-    ----------
-    left : float
-        Least x in mm.
-    top : float
-        Least y in mm.
-    right : float
-        Greatest x in mm.
-    bottom : float
-        Greatest y in mm.
-    """
-
-    left: float
-    top: float
-    right: float
-    bottom: float
+    left: float  # least x in mm
+    top: float  # least y in mm
+    right: float  # greatest x in mm
+    bottom: float  # greatest y in mm
 
 
 class InkDisc(NamedTuple):
-    """A disc in the foreground's colour, in mm in the board's frame.
+    """A disc in the foreground's colour, in mm in the board's frame."""
 
-    Attributes
-    ----------
-    x : float
-        Of its centre in mm.
-    y : float
-        Of its centre in mm.
-    radius : float
-        In mm.
-    """
-
-    x: float
-    y: float
-    radius: float
+    x: float  # of its centre in mm
+    y: float  # of its centre in mm
+    radius: float  # in mm
 
 
 InkShape = InkBox | InkDisc
@@ -58,21 +36,8 @@ def covered_share(shapes: Iterable[InkShape], size_mm: tuple[float, float], px_p
 
     The image's borders are the board's: where the size is not a whole number of pixels, the scale along
     that axis is adapted.
-
-    Parameters
-    ----------
-    shapes : Iterable[InkShape]
-        The board's drawing.
-    size_mm : tuple[float, float]
-        (width, height) of the board in mm.
-    px_per_mm : float
-        Resolution.
-
-    Returns
-    -------
-    Floats
-        (height, width), 0 to 1. Rectangles are exact; the rim of a disc is a ramp of one pixel.
     """
+    # size_mm (width, height) mm; returns (height, width)
     width, height = (max(round(s * px_per_mm), 1) for s in size_mm)
     scale = np.array([width / size_mm[0], height / size_mm[1]])
     share = np.zeros((height, width))

@@ -14,23 +14,8 @@ from fpplab.targets.views import Detection, apply_homography, homography, whole_
 def in_order(
     layout: BoardLayout, grid: Floats, accepts: Callable[[Floats], bool] | None = None
 ) -> Detection | None:
-    """Order a grid of points as the board does: seen from the front and right way up.
-
-    Parameters
-    ----------
-    layout : BoardLayout
-        The board.
-    grid : Floats
-        All points (rows, columns, 2) in px; it may be turned by half a turn or mirrored.
-    accepts : Callable[[Floats], bool] or None
-        Tells whether a grid so ordered agrees with the image. None accepts any.
-
-    Returns
-    -------
-    Detection or None
-        The order that fits the board; of several, the one whose x axis points right or down. None when
-        none fits.
-    """
+    """Order a grid of points as the board does: seen from the front and right way up."""
+    # grid (rows, columns, 2) px
     turns = [grid, grid[::-1, ::-1], grid[::-1], grid[:, ::-1]]
     fits = [(_misfit(layout, turn), turn) for turn in turns if _seen_from_front(turn)]
     best = min(misfit for misfit, _ in fits)

@@ -59,25 +59,8 @@ class UnclearPart(CalibrationError):  # noqa: N818 - the view is at fault, not t
 
 
 def detect_part(layout: BoardLayout, image: NDArray[Any]) -> Detection | None:
-    """Find part of a board in a grey image.
-
-    Parameters
-    ----------
-    layout : BoardLayout
-        The board, of a kind that is detected in part by its lattice (see `BoardLayout.find_patch`).
-    image : NDArray[Any]
-        Grey image (height, width) of any real type.
-
-    Returns
-    -------
-    Detection or None
-        Points found; None when there is no part of such a board.
-
-    Raises
-    ------
-    UnclearPart
-        There is a part of a board and its points cannot be identified for certain.
-    """
+    """Find part of a board in a grey image."""
+    # image (height, width)
     level = np.nan_to_num(np.asarray(image, np.float64))
     patch = layout.find_patch(stretched(level))
     if patch is None or len(patch.cells) < LEAST_POINTS or not _is_of_points(layout, patch, level):

@@ -15,37 +15,15 @@ OFF_LATTICE = 0.2
 
 
 def facing_front(cells: Cells, pixels: Floats) -> GridPatch:
-    """Make a patch whose lattice basis is right-handed as seen from the front.
-
-    Parameters
-    ----------
-    cells : Cells
-        (n, 2) lattice coordinates in either handedness.
-    pixels : Floats
-        (n, 2) image coordinates (u, v) in px.
-
-    Returns
-    -------
-    GridPatch
-        With x and y of the cells exchanged where that is needed; not verified.
-    """
+    """Make a patch whose lattice basis is right-handed as seen from the front."""
+    # cells (n, 2); pixels (n, 2) px
     slope = np.linalg.lstsq(cells - cells.mean(axis=0), pixels - pixels.mean(axis=0), rcond=None)[0]
     return GridPatch(cells if np.linalg.det(slope) > 0 else cells[:, ::-1], pixels)
 
 
 def patch_of_blobs(found: Floats) -> GridPatch | None:
-    """Find the largest lattice that blobs form.
-
-    Parameters
-    ----------
-    found : Floats
-        (n, 2) centres (u, v) in px of blobs that look like the board's points.
-
-    Returns
-    -------
-    GridPatch or None
-        Verified; None when there are fewer than `LEAST_POINTS` blobs or they form no two-dimensional lattice.
-    """
+    """Find the largest lattice that blobs form."""
+    # found (n, 2) px
     if len(found) < LEAST_POINTS:
         return None
     middle = np.argsort(np.linalg.norm(found - np.median(found, axis=0), axis=1))

@@ -23,25 +23,8 @@ FINEST_STEP_PX = 1e-6
 
 
 def fit_centres(level: Floats, pixels: Floats, frames: Floats, model: PointModel) -> Floats:
-    """Fit the model around every point.
-
-    Parameters
-    ----------
-    level : Floats
-        Grey image (height, width).
-    pixels : Floats
-        (K, 2) points (u, v) to about a pixel.
-    frames : Floats
-        (K, 2, 2) Jacobian of the board's homography there in px per mm.
-    model : PointModel
-        What surrounds a point.
-
-    Returns
-    -------
-    Floats
-        (K, 2) centres in px; NaN where there are fewer than `LEAST_PIXELS` pixels, the fit does not
-        converge, or it moves the point by more than half its window.
-    """
+    """Fit the model around every point."""
+    # level (height, width); pixels (K, 2); frames (K, 2, 2) px; returns (K, 2) px
     if not len(pixels):
         return np.empty((0, 2))
     starts = np.array([model.start(frame) for frame in frames])

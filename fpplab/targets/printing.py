@@ -52,41 +52,16 @@ LONGEST_NAME = 40
 
 @dataclass(frozen=True)
 class Sheet:
-    """A page as written.
+    """A page as written."""
 
-    Attributes
-    ----------
-    file : Path
-        The file.
-    paper_mm : tuple[float, float]
-        (width, height) in mm.
-    scale : float
-        mm on paper for each mm of the board.
-    """
-
-    file: Path
-    paper_mm: tuple[float, float]
-    scale: float = 1.0
+    file: Path  # the file
+    paper_mm: tuple[float, float]  # (width, height) in mm
+    scale: float = 1.0  # mm on paper for each mm of the board
 
 
 def paper_size(name: str) -> tuple[float, float]:
-    """Look up a paper size.
-
-    Parameters
-    ----------
-    name : str
-        `A4`, `A3`, `letter`, or a size in mm like `300x200`.
-
-    Returns
-    -------
-    tuple[float, float]
-        (width, height) in mm.
-
-    Raises
-    ------
-    ConfigError
-        For anything else.
-    """
+    """Look up a paper size."""
+    # returns (width, height) mm
     if name.lower() in _KNOWN:
         return _KNOWN[name.lower()]
     try:
@@ -101,31 +76,7 @@ def paper_size(name: str) -> tuple[float, float]:
 
 
 def print_target(target: Target, path: Path, paper: str = "A4", name: str = "board") -> Sheet:
-    """Write a board as a page of vector graphics at true scale.
-
-    Parameters
-    ----------
-    target : Target
-        The board.
-    path : Path
-        Of the file; its suffix chooses PDF or SVG.
-    paper : str
-        See `paper_size`; paper given by name is turned when the board fits only so.
-    name : str
-        What the page calls the board.
-
-    Returns
-    -------
-    Sheet
-        The page.
-
-    Raises
-    ------
-    ConfigError
-        The paper is unknown or too small, or the suffix another one.
-    DataError
-        The file cannot be written.
-    """
+    """Write a board as a page of vector graphics at true scale."""
     need_suffix(path, ".pdf", ".svg")
     size = _fitting(target, paper)
     page = _Page(size)
@@ -143,17 +94,8 @@ def ink(target: Target) -> Outline:
     """Outline all that has the foreground's colour.
 
     It is one outline, so that no hairline shows where two squares of a marker meet.
-
-    Parameters
-    ----------
-    target : Target
-        The board.
-
-    Returns
-    -------
-    Outline
-        In mm in the board's frame (x right, y down).
     """
+    # returns (x right, y down)
     return Outline.make_compound_path(*(_outline(shape) for shape in target.layout.shapes()))
 
 

@@ -35,75 +35,28 @@ _DISC = int(Surroundings.DISC)
 
 @dataclass(frozen=True)
 class PointModel:
-    """Brightness model of a point and where to fit it.
+    """Brightness model of a point and where to fit it."""
 
-    Attributes
-    ----------
-    surroundings : Surroundings
-        Which of the models.
-    start : Callable[[Floats], Floats]
-        Initial parameters θ from the Jacobian (2, 2) of the board's homography in px per mm.
-    half_mm : float
-        Half the side in mm of the square around the point that shows nothing else.
-    """
-
-    surroundings: Surroundings
-    start: Callable[[Floats], Floats]
-    half_mm: float
+    surroundings: Surroundings  # which of the models
+    start: Callable[[Floats], Floats]  # initial parameters θ from the Jacobian (2
+    half_mm: float  # half the side in mm of the square around the point that shows nothing else
 
     def brightness(self, theta: Floats, x: Floats, y: Floats) -> Floats:
-        """Compute the model's brightness.
-
-        Parameters
-        ----------
-        theta : Floats
-            Its parameters.
-        x : Floats
-            (n,) offsets along u from the point in px.
-        y : Floats
-            (n,) offsets along v from the point in px.
-
-        Returns
-        -------
-        Floats
-            (n,) from -1 to 1, positive where the board is bright for a dark foreground.
-        """
+        """Compute the model's brightness."""
+        # x (n,) px; y (n,) px; returns (n,)
         values = np.empty(len(x))
         _brightness(int(self.surroundings), theta, x, y, values)
         return values
 
 
 def crossing_edges(half_mm: float) -> PointModel:
-    """Model the corner of four squares as the product of two blurred edges.
-
-    Parameters
-    ----------
-    half_mm : float
-        Half the side of the fitting window in mm.
-
-    Returns
-    -------
-    PointModel
-        θ = (x, y, directions of the two edges in rad, blur in px).
-    """
+    """Model the corner of four squares as the product of two blurred edges."""
     return PointModel(Surroundings.EDGES, _edges_start, half_mm)
 
 
 def disc(radius_mm: float, half_mm: float) -> PointModel:
-    """Model a circle as an ellipse with a blurred rim.
-
-    Parameters
-    ----------
-    radius_mm : float
-        Radius of the circle on the board in mm.
-    half_mm : float
-        Half the side of the fitting window in mm.
-
-    Returns
-    -------
-    PointModel
-        θ = (x, y, the ellipse's form (a, b, c), blur in px): the rim is a x² + 2 b x y + c y² = 1.
-    """
+    """Model a circle as an ellipse with a blurred rim."""
+    # returns (a, b, c) px
     return PointModel(Surroundings.DISC, lambda frame: _disc_start(frame, radius_mm), half_mm)
 
 
@@ -127,28 +80,8 @@ def _brightness(kind: int, theta: Floats, x: Floats, y: Floats, values: Floats) 
 
 @njit(cache=True, error_model="numpy")
 def profile(kind: int, theta: Floats, x: float, y: float, slopes: Floats) -> tuple[float, bool]:
-    """Compute a model's brightness at one pixel, with derivatives. Compiled.
-
-    Parameters
-    ----------
-    kind : int
-        Of `Surroundings`.
-    theta : Floats
-        (5,) or (6,) parameters.
-    x : float
-        Offset along u from the point in px.
-    y : float
-        Offset along v from the point in px.
-    slopes : Floats
-        As many; derivatives are written here if there are any.
-
-    Returns
-    -------
-    value : float
-        From -1 to 1.
-    varies : bool
-        Whether derivatives were written; otherwise they are zero.
-    """
+    """Compute a model's brightness at one pixel, with derivatives. Compiled."""
+    # theta (5,)
     if kind == _DISC:
         return _disc(theta, x - theta[0], y - theta[1], slopes)
     return _edges(theta, x - theta[0], y - theta[1], slopes)

@@ -15,24 +15,13 @@ class SquareLayout(BoardLayout):
     """A board of alternating squares, whose points are the inner corners."""
 
     def check_pitch(self) -> None:
-        """Check that squares are square, for the kinds' `check`.
-
-        Raises
-        ------
-        ValueError
-            The pitch is not the same along x and y.
-        """
+        """Check that squares are square, for the kinds' `check`."""
         if self.spacing_mm[0] != self.spacing_mm[1]:
             raise ValueError("'spacing_mm' must be the same along x and y for squares")
 
     def reach(self) -> Floats:
-        """Compute how far the squares extend beyond the outermost corners.
-
-        Returns
-        -------
-        Floats
-            (2,) one square, in mm.
-        """
+        """Compute how far the squares extend beyond the outermost corners."""
+        # returns (2,) mm
         return np.array(self.spacing_mm)
 
     @property
@@ -42,13 +31,7 @@ class SquareLayout(BoardLayout):
         return -0.5 * side * (self.counts[0] + 1), -0.5 * side * (self.counts[1] + 1)
 
     def shapes(self) -> Iterator[InkShape]:
-        """Draw the squares, the upper left one in the foreground's colour.
-
-        Yields
-        ------
-        InkShape
-            One rectangle per square of the foreground.
-        """
+        """Draw the squares, the upper left one in the foreground's colour."""
         side = self.spacing_mm[0]
         left, top = self.corner
         for row in range(self.counts[1] + 1):

@@ -33,58 +33,22 @@ class HasPoints(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Detection:
-    """Points of a board found in an image.
+    """Points of a board found in an image."""
 
-    Attributes
-    ----------
-    ids : NDArray[np.intp]
-        (K,) rows of `Target.points`.
-    pixels : Floats
-        (K, 2) image coordinates (u, v) in px.
-    """
-
-    ids: NDArray[np.intp]
-    pixels: Floats
+    ids: NDArray[np.intp]  # (K,) rows of `Target.points`
+    pixels: Floats  # (K, 2) image coordinates (u, v) in px
 
 
 def whole_board(pixels: NDArray[Any]) -> Detection:
-    """Give the points of a whole board their ids.
-
-    Parameters
-    ----------
-    pixels : NDArray[Any]
-        Image coordinates (u, v) in px of all points in the order of their ids; any shape that
-        reshapes to (P, 2).
-
-    Returns
-    -------
-    Detection
-        With ids 0 to P - 1.
-    """
+    """Give the points of a whole board their ids."""
+    # pixels (u, v) px
     flat = np.asarray(pixels, np.float64).reshape(-1, 2)
     return Detection(np.arange(len(flat)), flat)
 
 
 def homography(board: HasPoints, detection: Detection) -> Floats:
-    """Fit the homography from board to image by least squares over the points found.
-
-    Parameters
-    ----------
-    board : HasPoints
-        The board, a `Target` or its layout.
-    detection : Detection
-        At least four of its points.
-
-    Returns
-    -------
-    Floats
-        (3, 3), from (x, y) in mm to (u, v) in px.
-
-    Raises
-    ------
-    CalibrationError
-        The points lie on one line.
-    """
+    """Fit the homography from board to image by least squares over the points found."""
+    # returns (3, 3) mm
     plane = board.points()[detection.ids, :2]
     matrix, _ = cv2.findHomography(plane, detection.pixels, 0)
     if matrix is None:
@@ -93,39 +57,15 @@ def homography(board: HasPoints, detection: Detection) -> Floats:
 
 
 def apply_homography(matrix: Floats, points: Floats) -> Floats:
-    """Map points by a homography.
-
-    Parameters
-    ----------
-    matrix : Floats
-        (3, 3).
-    points : Floats
-        (..., 2).
-
-    Returns
-    -------
-    Floats
-        (..., 2).
-    """
+    """Map points by a homography."""
+    # matrix (3, 3); points (..., 2); returns (..., 2)
     mapped = points @ matrix[:, :2].T + matrix[:, 2]
     return np.asarray(mapped[..., :2] / mapped[..., 2:])
 
 
 def local_frames(matrix: Floats, points: Floats) -> Floats:
-    """Compute the Jacobian of a homography at each point.
-
-    Parameters
-    ----------
-    matrix : Floats
-        (3, 3), from mm on the board to px.
-    points : Floats
-        (K, 2) in mm.
-
-    Returns
-    -------
-    Floats
-        (K, 2, 2) in px per mm.
-    """
+    """Compute the Jacobian of a homography at each point."""
+    # matrix (3, 3); points (K, 2) mm; returns (K, 2, 2) px
     mapped = points @ matrix[:, :2].T + matrix[:, 2]
     pixels = mapped[:, :2] / mapped[:, 2:]
     slopes = matrix[None, :2, :2] - pixels[:, :, None] * matrix[None, 2:, :2]
@@ -133,46 +73,16 @@ def local_frames(matrix: Floats, points: Floats) -> Floats:
 
 
 def stretched(level: Floats) -> NDArray[np.uint8]:
-    """Stretch an image to the full 8-bit range, which feature detectors are tuned for.
-
-    Parameters
-    ----------
-    level : Floats
-        Grey image (height, width).
-
-    Returns
-    -------
-    NDArray[np.uint8]
-        Of the same shape; the 0.5 % and 99.5 % quantiles become 0 and 255.
-    """
+    """Stretch an image to the full 8-bit range, which feature detectors are tuned for."""
+    # level (height, width)
     low, high = np.percentile(level, [0.5, 99.5])
     share = (level - low) / max(high - low, 1e-12)
     return np.asarray(np.clip(255.0 * share, 0, 255), np.uint8)
 
 
 def window(level: Floats, pixel: Floats, frame: Floats, half_mm: float) -> tuple[Floats, Floats, Floats]:
-    """Take the pixels of a square of the board around a point.
-
-    Parameters
-    ----------
-    level : Floats
-        Image (height, width) or maps (height, width, channels).
-    pixel : Floats
-        The point (u, v) in px.
-    frame : Floats
-        Jacobian (2, 2) of the board's homography there, in px per mm.
-    half_mm : float
-        Half the side of the square in mm.
-
-    Returns
-    -------
-    x : Floats
-        (n,) offsets along u from the point in px.
-    y : Floats
-        (n,) offsets along v from the point in px.
-    values : Floats
-        (n,) or (n, channels) of the image.
-    """
+    """Take the pixels of a square of the board around a point."""
+    # level (height, width); pixel (u, v) px; frame (2, 2) px; returns x (n,) px, y (n,) px, values (n,)
     rows, columns = window_pixels(level, pixel, np.linalg.inv(frame), half_mm)
     return columns - pixel[0], rows - pixel[1], level[rows, columns]
 
@@ -181,26 +91,8 @@ def window(level: Floats, pixel: Floats, frame: Floats, half_mm: float) -> tuple
 def window_pixels(
     image: NDArray[Any], pixel: Floats, inverse: Floats, half_mm: float
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """List the pixels of a square of the board around a point. Compiled.
-
-    Parameters
-    ----------
-    image : ndarray, (height, width) or (height, width, channels)
-        Of which only the size matters.
-    pixel : Floats
-        (2,) the point (u, v) in px.
-    inverse : Floats
-        (2, 2) inverse of the homography's Jacobian there, in mm per px.
-    half_mm : float
-        Half the side of the square in mm.
-
-    Returns
-    -------
-    rows : ndarray of intp
-        (n,) of the pixels in the square.
-    columns : ndarray of intp
-        (n,) of the pixels in the square.
-    """
+    """List the pixels of a square of the board around a point. Compiled."""
+    # image (height, width); pixel (2,) px; inverse (2, 2) mm; returns rows (n,), columns (n,)
     per_mm = half_mm / abs(inverse[0, 0] * inverse[1, 1] - inverse[0, 1] * inverse[1, 0])
     across = per_mm * (abs(inverse[1, 1]) + abs(inverse[0, 1]))
     down = per_mm * (abs(inverse[1, 0]) + abs(inverse[0, 0]))

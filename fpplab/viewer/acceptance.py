@@ -24,39 +24,17 @@ class AcceptanceView(MeasurementView):
         super().begin()
 
     def pictures(self) -> list[Any]:
-        """List the views of images, and the result.
-
-        Returns
-        -------
-        list of rerun.blueprint views
-            In their order.
-        """
+        """List the views of images, and the result."""
         return [*super().pictures(), layouts.words("Result", "/words/result")]
 
     def position(self, item: str, decoded: Decoded, cloud: Cloud) -> None:
-        """Show one position of a standard.
-
-        Parameters
-        ----------
-        item : str
-            What was measured.
-        decoded : Decoded
-            Its maps.
-        cloud : Cloud
-            Its points.
-        """
+        """Show one position of a standard."""
         self._positions += 1
         self.canvas.text("words/result", f"**{item}**: {len(cloud):,} points, position {self._positions}")
         self.results(decoded, cloud, None, None)
 
     def result(self, found: Acceptance) -> None:
-        """Show all fitted points by their distance from the fit, and the verdict.
-
-        Parameters
-        ----------
-        found : Acceptance
-            The result.
-        """
+        """Show all fitted points by their distance from the fit, and the verdict."""
         features: list[MeasuredFeature] = [one.measured for bar in found.bars for one in bar.spheres]
         features += [plane.measured for plane in found.planes]
         errors_um = 1e3 * np.concatenate([one.distances for one in features])

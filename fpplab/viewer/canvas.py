@@ -37,15 +37,7 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 
 
 class Canvas:
-    """Streams of rerun that are drawn on; used in a `with` block, which completes them.
-
-    Parameters
-    ----------
-    address : str, optional
-        Of a server.
-    file : Path, optional
-        A recording (.rrd) that is written; the folder exists.
-    """
+    """Streams of rerun that are drawn on; used in a `with` block, which completes them."""
 
     def __init__(self, address: str | None = None, file: Path | None = None) -> None:
         os.environ.setdefault("RUST_LOG", "off")  # what rerun would print says no more than an error does
@@ -83,13 +75,7 @@ class Canvas:
             live.disconnect()
 
     def layout(self, content: Any) -> None:
-        """Arrange the views.
-
-        Parameters
-        ----------
-        content : rerun.blueprint container or view
-            See `fpplab.viewer.layouts`.
-        """
+        """Arrange the views."""
         import rerun.blueprint as rrb
 
         plan = rrb.Blueprint(
@@ -102,49 +88,20 @@ class Canvas:
             stream.send_blueprint(plan)
 
     def at(self, timeline: str, number: int) -> None:
-        """Say when all that follows happened.
-
-        Parameters
-        ----------
-        timeline : str
-            `frame`, `epoch`, `pose` or `sample`.
-        number : int
-            Counted from 0.
-        """
+        """Say when all that follows happened."""
         for stream in self._streams:
             stream.set_time(timeline, sequence=number)
 
     def log(self, entity: str, what: Any, *, static: bool = False, bulky: bool = False) -> None:
-        """Draw one of rerun's archetypes.
-
-        Parameters
-        ----------
-        entity : str
-            Its place in the tree of entities.
-        what : object
-            An archetype.
-        static : bool
-            Whether it is the same at all times.
-        bulky : bool
-            Whether a recording that has reached its greatest size goes without.
-        """
+        """Draw one of rerun's archetypes."""
         if self._live:
             self._live.log(entity, what, static=static)
         if self._kept and not (bulky and self._bytes > RECORDING_BYTES):
             self._kept.log(entity, what, static=static)
 
     def picture(self, entity: str, pixels: NDArray[np.uint8], *, static: bool = False) -> None:
-        """Show an image, compressed as JPEG, a tenth of the size, since it is only for display.
-
-        Parameters
-        ----------
-        entity : str
-            Its place.
-        pixels : NDArray of uint8
-            (h, w) or (h, w, 3).
-        static : bool
-            Whether it is the same at all times.
-        """
+        """Show an image, compressed as JPEG, a tenth of the size, since it is only for display."""
+        # pixels (h, w)
         import rerun as rr
 
         packed = rr.Image(np.ascontiguousarray(pixels)).compress(jpeg_quality=90)
@@ -152,19 +109,8 @@ class Canvas:
         self.log(entity, packed, static=static, bulky=not static)
 
     def map(self, entity: str, values: Map, scale: ColourScale, *, static: bool = False) -> None:
-        """Show a map in colours, with its colour bar beneath.
-
-        Parameters
-        ----------
-        entity : str
-            Its place.
-        values : Map
-            (h, w), NaN where not known.
-        scale : ColourScale
-            Its colours.
-        static : bool
-            Whether it is the same at all times.
-        """
+        """Show a map in colours, with its colour bar beneath."""
+        # values (h, w)
         import rerun as rr
 
         sheet = scale.above_its_bar(subsampled(values))
@@ -172,17 +118,7 @@ class Canvas:
         self.log(entity, rr.Image(sheet), static=static, bulky=not static)
 
     def figure(self, entity: str, png: bytes, *, static: bool = False) -> None:
-        """Show a drawn figure.
-
-        Parameters
-        ----------
-        entity : str
-            Its place.
-        png : bytes
-            PNG file, as the figures of `fpplab.report` are.
-        static : bool
-            Whether it is the same at all times.
-        """
+        """Show a drawn figure."""
         import rerun as rr
 
         self._bytes += len(png)
@@ -190,15 +126,7 @@ class Canvas:
         self.log(entity, packed, static=static, bulky=not static)
 
     def bar(self, entity: str, scale: ColourScale) -> None:
-        """Show a colour bar alone.
-
-        Parameters
-        ----------
-        entity : str
-            Its place.
-        scale : ColourScale
-            Its colours.
-        """
+        """Show a colour bar alone."""
         import rerun as rr
 
         self.log(entity, rr.Image(scale.bar()), static=True)
@@ -206,19 +134,8 @@ class Canvas:
     def cloud(
         self, entity: str, points: NDArray[np.floating[Any]], colours: NDArray[np.uint8], static: bool = True
     ) -> None:
-        """Show points in space.
-
-        Parameters
-        ----------
-        entity : str
-            Their place.
-        points : NDArray of float
-            (N, 3) in mm.
-        colours : NDArray of uint8
-            (N, 3).
-        static : bool
-            Whether they are the same at all times.
-        """
+        """Show points in space."""
+        # points (N, 3) mm; colours (N, 3)
         import rerun as rr
 
         step = max(1, math.ceil(len(points) / SHOWN_POINTS))
@@ -226,47 +143,19 @@ class Canvas:
         self.log(entity, shown, static=static)
 
     def value(self, entity: str, value: float) -> None:
-        """Continue a curve.
-
-        Parameters
-        ----------
-        entity : str
-            The curve's place.
-        value : float
-            At the moment of `at`.
-        """
+        """Continue a curve."""
         import rerun as rr
 
         self.log(entity, rr.Scalars(value))
 
     def curve_style(self, entity: str, name: str, colour: tuple[int, int, int]) -> None:
-        """Name a curve.
-
-        Parameters
-        ----------
-        entity : str
-            The curve's place.
-        name : str
-            In its legend.
-        colour : tuple of int
-            RGB.
-        """
+        """Name a curve."""
         import rerun as rr
 
         self.log(entity, rr.SeriesLines(names=name, colors=colour, widths=2.0), static=True)
 
     def text(self, entity: str, markdown: str, *, static: bool = True) -> None:
-        """Show words.
-
-        Parameters
-        ----------
-        entity : str
-            Their place.
-        markdown : str
-            The words.
-        static : bool
-            Whether they are the same at all times.
-        """
+        """Show words."""
         import rerun as rr
 
         self.log(entity, rr.TextDocument(markdown, media_type="text/markdown"), static=static)
@@ -275,17 +164,6 @@ class Canvas:
         """Show a camera or projector at its pose, with its pyramid of sight, which views open on.
 
         Pinholes are drawn without distortion, so the edge of an image may lie beside the cloud.
-
-        Parameters
-        ----------
-        entity : str
-            Its place.
-        device : Pinhole
-            Its lens and image.
-        T_world_device : RigidTransform
-            Its pose.
-        reach_mm : float
-            Length of the pyramid.
         """
         import rerun as rr
 
@@ -307,17 +185,8 @@ class Canvas:
         self.open_on("rig", entity, T_world_device.apply(np.vstack([np.zeros(3), reach_mm * rays])))
 
     def open_on(self, scene: Opened, name: str, points: NDArray[np.floating[Any]]) -> None:
-        """Have scenes open on these points, and on what else was named so.
-
-        Parameters
-        ----------
-        scene : str
-            Which ones.
-        name : str
-            Of what is there; given again, it replaces what was.
-        points : NDArray of float
-            (N, 3) in mm; the outermost half percent does not count.
-        """
+        """Have scenes open on these points, and on what else was named so."""
+        # points (N, 3) mm
         if not len(points):
             return
         self._there[scene][name] = np.percentile(points, (0.5, 99.5), axis=0)
@@ -328,64 +197,24 @@ class Canvas:
         self.cloud(REACH[scene], corners, np.full((2, 3), BACKGROUND, np.uint8))
 
     def directions(self, entity: str) -> None:
-        """Say that x points right, y down and z forward, as in the camera's frame.
-
-        Parameters
-        ----------
-        entity : str
-            The root of what is in that frame.
-        """
+        """Say that x points right, y down and z forward, as in the camera's frame."""
         import rerun as rr
 
         self.log(entity, rr.ViewCoordinates.RDF, static=True)
 
 
 def shown_step(columns: int) -> int:
-    """Give the step at which pixels of an image are shown.
-
-    Parameters
-    ----------
-    columns : int
-        Width of the image in px.
-
-    Returns
-    -------
-    int
-        1, or more where there are more than `SHOWN_COLUMNS`.
-    """
+    """Give the step at which pixels of an image are shown."""
     return max(1, -(-columns // SHOWN_COLUMNS))
 
 
 def subsampled(values: NDArray[Scalar]) -> NDArray[Scalar]:
-    """Take every n-th pixel, so that at most `SHOWN_COLUMNS` columns remain.
-
-    Parameters
-    ----------
-    values : NDArray
-        (h, w) or (h, w, 3).
-
-    Returns
-    -------
-    NDArray
-        A view of them.
-    """
+    """Take every n-th pixel, so that at most `SHOWN_COLUMNS` columns remain."""
+    # values (h, w)
     step = shown_step(values.shape[1])
     return values[::step, ::step]
 
 
 def eight_bits(image: Image, bits: int) -> NDArray[np.uint8]:
-    """Give the upper eight bits of raw levels.
-
-    Parameters
-    ----------
-    image : Image
-        Raw levels.
-    bits : int
-        Their depth.
-
-    Returns
-    -------
-    NDArray of uint8
-        Of the same shape.
-    """
+    """Give the upper eight bits of raw levels."""
     return (image >> (bits - 8)).astype(np.uint8)

@@ -19,38 +19,15 @@ _SIZE = struct.Struct("<Q")
 
 @dataclass(frozen=True)
 class Opening:
-    """What the process that draws is told first.
+    """What the process that draws is told first."""
 
-    Attributes
-    ----------
-    view : type
-        Subclass of `CommandView`.
-    shown : str or None
-        Where it is shown; None, and it is recorded alone.
-    keep : Path or None
-        Recording (.rrd) that is left when the view is closed.
-    """
-
-    view: type
-    shown: Shown | None
-    keep: Path | None
+    view: type  # subclass of `CommandView`
+    shown: Shown | None  # where it is shown; None, and it is recorded alone
+    keep: Path | None  # recording (.rrd) that is left when the view is closed
 
 
 def write_message(stream: BinaryIO, message: object) -> None:
-    """Write one object.
-
-    Parameters
-    ----------
-    stream : BinaryIO
-        Unbuffered.
-    message : object
-        What `pickle` can take.
-
-    Raises
-    ------
-    OSError
-        Nobody reads any more.
-    """
+    """Write one object."""
     buffers: list[pickle.PickleBuffer] = []
     packed = pickle.dumps(message, protocol=5, buffer_callback=buffers.append)
     parts: list[bytes | memoryview] = [packed, *(buffer.raw() for buffer in buffers)]
@@ -62,23 +39,7 @@ def write_message(stream: BinaryIO, message: object) -> None:
 
 
 def read_message(stream: BinaryIO) -> Any:
-    """Read one object that `write_message` of this program's own parent wrote.
-
-    Parameters
-    ----------
-    stream : BinaryIO
-        Buffered.
-
-    Returns
-    -------
-    object
-        What was written.
-
-    Raises
-    ------
-    EOFError
-        There is nothing more.
-    """
+    """Read one object that `write_message` of this program's own parent wrote."""
     (count,) = _HEAD.unpack(_exactly(stream, _HEAD.size))
     sizes = [_SIZE.unpack(_exactly(stream, _SIZE.size))[0] for _ in range(count)]
     packed, *buffers = [_exactly(stream, size) for size in sizes]

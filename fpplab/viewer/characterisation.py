@@ -21,18 +21,7 @@ class CharacterisationView(MeasurementView):
     """Boards with both devices on the left, frames and residuals on the right."""
 
     def scenes(self, colourings: Sequence[Colouring] = ()) -> Any:
-        """Lay out the boards in space with the colour bar of their errors.
-
-        Parameters
-        ----------
-        colourings : sequence of Colouring
-            Not used: there is no part.
-
-        Returns
-        -------
-        rerun.blueprint.Tabs
-            Boards alone, and with the devices.
-        """
+        """Lay out the boards in space with the colour bar of their errors."""
         import rerun.blueprint as rrb
 
         devices = [f"/{CAMERA}/**", f"/{PROJECTOR}/**", f"/{REACH['rig']}"]
@@ -42,13 +31,7 @@ class CharacterisationView(MeasurementView):
         return rrb.Tabs(*tabs, active_tab=0, name="Scene")
 
     def pictures(self) -> list[Any]:
-        """List the views of images, residuals and words.
-
-        Returns
-        -------
-        list of rerun.blueprint views
-            In their order.
-        """
+        """List the views of images, residuals and words."""
         return [
             *super().pictures()[:3],
             layouts.words("Result", "/words/result"),
@@ -57,13 +40,7 @@ class CharacterisationView(MeasurementView):
         ]
 
     def result(self, found: Characterisation) -> None:
-        """Show the devices, every board coloured by its points' errors, and the residuals.
-
-        Parameters
-        ----------
-        found : Characterisation
-            The result.
-        """
+        """Show the devices, every board coloured by its points' errors, and the residuals."""
         self.calibration(found.calibration)
         points, errors = [], []
         for pose, seen, residuals in zip(

@@ -23,61 +23,25 @@ _MARGIN, _HEIGHT = 60, 30
 
 @dataclass(frozen=True)
 class ColourScale:
-    """What a range of values looks like.
+    """What a range of values looks like."""
 
-    Attributes
-    ----------
-    quantity : str
-        What is shown, as the colour bar says it.
-    unit : str
-        Of the values; empty for a pure number.
-    colours : str
-        Name of a colour map of matplotlib.
-    low, high : float
-        Values of its ends; what lies beyond looks like them.
-    """
-
-    quantity: str
-    unit: str
-    colours: str
-    low: float
-    high: float
+    quantity: str  # what is shown, as the colour bar says it
+    unit: str  # of the values; empty for a pure number
+    colours: str  # name of a colour map of matplotlib
+    low: float  # values of its ends; what lies beyond looks like them
+    high: float  # values of its ends; what lies beyond looks like them
 
     @classmethod
     def spanning(
         cls, quantity: str, unit: str, colours: str, values: NDArray[np.floating[Any]]
     ) -> ColourScale:
-        """Make a scale over nearly all of some values.
-
-        Parameters
-        ----------
-        quantity, unit, colours : str
-            As the attributes.
-        values : NDArray of float
-            NaN where not known.
-
-        Returns
-        -------
-        ColourScale
-            Without the half percent at either end; from 0 to 1 where no value is known.
-        """
+        """Make a scale over nearly all of some values."""
         known = values[np.isfinite(values)]
         low, high = np.percentile(known, (0.5, 99.5)) if len(known) else (0.0, 1.0)
         return cls(quantity, unit, colours, float(low), float(high))
 
     def colours_of(self, values: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:
-        """Give the colours of values.
-
-        Parameters
-        ----------
-        values : NDArray of float
-            Of any shape.
-
-        Returns
-        -------
-        NDArray of uint8
-            RGB, of that shape and 3 more; grey where they are not finite.
-        """
+        """Give the colours of values."""
         level: Floats = np.clip((values - self.low) / max(self.high - self.low, 1e-12), 0.0, 1.0)
         known = np.isfinite(level)
         rgb: NDArray[np.uint8] = self._table()[np.rint(np.where(known, level, 0.0) * 255).astype(np.intp)]
@@ -85,18 +49,8 @@ class ColourScale:
         return rgb
 
     def above_its_bar(self, values: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:
-        """Give the colours of a map, with the colour bar beneath it.
-
-        Parameters
-        ----------
-        values : NDArray of float
-            (h, w).
-
-        Returns
-        -------
-        NDArray of uint8
-            RGB, at least as wide as the colour bar: a smaller map is drawn with larger pixels.
-        """
+        """Give the colours of a map, with the colour bar beneath it."""
+        # values (h, w)
         shown = self.colours_of(values)
         larger = -(-BAR_SIZE[0] // shown.shape[1])
         shown = shown.repeat(larger, axis=0).repeat(larger, axis=1)
@@ -106,13 +60,7 @@ class ColourScale:
         return np.concatenate([shown, np.asarray(bar)])
 
     def bar(self) -> NDArray[np.uint8]:
-        """Draw the colour bar, with numbers, quantity and unit.
-
-        Returns
-        -------
-        NDArray of uint8
-            RGB, of `BAR_SIZE`.
-        """
+        """Draw the colour bar, with numbers, quantity and unit."""
         width, height = BAR_SIZE
         sheet = Pixels.new("RGB", BAR_SIZE, _PAPER)
         across = width - 2 * _MARGIN

@@ -45,17 +45,7 @@ PR_SET_PDEATHSIG = 1
 
 
 def run(program: str, kind: str, files: list[str]) -> None:
-    """Run rerun until it ends, or standard input does.
-
-    Parameters
-    ----------
-    program : str
-        Path of rerun's program.
-    kind : str
-        "window" or "browser".
-    files : list of str
-        Recordings that it opens.
-    """
+    """Run rerun until it ends, or standard input does."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which then ends this process
     home = tempfile.mkdtemp(prefix="fpplab-viewer-")
     rerun: subprocess.Popen[bytes] | None = None

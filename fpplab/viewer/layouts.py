@@ -12,42 +12,14 @@ BAR_SHARE = 10
 
 
 def image(name: str, origin: str) -> Any:
-    """View an image, a map or a diagram.
-
-    Parameters
-    ----------
-    name : str
-        Heading.
-    origin : str
-        Entity.
-
-    Returns
-    -------
-    rerun.blueprint.Spatial2DView
-        Fits what is there.
-    """
+    """View an image, a map or a diagram."""
     import rerun.blueprint as rrb
 
     return rrb.Spatial2DView(origin=origin, name=name, background=BACKGROUND)
 
 
 def scene(name: str, contents: Sequence[str], origin: str = "/world") -> Any:
-    """View entities in space; it opens on all that it contains.
-
-    Parameters
-    ----------
-    name : str
-        Heading.
-    contents : sequence of str
-        Entities, such as `/world/cloud` or `/world/camera/**`.
-    origin : str
-        Whose frame it is in.
-
-    Returns
-    -------
-    rerun.blueprint.Spatial3DView
-        Without a grid.
-    """
+    """View entities in space; it opens on all that it contains."""
     import rerun.blueprint as rrb
 
     return rrb.Spatial3DView(
@@ -60,62 +32,21 @@ def scene(name: str, contents: Sequence[str], origin: str = "/world") -> Any:
 
 
 def with_bar(content: Any, bar: str, name: str) -> Any:
-    """Put a colour bar beneath a view.
-
-    Parameters
-    ----------
-    content : rerun.blueprint view
-        The view.
-    bar : str
-        Entity of the colour bar.
-    name : str
-        Heading of both, as a tab shows it.
-
-    Returns
-    -------
-    rerun.blueprint.Vertical
-        Both.
-    """
+    """Put a colour bar beneath a view."""
     import rerun.blueprint as rrb
 
     return rrb.Vertical(content, image("Colours", bar), row_shares=[BAR_SHARE, 1], name=name)
 
 
 def curves(name: str, contents: Mapping[str, Sequence[str]] | Sequence[str]) -> Any:
-    """View curves over the timeline, all of them from the beginning.
-
-    Parameters
-    ----------
-    name : str
-        Heading, with the unit.
-    contents : sequence of str
-        Entities.
-
-    Returns
-    -------
-    rerun.blueprint.TimeSeriesView
-        With a legend.
-    """
+    """View curves over the timeline, all of them from the beginning."""
     import rerun.blueprint as rrb
 
     return rrb.TimeSeriesView(origin="/", contents=list(contents), name=name)
 
 
 def words(name: str, origin: str) -> Any:
-    """View a text.
-
-    Parameters
-    ----------
-    name : str
-        Heading.
-    origin : str
-        Entity.
-
-    Returns
-    -------
-    rerun.blueprint.TextDocumentView
-        Of the text.
-    """
+    """View a text."""
     import rerun.blueprint as rrb
 
     return rrb.TextDocumentView(origin=origin, name=name)

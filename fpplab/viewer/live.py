@@ -63,40 +63,16 @@ CURVES = {
 
 @dataclass(frozen=True, eq=False)
 class LitImage:
-    """A camera image as it is sent to be shown, with what is saturated or dark in it.
+    """A camera image as it is sent to be shown, with what is saturated or dark in it."""
 
-    Attributes
-    ----------
-    grey : ndarray of uint8, (rows, columns)
-        Upper eight bits of every n-th pixel.
-    saturated : ndarray of bool, (rows, columns)
-        Where one of the pixels that this one stands for is at full scale.
-    dark : ndarray of bool, (rows, columns), or None
-        Where it stays dark in the projector's light.
-    """
-
-    grey: NDArray[np.uint8]
-    saturated: Mask
-    dark: Mask | None
+    grey: NDArray[np.uint8]  # upper eight bits of every n-th pixel
+    saturated: Mask  # where one of the pixels that this one stands for is at full scale
+    dark: Mask | None  # where it stays dark in the projector's light
 
     @classmethod
     def of(cls, image: Image, bits: int, dark: Mask | None) -> LitImage:
-        """Reduce an image to what is shown of it; no saturated pixel is lost by that.
-
-        Parameters
-        ----------
-        image : ndarray of uint8 or uint16, (height, width)
-            Raw levels.
-        bits : int
-            Their depth.
-        dark : ndarray of bool, (height, width), or None
-            Pixels that count as dark.
-
-        Returns
-        -------
-        LitImage
-            A copy: a camera may reuse the image's memory.
-        """
+        """Reduce an image to what is shown of it; no saturated pixel is lost by that."""
+        # image (height, width); dark (height, width)
         step = shown_step(image.shape[1])
         grey = eight_bits(image[::step, ::step], bits)
         saturated = np.zeros(grey.shape, np.bool_)
@@ -105,13 +81,8 @@ class LitImage:
         return cls(grey, saturated, None if dark is None else subsampled(dark).copy())
 
     def painted(self) -> NDArray[np.uint8]:
-        """Paint in what is saturated or dark.
-
-        Returns
-        -------
-        ndarray of uint8, (rows, columns, 3)
-            RGB.
-        """
+        """Paint in what is saturated or dark."""
+        # returns (rows, columns, 3)
         rgb = np.repeat(self.grey[..., None], 3, axis=2)
         if self.dark is not None:
             rgb[self.dark] = rgb[self.dark] // 2 + np.array(DARK, np.uint8) // 2
@@ -121,49 +92,23 @@ class LitImage:
 
 @dataclass(frozen=True, eq=False)
 class FocusShares:
-    """Focus of a device as a share of its best.
+    """Focus of a device as a share of its best."""
 
-    Attributes
-    ----------
-    whole : float or None
-        Of the whole image.
-    regions : ndarray of float64, `REGIONS`
-        Of each region, NaN where not known.
-    """
-
-    whole: float | None
-    regions: Floats
+    whole: float | None  # of the whole image
+    regions: Floats  # of each region, NaN where not known
 
 
 @dataclass(frozen=True, eq=False)
 class LiveSnapshot:
-    """What is shown of the set-up after a frame.
+    """What is shown of the set-up after a frame."""
 
-    Attributes
-    ----------
-    number : int
-        Of the frame.
-    image : LitImage
-        What the camera sees.
-    pattern : ndarray of uint8
-        What the projector shows, subsampled.
-    pattern_id : str
-        Tells whether that has changed.
-    focus : dict of str to FocusShares
-        By device, where it was measured with this frame.
-    levels : LightLevels or None
-        Light, where it was measured with this frame.
-    words : str
-        The state in Markdown.
-    """
-
-    number: int
-    image: LitImage
-    pattern: NDArray[np.uint8]
-    pattern_id: str
-    focus: dict[str, FocusShares]
-    levels: LightLevels | None
-    words: str
+    number: int  # of the frame
+    image: LitImage  # what the camera sees
+    pattern: NDArray[np.uint8]  # what the projector shows, subsampled
+    pattern_id: str  # tells whether that has changed
+    focus: dict[str, FocusShares]  # by device, where it was measured with this frame
+    levels: LightLevels | None  # light, where it was measured with this frame
+    words: str  # the state in Markdown
 
 
 class LiveView(CommandView):
@@ -177,18 +122,7 @@ class LiveView(CommandView):
         self.canvas.layout(self.arrangement(layouts.image("Projector", f"/{PATTERN}")))
 
     def arrangement(self, below: Any) -> Any:
-        """Lay out the views.
-
-        Parameters
-        ----------
-        below : rerun.blueprint view
-            What stands below the image.
-
-        Returns
-        -------
-        rerun.blueprint.Horizontal
-            The layout.
-        """
+        """Lay out the views."""
         import rerun.blueprint as rrb
 
         camera = layouts.image("Camera: red saturated, blue dark", f"/{IMAGE}")
@@ -213,15 +147,7 @@ class LiveView(CommandView):
         )
 
     def scene(self, geometry: RigGeometry, distance_mm: float | None) -> None:
-        """Show both devices, and the part of space that both see.
-
-        Parameters
-        ----------
-        geometry : RigGeometry
-            Of the calibration.
-        distance_mm : float or None
-            The working distance, in mm.
-        """
+        """Show both devices, and the part of space that both see."""
         self.canvas.directions("world")
         show_devices(self.canvas, geometry.calibration)
         self._draw_overlap(geometry, distance_mm)
@@ -251,13 +177,7 @@ class LiveView(CommandView):
             self.canvas.log("world/working", working, static=True)
 
     def snapshot(self, now: LiveSnapshot) -> None:
-        """Show a frame with the state after it.
-
-        Parameters
-        ----------
-        now : LiveSnapshot
-            The latest.
-        """
+        """Show a frame with the state after it."""
         import rerun as rr
 
         self.canvas.at("frame", now.number)
@@ -296,15 +216,7 @@ class LiveView(CommandView):
 
 
 class LiveFrames:
-    """Sends frames of the set-up to a viewer, with what was measured since the one before.
-
-    Parameters
-    ----------
-    viewer : Viewer
-        Of a `LiveView`.
-    most_hz : float
-        Frames per s beyond which they are left out.
-    """
+    """Sends frames of the set-up to a viewer, with what was measured since the one before."""
 
     def __init__(self, viewer: Viewer[LiveView], most_hz: float = MOST_HZ) -> None:
         self._viewer, self._most_hz = viewer, most_hz
@@ -313,19 +225,8 @@ class LiveFrames:
         self._focus: dict[str, FocusMeasure] = {}
 
     def show(self, status: LiveStatus, frame: Frame, pattern: Pattern, dark: Mask | None) -> None:
-        """Show a frame with the state after it; one that comes too soon is left out.
-
-        Parameters
-        ----------
-        status : LiveStatus
-            The snapshot.
-        frame : Frame
-            The frame.
-        pattern : Pattern
-            What it shows.
-        dark : ndarray of bool, (height, width), or None
-            Pixels that stay dark in the view's light.
-        """
+        """Show a frame with the state after it; one that comes too soon is left out."""
+        # dark (height, width)
         now = time.monotonic()
         if now - self._last_s < 1.0 / self._most_hz:
             return

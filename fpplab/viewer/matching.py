@@ -57,13 +57,7 @@ class MatchingView(CommandView):
         self.canvas.layout(rrb.Horizontal(images, curves, column_shares=[5, 4]))
 
     def epoch(self, epoch: MatchingEpoch) -> None:
-        """Show an epoch: the twin's devices and boards, and the loss with its parts.
-
-        Parameters
-        ----------
-        epoch : MatchingEpoch
-            The latest.
-        """
+        """Show an epoch: the twin's devices and boards, and the loss with its parts."""
         self._epochs.append(epoch)
         self.canvas.at("epoch", epoch.epoch)
         figures = {**epoch.loss, "difference": epoch.difference}
@@ -88,13 +82,7 @@ class MatchingView(CommandView):
         )
 
     def images(self, bench: NDArray[np.float32], twin: NDArray[np.float32]) -> None:
-        """Show the same image of the bench and of the twin as the latest epoch left it.
-
-        Parameters
-        ----------
-        bench, twin : NDArray of float32
-            Raw levels, with at most `SHOWN_COLUMNS` columns.
-        """
+        """Show the same image of the bench and of the twin as the latest epoch left it."""
         bright = max(float(np.percentile(bench, 99.8)), 1.0)
         grey = ColourScale("Raw level", "", "gray", 0.0, bright)
         limit = max(float(np.percentile(np.abs(bench - twin), 99.5)), 1.0)
@@ -105,17 +93,7 @@ class MatchingView(CommandView):
 
 
 def show_twin(viewer: Viewer[MatchingView], reference: Reference, twin: Twin) -> None:
-    """Show one image of the bench beside that of the twin with its present parameters.
-
-    Parameters
-    ----------
-    viewer : Viewer
-        Of a `MatchingView`.
-    reference : Reference
-        What was recorded of the bench.
-    twin : Twin
-        Renders the image.
-    """
+    """Show one image of the bench beside that of the twin with its present parameters."""
     pose, images = reference.spread_poses(1)[0], reference.finest[:1]
     seen: Any = twin.expected(pose, reference.shown(images), reference.settings)[0]
     real: Any = reference.frames(pose, images)[0]

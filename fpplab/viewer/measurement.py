@@ -46,56 +46,25 @@ IMAGE, PATTERN = f"{CAMERA}/image", f"{PROJECTOR}/pattern"
 
 @dataclass(frozen=True)
 class ShownFrame:
-    """A camera image as it is sent to be shown.
+    """A camera image as it is sent to be shown."""
 
-    Attributes
-    ----------
-    image : ndarray
-        Raw levels, with at most `SHOWN_COLUMNS` columns.
-    index : int
-        Of the image in the plan.
-    bits : int
-        Bit depth of the levels.
-    """
-
-    image: NDArray[Any]
-    index: int
-    bits: int
+    image: NDArray[Any]  # raw levels, with at most `SHOWN_COLUMNS` columns
+    index: int  # of the image in the plan
+    bits: int  # bit depth of the levels
 
     @classmethod
     def of(cls, frame: Frame) -> ShownFrame:
-        """Take what is shown of a frame.
-
-        Parameters
-        ----------
-        frame : Frame
-            Of the camera.
-
-        Returns
-        -------
-        ShownFrame
-            A copy: a camera may reuse the frame's memory.
-        """
+        """Take what is shown of a frame."""
         return cls(subsampled(frame.image).copy(), frame.index, frame.settings.bits)
 
 
 @dataclass(frozen=True, eq=False)
 class Colouring:
-    """Values of points as their colours.
+    """Values of points as their colours."""
 
-    Attributes
-    ----------
-    name : str
-        Heading, and name of the entity.
-    values : ndarray of float
-        (N,), NaN where not known.
-    scale : ColourScale
-        Their colours.
-    """
-
-    name: str
-    values: NDArray[np.floating[Any]]
-    scale: ColourScale
+    name: str  # heading, and name of the entity
+    values: NDArray[np.floating[Any]]  # (N,), NaN where not known
+    scale: ColourScale  # their colours
 
     @property
     def entity(self) -> str:
@@ -122,18 +91,7 @@ class MeasurementView(CommandView):
         self.canvas.layout(self.arrangement())
 
     def arrangement(self, colourings: Sequence[Colouring] = ()) -> Any:
-        """Lay out scenes on the left and images on the right; coordinates of the coded axes only.
-
-        Parameters
-        ----------
-        colourings : sequence of Colouring
-            Each becomes a tab.
-
-        Returns
-        -------
-        rerun.blueprint.Horizontal
-            The layout.
-        """
+        """Lay out scenes on the left and images on the right; coordinates of the coded axes only."""
         import rerun.blueprint as rrb
 
         return rrb.Horizontal(
@@ -143,18 +101,7 @@ class MeasurementView(CommandView):
         )
 
     def scenes(self, colourings: Sequence[Colouring] = ()) -> Any:
-        """Lay out the scenes, as tabs.
-
-        Parameters
-        ----------
-        colourings : sequence of Colouring
-            Each becomes a tab, after the part and before the rig.
-
-        Returns
-        -------
-        rerun.blueprint.Tabs
-            It opens on the part where there is one, and on the rig before that.
-        """
+        """Lay out the scenes, as tabs."""
         import rerun.blueprint as rrb
 
         around = f"/{REACH['part']}"
@@ -172,13 +119,7 @@ class MeasurementView(CommandView):
         return rrb.Tabs(part, *coloured, rig, active_tab=first, name="Scene")
 
     def pictures(self) -> list[Any]:
-        """List the views of images and maps.
-
-        Returns
-        -------
-        list of rerun.blueprint views
-            In their order.
-        """
+        """List the views of images and maps."""
         axes: tuple[Axis, ...] = self._known.plan[0].axes if self._known.plan else ("x", "y")
         coordinates = {"x": ("Projector columns u", "/maps/u"), "y": ("Projector rows v", "/maps/v")}
         listed = [
@@ -191,28 +132,12 @@ class MeasurementView(CommandView):
         return [layouts.image(name, origin) for name, origin in listed]
 
     def plan(self, plan: Plan, size: tuple[int, int], lattice: Lattice) -> None:
-        """Announce what the projector will show, so that frames are shown with their pattern and phase.
-
-        Parameters
-        ----------
-        plan : Plan
-            Of the measurement.
-        size : tuple of int
-            Width and height of the projector in mirrors.
-        lattice : Lattice
-            Of the projector's mirrors.
-        """
+        """Announce what the projector will show, so that frames are shown with their pattern and phase."""
         self._known.plan = (plan, size, lattice)
         self.canvas.layout(self.arrangement())
 
     def frame(self, frame: ShownFrame) -> None:
-        """Show a camera image, the pattern that it shows, and the phase once its fringe set is complete.
-
-        Parameters
-        ----------
-        frame : ShownFrame
-            Its index is that of the image in the plan.
-        """
+        """Show a camera image, the pattern that it shows, and the phase once its fringe set is complete."""
         self.canvas.at("frame", frame.index)
         self.canvas.picture(IMAGE, eight_bits(frame.image, frame.bits))
         if self._known.plan is not None:
@@ -236,24 +161,13 @@ class MeasurementView(CommandView):
         self.canvas.map("maps/phase", phase, ColourScale("Phase", "rad", "twilight", 0.0, TWO_PI))
 
     def calibration(self, calibration: Calibration) -> None:
-        """Show camera and projector at their poses.
-
-        Parameters
-        ----------
-        calibration : Calibration
-            In the camera's frame.
-        """
+        """Show camera and projector at their poses."""
         self._known.calibration = calibration
         show_devices(self.canvas, calibration)
 
     def maps(self, decoded: Decoded) -> None:
-        """Show projector coordinates and modulation.
-
-        Parameters
-        ----------
-        decoded : Decoded
-            Maps (h, w), NaN where not measured.
-        """
+        """Show projector coordinates and modulation."""
+        # decoded (h, w)
         shown = (
             ("u", decoded.u, "Projector column u", "px", "viridis"),
             ("v", decoded.v, "Projector row v", "px", "viridis"),
@@ -271,19 +185,8 @@ class MeasurementView(CommandView):
         depth: DepthRange | None,
         errors_um: NDArray[np.floating[Any]] | None,
     ) -> None:
-        """Show the points in the camera's grey levels, by uncertainty, by order risk and by error.
-
-        Parameters
-        ----------
-        decoded : Decoded or None
-            The maps that they come from.
-        cloud : Cloud
-            N points in mm in the camera's frame.
-        depth : DepthRange or None
-            Range that they were reconstructed with.
-        errors_um : NDArray of float, or None
-            Signed distances (N,) from the true shape in µm, NaN where not known.
-        """
+        """Show the points in the camera's grey levels, by uncertainty, by order risk and by error."""
+        # errors_um (N,) µm
         if decoded is not None:
             self.maps(decoded)
         self.cloud(cloud)
@@ -295,13 +198,7 @@ class MeasurementView(CommandView):
         self.canvas.layout(self.arrangement(found))
 
     def cloud(self, cloud: Cloud) -> None:
-        """Show the points in the camera's grey levels, or else by their depth.
-
-        Parameters
-        ----------
-        cloud : Cloud
-            N points in mm in the camera's frame.
-        """
+        """Show the points in the camera's grey levels, or else by their depth."""
         if cloud.colour is not None:
             bright = max(float(np.percentile(cloud.colour, 98)), 1.0)
             colours = ColourScale("Grey level", "", "gray", 0.0, bright).colours_of(
@@ -327,55 +224,22 @@ class MeasurementView(CommandView):
 
 
 def show_devices(canvas: Canvas, calibration: Calibration) -> None:
-    """Show camera and projector at their poses in the camera's frame.
-
-    Parameters
-    ----------
-    canvas : Canvas
-        What is drawn on.
-    calibration : Calibration
-        Of both.
-    """
+    """Show camera and projector at their poses in the camera's frame."""
     reach = 0.5 * calibration.baseline_mm
     canvas.device(CAMERA, calibration.camera, RigidTransform.identity(), reach)
     canvas.device(PROJECTOR, calibration.projector, calibration.T_projector_camera.inverse(), reach)
 
 
 def depth_scale(cloud: Cloud) -> ColourScale:
-    """Make the colours of a cloud by depth.
-
-    Parameters
-    ----------
-    cloud : Cloud
-        In the camera's frame.
-
-    Returns
-    -------
-    ColourScale
-        In mm.
-    """
+    """Make the colours of a cloud by depth."""
     return ColourScale.spanning("Distance z from the camera", "mm", "viridis_r", cloud.points[:, 2])
 
 
 def colourings(
     cloud: Cloud, risk: NDArray[np.floating[Any]] | None, errors_um: NDArray[np.floating[Any]] | None
 ) -> list[Colouring]:
-    """List the colourings of a cloud that are known, the most telling first.
-
-    Parameters
-    ----------
-    cloud : Cloud
-        N points.
-    risk : NDArray of float, or None
-        Probability (N,) of a wrong fringe order.
-    errors_um : NDArray of float, or None
-        Signed distances (N,) from the true shape in µm.
-
-    Returns
-    -------
-    list of Colouring
-        Error, uncertainty, order risk and depth.
-    """
+    """List the colourings of a cloud that are known, the most telling first."""
+    # risk (N,); errors_um (N,) µm
     found = []
     if errors_um is not None:
         limit = error_limit(errors_um)
@@ -397,18 +261,5 @@ def colourings(
 
 
 def frame_observer(viewer: Viewer[Any], view: type[MeasurementView] = MeasurementView) -> FrameObserver:
-    """Make the observer of an acquisition that shows its frames.
-
-    Parameters
-    ----------
-    viewer : Viewer
-        Of such a view.
-    view : type
-        The view.
-
-    Returns
-    -------
-    callable
-        Takes each frame, and returns at once.
-    """
+    """Make the observer of an acquisition that shows its frames."""
     return lambda frame: viewer.show_one_of_many(view.frame, ShownFrame.of(frame))

@@ -13,36 +13,16 @@ MOST_WAITING = 32
 
 @dataclass(frozen=True)
 class Message:
-    """Something to show.
+    """Something to show."""
 
-    Attributes
-    ----------
-    content : object
-        What is sent.
-    droppable : bool
-        Whether the view is still right without it: one of many images.
-    """
-
-    content: Any
-    droppable: bool = False
+    content: Any  # what is sent
+    droppable: bool = False  # whether the view is still right without it: one of many images
 
 
 class Outbox:
     """A queue between one thread that adds and one that takes.
 
     Where it is full, the oldest droppable message gives way, or else the oldest.
-
-    Parameters
-    ----------
-    most : int
-        Messages that may wait.
-    waits : bool
-        Whether `add` waits for room instead.
-
-    Attributes
-    ----------
-    dropped : int
-        Number of messages that gave way.
     """
 
     def __init__(self, most: int = MOST_WAITING, waits: bool = False) -> None:
@@ -53,13 +33,7 @@ class Outbox:
         self._ended = False
 
     def add(self, message: Message) -> None:
-        """Add a message; after the end it is ignored.
-
-        Parameters
-        ----------
-        message : Message
-            The newest.
-        """
+        """Add a message; after the end it is ignored."""
         with self._changed:
             if self._waits:
                 self._changed.wait_for(lambda: self._ended or len(self._waiting) < self._most)
@@ -73,13 +47,7 @@ class Outbox:
             self._changed.notify_all()
 
     def take(self) -> Message | None:
-        """Take the oldest message, and wait for one.
-
-        Returns
-        -------
-        Message or None
-            None where there is none, and the end was said.
-        """
+        """Take the oldest message, and wait for one."""
         with self._changed:
             self._changed.wait_for(lambda: self._waiting or self._ended)
             message = self._waiting.popleft() if self._waiting else None
@@ -87,13 +55,7 @@ class Outbox:
             return message
 
     def end(self, discard: bool = False) -> None:
-        """Say that no more messages will come.
-
-        Parameters
-        ----------
-        discard : bool
-            Whether those that wait are not wanted either.
-        """
+        """Say that no more messages will come."""
         with self._changed:
             self._ended = True
             if discard:

@@ -40,33 +40,6 @@ def view_session(
 
     A file is complete on return. A window or page is announced, and stays until it is closed or Ctrl-C is
     pressed.
-
-    Parameters
-    ----------
-    session : Session
-        Frames are read without verification of their checksums.
-    calibration : Calibration, optional
-        Of the rig; without it the devices are not shown.
-    to : str or Path
-        Where; a path is a recording (.rrd) to be written.
-    announce : callable
-        Told the address or window; printed by default.
-    errors : callable, optional
-        Gives the colours by error.
-    progress : callable
-        Told the share of the frames that are shown, 0 … 1.
-
-    Returns
-    -------
-    str
-        The address, file or window that showed it.
-
-    Raises
-    ------
-    DataError
-        The session is damaged.
-    DeviceError
-        The viewer fails.
     """
     if isinstance(to, Path):
         to.parent.mkdir(parents=True, exist_ok=True)
@@ -83,29 +56,7 @@ def view_session(
 
 
 def view_recording(path: Path, shown: Shown = "anywhere", announce: Callable[[str], object] = print) -> str:
-    """Show a recording until its window or page is closed or Ctrl-C is pressed.
-
-    Parameters
-    ----------
-    path : Path
-        A file (.rrd).
-    shown : str
-        Where.
-    announce : callable
-        Told the address or window; printed by default.
-
-    Returns
-    -------
-    str
-        The address, or "window".
-
-    Raises
-    ------
-    DataError
-        It is no recording.
-    DeviceError
-        The viewer does not start.
-    """
+    """Show a recording until its window or page is closed or Ctrl-C is pressed."""
     with path.open("rb") as stream:
         if stream.read(4) != b"RRF2":
             raise DataError(f"{path}: is no recording of the viewer, or is damaged; view its session instead")

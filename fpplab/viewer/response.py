@@ -30,15 +30,7 @@ class ResponseView(CommandView):
         self.canvas.layout(rrb.Horizontal(layouts.image("Camera", "/images/camera"), right))
 
     def frame(self, level: int, frame: ShownFrame) -> None:
-        """Show a uniform image as the camera saw it.
-
-        Parameters
-        ----------
-        level : int
-            That was shown, 0 … 255.
-        frame : ShownFrame
-            Of the camera.
-        """
+        """Show a uniform image as the camera saw it."""
         full = (1 << frame.bits) - 1
         self.canvas.at("frame", len(self._levels))
         self._levels.append((float(level), float(frame.image.mean()) / full))
@@ -46,13 +38,7 @@ class ResponseView(CommandView):
         self.canvas.figure("diagrams/levels", levels_so_far(self._levels))
 
     def response(self, response: Response) -> None:
-        """Show the fit.
-
-        Parameters
-        ----------
-        response : Response
-            That was fitted.
-        """
+        """Show the fit."""
         self.canvas.figure("diagrams/response", response_fit(response), static=True)
         found = response.summary()
         self.canvas.text(
@@ -63,18 +49,7 @@ class ResponseView(CommandView):
 
 @as_png
 def levels_so_far(levels: list[tuple[float, float]]) -> Sheet:
-    """Draw the mean levels seen against the levels shown.
-
-    Parameters
-    ----------
-    levels : list of tuple of float
-        Level shown of 255, and seen as a share of full scale.
-
-    Returns
-    -------
-    bytes
-        PNG file.
-    """
+    """Draw the mean levels seen against the levels shown."""
     figure, axes = single_axes(FULL, 3.4)
     axes.plot(*zip(*levels, strict=True), "o", color=ACCENT, markersize=4)
     axes.set(xlabel="grey level shown, of 255", ylabel="mean level seen, of full scale", xlim=(-5, 260))

@@ -47,15 +47,7 @@ class SampleView(CommandView):
         )
 
     def sample(self, arrays: dict[str, Any], record: dict[str, Any]) -> None:
-        """Show a sample.
-
-        Parameters
-        ----------
-        arrays : dict of str to ndarray
-            The fields that are shown, one image of the frames, subsampled.
-        record : dict
-            What was drawn.
-        """
+        """Show a sample."""
         self.canvas.at("sample", record["index"])
         image = arrays[FRAMES].astype(np.float32)
         bright = max(float(np.percentile(image, 99.8)), 1.0)
@@ -72,18 +64,7 @@ class SampleView(CommandView):
 
 
 def sample_observer(viewer: Viewer[SampleView]) -> SampleObserver:
-    """Make the observer of a data set's making that shows its samples.
-
-    Parameters
-    ----------
-    viewer : Viewer
-        Of a `SampleView`.
-
-    Returns
-    -------
-    callable
-        Takes each sample, and returns at once.
-    """
+    """Make the observer of a data set's making that shows its samples."""
 
     def observe(arrays: Arrays, record: dict[str, Any]) -> None:
         shown = {name: subsampled(arrays[name]).copy() for name in SHOWN if name != "wrapped_phase"}

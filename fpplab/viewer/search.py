@@ -43,13 +43,7 @@ class SearchView(CommandView):
         self.canvas.layout(rrb.Horizontal(left, rrb.Vertical(*curves), column_shares=[5, 4]))
 
     def epoch(self, epoch: SearchEpoch) -> None:
-        """Show an epoch of a search.
-
-        Parameters
-        ----------
-        epoch : SearchEpoch
-            The latest.
-        """
+        """Show an epoch of a search."""
         self._measured += [trial for trial in epoch.trials if trial.measured]
         self.canvas.at("epoch", epoch.number)
         for key in CURVES:
@@ -84,22 +78,7 @@ def _row(name: str, trial: MeasuredCandidate) -> str:
 def front_so_far(
     measured: Sequence[MeasuredCandidate], front: Sequence[MeasuredCandidate], best: MeasuredCandidate
 ) -> Sheet:
-    """Draw candidates by images and distance, with their front and the optimum.
-
-    Parameters
-    ----------
-    measured : sequence of MeasuredCandidate
-        All so far.
-    front : sequence of MeasuredCandidate
-        The Pareto front.
-    best : MeasuredCandidate
-        The optimum.
-
-    Returns
-    -------
-    bytes
-        PNG file.
-    """
+    """Draw candidates by images and distance, with their front and the optimum."""
 
     def places(trials: Sequence[MeasuredCandidate]) -> tuple[list[int], list[float]]:
         known: list[CandidateFigures] = [one.figures for one in trials]

@@ -29,29 +29,7 @@ ENDS_WITHIN_S = 5.0
 
 
 class ViewerServer:
-    """The process of rerun, reachable from this computer only; it ends with the process that started it.
-
-    Parameters
-    ----------
-    kind : {"window", "browser"}
-        Whether it shows a window or serves a page.
-    files : sequence of Path
-        Recordings (.rrd) that it opens; none, and it waits for what is sent to it.
-
-    Attributes
-    ----------
-    data : str
-        Address to which a recording is sent.
-    page : str
-        Address that the operator opens; "window" for a window.
-
-    Raises
-    ------
-    DeviceError
-        The program does not start.
-    MissingExtraError
-        It is not installed.
-    """
+    """The process of rerun, reachable from this computer only; it ends with the process that started it."""
 
     def __init__(self, kind: ServerKind, files: Sequence[Path] = ()) -> None:
         command = [sys.executable, "-I", host.__file__, _program(), kind, *(str(path) for path in files)]
@@ -105,25 +83,7 @@ class ViewerServer:
 
 
 def open_server(shown: Shown, files: Sequence[Path] = ()) -> ViewerServer:
-    """Open a window or a page.
-
-    Parameters
-    ----------
-    shown : str
-        Where.
-    files : sequence of Path
-        Recordings that it opens.
-
-    Returns
-    -------
-    ViewerServer
-        Running.
-
-    Raises
-    ------
-    DeviceError
-        It does not start.
-    """
+    """Open a window or a page."""
     if shown != "anywhere":
         return ViewerServer(shown, files)
     if has_display():
@@ -133,13 +93,7 @@ def open_server(shown: Shown, files: Sequence[Path] = ()) -> ViewerServer:
 
 
 def has_display() -> bool:
-    """Tell whether a window can be shown here.
-
-    Returns
-    -------
-    bool
-        On Linux, whether DISPLAY or WAYLAND_DISPLAY is set; True elsewhere.
-    """
+    """Tell whether a window can be shown here."""
     if sys.platform.startswith("linux"):
         return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
     return True

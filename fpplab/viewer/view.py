@@ -6,13 +6,7 @@ from fpplab.viewer.canvas import Canvas
 
 
 class CommandView:
-    """What one command shows; its methods draw on the canvas.
-
-    Parameters
-    ----------
-    canvas : Canvas
-        Where it draws.
-    """
+    """What one command shows; its methods draw on the canvas."""
 
     def __init__(self, canvas: Canvas) -> None:
         self.canvas = canvas

@@ -46,28 +46,6 @@ class Viewer(Generic[V]):
     """Shows one view; starts when there is something to show, and is used in a `with` block.
 
     No method raises, and none but `wait` and `close` waits.
-
-    Parameters
-    ----------
-    view : type
-        What is shown.
-    shown : str or None
-        Where; None, and it is shown nowhere.
-    keep : Path, optional
-        A recording (.rrd) that is left there; neither, and nothing is drawn at all.
-    announce : callable
-        Told the address or window once it is open, from another thread.
-    complete : bool
-        Whether everything is shown, even if that takes longer: nothing is measured meanwhile.
-    most_waiting : int
-        How much may wait to be drawn before something is left out.
-
-    Attributes
-    ----------
-    where : str
-        The address that shows it, "window", or the path of a recording alone; empty until it is known.
-    fault : str or None
-        Why nothing is shown any more, or None.
     """
 
     def __init__(
@@ -100,27 +78,11 @@ class Viewer(Generic[V]):
         self.close()
 
     def show(self, method: Callable[[V, *Arguments], object], *args: *Arguments) -> None:
-        """Show something that the view is wrong without.
-
-        Parameters
-        ----------
-        method : callable
-            Of the view's class.
-        *args
-            Its arguments.
-        """
+        """Show something that the view is wrong without."""
         self._add(Message((method, args)))
 
     def show_one_of_many(self, method: Callable[[V, *Arguments], object], *args: *Arguments) -> None:
-        """Show something that may be left out where there is too much.
-
-        Parameters
-        ----------
-        method : callable
-            Of the view's class.
-        *args
-            Its arguments.
-        """
+        """Show something that may be left out where there is too much."""
         self._add(Message((method, args), droppable=True))
 
     def _add(self, message: Message) -> None:
@@ -152,13 +114,7 @@ class Viewer(Generic[V]):
         return self.where == "window" and self._closed.is_set()
 
     def wait(self, announce: Callable[[str], object] = ignore) -> None:
-        """Wait until the window or page is closed or Ctrl-C is pressed, if anything is shown.
-
-        Parameters
-        ----------
-        announce : callable
-            Told the address or window when all is shown.
-        """
+        """Wait until the window or page is closed or Ctrl-C is pressed, if anything is shown."""
         if self._thread is None or self.fault is not None:
             return
         with suppress(KeyboardInterrupt):  # Ctrl-C may come as soon as the first word is out
@@ -171,13 +127,7 @@ class Viewer(Generic[V]):
                 self._closed.wait()
 
     def close(self, hurry: bool = False) -> None:
-        """End the process; what waits is shown and the recording finished first. May be called again.
-
-        Parameters
-        ----------
-        hurry : bool
-            Whether what waits is left out, as after Ctrl-C.
-        """
+        """End the process; what waits is shown and the recording finished first. May be called again."""
         self._closing = True
         self._outbox.end(discard=hurry)
         sent = self._thread is None or self._waited_for(_joined(self._thread), hurry)

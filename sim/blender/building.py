@@ -27,31 +27,8 @@ def add_scene(
     bytecode: str | None,
     ambient: float = 0.0,
 ) -> Any:
-    """Add camera, projector and surfaces to a scene in Blender that holds none.
-
-    Parameters
-    ----------
-    stage : bpy.types.Scene
-        Where to add them.
-    scene : RenderScene
-        Camera, lamp and surfaces.
-    textures : ndarray of float32 or None
-        Of the lamp, (circles, rows, columns) or (circles, rows, columns, 3); None for uniform white light.
-    bytecode : str or None
-        The camera shader, see `add_camera`.
-    ambient : float
-        Irradiance by uniform ambient light.
-
-    Returns
-    -------
-    bpy.types.Camera
-        The camera, for `aim`.
-
-    Raises
-    ------
-    RenderRefused
-        Blender's own camera would have to distort or blur.
-    """
+    """Add camera, projector and surfaces to a scene in Blender that holds none."""
+    # textures (circles, rows, columns)
     camera = add_camera(stage, scene.camera, scene.aperture, bytecode)
     add_projector(stage, scene.lamp, textures)
     for surface in scene.surfaces:
@@ -65,13 +42,6 @@ def add_room_lamps(stage: Any, lamps: Sequence[PointLamp]) -> None:
 
     Blender spreads the power of a point over 4π, and what a matt surface reflects over π once more.
     Surfaces that are to throw no shadow of them must be there already.
-
-    Parameters
-    ----------
-    stage : bpy.types.Scene
-        Where to add them.
-    lamps : sequence of PointLamp
-        In the camera's frame.
     """
     without_shadow = bpy.data.collections.new("no shadow of room lamps")
     for one in stage.collection.objects:
@@ -90,15 +60,7 @@ def add_room_lamps(stage: Any, lamps: Sequence[PointLamp]) -> None:
 
 
 def make_linear(stage: Any, effort: Effort) -> None:
-    """Switch off tone curve, dither, denoising, clamping and heuristics; sample one point of every pixel.
-
-    Parameters
-    ----------
-    stage : bpy.types.Scene
-        Whose settings are changed.
-    effort : Effort
-        Samples, bounces and channels.
-    """
+    """Switch off tone curve, dither, denoising, clamping and heuristics; sample one point of every pixel."""
     stage.render.engine = "CYCLES"
     stage.render.resolution_percentage = 100
     stage.render.dither_intensity = 0.0

@@ -18,18 +18,7 @@ SOURCE = Path(__file__).with_name("camera.osl")
 
 
 def compile_shader() -> str:
-    """Compile the camera shader; Blender's own operator for it needs a module that the wheel lacks.
-
-    Returns
-    -------
-    str
-        Byte code of Open Shading Language.
-
-    Raises
-    ------
-    RuntimeError
-        The shader does not compile.
-    """
+    """Compile the camera shader; Blender's own operator for it needs a module that the wheel lacks."""
     with tempfile.TemporaryDirectory() as folder:
         compiled = Path(folder) / "camera.oso"
         if not _cycles.osl_compile(str(SOURCE), str(compiled)):
@@ -38,29 +27,7 @@ def compile_shader() -> str:
 
 
 def add_camera(scene: Any, optics: PinholeOptics, aperture: Aperture, bytecode: str | None) -> Any:
-    """Add a camera at the origin that looks along +z with y down, as OpenCV's does.
-
-    Parameters
-    ----------
-    scene : bpy.types.Scene
-        Where to add it.
-    optics : PinholeOptics
-        Size, intrinsics and distortion.
-    aperture : Aperture
-        Of the lens.
-    bytecode : str or None
-        From `compile_shader`; None for Blender's own camera, on devices that run no custom shaders.
-
-    Returns
-    -------
-    bpy.types.Camera
-        The camera, for `aim`.
-
-    Raises
-    ------
-    RenderRefused
-        Blender's own camera would have to distort or blur, which it cannot.
-    """
+    """Add a camera at the origin that looks along +z with y down, as OpenCV's does."""
     data = bpy.data.cameras.new("camera")
     data.clip_start, data.clip_end = 1.0, 1e5
     item = bpy.data.objects.new("camera", data)
@@ -76,17 +43,7 @@ def add_camera(scene: Any, optics: PinholeOptics, aperture: Aperture, bytecode: 
 
 
 def aim(camera: Any, optics: PinholeOptics, view: SubpixelView) -> None:
-    """Make the camera look through one point of every pixel and of the lens.
-
-    Parameters
-    ----------
-    camera : bpy.types.Camera
-        From `add_camera`.
-    optics : PinholeOptics
-        Of that camera.
-    view : SubpixelView
-        The point of the pixel and of the lens.
-    """
+    """Make the camera look through one point of every pixel and of the lens."""
     if camera.type == "CUSTOM":
         values = dict(zip(("shift_u", "shift_v", "lens_x", "lens_y"), (*view.shift, *view.lens), strict=True))
         for name, value in values.items():

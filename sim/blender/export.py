@@ -11,13 +11,7 @@ from sim.preview_file import read_preview
 
 
 def main(arguments: list[str]) -> None:
-    """Build the scene and save it, with its images inside.
-
-    Parameters
-    ----------
-    arguments : list of str
-        A file of `sim.preview_file`, and the .blend file to write.
-    """
+    """Build the scene and save it, with its images inside."""
     described, out = arguments
     preview = read_preview(described)
     bpy.ops.wm.read_factory_settings(use_empty=True)

@@ -10,20 +10,8 @@ from numpy.typing import NDArray
 
 
 def float_image(name: str, pixels: NDArray[np.float32]) -> Any:
-    """Make a linear image in Blender.
-
-    Parameters
-    ----------
-    name : str
-        Of the image.
-    pixels : ndarray of float32
-        (rows, columns) or (rows, columns, 3), row 0 on top.
-
-    Returns
-    -------
-    bpy.types.Image
-        With these values, without a colour space.
-    """
+    """Make a linear image in Blender."""
+    # pixels (rows, columns)
     rows, columns = pixels.shape[:2]
     image = bpy.data.images.new(name, columns, rows, float_buffer=True, is_data=True)
     filled = np.ones((rows, columns, 4), np.float32)

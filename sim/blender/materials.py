@@ -40,21 +40,11 @@ def _unchanged_socket(nodes: Nodes, grey: Any) -> Any:
 
 
 class BaseShader(NamedTuple):
-    """How a base layer is drawn.
+    """How a base layer is drawn."""
 
-    Attributes
-    ----------
-    node : callable
-        Adds the shader's node, which has the inputs Color and Normal, for the layer's parameters.
-    colour : callable
-        Gives Blender's colour for a reflectance, both numbers or arrays; the same where they are equal.
-    reflectance : callable
-        The inverse of `colour`, on sockets of the node tree.
-    """
-
-    node: Callable[[Nodes, LayerParameters], Any]
-    colour: Callable[[Any], Any] = _unchanged
-    reflectance: Callable[[Nodes, Any], Any] = _unchanged_socket
+    node: Callable[[Nodes, LayerParameters], Any]  # adds the shader's node
+    colour: Callable[[Any], Any] = _unchanged  # gives Blender's colour for a reflectance
+    reflectance: Callable[[Nodes, Any], Any] = _unchanged_socket  # the inverse of `colour`
 
 
 def _diffuse(nodes: Nodes, parameters: LayerParameters) -> Any:
@@ -105,21 +95,8 @@ BASE_SHADERS = {
 def add_paint(
     mesh: Any, paint: Paint, picture: NDArray[np.uint8] | None, uv: Floats | None, ambient: float = 0.0
 ) -> None:
-    """Give a mesh its material.
-
-    Parameters
-    ----------
-    mesh : bpy.types.Mesh
-        The mesh, whose vertices are in mm.
-    paint : Paint
-        What it is made of.
-    picture : ndarray of uint8 or None
-        Print [v, u], from the paint's ink at 0 to its reflectance at 255; None for none.
-    uv : Floats or None
-        Places (V, 2) of the vertices in the picture, 0 to 1, v downwards; without them there is no print.
-    ambient : float
-        Irradiance by uniform ambient light, which the camera alone sees.
-    """
+    """Give a mesh its material."""
+    # uv (V, 2)
     material = bpy.data.materials.new("paint")
     material.use_nodes = True
     material.cycles.use_bump_map_correction = False  # it darkens and straightens normals

@@ -6,168 +6,56 @@ from typing import Any
 
 
 class Nodes:
-    """Adds nodes to a tree. A value is a number, a tuple of numbers for a vector or a colour, or a socket.
-
-    Parameters
-    ----------
-    tree : bpy.types.NodeTree
-        Where nodes are added.
-    """
+    """Adds nodes to a tree. A value is a number, a tuple of numbers for a vector or a colour, or a socket."""
 
     def __init__(self, tree: Any) -> None:
         self.tree = tree
 
     def add(self, kind: str) -> Any:
-        """Add a node.
-
-        Parameters
-        ----------
-        kind : str
-            Blender's name of its class, such as ShaderNodeMath.
-
-        Returns
-        -------
-        bpy.types.Node
-            The new node.
-        """
+        """Add a node."""
         return self.tree.nodes.new(kind)
 
     def join(self, value: Any, socket: Any) -> None:
-        """Give a socket a value, or link another socket to it.
-
-        Parameters
-        ----------
-        value : float or tuple or bpy.types.NodeSocket
-            Value or output.
-        socket : bpy.types.NodeSocket
-            Input.
-        """
+        """Give a socket a value, or link another socket to it."""
         if isinstance(value, float | int | tuple):
             socket.default_value = value
         else:
             self.tree.links.new(value, socket)
 
     def math(self, operation: str, *values: Any) -> Any:
-        """Add a scalar operation.
-
-        Parameters
-        ----------
-        operation : str
-            Blender's name of it, such as DIVIDE.
-        *values : Any
-            Operands.
-
-        Returns
-        -------
-        bpy.types.NodeSocket
-            The result.
-        """
+        """Add a scalar operation."""
         return self._operate("ShaderNodeMath", operation, values).outputs["Value"]
 
     def vector(self, operation: str, *values: Any) -> Any:
-        """Add an operation on vectors that gives a vector.
-
-        Parameters
-        ----------
-        operation : str
-            Blender's name of it, such as SUBTRACT.
-        *values : Any
-            Operands.
-
-        Returns
-        -------
-        bpy.types.NodeSocket
-            The result.
-        """
+        """Add an operation on vectors that gives a vector."""
         return self._operate("ShaderNodeVectorMath", operation, values).outputs["Vector"]
 
     def dot(self, one: Any, other: Any) -> Any:
-        """Add the scalar product of two vectors.
-
-        Parameters
-        ----------
-        one : Any
-            A vector.
-        other : Any
-            A vector.
-
-        Returns
-        -------
-        bpy.types.NodeSocket
-            The result.
-        """
+        """Add the scalar product of two vectors."""
         return self._operate("ShaderNodeVectorMath", "DOT_PRODUCT", (one, other)).outputs["Value"]
 
     def scaled(self, vector: Any, factor: Any) -> Any:
-        """Add the product of a vector and a number.
-
-        Parameters
-        ----------
-        vector : Any
-            A vector.
-        factor : Any
-            A number.
-
-        Returns
-        -------
-        bpy.types.NodeSocket
-            The result.
-        """
+        """Add the product of a vector and a number."""
         node = self._operate("ShaderNodeVectorMath", "SCALE", (vector,))
         self.join(factor, node.inputs["Scale"])
         return node.outputs["Vector"]
 
     def combine(self, kind: str, values: tuple[Any, ...]) -> Any:
-        """Add a vector or colour made from its components.
-
-        Parameters
-        ----------
-        kind : str
-            Blender's name of the node's class, such as ShaderNodeCombineXYZ.
-        values : tuple
-            Components.
-
-        Returns
-        -------
-        bpy.types.NodeSocket
-            The vector or colour.
-        """
+        """Add a vector or colour made from its components."""
         node = self.add(kind)
         for value, socket in zip(values, node.inputs, strict=False):
             self.join(value, socket)
         return node.outputs[0]
 
     def total(self, *values: Any) -> Any:
-        """Add the sum of scalars.
-
-        Parameters
-        ----------
-        *values : Any
-            At least one.
-
-        Returns
-        -------
-        Any
-            The sum; a single value as it is.
-        """
+        """Add the sum of scalars."""
         result = values[0]
         for value in values[1:]:
             result = self.math("ADD", result, value)
         return result
 
     def times(self, *values: Any) -> Any:
-        """Add the product of scalars.
-
-        Parameters
-        ----------
-        *values : Any
-            At least one.
-
-        Returns
-        -------
-        Any
-            The product; a single value as it is.
-        """
+        """Add the product of scalars."""
         result = values[0]
         for value in values[1:]:
             result = self.math("MULTIPLY", result, value)

@@ -29,13 +29,6 @@ def show_preview(stage: Any, preview: Preview) -> None:
     """Add camera, projector and item to a scene in Blender that holds none, and set it up for viewing.
 
     The rendered view then shows grey levels over full scale, but for the sensor's black level.
-
-    Parameters
-    ----------
-    stage : bpy.types.Scene
-        Where to add them.
-    preview : Preview
-        What to show.
     """
     wanted = preview.render
     camera = add_scene(stage, wanted.scene, wanted.textures, compile_shader(), wanted.ambient)
@@ -52,20 +45,8 @@ def show_preview(stage: Any, preview: Preview) -> None:
 
 
 def take_picture(stage: Any, preview: Preview) -> PreviewPixels:
-    """Render what the twin's camera sees on average, without noise, through the twin's own sub-pixels.
-
-    Parameters
-    ----------
-    stage : bpy.types.Scene
-        Where `show_preview` has added the rig; its settings are as before afterwards.
-    preview : Preview
-        What it shows; its textures are not needed.
-
-    Returns
-    -------
-    PreviewPixels
-        Mean grey levels (height, width), 0 to full scale.
-    """
+    """Render what the twin's camera sees on average, without noise, through the twin's own sub-pixels."""
+    # returns (height, width)
     wanted = preview.render
     left, top, right, bottom = wanted.scene.window
     width, height = wanted.scene.camera.size

@@ -13,36 +13,12 @@ CPU, OPTIX = "CPU", "OPTIX"
 
 
 def runs_osl(device: str) -> bool:
-    """Tell whether a kind of device runs Open Shading Language, in which the camera is written.
-
-    Parameters
-    ----------
-    device : str
-        As `sim.world.Render.device`.
-
-    Returns
-    -------
-    bool
-        Whether the custom camera can be used.
-    """
+    """Tell whether a kind of device runs Open Shading Language, in which the camera is written."""
     return device in (CPU, OPTIX)
 
 
 def choose_device(stage: Any, device: str) -> None:
-    """Set a scene to render on every device of a kind.
-
-    Parameters
-    ----------
-    stage : bpy.types.Scene
-        The scene.
-    device : str
-        As `sim.world.Render.device`.
-
-    Raises
-    ------
-    RenderRefused
-        The computer has no such device.
-    """
+    """Set a scene to render on every device of a kind."""
     if device == CPU:
         stage.cycles.device = CPU
         return

@@ -20,17 +20,8 @@ from .nodes import Nodes
 
 
 def add_projector(scene: Any, lamp: Lamp, textures: NDArray[np.float32] | None) -> None:
-    """Add the projector as a light.
-
-    Parameters
-    ----------
-    scene : bpy.types.Scene
-        Where to add it.
-    lamp : Lamp
-        Pose, optics and brightness.
-    textures : ndarray of float32 or None
-        (circles, rows, columns) or (circles, rows, columns, 3); None for uniform white.
-    """
+    """Add the projector as a light."""
+    # textures (circles, rows, columns)
     light = bpy.data.lights.new("projector", "SPOT")
     light.shadow_soft_size, light.spot_blend, light.spot_size = 0.0, 0.0, 2 * lamp.half_angle
     light.energy = 4 * math.pi**2 * lamp.distance_mm**2

@@ -45,21 +45,8 @@ class BlenderScene:
         effort: Effort,
         out: PixelBuffer,
     ) -> None:
-        """Render a scene once for every view.
-
-        Parameters
-        ----------
-        scene : RenderScene
-            Camera, lamp and surfaces.
-        textures : PixelBuffer or None
-            Of the lamp, (circles, rows, columns, 3); None for uniform white light.
-        views : list of SubpixelView
-            Points of the pixels and of the lens to look through.
-        effort : Effort
-            Samples, bounces, device and channels.
-        out : PixelBuffer
-            Where to write the result, (views, height, width, effort.channels).
-        """
+        """Render a scene once for every view."""
+        # textures (circles, rows, columns, 3)
         out[...] = 0
         left, top, right, bottom = scene.window
         if left >= right or top >= bottom:

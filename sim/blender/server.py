@@ -23,15 +23,7 @@ from sim.scene import Effort, RenderRefused, RenderScene, SubpixelView
 
 
 def serve_renders(connection: Connection, memory: int) -> None:
-    """Answer requests until the other end is closed.
-
-    Parameters
-    ----------
-    connection : Connection
-        To the process that started this one.
-    memory : int
-        File descriptor of the shared memory.
-    """
+    """Answer requests until the other end is closed."""
     renderer, scene, pixels = BlenderScene(), None, np.empty(0, np.float32)
     connection.send(("ready", bpy.app.version_string))
     while True:
@@ -83,13 +75,7 @@ def _end_with(socket: int) -> None:
 
 
 def main(arguments: list[str]) -> None:
-    """Serve on the inherited socket and memory.
-
-    Parameters
-    ----------
-    arguments : list of str
-        Their two file descriptors.
-    """
+    """Serve on the inherited socket and memory."""
     socket, memory = map(int, arguments)
     warnings.simplefilter("ignore", DeprecationWarning)
     _end_with(socket)

@@ -36,15 +36,7 @@ BAND_PIXELS = 1 << 18
 
 
 class Background:
-    """The light of the surroundings of one world.
-
-    Parameters
-    ----------
-    world : World
-        Devices and items.
-    surface : Surface
-        Of the surroundings.
-    """
+    """The light of the surroundings of one world."""
 
     def __init__(self, world: World, surface: Surface) -> None:
         self._world, self._surface, self._views = world, surface, _views(world)
@@ -57,58 +49,21 @@ class Background:
         light: Sequence[PatternLevels],
         pixels: PixelIndices | None = None,
     ) -> PatternLevels:
-        """Compute the irradiance that the camera sees of the surroundings, without vignetting.
-
-        Parameters
-        ----------
-        setup : Setup
-            State of the moving parts.
-        light : sequence of PatternLevels
-            Light (rows, columns) of the mirrors in n states.
-        pixels : PixelIndices, optional
-            Rows and columns of P pixels; all by default.
-
-        Returns
-        -------
-        PatternLevels
-            (n, height, width), or (n, P).
-        """
+        """Compute the irradiance that the camera sees of the surroundings, without vignetting."""
+        # light (rows, columns); returns (n, height, width)
         _, scene, texture = self._built(setup)
         table = self._table(setup, pixels)
         seen = table.look_up(texture.textures(light, scene.lamp.circles, table.part(texture.shape)))
         return seen if pixels is None else seen[:, 0]
 
     def albedo(self, setup: Setup, pixels: PixelIndices | None = None) -> Irradiance:
-        """Give the reflectance of the surroundings that the camera sees, 0 where the item hides them.
-
-        Parameters
-        ----------
-        setup : Setup
-            State of the moving parts.
-        pixels : PixelIndices, optional
-            Rows and columns of P pixels; all by default.
-
-        Returns
-        -------
-        Irradiance
-            (height, width), or (P,).
-        """
+        """Give the reflectance of the surroundings that the camera sees, 0 where the item hides them."""
+        # returns (height, width)
         found = self._table(setup, pixels).albedo
         return found if pixels is None else found[0]
 
     def scene(self, setup: Setup) -> RenderScene:
-        """Give the surroundings together with the mounted item.
-
-        Parameters
-        ----------
-        setup : Setup
-            State of the moving parts.
-
-        Returns
-        -------
-        RenderScene
-            The surroundings first, the item last.
-        """
+        """Give the surroundings together with the mounted item."""
         return self._built(setup)[1]
 
     def irradiance(
@@ -118,24 +73,8 @@ class Background:
         room: Irradiance | np.float32,
         pixels: PixelIndices | None,
     ) -> PatternLevels:
-        """Compute the irradiance of the surroundings, that of other light than the projector's included.
-
-        Parameters
-        ----------
-        setup : Setup
-            State of the moving parts.
-        light : sequence of PatternLevels
-            Light (rows, columns) of the mirrors in n states.
-        room : Irradiance or float32
-            Other light on what the pixels see, of `RoomLight.on`.
-        pixels : PixelIndices or None
-            Rows and columns of P pixels; None for all.
-
-        Returns
-        -------
-        PatternLevels
-            (n, P) or (n, height, width), without vignetting.
-        """
+        """Compute the irradiance of the surroundings, that of other light than the projector's included."""
+        # light (rows, columns); returns (n, P)
         seen = self.pictures(setup, light, pixels)
         seen += room * self.albedo(setup, pixels)
         return seen
@@ -143,22 +82,8 @@ class Background:
     def behind(
         self, setup: Setup, mirrors: Mirrors, room: RoomLightAt
     ) -> Callable[[Pattern, PixelIndices | None], PatternLevels]:
-        """Give the light of the surroundings as a function of the pattern, with other light.
-
-        Parameters
-        ----------
-        setup : Setup
-            State of the moving parts.
-        mirrors : Mirrors
-            Of the projector.
-        room : callable
-            Gives the other light on what pixels see; all pixels for None.
-
-        Returns
-        -------
-        callable
-            From a pattern, and pixels or None, to irradiance (P,) or (height, width), without vignetting.
-        """
+        """Give the light of the surroundings as a function of the pattern, with other light."""
+        # returns (P,)
 
         def light(pattern: Pattern, pixels: PixelIndices | None) -> PatternLevels:
             levels = [mirrors.level(pattern)]

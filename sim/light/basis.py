@@ -13,32 +13,14 @@ PatternLevels = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class Basis:
-    """Light levels of patterns as linear combinations: `level_n ≈ Σ_c weights[n, c] channels[c]`.
+    """Light levels of patterns as linear combinations: `level_n ≈ Σ_c weights[n, c] channels[c]`."""
 
-    Attributes
-    ----------
-    weights : ndarray of float64
-        (patterns, channels).
-    channels : PatternLevels
-        (channels, rows, columns) of mirrors, within [0, 1]; the first is white.
-    """
-
-    weights: NDArray[np.float64]
-    channels: PatternLevels
+    weights: NDArray[np.float64]  # (patterns, channels)
+    channels: PatternLevels  # (channels, rows, columns) of mirrors, within [0, 1]; the first is white
 
     def level(self, n: int) -> PatternLevels:
-        """Compute the light of one pattern as the basis represents it.
-
-        Parameters
-        ----------
-        n : int
-            Index of the pattern.
-
-        Returns
-        -------
-        PatternLevels
-            (rows, columns) of mirrors.
-        """
+        """Compute the light of one pattern as the basis represents it."""
+        # returns (rows, columns)
         weights = self.weights[n].astype(np.float32)
         return np.asarray(np.tensordot(weights, self.channels, axes=1))
 
@@ -48,19 +30,8 @@ def smallest_basis(levels: PatternLevels, allowed: float) -> Basis:
 
     The first channel is white; the others are principal components, shifted and scaled into [0, 1] so that
     they can be projected.
-
-    Parameters
-    ----------
-    levels : PatternLevels
-        (patterns, rows, columns) in [0, 1].
-    allowed : float
-        Greatest RMS of what the basis may leave out of any pattern.
-
-    Returns
-    -------
-    Basis
-        Of as few channels as possible.
     """
+    # levels (patterns, rows, columns)
     n, shape = len(levels), levels.shape[1:]
     flat = levels.reshape(n, -1)
     mean, covariance = _moments(flat)

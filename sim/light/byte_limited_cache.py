@@ -20,33 +20,14 @@ T = TypeVar("T", bound=Sized)
 
 
 class ByteLimitedCache(Generic[T]):
-    """Results by key; when they exceed a limit the least recently used are dropped.
-
-    Parameters
-    ----------
-    limit : int
-        In bytes; a single greater result is kept all the same.
-    """
+    """Results by key; when they exceed a limit the least recently used are dropped."""
 
     def __init__(self, limit: int) -> None:
         self._limit = limit
         self._results: OrderedDict[object, T] = OrderedDict()
 
     def get(self, key: object, make: Callable[[], T]) -> T:
-        """Give the result of a key, made if it is not there.
-
-        Parameters
-        ----------
-        key : object
-            Hashable.
-        make : callable
-            Makes the result.
-
-        Returns
-        -------
-        T
-            Now the most recently used.
-        """
+        """Give the result of a key, made if it is not there."""
         if key not in self._results:
             self._results[key] = make()
         self._results.move_to_end(key)
@@ -55,33 +36,14 @@ class ByteLimitedCache(Generic[T]):
         return self._results[key]
 
     def put(self, key: object, result: T) -> T:
-        """Keep a result that was made elsewhere, unless there is one of that key.
-
-        Parameters
-        ----------
-        key : object
-            Hashable.
-        result : T
-            To keep.
-
-        Returns
-        -------
-        T
-            The result of that key.
-        """
+        """Keep a result that was made elsewhere, unless there is one of that key."""
         return self.get(key, lambda: result)
 
     def __contains__(self, key: object) -> bool:
         return key in self._results
 
     def take(self, other: ByteLimitedCache[T]) -> None:
-        """Add all results of another cache, which keeps them too.
-
-        Parameters
-        ----------
-        other : ByteLimitedCache
-            Whose results replace those of the same keys here.
-        """
+        """Add all results of another cache, which keeps them too."""
         self._results.update(other._results)
 
     def clear(self) -> None:

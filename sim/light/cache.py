@@ -36,22 +36,7 @@ _log = logging.getLogger(__name__)
 
 
 def digest(scene: RenderScene, views: list[SubpixelView], *more: object) -> str:
-    """Hash all that a table depends on.
-
-    Parameters
-    ----------
-    scene : RenderScene
-        Camera, lamp and surfaces.
-    views : list of SubpixelView
-        Points of the pixels and of the lens.
-    *more : object
-        Anything else, such as the pixels where the table is not of all pixels.
-
-    Returns
-    -------
-    str
-        32 hexadecimal digits: a different key where any number differs.
-    """
+    """Hash all that a table depends on."""
     hashed = hashlib.sha256()
     _feed(hashed, (scene, views, *more))
     return hashed.hexdigest()[:32]
@@ -75,13 +60,7 @@ def _feed(hashed: hashlib._Hash, value: object) -> None:
 
 @lru_cache(maxsize=1)
 def renderer() -> str:
-    """Identify the program that makes tables.
-
-    Returns
-    -------
-    str
-        Blender's version, and a hash of all of our code that contributes to a table.
-    """
+    """Identify the program that makes tables."""
     sim = Path(__file__).parents[1]
     hashed = hashlib.sha256()
     for path in sorted(
@@ -93,33 +72,14 @@ def renderer() -> str:
 
 
 class TableCache:
-    """Tables in one directory, of which the least recently used are removed beyond a limit.
-
-    Parameters
-    ----------
-    directory : Path or None
-        None for `light` in the user's cache directory.
-    limit : int
-        Greatest size of all files together, in bytes.
-    """
+    """Tables in one directory, of which the least recently used are removed beyond a limit."""
 
     def __init__(self, directory: Path | None = None, limit: int = LIMIT_BYTES) -> None:
         self._directory = directory or cache_directory() / "light"
         self._limit = limit
 
     def load(self, key: str) -> LightTable | None:
-        """Read a table; a file that is damaged or of another renderer is removed.
-
-        Parameters
-        ----------
-        key : str
-            From `digest`.
-
-        Returns
-        -------
-        LightTable or None
-            None where there is no valid file.
-        """
+        """Read a table; a file that is damaged or of another renderer is removed."""
         path = self._path(key)
         try:
             with path.open("rb") as stream:
@@ -136,15 +96,7 @@ class TableCache:
         return table
 
     def store(self, key: str, table: LightTable) -> None:
-        """Write a table; a failure is only logged, because the table can be rendered again.
-
-        Parameters
-        ----------
-        key : str
-            From `digest`.
-        table : LightTable
-            To keep, unless it is greater than the limit.
-        """
+        """Write a table; a failure is only logged, because the table can be rendered again."""
         if table.nbytes > self._limit:
             _log.warning("%.1f GB of light exceed the cache's limit and are not stored", table.nbytes / 1e9)
             return

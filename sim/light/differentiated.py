@@ -25,55 +25,20 @@ BATCH_PATTERNS = 16
 
 @dataclass(frozen=True, eq=False)
 class DifferentiatedLight:
-    """Light of a scene that is computed.
+    """Light of a scene that is computed."""
 
-    Attributes
-    ----------
-    scene : RenderScene
-        One flat, matt item.
-    views : list of SubpixelView
-        Points of the pixels and of the lens.
-    mirrors : Mirrors
-        Of the projector.
-    texture : MirrorTexture
-        How mirrors become a texture.
-    room : callable
-        Gives the light that is not the projector's on what pixels see, see `RoomLight.on`.
-    falloff : PatternLevels or None
-        Of the camera's lens, (height, width).
-    motions : ByteLimitedCache of MotionTable
-        Tables of last time.
-    behind : callable or None
-        Gives the light of the surroundings, which stand still, under a pattern: (height, width), or (P,) of
-        pixels; None where there are none.
-    """
-
-    scene: RenderScene
-    views: list[SubpixelView]
-    mirrors: Mirrors
-    texture: MirrorTexture
-    room: RoomLightAt
-    falloff: PatternLevels | None
-    motions: ByteLimitedCache[MotionTable]
-    behind: Callable[[Pattern, PixelIndices | None], PatternLevels] | None = None
+    scene: RenderScene  # one flat, matt item
+    views: list[SubpixelView]  # points of the pixels and of the lens
+    mirrors: Mirrors  # of the projector
+    texture: MirrorTexture  # how mirrors become a texture
+    room: RoomLightAt  # gives the light that is not the projector's on what pixels see, see `RoomLight.on`
+    falloff: PatternLevels | None  # of the camera's lens, (height, width)
+    motions: ByteLimitedCache[MotionTable]  # tables of last time
+    behind: Callable[[Pattern, PixelIndices | None], PatternLevels] | None = None  # (height, width)
 
     def at(self, patterns: tuple[Pattern, ...], pixels: PixelIndices) -> tuple[PatternLevels, PatternLevels]:
-        """Compute what `Light.irradiance_at` gives, with derivatives by the places that the pixels see.
-
-        Parameters
-        ----------
-        patterns : tuple of Pattern
-            n patterns.
-        pixels : PixelIndices
-            Rows and columns of P pixels.
-
-        Returns
-        -------
-        irradiance : PatternLevels
-            (n, P), 1 for white.
-        slopes : PatternLevels
-            (n, P, 4): its derivatives by the place x, y on the item in mm, and u, v on the projector in px.
-        """
+        """Compute what `Light.irradiance_at` gives, with derivatives by the places that the pixels see."""
+        # returns irradiance (n, P), slopes (n, P, 4) mm
         table = self._motion(pixels)
         found = np.concatenate([light for _, light in self._looked_up(table, patterns)])
         room, per_px = self.room(pixels), self.texture.affine[:, :2].astype(np.float32)
@@ -90,20 +55,8 @@ class DifferentiatedLight:
         return seen, slopes
 
     def displaced(self, patterns: tuple[Pattern, ...], moves: Floats) -> Iterator[PatternLevels]:
-        """Compute the irradiance of an item that is displaced under every pattern, to first order.
-
-        Parameters
-        ----------
-        patterns : tuple of Pattern
-            n patterns.
-        moves : Floats
-            Displacement (n, 3) under each, in mm in the camera's frame.
-
-        Yields
-        ------
-        PatternLevels
-            For each pattern (height, width), 1 for white, not negative.
-        """
+        """Compute the irradiance of an item that is displaced under every pattern, to first order."""
+        # moves (n, 3) mm; returns (height, width)
         table, room = self._motion(None), self.room(None)
         for first, found in self._looked_up(table, patterns):
             displaced = table.displaced(found, moves[first : first + len(found)], room)

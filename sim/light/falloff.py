@@ -15,18 +15,8 @@ LEAST = 0.01
 
 
 def projector_falloff(projector: ProjectorWorld) -> NDArray[np.float32] | None:
-    """Compute the light of every mirror.
-
-    Parameters
-    ----------
-    projector : ProjectorWorld
-        Section of the world file.
-
-    Returns
-    -------
-    ndarray of float32 or None
-        (rows, columns), 1 in the middle of the image; None where it is 1 everywhere.
-    """
+    """Compute the light of every mirror."""
+    # returns (rows, columns)
     if not any(projector.falloff):
         return None
     return _field(projector.size, projector.lattice, projector.falloff)

@@ -35,33 +35,15 @@ KEEP_BYTES = 1 << 28
 
 
 class RoomLight:
-    """All light of a world that is not the projector's: ambient light and lamps.
-
-    Parameters
-    ----------
-    world : World
-        Its ambient light and lamps.
-    """
+    """All light of a world that is not the projector's: ambient light and lamps."""
 
     def __init__(self, world: World) -> None:
         self._world = world
         self._kept: ByteLimitedCache[Irradiance] = ByteLimitedCache(KEEP_BYTES)
 
     def on(self, scene: RenderScene, pixels: PixelIndices | None = None) -> Irradiance | np.float32:
-        """Compute the light on what pixels see.
-
-        Parameters
-        ----------
-        scene : RenderScene
-            What is in view.
-        pixels : PixelIndices, optional
-            Rows and columns of P pixels; all by default.
-
-        Returns
-        -------
-        Irradiance or float32
-            (P,) or (height, width), before reflection, 1 for the projector's white; a number where even.
-        """
+        """Compute the light on what pixels see."""
+        # returns (P,)
         ambient = np.float32(self._world.ambient)
         if not self._world.lamps:
             return ambient
@@ -107,18 +89,7 @@ class _Met:
 
 
 def point_lamps(world: World) -> tuple[PointLamp, ...]:
-    """Place the lamps of the room in the camera's frame.
-
-    Parameters
-    ----------
-    world : World
-        Its lamps, and the projector's distance.
-
-    Returns
-    -------
-    tuple of PointLamp
-        In the order of the world file.
-    """
+    """Place the lamps of the room in the camera's frame."""
     middle = np.array([0.0, 0.0, world.projector.distance_mm])
     return tuple(
         PointLamp(tuple((middle + lamp.offset).tolist()), lamp.irradiance * lamp.distance_mm**2)
@@ -127,22 +98,8 @@ def point_lamps(world: World) -> tuple[PointLamp, ...]:
 
 
 def lamp_light(world: World, scene: RenderScene, pixels: PixelIndices) -> Irradiance:
-    """Compute the light of all lamps of the room on what some pixels see.
-
-    Parameters
-    ----------
-    world : World
-        Its lamps, and the projector's distance.
-    scene : RenderScene
-        What is in view.
-    pixels : PixelIndices
-        Rows and columns of P pixels.
-
-    Returns
-    -------
-    Irradiance
-        (P,), before reflection, 1 for the projector's white; 0 where the pixel's centre sees nothing.
-    """
+    """Compute the light of all lamps of the room on what some pixels see."""
+    # returns (P,)
     met = _first_met(scene, pixels)
     light = np.zeros(len(pixels[0]), np.float32)
     for lamp in point_lamps(world):
@@ -159,20 +116,8 @@ def lamp_light(world: World, scene: RenderScene, pixels: PixelIndices) -> Irradi
 
 
 def lamp_picture(world: World, scene: RenderScene) -> Irradiance:
-    """Compute the light of all lamps of the room on what every pixel of the image sees.
-
-    Parameters
-    ----------
-    world : World
-        Its lamps, and the projector's distance.
-    scene : RenderScene
-        What is in view.
-
-    Returns
-    -------
-    Irradiance
-        (height, width), as of `lamp_light`.
-    """
+    """Compute the light of all lamps of the room on what every pixel of the image sees."""
+    # returns (height, width)
     (width, height), (left, top, right, bottom) = scene.camera.size, scene.window
     rows, columns = np.mgrid[top:bottom, left:right]
     picture = np.zeros((height, width), np.float32)

@@ -24,18 +24,8 @@ GOLDEN_RAD = np.pi * (3 - np.sqrt(5))
 
 @lru_cache
 def lens_points(places: int) -> tuple[tuple[float, float], ...]:
-    """Choose points of the unit disc, one for each sub-pixel in reading order.
-
-    Parameters
-    ----------
-    places : int
-        Number of sub-pixels, the square of that along each side.
-
-    Returns
-    -------
-    tuple of (float, float)
-        (x, y) on the disc, one for each sub-pixel.
-    """
+    """Choose points of the unit disc, one for each sub-pixel in reading order."""
+    # returns (float, float)
     pairs, alone = divmod(places, 2)
     if not pairs:
         return ((0.0, 0.0),) * places

@@ -55,18 +55,10 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class Show:
-    """Which of the loaded patterns is on show.
+    """Which of the loaded patterns is on show."""
 
-    Attributes
-    ----------
-    patterns : tuple of Pattern
-        The loaded patterns.
-    index : int
-        Of the pattern on show.
-    """
-
-    patterns: tuple[Pattern, ...]
-    index: int
+    patterns: tuple[Pattern, ...]  # the loaded patterns
+    index: int  # of the pattern on show
 
     @property
     def pattern(self) -> Pattern:
@@ -76,18 +68,10 @@ class Show:
 
 @dataclass(frozen=True, eq=False)
 class Rendered:
-    """Pictures of a basis, and the table of direct light from the same renders.
+    """Pictures of a basis, and the table of direct light from the same renders."""
 
-    Attributes
-    ----------
-    pictures : PatternLevels
-        (channels, height, width).
-    table : LightTable
-        Of direct light.
-    """
-
-    pictures: PatternLevels
-    table: LightTable
+    pictures: PatternLevels  # (channels, height, width)
+    table: LightTable  # of direct light
 
     @property
     def nbytes(self) -> int:
@@ -96,19 +80,7 @@ class Rendered:
 
 
 class Light:
-    """The light of one world. Pictures are kept while nothing moves, tables of direct light also on disk.
-
-    Parameters
-    ----------
-    world : World
-        Devices, items and how to render.
-    blender : Blender
-        The process that renders.
-    cache : TableCache or None
-        Tables on disk; None for the user's cache directory, or none at all where the world says so.
-    analytic : bool
-        Whether tables of flat, matt items are computed by `sim.light.plane` instead of rendered.
-    """
+    """The light of one world. Pictures are kept while nothing moves, tables of direct light also on disk."""
 
     def __init__(
         self, world: World, blender: Blender, cache: TableCache | None = None, analytic: bool = False
@@ -134,30 +106,8 @@ class Light:
             )
 
     def irradiance(self, setup: Setup, show: Show | None, row_weights: Floats | None = None) -> PatternLevels:
-        """Compute the irradiance that the camera sees.
-
-        Parameters
-        ----------
-        setup : Setup
-            State of the moving parts.
-        show : Show or None
-            Pattern on show; None where the lamp is off.
-        row_weights : Floats or None
-            (bits, height), how much of each binary plane of the pattern every row collects, from
-            `sim.timing`; None where every row collects all planes alike.
-
-        Returns
-        -------
-        PatternLevels
-            (height, width), 1 for white.
-
-        Raises
-        ------
-        DeviceError
-            The Blender process fails.
-        ConfigError
-            The item cannot be made.
-        """
+        """Compute the irradiance that the camera sees."""
+        # row_weights (bits, height); returns (height, width)
         width, height = self._world.camera.size
         is_empty = setup.item == NOTHING and self._around is None
         if is_empty or (show is None and not self._world.has_room_light):
@@ -177,21 +127,8 @@ class Light:
         """Compute what `irradiance` gives at some pixels only, under several patterns.
 
         What is computed, and matt bodies, are traced for these pixels alone; a rendered table is looked up.
-
-        Parameters
-        ----------
-        setup : Setup
-            State of the moving parts.
-        patterns : tuple of Pattern
-            n patterns.
-        pixels : PixelIndices
-            Rows and columns of P pixels.
-
-        Returns
-        -------
-        PatternLevels
-            (n, P), 1 for white.
         """
+        # returns (n, P)
         if self._world.path != "transport":
             return np.stack([self.irradiance(setup, Show(patterns, n))[pixels] for n in range(len(patterns))])
         (_, scene, texture), table = self._built(setup), self._table_at(setup, pixels)
@@ -212,18 +149,7 @@ class Light:
         return seen if self._falloff is None else seen * self._falloff[pixels]
 
     def differentiated(self, setup: Setup) -> DifferentiatedLight | None:
-        """Give the light of an item with its derivatives.
-
-        Parameters
-        ----------
-        setup : Setup
-            State of the moving parts.
-
-        Returns
-        -------
-        DifferentiatedLight or None
-            None unless the item's light is computed, direct, and of mirrors without sharp edges.
-        """
+        """Give the light of an item with its derivatives."""
         _, scene, texture = self._built(setup)
         if self._world.path != "transport" or not self.computes(setup) or texture.exact:
             return None
@@ -244,33 +170,11 @@ class Light:
         return self._tables.get(digest(scene, views, pixels), make)
 
     def computes(self, setup: Setup) -> bool:
-        """Tell whether the item's light is computed, without a render.
-
-        Parameters
-        ----------
-        setup : Setup
-            State of the moving parts.
-
-        Returns
-        -------
-        bool
-            Whether computing is switched on and the item is flat and matt.
-        """
+        """Tell whether the item's light is computed, without a render."""
         return self._analytic and can_compute(self._built(setup)[1])
 
     def table(self, setup: Setup) -> LightTable:
-        """Get the direct light on all that is in view, from memory, from disk, or rendered.
-
-        Parameters
-        ----------
-        setup : Setup
-            State of the moving parts.
-
-        Returns
-        -------
-        LightTable
-            Shared; not to be changed.
-        """
+        """Get the direct light on all that is in view, from memory, from disk, or rendered."""
         _, scene, _ = self._built(setup)
         key = digest(scene, self._views(setup))
         if any(setup.vibration_mm):  # the next frame has another
@@ -285,11 +189,6 @@ class Light:
         """Take over the tables of another world; those with the same key are valid here too.
 
         The other's caches are emptied, because garbage collection would free their memory only much later.
-
-        Parameters
-        ----------
-        other : Light
-            Not to be used any more.
         """
         self._tables.take(other._tables)
         self._motions.take(other._motions)
@@ -410,25 +309,7 @@ class Light:
         return table
 
     def pattern_render(self, setup: Setup, pattern: Pattern) -> PatternRender:
-        """Put together what a renderer needs for the picture under one pattern: the path `reference`.
-
-        Parameters
-        ----------
-        setup : Setup
-            State of the moving parts.
-        pattern : Pattern
-            As the projector shows it.
-
-        Returns
-        -------
-        PatternRender
-            What `irradiance` is the result of.
-
-        Raises
-        ------
-        ConfigError
-            The item cannot be made.
-        """
+        """Put together what a renderer needs for the picture under one pattern: the path `reference`."""
         render, world = self._world.render, self._world
         scene, texture = build_scene(world, setup, self._around)
         return PatternRender(

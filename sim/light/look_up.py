@@ -155,21 +155,9 @@ def interpolated_light(
     top: np.float32,
     out: NDArray[np.float32],
 ) -> None:
-    """Look up samples between mirrors that a lens blurs.
-
-    Parameters
-    ----------
-    textures : ndarray of float32
-        (circles, rows, columns, patterns).
-    weights : ndarray of float32
-        (circles, STEPS + 1, TAPS) of the interpolation.
-    samples : ndarray of float32
-        (views, pixels, 4): texture column and row, fractional index of the circle, and shade.
-    left, top : float
-        Column and row of the whole texture at which `textures` begins.
-    out : ndarray of float32
-        (patterns, pixels), filled in: the mean over views.
-    """
+    """Look up samples between mirrors that a lens blurs."""
+    # textures (circles, rows, columns, patterns); weights (circles, STEPS + 1, TAPS); samples (views,
+    # pixels, 4); out (patterns, pixels)
     _, rows, columns, patterns = textures.shape
     views, pixels, _ = samples.shape
     texels, table = textures.reshape(-1), weights.reshape(-1)
@@ -216,24 +204,9 @@ def light_with_slopes(
     top: np.float32,
     out: NDArray[np.float32],
 ) -> None:
-    """Look up samples as `interpolated_light` does, with the derivatives of the light.
-
-    Parameters
-    ----------
-    textures : ndarray of float32
-        (circles, rows, columns, patterns).
-    weights : ndarray of float32
-        (circles, STEPS + 1, TAPS) of the interpolation.
-    samples : ndarray of float32
-        (views, pixels, 4): texture column and row, fractional index of the circle, and shade.
-    slopes : ndarray of float32
-        (views, pixels, 2): derivatives of the shade by two other variables.
-    left, top : float
-        Column and row of the whole texture at which `textures` begins.
-    out : ndarray of float32
-        (patterns, pixels, 5), filled in: the mean over views, and its derivatives by those two variables and
-        by column and row.
-    """
+    """Look up samples as `interpolated_light` does, with the derivatives of the light."""
+    # textures (circles, rows, columns, patterns); weights (circles, STEPS + 1, TAPS); samples (views,
+    # pixels, 4); slopes (views, pixels, 2); out (patterns, pixels, 5)
     _, rows, columns, patterns = textures.shape
     views, pixels, _ = samples.shape
     texels, table = textures.reshape(-1), weights.reshape(-1)
@@ -292,21 +265,8 @@ def sharp_light(
     fill: np.float32,
     out: NDArray[np.float32],
 ) -> None:
-    """Look up samples on mirrors with sharp edges.
-
-    Parameters
-    ----------
-    textures : ndarray of float32
-        (rows, columns, patterns).
-    samples : ndarray of float32
-        (views, pixels, 4): texture column and row, anything, and shade.
-    left, top : float
-        Column and row of the whole texture at which `textures` begins.
-    fill : float
-        Side of a mirror, in texels.
-    out : ndarray of float32
-        (patterns, pixels), filled in: the mean over views.
-    """
+    """Look up samples on mirrors with sharp edges."""
+    # textures (rows, columns, patterns); samples (views, pixels, 4); out (patterns, pixels)
     rows, columns, _ = textures.shape
     views, pixels, _ = samples.shape
     share = np.float32(1.0 / (views * fill * fill))

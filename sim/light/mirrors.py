@@ -21,31 +21,15 @@ KEEP_BYTES = 1 << 29
 
 @dataclass(frozen=True, eq=False)
 class MirrorStates:
-    """Light of the mirrors, relative to the brightest, in each of several states.
+    """Light of the mirrors, relative to the brightest, in each of several states."""
 
-    Attributes
-    ----------
-    count : int
-        Number of states.
-    of : callable
-        Gives the light of one state, (rows, columns) float32.
-    rounding : float
-        RMS of the quantisation error of the light.
-    """
-
-    count: int
-    of: Callable[[int], PatternLevels]
-    rounding: float
+    count: int  # number of states
+    of: Callable[[int], PatternLevels]  # gives the light of one state, (rows, columns) float32
+    rounding: float  # RMS of the quantisation error of the light
 
 
 class Mirrors:
-    """Mirrors of a projector, with its response and falloff.
-
-    Parameters
-    ----------
-    projector : ProjectorWorld
-        The projector.
-    """
+    """Mirrors of a projector, with its response and falloff."""
 
     def __init__(self, projector: ProjectorWorld) -> None:
         self._projector, self._falloff = projector, projector_falloff(projector)
@@ -56,59 +40,21 @@ class Mirrors:
         self._basis: tuple[MirrorStates, Basis] | None = None
 
     def level(self, pattern: Pattern) -> PatternLevels:
-        """Compute the light under a pattern.
-
-        Parameters
-        ----------
-        pattern : Pattern
-            As the projector shows it.
-
-        Returns
-        -------
-        PatternLevels
-            (rows, columns); shared, not to be changed.
-        """
+        """Compute the light under a pattern."""
+        # returns (rows, columns)
         return self._kept.get(pattern, lambda: self._fallen_off(self._even(pattern)))
 
     def textures(
         self, patterns: Sequence[Pattern], texture: MirrorTexture, circles: tuple[float, ...], part: Part
     ) -> PatternTextures:
-        """Make the textures of patterns, or take those of last time.
-
-        Parameters
-        ----------
-        patterns : sequence of Pattern
-            n patterns.
-        texture : MirrorTexture
-            How mirrors become a texture.
-        circles : tuple of float
-            Diameters of circles of confusion in texels.
-        part : Part
-            Region of the texture.
-
-        Returns
-        -------
-        PatternTextures
-            Shared; not to be changed.
-        """
+        """Make the textures of patterns, or take those of last time."""
         return self._textures.get(
             (tuple(patterns), texture, circles, part),
             lambda: texture.textures([self.level(one) for one in patterns], circles, part),
         )
 
     def states(self, patterns: tuple[Pattern, ...]) -> MirrorStates:
-        """Give the states of the mirrors under loaded patterns.
-
-        Parameters
-        ----------
-        patterns : tuple of Pattern
-            One for each state.
-
-        Returns
-        -------
-        MirrorStates
-            The same object as long as the same tuple is asked for.
-        """
+        """Give the states of the mirrors under loaded patterns."""
         if self._loaded is None or self._loaded[0] is not patterns:
             response = self._projector.response
             depth = min(p.bit_depth for p in patterns)
@@ -121,18 +67,7 @@ class Mirrors:
         return self._loaded[1]
 
     def planes(self, pattern: Pattern) -> MirrorStates:
-        """Give the light that closed mirrors leak, and that of the binary planes of a pattern.
-
-        Parameters
-        ----------
-        pattern : Pattern
-            As the projector shows it.
-
-        Returns
-        -------
-        MirrorStates
-            State 0 of closed mirrors, then the planes, the least significant first.
-        """
+        """Give the light that closed mirrors leak, and that of the binary planes of a pattern."""
         if self._planes is None or self._planes[0] is not pattern:
             response, bits = self._projector.response, pattern.bit_depth
             greys = full_scale(bits)
@@ -149,31 +84,14 @@ class Mirrors:
         return self._planes[1]
 
     def basis(self, levels: MirrorStates) -> Basis:
-        """Find the smallest basis of all states.
-
-        Parameters
-        ----------
-        levels : MirrorStates
-            The states.
-
-        Returns
-        -------
-        Basis
-            The same object as long as the same states are asked for.
-        """
+        """Find the smallest basis of all states."""
         if self._basis is None or self._basis[0] is not levels:
             basis = smallest_basis(np.stack([levels.of(n) for n in range(levels.count)]), levels.rounding)
             self._basis = (levels, basis)
         return self._basis[1]
 
     def inherit(self, other: Mirrors) -> None:
-        """Take over what other mirrors keep, where their light is the same.
-
-        Parameters
-        ----------
-        other : Mirrors
-            Of any projector.
-        """
+        """Take over what other mirrors keep, where their light is the same."""
         ours, theirs = self._projector, other._projector
         if (ours.response, ours.falloff) == (theirs.response, theirs.falloff):
             self._kept.take(other._kept)

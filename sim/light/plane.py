@@ -37,18 +37,7 @@ _cache = PrintCache()
 
 
 def can_compute(scene: RenderScene) -> bool:
-    """Tell whether a scene can be computed: one rectangle in its plane z = 0, of matt paint without relief.
-
-    Parameters
-    ----------
-    scene : RenderScene
-        Camera, lamp and surfaces.
-
-    Returns
-    -------
-    bool
-        Whether `computed` takes it.
-    """
+    """Tell whether a scene is one rectangle in its plane z = 0, of matt paint without relief."""
     if len(scene.surfaces) != 1:
         return False
     surface = scene.surfaces[0]
@@ -59,48 +48,14 @@ def can_compute(scene: RenderScene) -> bool:
 def computed(
     scene: RenderScene, views: list[SubpixelView], spots: bool = False, pixels: PixelIndices | None = None
 ) -> LightTable:
-    """Compute the table that a survey of this scene gives, see `LightTable.of`.
-
-    Parameters
-    ----------
-    scene : RenderScene
-        One for which `can_compute` is true.
-    views : list of SubpixelView
-        Points of the pixels and of the lens.
-    spots : bool
-        Whether samples represent spots instead of points, where there is a print.
-    pixels : PixelIndices or None
-        Rows and columns of the pixels to compute, as one row of an image; None for the scene's window.
-
-    Returns
-    -------
-    LightTable
-        As from Blender.
-    """
+    """Compute the table that a survey of this scene gives, see `LightTable.of`."""
     return _tables(scene, views, spots, pixels, moving=False).table
 
 
 def computed_motion(
     scene: RenderScene, views: list[SubpixelView], spots: bool = False, pixels: PixelIndices | None = None
 ) -> MotionTable:
-    """Compute the same table, and how it changes as the item moves.
-
-    Parameters
-    ----------
-    scene : RenderScene
-        One for which `can_compute` is true.
-    views : list of SubpixelView
-        Points of the pixels and of the lens.
-    spots : bool
-        As of `computed`.
-    pixels : PixelIndices or None
-        As of `computed`.
-
-    Returns
-    -------
-    MotionTable
-        With the table that `computed` gives.
-    """
+    """Compute the same table, and how it changes as the item moves."""
     return _tables(scene, views, spots, pixels, moving=True)
 
 

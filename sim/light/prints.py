@@ -29,40 +29,17 @@ _Picture = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class Prints:
-    """What is printed on a rectangle, for several sizes of spots.
+    """What is printed on a rectangle, for several sizes of spots."""
 
-    Attributes
-    ----------
-    pictures : ndarray of float32
-        (sizes, rows, columns): share of the ground in what is seen, 0 beyond the item.
-    across, down : ndarray of float32
-        (sizes, columns) and (sizes, rows): the share of the item in what is seen is their product.
-    rim : tuple of int
-        Columns on either side, and rows above and below, that lie beyond the item.
-    variances : Floats
-        (sizes,) in mm², rising.
-    """
-
-    pictures: _Picture
-    across: _Picture
-    down: _Picture
-    rim: tuple[int, int]
-    variances: Floats
+    pictures: _Picture  # (sizes, rows, columns): share of the ground in what is seen, 0 beyond the item
+    across: _Picture  # (sizes, columns) and (sizes, rows)
+    down: _Picture  # (sizes, columns) and (sizes, rows)
+    rim: tuple[int, int]  # columns on either side, and rows above and below, that lie beyond the item
+    variances: Floats  # (sizes,) in mm², rising
 
 
 def sharp_print(picture: NDArray[np.uint8] | None) -> Prints:
-    """Make the print without blur.
-
-    Parameters
-    ----------
-    picture : ndarray of uint8 or None
-        255 for the ground [v, u]; None where all of the item is ground.
-
-    Returns
-    -------
-    Prints
-        Of one size, without a rim.
-    """
+    """Make the print without blur."""
     share = np.ones((1, 1), np.float32) if picture is None else picture / np.float32(255)
     rows, columns = share.shape
     one = np.ones((1, max(rows, columns)), np.float32)
@@ -93,22 +70,7 @@ class PrintCache:
     def blurred(
         self, picture: NDArray[np.uint8], scale: tuple[float, float], least: float, most: float
     ) -> Prints:
-        """Blur a print for all spots between two sizes, unless it is there.
-
-        Parameters
-        ----------
-        picture : ndarray of uint8
-            255 for the ground [v, u]; not to be changed afterwards.
-        scale : tuple of float
-            Pixels per mm along u and v.
-        least, most : float
-            Variances of the spots in mm².
-
-        Returns
-        -------
-        Prints
-            At least of these sizes; which others there are changes nothing for spots between them.
-        """
+        """Blur a print for all spots between two sizes, unless it is there."""
         first, last = (math.floor(math.log(v) / math.log(SIZE_RATIO)) for v in (least, most))
         first, last, key = first - 1, last + 2, (id(picture), *scale)
         with self._lock:

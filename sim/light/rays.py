@@ -19,22 +19,8 @@ distorted = numba.njit(inline="always")(distort)
 
 @numba.njit(cache=True, inline="always")
 def undistorted(xd: float, yd: float, lens: Floats, reach: float) -> tuple[float, float]:
-    """Undistort a ray by Newton's method; a step beyond the distortion model's reach is halved.
-
-    Parameters
-    ----------
-    xd, yd : float
-        Distorted slopes.
-    lens : Floats
-        OpenCV's coefficients (8,).
-    reach : float
-        Greatest slope at which the model is monotonous.
-
-    Returns
-    -------
-    tuple of float
-        Undistorted slopes.
-    """
+    """Undistort a ray by Newton's method; a step beyond the distortion model's reach is halved."""
+    # lens (8,)
     x, y, x0, y0 = xd, yd, 0.0, 0.0
     for _ in range(NEWTON_STEPS):
         if x * x + y * y >= reach * reach:
@@ -53,22 +39,8 @@ def undistorted(xd: float, yd: float, lens: Floats, reach: float) -> tuple[float
 
 @numba.njit(cache=True, inline="always")
 def slopes_at(u: float, v: float, matrix: Floats, lens: Floats, reach: float) -> tuple[float, float]:
-    """Compute the slopes of the ray from the middle of the lens.
-
-    Parameters
-    ----------
-    u, v : float
-        Place in the image in px.
-    matrix : Floats
-        Camera matrix (3, 3).
-    lens, reach : Floats, float
-        As of `undistorted`.
-
-    Returns
-    -------
-    tuple of float
-        x/z and y/z in the camera's frame.
-    """
+    """Compute the slopes of the ray from the middle of the lens."""
+    # matrix (3, 3)
     return undistorted((u - matrix[0, 2]) / matrix[0, 0], (v - matrix[1, 2]) / matrix[1, 1], lens, reach)
 
 
@@ -79,24 +51,7 @@ def _rotated(x: np.uint32, bits: int) -> np.uint32:
 
 @numba.njit(cache=True)
 def cell_noise(column: int, row: int) -> float:
-    """Reproduce `cellnoise` of Open Shading Language at whole numbers.
-
-    Parameters
-    ----------
-    column : int
-        First coordinate.
-    row : int
-        Second coordinate.
-
-    Returns
-    -------
-    float
-        Pseudo-random, 0 to 1.
-
-    References
-    ----------
-    Jenkins's hash of both (lookup3).
-    """
+    """Reproduce `cellnoise` of Open Shading Language at whole numbers."""
     a = b = c = np.uint32((0xDEADBEEF + (2 << 2) + 13) & 0xFFFFFFFF)
     b = np.uint32(b + np.uint32(row & 0xFFFFFFFF))
     a = np.uint32(a + np.uint32(column & 0xFFFFFFFF))
@@ -112,40 +67,12 @@ def cell_noise(column: int, row: int) -> float:
 
 @numba.njit(cache=True, inline="always")
 def lens_turn(column: int, row: int, height: int) -> tuple[float, float]:
-    """Compute by how much the points of the lens are turned in a pixel.
-
-    Parameters
-    ----------
-    column, row : int
-        Of the pixel.
-    height : int
-        Rows of the image; the shader counts them from below.
-
-    Returns
-    -------
-    tuple of float
-        Sine and cosine of the angle.
-    """
+    """Compute by how much the points of the lens are turned in a pixel."""
     turn = 2 * np.pi * cell_noise(column, height - 1 - row)
     return np.sin(turn), np.cos(turn)
 
 
 @numba.njit(cache=True, inline="always")
 def on_lens(radius: float, x: float, y: float, sine: float, cosine: float) -> tuple[float, float]:
-    """Compute where a ray begins on the lens.
-
-    Parameters
-    ----------
-    radius : float
-        Of the aperture in mm.
-    x, y : float
-        Point of the unit disc, y up as in the shader.
-    sine, cosine : float
-        Of the turn.
-
-    Returns
-    -------
-    tuple of float
-        x and y in mm in the camera's frame, y down.
-    """
+    """Compute where a ray begins on the lens."""
     return radius * (x * cosine - y * sine), -radius * (x * sine + y * cosine)

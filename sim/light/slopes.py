@@ -21,25 +21,12 @@ from sim.texture import PatternTextures
 
 @dataclass(frozen=True, eq=False)
 class MotionTable:
-    """A table of light with its derivatives.
+    """A table of light with its derivatives."""
 
-    Attributes
-    ----------
-    table : LightTable
-        Of K samples of each of its h * w = P pixels.
-    slopes : Irradiance
-        (K, P, 2), of the shade by the place (x, y) on the item that is seen, per mm.
-    albedo_slopes : Irradiance
-        (P, 2), of the reflectance, averaged over samples.
-    motion : Irradiance
-        (P, 5, 3), by the item's place in the camera's frame in mm: of the logarithm of the white light that
-        falls there, of x and y in mm, and of column and row of the texture.
-    """
-
-    table: LightTable
-    slopes: Irradiance
-    albedo_slopes: Irradiance
-    motion: Irradiance
+    table: LightTable  # of K samples of each of its h * w = P pixels
+    slopes: Irradiance  # (K, P, 2), of the shade by the place (x, y) on the item that is seen, per mm
+    albedo_slopes: Irradiance  # (P, 2), of the reflectance, averaged over samples
+    motion: Irradiance  # (P, 5, 3), by the item's place in the camera's frame in mm
 
     @property
     def nbytes(self) -> int:
@@ -48,18 +35,8 @@ class MotionTable:
         return self.table.nbytes + own
 
     def look_up(self, textures: PatternTextures) -> Irradiance:
-        """Compute the light under patterns with its derivatives.
-
-        Parameters
-        ----------
-        textures : PatternTextures
-            Of n patterns, at least the part that the table's `part` gives; mirrors without sharp edges.
-
-        Returns
-        -------
-        Irradiance
-            (n, P, 5): the light, and its derivatives by x and y in mm and by column and row of the texture.
-        """
+        """Compute the light under patterns with its derivatives."""
+        # returns (n, P, 5) mm
         assert textures.weights is not None
         views, h, w, _ = self.table.samples.shape
         found = np.empty((textures.texels.shape[-1], h * w, 5), np.float32)
@@ -69,22 +46,8 @@ class MotionTable:
         return found
 
     def displaced(self, found: Irradiance, moves: Floats, room: Irradiance | np.float32) -> Irradiance:
-        """Compute the light on the displaced item to first order, other light included.
-
-        Parameters
-        ----------
-        found : Irradiance
-            (n, P, 5), from `look_up`.
-        moves : Floats
-            Displacement (n, 3) under each pattern, in mm in the camera's frame.
-        room : Irradiance or float32
-            Light that is not the projector's, (height, width) or even; its own change is left out.
-
-        Returns
-        -------
-        Irradiance
-            (n, height, width) of the whole image, not negative.
-        """
+        """Compute the light on the displaced item to first order, other light included."""
+        # found (n, P, 5); moves (n, 3) mm; room (height, width); returns (n, height, width)
         _, h, w, _ = self.table.samples.shape
         left, top = self.table.corner
         height, width = self.table.albedo.shape

@@ -28,58 +28,19 @@ from sim.scene import ALBEDO, CHANNELS, DIRECT, Paint, RenderScene, SubpixelView
 
 
 def can_trace(scene: RenderScene) -> bool:
-    """Tell whether a scene can be traced: bodies of one evenly matt paint each, without relief or print.
-
-    Parameters
-    ----------
-    scene : RenderScene
-        Camera, lamp and surfaces.
-
-    Returns
-    -------
-    bool
-        Whether `traced` takes it.
-    """
+    """Tell whether a scene can be traced: bodies of one evenly matt paint each, without relief or print."""
     return all(one.picture is None and one.paint == Paint(one.paint.reflectance) for one in scene.surfaces)
 
 
 def traced(
     scene: RenderScene, views: list[SubpixelView], pixels: PixelIndices, shown: int | None = None
 ) -> LightTable:
-    """Trace the table that a survey of this scene gives, see `LightTable.of`, for some pixels.
-
-    Parameters
-    ----------
-    scene : RenderScene
-        Of matt surfaces, each of which may have a picture.
-    views : list of SubpixelView
-        Points of the pixels and of the lens.
-    pixels : PixelIndices
-        Rows and columns of P pixels of the image.
-    shown : int, optional
-        Number of first surfaces whose light is given; the others hide them and cast shadows. All by default.
-
-    Returns
-    -------
-    LightTable
-        Of one row of P pixels.
-    """
+    """Trace the table that a survey of this scene gives, see `LightTable.of`, for some pixels."""
     return Bodies(scene, shown).traced(views, pixels)
 
 
 def shape_of(scene: RenderScene) -> RayTracedShape:
-    """Prepare all surfaces of a scene for ray tracing.
-
-    Parameters
-    ----------
-    scene : RenderScene
-        Of at least one surface.
-
-    Returns
-    -------
-    RayTracedShape
-        In the camera's frame, the surfaces' triangles in their order.
-    """
+    """Prepare all surfaces of a scene for ray tracing."""
     placed = [
         trimesh.Trimesh(one.vertices, one.faces, process=False).apply_transform(one.T_camera_item)
         for one in scene.surfaces
@@ -90,15 +51,7 @@ def shape_of(scene: RenderScene) -> RayTracedShape:
 
 
 class Bodies:
-    """All surfaces of a scene as triangles in the camera's frame, of which some of the first may reflect.
-
-    Parameters
-    ----------
-    scene : RenderScene
-        Of matt surfaces, each of which may have a picture.
-    shown : int, optional
-        Number of first surfaces whose light is given; the others hide them and cast shadows. All by default.
-    """
+    """All surfaces of a scene as triangles in the camera's frame, of which some of the first may reflect."""
 
     def __init__(self, scene: RenderScene, shown: int | None = None) -> None:
         self._scene, camera = scene, scene.camera
@@ -108,20 +61,7 @@ class Bodies:
         self._last_seen = self._first_of[-1 if shown is None else shown]
 
     def traced(self, views: list[SubpixelView], pixels: PixelIndices) -> LightTable:
-        """Trace some pixels as the function of this name does; what was prepared serves every call.
-
-        Parameters
-        ----------
-        views : list of SubpixelView
-            Points of the pixels and of the lens.
-        pixels : PixelIndices
-            Rows and columns of P pixels of the image.
-
-        Returns
-        -------
-        LightTable
-            Of one row of P pixels.
-        """
+        """Trace some pixels as the function of this name does; what was prepared serves every call."""
         (left, top, right, bottom), (row, column) = self._scene.window, pixels
         drawn = np.flatnonzero((row >= top) & (row < bottom) & (column >= left) & (column < right))
         survey = np.zeros((len(views), 1, len(row), CHANNELS), np.float32)

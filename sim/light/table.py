@@ -27,23 +27,11 @@ LEAST_WHITE = np.float32(0.02)
 
 @dataclass(frozen=True, eq=False)
 class LightTable:
-    """Where K samples of every pixel lie on the projector, and how much white light falls there.
+    """Where K samples of every pixel lie on the projector, and how much white light falls there."""
 
-    Attributes
-    ----------
-    samples : Irradiance
-        (K, h, w, 4) texture column and row, circle and shade, of the pixels from `corner` on; outside nothing
-        is seen. Circles are fractional indices into `Lamp.circles`. Shade is the irradiance under white, 0 in
-        shadow.
-    albedo : Irradiance
-        Reflectance (height, width) of the whole image, averaged over samples.
-    corner : tuple of int
-        (left, top) in px of the part of the image that has samples.
-    """
-
-    samples: Irradiance
-    albedo: Irradiance
-    corner: tuple[int, int] = (0, 0)
+    samples: Irradiance  # (K, h, w, 4)
+    albedo: Irradiance  # reflectance (height, width) of the whole image, averaged over samples
+    corner: tuple[int, int] = (0, 0)  # (left, top) in px of the part of the image that has samples
 
     @property
     def nbytes(self) -> int:
@@ -57,20 +45,8 @@ class LightTable:
 
     @classmethod
     def of(cls, rendered: Irradiance, scene: RenderScene) -> LightTable:
-        """Make the table from a survey of a scene under uniform white light.
-
-        Parameters
-        ----------
-        rendered : Irradiance
-            (K, height, width, CHANNELS) from Blender, see `sim.scene`.
-        scene : RenderScene
-            What was rendered.
-
-        Returns
-        -------
-        LightTable
-            Of the scene's window.
-        """
+        """Make the table from a survey of a scene under uniform white light."""
+        # rendered (K, height, width, CHANNELS)
         lamp, (left, top, right, bottom) = scene.lamp, scene.window
         seen = rendered[:, top:bottom, left:right]
         views, height, width, channels = seen.shape
@@ -92,18 +68,7 @@ class LightTable:
         return cls(samples, albedo / np.float32(views), (left, top))
 
     def at(self, pixels: PixelIndices) -> LightTable:
-        """Take some pixels alone.
-
-        Parameters
-        ----------
-        pixels : PixelIndices
-            Rows and columns of P pixels of the whole image.
-
-        Returns
-        -------
-        LightTable
-            Of one row of P pixels.
-        """
+        """Take some pixels alone."""
         (left, top), (height, width) = self.corner, self.samples.shape[1:3]
         row, column = pixels[0] - top, pixels[1] - left
         inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
@@ -112,18 +77,8 @@ class LightTable:
         return LightTable(samples, self.albedo[pixels][None])
 
     def part(self, shape: tuple[int, int]) -> Part:
-        """Find the region of a texture that the samples need, interpolation included.
-
-        Parameters
-        ----------
-        shape : tuple of int
-            (rows, columns) of the texture.
-
-        Returns
-        -------
-        Part
-            (left, top, right, bottom) in texels.
-        """
+        """Find the region of a texture that the samples need, interpolation included."""
+        # shape (rows, columns); returns (left, top, right, bottom)
         most = np.array(shape[::-1])
         low = np.clip(np.rint(self.reach[0]) - WINDOW // 2, 0, most - WINDOW)
         high = np.clip(np.rint(self.reach[1]) + WINDOW // 2 + 1, low + WINDOW, most)
@@ -131,18 +86,8 @@ class LightTable:
         return left, top, right, bottom
 
     def look_up(self, textures: PatternTextures) -> Irradiance:
-        """Compute pictures under patterns.
-
-        Parameters
-        ----------
-        textures : PatternTextures
-            Of the patterns, at least the part that `part` gives.
-
-        Returns
-        -------
-        Irradiance
-            (patterns, height, width).
-        """
+        """Compute pictures under patterns."""
+        # returns (patterns, height, width)
         views, h, w, _ = self.samples.shape
         seen = np.empty((textures.texels.shape[-1], h * w), np.float32)
         flat = self.samples.reshape(views, h * w, 4)
@@ -160,18 +105,7 @@ class LightTable:
         return whole
 
     def divided_by(self, white: PatternTextures) -> LightTable:
-        """Convert a table of light from white mirrors to one of uniform white light.
-
-        Parameters
-        ----------
-        white : PatternTextures
-            Of the white mirrors that this table was rendered under.
-
-        Returns
-        -------
-        LightTable
-            With 0 shade where the mirrors give hardly any light.
-        """
+        """Convert a table of light from white mirrors to one of uniform white light."""
         samples = self.samples.copy()
         each = samples.reshape(1, 1, -1, 4)
         shade = each[0, 0, :, 3]
@@ -215,24 +149,8 @@ def _locate(
 
 @numba.njit(cache=True)
 def circle_level(depth: float, circle_scale: float, inverse_focus: float, squares: Floats) -> float:
-    """Interpolate the circle of confusion at a depth among those that textures are made for, by its square.
-
-    Parameters
-    ----------
-    depth : float
-        Before the projector, in mm.
-    circle_scale : float
-        Focal length in texels times the diameter of the aperture in mm.
-    inverse_focus : float
-        1 over the depth in focus, in 1/mm.
-    squares : Floats
-        Squares (L,) of the diameters in `Lamp.circles`, in texels squared.
-
-    Returns
-    -------
-    float
-        Fractional index: 1.25 is a quarter of the way from the second to the third.
-    """
+    """Interpolate a depth's circle of confusion among those with textures, by its square."""
+    # squares (L,)
     if len(squares) == 1:
         return 0.0
     circle = circle_scale * (1.0 / depth - inverse_focus)

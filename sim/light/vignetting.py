@@ -12,18 +12,8 @@ from sim.world import World
 
 
 def vignetting(world: World) -> NDArray[np.float32] | None:
-    """Compute the lens's transmission to each pixel, relative to the axis.
-
-    Parameters
-    ----------
-    world : World
-        Of which the camera matters.
-
-    Returns
-    -------
-    ndarray of float32 or None
-        (height, width); None where it is 1 everywhere.
-    """
+    """Compute the lens's transmission to each pixel, relative to the axis."""
+    # returns (height, width)
     exponent = world.camera.vignetting
     if exponent == 0:
         return None

@@ -116,13 +116,7 @@ class CameraWorld(Document):
         return 0.0 if self.focus_mm is None else self.focal_mm / self.f_number
 
     def model(self) -> Pinhole:
-        """Make the camera model in binned pixels.
-
-        Returns
-        -------
-        Pinhole
-            Intrinsics in px of a frame, with the world's distortion.
-        """
+        """Make the camera model in binned pixels."""
         focal = self.focal_mm * 1000 / self.pixel_um / self.binning
         centre = tuple(
             (side / 2 + offset) / self.binning - 0.5
@@ -132,18 +126,7 @@ class CameraWorld(Document):
 
 
 def has_rays(camera: Pinhole) -> bool:
-    """Tell whether every pixel of a camera has a ray: its distortion neither folds nor has a pole in view.
-
-    Parameters
-    ----------
-    camera : Pinhole
-        The camera model.
-
-    Returns
-    -------
-    bool
-        Whether the distortion can be inverted at all corners of the image.
-    """
+    """Tell whether every pixel of a camera has a ray: its distortion neither folds nor has a pole in view."""
     width, height = camera.size
     corners = np.array([[0, 0], [width, 0], [0, height], [width, height]]) - 0.5
     return not np.isnan(camera.normalise(corners)).any()

@@ -108,20 +108,7 @@ AnyItem = BoardItem | ArtefactItem | MeshItem | CardItem
 
 
 def with_file_beside(item: AnyItem, folder: Path) -> AnyItem:
-    """Make the name of an item's file absolute, if there is a file of that name in a folder.
-
-    Parameters
-    ----------
-    item : AnyItem
-        Of a world file.
-    folder : Path
-        Of the world file.
-
-    Returns
-    -------
-    AnyItem
-        The same item where it names no file or the file lies elsewhere.
-    """
+    """Make the name of an item's file absolute, if there is a file of that name in a folder."""
     if isinstance(item, BoardItem):
         names = (
             {"target": item.target}

@@ -45,13 +45,7 @@ class ResponseSection(Document):
         return self
 
     def curve(self) -> Curve:
-        """Give the response as a curve.
-
-        Returns
-        -------
-        Curve
-            The light for a grey level, both 0 to 1.
-        """
+        """Give the response as a curve."""
         return Curve(a=self.a, b=self.b, g=self.g, spline=self.spline)
 
 
@@ -129,13 +123,7 @@ class ProjectorWorld(Document):
         return self
 
     def model(self) -> Pinhole:
-        """Make the projector model; on the diamond lattice rows lie half as far apart as columns.
-
-        Returns
-        -------
-        Pinhole
-            Intrinsics in mirrors, with the world's distortion and lattice.
-        """
+        """Make the projector model; on the diamond lattice rows lie half as far apart as columns."""
         focal = self.throw_ratio * self.size[0]
         along_rows = 2 * focal if self.lattice is Lattice.DIAMOND else focal
         return Pinhole.from_focal(
@@ -143,11 +131,5 @@ class ProjectorWorld(Document):
         )
 
     def texture(self) -> MirrorTexture:
-        """Make the texture of the projector's mirrors.
-
-        Returns
-        -------
-        MirrorTexture
-            Without a circle of confusion.
-        """
+        """Make the texture of the projector's mirrors."""
         return MirrorTexture(self.size, self.lattice, self.blur, self.fill_factor)

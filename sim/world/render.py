@@ -38,17 +38,7 @@ class Render(Document):
 
 
 def shifts(subpixels: int) -> list[tuple[float, float]]:
-    """List the points of a pixel that are looked through: the middles of equal squares.
-
-    Parameters
-    ----------
-    subpixels : int
-        Points along each side of the pixel.
-
-    Returns
-    -------
-    list of (float, float)
-        (u, v) relative to the pixel's centre, in px, in reading order.
-    """
+    """List the points of a pixel that are looked through: the middles of equal squares."""
+    # returns (float, float) px
     steps = (np.arange(subpixels) + 0.5) / subpixels - 0.5
     return [(float(u), float(v)) for v in steps for u in steps]

@@ -14,38 +14,14 @@ RELIEF = {"ridges", "grain"}
 
 
 def with_surface(material: Material, surface: PartSurface) -> dict[str, Any]:
-    """Give a part the surface that was matched; relief and roughness of its body stay as they were.
-
-    Parameters
-    ----------
-    material : Material
-        As the world has it.
-    surface : PartSurface
-        As it was matched.
-
-    Returns
-    -------
-    dict of str to Any
-        Section of a world file.
-    """
+    """Give a part the surface that was matched; relief and roughness of its body stay as they were."""
     known = config.plain(material)
     kept = {name: known[name] for name in KEPT.get(surface.kind, RELIEF) if name in known}
     return {"kind": surface.kind, **kept, **surface.numbers(), "sigma": dict(surface.sigma)}
 
 
 def surface_of(material: Material) -> PartSurface | None:
-    """Read the surface of a material that was matched.
-
-    Parameters
-    ----------
-    material : Material
-        Of a world file.
-
-    Returns
-    -------
-    PartSurface or None
-        None where nothing was matched: the material states no uncertainty.
-    """
+    """Read the surface of a material that was matched."""
     if not material.sigma:
         return None
     names = {"reflectance", "gloss", "gloss_roughness", "radius_mm"}

@@ -23,34 +23,12 @@ class SurroundingsSection(Document):
     """Reflectance of what is white in the picture, 0 to 1."""
 
     def beside(self, folder: Path) -> SurroundingsSection:
-        """Make the names of files absolute that lie in a folder.
-
-        Parameters
-        ----------
-        folder : Path
-            Of the world file.
-
-        Returns
-        -------
-        BenchSurroundings
-            The same where the files lie elsewhere.
-        """
+        """Make the names of files absolute that lie in a folder."""
         names = {name: config.resolve_beside(getattr(self, name), folder) for name in ("mesh", "picture")}
         return self.model_copy(update=names)
 
     def relative_to(self, folder: Path) -> SurroundingsSection:
-        """Make the names of files relative that lie in a folder.
-
-        Parameters
-        ----------
-        folder : Path
-            Of the world file.
-
-        Returns
-        -------
-        BenchSurroundings
-            The same where the files lie elsewhere.
-        """
+        """Make the names of files relative that lie in a folder."""
         named = {name: Path(getattr(self, name)) for name in ("mesh", "picture")}
         inside = {name: path.name for name, path in named.items() if path.parent == folder.resolve()}
         return self.model_copy(update=inside)

@@ -48,18 +48,8 @@ class StageWorld(Document):
         return self
 
     def offset(self, position_mm: float) -> Floats:
-        """Compute by how much the stage displaces the projector.
-
-        Parameters
-        ----------
-        position_mm : float
-            Position of the stage, in mm.
-
-        Returns
-        -------
-        Floats
-            Displacement (3,) in mm in the camera's frame.
-        """
+        """Compute by how much the stage displaces the projector."""
+        # returns (3,) mm
         axis = np.array(self.axis)
         return position_mm * axis / np.linalg.norm(axis)
 
@@ -220,18 +210,7 @@ class World(Document):
         return None
 
     def is_translucent(self, name: str) -> bool:
-        """Tell whether light enters an item and leaves it elsewhere.
-
-        Parameters
-        ----------
-        name : str
-            Name of the item.
-
-        Returns
-        -------
-        bool
-            Whether its material scatters light below the surface.
-        """
+        """Tell whether light enters an item and leaves it elsewhere."""
         return self.material_of(name).subsurface
 
     @property
@@ -247,21 +226,6 @@ class World(Document):
 
         A relative name of a mesh, picture, target or calibration file is looked for beside the world file
         first.
-
-        Parameters
-        ----------
-        path : Path or str
-            Path, or the name of a world file that comes with fpplab.
-
-        Returns
-        -------
-        World
-            With absolute names of files that lie beside the world file.
-
-        Raises
-        ------
-        ConfigError
-            A file is missing or not valid; the message names the file, field and allowed values.
         """
         found = config.find_config(path, "world")
         data = config.parse_yaml(config.read_text(found), found)
@@ -279,23 +243,6 @@ class World(Document):
         """Write the world file, with a calibration beside it as `calibration.yaml`.
 
         Names of mesh and target files stay as they are.
-
-        Parameters
-        ----------
-        folder : Path
-            Where to write.
-        name : str
-            Name of the world file.
-
-        Returns
-        -------
-        Path
-            Of the world file.
-
-        Raises
-        ------
-        DataError
-            The folder cannot be written to.
         """
         data = config.plain(self)
         if self.calibration is not None:
@@ -305,40 +252,13 @@ class World(Document):
         return folder / name
 
     def binned(self, binning: Binning) -> World:
-        """Make the same world with another binning of its camera.
-
-        Parameters
-        ----------
-        binning : Binning
-            Pixels of the sensor along each side of a pixel of a frame.
-
-        Returns
-        -------
-        World
-            A changed copy.
-
-        Raises
-        ------
-        ConfigError
-            The binning does not divide the sensor's size.
-        """
+        """Make the same world with another binning of its camera."""
         data = self.model_dump(mode="json")
         data["camera"]["binning"] = binning
         return config.validate(data, World, "world")
 
     def number(self, path: str) -> float | None:
-        """Look up a number of the world's file.
-
-        Parameters
-        ----------
-        path : str
-            Names of sections and of the field, with points between them, such as `projector.blur`.
-
-        Returns
-        -------
-        float or None
-            None where there is no such field, or no number in it.
-        """
+        """Look up a number of the world's file."""
         found: Any = self
         for name in path.split("."):
             if isinstance(found, Document):
@@ -351,21 +271,6 @@ class World(Document):
         """Draw a world that this one could as well be, within its uncertainty.
 
         Each number is drawn by itself from a normal distribution, within the range that its field allows.
-
-        Parameters
-        ----------
-        draw : int
-            Of the random numbers; 0 gives the world itself.
-
-        Returns
-        -------
-        World
-            A changed copy, the same for the same draw.
-
-        Raises
-        ------
-        ConfigError
-            No number within `MOST_DRAWS` was allowed.
         """
         world, random = self, np.random.default_rng(draw)
         for path, sigma in sorted(self.uncertainty.items()) if draw else ():
@@ -384,40 +289,15 @@ class World(Document):
         return world
 
     def camera_model(self) -> Pinhole:
-        """Make the true camera model.
-
-        Returns
-        -------
-        Pinhole
-            From `calibration` where there is one, otherwise from `camera`.
-        """
+        """Make the true camera model."""
         return self.calibration.camera.model() if self.calibration else self.camera.model()
 
     def projector_model(self) -> Pinhole:
-        """Make the true projector model.
-
-        Returns
-        -------
-        Pinhole
-            From `calibration` where there is one, otherwise from `projector`.
-        """
+        """Make the true projector model."""
         return self.calibration.projector.model() if self.calibration else self.projector.model()
 
     def T_projector_camera(self, stage_mm: float = 0.0, convergence_deg: float = 0.0) -> RigidTransform:
-        """Compute the true pose of the camera in the projector's frame.
-
-        Parameters
-        ----------
-        stage_mm : float
-            Position of the stage, in mm.
-        convergence_deg : float
-            Turn of the projector towards the camera at that position, in degrees, see `turned_towards`.
-
-        Returns
-        -------
-        RigidTransform
-            From the camera's frame to the projector's, in mm.
-        """
+        """Compute the true pose of the camera in the projector's frame."""
         if self.calibration:
             pose = self.calibration.T_projector_camera.transform().inverse()
         else:
@@ -426,40 +306,13 @@ class World(Document):
         return turned_towards(moved, np.radians(convergence_deg)) if convergence_deg else moved
 
     def item(self, name: str) -> Item:
-        """Look up an item.
-
-        Parameters
-        ----------
-        name : str
-            Name of the item.
-
-        Returns
-        -------
-        Item
-            The item's section.
-
-        Raises
-        ------
-        ConfigError
-            There is no such item; the message lists those that there are.
-        """
+        """Look up an item."""
         if name not in self.items:
             raise ConfigError(f"world: there is no item '{name}'; there are {', '.join(self.items)}")
         return self.items[name]
 
     def material_of(self, name: str) -> Material:
-        """Look up what an item is made of.
-
-        Parameters
-        ----------
-        name : str
-            Name of the item.
-
-        Returns
-        -------
-        Material
-            For a board white matt paint, because its print has its own reflectance.
-        """
+        """Look up what an item is made of."""
         item = self.item(name)
         if isinstance(item, BoardItem):
             return Diffuse(reflectance=1.0)  # the print has its own reflectance

@@ -32,18 +32,10 @@ class Compression(IntEnum):
 
 @dataclass(frozen=True)
 class CompressedImage:
-    """The stored bytes of one image, without header.
+    """The stored bytes of one image, without header."""
 
-    Attributes
-    ----------
-    method : Compression
-        How the image is compressed.
-    data : bytes
-        The stored bytes.
-    """
-
-    method: Compression
-    data: bytes
+    method: Compression  # how the image is compressed
+    data: bytes  # the stored bytes
 
 
 def compress(image: ImageBytes) -> CompressedImage:
@@ -51,17 +43,8 @@ def compress(image: ImageBytes) -> CompressedImage:
 
     Four lines are stored where every row is repeated four rows further down, as it is for vertical fringes on
     either lattice; else run lengths, where they are shorter than the image itself.
-
-    Parameters
-    ----------
-    image : ndarray
-        uint8 (height, width, 3), pixels in the order stored.
-
-    Returns
-    -------
-    CompressedImage
-        The stored bytes and their compression.
     """
+    # image (height, width, 3)
     if repeats_every_four_lines(image):
         return CompressedImage(Compression.FOUR_LINE, image[:LINES].tobytes())
     runs = encode_run_lengths(image)
@@ -71,18 +54,8 @@ def compress(image: ImageBytes) -> CompressedImage:
 
 
 def repeats_every_four_lines(image: ImageBytes) -> bool:
-    """Tell whether every row equals the one four rows above it.
-
-    Parameters
-    ----------
-    image : ndarray
-        uint8 (height, width, 3), or one colour plane (height, width).
-
-    Returns
-    -------
-    bool
-        True where the four-line compression loses nothing.
-    """
+    """Tell whether every row equals the one four rows above it."""
+    # image (height, width, 3)
     return len(image) > LINES and np.array_equal(image[LINES:], image[:-LINES])
 
 
@@ -92,17 +65,8 @@ def encode_run_lengths(image: ImageBytes) -> bytes:
     A byte n of 1 to 255 means that the pixel after it is repeated n times; 0 and n of 2 to 255 that n pixels
     follow literally; 0, 0 ends a row and is padded with zeros to a multiple of 4 bytes; 0, 1 ends the image
     and is padded to a multiple of 16 bytes.
-
-    Parameters
-    ----------
-    image : ndarray
-        uint8 (height, width, 3), pixels in the order stored.
-
-    Returns
-    -------
-    bytes
-        The encoded image.
     """
+    # image (height, width, 3)
     height, width, _ = image.shape
     longest_row = 4 * width + 5  # each pixel a run of its own, the end of the row and its padding
     stored = np.zeros(height * longest_row + 17, np.uint8)

@@ -62,18 +62,10 @@ MOST_BYTES = 4 * memory.SIZE
 
 @dataclass(frozen=True)
 class FlashBlock:
-    """A contiguous range of the flash.
+    """A contiguous range of the flash."""
 
-    Attributes
-    ----------
-    offset : int
-        Offset of its first byte.
-    size : int
-        Number of bytes.
-    """
-
-    offset: int
-    size: int
+    offset: int  # offset of its first byte
+    size: int  # number of bytes
 
     @property
     def end(self) -> int:
@@ -83,40 +75,14 @@ class FlashBlock:
 
 @dataclass(frozen=True)
 class Firmware:
-    """The contents of a firmware file.
+    """The contents of a firmware file."""
 
-    Attributes
-    ----------
-    content : bytes
-        The flash from its first byte on.
-    source : Path
-        The file, for errors.
-    """
-
-    content: bytes
-    source: Path
+    content: bytes  # the flash from its first byte on
+    source: Path  # the file, for errors
 
     @classmethod
     def load(cls, path: Path) -> Firmware:
-        """Read a firmware file.
-
-        Parameters
-        ----------
-        path : Path
-            The file.
-
-        Returns
-        -------
-        Firmware
-            Its contents.
-
-        Raises
-        ------
-        ConfigError
-            The file cannot be read.
-        DataError
-            The file is not a firmware of the LightCrafter 4500, or is truncated.
-        """
+        """Read a firmware file."""
         try:
             firmware = cls(read_bounded(path, MOST_BYTES), path)
         except OSError as error:
@@ -149,38 +115,14 @@ class Firmware:
 
     @property
     def images(self) -> int:
-        """Number of images in the file.
-
-        Raises
-        ------
-        DataError
-            There is no splash area at the address in the table.
-        """
+        """Number of images in the file."""
         start = self.splash.offset
         if not self.content.startswith(_SPLASH_SIGNATURE, start):
             raise DataError(f"{self.source}: has no images at {start:#x}, their address in its flash table")
         return int.from_bytes(self.content[start + 8 : start + 12], "little")
 
     def with_patterns(self, patterns: Sequence[Pattern], source: Path) -> Firmware:
-        """Replace the images by patterns and keep the program.
-
-        Parameters
-        ----------
-        patterns : sequence of Pattern
-            Patterns of 8 bits and of the projector's size.
-        source : Path
-            File that the result will be written to, for errors.
-
-        Returns
-        -------
-        Firmware
-            The new contents; nothing is written.
-
-        Raises
-        ------
-        ConfigError
-            The patterns have another bit depth or size, are too many, or do not fit into the flash.
-        """
+        """Replace the images by patterns and keep the program."""
         _check(patterns)
         slots = arrange_patterns(patterns)
         if slots[-1].image >= MOST_IMAGES:
@@ -225,16 +167,6 @@ def arrange_patterns(patterns: Sequence[Pattern]) -> list[Slot]:
 
     Patterns that repeat every four lines and others never share an image, as a single other pattern would
     prevent the four-line compression of the image.
-
-    Parameters
-    ----------
-    patterns : sequence of Pattern
-        Patterns of 8 bits.
-
-    Returns
-    -------
-    list of Slot
-        Location of each pattern.
     """
     slots: list[Slot] = []
     image, number, repeated = -1, PER_IMAGE, False
@@ -264,20 +196,7 @@ def _check(patterns: Sequence[Pattern]) -> None:
 
 
 def splash_area(images: Sequence[CompressedImage], address: int) -> bytes:
-    """Encode the splash area: signature, number and table of the images, then each image with its header.
-
-    Parameters
-    ----------
-    images : sequence of CompressedImage
-        The images, at most `MOST_IMAGES`.
-    address : int
-        Address of the splash area in the controller's memory.
-
-    Returns
-    -------
-    bytes
-        The splash area.
-    """
+    """Encode the splash area: signature, number and table of the images, then each image with its header."""
     stored = [_header(image) + image.data for image in images]
     table = bytearray(_BLOCK.pack(_UNUSED, _UNUSED) * MOST_IMAGES)
     at = address + _IMAGES_AT

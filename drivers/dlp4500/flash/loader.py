@@ -70,35 +70,13 @@ class BootLoaderLink:
 
     Every method may raise the errors of `Link.write` and `Link.read`, and `DeviceTimeoutError` where the
     flash stays busy.
-
-    Parameters
-    ----------
-    link : Link
-        Link to a projector that runs its boot loader.
-    clock : Clock
-        For waits and time limits.
-    name : str
-        The projector's name, for errors.
-
-    Attributes
-    ----------
-    link : Link
-        The link to the projector.
-    name : str
-        The projector's name, for errors.
     """
 
     def __init__(self, link: Link, clock: Clock, name: str) -> None:
         self.link, self._clock, self.name = link, clock, name
 
     def identify(self) -> None:
-        """Check the type of the flash and select the algorithm that writes it.
-
-        Raises
-        ------
-        DeviceError
-            The flash is not that of the evaluation module.
-        """
+        """Check the type of the flash and select the algorithm that writes it."""
         self._wait("identify")  # an interrupted upload may have left it busy
         found = self._number(_MANUFACTURER), self._number(_DEVICE)
         if found != EVM_FLASH:
@@ -111,40 +89,14 @@ class BootLoaderLink:
         self.link.write(FLASH_TYPE, algorithm=EVM_ALGORITHM)
 
     def erase(self, sector: int) -> None:
-        """Erase a sector, which sets all its bits to one.
-
-        Parameters
-        ----------
-        sector : int
-            Number of the sector.
-
-        Raises
-        ------
-        SettingError
-            It is the boot loader's sector, or beyond the last one.
-        """
+        """Erase a sector, which sets all its bits to one."""
         self._check(sector * memory.SECTOR, memory.SECTOR)
         self.link.write(ADDRESS, value=sector * memory.SECTOR)
         self.link.write(ERASE)
         self._wait("erase sector")
 
     def write(self, offset: int, data: bytes) -> None:
-        """Write to erased flash and compare checksums.
-
-        Parameters
-        ----------
-        offset : int
-            Offset of the first byte.
-        data : bytes
-            The bytes to write.
-
-        Raises
-        ------
-        SettingError
-            The range touches the boot loader's sector or the end of the flash.
-        DeviceError
-            The checksum differs.
-        """
+        """Write to erased flash and compare checksums."""
         self._check(offset, len(data))
         self.link.write(ADDRESS, value=offset)
         self.link.write(UPLOAD_SIZE, value=len(data))
@@ -161,20 +113,7 @@ class BootLoaderLink:
             )
 
     def checksum(self, offset: int, size: int) -> int:
-        """Have the boot loader compute a checksum.
-
-        Parameters
-        ----------
-        offset : int
-            Offset of the first byte.
-        size : int
-            Number of bytes.
-
-        Returns
-        -------
-        int
-            Sum of the bytes, modulo 2^32.
-        """
+        """Have the boot loader compute a checksum."""
         self.link.write(ADDRESS, value=offset)
         self.link.write(UPLOAD_SIZE, value=size)
         self.link.write(SUM)
@@ -182,20 +121,7 @@ class BootLoaderLink:
         return self._number(_CHECKSUM)
 
     def read(self, offset: int, size: int) -> bytes:
-        """Read a few bytes, one checksum for each.
-
-        Parameters
-        ----------
-        offset : int
-            Offset of the first byte.
-        size : int
-            Number of bytes.
-
-        Returns
-        -------
-        bytes
-            The bytes.
-        """
+        """Read a few bytes, one checksum for each."""
         return bytes(self.checksum(at, 1) & 0xFF for at in range(offset, offset + size))
 
     def leave(self) -> None:
@@ -241,25 +167,6 @@ def boot_loader_session(connect: Connect, clock: Clock, name: str) -> Iterator[B
     """Enter the boot loader, and restart the projector's program at the end of the context.
 
     It does not matter whether the projector runs its boot loader already.
-
-    Parameters
-    ----------
-    connect : callable
-        Opens a link to the projector, whichever program it runs.
-    clock : Clock
-        For waits and time limits.
-    name : str
-        The projector's name, for errors.
-
-    Yields
-    ------
-    BootLoaderLink
-        The boot loader, with a flash that was identified.
-
-    Raises
-    ------
-    DeviceError
-        The projector does not reappear with the other program, or its flash is of another type.
     """
     loader = BootLoaderLink(_entered(connect, clock, name), clock, name)
     try:

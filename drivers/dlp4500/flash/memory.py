@@ -23,48 +23,15 @@ ERASED = 0xFF
 
 
 def flash_checksum(data: bytes) -> int:
-    """Compute the boot loader's checksum.
-
-    Parameters
-    ----------
-    data : bytes
-        The bytes.
-
-    Returns
-    -------
-    int
-        Sum of the bytes, modulo 2^32.
-    """
+    """Compute the boot loader's checksum."""
     return int(np.frombuffer(data, np.uint8).sum(dtype=np.uint64)) & 0xFFFFFFFF
 
 
 def sector_of(offset: int) -> int:
-    """Find the sector of a byte.
-
-    Parameters
-    ----------
-    offset : int
-        Offset of the byte from the first one of the flash.
-
-    Returns
-    -------
-    int
-        Number of the sector.
-    """
+    """Find the sector of a byte."""
     return offset // SECTOR
 
 
 def next_sector_start(offset: int) -> int:
-    """Round an offset up to a sector boundary.
-
-    Parameters
-    ----------
-    offset : int
-        Offset from the first byte of the flash.
-
-    Returns
-    -------
-    int
-        The first sector boundary at or after it.
-    """
+    """Round an offset up to a sector boundary."""
     return -(-offset // SECTOR) * SECTOR

@@ -28,21 +28,11 @@ _MARK = bytes(_SLOT)
 
 @dataclass(frozen=True)
 class UploadPlan:
-    """The steps of an upload.
+    """The steps of an upload."""
 
-    Attributes
-    ----------
-    images : range
-        Sectors of the images.
-    written : frozenset of int or None
-        Sectors that an earlier upload of the same file has completed; None without an earlier upload.
-    table : bool
-        Whether the flash table must be changed.
-    """
-
-    images: range
-    written: frozenset[int] | None
-    table: bool
+    images: range  # sectors of the images
+    written: frozenset[int] | None  # sectors that an earlier upload of the same file has completed
+    table: bool  # whether the flash table must be changed
 
     @property
     def sectors(self) -> list[int]:
@@ -71,23 +61,7 @@ class UploadPlan:
 
 
 def check_firmware(firmware: Firmware) -> range:
-    """Check that a file was built for upload.
-
-    Parameters
-    ----------
-    firmware : Firmware
-        The file.
-
-    Returns
-    -------
-    range
-        Sectors of its images.
-
-    Raises
-    ------
-    DataError
-        The images share sectors with the program, or there are none.
-    """
+    """Check that a file was built for upload."""
     splash, images = firmware.splash, firmware.images
     if splash.offset % memory.SECTOR or splash.offset < firmware.behind_program or not images:
         raise DataError(
@@ -98,27 +72,7 @@ def check_firmware(firmware: Firmware) -> range:
 
 
 def plan_upload(firmware: Firmware, loader: BootLoaderLink) -> UploadPlan:
-    """Determine the steps of an upload, without changing anything.
-
-    Parameters
-    ----------
-    firmware : Firmware
-        The file to upload.
-    loader : BootLoaderLink
-        The projector's boot loader.
-
-    Returns
-    -------
-    UploadPlan
-        The steps.
-
-    Raises
-    ------
-    DataError
-        The file was not built for upload, see `check_firmware`.
-    DeviceError
-        The projector runs another program than that of the file.
-    """
+    """Determine the steps of an upload, without changing anything."""
     images = check_firmware(firmware)
     _check_program(firmware, loader)
     page = _ProgressPage(firmware, loader, images)
@@ -128,24 +82,7 @@ def plan_upload(firmware: Firmware, loader: BootLoaderLink) -> UploadPlan:
 
 
 def perform_upload(firmware: Firmware, loader: BootLoaderLink, work: UploadPlan, report: Progress) -> None:
-    """Erase, write and verify the sectors of a plan; after a failure a new plan continues where it was.
-
-    Parameters
-    ----------
-    firmware : Firmware
-        The file to upload.
-    loader : BootLoaderLink
-        The projector's boot loader.
-    work : UploadPlan
-        From `plan_upload`.
-    report : Progress
-        Called with the share that is done, 0 to 1.
-
-    Raises
-    ------
-    DeviceError
-        The projector failed, or a checksum differs.
-    """
+    """Erase, write and verify the sectors of a plan; after a failure a new plan continues where it was."""
     page = _ProgressPage(firmware, loader, work.images)
     if work.written is None:
         page.begin()
@@ -158,20 +95,7 @@ def perform_upload(firmware: Firmware, loader: BootLoaderLink, work: UploadPlan,
 
 
 def verify_image_count(firmware: Firmware, link: Link) -> None:
-    """Compare the number of images that the projector finds in its flash with that of the file.
-
-    Parameters
-    ----------
-    firmware : Firmware
-        The file that was uploaded.
-    link : Link
-        Link to the projector, which runs its program.
-
-    Raises
-    ------
-    DeviceError
-        The numbers differ.
-    """
+    """Compare the number of images that the projector finds in its flash with that of the file."""
     found, wanted = link.read(IMAGES_IN_FLASH)["count"], firmware.images
     if found != wanted % MOST_IMAGES:  # the count is one byte, in which 256 is 0
         raise DeviceError(

@@ -40,34 +40,12 @@ REPORTS = bytes.fromhex(
 
 
 def endpoint_out(interface: int) -> int:
-    """Return the address of the endpoint to which an interface's reports are sent.
-
-    Parameters
-    ----------
-    interface : int
-        Number of the interface.
-
-    Returns
-    -------
-    int
-        Endpoint address.
-    """
+    """Return the address of the endpoint to which an interface's reports are sent."""
     return 1 + interface
 
 
 def endpoint_in(interface: int) -> int:
-    """Return the address of the endpoint from which an interface's reports are read.
-
-    Parameters
-    ----------
-    interface : int
-        Number of the interface.
-
-    Returns
-    -------
-    int
-        Endpoint address, with the bit for the direction.
-    """
+    """Return the address of the endpoint from which an interface's reports are read."""
     return INWARDS | endpoint_out(interface)
 
 
@@ -91,13 +69,7 @@ def _configuration() -> bytes:
 
 
 class ControlEndpoint:
-    """Answers the control requests to endpoint 0.
-
-    Parameters
-    ----------
-    serial : str
-        Serial number of the device.
-    """
+    """Answers the control requests to endpoint 0."""
 
     def __init__(self, serial: str) -> None:
         device = struct.pack(
@@ -112,18 +84,7 @@ class ControlEndpoint:
         } | {_STRING << 8 | i: bytes([2 + len(name), _STRING]) + name for i, name in enumerate(names)}
 
     def answer(self, setup: bytes) -> bytes | None:
-        """Answer a control request.
-
-        Parameters
-        ----------
-        setup : bytes
-            The 8 bytes of the setup packet.
-
-        Returns
-        -------
-        bytes or None
-            Data of a read request, empty for a write request that was carried out; None if it is refused.
-        """
+        """Answer a control request."""
         kind, request, value, _, length = struct.unpack("<BBHHH", setup)
         if kind & INWARDS:
             if kind & _KIND != _STANDARD:

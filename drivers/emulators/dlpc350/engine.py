@@ -29,36 +29,7 @@ def _black_image() -> FlashImage:
 
 
 class LightEngine:
-    """The emulated controller without its commands.
-
-    Parameters
-    ----------
-    clock : Clock
-        Its time.
-    images : Sequence of FlashImage
-        What its flash holds.
-    policy : Dlpc350Policy, optional
-        Assumptions about undocumented behaviour.
-    on_pulse : callable
-        Called with every trigger pulse when its pattern begins.
-
-    Attributes
-    ----------
-    clock, images, policy, on_pulse
-        As given.
-    load_s : list of float
-        Load time of each flash image in s.
-    video : Video or None
-        The signal at its video port.
-    on_restart : callable
-        Called with the time in s for which the USB device is absent.
-    executed : list of int
-        Numbers of the commands that were carried out.
-    sequencer : Sequencer
-        Its pattern sequencer.
-    asleep : bool
-        Whether it is in standby.
-    """
+    """The emulated controller without its commands."""
 
     def __init__(
         self,
@@ -109,11 +80,6 @@ class LightEngine:
         """Return the light that leaves the lens at this moment.
 
         In video mode the content of the port is not followed: it counts as white.
-
-        Returns
-        -------
-        ProjectedLight or None
-            None when it is dark.
         """
         self.advance()
         return self.light_at(self.clock.now())
@@ -122,16 +88,6 @@ class LightEngine:
         """Return the light that leaves the lens at a given time.
 
         It is meant for the receiver of a pulse, whose edges may lie a little ahead of the present time.
-
-        Parameters
-        ----------
-        time_s : float
-            Time in s, not before the last event.
-
-        Returns
-        -------
-        ProjectedLight or None
-            None when it is dark.
         """
         if self.asleep or self._is_parked():
             return None
@@ -156,15 +112,7 @@ class LightEngine:
         return bool(self._registers[protocol.TRIGGER_OUT_1.number]["inverted"])
 
     def trigger_in(self, number: int, rising: bool) -> None:
-        """Take an edge on a trigger input, now.
-
-        Parameters
-        ----------
-        number : int
-            Trigger input 1 or 2.
-        rising : bool
-            Whether the edge is a rising one.
-        """
+        """Take an edge on a trigger input, now."""
         self.sequencer.trigger_in(number, rising, self.clock.now())
 
     def _is_parked(self) -> bool:

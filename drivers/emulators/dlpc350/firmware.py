@@ -41,18 +41,7 @@ class Dlpc350(LightEngine):
     """The emulated controller; parameters and attributes are those of `LightEngine`."""
 
     def answer(self, message: UsbMessage) -> UsbMessage | None:
-        """Carry out a message.
-
-        Parameters
-        ----------
-        message : UsbMessage
-            Request from the computer.
-
-        Returns
-        -------
-        UsbMessage or None
-            The reply; None where the message asks for none or is ignored.
-        """
+        """Carry out a message."""
         self.advance()
         if message.flags & DESTINATION and not self.policy.answers_other_destinations:
             return None
@@ -71,38 +60,12 @@ class Dlpc350(LightEngine):
         return self.reply(message, flags, data)
 
     def nack(self, message: UsbMessage) -> UsbMessage | None:
-        """Refuse a message without carrying it out.
-
-        Parameters
-        ----------
-        message : UsbMessage
-            Request from the computer.
-
-        Returns
-        -------
-        UsbMessage or None
-            The reply with the error bit; None if the message asks for no reply.
-        """
+        """Refuse a message without carrying it out."""
         wanted = message.flags & REPLY_WANTED
         return self.reply(message, message.flags | ERROR, b"") if wanted else None
 
     def reply(self, message: UsbMessage, flags: int, data: bytes) -> UsbMessage:
-        """Compose the reply to a message.
-
-        Parameters
-        ----------
-        message : UsbMessage
-            Request from the computer.
-        flags : int
-            Flags of the reply.
-        data : bytes
-            Its payload; that of an acknowledgement is added.
-
-        Returns
-        -------
-        UsbMessage
-            The reply, with the sequence number that the policy prescribes.
-        """
+        """Compose the reply to a message."""
         if not flags & READ and self.policy.acknowledges_with_command:
             data = message.payload[:2]
         return UsbMessage(flags, message.sequence if self.policy.echoes_sequence else 0, data)
@@ -119,13 +82,7 @@ class Dlpc350(LightEngine):
         return b""
 
     def is_asleep(self) -> bool:
-        """Return whether the controller is in standby or still waking up.
-
-        Returns
-        -------
-        bool
-            True until `Dlpc350Policy.wake_s` after the order to wake.
-        """
+        """Return whether the controller is in standby or still waking up."""
         return self.asleep or self.clock.now() < self._awake_at_s
 
     # --- reading
@@ -231,18 +188,7 @@ class Dlpc350(LightEngine):
         return protocol.VARIABLE_DATA.returned.pack(self._tables.variable[address])
 
     def peek(self, address: int) -> int:
-        """Read a word of the controller's memory.
-
-        Parameters
-        ----------
-        address : int
-            Its address.
-
-        Returns
-        -------
-        int
-            The word, 32 bits; 0, as nothing is known of the memory.
-        """
+        """Read a word of the controller's memory."""
         return 0
 
     # --- writing

@@ -24,83 +24,33 @@ _HEADER = struct.Struct("<4sHHIIIIBBBB4x")
 
 
 class Flash:
-    """Flash memory: writing can only clear bits, until their sector is erased to ones.
-
-    Parameters
-    ----------
-    content : bytes
-        Content from the first byte on; the rest is erased.
-
-    Attributes
-    ----------
-    content : bytearray
-        All `SIZE` bytes.
-    """
+    """Flash memory: writing can only clear bits, until their sector is erased to ones."""
 
     def __init__(self, content: bytes) -> None:
         self.content = bytearray(content.ljust(SIZE, b"\xff"))
 
     def erase(self, sector: int) -> None:
-        """Set all bits of a sector to one.
-
-        Parameters
-        ----------
-        sector : int
-            Its index.
-        """
+        """Set all bits of a sector to one."""
         self.content[sector * SECTOR : (sector + 1) * SECTOR] = b"\xff" * SECTOR
 
     def erase_partially(self, sector: int) -> None:
-        """Leave a sector as after a power failure during erasing: neither the old content nor ones.
-
-        Parameters
-        ----------
-        sector : int
-            Its index.
-        """
+        """Leave a sector as after a power failure during erasing: neither the old content nor ones."""
         part = slice(sector * SECTOR, (sector + 1) * SECTOR)
         self.content[part] = np.random.default_rng(sector).bytes(SECTOR)
 
     def write(self, offset: int, data: bytes) -> None:
-        """Clear the bits that are zero in `data`.
-
-        Parameters
-        ----------
-        offset : int
-            Of the first byte from the beginning of the flash.
-        data : bytes
-            What is written.
-        """
+        """Clear the bits that are zero in `data`."""
         part = slice(offset, offset + len(data))
         old = np.frombuffer(bytes(self.content[part]), np.uint8)
         self.content[part] = (old & np.frombuffer(data, np.uint8)).tobytes()
 
     def checksum(self, offset: int, size: int) -> int:
-        """Sum up bytes.
-
-        Parameters
-        ----------
-        offset : int
-            Of the first byte from the beginning of the flash.
-        size : int
-            Number of bytes.
-
-        Returns
-        -------
-        int
-            Lower 32 bits of the sum.
-        """
+        """Sum up bytes."""
         part = np.frombuffer(bytes(self.content[offset : offset + size]), np.uint8)
         return int(part.sum(dtype=np.uint64)) & 0xFFFFFFFF
 
     def program_blocks(self) -> list[bytes] | None:
-        """Read every block of program and configuration that the flash table lists.
-
-        Returns
-        -------
-        list of bytes or None
-            The blocks in the order of the table; None if there is no table.
-        """
+        """Read every block of program and configuration that the flash table lists."""
         if self.content[TABLE : TABLE + 4] != bytes.fromhex("67452301"):
             return None
         listed = [struct.unpack_from("<II", self.content, TABLE + 16 + 8 * i) for i in range(56)]
@@ -110,41 +60,15 @@ class Flash:
 
 @dataclass(frozen=True, eq=False)
 class StoredImage:
-    """An image in flash.
+    """An image in flash."""
 
-    Attributes
-    ----------
-    compression : int
-        Method of compression as in the image's header.
-    stored : int
-        Size of the compressed pixels in bytes, without header.
-    planes : numpy.ndarray
-        uint8 (height, width, 3), green, red, blue.
-    """
-
-    compression: int
-    stored: int
-    planes: NDArray[np.uint8]
+    compression: int  # method of compression as in the image's header
+    stored: int  # size of the compressed pixels in bytes, without header
+    planes: NDArray[np.uint8]  # uint8 (height, width, 3), green, red, blue
 
 
 def stored_images(flash: bytes | bytearray) -> list[StoredImage]:
-    """Read the images to which the flash table points.
-
-    Parameters
-    ----------
-    flash : bytes or bytearray
-        Content of the flash from its first byte on.
-
-    Returns
-    -------
-    list of StoredImage
-        The images in the order of their table.
-
-    Raises
-    ------
-    ValueError
-        There are no images, or they violate the format.
-    """
+    """Read the images to which the flash table points."""
     (splash,) = struct.unpack_from("<I", flash, SPLASH_ADDRESS)
     start = splash - BASE_ADDRESS
     if flash[start : start + 8] != bytes.fromhex("7856341221436587"):
@@ -175,29 +99,8 @@ def _image(blob: bytes) -> StoredImage:
 
 
 def decompress_pixels(compression: int, data: bytes, width: int, height: int) -> NDArray[np.uint8]:
-    """Decompress the pixels of an image.
-
-    Parameters
-    ----------
-    compression : int
-        0 for none, 1 for run lengths, 4 for four rows that are repeated.
-    data : bytes
-        Compressed pixels.
-    width : int
-        Of the image in px.
-    height : int
-        Of the image in px.
-
-    Returns
-    -------
-    numpy.ndarray
-        uint8 (height, width, 3) in the order of storage: blue, red, green.
-
-    Raises
-    ------
-    ValueError
-        The compression is unknown or the data violates its format.
-    """
+    """Decompress the pixels of an image."""
+    # returns (height, width, 3)
     if compression == 1:
         flat = _from_runs(data, width, height)
     elif compression == 4:

@@ -18,30 +18,14 @@ FlashImage = NDArray[np.uint8]
 
 @dataclass(frozen=True, eq=False)
 class ProjectedLight:
-    """A pattern on the mirrors and the LEDs that illuminate them.
+    """A pattern on the mirrors and the LEDs that illuminate them."""
 
-    Attributes
-    ----------
-    content : FlashImage
-        The image of whose bit planes the pattern consists.
-    depth : int
-        Bits of the pattern.
-    number : int
-        Index of the pattern among those of its depth in the image.
-    inverted : bool
-        Whether grey levels are inverted.
-    levels : Mapping of str to float
-        Levels 0 … 1 of the LEDs that are on, by colour.
-    image : int or None
-        Index of the flash image or video frame; None in video mode.
-    """
-
-    content: FlashImage
-    depth: int
-    number: int
-    inverted: bool
-    levels: Mapping[str, float]
-    image: int | None
+    content: FlashImage  # the image of whose bit planes the pattern consists
+    depth: int  # bits of the pattern
+    number: int  # index of the pattern among those of its depth in the image
+    inverted: bool  # whether grey levels are inverted
+    levels: Mapping[str, float]  # levels 0 … 1 of the LEDs that are on, by colour
+    image: int | None  # index of the flash image or video frame; None in video mode
 
     @cached_property
     def grey(self) -> NDArray[np.uint8]:
@@ -49,40 +33,14 @@ class ProjectedLight:
         return grey_levels(self.content, self.depth, self.number, self.inverted)
 
     def brightness(self) -> Floats:
-        """Return the relative brightness.
-
-        Returns
-        -------
-        Floats
-            (height, width), 1 where the mirror is always on and all three LEDs are at full level.
-        """
+        """Return the relative brightness."""
+        # returns (height, width)
         return self.grey * (sum(self.levels.values()) / (3 * 255.0))
 
 
 def grey_levels(image: FlashImage, depth: int, number: int, inverted: bool) -> NDArray[np.uint8]:
-    """Compute the grey levels 0 … 255 of a pattern.
-
-    Parameters
-    ----------
-    image : FlashImage
-        Bit planes, uint8 (height, width, 3).
-    depth : int
-        Bits of the pattern.
-    number : int
-        Index of the pattern among those of its depth.
-    inverted : bool
-        Whether grey levels are inverted.
-
-    Returns
-    -------
-    numpy.ndarray
-        uint8 (height, width).
-
-    Raises
-    ------
-    ValueError
-        There is no such depth or number.
-    """
+    """Compute the grey levels 0 … 255 of a pattern."""
+    # image (height, width, 3); returns (height, width)
     full = (1 << depth) - 1
     values = _values(image, bit_planes(depth, number), full)
     scale = np.rint(np.arange(full + 1) * (255.0 / full)).astype(np.uint8)

@@ -25,22 +25,7 @@ _BUSY = 0x08
 
 
 class BootLoader:
-    """The program by which the flash is written.
-
-    Parameters
-    ----------
-    flash : Flash
-        The memory that it erases and writes.
-    clock : Clock
-        Its time.
-    policy : Dlpc350Policy
-        Assumptions about undocumented behaviour.
-
-    Attributes
-    ----------
-    exit_requested : bool
-        Whether it was ordered to start the application again.
-    """
+    """The program by which the flash is written."""
 
     def __init__(self, flash: Flash, clock: Clock, policy: Dlpc350Policy) -> None:
         self._flash, self._clock, self._policy = flash, clock, policy
@@ -50,18 +35,7 @@ class BootLoader:
         self.exit_requested = False
 
     def answer(self, message: UsbMessage) -> UsbMessage | None:
-        """Carry out a message.
-
-        Parameters
-        ----------
-        message : UsbMessage
-            Request from the computer.
-
-        Returns
-        -------
-        UsbMessage or None
-            The reply; None if the message asks for none.
-        """
+        """Carry out a message."""
         number, data = int.from_bytes(message.payload[:2], "little"), message.payload[2:]
         flags, data_out = message.flags, b""
         try:
@@ -160,26 +134,6 @@ class FlashedDlpc350(Dlpc350):
 
     It starts its application only if program and configuration in flash are those that it was made with and
     the flash table leads to them; otherwise only the boot loader.
-
-    Parameters
-    ----------
-    clock : Clock
-        Its time.
-    content : bytes
-        Content of the flash from its first byte on.
-    policy : Dlpc350Policy, optional
-        Assumptions about undocumented behaviour.
-    on_pulse : callable
-        Called with every trigger pulse when its pattern begins.
-
-    Attributes
-    ----------
-    flash : Flash
-        The memory.
-    loader : BootLoader or None
-        The boot loader while it runs.
-    on_restart : callable
-        Called with the time in s for which the USB device is absent.
     """
 
     def __init__(
@@ -213,36 +167,14 @@ class FlashedDlpc350(Dlpc350):
         self.switch_on()
 
     def peek(self, address: int) -> int:
-        """Read a word of the controller's memory.
-
-        Parameters
-        ----------
-        address : int
-            Its address.
-
-        Returns
-        -------
-        int
-            The word, 32 bits, of the flash memory; 0 elsewhere, as nothing is known of it.
-        """
+        """Read a word of the controller's memory."""
         offset = address - BASE_ADDRESS
         if not 0 <= offset <= SIZE - 4:
             return 0
         return int.from_bytes(self.flash.content[offset : offset + 4], "little")
 
     def answer(self, message: UsbMessage) -> UsbMessage | None:
-        """Carry out a message, as the application or as the boot loader.
-
-        Parameters
-        ----------
-        message : UsbMessage
-            Request from the computer.
-
-        Returns
-        -------
-        UsbMessage or None
-            The reply; None where the message asks for none or is ignored.
-        """
+        """Carry out a message, as the application or as the boot loader."""
         if self.loader is None:
             if int.from_bytes(message.payload[:2], "little") != ENTER:
                 return super().answer(message)

@@ -60,13 +60,7 @@ POWER_ON: dict[Command, Values] = {
 
 
 def power_on() -> dict[int, Values]:
-    """Return the registers as they are after power-on.
-
-    Returns
-    -------
-    dict of int to Values
-        Field values by command number, of every command that is written and read in the same layout.
-    """
+    """Return the registers as they are after power-on."""
     registers = {}
     for command in COMMANDS.values():
         if isinstance(command.written, RegisterLayout) and command.written == command.returned:

@@ -18,121 +18,50 @@ ROUNDING_S = 1e-9
 
 @dataclass(frozen=True)
 class Pulse:
-    """A pulse on a trigger output.
+    """A pulse on a trigger output."""
 
-    Attributes
-    ----------
-    output : int
-        Trigger output 1 or 2.
-    rise_s : float
-        Time of the first edge in s.
-    fall_s : float
-        Time of the second edge in s.
-    pattern : int
-        Index since the start of the pattern that caused it.
-    """
-
-    output: int
-    rise_s: float
-    fall_s: float
-    pattern: int
+    output: int  # trigger output 1 or 2
+    rise_s: float  # time of the first edge in s
+    fall_s: float  # time of the second edge in s
+    pattern: int  # index since the start of the pattern that caused it
 
 
 @dataclass(frozen=True)
 class SequenceTables:
-    """What a sequence consists of.
+    """What a sequence consists of."""
 
-    Attributes
-    ----------
-    mode : TriggerMode
-        What starts each pattern.
-    entries : Sequence of Values
-        Fields of the pattern table.
-    times : Sequence of (float, float)
-        Exposure and period of each entry in s.
-    images : Sequence of int
-        Flash image indices in the order in which they are swapped in; empty for patterns from the video port.
-    load_s : Sequence of float
-        Load times in s by flash image index.
-    patterns : int
-        Length of a run that is not repeated, and the spacing of pulses on output 2.
-    repeat : bool
-        Whether the sequence is repeated.
-    edges_s : (float, float, float)
-        Delays in s of the two edges of output 1 and of the edge of output 2.
-    vsync_s : float
-        Period of the video frames in s.
-    input_delay_s : float
-        Time in s from an edge on trigger input 1 to its pattern.
-    """
-
-    mode: TriggerMode
-    entries: Sequence[Values]
-    times: Sequence[tuple[float, float]]
-    images: Sequence[int]
-    load_s: Sequence[float]
-    patterns: int
-    repeat: bool
-    edges_s: tuple[float, float, float]
-    vsync_s: float = 0.0
-    input_delay_s: float = 0.0
+    mode: TriggerMode  # what starts each pattern
+    entries: Sequence[Values]  # fields of the pattern table
+    times: Sequence[tuple[float, float]]  # exposure and period of each entry in s
+    images: Sequence[int]  # flash image indices in the order in which they are swapped in
+    load_s: Sequence[float]  # load times in s by flash image index
+    patterns: int  # length of a run that is not repeated, and the spacing of pulses on output 2
+    repeat: bool  # whether the sequence is repeated
+    edges_s: tuple[float, float, float]  # (float, float, float) s
+    vsync_s: float = 0.0  # period of the video frames in s
+    input_delay_s: float = 0.0  # time in s from an edge on trigger input 1 to its pattern
 
 
 @dataclass(frozen=True)
 class DisplayedPattern:
-    """A pattern on the mirrors.
+    """A pattern on the mirrors."""
 
-    Attributes
-    ----------
-    entry : Values
-        Its entry in the pattern table.
-    image : int
-        Index of the image it is taken from.
-    begin_s : float
-        Time in s when it began.
-    illuminated_until_s : float
-        Time in s when its exposure ends.
-    """
-
-    entry: Values
-    image: int
-    begin_s: float
-    illuminated_until_s: float
+    entry: Values  # its entry in the pattern table
+    image: int  # index of the image it is taken from
+    begin_s: float  # time in s when it began
+    illuminated_until_s: float  # time in s when its exposure ends
 
 
 def delay_s(code: int) -> float:
-    """Convert a trigger delay from its code on the wire.
-
-    Parameters
-    ----------
-    code : int
-        Delay as the command carries it.
-
-    Returns
-    -------
-    float
-        Delay in s, negative for an advance.
-    """
+    """Convert a trigger delay from its code on the wire."""
     return (code - ZERO_DELAY) * DELAY_STEP_US * 1e-6
 
 
 def per_pattern_times(
     entries: Sequence[Values], times: Sequence[tuple[float, float]]
 ) -> list[tuple[float, float]]:
-    """Divide the exposure of each trigger pulse among the patterns that share it.
-
-    Parameters
-    ----------
-    entries : Sequence of Values
-        Fields of the pattern table.
-    times : Sequence of (float, float)
-        Exposure and period of each entry in s; of patterns that share a pulse the first one's count.
-
-    Returns
-    -------
-    list of (float, float)
-        Exposure of each entry and the time to the next pattern, in s.
-    """
+    """Divide the exposure of each trigger pulse among the patterns that share it."""
+    # times (float, float) s; returns (float, float) s
     starts = [i for i, entry in enumerate(entries) if not (entry["share_trigger"] and i)]
     found: list[tuple[float, float]] = []
     for start, end in zip(starts, [*starts[1:], len(entries)], strict=True):
@@ -143,26 +72,7 @@ def per_pattern_times(
 
 
 class Sequencer:
-    """Runs one sequence at a time.
-
-    Parameters
-    ----------
-    on_pulse : callable
-        Called with every trigger pulse.
-    on_frame : callable
-        Called with the time in s when a video frame is taken.
-
-    Attributes
-    ----------
-    state : Run
-        What was ordered last.
-    running : bool
-        Whether patterns really follow each other.
-    forced_swap : bool
-        Whether an image was not loaded in time, so that the old one was shown instead.
-    shown : DisplayedPattern or None
-        The last pattern that began; None before the first.
-    """
+    """Runs one sequence at a time."""
 
     def __init__(
         self, on_pulse: Callable[[Pulse], None], on_frame: Callable[[float], None] = lambda at_s: None
@@ -176,15 +86,7 @@ class Sequencer:
         self._rewind()
 
     def start(self, tables: SequenceTables, now: float) -> None:
-        """Start the sequence, or resume it at the pattern at which it was paused.
-
-        Parameters
-        ----------
-        tables : SequenceTables
-            The sequence.
-        now : float
-            Present time in s.
-        """
+        """Start the sequence, or resume it at the pattern at which it was paused."""
         if self.state is not Run.PAUSE:
             self._rewind()
         self._tables = tables
@@ -204,13 +106,7 @@ class Sequencer:
         self.state, self.running, self._next_s = Run.STOP, False, None
 
     def advance(self, now: float) -> None:
-        """Do what was due until now.
-
-        Parameters
-        ----------
-        now : float
-            Present time in s.
-        """
+        """Do what was due until now."""
         while self.running and self._next_s is not None and self._next_s <= now:
             self._step(self._next_s)
 
@@ -225,17 +121,7 @@ class Sequencer:
         return self._next_s if self.running else None
 
     def trigger_in(self, number: int, rising: bool, now: float) -> None:
-        """Take an edge on a trigger input; one before the end of the present period is lost.
-
-        Parameters
-        ----------
-        number : int
-            Trigger input 1 or 2.
-        rising : bool
-            Whether the edge is a rising one.
-        now : float
-            Present time in s.
-        """
+        """Take an edge on a trigger input; one before the end of the present period is lost."""
         self.advance(now)
         if not self.running or self._tables is None:
             return
@@ -249,20 +135,7 @@ class Sequencer:
             self._next_s = now + self._tables.input_delay_s
 
     def displayed_at(self, now: float, keep_last: bool) -> DisplayedPattern | None:
-        """Return the pattern that is on the mirrors.
-
-        Parameters
-        ----------
-        now : float
-            Present time in s.
-        keep_last : bool
-            Whether the last pattern stays when no sequence runs.
-
-        Returns
-        -------
-        DisplayedPattern or None
-            None while the mirrors are dark.
-        """
+        """Return the pattern that is on the mirrors."""
         shown = self.shown
         if shown is None or (not self.running and self.state is not Run.PAUSE and not keep_last):
             return None

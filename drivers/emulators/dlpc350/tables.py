@@ -21,15 +21,6 @@ class PatternTables:
     """The tables as they were written.
 
     Writing entries from an address on discards all older entries from that address on.
-
-    Attributes
-    ----------
-    patterns : dict of int to Values
-        Pattern table by address.
-    variable : dict of int to Values
-        Pattern table of the modes with variable exposure, by address.
-    images : dict of int to int
-        Flash image indices by address.
     """
 
     def __init__(self) -> None:
@@ -40,121 +31,39 @@ class PatternTables:
         self.fill_images(0, POWER_ON_IMAGES, len(POWER_ON_IMAGES))
 
     def fill_patterns(self, address: int, data: bytes) -> None:
-        """Write entries of the pattern table.
-
-        Parameters
-        ----------
-        address : int
-            Of the first entry.
-        data : bytes
-            Entries of 3 bytes each.
-
-        Raises
-        ------
-        ValueError
-            The data is not a multiple of 3 bytes, goes beyond the table or has a field out of range.
-        """
+        """Write entries of the pattern table."""
         if len(data) % 3 or address + len(data) // 3 > MOST_ENTRIES:
             raise ValueError("the entries do not fit in the pattern table")
         entries = [ENTRY.unpack(data[i : i + 3]) for i in range(0, len(data), 3)]
         _write_entries(self.patterns, address, entries)
 
     def fill_images(self, address: int, data: bytes, most: int) -> None:
-        """Write entries of the image table.
-
-        Parameters
-        ----------
-        address : int
-            Of the first entry.
-        data : bytes
-            One flash image index per byte.
-        most : int
-            Entries that the table holds.
-
-        Raises
-        ------
-        ValueError
-            The data goes beyond the end of the table.
-        """
+        """Write entries of the image table."""
         if address + len(data) > most:
             raise ValueError("the images do not fit in the image table")
         _write_entries(self.images, address, list(data))
 
     def fill_variable(self, address: int, values: Values) -> None:
-        """Write one entry of the pattern table with variable exposure.
-
-        Parameters
-        ----------
-        address : int
-            Of the entry.
-        values : Values
-            Its fields, exposure and period included.
-        """
+        """Write one entry of the pattern table with variable exposure."""
         _write_entries(self.variable, address, [values])
 
     def entries(self, variable: bool, count: int) -> list[Values]:
-        """Return the entries of a pattern table, without addresses that were not written.
-
-        Parameters
-        ----------
-        variable : bool
-            Whether the table with variable exposure is wanted.
-        count : int
-            Addresses 0 … count - 1 are read.
-
-        Returns
-        -------
-        list of Values
-            Entries in the order of their addresses.
-        """
+        """Return the entries of a pattern table, without addresses that were not written."""
         table = self.variable if variable else self.patterns
         return [table[i] for i in range(count) if i in table]
 
     def images_shown(self, count: int) -> list[int]:
-        """Return the image indices in the order in which the sequencer swaps them in.
-
-        Parameters
-        ----------
-        count : int
-            Addresses 0 … count - 1 are read.
-
-        Returns
-        -------
-        list of int
-            Flash image indices; a table of two images is read from its end.
-        """
+        """Return the image indices in the order in which the sequencer swaps them in."""
         images = [self.images[i] for i in range(count) if i in self.images]
         return images[::-1] if len(images) == 2 else images
 
     def pattern_bytes(self, count: int) -> bytes:
-        """Return the pattern table as it is read back.
-
-        Parameters
-        ----------
-        count : int
-            Number of entries; no more are returned than the table holds.
-
-        Returns
-        -------
-        bytes
-            3 bytes per entry, zeros where nothing was written.
-        """
+        """Return the pattern table as it is read back."""
         zero = ENTRY.unpack(bytes(3))
         return b"".join(ENTRY.pack(self.patterns.get(i, zero)) for i in range(min(count, MOST_ENTRIES)))
 
     def image_bytes(self, count: int) -> bytes:
-        """Return the image table as it is read back.
-
-        Parameters
-        ----------
-        count : int
-            Number of entries.
-
-        Returns
-        -------
-        bytes
-            One byte per entry, zero where nothing was written.
-        """
+        """Return the image table as it is read back."""
         return bytes(self.images.get(i, 0) for i in range(count))
 
 

@@ -37,26 +37,7 @@ STATE_POLL_S = 0.1
 
 @contextmanager
 def serve_projector(firmware: Path | None = None) -> Iterator[dict[str, str]]:
-    """Run an emulated projector on this computer's USB in real time; a context manager.
-
-    Parameters
-    ----------
-    firmware : Path, optional
-        Firmware file with the content of the flash, which can then be rewritten. Without it the flash holds
-        the patterns of `DEFAULT_PLAN` and cannot be written.
-
-    Yields
-    ------
-    dict of str to str
-        How to use it: serial number, the projector section of a rig file, and commands to try.
-
-    Raises
-    ------
-    DeviceError
-        The kernel has no USB/IP hub, or this user may not use it.
-    FppError
-        The firmware file or the plan cannot be read.
-    """
+    """Run an emulated projector on this computer's USB in real time; a context manager."""
     with TemporaryDirectory(prefix="fpplab-") as folder:
         controller, index = _from_firmware(firmware) if firmware else _from_default_plan(Path(folder))
         flash = f", flash: {index}" if index.exists() else ""
@@ -107,18 +88,7 @@ def _state_messages(attachment: UsbIpAttachment) -> Iterator[None]:
 
 
 def describe_state(controller: Dlpc350) -> str:
-    """Describe what the projector does at this moment.
-
-    Parameters
-    ----------
-    controller : Dlpc350
-        The emulated projector.
-
-    Returns
-    -------
-    str
-        Mode, sequence or pattern, and LED levels, for the operator.
-    """
+    """Describe what the projector does at this moment."""
     if isinstance(controller, FlashedDlpc350) and controller.loader is not None:
         return "boot loader: its flash can be written, it shows nothing"
     if controller.is_asleep():

@@ -40,26 +40,7 @@ class UnpluggedError(OSError):
 
 
 class EmulatedHid:
-    """Stands in for the module `hid`, with one projector plugged in.
-
-    Parameters
-    ----------
-    controller : Dlpc350
-        The emulated projector.
-    serial : str
-        Its serial number.
-    faults : Mapping of int to UsbFault, optional
-        Faults by index of the request since the beginning, from 0.
-
-    Attributes
-    ----------
-    controller, serial, faults
-        As given.
-    requests : int
-        Number of requests so far.
-    plugs : int
-        Grows whenever the device leaves the bus: a device opened before is then lost.
-    """
+    """Stands in for the module `hid`, with one projector plugged in."""
 
     def __init__(
         self, controller: Dlpc350, serial: str = "LCR3", faults: Mapping[int, UsbFault] | None = None
@@ -86,31 +67,12 @@ class EmulatedHid:
         self._plugged_from_s = self.controller.clock.now()
 
     def leave_bus(self, seconds: float) -> None:
-        """Be absent from the bus for a while, as in a reset.
-
-        Parameters
-        ----------
-        seconds : float
-            For how long.
-        """
+        """Be absent from the bus for a while, as in a reset."""
         self.unplug()
         self._plugged_from_s = self.controller.clock.now() + seconds
 
     def enumerate(self, vendor_id: int = 0, product_id: int = 0) -> list[dict[str, Any]]:
-        """List the device's interfaces as `hid.enumerate` does.
-
-        Parameters
-        ----------
-        vendor_id : int
-            USB vendor.
-        product_id : int
-            USB product.
-
-        Returns
-        -------
-        list of dict
-            Both interfaces, the one without commands first; empty for another product or while unplugged.
-        """
+        """List the device's interfaces as `hid.enumerate` does."""
         if not self.is_plugged or (vendor_id, product_id) != (VENDOR, PRODUCT):
             return []
         return [
@@ -124,24 +86,12 @@ class EmulatedHid:
         ]
 
     def device(self) -> EmulatedDevice:
-        """Create a device handle as `hid.device()` does.
-
-        Returns
-        -------
-        EmulatedDevice
-            Not yet open.
-        """
+        """Create a device handle as `hid.device()` does."""
         return EmulatedDevice(self)
 
 
 class EmulatedDevice:
-    """Stands in for hidapi's `hid.device`: reports in, reports out.
-
-    Parameters
-    ----------
-    hid : EmulatedHid
-        Where the projector is plugged in.
-    """
+    """Stands in for hidapi's `hid.device`: reports in, reports out."""
 
     def __init__(self, hid: EmulatedHid) -> None:
         self._hid, self._clock = hid, hid.controller.clock
@@ -151,18 +101,7 @@ class EmulatedDevice:
         self._order = count()
 
     def open_path(self, path: bytes) -> None:
-        """Open the interface that takes commands.
-
-        Parameters
-        ----------
-        path : bytes
-            Path as `EmulatedHid.enumerate` gives it.
-
-        Raises
-        ------
-        OSError
-            There is no such interface, or the device is unplugged.
-        """
+        """Open the interface that takes commands."""
         if not self._hid.is_plugged or path != f"emulated:{INTERFACE}".encode():
             raise OSError("open failed")
         self._plug = self._hid.plugs
@@ -172,18 +111,7 @@ class EmulatedDevice:
         self._plug = None
 
     def write(self, buff: bytes) -> int:
-        """Send a report.
-
-        Parameters
-        ----------
-        buff : bytes
-            Report number 0, then the report of `REPORT_BYTES` bytes.
-
-        Returns
-        -------
-        int
-            Number of bytes written; -1 if the device is gone or the size or report number is wrong.
-        """
+        """Send a report."""
         if not self._is_alive():
             return -1
         if len(buff) != REPORT_BYTES + 1 or buff[0]:
@@ -192,27 +120,7 @@ class EmulatedDevice:
         return len(buff)
 
     def read(self, max_length: int, timeout_ms: int = 0) -> list[int]:
-        """Read the next report.
-
-        Parameters
-        ----------
-        max_length : int
-            Bytes that are returned at most.
-        timeout_ms : int
-            How long to wait for it in ms.
-
-        Returns
-        -------
-        list of int
-            The report; empty if none comes in time.
-
-        Raises
-        ------
-        ValueError
-            The timeout is not above 0: hidapi would wait without limit.
-        UnpluggedError
-            The device is gone.
-        """
+        """Read the next report."""
         if timeout_ms <= 0:
             raise ValueError("hidapi would wait without limit")
         if not self._is_alive():
@@ -228,13 +136,7 @@ class EmulatedDevice:
         return list(heapq.heappop(self._outgoing)[2][:max_length])
 
     def has_report(self) -> bool:
-        """Return whether a report can be read without waiting.
-
-        Returns
-        -------
-        bool
-            False also when the device is gone.
-        """
+        """Return whether a report can be read without waiting."""
         return self._is_alive() and bool(self._outgoing) and self._outgoing[0][0] <= self._clock.now()
 
     def _is_alive(self) -> bool:

@@ -52,13 +52,6 @@ class UsbIpConnection:
     """The USB/IP protocol between the kernel and one plugged-in device.
 
     Requests for reports wait here until there is one.
-
-    Parameters
-    ----------
-    hid : EmulatedHid
-        The device; it must be plugged in.
-    device_end : socket.socket
-        The device's end of the socket pair.
     """
 
     def __init__(self, hid: EmulatedHid, device_end: socket.socket) -> None:
@@ -71,13 +64,7 @@ class UsbIpConnection:
         self._pending: dict[int, deque[tuple[int, int]]] = defaultdict(deque)
 
     def handle_request(self) -> bool:
-        """Handle the kernel's next request.
-
-        Returns
-        -------
-        bool
-            False when the kernel has closed the connection.
-        """
+        """Handle the kernel's next request."""
         head = self._received(_HEADER_BYTES)
         if not head:
             return False
@@ -143,18 +130,6 @@ class UsbIpAttachment:
 
     It leaves the bus and comes back as `hid` does: unplugged, or in a reset. Entering raises `DeviceError` if
     the kernel has no such hub or does not let this user attach a device.
-
-    Parameters
-    ----------
-    hid : EmulatedHid
-        The device.
-
-    Attributes
-    ----------
-    hid : EmulatedHid
-        As given.
-    lock : threading.RLock
-        Held while the controller is served; take it to inspect the controller.
     """
 
     def __init__(self, hid: EmulatedHid) -> None:
@@ -204,20 +179,7 @@ class UsbIpAttachment:
 
 
 def attach(cable: socket.socket, speed: int = FULL_SPEED) -> None:
-    """Attach one end of a socket pair to the kernel's hub.
-
-    Parameters
-    ----------
-    cable : socket.socket
-        The kernel's end.
-    speed : int
-        The kernel's number of the device's speed.
-
-    Raises
-    ------
-    DeviceError
-        There is no hub, this user may not use it, all its ports are taken, or it refuses.
-    """
+    """Attach one end of a socket pair to the kernel's hub."""
     if not HUB.is_dir():
         raise DeviceError(
             NAME,
@@ -238,18 +200,7 @@ def attach(cable: socket.socket, speed: int = FULL_SPEED) -> None:
 
 
 def free_port() -> int:
-    """Find a free port of the hub for a device of full or high speed.
-
-    Returns
-    -------
-    int
-        Its number.
-
-    Raises
-    ------
-    DeviceError
-        All ports are taken.
-    """
+    """Find a free port of the hub for a device of full or high speed."""
     for line in (HUB / "status").read_text("ascii").splitlines()[1:]:
         hub, port, state, *_ = line.split()
         if hub == "hs" and state == _FREE:

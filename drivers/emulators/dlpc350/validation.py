@@ -22,30 +22,8 @@ def validate_sequence(
     vsync_us: float | None,
     accepts_gap: bool,
 ) -> Values:
-    """Return what the controller objects to in a sequence.
-
-    Parameters
-    ----------
-    entries : Sequence of Values
-        Entries that the pattern table holds.
-    times_us : Sequence of (int, int)
-        Exposure and period of each entry in µs.
-    images : Sequence of int
-        Flash image indices that the image table holds.
-    counts : (int, int)
-        Declared numbers of entries and of images.
-    flash_images : int or None
-        Number of images in flash; None for patterns from the video port.
-    vsync_us : float or None
-        Period of the video frames in µs; None for patterns from flash.
-    accepts_gap : bool
-        Whether a gap of exactly 230 µs is valid.
-
-    Returns
-    -------
-    Values
-        The fields of `protocol.VALIDATION` apart from "busy", each 0 or 1.
-    """
+    """Return what the controller objects to in a sequence."""
+    # times_us (int, int) µs; counts (int, int)
     return {
         "exposure_invalid": int(
             any(exposure > period for exposure, period in times_us)

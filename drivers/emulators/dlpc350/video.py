@@ -23,22 +23,7 @@ DESKTOP_GREY = 128
 
 
 class Video:
-    """The signal at the video port: a frame until the next one, with a VSYNC every `vsync_s` from time 0 on.
-
-    Parameters
-    ----------
-    frame : VideoFrame
-        First frame, uint8 (height, width, 3), red, green, blue.
-    vsync_s : float
-        Period of the frames in s.
-
-    Attributes
-    ----------
-    vsync_s : float
-        Period of the frames in s.
-    locked : bool
-        Whether the controller is locked to the signal.
-    """
+    """The signal at the video port: a frame until the next, a VSYNC every `vsync_s` from time 0."""
 
     def __init__(self, frame: VideoFrame, vsync_s: float = 1 / 60) -> None:
         self.vsync_s, self.locked = vsync_s, True
@@ -46,57 +31,21 @@ class Video:
         self._next_from_s = 0.0
 
     def set_frame(self, frame: VideoFrame, now_s: float) -> float:
-        """Change to another frame at the next VSYNC.
-
-        Parameters
-        ----------
-        frame : VideoFrame
-            uint8 (height, width, 3), red, green, blue.
-        now_s : float
-            Present time in s.
-
-        Returns
-        -------
-        float
-            Time in s of the VSYNC from which on it is shown.
-        """
+        """Change to another frame at the next VSYNC."""
+        # frame (height, width, 3)
         self._frame, self._next = self.frame_at(now_s), frame.copy()
         self._next_from_s = (math.floor((now_s + ROUNDING_S) / self.vsync_s) + 1) * self.vsync_s
         return self._next_from_s
 
     def frame_at(self, time_s: float) -> VideoFrame:
-        """Return the frame on the port at a time.
-
-        Parameters
-        ----------
-        time_s : float
-            Time in s, not before the last but one change of the frame.
-
-        Returns
-        -------
-        VideoFrame
-            uint8 (height, width, 3), red, green, blue.
-        """
+        """Return the frame on the port at a time."""
+        # returns (height, width, 3)
         return self._next if time_s + ROUNDING_S >= self._next_from_s else self._frame
 
 
 def apply_channel_swap(frame: VideoFrame, swap: int, letter_is_input: bool) -> FlashImage:
-    """Return the bit planes that a frame fills under a channel swap.
-
-    Parameters
-    ----------
-    frame : VideoFrame
-        uint8 (height, width, 3), red, green, blue.
-    swap : int
-        Setting of the channel swap, an index of `CHANNEL_ORDERS`.
-    letter_is_input : bool
-        How its letters are read, see `Dlpc350Policy.swap_letter_is_input`.
-
-    Returns
-    -------
-    FlashImage
-        uint8 (height, width, 3), green, red, blue.
-    """
+    """Return the bit planes that a frame fills under a channel swap."""
+    # frame (height, width, 3); returns (height, width, 3)
     channels = [PORT_CHANNELS.index(letter) for letter in CHANNEL_ORDERS[swap]]
     return frame[..., channels if letter_is_input else np.argsort(channels)]
 
@@ -123,13 +72,6 @@ class EmulatedDisplay:
     """Stands in for `drivers.display.window.SdlDisplay`: what it shows is on the controller's video port.
 
     While it is not open the desktop is shown, a uniform grey-level image.
-
-    Parameters
-    ----------
-    controller : VideoReceiver
-        The controller whose video port the display is connected to.
-    vsync_s : float
-        Period of the frames in s.
     """
 
     def __init__(self, controller: VideoReceiver, vsync_s: float = 1 / 60) -> None:
@@ -144,13 +86,8 @@ class EmulatedDisplay:
         self.show(np.zeros_like(self._desktop))
 
     def show(self, frame: VideoFrame) -> None:
-        """Show a frame and return once it is on the port, at the next VSYNC.
-
-        Parameters
-        ----------
-        frame : VideoFrame
-            uint8 (height, width, 3), red, green, blue.
-        """
+        """Show a frame and return once it is on the port, at the next VSYNC."""
+        # frame (height, width, 3)
         clock = self._controller.clock
         self._controller.advance()  # what was due had the frame before
         clock.sleep(self._video.set_frame(frame, clock.now()) - clock.now())

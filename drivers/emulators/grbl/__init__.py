@@ -26,18 +26,7 @@ __all__ = ["GrblController", "GrblPolicy", "GrblState", "Rail", "serve_stage"]
 
 @contextmanager
 def serve_stage() -> Iterator[dict[str, str]]:
-    """Run an emulated stage controller on a pseudo-terminal in real time; a context manager.
-
-    Yields
-    ------
-    dict of str to str
-        Its serial port, and the stage section of a rig file for it.
-
-    Raises
-    ------
-    DeviceError
-        The system has no pseudo-terminals.
-    """
+    """Run an emulated stage controller on a pseudo-terminal in real time; a context manager."""
     with PseudoTerminal(GrblController()) as terminal:
         backend = f"{{backend: grbl, port: {terminal.port}}}"
         yield {"port": terminal.port, "stage": backend}

@@ -44,46 +44,15 @@ class GrblState(StrEnum):
 
 @dataclass(frozen=True)
 class GrblPolicy:
-    """What depends on how GRBL was compiled, or is found in its source and logs but not in its documentation.
+    """What depends on GRBL's build, or is known from its source and logs alone."""
 
-    Attributes
-    ----------
-    locks_at_power_up : bool
-        HOMING_INIT_LOCK: with homing enabled it starts in the alarm state.
-    forces_origin : bool
-        HOMING_FORCE_SET_ORIGIN: the machine position is zero where homing ends.
-    ok_after_abort : bool
-        A line that a reset breaks off is still answered `ok`, after the alarm.
-    """
-
-    locks_at_power_up: bool = True
-    forces_origin: bool = False
-    ok_after_abort: bool = True
+    locks_at_power_up: bool = True  # HOMING_INIT_LOCK: with homing enabled it starts in the alarm state
+    forces_origin: bool = False  # HOMING_FORCE_SET_ORIGIN: the machine position is zero where homing ends
+    ok_after_abort: bool = True  # A line that a reset breaks off is still answered `ok`, after the alarm
 
 
 class GrblController:
-    """The controller at the end of a serial line, see `SerialEmulator`.
-
-    Parameters
-    ----------
-    clock : callable
-        Returns the time in s; it never runs backwards.
-    settings : dict of int to float, optional
-        Settings that differ from `DEFAULTS`, by number.
-    rail : Rail, optional
-        The mechanics.
-    policy : GrblPolicy, optional
-        Assumptions about undocumented behaviour.
-
-    Attributes
-    ----------
-    settings : GrblSettings
-        The settings, by number.
-    drive : Drive
-        Motors and rail, with faults to provoke.
-    alter_line : callable
-        Called with every line before it is sent, line end included; returns what is sent instead.
-    """
+    """The controller at the end of a serial line, see `SerialEmulator`."""
 
     def __init__(
         self,
@@ -100,13 +69,7 @@ class GrblController:
         self.power_cycle()
 
     def receive(self, data: bytes) -> None:
-        """Take bytes from the line; real-time commands are obeyed at once.
-
-        Parameters
-        ----------
-        data : bytes
-            As the program sent them; what does not fit in the receive buffer is lost.
-        """
+        """Take bytes from the line; real-time commands are obeyed at once."""
         for byte in data:
             self._advance()
             match byte:
@@ -125,13 +88,7 @@ class GrblController:
             self._read_lines()
 
     def poll(self) -> bytes:
-        """Advance to the present time and return what there is to send.
-
-        Returns
-        -------
-        bytes
-            Whole lines; may be empty.
-        """
+        """Advance to the present time and return what there is to send."""
         self._advance()
         self._read_lines()
         output = bytes(self._output)

@@ -16,57 +16,25 @@ class Rail:
     """The mechanics, which the controller does not know.
 
     Lengths count from the home switch, away from it.
-
-    Attributes
-    ----------
-    axis : int
-        The rail's axis of the machine: 0, 1 or 2.
-    length_mm : float
-        Position of the far end stop in mm; the near one is 1 mm behind the switch.
-    start_mm : float
-        Position of the carriage at first in mm.
     """
 
-    axis: int = 0
-    length_mm: float = 205.0
-    start_mm: float = 42.0
+    axis: int = 0  # the rail's axis of the machine: 0, 1 or 2
+    length_mm: float = 205.0  # position of the far end stop in mm; the near one is 1 mm behind the switch
+    start_mm: float = 42.0  # position of the carriage at first in mm
 
     def clamp(self, mm: float) -> float:
-        """Limit a position of the carriage to the range between the end stops.
-
-        Parameters
-        ----------
-        mm : float
-            Position to which it is pushed, in mm.
-
-        Returns
-        -------
-        float
-            Position that it reaches, in mm.
-        """
+        """Limit a position of the carriage to the range between the end stops."""
         return min(max(mm, -1.0), self.length_mm)
 
 
 @dataclass(frozen=True)
 class Motion:
-    """One move under way.
+    """One move under way."""
 
-    Attributes
-    ----------
-    origin : AxisPositions
-        Machine position in mm where it began.
-    target : AxisPositions
-        Machine position in mm where it ends.
-    ramp : Ramp or Brake
-        Its speed over time.
-    began_s : float
-        Time in s when it began.
-    """
-
-    origin: AxisPositions
-    target: AxisPositions
-    ramp: Ramp | Brake
-    began_s: float
+    origin: AxisPositions  # machine position in mm where it began
+    target: AxisPositions  # machine position in mm where it ends
+    ramp: Ramp | Brake  # its speed over time
+    began_s: float  # time in s when it began
 
     @property
     def ends_s(self) -> float:
@@ -74,35 +42,13 @@ class Motion:
         return self.began_s + self.ramp.duration_s
 
     def position_after(self, travelled_mm: float) -> AxisPositions:
-        """Return the position at a distance from the origin.
-
-        Parameters
-        ----------
-        travelled_mm : float
-            Distance along the line in mm.
-
-        Returns
-        -------
-        AxisPositions
-            Machine position in mm.
-        """
+        """Return the position at a distance from the origin."""
         share = travelled_mm / self.ramp.distance_mm
         x, y, z = (a + share * (b - a) for a, b in zip(self.origin, self.target, strict=True))
         return x, y, z
 
     def position_at(self, now: float) -> AxisPositions:
-        """Return the position at a time.
-
-        Parameters
-        ----------
-        now : float
-            Time in s, not before it began.
-
-        Returns
-        -------
-        AxisPositions
-            Machine position in mm.
-        """
+        """Return the position at a time."""
         return (
             self.target
             if now >= self.ends_s
@@ -111,26 +57,7 @@ class Motion:
 
 
 class Drive:
-    """Counts steps as a controller does; the carriage follows as far as the rail lets it.
-
-    Parameters
-    ----------
-    settings : GrblSettings
-        Of the controller.
-    rail : Rail
-        The mechanics.
-
-    Attributes
-    ----------
-    carriage_mm : float
-        True position of the carriage in mm, from the switch.
-    switch_works : bool
-        Set to False for a switch that never closes.
-    switch_sticks : bool
-        Set to True for a switch that never opens.
-    motion : Motion or None
-        The move under way.
-    """
+    """Counts steps as a controller does; the carriage follows as far as the rail lets it."""
 
     def __init__(self, settings: GrblSettings, rail: Rail) -> None:
         self._settings, self._rail = settings, rail
@@ -161,37 +88,15 @@ class Drive:
         self.motion, self._steps = None, [0, 0, 0]
 
     def lose_steps(self, mm: float) -> None:
-        """Shift the carriage against the motor, as lost steps do.
-
-        Parameters
-        ----------
-        mm : float
-            Shift in mm, away from the switch.
-        """
+        """Shift the carriage against the motor, as lost steps do."""
         self.carriage_mm = self._rail.clamp(self.carriage_mm + mm)
 
     def call_at(self, mm: float, action: Callable[[], None]) -> None:
-        """Call a function once, when a motion passes a position.
-
-        Parameters
-        ----------
-        mm : float
-            Machine position in mm on the rail's axis.
-        action : callable
-            Takes no arguments.
-        """
+        """Call a function once, when a motion passes a position."""
         self._crossings.append((mm, action))
 
     def begin(self, move: Move, at_s: float) -> None:
-        """Start a move; a move of no length is left out.
-
-        Parameters
-        ----------
-        move : Move
-            Target and rate.
-        at_s : float
-            Time in s when it begins.
-        """
+        """Start a move; a move of no length is left out."""
         ways = [abs(b - a) for a, b in zip(self.position, move.target, strict=True)]
         length = math.dist(self.position, move.target)
         if length == 0.0:
@@ -203,18 +108,7 @@ class Drive:
         self.motion = Motion(self.position, move.target, ramp, at_s)
 
     def brake(self, now: float) -> Move | None:
-        """Slow the present move down to rest.
-
-        Parameters
-        ----------
-        now : float
-            Present time in s.
-
-        Returns
-        -------
-        Move or None
-            The rest of the move; None if there is none.
-        """
+        """Slow the present move down to rest."""
         motion = self.motion
         if motion is None or not isinstance(motion.ramp, Ramp):
             return None
@@ -228,18 +122,7 @@ class Drive:
         return Move(motion.target, ramp.rate_mm_s) if gone < ramp.distance_mm else None
 
     def update(self, now: float) -> bool:
-        """Move steps and carriage to where the present motion is.
-
-        Parameters
-        ----------
-        now : float
-            Present time in s.
-
-        Returns
-        -------
-        bool
-            True if that has just closed the home switch.
-        """
+        """Move steps and carriage to where the present motion is."""
         assert self.motion is not None
         before, free = self.position[self.axis], not self.switch_pressed
         target = self.motion.position_at(now)
@@ -250,33 +133,13 @@ class Drive:
         return free and self.switch_pressed
 
     def speed_mm_s(self, now: float) -> float:
-        """Return the present speed.
-
-        Parameters
-        ----------
-        now : float
-            Present time in s.
-
-        Returns
-        -------
-        float
-            Speed in mm/s, 0 at rest.
-        """
+        """Return the present speed."""
         return self.motion.ramp.speed_mm_s(now - self.motion.began_s) if self.motion else 0.0
 
     def homing_cycle(self) -> tuple[float, float, int | None]:
         """Predict a homing cycle from the present position.
 
         It consists of search, pull-off, slow approach and a pull-off, with a pause after each ($24 to $27).
-
-        Returns
-        -------
-        duration_s : float
-            How long it takes in s.
-        carriage_mm : float
-            Where it leaves the carriage, in mm from the switch.
-        alarm : int or None
-            Number of the alarm by which it fails; None if it succeeds.
         """
         pull_off, seek, slow = self._settings[27], self._settings[25] / 60, self._settings[24] / 60
         search, way = 1.5 * self._settings.travel_mm(self.axis), max(0.0, self.carriage_mm)
@@ -292,15 +155,7 @@ class Drive:
         return self._legs(legs), pull_off, None
 
     def set_home(self, carriage_mm: float, at_zero: bool) -> None:
-        """End a homing cycle: the position becomes known.
-
-        Parameters
-        ----------
-        carriage_mm : float
-            Where the cycle leaves the carriage, in mm from the switch.
-        at_zero : bool
-            Whether the machine position becomes 0, at whichever end the switch is.
-        """
+        """End a homing cycle: the position becomes known."""
         down = self._settings.homes_down(self.axis)
         switch = -self._settings.travel_mm(self.axis) if down else 0.0
         home = 0.0 if at_zero else switch + self._away * self._settings[27]

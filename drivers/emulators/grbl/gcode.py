@@ -34,18 +34,7 @@ _WORD = re.compile(rf"([A-Z])({NUMBER})?")
 
 
 class GcodeError(Exception):
-    """A line that is not executed.
-
-    Parameters
-    ----------
-    code : int
-        GRBL's number for the reason.
-
-    Attributes
-    ----------
-    code : int
-        As given.
-    """
+    """A line that is not executed."""
 
     def __init__(self, code: int) -> None:
         super().__init__(f"error:{code}")
@@ -54,47 +43,25 @@ class GcodeError(Exception):
 
 @dataclass(frozen=True)
 class Move:
-    """A straight move.
+    """A straight move."""
 
-    Attributes
-    ----------
-    target : AxisPositions
-        Machine position in mm.
-    rate_mm_s : float or None
-        Speed in mm/s; None for the greatest possible.
-    """
-
-    target: AxisPositions
-    rate_mm_s: float | None
+    target: AxisPositions  # machine position in mm
+    rate_mm_s: float | None  # speed in mm/s; None for the greatest possible
 
 
 @dataclass(frozen=True)
 class Dwell:
-    """A pause after all motion has ended.
+    """A pause after all motion has ended."""
 
-    Attributes
-    ----------
-    seconds : float
-        Its length in s.
-    """
-
-    seconds: float
+    seconds: float  # its length in s
 
 
 @dataclass
 class GcodeBlock:
-    """The words of one line.
+    """The words of one line."""
 
-    Attributes
-    ----------
-    commands : dict of str to float
-        G codes by modal group.
-    values : dict of str to float
-        Values of the other words by letter.
-    """
-
-    commands: dict[str, float] = field(default_factory=dict)
-    values: dict[str, float] = field(default_factory=dict)
+    commands: dict[str, float] = field(default_factory=dict)  # G codes by modal group
+    values: dict[str, float] = field(default_factory=dict)  # values of the other words by letter
 
     @property
     def has_axes(self) -> bool:
@@ -103,23 +70,7 @@ class GcodeBlock:
 
 
 def read_block(line: str) -> GcodeBlock:
-    """Split a line into words.
-
-    Parameters
-    ----------
-    line : str
-        Without blanks, in capitals.
-
-    Returns
-    -------
-    GcodeBlock
-        Its words.
-
-    Raises
-    ------
-    GcodeError
-        A word is malformed, unsupported, repeated or negative where it must not be.
-    """
+    """Split a line into words."""
     block, at = GcodeBlock(), 0
     while at < len(line):
         found = _WORD.match(line, at)
@@ -150,25 +101,7 @@ def _add(block: GcodeBlock, letter: str, value: float) -> None:
 
 
 class Interpreter:
-    """The modal state from one line to the next, and the work coordinate systems.
-
-    Attributes
-    ----------
-    systems : list of AxisPositions
-        Machine position in mm of the zero of each work coordinate system; a reset keeps them.
-    motion : float
-        G code of the motion mode, 0 or 1.
-    inches : bool
-        Whether lengths are in inches.
-    relative : bool
-        Whether positions are relative to the present one.
-    system : int
-        Index of the work coordinate system in use.
-    feed_mm_s : float or None
-        Feed rate in mm/s; None before the first.
-    shift : AxisPositions
-        Offset by G92 in mm; a reset clears it.
-    """
+    """The modal state from one line to the next, and the work coordinate systems."""
 
     def __init__(self) -> None:
         self.systems = [ORIGIN] * len(SYSTEMS)
@@ -187,13 +120,7 @@ class Interpreter:
         return x, y, z
 
     def modes(self) -> str:
-        """Compose the answer to `$G`.
-
-        Returns
-        -------
-        str
-            The line without its end.
-        """
+        """Compose the answer to `$G`."""
         words = [
             self.motion,
             SYSTEMS[self.system],
@@ -206,25 +133,7 @@ class Interpreter:
         return f"[GC:{' '.join(f'G{word:g}' for word in words)} M5 M9 T0 F{feed:.0f} S0]"
 
     def execute(self, line: str, here: AxisPositions) -> Move | Dwell | None:
-        """Interpret a line of G-code.
-
-        Parameters
-        ----------
-        line : str
-            Without blanks, in capitals.
-        here : AxisPositions
-            Machine position in mm where the motion before it ends.
-
-        Returns
-        -------
-        Move, Dwell or None
-            What it orders; None if it only changes modes or offsets.
-
-        Raises
-        ------
-        GcodeError
-            The line is refused, and has changed nothing.
-        """
+        """Interpret a line of G-code."""
         block = read_block(line)
         once = block.commands.get("once")
         if once == 4.0 and "P" not in block.values:
@@ -251,25 +160,7 @@ class Interpreter:
         return Move(self._target(block, here, self.relative), feed if motion == 1.0 else None)
 
     def jog(self, line: str, here: AxisPositions) -> Move:
-        """Interpret a jog command; its modes hold for this line alone.
-
-        Parameters
-        ----------
-        line : str
-            What follows `$J=`, without blanks, in capitals.
-        here : AxisPositions
-            Machine position in mm where the motion before it ends.
-
-        Returns
-        -------
-        Move
-            What it orders.
-
-        Raises
-        ------
-        GcodeError
-            The line is refused.
-        """
+        """Interpret a jog command; its modes hold for this line alone."""
         block = read_block(line)
         absolute = block.commands.pop("once", None)
         if absolute not in (None, 53.0) or not block.commands.keys() <= _IN_A_JOG:

@@ -8,21 +8,11 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Ramp:
-    """A motion along a line from rest to rest: it accelerates, keeps its speed, and decelerates.
+    """A motion along a line from rest to rest: it accelerates, keeps its speed, and decelerates."""
 
-    Attributes
-    ----------
-    distance_mm : float
-        Length in mm, 0 or more.
-    rate_mm_s : float
-        Greatest speed in mm/s, above 0.
-    acceleration_mm_s2 : float
-        Acceleration and deceleration in mm/s², above 0.
-    """
-
-    distance_mm: float
-    rate_mm_s: float
-    acceleration_mm_s2: float
+    distance_mm: float  # length in mm, 0 or more
+    rate_mm_s: float  # greatest speed in mm/s, above 0
+    acceleration_mm_s2: float  # acceleration and deceleration in mm/s², above 0
 
     @property
     def peak_mm_s(self) -> float:
@@ -37,18 +27,7 @@ class Ramp:
         return self.distance_mm / self.peak_mm_s + self.peak_mm_s / self.acceleration_mm_s2
 
     def travelled_mm(self, t_s: float) -> float:
-        """Return the distance after a time.
-
-        Parameters
-        ----------
-        t_s : float
-            Time since the start in s.
-
-        Returns
-        -------
-        float
-            Distance in mm.
-        """
+        """Return the distance after a time."""
         if t_s >= self.duration_s:
             return self.distance_mm
         a, up_s = self.acceleration_mm_s2, self.peak_mm_s / self.acceleration_mm_s2
@@ -59,34 +38,12 @@ class Ramp:
         return self.distance_mm - a * (self.duration_s - t_s) ** 2 / 2
 
     def speed_mm_s(self, t_s: float) -> float:
-        """Return the speed after a time.
-
-        Parameters
-        ----------
-        t_s : float
-            Time since the start in s.
-
-        Returns
-        -------
-        float
-            Speed in mm/s.
-        """
+        """Return the speed after a time."""
         a = self.acceleration_mm_s2
         return max(0.0, min(self.peak_mm_s, a * t_s, a * (self.duration_s - t_s)))
 
     def time_to_reach_s(self, mm: float) -> float:
-        """Return when a distance is reached: the inverse of `travelled_mm`.
-
-        Parameters
-        ----------
-        mm : float
-            Distance in mm, 0 … distance_mm.
-
-        Returns
-        -------
-        float
-            Time since the start in s.
-        """
+        """Return when a distance is reached: the inverse of `travelled_mm`."""
         a, up_mm = self.acceleration_mm_s2, self.peak_mm_s**2 / (2 * self.acceleration_mm_s2)
         if mm <= up_mm:
             return math.sqrt(2 * mm / a)
@@ -97,18 +54,10 @@ class Ramp:
 
 @dataclass(frozen=True)
 class Brake:
-    """A deceleration to rest.
+    """A deceleration to rest."""
 
-    Attributes
-    ----------
-    from_mm_s : float
-        Speed at its beginning in mm/s.
-    acceleration_mm_s2 : float
-        Deceleration in mm/s².
-    """
-
-    from_mm_s: float
-    acceleration_mm_s2: float
+    from_mm_s: float  # speed at its beginning in mm/s
+    acceleration_mm_s2: float  # deceleration in mm/s²
 
     @property
     def distance_mm(self) -> float:
@@ -121,32 +70,10 @@ class Brake:
         return self.from_mm_s / self.acceleration_mm_s2
 
     def travelled_mm(self, t_s: float) -> float:
-        """Return the distance after a time.
-
-        Parameters
-        ----------
-        t_s : float
-            Time since the beginning in s.
-
-        Returns
-        -------
-        float
-            Distance in mm.
-        """
+        """Return the distance after a time."""
         t_s = min(t_s, self.duration_s)
         return self.from_mm_s * t_s - self.acceleration_mm_s2 * t_s**2 / 2
 
     def speed_mm_s(self, t_s: float) -> float:
-        """Return the speed after a time.
-
-        Parameters
-        ----------
-        t_s : float
-            Time since the beginning in s.
-
-        Returns
-        -------
-        float
-            Speed in mm/s.
-        """
+        """Return the speed after a time."""
         return max(0.0, self.from_mm_s - self.acceleration_mm_s2 * t_s)

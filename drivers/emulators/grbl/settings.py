@@ -24,30 +24,13 @@ class GrblSettings(dict[int, float]):
     """Settings by number, and what they mean for one axis, 0 … 2."""
 
     def report_lines(self) -> list[str]:
-        """Compose the answer to `$$`.
-
-        Returns
-        -------
-        list of str
-            One line per setting, without line ends.
-        """
+        """Compose the answer to `$$`."""
         return [
             f"${n}={value:.3f}" if n in _WITH_DECIMALS else f"${n}={value:.0f}" for n, value in self.items()
         ]
 
     def assign(self, line: str) -> None:
-        """Execute `$x=value`.
-
-        Parameters
-        ----------
-        line : str
-            Without blanks, in capitals.
-
-        Raises
-        ------
-        GcodeError
-            There is no such setting, or it cannot have that value.
-        """
+        """Execute `$x=value`."""
         name, equals, text = line[1:].partition("=")
         if not name.isdecimal() or not equals:
             raise GcodeError(3)
@@ -67,91 +50,25 @@ class GrblSettings(dict[int, float]):
         self[number] = value if number in _WITH_DECIMALS or number in (30, 31) else math.trunc(value)
 
     def flag(self, number: int) -> bool:
-        """Return whether a setting is on.
-
-        Parameters
-        ----------
-        number : int
-            Of the setting.
-
-        Returns
-        -------
-        bool
-            True for any value but 0.
-        """
+        """Return whether a setting is on."""
         return bool(self[number])
 
     def homes_down(self, axis: int) -> bool:
-        """Return whether the home switch is at the negative end of an axis ($23).
-
-        Parameters
-        ----------
-        axis : int
-            0, 1 or 2.
-
-        Returns
-        -------
-        bool
-            False for the positive end.
-        """
+        """Return whether the home switch is at the negative end of an axis ($23)."""
         return bool(int(self[23]) >> axis & 1)
 
     def steps_per_mm(self, axis: int) -> float:
-        """Return the resolution of an axis ($100 … $102).
-
-        Parameters
-        ----------
-        axis : int
-            0, 1 or 2.
-
-        Returns
-        -------
-        float
-            Steps per mm.
-        """
+        """Return the resolution of an axis ($100 … $102)."""
         return self[100 + axis]
 
     def rate_mm_s(self, axis: int) -> float:
-        """Return the greatest speed of an axis ($110 … $112, which are in mm/min).
-
-        Parameters
-        ----------
-        axis : int
-            0, 1 or 2.
-
-        Returns
-        -------
-        float
-            Speed in mm/s.
-        """
+        """Return the greatest speed of an axis ($110 … $112, which are in mm/min)."""
         return self[110 + axis] / 60
 
     def acceleration_mm_s2(self, axis: int) -> float:
-        """Return the greatest acceleration of an axis ($120 … $122).
-
-        Parameters
-        ----------
-        axis : int
-            0, 1 or 2.
-
-        Returns
-        -------
-        float
-            Acceleration in mm/s².
-        """
+        """Return the greatest acceleration of an axis ($120 … $122)."""
         return self[120 + axis]
 
     def travel_mm(self, axis: int) -> float:
-        """Return the greatest travel of an axis ($130 … $132).
-
-        Parameters
-        ----------
-        axis : int
-            0, 1 or 2.
-
-        Returns
-        -------
-        float
-            Travel in mm.
-        """
+        """Return the greatest travel of an axis ($130 … $132)."""
         return self[130 + axis]

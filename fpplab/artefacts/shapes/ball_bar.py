@@ -26,39 +26,19 @@ POST_CORNERS = 64
 
 @dataclass(frozen=True)
 class BallBar(Artefact):
-    """Two equal spheres on posts that stand on a bar; the spheres' centres lie at x = ± spacing / 2, y = 0.
-
-    Attributes
-    ----------
-    diameter : float
-        Of the spheres, in mm.
-    spacing : float
-        Distance between the spheres' centres in mm.
-    bar : tuple of float
-        Length, width and thickness of the bar in mm.
-    clearance : float
-        Distance between the bar's upper face and the spheres in mm.
-    post : float
-        Diameter of the posts in mm.
-    """
+    """Two equal spheres on posts on a bar; their centres lie at x = ± spacing / 2, y = 0."""
 
     is_standard: ClassVar[bool] = True
     order: ClassVar[int] = 40
 
-    diameter: float = 20.0
-    spacing: float = 70.0
-    bar: tuple[float, float, float] = (100.0, 24.0, 5.0)
-    clearance: float = 4.0
-    post: float = 8.0
+    diameter: float = 20.0  # of the spheres, in mm
+    spacing: float = 70.0  # distance between the spheres' centres in mm
+    bar: tuple[float, float, float] = (100.0, 24.0, 5.0)  # length, width and thickness of the bar in mm
+    clearance: float = 4.0  # distance between the bar's upper face and the spheres in mm
+    post: float = 8.0  # diameter of the posts in mm
 
     def check_lengths(self) -> None:
-        """Check that the spheres do not touch, and that the posts are thinner than what they join.
-
-        Raises
-        ------
-        ConfigError
-            It is not so, or the bar has not three lengths; the message names the field.
-        """
+        """Check that the spheres do not touch, and that the posts are thinner than what they join."""
         if len(self.bar) != 3:
             raise ConfigError(f"BallBar.bar: {list(self.bar)} must be length, width and thickness in mm")
         self.check_below("diameter", self.diameter, self.spacing, "the spacing")
@@ -73,24 +53,12 @@ class BallBar(Artefact):
         return np.array([[-self.spacing / 2, 0.0, height], [self.spacing / 2, 0.0, height]])
 
     def lengths(self) -> tuple[FeatureLength, ...]:
-        """List the distance between the spheres' centres.
-
-        Returns
-        -------
-        tuple of FeatureLength
-            In mm.
-        """
+        """List the distance between the spheres' centres."""
         first, second = (SphereFace(centre, self.diameter / 2) for centre in self.centres)
         return (FeatureLength("distance between sphere centres", first, second, self.spacing),)
 
     def mesh(self) -> trimesh.Trimesh:
-        """Build the surface of the body.
-
-        Returns
-        -------
-        trimesh.Trimesh
-            A single watertight body with outward normals, corners in mm.
-        """
+        """Build the surface of the body."""
         from manifold3d import Manifold
 
         from fpplab.artefacts.solids import to_trimesh

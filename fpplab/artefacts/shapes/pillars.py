@@ -27,50 +27,24 @@ PILLAR_CORNERS = 64
 
 @dataclass(frozen=True)
 class Pillars(Artefact):
-    """Round pillars on a plate, one in the middle of each cell of a grid, no two of them alike.
-
-    Attributes
-    ----------
-    plate : tuple of float
-        Size of the plate along x and y in mm.
-    thickness : float
-        Of the plate, in mm.
-    diameters : tuple of float
-        Diameter of the pillars in each column, from -x to +x, in mm.
-    heights : tuple of float
-        Height above the base of the first pillar in each row, from -y to +y, in mm.
-    climb : float
-        Height added from one column to the next, in mm.
-    """
+    """Round pillars on a plate, one in the middle of each cell of a grid, no two of them alike."""
 
     order: ClassVar[int] = 20
 
-    plate: tuple[float, float] = (90.0, 70.0)
-    thickness: float = 5.0
-    diameters: tuple[float, ...] = (6.0, 9.0, 12.0, 15.0)
-    heights: tuple[float, ...] = (9.0, 15.0, 21.0)
-    climb: float = 1.0
+    plate: tuple[float, float] = (90.0, 70.0)  # size of the plate along x and y in mm
+    thickness: float = 5.0  # of the plate, in mm
+    diameters: tuple[float, ...] = (6.0, 9.0, 12.0, 15.0)  # diameter of the pillars in each column
+    heights: tuple[float, ...] = (9.0, 15.0, 21.0)  # height above the base of the first pillar in each row
+    climb: float = 1.0  # height added from one column to the next, in mm
 
     def check_lengths(self) -> None:
-        """Check that every pillar fits into its cell and rises above the plate.
-
-        Raises
-        ------
-        ConfigError
-            It is not so; the message names the field.
-        """
+        """Check that every pillar fits into its cell and rises above the plate."""
         cell = min(self.plate[0] / len(self.diameters), self.plate[1] / len(self.heights))
         self.check_below("diameters", max(self.diameters), cell, "one cell of the plate")
         self.check_below("thickness", self.thickness, min(self.heights), "the lowest pillar")
 
     def lengths(self) -> tuple[FeatureLength, ...]:
-        """List the heights of the pillars above the plate, each by its column from -x and its row from -y.
-
-        Returns
-        -------
-        tuple of FeatureLength
-            In mm.
-        """
+        """List the heights of the pillars above the plate, each by its column from -x and its row from -y."""
         x, y = self._borders
         half = (y[1] - y[0] - max(self.diameters)) / 2  # of the strips that no pillar stands on
         strips = [(max(at - half, y[0]), min(at + half, y[-1])) for at in y]
@@ -97,13 +71,7 @@ class Pillars(Artefact):
         )
 
     def mesh(self) -> trimesh.Trimesh:
-        """Build the surface of the body.
-
-        Returns
-        -------
-        trimesh.Trimesh
-            A single watertight body with outward normals, corners in mm.
-        """
+        """Build the surface of the body."""
         x, y = self._borders
         parts = _plate_sides(x, y, self.thickness)
         for i, diameter in enumerate(self.diameters):

@@ -19,38 +19,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Pyramid(Artefact):
-    """A four-sided pyramid with a small flat top, on a plate.
-
-    Attributes
-    ----------
-    plate : tuple of float
-        Size of the plate along x and y in mm.
-    foot : tuple of float
-        Size of the pyramid's foot along x and y in mm.
-    top : tuple of float
-        Size of the flat top along x and y in mm.
-    thickness : float
-        Of the plate, in mm.
-    height : float
-        Of the top above the base, in mm.
-    """
+    """A four-sided pyramid with a small flat top, on a plate."""
 
     order: ClassVar[int] = 10
 
-    plate: tuple[float, float] = (90.0, 70.0)
-    foot: tuple[float, float] = (80.0, 60.0)
-    top: tuple[float, float] = (8.0, 6.0)
-    thickness: float = 5.0
-    height: float = 25.0
+    plate: tuple[float, float] = (90.0, 70.0)  # size of the plate along x and y in mm
+    foot: tuple[float, float] = (80.0, 60.0)  # size of the pyramid's foot along x and y in mm
+    top: tuple[float, float] = (8.0, 6.0)  # size of the flat top along x and y in mm
+    thickness: float = 5.0  # of the plate, in mm
+    height: float = 25.0  # of the top above the base, in mm
 
     def check_lengths(self) -> None:
-        """Check that top, foot and plate increase in size, and that the plate is lower than the top.
-
-        Raises
-        ------
-        ConfigError
-            It is not so; the message names the field.
-        """
+        """Check that top, foot and plate increase in size, and that the plate is lower than the top."""
         for axis in range(2):
             self.check_below("top", self.top[axis], self.foot[axis], "the foot")
             self.check_below("foot", self.foot[axis], self.plate[axis], "the plate")
@@ -60,11 +40,6 @@ class Pyramid(Artefact):
         """List the sides and diagonals of the pyramid's foot, and the height of the top above the plate.
 
         The corners of the foot are those in which two inclined faces and the plate meet.
-
-        Returns
-        -------
-        tuple of FeatureLength
-            In mm.
         """
         _, outer, foot, top = self._loops()
         around = [(k, (k + 1) % 4) for k in range(4)]
@@ -84,13 +59,7 @@ class Pyramid(Artefact):
         return (*(FeatureLength(n, corners[i], corners[j], true) for n, i, j, true in ways), height)
 
     def mesh(self) -> trimesh.Trimesh:
-        """Build the surface of the body.
-
-        Returns
-        -------
-        trimesh.Trimesh
-            A single watertight body with outward normals, corners in mm.
-        """
+        """Build the surface of the body."""
         loops = self._loops()
         walls = [strip_triangles(low, high) for low, high in pairwise(loops)]
         return closed_body([fan_triangles(loops[0][::-1]), *walls, fan_triangles(loops[-1])])

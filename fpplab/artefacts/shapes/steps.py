@@ -27,42 +27,22 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Staircase(Artefact):
-    """A staircase of equally wide treads that rises along x.
-
-    Attributes
-    ----------
-    footprint : tuple of float
-        Size along x and y in mm.
-    heights : tuple of float
-        Heights of the treads above the base, from -x to +x, in mm, each greater than the one before.
-    """
+    """A staircase of equally wide treads that rises along x."""
 
     order: ClassVar[int] = 30
 
-    footprint: tuple[float, float] = (90.0, 70.0)
-    heights: tuple[float, ...] = (5.0, 10.0, 15.0, 20.0, 25.0)
+    footprint: tuple[float, float] = (90.0, 70.0)  # size along x and y in mm
+    heights: tuple[float, ...] = (5.0, 10.0, 15.0, 20.0, 25.0)  # heights of the treads above the base
 
     def check_lengths(self) -> None:
-        """Check that the heights increase.
-
-        Raises
-        ------
-        ConfigError
-            A tread is not higher than the one before.
-        """
+        """Check that the heights increase."""
         if any(high <= low for low, high in pairwise(self.heights)):
             raise ConfigError(
                 f"{type(self).__name__}.heights: {self.heights} must rise from each tread to the next"
             )
 
     def lengths(self) -> tuple[FeatureLength, ...]:
-        """List the heights of the steps: each tread above the one before, and the highest above the lowest.
-
-        Returns
-        -------
-        tuple of FeatureLength
-            In mm.
-        """
+        """List the heights of the steps: each tread above the last, and the highest above the lowest."""
         x, half = self._edges, self.footprint[1] / 2
         treads = [
             FlatFace((raised(rectangle_corners(left, right, -half, half), height),))
@@ -83,13 +63,7 @@ class Staircase(Artefact):
         return np.linspace(-0.5, 0.5, len(self.heights) + 1) * self.footprint[0]
 
     def mesh(self) -> trimesh.Trimesh:
-        """Build the surface of the body.
-
-        Returns
-        -------
-        trimesh.Trimesh
-            A single watertight body with outward normals, corners in mm.
-        """
+        """Build the surface of the body."""
         x, half = self._edges, self.footprint[1] / 2
         floors, parts = (0.0, *self.heights[:-1]), []
         outline = [(edge, 0.0) for edge in x] + [(x[-1], self.heights[-1])]

@@ -21,23 +21,7 @@ class Bayesian(SearchMethod):
     """Candidates that are proposed and measured together."""
 
     def search(self, runner: CandidateRunner) -> str:
-        """Search until the budget is used up, or the sampler proposes nothing new.
-
-        Parameters
-        ----------
-        runner : CandidateRunner
-            Measures points of the space.
-
-        Returns
-        -------
-        str
-            Why the search ended.
-
-        Raises
-        ------
-        BudgetExhausted
-            The study's budget is used up, the usual end.
-        """
+        """Search until the budget is used up, or the sampler proposes nothing new."""
         # Imported here because optuna is slow to import, and studies are read without searching.
         import optuna
 

@@ -35,23 +35,7 @@ class Coordinate(SearchMethod):
     """Length of the last moves, as a share of a parameter's range."""
 
     def search(self, runner: CandidateRunner) -> str:
-        """Search along all parameters from the start.
-
-        Parameters
-        ----------
-        runner : CandidateRunner
-            Measures points of the space.
-
-        Returns
-        -------
-        str
-            Why the search ended.
-
-        Raises
-        ------
-        BudgetExhausted
-            The study's budget is used up before.
-        """
+        """Search along all parameters from the start."""
         return coordinate_search(runner, self)
 
 
@@ -62,31 +46,7 @@ def coordinate_search(
     free: Sequence[int] | None = None,
     rank: Callable[[MeasuredCandidate], Rank] | None = None,
 ) -> str:
-    """Search along some parameters from a candidate that was measured.
-
-    Parameters
-    ----------
-    runner : CandidateRunner
-        Measures points of the space.
-    settings : Coordinate
-        Lengths of the moves.
-    begin : MeasuredCandidate, optional
-        Where the search begins; the start of the study by default.
-    free : sequence of int, optional
-        Indices of the parameters that are searched; all by default.
-    rank : callable, optional
-        Sort key of candidates, the lower the better; that of the study by default.
-
-    Returns
-    -------
-    str
-        Why the search ended.
-
-    Raises
-    ------
-    BudgetExhausted
-        The study's budget is used up before.
-    """
+    """Search along some parameters from a candidate that was measured."""
     here, rank = begin or runner.start, rank or runner.ranking.rank
     places = range(len(runner.space.parameters)) if free is None else free
     length = settings.first

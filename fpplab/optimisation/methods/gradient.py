@@ -43,23 +43,7 @@ class Gradient(SearchMethod):
     """Epochs over which the improvement is judged."""
 
     def search(self, runner: CandidateRunner) -> str:
-        """Descend from the start.
-
-        Parameters
-        ----------
-        runner : CandidateRunner
-            Measures points of the space.
-
-        Returns
-        -------
-        str
-            Why the search ended.
-
-        Raises
-        ------
-        BudgetExhausted
-            The study's budget is used up before.
-        """
+        """Descend from the start."""
         here = runner.start
         lowest = [_objective(runner, here)]
         while True:

@@ -40,23 +40,7 @@ class Nsga2(SearchMethod):
     several_objectives: ClassVar[bool] = True
 
     def search(self, runner: CandidateRunner) -> str:
-        """Search until the Pareto front no longer changes, then refine it.
-
-        Parameters
-        ----------
-        runner : CandidateRunner
-            Measures points of the space.
-
-        Returns
-        -------
-        str
-            Why the search ended.
-
-        Raises
-        ------
-        BudgetExhausted
-            The study's budget is used up before.
-        """
+        """Search until the Pareto front no longer changes, then refine it."""
         # Imported here because optuna is slow to import, and studies are read without searching.
         import optuna
 

@@ -36,41 +36,17 @@ class Sinusoid(FringeSet):
         return self.steps
 
     def phase_shifts(self) -> Floats:
-        """Give `δ_n = 2π n/N`, by the sign of the set.
-
-        Returns
-        -------
-        ndarray of float64, (N,)
-            rad.
-        """
+        """Give `δ_n = 2π n/N`, by the sign of the set."""
+        # returns (N,)
         return self.shift_sign * phase_steps(self.steps)
 
     def wave(self, phase: Floats, step: int) -> Floats:
-        """Give `0.5 + 0.5 cos(Φ + origin - δ_n)`, which neither clips nor wastes range.
-
-        Parameters
-        ----------
-        phase : ndarray of float64
-            `2π stripes (u + 0.5)/W` in rad, any shape.
-        step : int
-            Index of the image in the set.
-
-        Returns
-        -------
-        ndarray of float64
-            Light in [0, 1], shaped as `phase`.
-        """
+        """Give `0.5 + 0.5 cos(Φ + origin - δ_n)`, which neither clips nor wastes range."""
         shifted = phase + self.phase_origin_rad - self.shift_sign * phase_steps(self.steps)[step]
         return np.asarray(0.5 + 0.5 * np.cos(shifted))
 
     def demodulation(self) -> Demodulation:
-        """Give the weights of `φ = atan2(Σ I_n sin δ_n, Σ I_n cos δ_n)`.
-
-        Returns
-        -------
-        Demodulation
-            Weights of the N images.
-        """
+        """Give the weights of `φ = atan2(Σ I_n sin δ_n, Σ I_n cos δ_n)`."""
         shift = phase_steps(self.steps)
         return Demodulation(
             sine=np.asarray(self.shift_sign * np.sin(shift), np.float64),

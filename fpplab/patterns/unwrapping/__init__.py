@@ -7,13 +7,7 @@ import_members(__name__, __path__)
 
 
 def unwrapping_methods() -> dict[str, UnwrappingMethod]:
-    """List the unwrapping methods that a plan can name.
-
-    Returns
-    -------
-    dict of str to UnwrappingMethod
-        By name.
-    """
+    """List the unwrapping methods that a plan can name."""
     return {kind.name: kind() for kind in concrete_subclasses(UnwrappingMethod)}  # type: ignore[type-abstract]
 
 

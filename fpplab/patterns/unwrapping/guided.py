@@ -24,38 +24,12 @@ class Guided(UnwrappingMethod):
     guided = True
 
     def wavelengths(self, sets: Sequence[SyntheticWavelength]) -> list[SyntheticWavelength]:
-        """Give the sets, and all their differences that are coarser.
-
-        Parameters
-        ----------
-        sets : sequence of SyntheticWavelength
-            The fringe sets of the axis, fewest stripes first.
-
-        Returns
-        -------
-        list of SyntheticWavelength
-            Fewest stripes first, every stripe count once.
-        """
+        """Give the sets, and all their differences that are coarser."""
         coarser = [d for d in differences(sets) if d.stripes < sets[0].stripes - NEGLIGIBLE]
         return [*distinct(coarser), *sets]
 
     def advice(self, stripes: Sequence[float], coarsest: float, most: float) -> str:
-        """Ask for a coarser set or a narrower range of depths.
-
-        Parameters
-        ----------
-        stripes : sequence of float
-            Of the axis' sets, fewest first.
-        coarsest : float
-            Stripes of the coarsest set or difference of sets.
-        most : float
-            Stripes that it may have.
-
-        Returns
-        -------
-        str
-            What is needed.
-        """
+        """Ask for a coarser set or a narrower range of depths."""
         return (
             f"guided unwrapping in this depth range needs a set, or a difference of two, of at most "
             f"{most:.3g} stripes, and the coarsest here is {coarsest:g}; add one or narrow the depth range"

@@ -21,18 +21,7 @@ class Heterodyne(UnwrappingMethod):
     name = "heterodyne"
 
     def wavelengths(self, sets: Sequence[SyntheticWavelength]) -> list[SyntheticWavelength]:
-        """Give the sets and their beats.
-
-        Parameters
-        ----------
-        sets : sequence of SyntheticWavelength
-            The fringe sets of the axis, fewest stripes first.
-
-        Returns
-        -------
-        list of SyntheticWavelength
-            Fewest stripes first, every stripe count once.
-        """
+        """Give the sets and their beats."""
         # Beats of sets that are no neighbours are finer, and so nearer to the coarsest set.
         found, level = [*sets, *differences(sets)], list(sets)
         while level and min(w.stripes for w in level) > 1 + NEGLIGIBLE:
@@ -43,22 +32,7 @@ class Heterodyne(UnwrappingMethod):
         return distinct(found)
 
     def advice(self, stripes: Sequence[float], coarsest: float, most: float) -> str:
-        """Ask for sets whose beats reach one stripe.
-
-        Parameters
-        ----------
-        stripes : sequence of float
-            Of the axis' sets, fewest first.
-        coarsest : float
-            Stripes of the coarsest beat.
-        most : float
-            Stripes that it may have, 1.
-
-        Returns
-        -------
-        str
-            What is needed, with an example.
-        """
+        """Ask for sets whose beats reach one stripe."""
         step = max(2, round(math.sqrt(stripes[-1])))
         finest = max(stripes[-1], 2 * step)
         return (

@@ -34,14 +34,7 @@ class CharucoLayout(SquareLayout):
     shows_mirroring: ClassVar[bool] = True
 
     def check(self) -> None:
-        """Check the board; see `BoardLayout.check`.
-
-        Raises
-        ------
-        ValueError
-            A marker does not fit into a square, the dictionary has too few markers, squares that are not
-            square, or as for every board.
-        """
+        """Check the board; see `BoardLayout.check`."""
         self.check_pitch()
         if self.marker_mm >= self.spacing_mm[0]:
             raise ValueError(f"'marker_mm' must be less than the square of {self.spacing_mm[0]:g} mm")
@@ -57,26 +50,14 @@ class CharucoLayout(SquareLayout):
         return False
 
     def model(self) -> cv2.aruco.CharucoBoard:
-        """Make OpenCV's model of the board.
-
-        Returns
-        -------
-        cv2.aruco.CharucoBoard
-            In mm; its origin is the first square's corner.
-        """
+        """Make OpenCV's model of the board."""
         squares = (self.counts[0] + 1, self.counts[1] + 1)
         name = f"DICT_{self.dictionary.upper()}"
         dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
         return cv2.aruco.CharucoBoard(squares, self.spacing_mm[0], self.marker_mm, dictionary)
 
     def shapes(self) -> Iterator[InkShape]:
-        """Draw the squares and the dark modules of the markers.
-
-        Yields
-        ------
-        InkShape
-            One rectangle per square or module of the foreground.
-        """
+        """Draw the squares and the dark modules of the markers."""
         yield from super().shapes()
         board = self.model()
         dictionary = board.getDictionary()
@@ -89,13 +70,7 @@ class CharucoLayout(SquareLayout):
                 yield InkBox(a, b, a + module, b + module)
 
     def summary(self) -> str:
-        """Describe the board for the legend of a printed page.
-
-        Returns
-        -------
-        str
-            Corners, sizes of squares and markers, and the dictionary.
-        """
+        """Describe the board for the legend of a printed page."""
         columns, rows = self.counts
         return (
             f"ChArUco board of {columns} x {rows} inner corners, squares of {self.spacing_mm[0]:g} mm, "
@@ -103,30 +78,12 @@ class CharucoLayout(SquareLayout):
         )
 
     def point_model(self) -> PointModel:
-        """Return the model of a corner.
-
-        Returns
-        -------
-        PointModel
-            In a window that the markers do not enter.
-        """
+        """Return the model of a corner."""
         return crossing_edges(0.8 * (0.5 * (self.spacing_mm[0] - self.marker_mm)))
 
     def find(self, grey: NDArray[np.uint8], level: Floats) -> Detection | None:
-        """Find as much of the board as is in the image.
-
-        Parameters
-        ----------
-        grey : NDArray[np.uint8]
-            Image (height, width), stretched to the full 8-bit range.
-        level : Floats
-            The same image as it was taken.
-
-        Returns
-        -------
-        Detection or None
-            At least six corners that are not on one line.
-        """
+        """Find as much of the board as is in the image."""
+        # grey (height, width)
         pixels, ids, _, _ = cv2.aruco.CharucoDetector(self.model()).detectBoard(grey)
         if ids is None or len(ids) < LEAST_POINTS:
             return None

@@ -28,14 +28,7 @@ class Checkerboard(SquareLayout):
     """A checkerboard; it is detected as a whole, or in part where its edge shows which part."""
 
     def check(self) -> None:
-        """Check the board; see `BoardLayout.check`.
-
-        Raises
-        ------
-        ValueError
-            As many columns as rows, fewer than three of them, squares that are not square, or as for every
-            board.
-        """
+        """Check the board; see `BoardLayout.check`."""
         self.check_counts()
         self.check_pitch()
         super().check()
@@ -46,59 +39,22 @@ class Checkerboard(SquareLayout):
         return sum(self.counts) % 2 == 0
 
     def summary(self) -> str:
-        """Describe the board for the legend of a printed page.
-
-        Returns
-        -------
-        str
-            Corners and size of the squares.
-        """
+        """Describe the board for the legend of a printed page."""
         columns, rows = self.counts
         return f"checkerboard of {columns} x {rows} inner corners, squares of {self.spacing_mm[0]:g} mm"
 
     def point_model(self) -> PointModel:
-        """Return the model of a corner.
-
-        Returns
-        -------
-        PointModel
-            In a window that the next corner's edges do not enter.
-        """
+        """Return the model of a corner."""
         return crossing_edges(0.8 * 0.5 * self.spacing_mm[0])
 
     def polarity(self, row: int, column: int) -> int:
-        """Tell a corner from its negative, which has dark and bright squares exchanged.
-
-        Parameters
-        ----------
-        row : int
-            Of the corner.
-        column : int
-            Of the corner.
-
-        Returns
-        -------
-        int
-            The opposite of its neighbours'.
-        """
+        """Tell a corner from its negative, which has dark and bright squares exchanged."""
         sign = super().polarity(row, column)
         return sign if (row + column) % 2 == 0 else -sign
 
     def find(self, grey: NDArray[np.uint8], level: Floats) -> Detection | None:
-        """Find the whole board.
-
-        Parameters
-        ----------
-        grey : NDArray[np.uint8]
-            Image (height, width), stretched to the full 8-bit range.
-        level : Floats
-            The same image as it was taken.
-
-        Returns
-        -------
-        Detection or None
-            All corners; None when they are not there.
-        """
+        """Find the whole board."""
+        # grey (height, width)
         pixels = self._corners(grey)
         if pixels is None:
             return None
@@ -128,18 +84,8 @@ class Checkerboard(SquareLayout):
         return np.asarray(cv2.cornerSubPix(grey, found, (half, half), (-1, -1), end), np.float64)[:, 0]
 
     def find_patch(self, grey: NDArray[np.uint8]) -> GridPatch | None:
-        """Find the largest grid of corners that OpenCV detects.
-
-        Parameters
-        ----------
-        grey : NDArray[np.uint8]
-            Image (height, width), stretched to the full 8-bit range.
-
-        Returns
-        -------
-        GridPatch or None
-            Of at least 3 x 3 corners.
-        """
+        """Find the largest grid of corners that OpenCV detects."""
+        # grey (height, width)
         flags = FINDER_FLAGS | cv2.CALIB_CB_LARGER
         found, pixels, meta = cv2.findChessboardCornersSBWithMeta(grey, (3, 3), flags)
         if not found:

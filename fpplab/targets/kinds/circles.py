@@ -32,13 +32,7 @@ class CircleGrid(BoardLayout):
     """Diameter of the circles in mm."""
 
     def check(self) -> None:
-        """Check the board; see `BoardLayout.check`.
-
-        Raises
-        ------
-        ValueError
-            As many columns as rows, fewer than three of them, circles that touch, or as for every board.
-        """
+        """Check the board; see `BoardLayout.check`."""
         self.check_counts()
         super().check()
         gaps = np.linalg.norm(self.points()[:, None] - self.points()[None], axis=-1)
@@ -49,33 +43,15 @@ class CircleGrid(BoardLayout):
             )
 
     def offsets(self, column: Floats, row: Floats) -> Floats:
-        """Place columns and rows of the grid; see `BoardLayout.offsets`.
-
-        Parameters
-        ----------
-        column : Floats
-            Whole numbers.
-        row : Floats
-            Whole numbers of the same shape.
-
-        Returns
-        -------
-        Floats
-            (..., 2) in mm; odd columns of a staggered grid half a pitch lower.
-        """
+        """Place columns and rows of the grid; see `BoardLayout.offsets`."""
+        # returns (..., 2) mm
         placed = super().offsets(column, row)
         if self.staggered:
             placed[..., 1] += 0.5 * self.spacing_mm[1] * (column % 2)
         return placed
 
     def lattice(self) -> PointLattice:
-        """Describe the points as places of a lattice.
-
-        Returns
-        -------
-        PointLattice
-            Of a staggered grid the steps are half a pitch along y, and the basis is diagonal.
-        """
+        """Describe the points as places of a lattice."""
         if not self.staggered:
             return super().lattice()
         columns, rows = self.counts
@@ -89,34 +65,17 @@ class CircleGrid(BoardLayout):
         return not self.staggered or self.counts[0] % 2 == 0
 
     def reach(self) -> Floats:
-        """Compute how far the circles extend beyond their centres, with the rim that they need.
-
-        Returns
-        -------
-        Floats
-            (2,) along x and y in mm.
-        """
+        """Compute how far the circles extend beyond their centres, with the rim that they need."""
+        # returns (2,) mm
         return np.full(2, (0.5 + RIM) * self.diameter_mm)
 
     def shapes(self) -> Iterator[InkShape]:
-        """Draw the circles.
-
-        Yields
-        ------
-        InkShape
-            A disc per point.
-        """
+        """Draw the circles."""
         for x, y in self.points()[:, :2]:
             yield InkDisc(x, y, self.diameter_mm / 2)
 
     def summary(self) -> str:
-        """Describe the board for the legend of a printed page.
-
-        Returns
-        -------
-        str
-            Number, diameter and pitch of the circles.
-        """
+        """Describe the board for the legend of a printed page."""
         (columns, rows), (x, y) = self.counts, self.spacing_mm
         return (
             f"{columns} x {rows} circles of {self.diameter_mm:g} mm, "
@@ -124,31 +83,13 @@ class CircleGrid(BoardLayout):
         )
 
     def point_model(self) -> PointModel:
-        """Return the model of a circle.
-
-        Returns
-        -------
-        PointModel
-            In a window that holds most of the background that is the circle's alone.
-        """
+        """Return the model of a circle."""
         radius = self.diameter_mm / 2
         return disc(radius, radius + 0.8 * self._clear_rim())
 
     def find(self, grey: NDArray[np.uint8], level: Floats) -> Detection | None:
-        """Find the whole board.
-
-        Parameters
-        ----------
-        grey : NDArray[np.uint8]
-            Image (height, width), stretched to the full 8-bit range.
-        level : Floats
-            The same image as it was taken.
-
-        Returns
-        -------
-        Detection or None
-            All circles; None when they are not there.
-        """
+        """Find the whole board."""
+        # grey (height, width)
         detector = self._blob_detector(grey)
         columns, rows = self.counts
         kind = cv2.CALIB_CB_ASYMMETRIC_GRID if self.staggered else cv2.CALIB_CB_SYMMETRIC_GRID
@@ -161,34 +102,13 @@ class CircleGrid(BoardLayout):
         return None
 
     def find_patch(self, grey: NDArray[np.uint8]) -> GridPatch | None:
-        """Find the largest lattice that dark or bright blobs form.
-
-        Parameters
-        ----------
-        grey : NDArray[np.uint8]
-            Image (height, width), stretched to the full 8-bit range.
-
-        Returns
-        -------
-        GridPatch or None
-            Of blobs in both directions.
-        """
+        """Find the largest lattice that dark or bright blobs form."""
+        # grey (height, width)
         blobs = self._blob_detector(grey).detect(grey)
         return patch_of_blobs(np.array([blob.pt for blob in blobs], np.float64).reshape(-1, 2))
 
     def corrected(self, found: Detection) -> Detection:
-        """Compute the images of the circles' centres from the centres of their ellipses.
-
-        Parameters
-        ----------
-        found : Detection
-            Centres of the ellipses.
-
-        Returns
-        -------
-        Detection
-            Images of the centres.
-        """
+        """Compute the images of the circles' centres from the centres of their ellipses."""
         centres = found
         for _ in range(2):  # the homography is first that of the ellipses' centres, then the corrected one
             centres = Detection(found.ids, found.pixels - self.eccentricity(centres))
@@ -204,21 +124,8 @@ class CircleGrid(BoardLayout):
 
         Only the camera sees ellipses. The projector's coordinates of a point are those of the decoded
         maps at the corrected centre.
-
-        Parameters
-        ----------
-        found : Detection
-            Images of the circles' centres, as well as they are known.
-
-        Returns
-        -------
-        Floats
-            (K, 2) in px.
-
-        References
-        ----------
-        Heikkilä, "Geometric camera calibration using circular control points", 2000.
         """
+        # returns (K, 2) px
         matrix = homography(self, found)
         circles = self.points()[found.ids, :2]
         duals = np.stack([_dual_circle(circle, self.diameter_mm / 2) for circle in circles])
@@ -226,15 +133,7 @@ class CircleGrid(BoardLayout):
         return np.asarray(seen[:, :2, 2] / seen[:, 2:, 2] - apply_homography(matrix, circles))
 
     def confusable(self) -> Iterator[tuple[str, dict[str, Any]]]:
-        """List the one field that is easily described wrongly, `staggered`.
-
-        Yields
-        ------
-        words : str
-            How the real board differs and what the field should be.
-        changes : dict[str, Any]
-            The field with its other value.
-        """
+        """List the one field that is easily described wrongly, `staggered`."""
         other = not self.staggered
         words = "lower by half a pitch in its odd columns" if other else "without a shift of odd columns"
         yield f"{words}: 'staggered' should be {str(other).lower()}", {"staggered": other}

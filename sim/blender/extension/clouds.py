@@ -16,18 +16,7 @@ COLOURS = "Col"
 
 
 def import_cloud(path: str) -> Any:
-    """Add the points of a PLY file to the scene of the window, where they were measured.
-
-    Parameters
-    ----------
-    path : str
-        A file of `fpplab compare --out`, in mm in the camera's frame, which is the scene's.
-
-    Returns
-    -------
-    bpy.types.Object
-        The points: a mesh without faces, drawn as spheres.
-    """
+    """Add the points of a PLY file to the scene of the window, where they were measured."""
     bpy.ops.wm.ply_import(filepath=path, forward_axis="Y", up_axis="Z", import_attributes=True)
     cloud = bpy.context.view_layer.objects.active
     material = _coloured()

@@ -21,31 +21,14 @@ _PREVIOUS = "fpplab_previous"
 
 
 def all_data() -> dict[int, Any]:
-    """List every data-block of the open file.
-
-    Returns
-    -------
-    dict of int to bpy.types.ID
-        By the number that Blender gives each for the session.
-    """
+    """List every data-block of the open file."""
     kinds = (p.identifier for p in bpy.data.bl_rna.properties if p.type == "COLLECTION")
     return {one.session_uid: one for kind in kinds for one in getattr(bpy.data, kind)}
 
 
 @contextmanager
 def tagged(owner: str) -> Iterator[None]:
-    """Tag all data that is made within.
-
-    Parameters
-    ----------
-    owner : str
-        What it belongs to.
-
-    Yields
-    ------
-    None
-        While it is made.
-    """
+    """Tag all data that is made within."""
     before = set(all_data())
     try:
         yield
@@ -56,13 +39,7 @@ def tagged(owner: str) -> Iterator[None]:
 
 
 def rig_scene() -> Any:
-    """Give the extension's scene.
-
-    Returns
-    -------
-    bpy.types.Scene or None
-        None where no rig is shown.
-    """
+    """Give the extension's scene."""
     return next((scene for scene in bpy.data.scenes if scene.get(TAG) == SCENE), None)
 
 
@@ -70,11 +47,6 @@ def enter_rig_scene() -> Any:
     """Make the extension's scene unless it is there, and switch the window to it.
 
     The scenes of the file keep their settings like that.
-
-    Returns
-    -------
-    bpy.types.Scene
-        The extension's scene.
     """
     scene, window = rig_scene(), bpy.context.window
     if scene is None:
@@ -87,13 +59,7 @@ def enter_rig_scene() -> Any:
 
 
 def remove(*owners: str) -> None:
-    """Remove tagged data, but not the scene.
-
-    Parameters
-    ----------
-    *owners : str
-        What it belongs to.
-    """
+    """Remove tagged data, but not the scene."""
     bpy.data.batch_remove([one for one in all_data().values() if one.get(TAG) in owners])
 
 

@@ -26,18 +26,6 @@ class Job:
 
     Its temporary files, and those of the processes that it starts, are in a folder of its own, which `close`
     removes.
-
-    Parameters
-    ----------
-    interpreter : str
-        Python that has fpplab.
-    arguments : list of str
-        The command and its options; `{folder}` stands for the job's folder.
-
-    Raises
-    ------
-    JobFailedError
-        The interpreter cannot be started.
     """
 
     def __init__(self, interpreter: str, arguments: list[str]) -> None:
@@ -67,13 +55,7 @@ class Job:
         return self.folder / "stderr"
 
     def is_done(self) -> bool:
-        """Tell whether the command has ended.
-
-        Returns
-        -------
-        bool
-            Whether `answer` can be asked for.
-        """
+        """Tell whether the command has ended."""
         return self._process.poll() is not None
 
     def wait(self) -> None:
@@ -81,29 +63,12 @@ class Job:
         self._process.wait()
 
     def last_words(self) -> str:
-        """Give the last line that the command said about its progress.
-
-        Returns
-        -------
-        str
-            Empty where it has said nothing.
-        """
+        """Give the last line that the command said about its progress."""
         lines = self._err.read_text(encoding="utf-8", errors="replace").split("\n")
         return next((line.strip() for line in reversed(lines) if line.strip()), "")
 
     def answer(self) -> dict[str, Any]:
-        """Give the result of the command, which has ended.
-
-        Returns
-        -------
-        dict
-            By the keys of its JSON.
-
-        Raises
-        ------
-        JobFailedError
-            The command failed; says why in its own words.
-        """
+        """Give the result of the command, which has ended."""
         try:
             found = json.loads(self._out.read_text(encoding="utf-8"))
         except ValueError:

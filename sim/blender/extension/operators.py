@@ -118,33 +118,11 @@ class TakePicture(bpy.types.Operator):  # type: ignore[misc]
 
     @classmethod
     def poll(cls, context: Any) -> bool:
-        """Tell whether a rig is shown.
-
-        Parameters
-        ----------
-        context : bpy.types.Context
-            Of Blender.
-
-        Returns
-        -------
-        bool
-            Whether the operator can run.
-        """
+        """Tell whether a rig is shown."""
         return shown_preview() is not None and data.rig_scene() is not None
 
     def execute(self, context: Any) -> OperatorResult:
-        """Render, and show the picture as an image; save it where the panel names a file.
-
-        Parameters
-        ----------
-        context : bpy.types.Context
-            Of Blender.
-
-        Returns
-        -------
-        set of str
-            FINISHED or CANCELLED.
-        """
+        """Render, and show the picture as an image; save it where the panel names a file."""
         preview, stage = shown_preview(), data.rig_scene()
         assert preview is not None
         data.remove(data.PICTURE)
@@ -225,18 +203,7 @@ class RemoveRig(bpy.types.Operator):  # type: ignore[misc]
     bl_label = "Remove Rig"
 
     def execute(self, context: Any) -> OperatorResult:
-        """Remove it.
-
-        Parameters
-        ----------
-        context : bpy.types.Context
-            Of Blender.
-
-        Returns
-        -------
-        set of str
-            FINISHED.
-        """
+        """Remove it."""
         data.remove_all()
         forget_shown()
         return _FINISHED

@@ -17,13 +17,7 @@ class RigPanel(bpy.types.Panel):  # type: ignore[misc]
     bl_category = "fpplab"
 
     def draw(self, context: Any) -> None:
-        """Draw the panel.
-
-        Parameters
-        ----------
-        context : bpy.types.Context
-            Of Blender.
-        """
+        """Draw the panel."""
         settings, told = settings_of(context), told_of_rig()
         shown = self._box(
             settings, "Rig", "rig", "item", "pose", "axis", "stripes", "steps", "step", "baseline", "exposure"

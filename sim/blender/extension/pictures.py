@@ -10,20 +10,8 @@ NAME = "fpplab picture"
 
 
 def show_picture(shares: NDArray[np.float32], path: str) -> None:
-    """Make an image, and save it.
-
-    Parameters
-    ----------
-    shares : ndarray of float32
-        Grey levels (height, width) over full scale.
-    path : str
-        PNG file to save it to as well; empty for none.
-
-    Raises
-    ------
-    RuntimeError
-        The file cannot be written.
-    """
+    """Make an image, and save it."""
+    # shares (height, width)
     rows, columns = shares.shape
     image = bpy.data.images.new(NAME, columns, rows, is_data=True)
     pixels = np.ones((rows, columns, 4), np.float32)

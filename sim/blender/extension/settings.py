@@ -21,38 +21,18 @@ _shown: dict[str, Any] = {}
 
 
 def remember(preview: Preview, told: dict[str, Any]) -> None:
-    """Remember what is shown, without its textures, which are in the scene.
-
-    Parameters
-    ----------
-    preview : Preview
-        What is shown.
-    told : dict
-        What `fpplab twin describe` told.
-    """
+    """Remember what is shown, without its textures, which are in the scene."""
     render = replace(preview.render, textures=np.zeros((0, 0, 0), np.float32))
     _shown.update(preview=replace(preview, render=render), told=told)
 
 
 def shown_preview() -> Preview | None:
-    """Give what is shown.
-
-    Returns
-    -------
-    Preview or None
-        Without textures; None where no rig is shown.
-    """
+    """Give what is shown."""
     return _shown.get("preview")
 
 
 def told_of_rig() -> dict[str, Any]:
-    """Give what fpplab told of the rig on show.
-
-    Returns
-    -------
-    dict
-        By the keys of `fpplab twin describe`; empty where no rig is shown.
-    """
+    """Give what fpplab told of the rig on show."""
     return dict(_shown.get("told", {}))
 
 
@@ -136,16 +116,5 @@ def detach_settings() -> None:
 
 
 def settings_of(context: Any) -> Any:
-    """Give the settings.
-
-    Parameters
-    ----------
-    context : bpy.types.Context
-        Of Blender.
-
-    Returns
-    -------
-    RigSettings
-        Those of the panel.
-    """
+    """Give the settings."""
     return context.window_manager.fpplab

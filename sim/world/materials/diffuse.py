@@ -25,13 +25,7 @@ class Diffuse(Material):
     """Random facets; None for none."""
 
     def paint(self) -> Paint:
-        """Translate into a matt base layer without a coat.
-
-        Returns
-        -------
-        Paint
-            For the Blender process.
-        """
+        """Translate into a matt base layer without a coat."""
         return Paint(
             self.reflectance,
             matt(self.roughness),

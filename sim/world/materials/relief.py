@@ -38,18 +38,7 @@ class GrainSection(Document):
 
 
 def relief_of(ridges: Ridges | None) -> scene.Relief:
-    """Translate ridges into the scene's numbers.
-
-    Parameters
-    ----------
-    ridges : Ridges or None
-        None for a surface without ridges.
-
-    Returns
-    -------
-    sim.scene.Relief
-        With an axis of length 1.
-    """
+    """Translate ridges into the scene's numbers."""
     if ridges is None:
         return scene.NO_RELIEF
     x, y, z = (np.array(ridges.axis) / np.linalg.norm(ridges.axis)).tolist()
@@ -57,16 +46,5 @@ def relief_of(ridges: Ridges | None) -> scene.Relief:
 
 
 def grain_of(grain: GrainSection | None) -> scene.Grain:
-    """Translate grain into the scene's numbers.
-
-    Parameters
-    ----------
-    grain : GrainSection or None
-        None for a surface without grain.
-
-    Returns
-    -------
-    sim.scene.Grain
-        The same slope and size.
-    """
+    """Translate grain into the scene's numbers."""
     return scene.NO_GRAIN if grain is None else scene.Grain(grain.slope, grain.size_mm)

@@ -1,0 +1,59 @@
+"""What strangers read follows numpydoc: the public names, and the classes that drivers fill in."""
+
+from __future__ import annotations
+
+import inspect
+
+import pytest
+from numpydoc.validate import validate
+
+import fpplab
+from fpplab.devices import Camera, Fixture, Projector, Stage
+
+CODES = {
+    "GL08": "no docstring",
+    "SS03": "summary without a full stop",
+    "PR01": "undocumented parameters",
+    "PR02": "parameters that do not exist",
+    "PR03": "parameters in another order",
+    "RT01": "no Returns section",
+    "YD01": "no Yields section",
+}
+CLASSES = [Camera, Fixture, Projector, Stage] + [
+    thing for name in fpplab.__all__ if inspect.isclass(thing := getattr(fpplab, name))
+]
+FUNCTIONS = [thing for name in fpplab.__all__ if inspect.isfunction(thing := getattr(fpplab, name))]
+
+
+def place(thing: object) -> str:
+    return f"{thing.__module__}.{thing.__qualname__}"  # type: ignore[attr-defined]
+
+
+def members(cls: type) -> list[str]:
+    """Public functions and properties that a class itself defines, but for those that override others."""
+    return [
+        f"{place(cls)}.{name}"
+        for name, member in vars(cls).items()
+        if isinstance(member, property | classmethod | staticmethod) or inspect.isfunction(member)
+        if not name.startswith("_") and not getattr(member, "__override__", False)
+    ]
+
+
+def errors(name: str, left_out: tuple[str, ...] = ()) -> list[str]:
+    return [
+        f"{name}: {message}"
+        for code, message in validate(name)["errors"]
+        if code in CODES and code not in left_out
+    ]
+
+
+@pytest.mark.parametrize("function", FUNCTIONS, ids=place)
+def test_a_public_function_says_what_it_takes_and_returns(function: object) -> None:
+    assert not errors(place(function))
+
+
+@pytest.mark.parametrize("cls", CLASSES, ids=place)
+def test_a_public_class_and_its_members_are_described(cls: type) -> None:
+    # The fields of a class are its attributes, described as such or beneath each of them.
+    found = errors(place(cls), ("PR01",)) + [line for name in members(cls) for line in errors(name)]
+    assert not found, "\n" + "\n".join(found)
