@@ -159,10 +159,10 @@ def record_on_twin(
     Example: `fpplab twin record --rig rig_demo --item pyramid --baseline 165 --stripes 48 --out pyramid`
     """
     from fpplab.calibration.model import Calibration
-    from fpplab.sessions.session import refuse_foreign
+    from fpplab.sessions.session import require_session_folder
 
     known = Calibration.load(calibration) if calibration else None
-    refuse_foreign(out)
+    require_session_folder(out)
     wanted = _arrangement(item, pose, baseline, axis, stripes, steps, exposure)
     with _simulated(rig) as bench, console.stopwatch() as seconds:
         from fpplab.pipeline import CLOUD

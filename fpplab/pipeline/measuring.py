@@ -25,7 +25,7 @@ from fpplab.pipeline.taking import take
 from fpplab.reconstruction.depth_range import DepthRange, depth_bounds
 from fpplab.reconstruction.points import points_of
 from fpplab.reconstruction.uncertainty import coordinate_noise, with_uncertainty
-from fpplab.sessions.lock import only_writer
+from fpplab.sessions.lock import exclusive_write
 from fpplab.sessions.log import begin_session_log
 from fpplab.sessions.origin import foreign_calibration
 from fpplab.sessions.session import Session
@@ -150,7 +150,7 @@ def finish_scan(
     recording = _checked_recording(session, calibration, lambda share: progress(0.3 * share))
     depth = depth_range_of(session)
     with (
-        only_writer(session.path),
+        exclusive_write(session.path),
         ThreadPoolExecutor(1) as writer,
     ):  # the disk has time until the cloud is known
         begin_session_log(session.path)
@@ -239,6 +239,6 @@ def scan(
     calibration.check_camera(rig.camera.caps.size, "calibration")
     calibration.check_projector(rig.projector.caps.size, rig.projector.caps.lattice, "calibration")
     check_plan(plan, "plan", calibration, rig)
-    with only_writer(Path(out)):
+    with exclusive_write(Path(out)):
         session = take(rig, plan, Path(out), mount, force=force, progress=lambda share: progress(0.8 * share))
         return finish_scan(session, calibration, lambda share: progress(0.8 + 0.2 * share))[1]

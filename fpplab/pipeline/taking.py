@@ -14,7 +14,7 @@ from fpplab.core.session_names import JOURNAL
 from fpplab.devices import Frame
 from fpplab.devices.rig import Mounted, Rig
 from fpplab.patterns.plan import Plan
-from fpplab.sessions.lock import only_writer
+from fpplab.sessions.lock import exclusive_write
 from fpplab.sessions.log import begin_session_log
 from fpplab.sessions.origin import record_origin
 from fpplab.sessions.session import Session, need_space_for_frames
@@ -38,7 +38,7 @@ def take(
     """
     if plan.stage_mm is not None:
         rig.need_stage(plan.stage_mm)
-    with only_writer(out):
+    with exclusive_write(out):
         check_space(rig, plan, [out], force)
         session = Session.resume(out, plan, rig.described(mount), force, complete_too)
         begin_session_log(out)

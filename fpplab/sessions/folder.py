@@ -79,7 +79,7 @@ def _foreign(path: Path) -> list[str]:
     return sorted(foreign)
 
 
-def refuse_foreign(path: Path) -> None:
+def require_session_folder(path: Path) -> None:
     """Refuse, before anything is done, an output for a session that is something else."""
     if path.exists() and not (path / JOURNAL).is_file():
         raise ConfigError(f"{path}: exists and is not a session; name another output")

@@ -18,7 +18,7 @@ from fpplab.sessions.grey_depth import StoredLevels, check_bits
 from fpplab.sessions.image_files import ImagePlace, grey_images
 from fpplab.sessions.image_names import shown
 from fpplab.sessions.image_selection import ImageSelection
-from fpplab.sessions.lock import only_writer
+from fpplab.sessions.lock import exclusive_write
 from fpplab.sessions.session import RigRecord, Session, need_space_for_frames
 
 DIAMONDS = {(912, 1140): "LightCrafter 4500", (608, 684): "LightCrafter"}
@@ -54,7 +54,7 @@ def import_images(
             session.write(Frame(image, index, settings, taken, pattern_id=pattern))
             progress((index + 1) / plan.images)
 
-    with only_writer(out):  # an import is whole or not at all: unlike a scan it costs nothing to repeat
+    with exclusive_write(out):  # an import is whole or not at all: unlike a scan it costs nothing to repeat
         need_space_for_frames([out], plan, images.size, images.bits, force, replaced_last=True)
         return Session.create_whole(out, plan, rig, force, fill)
 

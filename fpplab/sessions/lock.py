@@ -17,7 +17,7 @@ _held: dict[Path, int] = {}
 
 
 @contextmanager
-def only_writer(path: Path) -> Iterator[None]:
+def exclusive_write(path: Path) -> Iterator[None]:
     """Keep other processes from writing into a session.
 
     The lock is a file beside the session, `.NAME.lock`, which the system unlocks when its process ends,

@@ -28,7 +28,7 @@ from fpplab.sessions.folder import tidy
 from fpplab.sessions.format import present_format, upgrade_format
 from fpplab.sessions.inspection import frame_faults, session_faults
 from fpplab.sessions.journal import FrameRecord, readable_lines
-from fpplab.sessions.lock import only_writer
+from fpplab.sessions.lock import exclusive_write
 from fpplab.sessions.log import begin_session_log
 from fpplab.sessions.session import Session
 
@@ -50,7 +50,7 @@ class RepairReport:
 
 def repair_session(path: Path, progress: Progress = no_progress) -> RepairReport:
     """Make a damaged session readable again."""
-    with only_writer(path):
+    with exclusive_write(path):
         report = RepairReport()
         if not session_faults(path):
             report.kept = len(Session.open(path).records)

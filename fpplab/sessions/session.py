@@ -40,9 +40,9 @@ from fpplab.patterns.recording import Recording
 from fpplab.sessions.folder import (
     furnish,
     need_space_for_frames,
-    refuse_foreign,
     remove_session,
     require_session,
+    require_session_folder,
     sweep_drafts,
     tidy,
 )
@@ -72,7 +72,7 @@ __all__ = [
     "Session",
     "need_space_for_frames",
     "recorded_sessions",
-    "refuse_foreign",
+    "require_session_folder",
     "tiff_head",
 ]
 

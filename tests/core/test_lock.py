@@ -142,10 +142,10 @@ WINDOWS
 from fpplab.core.files import sweep_file_drafts, write_text
 from fpplab.dataset.shard import claim_shard
 from fpplab.devices.rig_lock import using_rig, watching_rig
-from fpplab.sessions.lock import only_writer
+from fpplab.sessions.lock import exclusive_write
 import fpplab.live.keys, drivers.video_camera.camera
 folder = Path(sys.argv[1])
-with only_writer(folder / "part"), using_rig("rig.yaml"):
+with exclusive_write(folder / "part"), using_rig("rig.yaml"):
     with watching_rig("rig.yaml") as turn:
         assert turn.wanted() and not turn.take()
     write_text(folder / "cloud.ply", "whole")

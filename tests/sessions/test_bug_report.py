@@ -10,7 +10,7 @@ import pytest
 
 from fpplab.core.errors import ConfigError
 from fpplab.sessions.bug_report import write_bug_report
-from fpplab.sessions.lock import only_writer
+from fpplab.sessions.lock import exclusive_write
 from fpplab.sessions.log import begin_session_log
 from tests.support.recorded import PLAN, record
 
@@ -18,7 +18,7 @@ from tests.support.recorded import PLAN, record
 @pytest.fixture
 def session(tmp_path: Path) -> Path:
     path = record(tmp_path / "part").path
-    with only_writer(path):
+    with exclusive_write(path):
         begin_session_log(path)
     return path
 

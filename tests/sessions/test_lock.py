@@ -14,15 +14,15 @@ from pathlib import Path
 import pytest
 
 from fpplab.core.errors import DataError
-from fpplab.sessions.lock import only_writer
+from fpplab.sessions.lock import exclusive_write
 from fpplab.sessions.session import Session
 
 HOLD = """
 import sys, time
 from pathlib import Path
-from fpplab.sessions.lock import only_writer
+from fpplab.sessions.lock import exclusive_write
 sys.argv[1:] = ["scan", "--out"]
-with only_writer(Path(PLACE)):
+with exclusive_write(Path(PLACE)):
     print("held", flush=True)
     time.sleep(60)
 """
@@ -35,13 +35,13 @@ from fpplab.core.errors import DataError
 from fpplab.devices import CameraSettings, Frame
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
-from fpplab.sessions.lock import only_writer
+from fpplab.sessions.lock import exclusive_write
 from fpplab.sessions.session import Session
 plan = Plan(fringes=(Sinusoid(axis="x", stripes=1, steps=4),))
 print("ready", flush=True)
 input()
 try:
-    with only_writer(Path(PLACE)):
+    with exclusive_write(Path(PLACE)):
         session = Session.create(Path(PLACE), plan, {"name": "rig"}, FORCE)
         for index, (_, _, pattern) in enumerate(plan.steps()):
             image = np.full((4, 5), index, np.uint8)
@@ -75,7 +75,7 @@ def holder(place: Path) -> Iterator[subprocess.Popen[str]]:
 def test_the_second_writer_is_told_who_the_first_is(tmp_path: Path) -> None:
     with holder(tmp_path / "part") as process:
         told = rf"part: process {process.pid} on .* \('fpplab scan --out', since .*\) is writing into it"
-        with pytest.raises(DataError, match=told), only_writer(tmp_path / "part"):
+        with pytest.raises(DataError, match=told), exclusive_write(tmp_path / "part"):
             pass
 
 
@@ -83,25 +83,25 @@ def test_the_lock_dies_with_its_process(tmp_path: Path) -> None:
     with holder(tmp_path / "part") as process:
         process.send_signal(signal.SIGKILL)
         process.wait()
-        with only_writer(tmp_path / "part"):
+        with exclusive_write(tmp_path / "part"):
             pass
     assert list(tmp_path.iterdir()) == []
 
 
 def test_one_process_may_hold_it_twice(tmp_path: Path) -> None:
     inside = tmp_path / "part"
-    with only_writer(inside):
-        with only_writer(tmp_path / "other" / ".." / "part"):
+    with exclusive_write(inside):
+        with exclusive_write(tmp_path / "other" / ".." / "part"):
             pass
         assert (tmp_path / ".part.lock").is_file()
     assert not (tmp_path / ".part.lock").exists()
 
 
 def test_folders_made_for_the_lock_alone_do_not_stay(tmp_path: Path) -> None:
-    with only_writer(tmp_path / "a" / "b" / "part"):
+    with exclusive_write(tmp_path / "a" / "b" / "part"):
         pass
     assert list(tmp_path.iterdir()) == []
-    with only_writer(tmp_path / "a" / "b" / "part"):
+    with exclusive_write(tmp_path / "a" / "b" / "part"):
         (tmp_path / "a" / "note").touch()
     assert [path.name for path in (tmp_path / "a").iterdir()] == ["note"]
 
@@ -111,7 +111,7 @@ def test_a_file_system_that_cannot_lock(tmp_path: Path, monkeypatch: pytest.Monk
         raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
 
     monkeypatch.setattr("fpplab.core.lock.try_lock", refuse)
-    with pytest.raises(DataError, match="cannot lock files"), only_writer(tmp_path / "part"):
+    with pytest.raises(DataError, match="cannot lock files"), exclusive_write(tmp_path / "part"):
         pass
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from fpplab.core.errors import DataError
 from fpplab.core.logs import log_traffic, trace_devices
-from fpplab.sessions.lock import only_writer
+from fpplab.sessions.lock import exclusive_write
 from fpplab.sessions.log import begin_session_log
 from tests.support.recorded import record
 
@@ -30,11 +30,11 @@ def lines(path: Path) -> list[dict[str, Any]]:
 
 def test_it_lasts_as_long_as_the_lock(session: Path) -> None:
     levels = {name: logging.getLogger(name).level for name in ("fpplab", "drivers", "sim")}
-    with only_writer(session):
+    with exclusive_write(session):
         LOGGER.info("before")
         begin_session_log(session)
         begin_session_log(session)
-        with only_writer(session):
+        with exclusive_write(session):
             LOGGER.info("decoded", extra={"phase": "decoding", "seconds": 0.25})
         LOGGER.debug("detail")
     LOGGER.info("after")
@@ -56,14 +56,14 @@ def _fail(session: Path) -> None:
 
 def test_it_says_how_the_work_ended_and_a_torn_line_is_cut_off(session: Path) -> None:
     (session / "log.jsonl").write_bytes(b'{"time": "then"}\n{"ti')
-    with pytest.raises(DataError), only_writer(session):
+    with pytest.raises(DataError), exclusive_write(session):
         _fail(session)
     assert lines(session)[0] == {"time": "then"}
     assert lines(session)[-1]["error"] == "DataError: frame 3 is missing"
 
 
 def test_device_traffic_is_logged_on_request(session: Path) -> None:
-    with only_writer(session):
+    with exclusive_write(session):
         begin_session_log(session)
         log_traffic("stage", "to", "$H")
         trace_devices(True)
@@ -79,7 +79,7 @@ def test_device_traffic_is_logged_on_request(session: Path) -> None:
 
 def test_a_log_that_cannot_be_written_stops_nothing(session: Path) -> None:
     (session / "log.jsonl").mkdir()
-    with only_writer(session):
+    with exclusive_write(session):
         begin_session_log(session)
         LOGGER.info("lost")
     (session / "log.jsonl").rmdir()
@@ -89,7 +89,7 @@ def test_warnings_reach_stderr_as_without_it(session: Path, capsys: pytest.Captu
     root = logging.getLogger()
     handlers, root.handlers = root.handlers, []  # pytest's own
     try:
-        with only_writer(session):
+        with exclusive_write(session):
             begin_session_log(session)
             LOGGER.warning("mind the step")
             LOGGER.info("quiet")

@@ -53,12 +53,12 @@ def scan_command(
     from fpplab.devices.rig import Rig
     from fpplab.patterns.plan import Plan
     from fpplab.pipeline import check_plan, plan_with_depth
-    from fpplab.sessions.session import Session, refuse_foreign
+    from fpplab.sessions.session import Session, require_session_folder
 
     wanted, known = plan_with_depth(Plan.load(plan), depth), Calibration.load(calibration)
     bench = Rig.load(rig)
     check_plan(wanted, plan, known, bench, depth)
-    refuse_foreign(out)
+    require_session_folder(out)
     # The report is written last: without it, all that is left may be to finish.
     finished = (out / REPORT).is_file()
     if finished and not dry_run and not Session.open(out).missing():
@@ -91,10 +91,10 @@ def scan_command(
         from fpplab.reconstruction.filtering import removal
         from fpplab.report import write_scan_report
         from fpplab.report.provenance import session_provenance
-        from fpplab.sessions.lock import only_writer
+        from fpplab.sessions.lock import exclusive_write
 
         mount = (item, pose) if item else None
-        with only_writer(out):
+        with exclusive_write(out):
             with console.progress("Scanning") as report:
                 session = take(
                     bench,
