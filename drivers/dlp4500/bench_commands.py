@@ -15,7 +15,7 @@ import typer
 from drivers.dlp4500.program import NAME, EchoOption, ProjectorSerialOption, connect_projector, dlp4500
 from fpplab.cli import console
 from fpplab.cli.app import Json
-from fpplab.core.acts import DangerousAct, agreed, consent_words
+from fpplab.core.confirmation import ConfirmationRequired, confirm, how_to_confirm
 from fpplab.core.errors import LimitError
 
 if TYPE_CHECKING:
@@ -125,9 +125,10 @@ def led(
     if dry_run:
         console.answer({**levels, "above_limits": above, "dry_run": True}, json)
         return
-    if above and not agreed(DangerousAct.LED_CURRENT, f"LEDs above their limits: {', '.join(above)}."):
-        act = consent_words(DangerousAct.LED_CURRENT)
-        raise LimitError(NAME, "led", f"levels above the limits: {', '.join(above)}", act)
+    operation = ConfirmationRequired.LED_CURRENT
+    if above and not confirm(operation, f"LEDs above their limits: {', '.join(above)}."):
+        remedy = how_to_confirm(operation)
+        raise LimitError(NAME, "led", f"levels above the limits: {', '.join(above)}", remedy)
     with _board(serial, echo) as board:
         board.set_led_levels(levels, inverted)
         board.switch_on_leds([colour for colour, level in levels.items() if level])

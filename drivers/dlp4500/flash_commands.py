@@ -15,7 +15,7 @@ from drivers.dlp4500.program import NAME, EchoOption, ProjectorSerialOption, con
 from fpplab.cli import console
 from fpplab.cli.app import Force, Json, Out
 from fpplab.cli.completion import names_of
-from fpplab.core.acts import DangerousAct, agreed, consent_words, somebody_can_agree
+from fpplab.core.confirmation import ConfirmationRequired, can_confirm, confirm, how_to_confirm
 from fpplab.core.errors import Cancelled, ConfigError
 
 
@@ -113,8 +113,8 @@ def upload(
 
     built = Firmware.load(firmware)
     check_firmware(built)
-    if not (yes or dry_run or somebody_can_agree(DangerousAct.ERASE_FLASH)):
-        raise ConfigError(f"upload erases flash memory; {consent_words(DangerousAct.ERASE_FLASH)}")
+    if not (yes or dry_run or can_confirm(ConfirmationRequired.ERASE_FLASH)):
+        raise ConfigError(f"upload erases flash memory; {how_to_confirm(ConfirmationRequired.ERASE_FLASH)}")
     with console.stopwatch() as seconds:
         with boot_loader_session(lambda: connect_projector(serial, echo), RealClock(), NAME) as loader:
             work = plan_upload(built, loader)
@@ -123,7 +123,7 @@ def upload(
             if dry_run:
                 console.answer({"sectors": work.sectors, "images": built.images, "dry_run": True}, json)
                 return
-            if not (yes or agreed(DangerousAct.ERASE_FLASH, "Flash memory will be erased.")):
+            if not (yes or confirm(ConfirmationRequired.ERASE_FLASH, "Flash memory will be erased.")):
                 raise Cancelled("cancelled: nothing was erased; --yes does not ask")
             with console.progress("Writing") as report:
                 perform_upload(built, loader, work, report)

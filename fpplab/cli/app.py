@@ -13,7 +13,7 @@ from fpplab.cli import logs
 from fpplab.cli.advice import missing_option, unknown_command, unknown_option
 from fpplab.cli.completion import names_of
 from fpplab.cli.lists import global_first
-from fpplab.core.acts import DangerousAct, allow_acts
+from fpplab.core.confirmation import ConfirmationRequired, confirm_in_advance
 from fpplab.core.errors import Cancelled, ConfigError
 from fpplab.core.logs import trace_devices
 from fpplab.core.version import __version__
@@ -104,12 +104,12 @@ def _fpplab(
         ),
     ] = False,
     allow: Annotated[
-        list[DangerousAct] | None,
+        list[ConfirmationRequired] | None,
         typer.Option(
             "--allow",
             metavar="ACT",
             help="Agree in advance to what cannot be undone or may harm a device: "
-            f"{', '.join(act.value for act in DangerousAct)}. Without a terminal it is refused otherwise.",
+            f"{', '.join(ConfirmationRequired)}. Without a terminal it is refused otherwise.",
         ),
     ] = None,
     allow_backend: Annotated[
@@ -126,7 +126,7 @@ def _fpplab(
         from fpplab.devices.backends import allow_backends
 
         allow_backends(allow_backend)
-    allow_acts(allow or ())
+    confirm_in_advance(allow or ())
     trace_devices(trace)
     logs.start_logging(verbose, log, sys.argv[1:])
 

@@ -164,9 +164,9 @@ def run_program(command: Callable[[], object], as_json: bool) -> NoReturn:
         sys.stdout.flush()
     except BaseException as error:  # noqa: BLE001 - each kind has its own answer
         waits = interrupts.leave_at_once() and not _is_answered(error)
-        if waits or (interrupts.comes_of(error, KeyboardInterrupt) and not isinstance(error, Answered)):
+        if waits or (interrupts.is_caused_by(error, KeyboardInterrupt) and not isinstance(error, Answered)):
             error = Cancelled("cancelled")
-        elif isinstance(error, SystemExit) and interrupts.comes_of(error, BrokenPipeError):
+        elif isinstance(error, SystemExit) and interrupts.is_caused_by(error, BrokenPipeError):
             error = BrokenPipeError(errno.EPIPE, os.strerror(errno.EPIPE))  # typer ends with code 1
         _end_with(error, as_json)
     interrupts.leave_at_once()

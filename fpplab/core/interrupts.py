@@ -74,7 +74,7 @@ def leave_at_once() -> bool:
     return waits
 
 
-def comes_of(error: BaseException | None, kind: type[BaseException]) -> bool:
+def is_caused_by(error: BaseException | None, kind: type[BaseException]) -> bool:
     """Tell whether an error is what something made of another one, such as of an interruption."""
     while error is not None:
         if isinstance(error, kind):

@@ -7,7 +7,7 @@ from abc import abstractmethod
 from dataclasses import dataclass
 from typing import final
 
-from fpplab.core.acts import DangerousAct, agreed, consent_words
+from fpplab.core.confirmation import ConfirmationRequired, confirm, how_to_confirm
 from fpplab.core.errors import LimitError, StateError
 from fpplab.devices.device import Device, State
 
@@ -179,11 +179,11 @@ class Stage(Device):
         if self.soft_limits_mm is None or mm in self._agreed_mm or not self._is_beyond_soft_limits(mm):
             return
         least, most = self.soft_limits_mm
-        act = DangerousAct.BEYOND_SOFT_LIMITS
+        act = ConfirmationRequired.BEYOND_SOFT_LIMITS
         found = f"{mm:g} mm lies beyond the soft limits of the rig file, {least:g} to {most:g} mm"
-        if not agreed(act, f"{self.name}: {found}."):
-            raise LimitError(self.name, doing, found, consent_words(act))
-        self._agreed_mm.add(mm)  # who agreed to go there is not asked again
+        if not confirm(act, f"{self.name}: {found}."):
+            raise LimitError(self.name, doing, found, how_to_confirm(act))
+        self._agreed_mm.add(mm)  # who confirm to go there is not asked again
 
     @property
     @final

@@ -100,7 +100,7 @@ def _described(found: RepeatedFigures) -> dict[str, Any]:
     }
 
 
-def confirm(
+def compare_plans(
     rig: str,
     study: Study,
     before: Plan,

@@ -8,7 +8,7 @@ from typing import Any
 
 from fpplab.core.progress import Progress, no_progress
 from fpplab.devices.rig import Rig
-from fpplab.optimisation.confirm import Confirmation, confirm
+from fpplab.optimisation.confirm import Confirmation, compare_plans
 from fpplab.optimisation.limits import RigLimits
 from fpplab.optimisation.result import SearchResult
 from fpplab.optimisation.run import check_artefacts, with_calibrations
@@ -64,7 +64,7 @@ def confirm_result(
             rig=limits.name,
             plan=path,
             images=trial.candidate.images,
-            confirmation=confirm(rig, study, study.start, Plan.load(path), progress=progress),
+            confirmation=compare_plans(rig, study, study.start, Plan.load(path), progress=progress),
         )
         for path, trial in trials
     )

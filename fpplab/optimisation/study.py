@@ -22,7 +22,7 @@ from fpplab.core import config
 from fpplab.core.config import Document, Positive
 from fpplab.core.conventions import Axis
 from fpplab.core.errors import ConfigError
-from fpplab.core.kinds import ByKind, members_by_kind
+from fpplab.core.tagged_union import TaggedUnion, registered_types
 from fpplab.optimisation import methods  # noqa: F401 - defines the members of SearchMethod
 from fpplab.optimisation.search_method import SearchMethod
 from fpplab.patterns.plan import Plan
@@ -147,7 +147,7 @@ class Study(Document):
     """What is optimised; several objectives need a method that finds a Pareto front."""
     seeds: Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(min_length=1)] = (1, 2, 3)
     """Seeds of the noise, the same for every candidate; on a real rig, as many repeats."""
-    method: Annotated[SearchMethod, ByKind()]
+    method: Annotated[SearchMethod, TaggedUnion()]
     """How the space is searched: one of the methods in `fpplab.optimisation.methods`, chosen by `kind`."""
     budget: Annotated[int, Field(ge=1)] = 400
     """Greatest number of candidates measured."""
@@ -195,7 +195,7 @@ def _kinds(several_objectives: bool) -> str:
     """List the search methods for one objective, or for several, in words."""
     kinds = [
         kind
-        for kind, member in members_by_kind(SearchMethod).items()
+        for kind, member in registered_types(SearchMethod).items()
         if issubclass(member, SearchMethod) and member.several_objectives is several_objectives
     ]
     return " or ".join(filter(None, [", ".join(kinds[:-1]), kinds[-1]]))

@@ -14,13 +14,13 @@ from fpplab.core.config import Document
 from fpplab.core.conventions import Axis, axis_length
 from fpplab.core.depth import DepthField
 from fpplab.core.errors import ConfigError
-from fpplab.core.kinds import ByKind
+from fpplab.core.tagged_union import TaggedUnion
 from fpplab.patterns.curve import Curve
 from fpplab.patterns.fringe_sets import FringeSet, indices_along
 from fpplab.patterns.response import with_named_response
 from fpplab.patterns.unwrapping import unwrapping_methods
 
-AnyFringeSet = Annotated[FringeSet, ByKind(default="sinusoid")]
+AnyFringeSet = Annotated[FringeSet, TaggedUnion(default="sinusoid")]
 """A fringe set of any kind; a sinusoid where no `kind` is given."""
 
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from fpplab.calibration.model import Calibration
-from fpplab.core import acts
-from fpplab.core.acts import DangerousAct, allow_acts
+from fpplab.core import confirmation
+from fpplab.core.confirmation import ConfirmationRequired, confirm_in_advance
 from fpplab.core.errors import ConfigError, LimitError
 from fpplab.devices import StageMove
 from fpplab.devices.rig import Rig
@@ -45,7 +45,7 @@ def test_beyond_the_soft_limits_nothing_moves_without_consent(
             ):
                 refused()
         assert stage.position_mm == 20.0
-        monkeypatch.setattr(acts, "_has_terminal", lambda: True)
+        monkeypatch.setattr(confirmation, "_has_terminal", lambda: True)
         monkeypatch.setattr(sys, "stdin", io.StringIO("n\ny\n"))
         with pytest.raises(LimitError, match="--allow beyond-soft-limits"):
             stage.move_to(30.0)
@@ -55,14 +55,14 @@ def test_beyond_the_soft_limits_nothing_moves_without_consent(
 
 
 def test_the_flag_allows_them_but_never_the_end_of_the_travel(rig_file: Path) -> None:
-    allow_acts([DangerousAct.BEYOND_SOFT_LIMITS])
+    confirm_in_advance([ConfirmationRequired.BEYOND_SOFT_LIMITS])
     try:
         with Rig.load(rig_file) as rig:
             rig.place_stage(-30.0)
             with pytest.raises(LimitError, match="the travel is -60 to 60 mm"):
                 rig.need_stage(61.0)
     finally:
-        allow_acts([])
+        confirm_in_advance([])
 
 
 def test_a_move_is_foreseen_without_moving(rig_file: Path) -> None:

@@ -90,7 +90,7 @@ def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr("serial.tools.list_ports.comports", list)
     monkeypatch.setenv("PYLON_CAMEMU", "1")
     monkeypatch.setenv(ALLOWED, PERSON.partition(":")[0])
-    monkeypatch.setattr("fpplab.core.acts._has_terminal", lambda: True)
+    monkeypatch.setattr("fpplab.core.confirmation._has_terminal", lambda: True)
     monkeypatch.setattr("fpplab.acquisition.rig_check.disk_finding", lambda *_: None)  # that of this computer
     return tmp_path
 

@@ -23,7 +23,7 @@ from drivers.dlp4500.transport import Link
 from drivers.emulators.dlpc350 import Dlpc350Policy, UsbFault
 from drivers.emulators.dlpc350.flash import SPLASH_ADDRESS
 from fpplab.cli import app
-from fpplab.core import acts
+from fpplab.core import confirmation
 from fpplab.core.errors import (
     Cancelled,
     ConfigError,
@@ -408,7 +408,7 @@ def _run(*words: object, says: str = "") -> Result:
 
 @pytest.fixture
 def at_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(acts, "_has_terminal", lambda: True)
+    monkeypatch.setattr(confirmation, "_has_terminal", lambda: True)
 
 
 CONSENT = [(["--yes"], ""), (["--allow", "erase-flash"], ""), ([], "y\n")]

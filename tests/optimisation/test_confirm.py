@@ -14,7 +14,7 @@ from fpplab.core.errors import ConfigError
 from fpplab.optimisation import confirm as module
 from fpplab.optimisation.arrangement import StageCalibrations
 from fpplab.optimisation.candidate import Candidate
-from fpplab.optimisation.confirm import Confirmation, confirm
+from fpplab.optimisation.confirm import Confirmation, compare_plans
 from fpplab.optimisation.scoring import ArtefactFigures
 from fpplab.optimisation.study import Study
 from fpplab.patterns.fringe_sets import Sinusoid
@@ -72,7 +72,7 @@ def evaluator(monkeypatch: pytest.MonkeyPatch) -> type[Evaluator]:
 
 
 def test_gain_is_within_its_uncertainty_and_plans_alternate(evaluator: Any) -> None:
-    found = confirm("rig", study(), BEFORE, AFTER, repeats=50)
+    found = compare_plans("rig", study(), BEFORE, AFTER, repeats=50)
     assert abs(found.gain - 0.6) < 4.0 * found.uncertainty
     # Of two artefacts and 50 repeats: 1 µm of 100 after, 5 µm of 100 times 0.4 before.
     expected = np.hypot(1.0, 5.0 * 0.4) / 100.0 / np.sqrt(2 * 50)
@@ -101,7 +101,7 @@ def test_calibration_uncertainty_is_common_to_both_plans(
     evaluator: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(evaluator, "known", StageCalibrations({None: UNSURE}))
-    found = confirm("rig", study(), BEFORE, AFTER, repeats=2)
+    found = compare_plans("rig", study(), BEFORE, AFTER, repeats=2)
     # 2 µm per px on both, so the gain moves by 2 (0.4 - 1)/100 per px.
     expected = 2.0 * 0.6 / 100.0 * SIGMA_PX
     assert found.by_calibration == pytest.approx(expected, rel=4.0 / np.sqrt(2 * module.DRAWS))
@@ -110,10 +110,10 @@ def test_calibration_uncertainty_is_common_to_both_plans(
 
 def test_incomparable_plans_and_single_repeats_are_refused(evaluator: Any) -> None:
     with pytest.raises(ConfigError, match="--repeats: 1: at least 2"):
-        confirm("rig", study(), BEFORE, AFTER, repeats=1)
+        compare_plans("rig", study(), BEFORE, AFTER, repeats=1)
     other = AFTER.model_copy(update={"unwrapping": "heterodyne"})
     with pytest.raises(ConfigError, match="differ in 'unwrapping'"):
-        confirm("rig", study(), BEFORE, other)
+        compare_plans("rig", study(), BEFORE, other)
 
 
 def test_rig_is_closed_when_measuring_fails(evaluator: Any, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -122,5 +122,5 @@ def test_rig_is_closed_when_measuring_fails(evaluator: Any, monkeypatch: pytest.
 
     monkeypatch.setattr(evaluator, "figures", fail)
     with pytest.raises(ConfigError):
-        confirm("rig", study(), BEFORE, AFTER)
+        compare_plans("rig", study(), BEFORE, AFTER)
     assert evaluator.last.closed

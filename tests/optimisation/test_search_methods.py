@@ -12,7 +12,7 @@ import pytest
 
 import fpplab
 from fpplab.core.errors import ConfigError
-from fpplab.core.kinds import members_by_kind
+from fpplab.core.tagged_union import registered_types
 from fpplab.optimisation.search_method import SearchMethod
 from tests.support.searching import study
 
@@ -77,7 +77,7 @@ def test_one_file_adds_a_method(tmp_path: Path) -> None:
 
 
 def test_methods_are_known_by_their_kind() -> None:
-    assert list(members_by_kind(SearchMethod)) == ["bayesian", "coordinate", "gradient", "nsga2"]
+    assert list(registered_types(SearchMethod)) == ["bayesian", "coordinate", "gradient", "nsga2"]
 
 
 @pytest.mark.parametrize("method", [{"kind": "luck"}, {"first": 0.5}, {"kind": ["gradient"]}])

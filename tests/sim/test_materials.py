@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import ConfigError
-from fpplab.core.kinds import members_by_kind
+from fpplab.core.tagged_union import registered_types
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import make_patterns, uniform_patterns
 from fpplab.patterns.plan import Plan
@@ -341,7 +341,7 @@ def test_values_that_cannot_be_are_refused(material: dict[str, Any], field: str)
 
 def test_every_kind_of_material_is_found_and_drawn_by_a_shader_that_blender_has() -> None:
     """The modules of the package are the kinds; the shaders are a table in the code that runs in Blender."""
-    kinds = members_by_kind(Material)
+    kinds = registered_types(Material)
     modules = {module.name for module in iter_modules(materials.__path__)} - {"base", "relief"}
     assert list(kinds) == sorted(modules)
     shaders = (ROOT / "sim/blender/materials.py").read_text().partition("BASE_SHADERS = {")[2]

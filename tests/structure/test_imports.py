@@ -22,7 +22,7 @@ LOADERS = {
     "fpplab/__init__.py",  # its own public names, when first used
     "fpplab/artefacts/catalogue.py",  # the files of `fpplab.artefacts.shapes`
     "fpplab/cli/__init__.py",  # the files of `fpplab.cli.commands`
-    "fpplab/core/kinds.py",  # the files of a package of kinds
+    "fpplab/core/tagged_union.py",  # the files of a package of kinds
     "fpplab/devices/backends.py",  # what a rig file names
     "fpplab/targets/kinds/__init__.py",  # the files of that package
 }

@@ -3,7 +3,7 @@
 `FringeSet` is what plans, decoding and synchronisation know; `Sinusoid` is the kind of a set that names none.
 """
 
-from fpplab.core.kinds import import_members
+from fpplab.core.tagged_union import import_members
 from fpplab.patterns.fringe_sets.base import Demodulation, FringeSet, indices_along
 from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 

@@ -1,6 +1,6 @@
 """Unwrapping methods, one file each; every file of this package is found by itself."""
 
-from fpplab.core.kinds import concrete_subclasses, import_members
+from fpplab.core.tagged_union import concrete_subclasses, import_members
 from fpplab.patterns.unwrapping.base import NEGLIGIBLE, SyntheticWavelength, UnwrappingMethod
 
 import_members(__name__, __path__)

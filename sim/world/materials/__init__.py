@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fpplab.core.kinds import ByKind, import_members
+from fpplab.core.tagged_union import TaggedUnion, import_members
 from sim.world.materials.base import Material
 
 import_members(__name__, __path__)
 
-MaterialSection = Annotated[Material, ByKind(default="diffuse")]
+MaterialSection = Annotated[Material, TaggedUnion(default="diffuse")]
 """A material in a world file: of any kind, diffuse where it names none."""
 
 __all__ = ["Material", "MaterialSection"]

@@ -14,7 +14,7 @@ from drivers.clock import SteppedClock
 from drivers.dlp4500 import Dlp4500, protocol
 from drivers.emulators.dlpc350 import Dlpc350, Dlpc350Policy, EmulatedHid
 from fpplab.cli import app
-from fpplab.core import acts, config
+from fpplab.core import config, confirmation
 from fpplab.core.errors import ConfigError, DisconnectedError, LimitError, ProtocolError
 from tests.drivers.dlpc350_host import FLASH
 
@@ -97,7 +97,7 @@ def test_levels_above_the_limits_need_consent(
     said("led")
     refused = run("led", "--green", "136", "--blue", "130")
     assert isinstance(refused.exception, LimitError)
-    assert "green 136 (limit 135); agree to it at a terminal, or add --allow led-current" in str(
+    assert "green 136 (limit 135); confirm it at a terminal, or add --allow led-current" in str(
         refused.exception
     )
     assert hid.controller.light() is None
@@ -111,7 +111,7 @@ def test_levels_above_the_limits_need_consent(
     )
     assert said("led", "--green", "51", "--dry-run", "--rig", str(rig))["above_limits"]
     assert not said("led", "--green", "50", "--dry-run", "--rig", str(rig))["above_limits"]
-    monkeypatch.setattr(acts, "_has_terminal", lambda: True)
+    monkeypatch.setattr(confirmation, "_has_terminal", lambda: True)
     for answer, is_lit in (("n\n", False), ("y\n", True)):
         CliRunner().invoke(app, ["dlp4500", "led", "--green", "200"], input=answer)
         assert (hid.controller.light() is not None) is is_lit

@@ -14,7 +14,7 @@ it::
         reflectance: float = 0.9
 
     class World(Document):
-        material: Annotated[Material, ByKind(default="diffuse")] = Diffuse()
+        material: Annotated[Material, TaggedUnion(default="diffuse")] = Diffuse()
 
 The static type stays the base class. Members have to be defined before the first model that refers to the
 family is; where each has a module of its own in one package, that package's ``__init__`` calls
@@ -37,12 +37,12 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True)
-class ByKind:
+class TaggedUnion:
     """Pydantic annotation: one of the concrete subclasses of the annotated base class, chosen by `kind`.
 
-    Used as ``Annotated[Base, ByKind(default="diffuse")]``. Subclasses of subclasses count too; abstract ones
-    do not. The kinds are collected when the model that holds the annotation is built. Anything that is not
-    of a known kind is refused with ``must have a 'kind' of diffuse, glossy, translucent``.
+    Used as ``Annotated[Base, TaggedUnion(default="diffuse")]``. Subclasses of subclasses count too; abstract
+    ones do not. The kinds are collected when the model that holds the annotation is built. Anything that is
+    not of a known kind is refused with ``must have a 'kind' of diffuse, glossy, translucent``.
     """
 
     default: str | None = None  # kind of a mapping without the key ``kind``; None where the key must be given
@@ -50,7 +50,7 @@ class ByKind:
     def __get_pydantic_core_schema__(
         self, source: type[BaseModel], handler: GetCoreSchemaHandler
     ) -> core_schema.CoreSchema:
-        members = members_by_kind(source)
+        members = registered_types(source)
         if not members:
             raise TypeError(f"{source.__name__} has no concrete subclass to choose by 'kind'")
         if self.default is not None and self.default not in members:
@@ -72,7 +72,7 @@ class ByKind:
         )
 
 
-def members_by_kind(base: type[BaseModel]) -> dict[str, type[BaseModel]]:
+def registered_types(base: type[BaseModel]) -> dict[str, type[BaseModel]]:
     """Collect the concrete subclasses of a family's base class that are defined so far."""
     members: dict[str, type[BaseModel]] = {}
     for member in concrete_subclasses(base):

@@ -14,7 +14,7 @@ from pydantic import Field, create_model
 from fpplab.core import config
 from fpplab.core.config import Document
 from fpplab.core.errors import ConfigError
-from fpplab.core.kinds import ByKind, import_members, members_by_kind
+from fpplab.core.tagged_union import TaggedUnion, import_members, registered_types
 
 
 class Shape(Document):
@@ -49,9 +49,9 @@ class Disc(Flat):
 class Drawing(Document):
     """A document with members in every place where one can stand."""
 
-    one: Annotated[Shape, ByKind(default="square")] = Square()
-    named: dict[str, Annotated[Shape, ByKind()]] = Field(default_factory=dict)
-    listed: tuple[Annotated[Shape, ByKind()], ...] = ()
+    one: Annotated[Shape, TaggedUnion(default="square")] = Square()
+    named: dict[str, Annotated[Shape, TaggedUnion()]] = Field(default_factory=dict)
+    listed: tuple[Annotated[Shape, TaggedUnion()], ...] = ()
 
 
 def read(data: dict[str, Any]) -> Drawing:
@@ -98,7 +98,7 @@ def test_faults_name_the_field_and_the_kinds(data: dict[str, Any], said: str) ->
 
 
 def test_members_are_concrete_and_have_a_kind_each() -> None:
-    assert members_by_kind(Shape) == {"disc": Disc, "square": Square}
+    assert registered_types(Shape) == {"disc": Disc, "square": Square}
 
 
 def test_a_family_with_a_fault_is_refused_when_the_model_is_built() -> None:
@@ -115,22 +115,22 @@ def test_a_family_with_a_fault_is_refused_when_the_model_is_built() -> None:
         kind: Literal["same"] = "same"
 
     with pytest.raises(TypeError, match="NoName needs a field kind"):
-        members_by_kind(Nameless)
+        registered_types(Nameless)
     with pytest.raises(TypeError, match="default kind of Twice is 'other': must be of same"):
 
         class Wrong(Document):
-            one: Annotated[Twice, ByKind(default="other")]
+            one: Annotated[Twice, TaggedUnion(default="other")]
 
     with pytest.raises(TypeError, match="First has no concrete subclass"):
 
         class Empty(Document):
-            one: Annotated[First, ByKind()]
+            one: Annotated[First, TaggedUnion()]
 
     class Second(Twice):
         kind: Literal["same"] = "same"
 
     with pytest.raises(TypeError, match="First and Second are both of kind 'same'"):
-        members_by_kind(Twice)
+        registered_types(Twice)
 
 
 def test_a_new_module_in_a_package_joins_its_family(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -138,7 +138,7 @@ def test_a_new_module_in_a_package_joins_its_family(tmp_path: Path, monkeypatch:
     package = tmp_path / "family_of_tests"
     package.mkdir()
     (package / "__init__.py").write_text(
-        "from fpplab.core.kinds import import_members\nimport_members(__name__, __path__)\n"
+        "from fpplab.core.tagged_union import import_members\nimport_members(__name__, __path__)\n"
     )
     (package / "base.py").write_text(
         "from fpplab.core.config import Document\nclass Family(Document):\n    kind: str\n"
@@ -154,7 +154,7 @@ def test_a_new_module_in_a_package_joins_its_family(tmp_path: Path, monkeypatch:
         import_members("family_of_tests", [str(package)])
         family = sys.modules["family_of_tests.base"].Family
 
-        holder = create_model("Holder", __base__=Document, one=Annotated[family, ByKind(default="old")])
+        holder = create_model("Holder", __base__=Document, one=Annotated[family, TaggedUnion(default="old")])
         assert type(config.validate({"one": {"kind": "new"}}, holder, "test").one).__name__ == "New"
     finally:
         for name in [n for n in sys.modules if n.split(".")[0] == "family_of_tests"]:

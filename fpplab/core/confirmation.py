@@ -1,0 +1,55 @@
+"""Confirmation of operations that cannot be undone or may harm a device.
+
+`--allow OPERATION` confirms one in advance, for this process. Without it the user is asked at the terminal;
+without a terminal the operation is refused.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable
+from enum import StrEnum
+
+_confirmed: set[ConfirmationRequired] = set()
+
+
+class ConfirmationRequired(StrEnum):
+    """Operations that need confirmation."""
+
+    ERASE_FLASH = "erase-flash"
+    """Sectors of a projector's flash memory are erased and written."""
+    LED_CURRENT = "led-current"
+    """An LED gets more current than its limit."""
+    BEYOND_SOFT_LIMITS = "beyond-soft-limits"
+    """A stage moves beyond the soft limits of the rig file."""
+
+
+def confirm_in_advance(operations: Iterable[ConfirmationRequired]) -> None:
+    """Confirm these operations, and no others, for the rest of this process."""
+    _confirmed.clear()
+    _confirmed.update(operations)
+
+
+def can_confirm(operation: ConfirmationRequired) -> bool:
+    """Whether an operation is confirmed already, or the user can be asked."""
+    return operation in _confirmed or _has_terminal()
+
+
+def confirm(operation: ConfirmationRequired, consequence: str) -> bool:
+    """Ask the user to confirm an operation, unless that was done in advance."""
+    if operation in _confirmed:
+        return True
+    if not _has_terminal():
+        return False
+    sys.stderr.write(f"{consequence} Go on? [y/N] ")
+    sys.stderr.flush()
+    return sys.stdin.readline().strip().lower() in ("y", "yes")
+
+
+def how_to_confirm(operation: ConfirmationRequired) -> str:
+    """Say how an operation is confirmed."""
+    return f"confirm it at a terminal, or add --allow {operation.value}"
+
+
+def _has_terminal() -> bool:
+    return sys.stdin is not None and sys.stdin.isatty()
