@@ -11,8 +11,8 @@ from scipy.ndimage import uniform_filter
 from fpplab.calibration.model import Calibration
 from fpplab.core.conventions import Axis, Floats, Mask
 from fpplab.diagnosis.catalogue import FaultCause, Finding
-from fpplab.diagnosis.plan import LEAST_CHANGE, changes_along_image
 from fpplab.diagnosis.sample import MEDIAN, FrameSample
+from fpplab.diagnosis.wrong_plan import LEAST_CHANGE, changes_along_image
 
 MOST_MIRRORED = 0.03
 """Greatest share of the image with fringes in which the coordinate runs backwards."""

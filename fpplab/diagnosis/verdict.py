@@ -15,9 +15,9 @@ from fpplab.diagnosis.focus import focus_finding
 from fpplab.diagnosis.geometry import PointSample, geometry_findings
 from fpplab.diagnosis.light import light_findings
 from fpplab.diagnosis.mirrored import with_mirrors
-from fpplab.diagnosis.plan import plan_finding
 from fpplab.diagnosis.ranking import RUINOUS_OFFSET, ranked
 from fpplab.diagnosis.sample import FrameSample
+from fpplab.diagnosis.wrong_plan import plan_finding
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from fpplab.acquisition.synchronisation import IMPORTED_REMEDY, check_synchronisation, remedy
 from fpplab.core.errors import DataError
+from fpplab.diagnosis.plan import check_plan_fit, name_other_patterns
 from fpplab.patterns.recording import Recording
-from fpplab.plan_check import check_plan_fit, name_other_patterns
 from fpplab.sessions.session import Session
 
 

@@ -13,8 +13,8 @@ from fpplab.devices import CameraSettings, Frame
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.sessions.session import Session
+from tests.diagnosis.plan.test_other_patterns import gray, sinusoids
 from tests.diagnosis.scenes import Bench, plan_of
-from tests.plan_check.test_other_patterns import gray, sinusoids
 from tests.support.commands import Command
 
 SIZE = ("--projector-size", "912", "1140")

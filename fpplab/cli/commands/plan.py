@@ -106,7 +106,7 @@ def guess_command(
     """
     from fpplab.core.config import dump
     from fpplab.core.files import need_suffix, refuse_existing, write_text
-    from fpplab.plan_check import guess_plan
+    from fpplab.diagnosis.plan import guess_plan
     from fpplab.sessions.image_selection import ImageSelection, numbers_of
     from fpplab.sessions.importing import read_images
 

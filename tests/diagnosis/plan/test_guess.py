@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from fpplab.core.errors import DataError
-from fpplab.plan_check import guess_plan
-from fpplab.plan_check.guess import set_sizes
+from fpplab.diagnosis.plan import guess_plan
+from fpplab.diagnosis.plan.guess import set_sizes
 from tests.diagnosis.scenes import PROJECTOR, Bench, plan_of
 
 PLANS = {

@@ -15,13 +15,13 @@ from typing import NamedTuple
 import numpy as np
 
 from fpplab.core.errors import ConfigError
+from fpplab.diagnosis.plan.edits import Edit, Sets, edits, finest_of, is_mirrored, upright
+from fpplab.diagnosis.plan.sample import PhaseSample, directions
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.patterns.unwrapping import unwrapping_methods
 from fpplab.phase import decode
-from fpplab.plan_check.edits import Edit, Sets, edits, finest_of, is_mirrored, upright
-from fpplab.plan_check.sample import PhaseSample, directions
 
 AGREES = 1.5
 """Median disagreement of the sets, in units of what noise explains, up to which nothing else is tried."""

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from fpplab.core.conventions import Axis
+from fpplab.diagnosis.plan import check_plan_fit
 from fpplab.patterns.fringe_sets import FringeSet, Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
-from fpplab.plan_check import check_plan_fit
 from tests.diagnosis.scenes import PROJECTOR, Bench, plan_of
 
 PLAN = plan_of("x", (12, 12, 12, 12), (1, 4, 16, 64))

@@ -13,10 +13,10 @@ import pytest
 from fpplab.acquisition.synchronisation import check_synchronisation
 from fpplab.core.conventions import Floats, Image
 from fpplab.core.errors import DataError
+from fpplab.diagnosis.plan import check_plan_fit, guess_plan, name_other_patterns
+from fpplab.diagnosis.plan.other_patterns import phase_shifts_seen
 from fpplab.patterns.plan import Plan
 from fpplab.phase import decode
-from fpplab.plan_check import check_plan_fit, guess_plan, name_other_patterns
-from fpplab.plan_check.other_patterns import phase_shifts_seen
 from tests.diagnosis.scenes import PROJECTOR, Bench, plan_of
 
 SETS = (4, 4, 6)

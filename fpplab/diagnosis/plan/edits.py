@@ -9,9 +9,9 @@ from itertools import pairwise
 import numpy as np
 
 from fpplab.core.conventions import AXES, TWO_PI, Axis, Floats
+from fpplab.diagnosis.plan.sample import Direction, PhaseSample, directions, wrapped
 from fpplab.patterns.fringe_sets import Sinusoid, indices_along
 from fpplab.patterns.plan import Plan
-from fpplab.plan_check.sample import Direction, PhaseSample, directions, wrapped
 
 SAME_STRIPES = 0.005
 """Relative difference of stripes from which on they are measured anew."""

@@ -8,12 +8,12 @@ from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
 from fpplab.core.conventions import Axis, Floats, Map
 from fpplab.diagnosis.catalogue import FaultCause, Finding
+from fpplab.diagnosis.plan import check_plan_fit
+from fpplab.diagnosis.plan.edits import Edit
 from fpplab.diagnosis.sample import FrameSample
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded
-from fpplab.plan_check import check_plan_fit
-from fpplab.plan_check.edits import Edit
 
 SUSPICIOUS_SHARE = 0.5
 """Share of the lit pixels that become points, below which the plan is checked."""

@@ -14,15 +14,15 @@ import numpy as np
 
 from fpplab.core.conventions import AXES, Floats, Image, full_scale, phase_steps
 from fpplab.core.errors import DataError
+from fpplab.diagnosis.plan.check import AGREES, disagreement
+from fpplab.diagnosis.plan.edits import Sets, refined_stripes, upright, with_origins
+from fpplab.diagnosis.plan.other_patterns import name_other_patterns
+from fpplab.diagnosis.plan.sample import PhaseSample, directions
 from fpplab.patterns.fringe_sets import Sinusoid, indices_along
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.patterns.unwrapping.heterodyne import Heterodyne
 from fpplab.patterns.unwrapping.hierarchical import Hierarchical
-from fpplab.plan_check.check import AGREES, disagreement
-from fpplab.plan_check.edits import Sets, refined_stripes, upright, with_origins
-from fpplab.plan_check.other_patterns import name_other_patterns
-from fpplab.plan_check.sample import PhaseSample, directions
 
 PIXELS = 4_000
 """About as many pixels decide which images form a set."""

@@ -4,8 +4,8 @@ Stages: `sample` measures phases and how they change along the image, `edits` ar
 make in plans, `check` decides which plan fits, `guess` writes one.
 """
 
-from fpplab.plan_check.check import PlanCheck, check_plan_fit
-from fpplab.plan_check.guess import PlanGuess, guess_plan
-from fpplab.plan_check.other_patterns import name_other_patterns
+from fpplab.diagnosis.plan.check import PlanCheck, check_plan_fit
+from fpplab.diagnosis.plan.guess import PlanGuess, guess_plan
+from fpplab.diagnosis.plan.other_patterns import name_other_patterns
 
 __all__ = ["PlanCheck", "PlanGuess", "check_plan_fit", "guess_plan", "name_other_patterns"]
