@@ -6,18 +6,21 @@ VENV := .venv
 WORKERS ?= 2
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
+PARALLEL := -n $(WORKERS) --dist worksteal
+QUICK := 'not whole and not nightly'
 
-.PHONY: help setup demo docs test test-slow test-twin test-usb crash fuzz soak mutants full-disk faults lint release bench clean
+.PHONY: help setup demo docs lint test test-whole test-nightly test-twin test-usb
+.PHONY: nightly crash fuzz soak mutants full-disk faults release bench clean
 
 # `make` alone installs nothing.
 help:
 	@echo "make setup      sets up $(VENV) and nothing else: downloads about 1 GB, takes 3 GB of disk and 2 to 4 minutes on a fast line"
 	@echo "make demo       sets up, then measures three artefacts on the virtual bench: out/demo/report.html, 2 to 5 minutes"
-	@echo "make test       sets up, then runs the quick tests, some 12 minutes on two cores; make test-slow: those that take longer"
+	@echo "make test       sets up, then runs the quick tests, 5 minutes on two cores; make test-whole: those that a merge waits for"
 	@echo "make docs       sets up, then builds the documentation as a site, with its pictures: build/docs/site/index.html"
 	@echo "make lint       style, types, and which package may import which"
 	@echo "make clean      removes $(VENV), out, build and dist"
-	@echo "more, explained in the Makefile: bench crash faults full-disk fuzz mutants release soak test-twin test-usb"
+	@echo "more, explained in the Makefile: bench nightly (crash faults full-disk fuzz mutants soak test-nightly test-usb) release test-twin"
 	@echo "make takes python3.13 or python3.11, or the one of PYTHON=/path/to/python"
 
 setup: $(READY)
@@ -37,14 +40,23 @@ demo: setup
 	$(BIN)/python -m fpplab demo --out out/demo --force
 
 test: setup
-	$(BIN)/python -m pytest -m 'not slow' -n $(WORKERS) --dist worksteal
+	$(BIN)/python -m pytest -m $(QUICK) $(PARALLEL)
 
-test-slow: setup
-	$(BIN)/python -m pytest -m slow -n $(WORKERS) --dist worksteal
+# What a merge waits for beside the quick tests.
+test-whole: setup
+	$(BIN)/python -m pytest -m 'whole and not nightly' $(PARALLEL)
+
+# Repeats, rare conditions and long runs.
+test-nightly: setup
+	$(BIN)/python -m pytest -m nightly $(PARALLEL)
 
 # What depends on the versions of NumPy and Blender: all devices, the simulation, and the demonstration.
 test-twin: setup
-	$(BIN)/python -m pytest -m 'not slow' -n $(WORKERS) --dist worksteal tests/conformance tests/sim tests/cli/test_demo.py
+	$(BIN)/python -m pytest -m $(QUICK) $(PARALLEL) tests/conformance tests/sim tests/cli/test_demo.py
+
+# All that takes hours; with -k, the others follow where one fails.
+nightly: SECONDS = 300
+nightly: test-nightly test-usb faults mutants fuzz crash soak full-disk
 
 # The projector's driver through a real kernel: a virtual machine of Debian's packages, unpacked into build/vm.
 test-usb: setup

@@ -67,7 +67,7 @@ def test_a_missing_colour_is_no_slip() -> None:
     assert causes("missing_colour", 201) == ["missing_colour"]
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_light_of_the_mains_is_told_from_random_light() -> None:
     assert causes("mains_flicker", 201)[0] == "mains_flicker"
     assert causes("flicker", 201)[0] == "flicker"

@@ -45,14 +45,14 @@ def test_all_is_well_with_a_good_rig() -> None:
     assert found.recording is not None
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("cause", [cause for cause in FAULTS if cause != "wrong_plan"])  # a recording's
 def test_every_cause_is_named_first_at_other_strengths(cause: str) -> None:
     found = causes(checked(cause, 4))
     assert cause in found[: 2 if cause in HAVE_EFFECTS else 1]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("seed", range(8, 11))
 def test_other_good_rigs_are_left_in_peace(seed: int) -> None:
     assert causes(checked(None, seed)) == []

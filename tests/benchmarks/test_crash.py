@@ -30,19 +30,19 @@ def disturbed(part: str, record: CrashRecord) -> dict[str, float]:
     return {figure.name: figure.value for figure in figures if figure.value > figure.baseline}
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_killed_commands_end_as_undisturbed_ones(tmp_path: Path) -> None:
     record = CrashRecord(tmp_path / "record.jsonl")
     assert disturbed("kills", record) == {}
     assert sum(case.disturbances for case in record.cases) >= 4
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_interrupted_commands_leave_a_safe_bench(tmp_path: Path) -> None:
     assert disturbed("signals", CrashRecord(tmp_path / "record.jsonl")) == {}
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_one_of_two_commands_wins(tmp_path: Path) -> None:
     assert disturbed("contests", CrashRecord(tmp_path / "record.jsonl")) == {}
 

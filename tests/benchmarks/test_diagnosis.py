@@ -55,7 +55,7 @@ def test_a_record_of_another_commit_is_refused(tmp_path: Path) -> None:
         Record(path)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_part_runs_without_any_setting_of_the_environment() -> None:
     plain = {name: value for name, value in os.environ.items() if name != "FPPLAB_ALLOW_BACKEND"}
     command = [sys.executable, "-m", "benchmarks.diagnosis", *ARGUMENTS]

@@ -74,7 +74,7 @@ def results(folder: Path) -> dict[str, Result]:
     return {result.name: result for result in match_figures(folder, trial)}
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.timeout(900)  # the first to run records and matches for all
 def test_every_figure_stands_beside_its_target(results: dict[str, Result]) -> None:
     one = {
@@ -89,7 +89,7 @@ def test_every_figure_stands_beside_its_target(results: dict[str, Result]) -> No
     assert {name: result.baseline for name, result in results.items()} == pytest.approx(wanted)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("run", RUNS)
 def test_a_small_bench_is_matched(results: dict[str, Result], run: str) -> None:
     """In so few epochs that not all of its lenses are: of the rest the figures hold, every pose is near."""
@@ -100,7 +100,7 @@ def test_a_small_bench_is_matched(results: dict[str, Result], run: str) -> None:
     assert results[f"{run}_white"].value < 5
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_start_that_is_off_leads_to_the_same_place(results: dict[str, Result], folder: Path) -> None:
     found, off = (MatchingRecord(folder / run).read()[0].parameters.parameters() for run in RUNS)
     assert by_name(errors("it", off, found))["it_pose_position"] == pytest.approx(2000)
@@ -109,13 +109,13 @@ def test_a_start_that_is_off_leads_to_the_same_place(results: dict[str, Result],
         assert detour == pytest.approx(straight, abs=1), name
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_twin_measures_as_the_bench(results: dict[str, Result]) -> None:
     assert results["match_delta_smcd"].ratio > 1
     assert results["match_delta_smcd_share"].ratio > 1
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_what_is_not_the_bench_is_refused(results: dict[str, Result]) -> None:
     refusals = {name: result.ratio for name, result in results.items() if "refuses" in name}
     assert refusals == dict.fromkeys(refusals, 1)

@@ -129,7 +129,7 @@ def results(folder: Path, trial: OptimiseBenchmarkSetup, blender: Blender) -> di
         return {result.name: result for result in optimise_figures(folder, trial)}
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_every_figure_stands_beside_its_target(results: dict[str, Result]) -> None:
     wanted = {
         "phases_images": 18, "phases_smcd": 1, "phases_smcd_hidden": 1,
@@ -146,7 +146,7 @@ def test_every_figure_stands_beside_its_target(results: dict[str, Result]) -> No
     assert {name: result.baseline for name, result in results.items()} == pytest.approx(named)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_small_searches_find_what_there_is(results: dict[str, Result]) -> None:
     """Finer stripes; fewer images within the study's limit; a baseline at the end of its range.
 
@@ -169,7 +169,7 @@ def test_small_searches_find_what_there_is(results: dict[str, Result]) -> None:
         assert value[name] > 0
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.usefixtures("results")
 def test_a_search_that_has_ended_is_not_run_again(
     folder: Path, trial: OptimiseBenchmarkSetup, monkeypatch: pytest.MonkeyPatch
@@ -182,7 +182,7 @@ def test_a_search_that_has_ended_is_not_run_again(
     assert found.gain is not None
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_plans_are_confirmed_side_by_side(
     folder: Path, trial: OptimiseBenchmarkSetup, results: dict[str, Result]
 ) -> None:

@@ -155,7 +155,7 @@ def test_normal_equations_are_those_of_the_misfit(level: DistortionModel, refine
         )
 
 
-@pytest.mark.parametrize("tolerance", [None, pytest.param(0.05, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("tolerance", [None, pytest.param(0.05, marks=pytest.mark.nightly)])
 def test_the_truth_lies_within_its_uncertainty_in_repeats(tolerance: float | None) -> None:
     """40 repeats with fresh noise and, where it is free, a freshly bent board."""
     held, start, pulls, distances = poses(6), truth_of(poses(6)), [], []
@@ -185,7 +185,7 @@ def test_the_truth_lies_within_its_uncertainty_in_repeats(tolerance: float | Non
 # Real captures
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_real_captures_are_characterised(captures: Path) -> None:
     plan, target = Plan.load("plan_slstudio_board"), Target.load("target_slstudio")
     observations = []

@@ -91,7 +91,7 @@ def test_a_moved_board_is_far_from_what_is_predicted_and_a_good_one_is_not(five:
     assert good.camera.rms_px == pytest.approx(good.camera.predicted_px, rel=0.35)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_good_poses_are_hardly_ever_far() -> None:
     """From the fourth pose on, in 18 of them."""
     far = []
@@ -108,7 +108,7 @@ def test_good_poses_are_hardly_ever_far() -> None:
     assert not far
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_an_early_pose_that_was_bad_is_found_by_later_ones() -> None:
     guide = guided(4, bad=(1,))
     if "pose_1" not in [o.name for o in guide.observations]:

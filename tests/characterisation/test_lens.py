@@ -20,7 +20,7 @@ def test_a_lens_that_breathes_is_named_and_a_locked_one_is_not() -> None:
     assert np.abs(still / sigmas).max() < 4.0
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("seed", [1002, 1006])
 def test_much_breathing_is_named_although_it_looks_like_motion_of_the_poses(seed: int) -> None:
     """What the points of a pose share is so great here that the own noise was taken for nothing."""

@@ -101,7 +101,7 @@ def test_the_prediction_is_the_covariance_with_the_pose(
         assert design.predicted_mm(pose)[0] < design.predicted_mm()[0]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_what_is_chosen_is_the_best_when_the_pose_is_really_taken(
     estimate: JointEstimate, volume: WorkingVolume, candidates: list[RigidTransform]
 ) -> None:
@@ -144,7 +144,7 @@ def test_candidates_are_seen_and_lit(estimate: JointEstimate, candidates: list[R
     assert np.ptp(places[:, 0]) > 60.0
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_boards_of_many_points_are_thinned_without_another_answer(volume: WorkingVolume) -> None:
     fields = {**config.plain(TARGET), "counts": [26, 8], "spacing_mm": [2.2, 4.4], "diameter_mm": 1.2}
     many = config.validate(fields, Target, "board")

@@ -57,7 +57,7 @@ def test_five_poses_are_characterised(calibration: tuple[Path, dict]) -> None:  
     assert len(found["warnings"]) == 1 + len(moved)
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_board_taken_as_flat(fpplab: Command, calibration: tuple[Path, dict]) -> None:  # type: ignore[type-arg]
     folder = calibration[0].parent
     done = fpplab(
@@ -75,7 +75,7 @@ def test_a_board_taken_as_flat(fpplab: Command, calibration: tuple[Path, dict]) 
     assert done.json["camera"]["rms_px"] > 3 * calibration[1]["camera"]["rms_px"], "the board is not flat"
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_pose_left_out_is_measured_as_the_board(calibration: tuple[Path, dict]) -> None:  # type: ignore[type-arg]
     """The board's points of each pose, triangulated by devices that never saw it, on the board's shape."""
     sessions, target = recorded_sessions([calibration[0].parent / "board"]), Target.load("target_slstudio")
@@ -119,7 +119,7 @@ def rigid_rms(points: Floats, onto: Floats) -> float:
     return float(left / np.sqrt(len(points)))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_twin_becomes_the_rig_of_the_captures(
     fpplab: Command,
     calibration: tuple[Path, dict],  # type: ignore[type-arg]

@@ -56,7 +56,7 @@ def test_samples_and_their_card(fpplab: Command, folder: Path) -> None:
     assert "another 'seed' (0, now 1)" in other.json["error"]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_killed_command_is_completed_to_the_same_bytes(fpplab: Command, folder: Path) -> None:
     command = [sys.executable, "-m", "fpplab", "dataset", *WORDS, "--count", "40", "--shard-size", "4"]
     running = subprocess.Popen(command, cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)

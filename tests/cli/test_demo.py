@@ -67,7 +67,7 @@ def test_decode_gives_maps(fpplab: Command, demo: Demo, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "suffix", [".ply", *(pytest.param(other, marks=pytest.mark.slow) for other in (".xyz", ".npz"))]
+    "suffix", [".ply", *(pytest.param(other, marks=pytest.mark.whole) for other in (".xyz", ".npz"))]
 )
 def test_reconstruct_again_gives_the_scan_s_points(
     fpplab: Command, demo: Demo, tmp_path: Path, suffix: str
@@ -116,7 +116,7 @@ def leaves(tree: Any, name: str = "") -> dict[str, Any]:
     return {place: leaf for key, one in parts for place, leaf in leaves(one, f"{name}/{key}").items()}
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_session_without_its_board_is_named_and_left_out(
     fpplab: Command, demo: Demo, tmp_path: Path
 ) -> None:
@@ -132,7 +132,7 @@ def test_a_session_without_its_board_is_named_and_left_out(
     assert "left out: pose_00" in done.err
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_no_board_in_any_session_is_a_calibration_error(fpplab: Command, demo: Demo, tmp_path: Path) -> None:
     sessions = [tmp_path / f"none_{k}" for k in range(3)]
     assert _scan_of_nothing(fpplab, demo, sessions[0]).code == 0
@@ -173,7 +173,7 @@ def test_every_scan_runs_from_a_replayed_session(fpplab: Command, demo: Demo, tm
     assert done.json["points"] == demo.answer["scans"][1]["points"]
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_loose_images_of_a_diamond_projector_become_a_cloud(
     fpplab: Command, demo: Demo, tmp_path: Path
 ) -> None:

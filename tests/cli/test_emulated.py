@@ -12,7 +12,7 @@ from fpplab.sessions.session import Session
 from tests.support.commands import Command, Demo
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_cloud_is_that_of_the_virtual_bench(fpplab: Command, demo: Demo, tmp_path: Path) -> None:
     """Stepped and triggered: the frames are the same to the last bit, the noise as well."""
     plan = find_config("plan_paper.yaml").read_text(encoding="utf-8")
@@ -36,7 +36,7 @@ def test_the_cloud_is_that_of_the_virtual_bench(fpplab: Command, demo: Demo, tmp
         assert (emulated.path / "cloud.ply").read_bytes() == (simulated.path / "cloud.ply").read_bytes()
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_missed_trigger_leaves_no_cloud(fpplab: Command, demo: Demo, tmp_path: Path) -> None:
     rig = find_config("rig_emulated_quick.yaml").read_text(encoding="utf-8")
     (tmp_path / "rig.yaml").write_text(

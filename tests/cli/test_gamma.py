@@ -29,7 +29,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_response_is_found_judged_and_used(fpplab: Command, folder: Path) -> None:
     words = (
         "gamma",

@@ -34,7 +34,7 @@ def test_the_uncertainty_is_told_in_mm() -> None:
     assert wanted_mm(False, None, None, None) is None
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_simulated_rig_is_characterised_by_poses_that_are_asked_for(
     fpplab: Command, tmp_path: Path
 ) -> None:

@@ -22,7 +22,7 @@ from tests.live.benches import rig_file
 from tests.support.commands import ROOT, Command
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_it_answers_with_what_was_chosen(fpplab: Command, tmp_path: Path) -> None:
     rig = rig_file(tmp_path)
     out = tmp_path / "live.rrd"
@@ -80,7 +80,7 @@ def live(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str], int]]:
     os.close(ours)
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_key_ends_it(live: tuple[subprocess.Popen[str], int]) -> None:
     program, terminal = live
     os.write(terminal, b"q")
@@ -89,7 +89,7 @@ def test_a_key_ends_it(live: tuple[subprocess.Popen[str], int]) -> None:
     assert "exposure_s: 0.02" in out
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signals_cancel_it(number: signal.Signals, live: tuple[subprocess.Popen[str], int]) -> None:
     program, _ = live

@@ -24,7 +24,7 @@ PLAN = Plan(
 )
 POSES = 4
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.whole
 
 
 def small(name: str, folder: Path) -> Path:

@@ -42,7 +42,10 @@ def _stop_midway(words: list[str], out: Path, how: signal.Signals) -> subprocess
 
 @pytest.mark.parametrize(
     "how",
-    [signal.SIGINT, *(pytest.param(how, marks=pytest.mark.slow) for how in (signal.SIGTERM, signal.SIGKILL))],
+    [
+        signal.SIGINT,
+        *(pytest.param(how, marks=pytest.mark.nightly) for how in (signal.SIGTERM, signal.SIGKILL)),
+    ],
 )
 def test_a_stopped_scan_is_completed_by_the_same_command(
     fpplab: Command, demo: Demo, tmp_path: Path, how: signal.Signals

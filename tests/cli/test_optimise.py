@@ -62,7 +62,7 @@ BAD: dict[str, tuple[str, dict[str, Any], list[str], int, str]] = {
 }  # fmt: skip
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @pytest.mark.parametrize(("what", "changes", "more", "code", "words"), BAD.values(), ids=BAD.keys())
 def test_wrong_input_is_one_sentence(
     fpplab: Command,
@@ -104,7 +104,7 @@ def searched(demo: Demo, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path
     return folder, json.loads(done.stdout), left
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_search_killed_goes_on(searched: tuple[Path, dict[str, Any], bytes]) -> None:
     folder, answer, left = searched
     whole = left[: left.rfind(b"\n") + 1]
@@ -114,7 +114,7 @@ def test_a_search_killed_goes_on(searched: tuple[Path, dict[str, Any], bytes]) -
     assert answer["epochs"] == len(answer["convergence"])
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_gain_is_confirmed_within_its_uncertainty(searched: tuple[Path, dict[str, Any], bytes]) -> None:
     _, answer, _ = searched
     (confirmed,) = answer["confirmed"]
@@ -123,7 +123,7 @@ def test_the_gain_is_confirmed_within_its_uncertainty(searched: tuple[Path, dict
     assert abs(confirmed["gain"] - answer["gain"]["down_percent"] / 100) < 6 * confirmed["uncertainty"] + 0.01
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @pytest.mark.parametrize("rig", ["rig_demo_quick", "rig_emulated_quick"])
 def test_the_plan_found_runs_unchanged(
     rig: str, fpplab: Command, demo: Demo, searched: tuple[Path, dict[str, Any], bytes], tmp_path: Path
@@ -138,7 +138,7 @@ def test_the_plan_found_runs_unchanged(
     assert done.json["images"] == answer["images"]
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_bench_is_searched_by_measuring_on_it(fpplab: Command, demo: Demo, tmp_path: Path) -> None:
     """The real drivers, by one process: that is what instruments serve."""
     words = [
@@ -156,7 +156,7 @@ def test_a_bench_is_searched_by_measuring_on_it(fpplab: Command, demo: Demo, tmp
     assert done.json["optimum"]["surface_smcd_um"] < done.json["initial"]["surface_smcd_um"]
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_page_shows_what_was_found(searched: tuple[Path, dict[str, Any], bytes]) -> None:
     folder, answer, _ = searched
     page = (folder / "plan.html").read_text()
@@ -172,7 +172,7 @@ def test_the_page_shows_what_was_found(searched: tuple[Path, dict[str, Any], byt
     assert answer["provenance"]["rig"]["camera"] in page
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_plan_found_is_not_overwritten(
     fpplab: Command, searched: tuple[Path, dict[str, Any], bytes]
 ) -> None:

@@ -42,7 +42,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_measurement_is_predicted(fpplab: Command, folder: Path) -> None:
     call = ("predict", "--rig", folder / "rig.yaml", "--plan", folder / "plan.yaml", "--item", ITEM)
     done = fpplab(*call, "--json")
@@ -76,7 +76,7 @@ def test_a_measurement_is_predicted(fpplab: Command, folder: Path) -> None:
         (folder / "discrepancy.yaml").unlink()
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_bench_is_compared_with_its_twin(fpplab: Command, folder: Path) -> None:
     """The bench is the twin: it measures what it predicts, and a wrong calibration is wrong for both."""
     call = ("compare-rigs", folder / "scan", "--rig", folder / "rig.yaml", "--item", ITEM)
@@ -98,7 +98,7 @@ def test_a_bench_is_compared_with_its_twin(fpplab: Command, folder: Path) -> Non
     assert "outside of the predicted interval: distance_um" in shown.err
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_surface_of_a_part_is_matched_and_told(fpplab: Command, folder: Path, tmp_path: Path) -> None:
     call = ("match", "--twin", folder / "rig.yaml", "--out", tmp_path / "twin")
     done = fpplab(*call, "--surface", f"{ITEM}={folder / 'scan'}", "--json")
@@ -121,7 +121,7 @@ def test_the_surface_of_a_part_is_matched_and_told(fpplab: Command, folder: Path
     assert "exists already" in again.json["error"]
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_surface_that_cannot_be_matched_is_told_before_the_work(
     fpplab: Command, folder: Path, tmp_path: Path
 ) -> None:

@@ -243,7 +243,7 @@ def test_a_cloud_without_pixels_has_no_surface_figure() -> None:
     assert result.completeness > 0.5
 
 
-@pytest.mark.parametrize("name", ["pyramid", pytest.param("pillars", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", ["pyramid", pytest.param("pillars", marks=pytest.mark.nightly)])
 def test_alignment_finds_the_mesh_from_far(name: str) -> None:
     cloud = perfect_cloud(placed(name), 0.01)
     aligned = compare(cloud, artefacts.make(name), CALIBRATION, density=5.0, align=True)
@@ -254,7 +254,7 @@ def test_alignment_finds_the_mesh_from_far(name: str) -> None:
     assert set(aligned.alignment.summary()) == {"rotation_deg", "translation_mm", "rms_um", "iterations"}
 
 
-@pytest.mark.parametrize("seed", [6, pytest.param(22, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seed", [6, pytest.param(22, marks=pytest.mark.nightly)])
 def test_alignment_does_not_take_the_wrong_side_of_a_plate(seed: int) -> None:
     """With these seeds the axes alone bring the cloud nearer to the plate's back, from every side."""
     cloud = perfect_cloud(placed("pillars"), 0.03).points.astype(np.float64)
@@ -284,7 +284,7 @@ def test_alignment_corrects_a_small_motion_exactly() -> None:
     assert np.abs(rest.apply(mesh.vertices) - mesh.vertices).max() < 0.01
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_alignment_finds_a_printed_part_from_far() -> None:
     """The grooves between its layers have undersides, which say nothing about the side that is seen."""
     printed = artefacts.sliced(artefacts.make("pyramid"), 0.4, 0.06)

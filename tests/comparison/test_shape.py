@@ -180,7 +180,7 @@ def test_an_artefact_is_recognised_wherever_it_stands(name: str, tmp_path: Path)
     np.testing.assert_allclose(found.pose.matrix, pose.matrix, atol=1e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_command_gives_scale_lengths_and_warnings(tmp_path: Path) -> None:
     save_cloud(scaled(perfect_cloud(placed("steps"), 0.03), 3000.0), tmp_path / "cloud.ply")
     artefacts.save_stl(artefacts.make("steps"), tmp_path / "steps.stl")

@@ -150,7 +150,7 @@ def seeded(fault: Fault, source: str) -> str:
 def run_suite(tree: Path, suite: Suite, only: str | None = None) -> tuple[Verdict, str]:
     """The suite, or one test of it, on the copy, up to its first failure."""
     tests = [only] if only else [*(f"tests/drivers/{test}" for test in suite.tests), "tests/conformance"]
-    command = [sys.executable, "-m", "pytest", *tests, "-x", "-q", "-m", "not slow"]
+    command = [sys.executable, "-m", "pytest", *tests, "-x", "-q", "-m", "not nightly"]
     command += ["-p", "no:cacheprovider", "--no-header", "--tb=no", "--own-devices"]
     command += [word for rig in suite.rigs for word in ("--rig", f"tests/conformance/rigs/{rig}")]
     environment = {**os.environ, "PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1"}

@@ -11,7 +11,7 @@ from tests.conformance.fault import Fault
 from tests.conformance.fault_list import FAULTS
 from tests.conformance.seeded_faults import SUITES, Verdict, first_to_fail, try_fault, try_none
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.nightly
 
 
 PLACES = list({suite: place for place, suite in SUITES.items()}.values())

@@ -98,7 +98,7 @@ def test_a_good_bench_has_no_findings(bench: Fault) -> None:
     assert found.verdict is Verdict.GOOD
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_faults_of_another_seed() -> None:
     """The right cause first in at least 95 % of all, among the first two in all; the benchmark draws many."""
     placed = []
@@ -109,7 +109,7 @@ def test_faults_of_another_seed() -> None:
     assert max(placed) <= 1
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_good_benches_of_another_seed() -> None:
     for bench in GOOD:
         assert causes(replace(Bench(seed=200), **bench)) == [], bench
@@ -124,7 +124,7 @@ def of_other(bench: faulty_bench.Bench) -> Diagnosis:
     return diagnose_scan(recording, decoded, cloud, bench.calibration)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_benches_of_another_generator() -> None:
     """A board lit by formulas: the right cause first in at least 95 %, and nothing at healthy benches."""
     first = {cause: of_other(faulty_bench.faulty(cause, 40)).findings[:1] for cause in faulty_bench.FAULTS}

@@ -48,7 +48,7 @@ def test_points_that_a_mirroring_face_makes_are_useless() -> None:
     assert found.is_useless
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(("seed", "ruined"), [(200, True), (202, False)])
 def test_blur_makes_points_useless_where_it_costs_far_more_than_noise(seed: int, ruined: bool) -> None:
     found = focus_finding(FrameSample.of(faulty("camera_focus", seed).recording(), None), None)
@@ -113,7 +113,7 @@ def with_soft_fringes(recording: Recording, sigma_px: float) -> Recording:
     return replace(recording, frames=frames)
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_faults_added_to_real_captures_are_named(captures: Path) -> None:
     right = real(captures, "calseq1")
     random = np.random.default_rng(4)

@@ -95,7 +95,7 @@ def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_each_command_prints_what_the_page_shows(desk: Path) -> None:
     """From the boxes to the scan in one folder, each command with the files of those before it."""
     seen = 0

@@ -40,7 +40,7 @@ def has_code(page: Path) -> bool:
     return any(block.language not in READ_ONLY for block in blocks(page))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("page", [*filter(has_code, RUN)], ids=lambda page: page.relative_to(DOCS).as_posix())
 def test_each_page_does_what_it_shows(page: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MPLBACKEND", "Agg")

@@ -51,7 +51,7 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
         yield running
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_site_shows_its_pages(site: Path, browser: Browser) -> None:
     for width, (across, down) in WIDTHS.items():
         for path, heading in SHOWN.items():
@@ -67,7 +67,7 @@ def test_the_site_shows_its_pages(site: Path, browser: Browser) -> None:
             assert number_of_colours(pixels_of(shot)) > 40, where
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_reports_of_the_tutorial_are_shown(browser: Browser) -> None:
     folder = run_once(DOCS / "tutorial" / "first-scan.md")
     for width, (across, down) in WIDTHS.items():
@@ -81,7 +81,7 @@ def test_reports_of_the_tutorial_are_shown(browser: Browser) -> None:
             browser.screenshot(SCREENS / f"{path.replace('/', '-')}.{width}.png")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_pages_link_to_what_there_is(site: Path) -> None:
     """Links and anchors in the built pages, those between generated pages too."""
     pages = {

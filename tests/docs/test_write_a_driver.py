@@ -110,7 +110,7 @@ def test_a_dark_picture_is_told_with_its_exposure(tmp_path: Path) -> None:
     )
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("good", "bad", "noticed_by"),
     [
@@ -134,7 +134,7 @@ def test_a_worse_camera_does_not(tmp_path: Path, good: str, bad: str, noticed_by
     assert done.returncode == 1, done.stdout
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_package_of_the_page_announces_its_camera(tmp_path: Path) -> None:
     source, installed = tmp_path / "source", tmp_path / "installed"
     source.mkdir()

@@ -106,7 +106,7 @@ def test_frames_are_the_twins_own_and_the_card_is_where_it_is(lattice: str, tmp_
     assert error_mm(frames, world) < 1.0
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("spoiled", SPOILED)
 def test_pixels_that_are_altered_on_the_way_show_in_the_cloud(spoiled: str, tmp_path: Path) -> None:
     world = optics(tmp_path, "square")
@@ -120,7 +120,7 @@ def test_pixels_that_are_altered_on_the_way_show_in_the_cloud(spoiled: str, tmp_
     assert wrong > 2 * right
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_curve_that_is_known_or_measured_is_taken_out(tmp_path: Path) -> None:
     world = optics(tmp_path, "square")
     with through_display(tmp_path, "square") as rig:
@@ -137,7 +137,7 @@ def test_a_curve_that_is_known_or_measured_is_taken_out(tmp_path: Path) -> None:
     assert by_response < 1.1 * linear
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_times_are_those_of_the_display(tmp_path: Path) -> None:
     """SDL draws in steps of 16 whole ms on a server without a screen, and each frame is there at once."""
     optics(tmp_path, "square")

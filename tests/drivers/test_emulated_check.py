@@ -24,7 +24,7 @@ from fpplab.patterns.plan import Plan
 from tests.drivers.emulated_rig import PLAN, bench_of, burn, on_video, rig_file
 
 DIM = PLAN.model_copy(update={"exposure_s": 0.016})
-SLOW = pytest.mark.slow
+SLOW = pytest.mark.whole
 
 
 @pytest.fixture(scope="module")

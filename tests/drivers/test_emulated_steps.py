@@ -41,14 +41,14 @@ def stepped(rig: Rig) -> dict[str, CheckedStep]:
     return {step.name: step for step in found}
 
 
-@pytest.mark.parametrize("rig_on", [rig_file, pytest.param(on_video, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("rig_on", [rig_file, pytest.param(on_video, marks=pytest.mark.whole)])
 def test_a_sound_bench(folder: Path, rig_on: Callable[..., Rig]) -> None:
     found = stepped(rig_on(folder))
     assert list(found) == ALL
     assert all(step.ok and not step.remedy for step in found.values()), found
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_shortest_period_is_what_the_sensor_takes(folder: Path) -> None:
     """Beyond the exposure it needs more than the projector's gap, and a little less than is allowed for."""
     rate = stepped(rig_file(folder, {"sensor": {"dead_us": 1000.0}}))["rate"]

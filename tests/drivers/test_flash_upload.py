@@ -158,7 +158,7 @@ def test_power_may_fail_about_what_changes_most(fails_at):
 FAST = Dlpc350Policy(sector_erase_s=0.02)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_power_may_fail_at_every_message():
     """Of one image."""
     messages = _messages(FAST, SMALL)
@@ -167,7 +167,7 @@ def test_power_may_fail_at_every_message():
         _finish(_interrupted(fails_at, FAST, SMALL), SMALL)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_power_may_fail_at_every_message_but_data():
     """Of many images, and at every fifth message with data."""
     for fails_at, number in enumerate(_messages(FAST)):

@@ -8,7 +8,7 @@ import pytest
 
 from tests.drivers.three_devices import check_card
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.whole
 
 
 def test_a_card_is_where_it_is_from_wherever_the_stage_stands(tmp_path: Path) -> None:

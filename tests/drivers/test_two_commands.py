@@ -26,7 +26,7 @@ from tests.drivers.screen_scene import DISPLAY_PX, write_scene
 from tests.drivers.x_screen import ScreenAndVideoBench
 
 pytestmark = [
-    pytest.mark.slow,
+    pytest.mark.whole,
     pytest.mark.skipif(shutil.which("Xvfb") is None, reason="no Xvfb on this computer"),
 ]
 

@@ -43,7 +43,7 @@ def test_every_example_is_run_here() -> None:
     assert [name for name in scripts if f'"{name}"' not in here] == []
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_frames_of_ones_own_are_decoded() -> None:
     said = run("decode_own_frames.py")
     assert number(said, "pixels") == 912 * 64
@@ -56,7 +56,7 @@ def test_a_session_is_decoded_and_plotted(demo: Demo, tmp_path: Path) -> None:
     assert (tmp_path / "maps.png").stat().st_size > 10_000
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_session_is_reconstructed_and_compared(demo: Demo, tmp_path: Path) -> None:
     folder = demo.folder / "pyramid"
     words = (demo.folder / "calibration.yaml", folder / "truth.stl", tmp_path / "errors.png")
@@ -67,7 +67,7 @@ def test_a_session_is_reconstructed_and_compared(demo: Demo, tmp_path: Path) -> 
     assert (tmp_path / "errors.png").stat().st_size > 10_000
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_rig_is_characterised(demo: Demo, tmp_path: Path) -> None:
     poses = tmp_path / "poses"
     poses.mkdir()

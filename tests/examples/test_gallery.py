@@ -32,7 +32,7 @@ def test_the_page_shows_every_script() -> None:
     assert sorted(shown) == sorted(CAUSES) == [script.stem for script in GALLERY]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("script", GALLERY, ids=lambda script: script.stem)
 def test_the_fault_is_named(script: object) -> None:
     said = verdict_of(script)  # type: ignore[arg-type]

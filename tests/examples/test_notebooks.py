@@ -41,7 +41,7 @@ def run(name: str, demo: Path | None, tmp_path: Path, monkeypatch: pytest.Monkey
     return [data for data in results if not data["text/plain"].startswith("<Figure")]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_from_session_to_error(demo: Demo, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     results = run("from_session_to_error.ipynb", demo.folder, tmp_path, monkeypatch)
@@ -55,7 +55,7 @@ def test_from_session_to_error(demo: Demo, tmp_path: Path, monkeypatch: pytest.M
     assert 300.0 < float(depth["text/plain"]) < 600.0
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_plans_and_noise(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     _, ratio, slope = run("plans_and_noise.ipynb", None, tmp_path, monkeypatch)
@@ -64,7 +64,7 @@ def test_plans_and_noise(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     assert float(slope["text/plain"]) == pytest.approx(-1.0, abs=0.1)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_a_calibration(demo: Demo, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     _, _, error, sigmas, _ = run("a_calibration.ipynb", demo.folder, tmp_path, monkeypatch)

@@ -25,7 +25,7 @@ def place(tmp_path: Path) -> Path:
     return tmp_path / "disk"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("writing", COMMANDS, ids=lambda writing: writing.name)
 def test_full_at_every_page(place: Path, writing: object) -> None:
     complaints = list(try_every_size(writing, place))  # type: ignore[arg-type]
@@ -42,7 +42,7 @@ def test_a_disk_that_is_gone_is_told(place: Path) -> None:
     assert "is not a session" in done.err
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_disk_that_vanishes_under_a_scan(tmp_path: Path) -> None:
     if not can_vanish(tmp_path / "trial"):
         pytest.skip("this process may not mount a loop device")
@@ -50,7 +50,7 @@ def test_a_disk_that_vanishes_under_a_scan(tmp_path: Path) -> None:
     assert list(vanishing_disks(tmp_path, SCAN_EMULATED, times=2, seed=2)) == ["", ""]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("error", "names"),
     [(errno.ENOSPC, {"scan", "repair"}), (errno.EDQUOT, {"convert", "artefact"})],

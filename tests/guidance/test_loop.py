@@ -40,7 +40,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[GuidedRun, list[str],
     return *guided(folder, settings, FAULTS), folder
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_bad_poses_are_rejected_with_their_cause_and_the_loop_goes_on(
     run: tuple[GuidedRun, list[str], Path],
 ) -> None:
@@ -87,7 +87,7 @@ def test_poses_on_disk_are_kept_and_count(run: tuple[GuidedRun, list[str], Path]
     assert again.form_mm == pytest.approx(found.form_mm, rel=0.02)
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_loop_ends_when_enough_is_known(tmp_path: Path) -> None:
     found, said = guided(tmp_path, GuidedSettings(poses=12, until_mm=0.2), seed=3)
     assert found.reached
@@ -96,7 +96,7 @@ def test_the_loop_ends_when_enough_is_known(tmp_path: Path) -> None:
     assert "-> 200 µm" in said[-2] or "-> 200 µm" in " ".join(said)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("fault", "cause"),
     [("hidden", FaultCause.BOARD_NOT_FOUND), ("saturated", FaultCause.SATURATED)],
@@ -109,7 +109,7 @@ def test_other_bad_poses_are_named(tmp_path: Path, fault: str, cause: FaultCause
         assert cause in {one.cause for one in found.attempts[k].findings}
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_board_that_is_never_found_ends_the_loop(tmp_path: Path) -> None:
     with pytest.raises(CalibrationError, match=r"3 poses in succession were rejected.*not found"):
         guided(tmp_path, GuidedSettings(poses=5), dict.fromkeys(range(9), "hidden"))

@@ -47,7 +47,7 @@ def test_tilts_and_distances_are_asked_for() -> None:
     assert "characterise now" in advise_by_coverage(observed(poses(12)), BOARD, *SIZES)[0]
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_poses_are_taken_counted_and_kept(tmp_path: Path) -> None:
     """A board that the twin holds; one pose too far away for its points to be found does not count."""
     places = [((10, 12, 3), (0, 0, 450)), ((-15, 8, 0), (5, 5, 440)), ((0, 0, 0), (0, 0, 2500))]

@@ -156,7 +156,7 @@ def test_a_device_that_fails_ends_it(rig: Path, monkeypatch: pytest.MonkeyPatch)
         operate(rig, Operator(), frames=3)
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("name", "command"),
     [

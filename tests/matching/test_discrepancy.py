@@ -132,7 +132,7 @@ def test_what_scans_show_by_themselves_is_named_with_the_part() -> None:
     assert not_for == "parts that do not stand still"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_scans_of_a_twin_that_is_the_bench_have_its_figures(tmp_path: Path) -> None:
     """And with twice the light on the twin alone its noise is less."""
     found = config.find_config("rig_demo", "rig")

@@ -39,7 +39,7 @@ def proposed(name: str, bench: TwinParameters, start: TwinParameters) -> TwinPar
     return found
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("flicker", [0.002, 0.01])
 def test_flicker_of_a_shaking_bench_is_found(truth: TwinParameters, flicker: float) -> None:
     bench = replace(truth, projector_flicker=flicker, vibration_mm=SHAKEN_MM)
@@ -51,13 +51,13 @@ def test_flicker_of_a_shaking_bench_is_found(truth: TwinParameters, flicker: flo
     assert found.sigma["projector_flicker"] < 0.2 * flicker
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_steady_light_of_a_shaking_bench_has_no_flicker(truth: TwinParameters) -> None:
     found = proposed("flicker", replace(truth, vibration_mm=SHAKEN_MM), truth)
     assert found.projector_flicker < 3e-4
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_rolling_bands_are_found(truth: TwinParameters) -> None:
     lit = replace(truth, ambient=0.05)
     bench = replace(lit, ambient_ripple=0.3, band_period_px=37.0, vibration_mm=SHAKEN_MM)
@@ -73,7 +73,7 @@ def test_rolling_bands_are_found(truth: TwinParameters) -> None:
     assert found.band_advance is None, "their place is another in each frame"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_bands_that_move_on_evenly_are_found(truth: TwinParameters) -> None:
     lit = replace(truth, ambient=0.05)
     bench = replace(lit, ambient_ripple=0.3, band_period_px=37.0, band_advance=0.31)
@@ -83,7 +83,7 @@ def test_bands_that_move_on_evenly_are_found(truth: TwinParameters) -> None:
     assert found.ambient_ripple == pytest.approx(0.3, rel=0.2)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("advance", [0.1, 0.125])
 def test_light_in_step_is_found_where_no_fit_of_phase_steps_sees_it(
     truth: TwinParameters, advance: float
@@ -98,14 +98,14 @@ def test_light_in_step_is_found_where_no_fit_of_phase_steps_sees_it(
     assert abs(found.ambient_ripple - 0.2) < 4 * found.sigma["ambient_ripple"]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_steady_light_of_a_shaking_bench_has_no_bands(truth: TwinParameters) -> None:
     bench = replace(truth, vibration_mm=SHAKEN_MM, projector_flicker=0.005)
     found = proposed("rolling bands", bench, truth)
     assert found.ambient_ripple == 0.0
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_vibration_along_a_line_is_found_with_its_frequency(truth: TwinParameters) -> None:
     line = (0.012, -0.004, 0.006)
     bench = replace(

@@ -121,7 +121,7 @@ def test_board_mask_is_the_projected_outline_less_the_edge_margin() -> None:
         assert (u.mean(), v.mean()) == pytest.approx((230, 150), abs=0.6)
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_refinement_by_images_finds_the_geometry(truth: TwinParameters, reference: Reference) -> None:
     # The start is off by a tenth of a pixel; light and everything else is true.
     start = moved(truth, 0.04, 0.01)
@@ -199,7 +199,7 @@ def matched_noise(reference: Reference, twin: PlaneTwin) -> TwinParameters:
     return found
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_noise_is_found(truth: TwinParameters) -> None:
     noisy = replace(truth, vibration_mm=0.01, full_well_e=4000.0)
     twin = PlaneTwin(truth, 5)
@@ -211,7 +211,7 @@ def test_noise_is_found(truth: TwinParameters) -> None:
     assert found.read_noise_e / found.full_well_e == pytest.approx(2.5 / 15000.0)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_what_the_twin_lacks_is_not_taken_for_noise(truth: TwinParameters) -> None:
     """A bent response that the twin does not know made a full well of 24 e for 15,000 by its residuals."""
     bent = replace(truth, response=Curve(a=0.92, b=0.08, g=1.6))
@@ -219,14 +219,14 @@ def test_what_the_twin_lacks_is_not_taken_for_noise(truth: TwinParameters) -> No
     assert found.full_well_e == pytest.approx(truth.full_well_e, rel=0.1)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_great_read_noise_is_found(truth: TwinParameters) -> None:
     noisy = replace(truth, read_noise_e=600.0)
     found = matched_noise(reference_of(noisy, 4, NOISY_PLAN), PlaneTwin(truth, 5))
     assert found.read_noise_e == pytest.approx(600.0, rel=0.1)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_right_noise_is_the_best_and_images_are_compared_without_any(truth: TwinParameters) -> None:
     moving = replace(truth, vibration_mm=0.02)
     held = reference_of(moving, 4, NOISY_PLAN)
@@ -492,7 +492,7 @@ def test_a_round_that_still_moves_poses_has_not_converged(truth: TwinParameters)
     assert not match._changed(before, after(replace(now, white=now.white + 0.001)), limits)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_standard_uncertainties_of_light_cover_the_truth(truth: TwinParameters) -> None:
     names = ("white", "ink", "ambient", "projector_blur")
     pulls = []

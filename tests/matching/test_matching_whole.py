@@ -37,7 +37,7 @@ PLAN = Plan(
 POSES = 4
 EPOCHS = 3
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.nightly
 
 
 @dataclass(frozen=True)

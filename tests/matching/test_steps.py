@@ -20,7 +20,7 @@ from tests.matching.test_matching import reference_of, truth
 from tests.support.plane_twin import CAMERA, SETTINGS, TARGET, PlaneTwin, Remembered
 
 __all__ = ["truth"]  # a fixture
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.nightly
 
 FULL = full_scale(SETTINGS.bits)
 

@@ -157,7 +157,7 @@ def written(folder: Path, materials: Mapping[str, Any]) -> Path:
     return folder / "rig.yaml"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(("item", "material"), [("dark", DARK), ("glossy", GLOSSY)])
 def test_dark_and_glossy_parts_are_predicted_as_a_bench_measures_them(
     item: str, material: Mapping[str, Any], twin_rig: Path, tmp_path: Path

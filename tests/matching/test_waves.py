@@ -83,7 +83,7 @@ def test_faults_across_the_line_are_no_swing() -> None:
     assert np.linalg.norm(both.swing) == pytest.approx(np.linalg.norm(line), rel=0.1)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_frequencies_lie_as_near_as_their_uncertainty_says() -> None:
     """Errors of many swings over their standard uncertainties."""
     errors = []

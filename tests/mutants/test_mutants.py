@@ -156,7 +156,7 @@ def test_an_ending_that_names_no_test_is_compared_with_the_unharmed_sources(
     assert killer_of(trial) == (trial.evidence.partition(" ")[2] if " tests/" in trial.evidence[:13] else "")
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_tests_that_are_gone_are_not_chosen() -> None:
     here = "tests/mutants/test_mutants.py::test_modules_that_import_another"
     known = CoverageMap({"a.py": {1: [here, f"{here}_one"]}}, {here: 1.0, f"{here}_one": 1.0})
@@ -229,7 +229,7 @@ def test_tests_of_the_module_come_before_those_of_the_package_and_others() -> No
     assert Chooser(ROOT, known, seconds=5.0).tests_for(mutant) == list(reversed(seconds))[:2]
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_fault_is_killed_a_harmless_one_survives_and_the_copy_is_mended(tmp_path: Path) -> None:
     file, test = "fpplab/core/strict_json.py", "tests/core/test_reading.py::test_json_of_an_object_is_one"
     wanted = next(m for m in mutants(ROOT, file) if "isinstance" in m.old)

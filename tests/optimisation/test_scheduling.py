@@ -61,12 +61,12 @@ def test_one_worker_measures_in_this_process() -> None:
     assert isinstance(make_workers(Formula(), 1, None), InProcessWorkers)
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_two_processes_give_the_same_scores_as_one(pair: DaskWorkers) -> None:
     assert measured(pair, TASKS) == measured(InProcessWorkers(Formula(noise_um=2.0)), TASKS)
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_optimum_and_order_do_not_depend_on_the_number_of_workers(tmp_path: Path, pair: DaskWorkers) -> None:
     wanted, found = study(budget=30), []
     for name, workers in (("one", InProcessWorkers(Formula(noise_um=2.0))), ("two", pair)):
@@ -78,7 +78,7 @@ def test_optimum_and_order_do_not_depend_on_the_number_of_workers(tmp_path: Path
     assert found[0] == found[1]
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_measurement_of_a_killed_worker_is_repeated(tmp_path: Path) -> None:
     formula = Formula(dies_once=tmp_path / "died")
     cluster = DaskWorkers(formula, workers=2)
@@ -110,7 +110,7 @@ class Filling:
     def close(self) -> None: ...
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @pytest.mark.skipif(sys.platform != "linux", reason="what glibc does with memory")
 def test_worker_memory_is_reused_for_the_next_image(pair: DaskWorkers) -> None:
     (found,) = measured(opening(Filling(), pair), TASKS[:1]).values()
@@ -131,7 +131,7 @@ class Stuck:
     def close(self) -> None: ...
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_rig_fault_is_raised_from_the_worker_process(pair: DaskWorkers) -> None:
     with pytest.raises(LimitError, match="70 mm was asked for"):
         measured(opening(Stuck(), pair), TASKS[:1])
@@ -145,7 +145,7 @@ def test_missing_scheduler_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
         DaskWorkers(Formula(), address=f"tcp://127.0.0.1:{port}")
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_scheduler_without_workers_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(scheduling, "CONNECT_TIMEOUT_S", 0.5)
     distributed: Any = pytest.importorskip("distributed")
@@ -155,7 +155,7 @@ def test_scheduler_without_workers_is_reported(monkeypatch: pytest.MonkeyPatch) 
             DaskWorkers(Formula(), address=address)
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_workers_of_an_existing_scheduler_measure(pair: DaskWorkers) -> None:
     elsewhere = DaskWorkers(Formula(noise_um=2.0), address=pair._client.scheduler.address)
     try:

@@ -389,7 +389,7 @@ def test_bayesian_search_finds_the_stripes(tmp_path: Path) -> None:
     assert runner.ranking.is_acceptable(runner.best)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_front_is_at_least_as_good_as_every_single_optimum(tmp_path: Path) -> None:
     runner = runner_of(tmp_path / "front", **FRONT)
     runner.space.study.method.search(runner)

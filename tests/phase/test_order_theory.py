@@ -65,7 +65,7 @@ def posterior(recording, bounds) -> tuple[np.ndarray, np.ndarray]:
     return place, 1 - 1 / np.exp(-0.5 * (cost - least)).sum(0)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(("stripes", "steps", "unwrapping"), PLANS)
 def test_no_more_wrong_orders_and_few_more_losses_than_theory_demands(stripes, steps, unwrapping) -> None:
     kept, wrong = 0, 0

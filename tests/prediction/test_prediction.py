@@ -82,7 +82,7 @@ def test_a_prediction_is_that_of_a_whole_synthesis(rig: Rig) -> None:
     assert found.discrepancy is None
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_prediction_of_a_vibrating_twin_is_that_of_a_whole_synthesis(vibrating: Rig) -> None:
     """Traced in a sample of rows, beside whole frames that are rendered, each with its own displacement."""
     plan = PLAN.model_copy(update={"filter": FilterRules()})  # keeps single gross errors out of the mean

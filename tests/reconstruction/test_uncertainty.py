@@ -266,7 +266,7 @@ def test_progress_ends_with_all() -> None:
     assert told[-1] == 1.0
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_characterisations_repeated_spread_the_points_as_each_predicts() -> None:
     """From noisy pictures of a board to points: what one characterisation says is what forty do.
 

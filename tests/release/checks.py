@@ -114,7 +114,10 @@ CHECKS = (
     Check("formats", "files of all versions are read", pytest("tests/sessions/test_version_0_1_0.py")),
     Check("docs", "generated pages are up to date", pytest("tests/docs")),
     Check("quick", "the quick tests", lambda: run("make", "test")),
-    Check("slow", "the slow tests, and an installation of the wheel alone", lambda: run("make", "test-slow")),
+    Check(
+        "whole", "tests that a merge waits for, among them the wheel alone", lambda: run("make", "test-whole")
+    ),
+    Check("nightly", "repeats, rare conditions and long runs", lambda: run("make", "nightly")),
     Check("wheel", "the wheel is in dist/", python(*WHEEL)),
     Check("materials", "the bill of materials is in dist/", bill_of_materials),
     Check("other", "the twin on the other Python: `make test-twin VENV=.venv-other PYTHON=python3.11`"),

@@ -106,7 +106,7 @@ def test_every_check_has_a_name_of_its_own() -> None:
     assert len({check.name for check in checks.CHECKS}) == len(checks.CHECKS)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_bill_of_materials_names_blender_s_licence(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -28,7 +28,7 @@ from sim.world import World
 from tests.sim.conftest import plain
 from tests.sim.test_surroundings import WALL, write_wall
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.nightly
 SIZE = (456, 304)
 MARGINS, RIM = (9.0, 4.0, 6.0, 3.0), 7.0
 PLAN = Plan(fringes=tuple(Sinusoid(axis=axis, stripes=s, steps=4) for axis in ("x", "y") for s in (1, 8, 32)))

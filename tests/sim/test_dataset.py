@@ -403,7 +403,7 @@ def test_folder_without_a_data_set_is_left_unchanged(tmp_path: Path) -> None:
     assert [p.name for p in (tmp_path / "set").iterdir()] == ["thesis.tex"]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_full_disk_is_reported_and_leaves_no_incomplete_shard(
     tmp_path: Path, boards: Dataset, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -305,7 +305,7 @@ def operate(folder: Path, archive: Path, rig: Path, python_path: str, *parts: st
     return told
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_pictures_of_the_demonstration_are_the_twins(
     tmp_path: Path, archive: Path, small_rig: Path, python_path: str
 ) -> None:
@@ -328,7 +328,7 @@ def test_pictures_of_the_demonstration_are_the_twins(
             assert np.abs(picture[..., 0] - twins).max() <= 1
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_scan_and_its_errors_come_back_into_the_scene(
     tmp_path: Path, archive: Path, small_rig: Path, python_path: str
 ) -> None:
@@ -352,7 +352,7 @@ def test_scan_and_its_errors_come_back_into_the_scene(
     assert np.abs(255 * np.load(tmp_path / "third.npy") - twins).max() <= 1  # the cloud is not in it
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_twin_is_fitted_and_shown(tmp_path: Path, archive: Path, small_rig: Path, python_path: str) -> None:
     data = config.parse_yaml(config.find_config("rig_twin").read_text(), "rig_twin")
     data["bench"] |= {"binning": 8, "analytic": True, "world": "world_twin.yaml"}
@@ -368,7 +368,7 @@ def test_twin_is_fitted_and_shown(tmp_path: Path, archive: Path, small_rig: Path
     assert told["differs"] == {}
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_exported_scene_stands_alone(tmp_path: Path, small_rig: Path, python_path: str) -> None:
     """Opened without the extension it renders the twin's picture."""
     chosen = ("--rig", small_rig, "--item", "board", "--stripes", 20, "--steps", 4, "--step", 1)

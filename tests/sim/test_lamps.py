@@ -246,7 +246,7 @@ def test_surroundings_throw_no_shadow_of_lamps(tmp_path: Path) -> None:
     assert not lamp_light(of, replace(of_item, surfaces=tuple(shading)), pixels).any()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("surrounded", [False, True])
 @pytest.mark.parametrize("item", ["board", "pillars"])
 def test_blender_shows_the_same_light(blender: Blender, tmp_path: Path, item: str, surrounded: bool) -> None:

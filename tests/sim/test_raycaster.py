@@ -240,9 +240,9 @@ def test_points_seen_through_a_wide_lens_project_to_their_pixels(
     ("lens", "lattice"),
     [
         pytest.param(PROJECTOR, Lattice.DIAMOND, id="five-diamond"),
-        pytest.param(RATIONAL, Lattice.SQUARE, id="eight-square", marks=pytest.mark.slow),
-        pytest.param(PROJECTOR, Lattice.SQUARE, id="five-square", marks=pytest.mark.slow),
-        pytest.param(RATIONAL, Lattice.DIAMOND, id="eight-diamond", marks=pytest.mark.slow),
+        pytest.param(RATIONAL, Lattice.SQUARE, id="eight-square", marks=pytest.mark.nightly),
+        pytest.param(PROJECTOR, Lattice.SQUARE, id="five-square", marks=pytest.mark.nightly),
+        pytest.param(RATIONAL, Lattice.DIAMOND, id="eight-diamond", marks=pytest.mark.nightly),
     ],
 )
 def test_light_comes_from_the_mirrors_that_points_project_to(

@@ -112,7 +112,7 @@ def test_some_pixels_are_as_all_are(tmp_path: Path, item: str) -> None:
     assert (some > 0).mean() > 0.9
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("path", ["transport", "linear", "reference"])
 def test_all_light_paths_agree(blender: Blender, tmp_path: Path, path: str) -> None:
     of = walled(tmp_path)

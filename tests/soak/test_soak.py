@@ -31,7 +31,7 @@ def test_what_stays_is_flat() -> None:
     assert growth(held(40)) == growth(held(12)) == []
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_scans_and_reconnections_leave_nothing(tmp_path: Path) -> None:
     for rounds in (scans(tmp_path, 14), plug_cycles(tmp_path, 12)):
         found = [Held.now() for _ in rounds]

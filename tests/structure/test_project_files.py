@@ -67,9 +67,21 @@ def test_hosted_tests_install_what_the_documentation_names() -> None:
         text("docs/how-to/install.md"),
     )
     wanted = {*named[0].split(), named[1]}
-    workflow = text(".github/workflows/ci.yml")
-    assert wanted <= set(workflow.split())
-    assert yaml.safe_load(workflow)["jobs"]["all"]["steps"][-1]["run"] == ".ci/run"
+    for name in ("ci", "nightly"):
+        assert wanted <= set(text(f".github/workflows/{name}.yml").split())
+
+
+def test_hosted_tests_are_all_parts_of_the_local_ones() -> None:
+    (job,) = yaml.safe_load(text(".github/workflows/ci.yml"))["jobs"].values()
+    assert job["steps"][-1]["run"] == ".ci/run ${{ matrix.part }}"
+    (parts,) = re.findall(r'^parts=" \$\{\*:-([a-z ]+)\} "$', text(".ci/run"), re.MULTILINE)
+    assert job["strategy"]["matrix"]["part"] == parts.split()
+
+
+def test_every_long_run_is_part_of_the_hosted_night() -> None:
+    (job,) = yaml.safe_load(text(".github/workflows/nightly.yml"))["jobs"].values()
+    (targets,) = re.findall(r"^nightly: (test-nightly .+)$", text("Makefile"), re.MULTILINE)
+    assert [part.split()[0] for part in job["strategy"]["matrix"]["part"]] == targets.split()
 
 
 def test_the_readme_is_one_screen_and_shows_a_picture() -> None:

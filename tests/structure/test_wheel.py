@@ -122,7 +122,7 @@ def run_installed(installed: tuple[Path, float], tmp_path_factory: pytest.TempPa
     return run
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_core_is_installed_soon_and_small(installed: tuple[Path, float]) -> None:
     python, seconds = installed
     assert seconds < 60.0
@@ -130,7 +130,7 @@ def test_the_core_is_installed_soon_and_small(installed: tuple[Path, float]) -> 
     assert int(taken.stdout.split()[0]) < LARGEST_MB
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_only_names_of_its_own_land_in_site_packages(run_installed: Run) -> None:
     program = (
         "import importlib.metadata as m; print(*sorted({str(f).split('/')[0] for f in m.files('fpplab')}))"
@@ -161,14 +161,14 @@ print(*sorted(wanted))
 """
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_every_module_is_found_by_its_new_name(run_installed: Run) -> None:
     found = run_installed("-W", "ignore", "-c", EVERY_MODULE).split()
     assert {*found} <= {"twin", "basler", "lightcrafter", "stage", "display", "gentl", "viewer", "optimise"}
     assert "basler" in found
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @pytest.mark.parametrize("words", [("-c", "import fpplab"), ("-m", "fpplab", "--help")])
 def test_it_starts_at_once(run_installed: Run, words: tuple[str, ...]) -> None:
     run_installed(*words)  # which compiles the modules
@@ -178,7 +178,7 @@ def test_it_starts_at_once(run_installed: Run, words: tuple[str, ...]) -> None:
     assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < 0.5
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_old_names_of_backends_go_on(run_installed: Run) -> None:
     names = ("sim.devices:SimCamera", "virtual_camera", "fpplab_sim.devices:SimCamera")
     for name in names:
@@ -186,7 +186,7 @@ def test_old_names_of_backends_go_on(run_installed: Run) -> None:
         assert run_installed("-c", program) == "<class 'fpplab_sim.devices.SimCamera'>\n"
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("words", "extra"),
     [
@@ -202,7 +202,7 @@ def test_a_missing_extra_is_named(run_installed: Run, words: list[str], extra: s
     assert answer["exit_code"] == 2
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_captures_are_characterised_and_reconstructed(
     run_installed: Run, captures: Path, tmp_path: Path
 ) -> None:

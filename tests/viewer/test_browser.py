@@ -25,7 +25,7 @@ from tests.support.browser import SOFTWARE_WEBGL, chromium, hosts, number_of_col
 from tests.support.plane_twin import nominal, tilted
 from tests.viewer.test_viewer import MIRRORS, PLAN, calibration, cloud, decoded, session
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.nightly
 WINDOW = (1600, 1000)
 SCENE = (slice(80, 962), slice(0, 886))
 """Rows and columns of the scene of a measurement in that window."""

@@ -21,7 +21,7 @@ from tests.support.browser import SOFTWARE_WEBGL, chromium
 from tests.support.commands import NO_DISPLAY, ROOT, Command, Demo
 from tests.support.recordings import Recording
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.whole
 
 
 def replayed(demo: Demo, folder: Path) -> Path:

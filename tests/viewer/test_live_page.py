@@ -35,7 +35,7 @@ def press(browser: Browser, order: str) -> None:
     browser.drag((x, y), (x, y))
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_set_up_is_operated_in_a_browser(tmp_path: Path) -> None:
     converging(18.0).save(tmp_path / "calibration.yaml")
     words = ["live", "--rig", str(rig_file(tmp_path)), "--calibration", str(tmp_path / "calibration.yaml")]

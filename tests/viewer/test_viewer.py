@@ -280,8 +280,8 @@ def test_the_page_may_connect_to_this_computer_alone(served: Viewer[MeasurementV
     "name",
     [
         "rerun",
-        pytest.param("host.py", marks=pytest.mark.slow),
-        pytest.param("fpplab.viewer.process", marks=pytest.mark.slow),
+        pytest.param("host.py", marks=pytest.mark.whole),
+        pytest.param("fpplab.viewer.process", marks=pytest.mark.whole),
     ],
 )
 def test_a_viewer_that_dies_does_not_stop_the_measurement(
@@ -304,7 +304,7 @@ def test_a_viewer_that_dies_does_not_stop_the_measurement(
     assert not alive
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_viewer_that_hangs_is_not_waited_for(
     served: Viewer[MeasurementView], started: list[psutil.Process], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -353,7 +353,7 @@ time.sleep(120)
 """
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_measurement_that_is_killed_leaves_no_process_and_its_recording(tmp_path: Path) -> None:
     kept = tmp_path / "view.rrd"
     command = [sys.executable, "-c", MEASURING, str(kept)]

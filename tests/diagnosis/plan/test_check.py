@@ -150,7 +150,7 @@ def test_a_right_plan_is_left_alone(seed: int) -> None:
     assert_left_alone(right_plan(seed))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("seed", range(100, 160))
 def test_many_right_plans_are_left_alone(seed: int) -> None:
     assert_left_alone(right_plan(seed))

@@ -223,7 +223,7 @@ def test_the_driver_believes_no_wrong_answer() -> None:
         assert fates[kind] > 20, kind
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_million_reports() -> None:
     assert batter_emulator(600_000, 3).total() + batter_driver(400_000, 4).total() == 1_000_000
 
