@@ -15,7 +15,7 @@ from difflib import get_close_matches
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 from fpplab.core.errors import ConfigError
 from fpplab.core.extras import missing_extra
@@ -35,6 +35,29 @@ RENAMED_BACKENDS = {
     "fpplab.replay:ReplayProjector": "fpplab.sessions.replay:ReplayProjector",
 }
 """Backends by the names that early rig files have for them."""
+
+
+@runtime_checkable
+class SharedBackend(Protocol):
+    """What the devices of a rig share, such as a simulated world, a recording or an emulated wire.
+
+    A rig file names it as `bench`; it is made as `Backend(options)` and handed to every device. `options` is
+    the rest of the section, a `dict[str, Any]`; a wrong one is a `ConfigError` on construction.
+    """
+
+    def open(self) -> None:
+        """Get ready; called once, before any of the devices is opened.
+
+        Raises
+        ------
+        ConfigError, DeviceError
+            It cannot be had; nothing is left open then.
+        """
+        ...
+
+    def close(self) -> None:
+        """Release everything; called after all devices are closed, whatever failed, any number of times."""
+        ...
 
 
 def allow_backends(names: list[str]) -> None:

@@ -13,10 +13,6 @@ from fpplab.devices.device import Device, State
 Trigger = Literal["software", "hardware"]
 
 
-ROUNDING, ROUNDING_DB = 0.1, 0.5
-"""How far a device's own grid may take an exposure (as a share) and a gain from what was asked for."""
-
-
 @dataclass(frozen=True)
 class CameraSettings:
     """What a camera can be told.
@@ -34,10 +30,6 @@ class CameraSettings:
     exposure_s: float
     gain_db: float = 0.0
     bits: int = 8
-
-
-LONGEST_LEAST_EXPOSURE_S = 1.0
-"""No camera's least exposure is as long: a driver that says so counts in other units."""
 
 
 @dataclass(frozen=True)
@@ -79,14 +71,15 @@ class CameraCaps:
     def __post_init__(self) -> None:
         for name in ("size", "bits", "exposure_s", "gain_db", "triggers"):
             if not isinstance(value := getattr(self, name), tuple):
-                raise TypeError(f"CameraCaps.{name} is {value!r}; it must be a tuple; mend the driver")
-        if self.exposure_s[0] >= LONGEST_LEAST_EXPOSURE_S:
-            least = f"CameraCaps.exposure_s begins at {self.exposure_s[0]:g} s"
-            raise ValueError(f"{least}; it is in seconds, not in µs; mend the driver")
+                raise TypeError(f"CameraCaps.{name} is {value!r}; it must be a tuple; fix the driver")
+        if self.exposure_s[0] >= 1.0:  # the shortest exposure of machine vision cameras is 1 µs to 1 ms
+            shortest = f"CameraCaps.exposure_s begins at {self.exposure_s[0]:g} s"
+            raise ValueError(f"{shortest}; it is in seconds, not in µs; fix the driver")
         known = get_args(Trigger)
         if unknown := set(self.triggers) - set(known):
-            words = f"CameraCaps.triggers has '{unknown.pop()}'"
-            raise ValueError(f"{words}; there are {', '.join(known)}; mend the driver")
+            raise ValueError(
+                f"CameraCaps.triggers has '{unknown.pop()}'; there are {', '.join(known)}; fix the driver"
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -300,7 +293,7 @@ class Camera(Device):
                 self.name,
                 "read",
                 f"frame {frame.index} arrived instead of frame {self._taken}",
-                "see to the link to the camera, and take the frames again",
+                "check the link to the camera, and take the frames again",
             )
         settings = self._configured("read")
         width, height = self.caps.size
@@ -315,45 +308,91 @@ class Camera(Device):
 
     @abstractmethod
     def _caps(self) -> CameraCaps:
-        """What this camera can do, as it says itself.
+        """Tell what this camera can do, as it says itself.
 
         Called by `caps`, often: in IDLE before every use, and in ARMED for every frame that is checked. It
         must be quick and may only change while the camera is IDLE.
+
+        Returns
+        -------
+        CameraCaps
+            Its capabilities at the present settings: exposures in s, gains in dB, size in px.
         """
 
     @abstractmethod
     def _configure(self, settings: CameraSettings) -> CameraSettings:
         """Apply settings that lie within `_caps`, and give what the device then reads back.
 
-        Called by `configure` in IDLE, any number of times. Exposure in s, gain in dB. Do not clamp and do not
-        give back what was asked for: read the device. The base class refuses what differs by more than the
-        device's grid::
+        Called by `configure` in IDLE, any number of times. Do not clamp and do not give back what was asked
+        for: read the device. The base class refuses what differs by more than the device's grid::
 
             def _configure(self, settings):
                 self._sdk.set("ExposureTime", 1e6 * settings.exposure_s)
                 ...
                 return CameraSettings(self._sdk.get("ExposureTime") / 1e6, self._sdk.get("Gain"), bits)
+
+        Parameters
+        ----------
+        settings : CameraSettings
+            Exposure in s, gain in dB, depth in bits.
+
+        Returns
+        -------
+        CameraSettings
+            As the device reads back, in the same units.
+
+        Raises
+        ------
+        SettingError
+            The device refuses a combination of values that `_caps` allows one by one.
         """
 
     @abstractmethod
     def _arm(self, n: int, trigger: Trigger) -> None:
         """Get ready for `n` frames; the count of `Frame.index` begins at 0 again.
 
-        Called by `arm` in IDLE, configured, with a trigger of `_caps().triggers`. When it returns, the first
-        hardware pulse must find the camera ready. What was left from before must not come as a frame.
+        Called by `arm` in IDLE, configured. When it returns, the first hardware pulse must find the camera
+        ready. What was left from before must not come as a frame.
+
+        Parameters
+        ----------
+        n : int
+            Number of frames, at least 1.
+        trigger : str
+            `software` or `hardware`, one of `_caps().triggers`.
+
+        Raises
+        ------
+        DeviceError
+            It cannot get ready.
         """
 
     @abstractmethod
     def _read(self, timeout_s: float) -> Frame:
-        """The next frame, in the order of exposure.
+        """Deliver the next frame, in the order of exposure.
 
         Called by `read` in ARMED, `n` times at most. With the software trigger it exposes now, whatever is on
-        show; with the hardware trigger it waits for the frame of the next pulse. The image is the sensor's
-        raw integers, uint8 up to 8 bits and uint16 beyond, right-justified, neither linearised nor averaged,
-        and it is a copy: the caller keeps it while later frames are read. `index` is the device's own count
-        since `_arm` (its block or frame number less that of the first), so that a lost frame shows as a gap;
-        `settings` is what `_configure` gave. Raise `DeviceTimeoutError` after `timeout_s`, `FrameLossError`
-        for a frame that is torn.
+        show; with the hardware trigger it waits for the frame of the next pulse.
+
+        Parameters
+        ----------
+        timeout_s : float
+            Longest time in s to wait.
+
+        Returns
+        -------
+        Frame
+            `image` holds the sensor's raw integers, uint8 up to 8 bits and uint16 beyond, right-justified,
+            neither linearised nor averaged. It is a copy: the caller keeps it while later frames are read.
+            `index` is the device's own count since `_arm` (its block or frame number less that of the first),
+            so that a lost frame shows as a gap; `settings` is what `_configure` gave.
+
+        Raises
+        ------
+        DeviceTimeoutError
+            No frame came in time.
+        FrameLossError
+            The frame is torn, or not whole.
         """
 
     @abstractmethod
@@ -362,10 +401,17 @@ class Camera(Device):
 
         Called by `stop` in IDLE and ARMED, also when nothing is under way, and by `read` after the last
         frame.
+
+        Raises
+        ------
+        DeviceError
+            It does not stop.
         """
 
 
 def _honoured(asked: CameraSettings, back: CameraSettings) -> bool:
     """Whether a device did what it was asked, but for rounding to its grid."""
-    near = abs(back.exposure_s - asked.exposure_s) <= ROUNDING * asked.exposure_s
-    return near and abs(back.gain_db - asked.gain_db) <= ROUNDING_DB and back.bits == asked.bits
+    # Chosen: wide enough for exposures in steps of a sensor row and for gains in steps of 0.5 dB, and too
+    # narrow for a setting that the device has ignored.
+    exposure_is_near = abs(back.exposure_s - asked.exposure_s) <= 0.1 * asked.exposure_s
+    return exposure_is_near and abs(back.gain_db - asked.gain_db) <= 0.5 and back.bits == asked.bits

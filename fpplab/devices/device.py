@@ -186,7 +186,7 @@ class Device(ABC):
         """Refuse what a hook of a driver gives where it is of another kind."""
         if not isinstance(value, kind):
             found = f"{type(self).__name__}.{hook} gives {type(value).__name__}"
-            raise TypeError(f"{found}, not {kind.__name__}; mend the driver")
+            raise TypeError(f"{found}, not {kind.__name__}; fix the driver")
         return value
 
     def _fault(self) -> None:
@@ -202,31 +202,46 @@ class Device(ABC):
     def _setup(self, options: dict[str, Any], shared: Any) -> None:
         """Read the options of the rig file. Override it if the backend has any.
 
-        Called once, by the constructor; nothing may be opened yet. `options` holds the section's keys but for
-        `backend`, and of a camera `bits`, `gain_db` and `dead_time_s`, of a stage `soft_limits_mm`; names of
-        files that lie beside the rig file are absolute. `shared` is what the rig file's `bench` names, which
-        is open already, or None. Raise `ConfigError` naming the key for everything that is wrong or unknown::
+        Called once, by the constructor; nothing may be opened yet::
 
             def _setup(self, options, shared):
                 self._port = options.pop("port", "/dev/ttyUSB0")
                 super()._setup(options, shared)  # refuses the rest
+
+        Parameters
+        ----------
+        options : dict of str to Any
+            The section's keys but for `backend`, and of a camera `bits`, `gain_db` and `dead_time_s`, of a
+            stage `soft_limits_mm`. Names of files that lie beside the rig file are absolute.
+        shared : SharedBackend or None
+            What the rig file's `bench` names, which is open already.
+
+        Raises
+        ------
+        ConfigError
+            A key is unknown, or its value is wrong; the message names the key.
         """
         if options:
             raise ConfigError(f"'{self.name}' has no option '{next(iter(options))}'; take it away")
 
     def _forget(self) -> None:  # noqa: B027 - not every kind of device has something to forget
-        """Drop what was known of the device; called by `open`: since it was closed it may have been off."""
+        """Drop what was known of the device; called by `open`: since closing it may have been off."""
 
     @abstractmethod
     def _open(self) -> None:
         """Connect and bring the device into a known, safe state.
 
-        Called by `open` in CLOSED. Afterwards every other hook may be called. Raise a `DeviceError` that says
-        what was found and what to do; any other exception becomes one. If it raises, `_close` is called, so
-        that what is half open need not be cleaned up here::
+        Called by `open` in CLOSED. Afterwards every other hook may be called. If it raises, `_close` is
+        called, so that what is half open need not be cleaned up here::
 
             def _open(self):
                 self._wire = serial.Serial(self._port, timeout=1.0)
+
+        Raises
+        ------
+        DeviceError
+            It cannot be connected; the message says what was found and what to do. Any other exception
+            becomes a `DeviceError`.
         """
 
     @abstractmethod
@@ -236,8 +251,24 @@ class Device(ABC):
         Called by `close` in IDLE, ARMED or FAULT, and after a failed `_open`: it must work when attributes
         that `_open` sets are missing, and when the device no longer answers. The device is CLOSED afterwards
         even if it raises.
+
+        Raises
+        ------
+        DeviceError
+            The device may not be safe: it may still project or move.
         """
 
     @abstractmethod
     def _info(self) -> DeviceInfo:
-        """Model, serial number and connection, as the open device tells them; called by `info`."""
+        """Identify the open device; called by `info` in IDLE and ARMED.
+
+        Returns
+        -------
+        DeviceInfo
+            Model, serial number and connection as the device reports them; empty where it reports none.
+
+        Raises
+        ------
+        DeviceError
+            It does not answer.
+        """

@@ -122,26 +122,67 @@ class Fixture(Device):
             raise SettingError(self.name, doing, f"{item} has no pose {pose}", f"it has {poses}")
 
     def _pose(self, item: str, pose: int) -> RigidTransform | None:
-        """T_camera_item in mm of an item that `caps` lists; override it where it is known.
+        """Tell where an item is held; called by `pose` in IDLE. Override it where that is known.
 
-        Called by `pose` in IDLE; nothing moves.
+        Nothing moves.
+
+        Parameters
+        ----------
+        item : str
+            One of those in `_caps`.
+        pose : int
+            In which of its poses, from 0.
+
+        Returns
+        -------
+        RigidTransform or None
+            T_camera_item in mm; None where it is not known.
         """
         return None
 
     def _check(self, item: str, pose: int) -> None:
-        """Raise `ConfigError` for what `caps` lists but cannot be put up; override it where needed.
+        """Refuse what `_caps` lists but cannot be put up; called by `check` in IDLE.
 
-        Called by `check` in IDLE; nothing moves.
+        Nothing moves. Override it where an item may be missing.
+
+        Parameters
+        ----------
+        item : str
+            One of those in `_caps`.
+        pose : int
+            In which of its poses, from 0.
+
+        Raises
+        ------
+        ConfigError
+            It cannot be put up, for instance because its file is missing.
         """
 
     @abstractmethod
     def _caps(self) -> FixtureCaps:
-        """What can be held; called by `caps` in IDLE and before every mounting."""
+        """Tell what can be held; called by `caps` in IDLE and before every mounting.
+
+        Returns
+        -------
+        FixtureCaps
+            Items, and the number of poses of each.
+        """
 
     @abstractmethod
     def _mount(self, item: str, pose: int) -> None:
-        """Put the item in front of the rig in that pose, and return once it is at rest there.
+        """Put an item in front of the rig in one of its poses, and return once it is at rest there.
 
-        Called by `mount` in IDLE with an item and pose of `_caps`, or with `nothing`, which takes all away.
-        The same item and pose may be asked for again.
+        Called by `mount` in IDLE. The same item and pose may be asked for again.
+
+        Parameters
+        ----------
+        item : str
+            One of those in `_caps`, or `nothing`, which takes all away.
+        pose : int
+            In which of its poses, from 0.
+
+        Raises
+        ------
+        DeviceError
+            It is not there.
         """

@@ -9,8 +9,8 @@ from fpplab.core.errors import SettingError
 from fpplab.devices.device import State
 from fpplab.devices.projector import Projector
 
-MOST_REFRESHES = 600
-"""Refreshes of a flash, at most."""
+MAX_REFRESHES = 600
+"""Longest flash in refreshes of the display: 10 s at 60 Hz (chosen)."""
 
 
 class FlashingProjector(Projector):
@@ -33,7 +33,7 @@ class FlashingProjector(Projector):
         i : int
             Its index among those loaded.
         refreshes : int
-            How many, 1 to `MOST_REFRESHES`.
+            How many, 1 to `MAX_REFRESHES`.
 
         Raises
         ------
@@ -45,15 +45,34 @@ class FlashingProjector(Projector):
             raise SettingError(
                 self.name, "flash", f"pattern {i} was asked for", f"{len(self._loaded)} are loaded"
             )
-        if not 1 <= refreshes <= MOST_REFRESHES:
-            raise SettingError(self.name, "flash", f"refreshes is {refreshes}", f"1 to {MOST_REFRESHES}")
+        if not 1 <= refreshes <= MAX_REFRESHES:
+            raise SettingError(self.name, "flash", f"refreshes is {refreshes}", f"1 to {MAX_REFRESHES}")
         with self._guard("flash"):
             self._flash(i, refreshes)
 
     @abstractmethod
     def _refresh_period_s(self) -> float:
-        """Period of the refreshes in s; called by `refresh_s` in IDLE and ARMED, often: it must be quick."""
+        """Tell the period of the refreshes; called by `refresh_s` in IDLE and ARMED, often: it must be quick.
+
+        Returns
+        -------
+        float
+            The period in s.
+        """
 
     @abstractmethod
     def _flash(self, i: int, refreshes: int) -> None:
-        """Show loaded pattern `i` for so many refreshes, dark before and after; called by `flash` in IDLE."""
+        """Show one loaded pattern, dark before and after; called by `flash` in IDLE.
+
+        Parameters
+        ----------
+        i : int
+            Its index among the loaded patterns, from 0.
+        refreshes : int
+            For how many refreshes, 1 to `MAX_REFRESHES`.
+
+        Raises
+        ------
+        DeviceError
+            It was not shown for exactly so many.
+        """

@@ -1,6 +1,6 @@
 """Fixtures that can be asked for a pose: by a transform, as a robot can, or in words, as a person can.
 
-A fixture that is neither mounts its items in poses that it has by number, and no others.
+A fixture that is neither mounts its items in numbered poses of its own, and in no others.
 """
 
 from __future__ import annotations
@@ -15,11 +15,24 @@ from fpplab.devices.fixture import Fixture
 
 
 class PosableFixture(Fixture):
-    """A fixture that puts an item where it is told: a robot, or a simulation."""
+    """A fixture that puts an item into any pose within its reach: a robot, or a simulation."""
 
     @final
     def place(self, item: str, T_camera_item: RigidTransform) -> None:
-        """Put an item into a pose."""
+        """Put an item into a pose.
+
+        Parameters
+        ----------
+        item : str
+            What the fixture calls it.
+        T_camera_item : RigidTransform
+            The pose in the camera's frame, in mm.
+
+        Raises
+        ------
+        SettingError
+            The fixture has no such item, or the pose is out of reach.
+        """
         self._need(State.IDLE, doing="place")
         self._check_held("place", item, 0)
         with self._guard("place"):
@@ -27,11 +40,20 @@ class PosableFixture(Fixture):
 
     @abstractmethod
     def _place(self, item: str, T_camera_item: RigidTransform) -> None:
-        """Put the item into that pose, and return once it is at rest there.
+        """Put an item into a pose, and return once it is at rest there; called by `place` in IDLE.
 
-        Called by `place` in IDLE with an item of `_caps`. The pose may be a little wrong, since camera and
-        fixture are not calibrated to each other well while the camera is being calibrated. Raise
-        `SettingError` for a pose out of reach; nothing moves then.
+        Parameters
+        ----------
+        item : str
+            One of those in `_caps`.
+        T_camera_item : RigidTransform
+            The pose in the camera's frame, in mm. It may be a little wrong, since camera and fixture are not
+            calibrated to each other well while the camera is being calibrated.
+
+        Raises
+        ------
+        SettingError
+            The pose is out of reach; nothing has moved.
         """
 
 
@@ -40,7 +62,22 @@ class InstructableFixture(Fixture):
 
     @final
     def instruct(self, item: str, words: str, picture: Path | None = None) -> None:
-        """Ask for an item in a pose."""
+        """Ask for an item in a pose.
+
+        Parameters
+        ----------
+        item : str
+            What the fixture calls it.
+        words : str
+            The pose in words, such as "tilted to the left".
+        picture : path, optional
+            An image file that shows it.
+
+        Raises
+        ------
+        SettingError
+            The fixture has no such item.
+        """
         self._need(State.IDLE, doing="instruct")
         self._check_held("instruct", item, 0)
         with self._guard("instruct"):
@@ -48,7 +85,19 @@ class InstructableFixture(Fixture):
 
     @abstractmethod
     def _instruct(self, item: str, words: str, picture: Path | None) -> None:
-        """Ask for the item in that pose, and return once it is at rest there, as well as a hand can.
+        """Ask for an item in a pose, and return once it is at rest there; called by `instruct` in IDLE.
 
-        Called by `instruct` in IDLE with an item of `_caps`.
+        Parameters
+        ----------
+        item : str
+            One of those in `_caps`.
+        words : str
+            The pose in words.
+        picture : path or None
+            An image file that shows it.
+
+        Raises
+        ------
+        DeviceError
+            Nobody is there to do it.
         """

@@ -218,12 +218,23 @@ class Projector(Device):
 
     @abstractmethod
     def _caps(self) -> ProjectorCaps:
-        """What this projector can do; called by `caps` in IDLE and ARMED, often: it must be quick."""
+        """Tell what this projector can do; called by `caps` in IDLE and ARMED, often: it must be quick.
+
+        Returns
+        -------
+        ProjectorCaps
+            Its capabilities: size in mirrors, times in s.
+        """
 
     def _loads(self) -> PatternLoads:
-        """From which images the loaded patterns are shown; called by `loads` in IDLE and ARMED.
+        """Tell from which images the loaded patterns are shown; called by `loads` in IDLE and ARMED.
 
-        Only for a projector that keeps patterns in images which it has to read in time.
+        Override it for a projector that keeps patterns in images which it has to read in time.
+
+        Returns
+        -------
+        PatternLoads
+            How many images, and the least time in s from one pattern to the next.
         """
         return PatternLoads()
 
@@ -231,37 +242,78 @@ class Projector(Device):
     def _load(self, patterns: Sequence[Pattern]) -> Sequence[Pattern]:
         """Take the patterns over, and give what will really be shown.
 
-        Called by `load` in IDLE with 1 to `max_patterns` patterns of the projector's size and of depths that
-        it has; their images are read-only and stay as they are. Nothing may be on show afterwards. Give as
-        many patterns back, with the same ids, their images quantised as the device does (uint8, full scale
-        255). Raise `CapabilityError` for what the device cannot show, before anything has changed::
+        Called by `load` in IDLE. Nothing may be on show afterwards::
 
             def _load(self, patterns):
                 self._held = [replace(p, image=quantise(p.image / 255.0, p.bit_depth)) for p in patterns]
                 return self._held
+
+        Parameters
+        ----------
+        patterns : sequence of Pattern
+            1 to `max_patterns`, of the projector's size and of depths that it has. Their images are read-only
+            and stay as they are.
+
+        Returns
+        -------
+        sequence of Pattern
+            As many, with the same ids, their images quantised as the device does (uint8, full scale 255).
+
+        Raises
+        ------
+        CapabilityError
+            The device cannot show them; raised before anything has changed.
         """
 
     @abstractmethod
     def _show(self, i: int) -> None:
-        """Show loaded pattern `i`, from 0, and return once it is on show.
+        """Show one loaded pattern, and return once it is on show.
 
         Called by `show` in IDLE. Where the device cannot say when the light has changed, the plan's
         `settle_s` covers the rest. It stays until the next `_show`, `_play`, `_load` or `_blank`.
+
+        Parameters
+        ----------
+        i : int
+            Its index among the loaded patterns, from 0.
+
+        Raises
+        ------
+        DeviceError
+            It cannot be shown.
         """
 
     @abstractmethod
     def _play(self, exposure_s: float, dark_s: float, period_s: float) -> None:
         """Start to show every loaded pattern once, in order, with a pulse at the beginning of each.
 
-        Called by `play` in IDLE with an exposure that the depths allow; the camera is armed already. Return
-        once the sequence runs or is sure to: do not wait for its end. Times in s; the darkness after each
-        pattern lasts `dark_s` at least, and pulses are `period_s` apart at least. Only where
-        `trigger_outputs` is not 0.
+        Called by `play` in IDLE, only where `trigger_outputs` is not 0; the camera is armed already. Return
+        once the sequence runs or is sure to: do not wait for its end.
+
+        Parameters
+        ----------
+        exposure_s : float
+            Time in s that each pattern is shown, at least what the depths allow.
+        dark_s : float
+            Least darkness in s after each pattern.
+        period_s : float
+            Least time in s from one pulse to the next.
+
+        Raises
+        ------
+        CapabilityError
+            The device cannot show them at these times; raised before anything is shown.
         """
 
     @abstractmethod
     def _blank(self) -> None:
-        """Go dark, ending a sequence that runs; called by `blank` in IDLE and ARMED."""
+        """Go dark, ending a sequence that runs; called by `blank` in IDLE and ARMED.
+
+        Raises
+        ------
+        DeviceError
+            It may not be dark.
+        """
 
 
 def _kept(pattern: Pattern) -> Pattern:

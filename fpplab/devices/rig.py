@@ -30,9 +30,8 @@ from fpplab.core.depth import DepthField
 from fpplab.core.errors import ConfigError
 from fpplab.core.interrupts import held_back
 from fpplab.devices import Camera, CameraSettings, Device, Fixture, Projector, Stage, StageMove, State
-from fpplab.devices.backends import load_backend
+from fpplab.devices.backends import SharedBackend, load_backend
 from fpplab.devices.rig_lock import using_rig
-from fpplab.devices.shared import SharedBackend
 from fpplab.patterns.curve import Curve
 from fpplab.patterns.response import with_named_response
 

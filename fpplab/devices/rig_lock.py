@@ -24,11 +24,8 @@ from pathlib import Path
 from fpplab.core.errors import DeviceError
 from fpplab.core.lock import lock_owner, open_lock, try_lock, write_lock_owner
 
-LOOK_S = 0.02
-"""How often a command that waits for a rig looks again, in s."""
-
-PATIENCE_S = 60.0
-"""How long a command waits for a rig, in s: a watcher lets go within a frame."""
+TURN_TIMEOUT_S = 60.0
+"""Longest wait in s for a rig (chosen): a watcher lets go after one frame."""
 
 USER = os.getuid() if hasattr(os, "getuid") else 0
 """Whose folder it is; on Windows each user has a folder for temporary files."""
@@ -113,17 +110,17 @@ def using_rig(source: Path | str) -> Iterator[None]:
 
 
 def _await(handle: int, files: Path, source: Path | str) -> None:
-    """Wait until a lock can be shared; the short sleeps leave Ctrl-C its effect."""
-    end = time.monotonic() + PATIENCE_S
+    """Wait until a lock can be shared; short sleeps keep Ctrl-C working."""
+    end = time.monotonic() + TURN_TIMEOUT_S
     if _locks(handle, shared=True):
         return
     _log.info("%s: waiting until %s lets go of it", source, lock_owner(_named(files, "watched")))
     while not _locks(handle, shared=True):
         if time.monotonic() > end:
             who = lock_owner(_named(files, "watched"))
-            found = f"{who} has not let go of it within {PATIENCE_S:g} s"
+            found = f"{who} has not let go of it within {TURN_TIMEOUT_S:g} s"
             raise DeviceError(str(source), "open", found, "end that process")
-        time.sleep(LOOK_S)
+        time.sleep(0.02)  # one frame's time at 50 Hz: the operator does not notice it
 
 
 def _files_of(source: Path | str) -> Path:

@@ -203,22 +203,31 @@ class Stage(Device):
 
     @abstractmethod
     def _caps(self) -> StageCaps:
-        """The travel in mm; called by `caps` in IDLE, before every move."""
+        """Tell what this stage can do; called by `caps` in IDLE, before every move.
+
+        Returns
+        -------
+        StageCaps
+            Its travel in mm.
+        """
 
     @abstractmethod
     def _home(self) -> None:
         """Find the reference and return once it is found; called by `home` in IDLE.
 
-        Afterwards positions are absolute. Raise a `DeviceError` if it is not found; the stage then counts as
-        not homed.
+        Afterwards positions are absolute.
+
+        Raises
+        ------
+        DeviceError
+            It was not found; the stage then counts as not homed.
         """
 
     @abstractmethod
     def _move_to(self, mm: float, deadline_s: float) -> None:
         """Move to an absolute position in mm, and return once at rest there.
 
-        Called by `move_to` in IDLE, homed, within the travel. Raise `DeviceTimeoutError` at `deadline_s` of
-        `time.monotonic`, with the stage braked. The position is read back afterwards through `_position_mm`::
+        Called by `move_to` in IDLE, homed. The position is read back afterwards through `_position_mm`::
 
             def _move_to(self, mm, deadline_s):
                 self._send(f"G0 X{mm:.4f}")
@@ -226,12 +235,41 @@ class Stage(Device):
                     if time.monotonic() > deadline_s:
                         self._halt()
                         raise DeviceTimeoutError(self.name, "move_to", f"is at {self._position_mm():g} mm")
+
+        Parameters
+        ----------
+        mm : float
+            Where to, in mm, within the travel.
+        deadline_s : float
+            Until when it may take, in s of `time.monotonic`.
+
+        Raises
+        ------
+        DeviceTimeoutError
+            It has not arrived at the deadline; the stage has been braked.
         """
 
     @abstractmethod
     def _position_mm(self) -> float:
-        """Where the stage is in mm, asked of the device; called by `position_mm` and after moves."""
+        """Ask the device where the stage is; called by `position_mm` and after moves.
+
+        Returns
+        -------
+        float
+            Its position in mm.
+
+        Raises
+        ------
+        DeviceError
+            It does not answer, or the position is not known.
+        """
 
     @abstractmethod
     def _halt(self) -> None:
-        """Stop at once; called by `halt` in IDLE and ARMED, also from another thread's interruption."""
+        """Stop at once; called by `halt` in IDLE and ARMED, also from another thread's interruption.
+
+        Raises
+        ------
+        DeviceError
+            It may still be moving.
+        """

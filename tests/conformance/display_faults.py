@@ -109,7 +109,7 @@ DISPLAYS = [
         "display: as many refreshes as wanted",
         FLASHING,
         "FlashingProjector.flash",
-        "if not 1 <= refreshes <= MOST_REFRESHES:",
+        "if not 1 <= refreshes <= MAX_REFRESHES:",
         "if refreshes < 0:",
     ),
 ]

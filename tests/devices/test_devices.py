@@ -227,7 +227,7 @@ def test_a_hook_that_gives_another_kind_is_named(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(ReferenceCamera, hook, lambda *_: None)
-    with pytest.raises(DeviceError, match=f"ReferenceCamera.{hook} gives {said}; mend the driver"):
+    with pytest.raises(DeviceError, match=f"ReferenceCamera.{hook} gives {said}; fix the driver"):
         asked(camera)
     assert camera.state is State.FAULT
 

@@ -99,7 +99,7 @@ def test_what_a_killed_watcher_held_is_free(rig: Path) -> None:
 
 
 def test_a_watcher_that_does_not_let_go_is_named(rig: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rig_lock, "PATIENCE_S", 0.2)
+    monkeypatch.setattr(rig_lock, "TURN_TIMEOUT_S", 0.2)
     with holding(rig, "watching_rig", "assert turn.take()") as process:
         words = f"process {process.pid} .* has not let go"
         with pytest.raises(DeviceError, match=words), using_rig(rig):

@@ -3,12 +3,24 @@
 from __future__ import annotations
 
 import inspect
+from collections.abc import Callable
+from typing import Any
 
 import pytest
+from numpydoc.docscrape import FunctionDoc
 from numpydoc.validate import validate
 
 import fpplab
-from fpplab.devices import Camera, Fixture, Projector, Stage
+from fpplab.devices import (
+    Camera,
+    Device,
+    Fixture,
+    FlashingProjector,
+    InstructableFixture,
+    PosableFixture,
+    Projector,
+    Stage,
+)
 
 CODES = {
     "GL08": "no docstring",
@@ -23,6 +35,26 @@ CLASSES = [Camera, Fixture, Projector, Stage] + [
     thing for name in fpplab.__all__ if inspect.isclass(thing := getattr(fpplab, name))
 ]
 FUNCTIONS = [thing for name in fpplab.__all__ if inspect.isfunction(thing := getattr(fpplab, name))]
+
+
+INTERFACES = (
+    Device,
+    Camera,
+    Projector,
+    FlashingProjector,
+    Stage,
+    Fixture,
+    InstructableFixture,
+    PosableFixture,
+)
+OPTIONAL_HOOKS = (Device._setup, Projector._loads, Fixture._pose, Fixture._check)
+HOOKS = [
+    member
+    for interface in INTERFACES
+    for member in vars(interface).values()
+    if inspect.isfunction(member)
+    and (member in OPTIONAL_HOOKS or getattr(member, "__isabstractmethod__", False))
+]
 
 
 def place(thing: object) -> str:
@@ -57,3 +89,15 @@ def test_a_public_class_and_its_members_are_described(cls: type) -> None:
     # The fields of a class are its attributes, described as such or beneath each of them.
     found = errors(place(cls), ("PR01",)) + [line for name in members(cls) for line in errors(name)]
     assert not found, "\n" + "\n".join(found)
+
+
+@pytest.mark.parametrize("hook", HOOKS, ids=place)
+def test_a_hook_says_what_a_driver_gets_and_gives(hook: Callable[..., Any]) -> None:
+    assert not errors(place(hook))
+    # A hook without a body returns nothing yet, so numpydoc does not ask what it will return.
+    returns_a_value = inspect.signature(hook).return_annotation != "None"
+    assert bool(FunctionDoc(hook)["Returns"]) == returns_a_value
+
+
+def test_hooks_are_found() -> None:
+    assert {hook.__name__ for hook in HOOKS} >= {"_open", "_setup", "_read", "_load", "_move_to", "_mount"}
