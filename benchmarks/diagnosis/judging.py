@@ -11,7 +11,6 @@ from tempfile import TemporaryDirectory, mkdtemp
 
 import numpy as np
 
-from fpplab.acquisition.rig_check import check_rig
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation.lens import breathes
 from fpplab.clouds import Cloud
@@ -25,6 +24,7 @@ from fpplab.patterns.plan import Plan
 from fpplab.phase import decode
 from fpplab.pipeline import take
 from fpplab.reconstruction.points import points_of
+from fpplab.setup.rig_check.check import check_rig
 from sim.world import World
 from tests.diagnosis import scenes
 from tests.support.breathing_lens import breathing, fitted, scales

@@ -44,12 +44,12 @@ def build(
     from drivers.dlp4500.flash.firmware import Firmware, arrange_patterns
     from drivers.dlp4500.index import FlashIndex
     from drivers.dlp4500.sequence import SIZE
-    from fpplab.acquisition.marker import marker
     from fpplab.core import config
     from fpplab.core.conventions import Lattice
     from fpplab.core.files import need_suffix, refuse_existing, write_atomic, write_text
     from fpplab.patterns.fringes import make_patterns, uniform_patterns
     from fpplab.patterns.plan import Plan
+    from fpplab.setup.rig_check.marker import marker
 
     need_suffix(out, ".bin")
     refuse_existing(out, force)

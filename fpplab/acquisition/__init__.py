@@ -1,1 +1,1 @@
-"""Taking frames: acquisition with camera and projector synchronised, and checks of the synchronisation."""
+"""Taking frames: camera and projector synchronised, their times, and the check by frames."""

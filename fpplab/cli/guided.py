@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from fpplab.characterisation import DistortionModel
     from fpplab.core.depth import DepthInterval
     from fpplab.devices.rig import Rig
-    from fpplab.guidance import GuidedRun
     from fpplab.patterns.plan import Plan
+    from fpplab.setup.guide import GuidedRun
     from fpplab.targets import Target
 
 
@@ -51,7 +51,7 @@ def run_guided(
     observe_frame: FrameObserver,
 ) -> GuidedRun:
     """Characterise a rig by poses asked for one at a time, and tell of each on stderr."""
-    from fpplab.guidance import GuidedSettings, guided_characterisation
+    from fpplab.setup.guide import GuidedSettings, guided_characterisation
 
     depth = depth_mm or plan.depth_mm or rig.file.depth_mm
     settings = GuidedSettings(item, poses, until_mm, depth, level, refine_board is not False, force)

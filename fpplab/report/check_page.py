@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from fpplab.acquisition.rig_check import RigCheck
 from fpplab.calibration.model import Calibration
 from fpplab.report import figures
 from fpplab.report.evidence import Evidence, evidence_report
@@ -17,6 +16,7 @@ from fpplab.report.parts import PageVerdict, ReportFigure, ReportSection, Report
 from fpplab.report.provenance import Provenance
 from fpplab.report.response_figures import marker_levels
 from fpplab.report.wording import NOT_KNOWN, percent_words
+from fpplab.setup.rig_check.check import RigCheck
 
 
 def write_check_report(

@@ -9,10 +9,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import ScalarFormatter
 
-from fpplab.guidance import GuidedRun, PoseAttempt
 from fpplab.report.drawing import ACCENT, FULL, INK, SECOND, as_png, new_figure
 from fpplab.report.parts import ReportFigure, ReportSection, ReportTable
 from fpplab.report.wording import NOT_KNOWN
+from fpplab.setup.guide import GuidedRun, PoseAttempt
 
 COLUMNS = ("Pose", "Asked for", "Camera in px", "Projector in px", "Form in µm", "Outcome")
 CAPTION = (

@@ -22,7 +22,6 @@ from fpplab.characterisation import Characterisation, Judgement
 from fpplab.core.conventions import Floats
 from fpplab.core.files import write_text
 from fpplab.core.version import __version__
-from fpplab.guidance import GuidedRun
 from fpplab.patterns.response import Response
 from fpplab.report import devices
 from fpplab.report.cloud_view import MOST_POINTS
@@ -31,6 +30,7 @@ from fpplab.report.parts import PageVerdict, ReportSection, ReportTable, data_li
 from fpplab.report.provenance import LABELS, NOT_RECORDED, Provenance
 from fpplab.report.response_section import response_section
 from fpplab.report.scan_section import ScanSection, scan_tables, section_of
+from fpplab.setup.guide import GuidedRun
 
 IN_THE_HEAD = ("rig", "item", "plan", "taken", "calibration", "calibration_age")
 """Of a page's one provenance, what its head says too."""

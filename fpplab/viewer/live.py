@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 
 from fpplab.core.conventions import Floats, Image, Mask, full_scale
 from fpplab.devices import Frame
-from fpplab.live.expectation import RigGeometry
-from fpplab.live.exposure import LightLevels
-from fpplab.live.focus import FocusMeasure, FocusTracker
-from fpplab.live.regions import REGIONS
-from fpplab.live.status import LiveStatus
 from fpplab.patterns.fringes import Pattern
+from fpplab.setup.live.expectation import RigGeometry
+from fpplab.setup.live.exposure import LightLevels
+from fpplab.setup.live.focus import FocusMeasure, FocusTracker
+from fpplab.setup.live.regions import REGIONS
+from fpplab.setup.live.status import LiveStatus
 from fpplab.viewer import layouts
 from fpplab.viewer.canvas import REACH, eight_bits, shown_step, subsampled
 from fpplab.viewer.measurement import CAMERA, IMAGE, PATTERN, PROJECTOR, show_devices

@@ -18,7 +18,7 @@ import pytest
 from fpplab.cli.commands.live import live_command
 from fpplab.core.errors import ConfigError
 from fpplab.devices.rig import Rig
-from tests.live.benches import rig_file
+from tests.setup.live.benches import rig_file
 from tests.support.commands import ROOT, Command
 
 

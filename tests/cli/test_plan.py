@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fpplab.acquisition.preview import preview_plan
 from fpplab.core.errors import CapabilityError, ConfigError, FppError, SettingError
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
+from fpplab.setup.plan_preview import preview_plan
 from tests.conformance.reference import EXPOSURE_TICK_S, READOUT_S, ReferenceCamera, ReferenceProjector
 from tests.support.commands import Command
 

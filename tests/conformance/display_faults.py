@@ -8,7 +8,7 @@ SCREEN, WINDOW, DEVICE, CURVE = (
     f"drivers/display/{name}.py" for name in ("screen", "window", "device", "curve")
 )
 FLASHING = "fpplab/devices/flashing.py"
-TIMES, SET_UP = "fpplab/acquisition/display_timing.py", "fpplab/acquisition/rig_setup.py"
+TIMES, SET_UP = "fpplab/setup/display_timing.py", "fpplab/setup/new_rig.py"
 OF_COMPUTER, DISCOVERY = "drivers/computer_discovery.py", "drivers/discovery.py"
 
 DISPLAYS = [

@@ -8,7 +8,7 @@ PROJECTOR_BASE = "fpplab/devices/projector.py"
 ACQUISITION = "fpplab/acquisition/acquire.py"
 TIMING = "fpplab/acquisition/timing.py"
 SYNCHRONISATION = "fpplab/acquisition/synchronisation.py"
-MARKER = "fpplab/acquisition/sync_check.py"
+MARKER = "fpplab/setup/rig_check/marker_check.py"
 RIG = "fpplab/devices/rig.py"
 SIM = "sim/devices.py"
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from tests.conformance.fault import Fault
 
-LOCK, KEYS = "fpplab/core/lock.py", "fpplab/live/keys.py"
+LOCK, KEYS = "fpplab/core/lock.py", "fpplab/setup/live/keys.py"
 KIND = "fcntl.LOCK_SH if shared else fcntl.LOCK_EX"
 
 LOCKED = [

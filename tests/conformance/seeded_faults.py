@@ -74,14 +74,14 @@ NODE_MAPS = Suite(
 VIDEO_PORT = Suite(("rig_dlp4500_video.yaml",), ("dlp4500/test_video.py",))
 TRIGGER_CHECK = Suite(
     ("rig_reference.yaml",),
-    ("../acquisition/test_exposure_shift.py", "test_emulated_check.py", "test_emulated_steps.py"),
+    ("../setup/rig_check/test_exposure_shift.py", "test_emulated_check.py", "test_emulated_steps.py"),
 )
 DISPLAY = Suite(("rig_reference.yaml",), ("test_display_device.py", "test_display_window.py"))
 FOUND = Suite(("rig_reference.yaml",), ("test_discovery.py",))
-SET_UP = Suite(("rig_reference.yaml",), ("../acquisition/test_rig_setup.py",))
+SET_UP = Suite(("rig_reference.yaml",), ("../setup/test_new_rig.py",))
 LOCKS = Suite(
     ("rig_reference.yaml",),
-    ("../core/test_lock.py", "../sessions/test_lock.py", "../live/test_keys.py"),
+    ("../core/test_lock.py", "../sessions/test_lock.py", "../setup/live/test_keys.py"),
 )
 SUITES = {
     "sim/": Suite(("rig_simulated.yaml",)),
@@ -94,13 +94,11 @@ SUITES = {
     "fpplab/devices/flashing.py": DISPLAY,
     "drivers/computer_discovery.py": FOUND,
     "drivers/discovery.py": FOUND,
-    "fpplab/acquisition/display_timing.py": Suite(
-        ("rig_reference.yaml",), ("../acquisition/test_display_timing.py",)
-    ),
-    "fpplab/acquisition/rig_setup.py": SET_UP,
+    "fpplab/setup/display_timing.py": Suite(("rig_reference.yaml",), ("../setup/test_display_timing.py",)),
+    "fpplab/setup/new_rig.py": SET_UP,
     "fpplab/cli/commands/rig.py": SET_UP,
     "fpplab/core/lock.py": LOCKS,
-    "fpplab/live/keys.py": LOCKS,
+    "fpplab/setup/live/keys.py": LOCKS,
     "drivers/dlp4500/": Suite(
         ("rig_dlp4500.yaml",),
         tuple(
@@ -112,9 +110,9 @@ SUITES = {
     "fpplab/acquisition/timing.py": Suite(
         ("rig_reference.yaml",), ("../acquisition/test_timing.py", "../cli/test_plan.py")
     ),
-    "fpplab/acquisition/exposure_shift.py": TRIGGER_CHECK,
-    "fpplab/acquisition/sync_check.py": TRIGGER_CHECK,
-    "fpplab/acquisition/step_check.py": TRIGGER_CHECK,
+    "fpplab/setup/rig_check/exposure_shift.py": TRIGGER_CHECK,
+    "fpplab/setup/rig_check/marker_check.py": TRIGGER_CHECK,
+    "fpplab/setup/rig_check/steps.py": TRIGGER_CHECK,
     "": Suite(("rig_reference.yaml", "rig_replay.yaml")),
 }
 """By where the fault is: the first that fits."""

@@ -13,7 +13,6 @@ from typer.testing import CliRunner
 
 from fpplab.acquisition import acquire as acquisition
 from fpplab.acquisition.acquire import acquire, capture
-from fpplab.acquisition.sync_check import SETTLE_S
 from fpplab.acquisition.synchronisation import Cause, SyncFault
 from fpplab.calibration.model import Calibration
 from fpplab.cli import app
@@ -27,6 +26,7 @@ from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.pipeline import CLOUD, DECODED, REPORT, characterise_sessions
 from fpplab.sessions.session import Session
+from fpplab.setup.rig_check.marker_check import SETTLE_S
 from fpplab.targets import Target
 from tests.conformance.reference import CAMERA_SIZE, PROJECTOR_SIZE
 from tests.conformance.slipping import CLOCK
@@ -224,7 +224,7 @@ def checked(
 @pytest.fixture(autouse=True)
 def disk_that_is_fast_enough(monkeypatch: pytest.MonkeyPatch) -> None:
     """How fast a busy computer writes is no part of these tests."""
-    monkeypatch.setattr("fpplab.acquisition.rig_check.disk_finding", lambda *_: None)
+    monkeypatch.setattr("fpplab.setup.rig_check.check.disk_finding", lambda *_: None)
 
 
 def test_a_sound_bench_passes(folder: Path) -> None:

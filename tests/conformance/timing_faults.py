@@ -7,9 +7,9 @@ from tests.conformance.fault import Fault
 TIMING = "fpplab/acquisition/timing.py"
 CONTROLLER = "drivers/dlp4500/controller.py"
 IN_FLASH = "drivers/dlp4500/in_flash.py"
-SHIFT = "fpplab/acquisition/exposure_shift.py"
-SYNC = "fpplab/acquisition/sync_check.py"
-STEPS = "fpplab/acquisition/step_check.py"
+SHIFT = "fpplab/setup/rig_check/exposure_shift.py"
+SYNC = "fpplab/setup/rig_check/marker_check.py"
+STEPS = "fpplab/setup/rig_check/steps.py"
 IS_READY = "{} if told_s is None else {PeriodLimit.CAMERA: told_s}"
 LEAST = "{PeriodLimit.EXPOSURE: end_s, PeriodLimit.LOADS: projector.loads.period_s}"
 

@@ -143,7 +143,7 @@ from fpplab.core.files import sweep_file_drafts, write_text
 from fpplab.dataset.shard import claim_shard
 from fpplab.devices.rig_lock import using_rig, watching_rig
 from fpplab.sessions.lock import exclusive_write
-import fpplab.live.keys, drivers.video_camera.camera
+import fpplab.setup.live.keys, drivers.video_camera.camera
 folder = Path(sys.argv[1])
 with exclusive_write(folder / "part"), using_rig("rig.yaml"):
     with watching_rig("rig.yaml") as turn:

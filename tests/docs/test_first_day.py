@@ -16,11 +16,11 @@ from drivers.clock import SteppedClock
 from drivers.dlp4500.device import LedLevels
 from drivers.dlp4500.sequence import LEAST_GAP_US
 from drivers.emulators.dlpc350 import STRICT, Dlpc350, Dlpc350Policy, EmulatedHid
-from fpplab.acquisition.step_check import APART_S
 from fpplab.cli import app
 from fpplab.core.errors import CapabilityError, ProtocolError
 from fpplab.devices.backends import ALLOWED
 from fpplab.devices.discovery import FoundDevices
+from fpplab.setup.rig_check.steps import APART_S
 from tests.drivers.flash_board import Bench
 from tests.drivers.flash_files import maker_firmware
 
@@ -91,7 +91,7 @@ def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("PYLON_CAMEMU", "1")
     monkeypatch.setenv(ALLOWED, PERSON.partition(":")[0])
     monkeypatch.setattr("fpplab.core.confirmation._has_terminal", lambda: True)
-    monkeypatch.setattr("fpplab.acquisition.rig_check.disk_finding", lambda *_: None)  # that of this computer
+    monkeypatch.setattr("fpplab.setup.rig_check.check.disk_finding", lambda *_: None)  # that of this computer
     return tmp_path
 
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from fpplab.acquisition.acquire import capture
-from fpplab.acquisition.display_timing import measure_display
 from fpplab.calibration.model import Calibration
 from fpplab.core import config
 from fpplab.core.errors import SyncError
@@ -21,6 +20,7 @@ from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
 from fpplab.pipeline import measure_response
 from fpplab.reconstruction.points import points_of
+from fpplab.setup.display_timing import measure_display
 from sim.items import item_poses
 from sim.world import World
 from tests.drivers.x_screen import SPOILED

@@ -11,16 +11,17 @@ import pytest
 
 from drivers.dlp4500.sequence import SIZE
 from drivers.emulators.bench import BenchFaults
-from fpplab.acquisition import acquire, sync_check
-from fpplab.acquisition.marker import marker
-from fpplab.acquisition.rig_check import RigCheck, check_rig
-from fpplab.acquisition.sync_check import MarkerRun
+from fpplab.acquisition import acquire
 from fpplab.acquisition.synchronisation import Cause, SyncFault
 from fpplab.core.progress import ignore
 from fpplab.devices.rig import Rig
 from fpplab.diagnosis import FaultCause
 from fpplab.patterns.fringes import uniform_patterns
 from fpplab.patterns.plan import Plan
+from fpplab.setup.rig_check import marker_check
+from fpplab.setup.rig_check.check import RigCheck, check_rig
+from fpplab.setup.rig_check.marker import marker
+from fpplab.setup.rig_check.marker_check import MarkerRun
 from tests.drivers.emulated_rig import PLAN, bench_of, burn, on_video, rig_file
 
 DIM = PLAN.model_copy(update={"exposure_s": 0.016})
@@ -115,14 +116,14 @@ def test_a_camera_that_is_not_ready_yet(folder: Path, untold_us: float, dead_s: 
 
 @SLOW
 def test_a_slip_that_does_not_happen_again(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    really_run = sync_check._run
+    really_run = marker_check._run
 
     def once(rig: Rig, plan: Plan, *more: Any) -> MarkerRun:
         bench_of(rig).faults = BenchFaults(missed=missed.pop() if plan.trigger == "triggered" else ())
         return really_run(rig, plan, *more)
 
     missed: list[tuple[int, ...]] = [(), (), (3,)]
-    monkeypatch.setattr(sync_check, "_run", once)
+    monkeypatch.setattr(marker_check, "_run", once)
     (finding,) = checked(rig_file(folder)).findings
     assert (finding.cause, missed) == (FaultCause.OUT_OF_STEP, [])
     assert finding.evidence.endswith("when it was repeated, all frames were in step")

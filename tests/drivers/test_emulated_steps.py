@@ -10,11 +10,11 @@ import pytest
 
 from drivers.dlp4500.sequence import SIZE
 from fpplab.acquisition import acquire
-from fpplab.acquisition.marker import marker
-from fpplab.acquisition.step_check import CheckedStep, check_steps
 from fpplab.core.progress import ignore
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringes import uniform_patterns
+from fpplab.setup.rig_check.marker import marker
+from fpplab.setup.rig_check.steps import CheckedStep, check_steps
 from tests.drivers.emulated_rig import PLAN, burn, on_video, patterns, rig_file
 
 DIM = PLAN.model_copy(update={"exposure_s": 0.016})

@@ -15,7 +15,7 @@ NAMED = Path(__file__).with_name("named.yaml")
 AREAS = {
     "core": ("fpplab/core/*.py",),
     "sessions": ("fpplab/sessions/*.py",),
-    "acquisition": ("fpplab/acquisition/*.py",),
+    "acquisition": ("fpplab/acquisition/*.py", "fpplab/setup/*.py", "fpplab/setup/rig_check/*.py"),
     "phase": ("fpplab/phase/*.py",),
     "characterisation": ("fpplab/characterisation/*.py",),
     "uncertainty": (

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from PIL import Image as Pixels
 
-from fpplab.acquisition.marker import marker
 from fpplab.diagnosis import FaultCause, Finding
 from fpplab.phase import decode
 from fpplab.reconstruction.points import points_of
@@ -21,6 +20,7 @@ from fpplab.report.evidence import (
     evidence_pictures,
     evidence_report,
 )
+from fpplab.setup.rig_check.marker import marker
 from tests.support.faulty_bench import PLANS, healthy
 
 

@@ -16,14 +16,14 @@ import numpy as np
 
 from drivers.dlp4500.sequence import SIZE
 from fpplab.acquisition import acquire
-from fpplab.acquisition.marker import marker
-from fpplab.acquisition.rig_check import RigCheck, check_rig
 from fpplab.core.errors import DeviceError
 from fpplab.core.progress import ignore
 from fpplab.devices import DeviceInfo, Frame
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringes import Pattern, uniform_patterns
 from fpplab.sessions.session import Session
+from fpplab.setup.rig_check.check import RigCheck, check_rig
+from fpplab.setup.rig_check.marker import marker
 from tests.drivers.emulated_rig import PLAN, burn, rig_file
 from tests.support.faulty_bench import healthy
 from tests.support.faulty_rig import FormulaCamera, FormulaDevices, FormulaProjector, formula_rig

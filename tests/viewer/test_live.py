@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from fpplab.live.expectation import RigGeometry, WorkingPoint
-from fpplab.live.orders import Order
+from fpplab.setup.live.expectation import RigGeometry, WorkingPoint
+from fpplab.setup.live.orders import Order
 from fpplab.viewer.canvas import SHOWN_COLUMNS
 from fpplab.viewer.live import DARK, SATURATED, LitImage, LiveFrames, LiveView
 from fpplab.viewer.viewer import Viewer
-from tests.live.benches import PLAN, Operator, operate, rig_file
-from tests.live.test_expectation import converging
+from tests.setup.live.benches import PLAN, Operator, operate, rig_file
+from tests.setup.live.test_expectation import converging
 from tests.support.recordings import Recording
 
 

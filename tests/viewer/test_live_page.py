@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.live.benches import rig_file
-from tests.live.test_expectation import converging
+from tests.setup.live.benches import rig_file
+from tests.setup.live.test_expectation import converging
 from tests.support.browser import SOFTWARE_WEBGL, Browser, chromium, hosts, number_of_colours
 from tests.support.commands import ROOT
 

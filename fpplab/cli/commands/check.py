@@ -14,10 +14,10 @@ from fpplab.cli.app import PREPARE, Force, Json, PlanName, ReportOption, RigName
 from fpplab.core.errors import ConfigError, DeviceError
 
 if TYPE_CHECKING:
-    from fpplab.acquisition.rig_check import RigCheck
     from fpplab.calibration.model import Calibration
     from fpplab.devices.rig import Rig
     from fpplab.patterns.plan import Plan
+    from fpplab.setup.rig_check.check import RigCheck
 
 
 @app.command("check", rich_help_panel=PREPARE)
@@ -57,12 +57,12 @@ def check_command(
 
     Example: `fpplab check --rig rig_demo --plan plan_paper --calibration calibration.yaml`
     """
-    from fpplab.acquisition import rig_check
     from fpplab.calibration.model import Calibration
     from fpplab.core.files import need_suffix, refuse_existing
     from fpplab.devices.rig import Rig
     from fpplab.patterns.plan import Plan
     from fpplab.report.provenance import rig_provenance
+    from fpplab.setup.rig_check.check import check_rig
 
     for path in (out, page):
         if path:
@@ -77,9 +77,7 @@ def check_command(
         return
     known = Calibration.load(calibration) if calibration else None
     with console.progress("Checking") as report:
-        found = rig_check.check_rig(
-            bench, wanted, item, report, known, out.absolute().parent if out else Path.cwd()
-        )
+        found = check_rig(bench, wanted, item, report, known, out.absolute().parent if out else Path.cwd())
     pictures = _keep_pictures(out, found, known) if out else []
     source = rig_provenance(
         *(found.rig, found.origin, wanted), calibration=known, file=calibration
@@ -96,7 +94,7 @@ def check_command(
 
 
 def _check_steps(rig: Rig, plan: Plan, item: str, json: bool) -> None:
-    from fpplab.acquisition.step_check import CheckedStep, check_steps
+    from fpplab.setup.rig_check.steps import CheckedStep, check_steps
 
     def tell(step: CheckedStep) -> None:
         if not json:

@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     from fpplab.core.conventions import Mask
     from fpplab.devices import Frame
     from fpplab.devices.rig import Rig
-    from fpplab.live.expectation import WorkingPoint
-    from fpplab.live.page import SetUpPage
-    from fpplab.live.status import LiveStatus
     from fpplab.patterns.fringes import Pattern
     from fpplab.patterns.plan import Plan
+    from fpplab.setup.live.expectation import WorkingPoint
+    from fpplab.setup.live.page import SetUpPage
+    from fpplab.setup.live.status import LiveStatus
     from fpplab.viewer.live import LiveView
     from fpplab.viewer.viewer import Viewer
 
@@ -119,10 +119,10 @@ def live_command(
     from queue import SimpleQueue
 
     from fpplab.devices.rig_lock import watching_rig
-    from fpplab.live.keys import terminal_keys
-    from fpplab.live.loop import LiveOptions, SetUp
-    from fpplab.live.orders import Order
-    from fpplab.live.page import SetUpPage
+    from fpplab.setup.live.keys import terminal_keys
+    from fpplab.setup.live.loop import LiveOptions, SetUp
+    from fpplab.setup.live.orders import Order
+    from fpplab.setup.live.page import SetUpPage
     from fpplab.targets import Target
 
     options = LiveOptions(
@@ -177,8 +177,8 @@ def _working_point(
             raise ConfigError("--distance is of use with --calibration only; give it too, or leave it out")
         return None
     from fpplab.calibration.model import Calibration
-    from fpplab.live.expectation import RigGeometry, WorkingPoint
     from fpplab.reconstruction.depth_range import first_stated
+    from fpplab.setup.live.expectation import RigGeometry, WorkingPoint
 
     stated = first_stated((plan.depth_mm, name), (bench.file.depth_mm, bench.source))
     geometry = RigGeometry(Calibration.load(path), stated)

@@ -60,10 +60,10 @@ def show_command(
 
     Example: `fpplab plan show plan_paper --rig rig_demo --out patterns.png`
     """
-    from fpplab.acquisition.preview import preview_plan
     from fpplab.core.files import need_suffix, refuse_existing, write_atomic
     from fpplab.devices.rig import Rig
     from fpplab.patterns.plan import Plan
+    from fpplab.setup.plan_preview import preview_plan
 
     if out:
         need_suffix(out, ".png")

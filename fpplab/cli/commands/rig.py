@@ -14,7 +14,7 @@ from fpplab.core import plugins
 from fpplab.core.errors import ConfigError, DeviceError
 
 if TYPE_CHECKING:
-    from fpplab.acquisition.display_timing import DisplayTiming
+    from fpplab.setup.display_timing import DisplayTiming
 
 rig_app = typer.Typer(
     cls=Commands, help="Write a rig file from what is connected; measure a rig's times.", no_args_is_help=True
@@ -54,9 +54,9 @@ def new_command(
 
     Example: `fpplab rig new --out rig.yaml`
     """
-    from fpplab.acquisition.rig_setup import RigSetup
     from fpplab.core.files import need_suffix, refuse_existing, write_text
     from fpplab.devices.discovery import FoundDevices
+    from fpplab.setup.new_rig import RigSetup
 
     need_suffix(out, ".yaml")
     refuse_existing(out, force)
@@ -88,9 +88,9 @@ def timing_command(rig: RigName, plan: PlanName = "plan_paper.yaml", json: Json 
 
     Example: `fpplab rig timing --rig rig.yaml`
     """
-    from fpplab.acquisition.display_timing import measure_display
     from fpplab.devices.rig import Rig
     from fpplab.patterns.plan import Plan
+    from fpplab.setup.display_timing import measure_display
 
     wanted = Plan.load(plan)
     with Rig.load(rig) as bench, console.progress("Timing") as report:

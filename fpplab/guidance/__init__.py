@@ -1,6 +1,0 @@
-"""Guided characterisation: poses are asked for one at a time, each judged at once, until enough is known."""
-
-from fpplab.guidance.attempts import GuidedRun, PoseAttempt
-from fpplab.guidance.loop import GuidedSettings, guided_characterisation
-
-__all__ = ["GuidedRun", "GuidedSettings", "PoseAttempt", "guided_characterisation"]

@@ -1,0 +1,1 @@
+"""Setting a rig up: writing its file, checking it, watching it live, and guiding a characterisation."""

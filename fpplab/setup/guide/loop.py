@@ -1,0 +1,295 @@
+"""Loop of a guided characterisation: ask, take, observe, judge, accept or reject; until enough is known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from numpy.typing import NDArray
+
+from fpplab.acquisition.acquire import FrameObserver
+from fpplab.characterisation import (
+    Characterisation,
+    DistortionModel,
+    Observation,
+    characterise,
+    finest_periods,
+)
+from fpplab.characterisation.estimate import JointEstimate
+from fpplab.characterisation.fitting import DEFAULT_LEVEL
+from fpplab.characterisation.guide import Guide, PoseFit, WantedPose
+from fpplab.characterisation.working_volume import WorkingVolume
+from fpplab.core.depth import DepthInterval
+from fpplab.core.errors import CalibrationError
+from fpplab.core.progress import Progress, ignore
+from fpplab.devices.rig import Rig
+from fpplab.diagnosis import Finding
+from fpplab.patterns.plan import Plan
+from fpplab.pipeline import check_space, observe_session, require_plan_fits, take
+from fpplab.sessions.origin import calibration_origin
+from fpplab.sessions.session import JOURNAL, Session
+from fpplab.setup.guide.asking import bring_by, known_first
+from fpplab.setup.guide.attempts import GuidedRun, PoseAttempt
+from fpplab.setup.guide.rejection import frame_findings, inconsistent_pose, residual_finding, unseen_board
+from fpplab.setup.guide.sketch import PICTURE, write_sketch
+from fpplab.setup.guide.words import accepted_words, rejected_words
+from fpplab.targets import Target
+
+LEAST_TO_STOP = 5
+"""Poses before which the loop does not end: fewer do not show how large the errors of a pose are."""
+
+LAST_TO_FILL = 3
+"""Poses left from which on parts of the images without points come first."""
+
+TRIES = 2
+"""How often in succession a pose is asked for before another is."""
+
+MOST_REJECTED, FIRST_REJECTED = 8, 3
+"""Poses rejected in succession after which the loop ends, saying why; and before any was accepted."""
+
+REJECTED = "rejected"
+"""Folder of poses that were rejected, beside those that count."""
+
+Bar = Callable[[str], AbstractContextManager[Progress]]
+"""Shows progress of what it is told, while its context lasts."""
+
+
+@dataclass(frozen=True)
+class GuidedSettings:
+    """What a guided characterisation is to reach, and how."""
+
+    item: str = "board"  # what the rig's fixture calls the board
+    poses: int = 12  # most poses that count
+    until_mm: float | None = None  # standard uncertainty of form in mm at which the loop ends
+    depth_mm: DepthInterval | None = None  # working range of depths in mm
+    level: DistortionModel | Literal["auto"] = "auto"  # which distortion is fitted at the end
+    refine_board: bool = True  # whether the board's shape is fitted too
+    force: bool = False  # whether poses that were taken before are taken anew
+
+
+def guided_characterisation(
+    rig: Rig, plan: Plan, target: Target, folder: Path, settings: GuidedSettings,
+    tell: Callable[[str], object], bar: Bar, observe_frame: FrameObserver = ignore,
+) -> GuidedRun:  # fmt: skip
+    """Characterise a rig by poses that are asked for one at a time."""
+    return _Loop(rig, plan, target, folder, settings, tell, bar, observe_frame).run()
+
+
+class _Loop:
+    """A guided characterisation under way."""
+
+    def __init__(
+        self, rig: Rig, plan: Plan, target: Target, folder: Path, settings: GuidedSettings,
+        tell: Callable[[str], object], bar: Bar, observe_frame: FrameObserver,
+    ) -> None:  # fmt: skip
+        self._rig, self._plan, self._folder, self._settings = rig, plan, folder, settings
+        self._tell, self._bar, self._target, self._observe_frame = tell, bar, target, observe_frame
+        fixture = rig.need_fixture("a guided characterisation")
+        fixture.check(settings.item)
+        self._bring = bring_by(fixture, settings.item)
+        caps = rig.projector.caps
+        self._sizes, self._lattice = (rig.camera.caps.size, caps.size), caps.lattice
+        level = DEFAULT_LEVEL if settings.level == "auto" else settings.level
+        depth = settings.depth_mm
+        self._guide = Guide(target, self._sizes, self._lattice, depth, level, settings.refine_board)
+        self._guide.first_known = known_first(fixture, settings.item)
+        self._periods = finest_periods(plan, caps.size)
+        self._sessions: dict[str, Session] = {}
+        self._attempts: list[PoseAttempt] = []
+        self._tried = self._in_succession = 0
+        self._wanted: WantedPose | None = None
+
+    def run(self) -> GuidedRun:
+        paths = [self._path(k) for k in range(self._settings.poses)]
+        check_space(self._rig, self._plan, paths, self._settings.force)
+        if not self._settings.force:
+            self._resume()
+        while True:
+            while not self._enough():
+                self._next()
+            run = self._characterised()
+            if run.reached or len(self._sessions) >= self._settings.poses:
+                self._tell(run.sentence)
+                return run
+            self._tell(f"{run.sentence.split(';')[0]}, without outlying points: one more pose")
+            self._next()
+
+    def _enough(self) -> bool:
+        form, until, count = self._guide.form_mm, self._settings.until_mm, len(self._sessions)
+        if count >= self._settings.poses:
+            return True
+        reached = form is not None and until is not None and form <= until
+        return reached and count >= LEAST_TO_STOP and not self._guide.lacks_part
+
+    def _must_fill(self) -> bool:
+        """Whether parts of the images without points come first: little else is left to do."""
+        form, until = self._guide.form_mm, self._settings.until_mm
+        last = self._settings.poses - len(self._sessions) <= LAST_TO_FILL
+        return last or (form is not None and until is not None and form <= until)
+
+    def _resume(self) -> None:
+        """Count the complete poses of an earlier run, as they were judged then."""
+        for path in sorted(self._folder.glob(f"pose_*/{JOURNAL}")):
+            if len(self._sessions) == self._settings.poses or Session.open(path.parent).missing():
+                continue
+            number = int(path.parent.name.removeprefix("pose_"))
+            mounted = (self._settings.item, number)
+            session = take(self._rig, self._plan, path.parent, mounted, complete_too=True)
+            self._judge(session, "kept from before")
+
+    def _next(self) -> None:
+        """Ask for a pose, take it and judge it."""
+        guide, number = self._guide, self._free_number()
+        if self._wanted is None:
+            self._wanted = guide.wanted(fill=self._must_fill())
+        wanted, path = self._wanted, self._path(number)
+        self._tell(f"pose {len(self._sessions) + 1}: {wanted.words}")
+        picture = self._folder / PICTURE
+        if wanted.outline_px is not None:
+            write_sketch(picture, wanted, self._sizes[0], self._last_seen())
+        with self._bar(f"Taking pose {len(self._sessions) + 1}") as report:
+            session = take(
+                *(self._rig, self._plan, path, (self._settings.item, number)),
+                force=True,
+                bring=lambda: self._bring(wanted, picture),
+                progress=report,
+                observe_frame=self._observe_frame,
+            )
+        if not self._attempts:
+            require_plan_fits(session)
+        if self._judge(session, wanted.words):
+            self._wanted, self._tried = None, 0
+            return
+        self._tried += 1
+        if self._tried == TRIES:
+            guide.give_up(wanted)
+            self._wanted, self._tried = None, 0
+
+    def _judge(self, session: Session, words: str) -> bool:
+        """Observe a pose once, and accept or reject it."""
+        with self._bar("Looking at it") as report:
+            observation, reason = self._observed(session)
+            report(0.5)
+            findings = frame_findings(session.recording(verify=False))
+        if observation is None:
+            self._reject(session, words, unseen_board(reason, findings))
+            return False
+        fit = self._guide.judged(observation)
+        misfit = residual_finding(fit)
+        if fit is not None and fit.odd is not None:
+            self._reject_later(fit.odd, f"the poses agree without it, and not with {fit.odd}")
+            misfit = None
+        if misfit is not None or (findings and not self._usual(findings)):
+            # Frames tell the cause of residuals, where they show one.
+            found = (*findings, misfit) if misfit is not None else findings
+            self._reject(session, words, found, observation, fit)
+            return False
+        self._accept(session, words, observation, fit, findings)
+        return True
+
+    def _usual(self, findings: tuple[Finding, ...]) -> bool:
+        """Whether the pose before shows the same: then it is the rig's, and no pose will be without it."""
+        before = {one.cause for one in self._attempts[-1].findings} if self._attempts else set()
+        return {one.cause for one in findings} <= before
+
+    def _observed(self, session: Session) -> tuple[Observation | None, str]:
+        try:
+            return observe_session(session, self._target, self._periods), ""
+        except CalibrationError as error:
+            return None, str(error).removeprefix(f"{session.path.name}: ")
+
+    def _accept(
+        self, session: Session, words: str, observation: Observation, fit: PoseFit | None,
+        findings: tuple[Finding, ...],
+    ) -> None:  # fmt: skip
+        name = session.path.name
+        self._sessions[name] = session
+        odd = self._guide.add(observation)
+        guide, self._in_succession = self._guide, 0
+        rms = guide.rms_px(name) if name not in odd else {}
+        attempt = PoseAttempt(name, words, len(observation.ids), rms, fit, guide.form_mm, findings, True)
+        self._attempts.append(attempt)
+        self._tell(accepted_words(len(self._sessions), attempt, self._settings.until_mm))
+        for other, why in odd.items():
+            self._reject_later(other, why.removeprefix(f"{other}: "))
+
+    def _reject(
+        self, session: Session, words: str, findings: tuple[Finding, ...],
+        observation: Observation | None = None, fit: PoseFit | None = None,
+    ) -> None:  # fmt: skip
+        points = len(observation.ids) if observation else 0
+        rms = {"camera": fit.camera.rms_px, "projector": fit.projector.rms_px} if fit else {}
+        attempt = PoseAttempt(session.path.name, words, points, rms, fit, None, findings, False)
+        self._attempts.append(attempt)
+        self._tell(rejected_words(len(self._sessions) + 1, attempt))
+        self._set_aside(session)
+        self._in_succession += 1
+        if self._in_succession == (MOST_REJECTED if self._sessions else FIRST_REJECTED):
+            first = findings[0]
+            raise CalibrationError(
+                f"{self._in_succession} poses in succession were rejected, the last for {first.sentence}; "
+                f"{first.remedy}; the same command goes on"
+            )
+
+    def _reject_later(self, name: str, why: str) -> None:
+        """Take back the acceptance of an earlier pose."""
+        finding = inconsistent_pose(why)
+        at = max(k for k, one in enumerate(self._attempts) if one.name == name and one.accepted)
+        self._attempts[at] = self._attempts[at].rejected_later(finding)
+        if any(o.name == name for o in self._guide.observations):
+            self._guide.drop(name)
+        self._tell(f"{name} does not count any more: {finding.sentence}")
+        self._set_aside(self._sessions.pop(name))
+
+    def _set_aside(self, session: Session) -> None:
+        """Move a pose that does not count out of the way, so that it is not taken for one that does."""
+        aside = self._folder / REJECTED
+        aside.mkdir(exist_ok=True)
+        number = sum(1 for _ in aside.glob(f"{session.path.name}_*"))
+        session.path.rename(aside / f"{session.path.name}_{number + 1}")
+
+    def _characterised(self) -> GuidedRun:
+        guide, settings = self._guide, self._settings
+        with self._bar("Characterising"):
+            result = characterise(
+                guide.observations, self._target, *self._sizes, self._lattice,
+                level=settings.level, refine_board=settings.refine_board,
+            )  # fmt: skip
+        depth, sessions = guide.depth_mm, tuple(self._sessions.values())
+        assert depth is not None
+        dated = replace(result.calibration, origin=calibration_origin(sessions))
+        result = replace(result, calibration=dated)
+        return _run_of(result, self._target, sessions, tuple(self._attempts), settings, depth)
+
+    def _last_seen(self) -> NDArray[Any] | None:
+        if not self._sessions:
+            return None
+        return list(self._sessions.values())[-1].recording(verify=False).mean_image()
+
+    def _free_number(self) -> int:
+        """Of the first pose that does not count yet."""
+        return next(k for k in range(len(self._sessions) + 1) if self._path(k).name not in self._sessions)
+
+    def _path(self, number: int) -> Path:
+        return self._folder / f"pose_{number:02d}"
+
+
+def _run_of(
+    result: Characterisation, target: Target, sessions: tuple[Session, ...],
+    attempts: tuple[PoseAttempt, ...], settings: GuidedSettings, depth_mm: DepthInterval,
+) -> GuidedRun:  # fmt: skip
+    assert result.model is not None
+    assert result.solution is not None
+    assert result.sizes is not None
+    calibration, model = result.calibration, result.model
+    lattice = calibration.projector.lattice
+    found = JointEstimate(target, lattice, model, result.observations, result.solution, result.sizes)
+    volume, rms = WorkingVolume.of(calibration, depth_mm), result.pose_rms_px
+    # The first poses were taken before anything was known of their residuals.
+    known = [replace(a, rms_px=rms.get(a.name, {})) if a.accepted and not a.rms_px else a for a in attempts]
+    form = volume.form_mm(result.solution, model.level, found.covariance)
+    scale = model.scale_tolerance * volume.radius_mm
+    return GuidedRun(result, sessions, tuple(known), form, scale, settings.until_mm, depth_mm)

@@ -1,0 +1,121 @@
+"""How sharp camera and projector are, by region, and how sharp they have been.
+
+Camera: the RMS of the image's gradient under even light, per px and relative to its level. Noise would pass
+for sharpness; so the gradients of two images of the same scene are multiplied, whose noise is independent.
+Projector: the modulation of the finest stripes over that of the widest, which neither exposure nor the
+part's colour changes.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.core.conventions import Floats
+from fpplab.diagnosis.sample import FrameSample
+from fpplab.setup.live.regions import REGIONS, region_medians, region_slices
+
+TEXTURE_SIGMAS = 4.0
+"""So many times its standard uncertainty a region's gradient must be, or it has no texture to focus on."""
+
+DARK_LEVEL = 2.0 / 255.0
+"""Mean level, of full scale, below which a region is dark."""
+
+ALIKE_SHARE = 0.98
+"""A measure is at its best from this share of it on: noise alone changes it by as much."""
+
+
+@dataclass(frozen=True, eq=False)
+class FocusMeasure:
+    """How sharp an image is."""
+
+    regions: Floats  # by region; NaN where not known
+    whole: float | None  # of the whole image; None where it is known of no region
+
+
+UNKNOWN = FocusMeasure(np.full(REGIONS, np.nan), None)
+"""Where nothing can be measured."""
+
+
+def camera_sharpness(one: NDArray[np.floating[Any]], other: NDArray[np.floating[Any]]) -> FocusMeasure:
+    """Measure the sharpness of the camera's image."""
+    # one, other (height, width)
+    found = np.full(REGIONS, np.nan)
+    powers, levels = 0.0, 0.0
+    for region, part in region_slices(one.shape):
+        a, b = (image[part].astype(np.float64) for image in (one, other))
+        level = float(a.mean() * b.mean())
+        if level < DARK_LEVEL**2 or min(a.shape) < 3:
+            continue
+        power, sigma = _gradient_power(a, b)
+        powers, levels = powers + max(power, 0.0) * a.size, levels + level * a.size
+        if power > TEXTURE_SIGMAS * sigma:
+            found[region] = math.sqrt(power / level)
+    known = np.isfinite(found).any()
+    return FocusMeasure(found, math.sqrt(powers / levels) if known else None)
+
+
+def _gradient_power(one: Floats, other: Floats) -> tuple[float, float]:
+    """Mean square gradient that two images share, and its standard uncertainty by noise alone."""
+    power, noises = 0.0, 0.0
+    for axis in (0, 1):
+        first, second = np.gradient(one, axis=axis), np.gradient(other, axis=axis)
+        # About their means: light that falls off across the region is no texture.
+        power += float(np.mean(first * second) - first.mean() * second.mean())
+        noises += float(np.mean(np.square(first - second)))
+    # Of products of two gradients with independent noise; neighbours share half of it.
+    return power, noises / 2.0 * math.sqrt(2.0 / one.size)
+
+
+def projector_contrast(sample: FrameSample) -> FocusMeasure:
+    """Measure how much of the fringes' contrast the projector's lens, and the camera's, leave."""
+    known = sample.measured
+    if not known.any():
+        return UNKNOWN
+    fine = sample.fits[sample.recording.plan.finest_set()]
+    ratio = fine.modulation / np.maximum(sample.widest.modulation, 1e-9)
+    return FocusMeasure(region_medians(ratio, known), float(np.median(ratio[known])))
+
+
+@dataclass(frozen=True, eq=False)
+class FocusTracker:
+    """A measure of focus, with the best so far."""
+
+    now: FocusMeasure = UNKNOWN  # the latest
+    best: Floats = field(default_factory=lambda: UNKNOWN.regions)  # the greatest of each region
+    best_whole: float | None = None  # the greatest of the whole image
+
+    def after(self, measure: FocusMeasure) -> FocusTracker:
+        """Take another measure."""
+        whole = [one for one in (measure.whole, self.best_whole) if one is not None]
+        return FocusTracker(measure, np.fmax(self.best, measure.regions), max(whole, default=None))
+
+    def forgotten(self) -> FocusTracker:
+        """Forget what was best, after the part or its place has changed."""
+        return FocusTracker(self.now, self.now.regions, self.now.whole)
+
+    @property
+    def shares(self) -> Floats:
+        """The latest of each region over its best, `REGIONS`; NaN where not known."""
+        return np.asarray(self.now.regions / self.best)
+
+    @property
+    def share(self) -> float | None:
+        """The latest of the whole image over its best; None where not known."""
+        return self.now.whole / self.best_whole if self.now.whole is not None and self.best_whole else None
+
+    def summary(self) -> dict[str, object]:
+        """Collect what is shown."""
+        share = self.share
+        shares = [[None if np.isnan(x) else round(float(x), 3) for x in row] for row in self.shares]
+        return {
+            "now": self.now.whole,
+            "best": self.best_whole,
+            "share": share,
+            "at_best": share is not None and share >= ALIKE_SHARE,
+            "regions": shares,
+        }

@@ -1,0 +1,90 @@
+"""The operator's keys: single characters of a terminal, read while the set-up runs."""
+
+from __future__ import annotations
+
+import _thread
+import os
+import select
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from fpplab.setup.live.orders import BY_KEY, Orders
+
+try:
+    import termios
+    import tty
+except ImportError:  # Windows
+    termios = None  # type: ignore[assignment]
+
+LOOK_S = 0.1
+"""How often the thread that reads keys looks whether it is to end, in s."""
+PREFIXES = "\x00\xe0"
+"""What Windows puts before the code of a key that is no character, such as an arrow."""
+CTRL_C = "\x03"
+
+
+@contextmanager
+def terminal_keys(orders: Orders) -> Iterator[bool]:
+    """Read keys from the terminal, without Enter and without echo; Ctrl-C keeps its meaning."""
+    if not sys.stdin.isatty():
+        yield False
+        return
+    with _by_windows() if termios is None else _by_terminal(sys.stdin.fileno()) as typed:
+        done = threading.Event()
+        reader = threading.Thread(target=_read, args=(typed, orders, done), daemon=True)
+        try:
+            reader.start()
+            yield True
+        finally:
+            done.set()
+            reader.join()
+
+
+def _read(typed: Callable[[], str | None], orders: Orders, done: threading.Event) -> None:
+    """Pass orders on; `typed` waits a little and gives what was typed, None once there is no more."""
+    while not done.is_set() and (characters := typed()) is not None:
+        for character in characters:
+            if character in BY_KEY:
+                orders.put(BY_KEY[character])
+
+
+@contextmanager
+def _by_terminal(handle: int) -> Iterator[Callable[[], str | None]]:
+    def typed() -> str | None:
+        ready, _, _ = select.select([handle], [], [], LOOK_S)
+        if not ready:
+            return ""
+        return os.read(handle, 64).decode(errors="replace") or None  # nothing: the terminal was closed
+
+    before = termios.tcgetattr(handle)
+    tty.setcbreak(handle)
+    try:
+        yield typed
+    finally:
+        termios.tcsetattr(handle, termios.TCSADRAIN, before)
+
+
+@contextmanager
+def _by_windows() -> Iterator[Callable[[], str | None]]:
+    """By the console, which needs no other mode: it gives keys one by one and without echo to who asks."""
+    import msvcrt
+
+    windows: Any = msvcrt  # whose types are those of another system
+    pause = threading.Event()
+
+    def typed() -> str | None:
+        if not windows.kbhit():
+            pause.wait(LOOK_S)
+            return ""
+        character: str = windows.getwch()
+        if character in PREFIXES:
+            windows.getwch()
+            return ""
+        if character == CTRL_C:  # pressed just while a key was read, when it is a key like others
+            _thread.interrupt_main()
+        return character
+
+    yield typed

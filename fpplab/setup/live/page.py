@@ -1,0 +1,164 @@
+"""The page of the set-up: a small server on this computer alone, for the buttons and the present state.
+
+Foreign pages that are open in the same browser can neither read nor order anything: every address contains
+a random token, a request must be for this very host and port (which a name that was made to point here does
+not), and orders must come from the page itself.
+"""
+
+from __future__ import annotations
+
+import json
+import secrets
+import threading
+import time
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib.resources import files
+from types import TracebackType
+from typing import Any, Self
+
+from fpplab.setup.live.orders import WORDS, Order, Orders
+from fpplab.setup.live.status import LiveStatus
+
+LOCAL = "127.0.0.1"
+MOST_BYTES = 200
+"""Longest body of a request that is read."""
+
+GONE_S = 4.0
+"""How long after the page said good-bye it may come back, as by being loaded again, in s."""
+
+TEMPLATE = "page.html"
+
+
+class SetUpPage:
+    """The page, served while a `with` block lasts."""
+
+    def __init__(self, orders: Orders, viewer: str | None = None) -> None:
+        self._orders, self._viewer = orders, viewer
+        self._token = secrets.token_urlsafe(18)
+        self._state = b"{}"
+        self._left_s: float | None = None
+        self._seen = False
+        self._server = ThreadingHTTPServer((LOCAL, 0), _handler(self))
+        self._server.daemon_threads = True
+        self._thread = threading.Thread(target=self._server.serve_forever, args=(0.1,), daemon=True)
+        self.host = f"{LOCAL}:{self._server.server_address[1]}"
+        self.address = f"http://{self.host}/{self._token}/"
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._server.shutdown()
+        self._server.server_close()
+        self._thread.join()
+
+    @property
+    def seen(self) -> bool:
+        """Whether the page has been opened."""
+        return self._seen
+
+    @property
+    def closed(self) -> bool:
+        """Whether the page was open, and the operator has closed it."""
+        return self._left_s is not None and time.monotonic() - self._left_s > GONE_S
+
+    def show(self, status: LiveStatus) -> None:
+        """Give the page a new state."""
+        self._state = json.dumps(status.summary()).encode()
+
+    def answer(
+        self, method: str, path: str, host: str, origin: str | None, body: bytes
+    ) -> tuple[int, str, bytes]:
+        """Answer a request."""
+        if host not in (self.host, self.host.replace(LOCAL, "localhost")):
+            return _refused(HTTPStatus.FORBIDDEN, "this page is for this computer alone")
+        _, token, *rest = (*path.split("/"), "", "")
+        if not secrets.compare_digest(token.encode(), self._token.encode()):
+            return _refused(HTTPStatus.FORBIDDEN, "open the address that 'fpplab live' has printed")
+        if method == "POST" and origin not in (None, f"http://{host}"):
+            return _refused(HTTPStatus.FORBIDDEN, "orders come from the page of 'fpplab live' itself")
+        return self._found(method, rest[0], body)
+
+    def _found(self, method: str, name: str, body: bytes) -> tuple[int, str, bytes]:
+        if (method, name) == ("GET", ""):
+            return HTTPStatus.OK, "text/html; charset=utf-8", self._html()
+        if (method, name) == ("GET", "state"):
+            self._left_s, self._seen = None, True
+            return HTTPStatus.OK, "application/json", self._state
+        if (method, name) == ("POST", "leave"):
+            self._left_s = time.monotonic()
+            return HTTPStatus.OK, "application/json", b"{}"
+        if (method, name) == ("POST", "order"):
+            return self._ordered(body)
+        return _refused(HTTPStatus.NOT_FOUND, "there is no such address")
+
+    def _ordered(self, body: bytes) -> tuple[int, str, bytes]:
+        try:
+            order = Order(json.loads(body)["order"])
+        except (ValueError, KeyError, TypeError):
+            return _refused(HTTPStatus.BAD_REQUEST, f"an order is one of {', '.join(Order)}")
+        self._orders.put(order)
+        return HTTPStatus.ACCEPTED, "application/json", b"{}"
+
+    def _html(self) -> bytes:
+        text = files(__package__).joinpath(TEMPLATE).read_text(encoding="utf-8")
+        words = {order.value: {"key": key, "label": label} for order, (key, label) in WORDS.items()}
+        given = json.dumps({"orders": words, "viewer": self._viewer}).replace("<", "\\u003c")
+        return text.replace("{{given}}", given).encode()
+
+    def headers(self) -> dict[str, str]:
+        """Give the headers of every answer."""
+        frame = "'none'" if self._viewer is None else "http://" + self._viewer.split("/")[2]
+        policy = (
+            "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; connect-src 'self'; "
+            f"frame-src {frame}; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
+        )
+        return {
+            "Content-Security-Policy": policy,
+            "Referrer-Policy": "no-referrer",
+            "X-Content-Type-Options": "nosniff",
+            "Cache-Control": "no-store",
+        }
+
+
+def _refused(status: HTTPStatus, why: str) -> tuple[int, str, bytes]:
+    return status, "application/json", json.dumps({"error": why}).encode()
+
+
+def _handler(page: SetUpPage) -> type[BaseHTTPRequestHandler]:
+    class Handler(BaseHTTPRequestHandler):
+        protocol_version = "HTTP/1.1"
+        timeout = 30.0
+
+        def _respond(self, method: str) -> None:
+            length = self.headers.get("Content-Length") or "0"
+            size = int(length) if length.isdigit() else MOST_BYTES + 1
+            if size > MOST_BYTES:
+                self.close_connection = True
+                self._send(*_refused(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "an order is short"))
+                return
+            body, host = self.rfile.read(size), self.headers.get("Host", "")
+            self._send(*page.answer(method, self.path, host, self.headers.get("Origin"), body))
+
+        def _send(self, status: int, kind: str, content: bytes) -> None:
+            self.send_response(status)
+            headers = page.headers() | {"Content-Type": kind, "Content-Length": str(len(content))}
+            for name, value in headers.items():
+                self.send_header(name, value)
+            self.end_headers()
+            self.wfile.write(content)
+
+        def do_GET(self) -> None:
+            self._respond("GET")
+
+        def do_POST(self) -> None:
+            self._respond("POST")
+
+        def log_message(self, format: str, *args: Any) -> None:  # noqa: A002 - the name that it has there
+            """Say nothing on stderr."""
+
+    return Handler

@@ -1,0 +1,273 @@
+"""What is wrong with a rig: a marker shows how it is synchronised, and fringes what a scan's frames show."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import closing
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.acquisition.acquire import expose
+from fpplab.acquisition.synchronisation import check_synchronisation, remedy
+from fpplab.acquisition.timing import PulseTiming, planned_timing
+from fpplab.calibration.model import Calibration
+from fpplab.clouds import Cloud
+from fpplab.core import config
+from fpplab.core.conventions import AXES, Image, raw_dtype
+from fpplab.core.errors import CapabilityError, ConfigError, DataError, DeviceError
+from fpplab.core.progress import Progress
+from fpplab.devices.rig import Rig
+from fpplab.diagnosis import Diagnosis, FaultCause, Finding, Verdict, diagnose_frames, diagnose_scan
+from fpplab.patterns.fringes import make_patterns
+from fpplab.patterns.plan import Plan
+from fpplab.patterns.recording import Recording
+from fpplab.phase import Decoded, decode
+from fpplab.reconstruction.depth_range import depth_bounds, first_stated
+from fpplab.reconstruction.points import points_of
+from fpplab.sessions.origin import SessionOrigin
+from fpplab.setup.rig_check.devices import (
+    device_finding,
+    disk_finding,
+    link_finding,
+    mains_finding,
+    with_mains,
+)
+from fpplab.setup.rig_check.marker import marker
+from fpplab.setup.rig_check.marker_check import (
+    RUINOUS,
+    UNCERTAIN,
+    MarkerInspection,
+    MarkerRun,
+    recover_camera,
+)
+
+NEVER_SEEN = "the colour of the light, and which LED is off: a grey camera does not tell them"
+"""What no frame shows."""
+
+WITHOUT_CALIBRATION = "small_angle, wrong_axis, stale_calibration, undersampled: give --calibration"
+"""What fringes alone do not show."""
+
+
+@dataclass(frozen=True, eq=False)
+class RigCheck:
+    """Result of `check_rig`."""
+
+    shown: NDArray[np.int64]  # grey levels of 255 in the order shown
+    runs: tuple[MarkerRun, ...]  # the stepped run, and the triggered one where the rig can
+    findings: tuple[Finding, ...]  # what is wrong, the worst first; empty when all is well
+    unknown: tuple[str, ...] = ()  # what could not be checked, and why
+    settle_s: float | None = None  # the settling time in s that a stepped plan needs
+    timing: PulseTiming | None = None  # the plan's times on this rig; None where the devices do not accept it
+    recording: Recording | None = None  # frames with fringes; None where none were taken
+    decoded: Decoded | None = None  # their projector coordinates, where they were computed
+    cloud: Cloud | None = None  # their points, where there is a calibration
+    rig: dict[str, Any] = field(default_factory=dict)  # as `Rig.described` gave it
+    origin: SessionOrigin | None = None  # when and with which devices; None where one could not be opened
+
+    def summary(self) -> dict[str, Any]:
+        """Give the result as plain values."""
+        return {
+            "ok": not self.findings,
+            "findings": [finding.summary() for finding in self.findings],
+            "not_checked": list(self.unknown),
+            "settle_s": self.settle_s,
+            "timing": asdict(self.timing) if self.timing else None,
+            "shown": self.shown.tolist(),
+            "seen": {run.how: [_or_none(level) for level in run.levels.tolist()] for run in self.runs},
+        }
+
+
+def _or_none(level: float) -> float | None:
+    return None if math.isnan(level) else level
+
+
+def check_rig(
+    rig: Rig,
+    plan: Plan,
+    item: str,
+    progress: Progress,
+    calibration: Calibration | None = None,
+    folder: Path | None = None,
+) -> RigCheck:
+    """Open a rig, show it the marker and then fringes, and report what is wrong.
+
+    What a device raises is a finding too.
+    """
+    marker_seen, fringes = MarkerInspection(plan), _FringeInspection(plan, calibration)
+    failed: list[Finding] = []
+    described, origin, timing = config.plain(rig.file), None, None
+    try:
+        with rig:
+            described, origin = rig.described(), SessionOrigin.of(rig)
+            _require_fitting(rig, plan, calibration)
+            if rig.fixture:
+                rig.fixture.mount(item)
+            marker_seen.at(rig, lambda share: progress(0.4 * share))
+            fringes.at(rig, marker_seen.fringe_plan, lambda share: progress(0.4 + 0.6 * share))
+            timing = _timing(rig, plan)
+            failed += _of_transport(rig, plan, timing, folder)
+    except DeviceError as error:
+        failed.append(device_finding(error))
+    progress(1.0)
+    seen = fringes.diagnosis.findings if fringes.diagnosis else tuple(marker_seen.light)
+    return RigCheck(
+        shown=marker(),
+        runs=tuple(marker_seen.runs),
+        findings=_ranked([*failed, *marker_seen.findings, *seen]),
+        unknown=(*_untold(seen), *fringes.unknown, *(fringes.diagnosis.unknown if fringes.diagnosis else ())),
+        settle_s=marker_seen.settle_s,
+        timing=timing,
+        recording=fringes.recording,
+        decoded=fringes.decoded,
+        cloud=fringes.cloud,
+        rig=described,
+        origin=origin,
+    )
+
+
+def _untold(seen: Sequence[Finding]) -> tuple[str, ...]:
+    """What frames of a dark projector do not tell."""
+    dark = {FaultCause.PROJECTOR_DARK, FaultCause.UNDEREXPOSED, FaultCause.MISSING_COLOUR}
+    return (NEVER_SEEN,) if any(one.cause in dark for one in seen) else ()
+
+
+def _timing(rig: Rig, plan: Plan) -> PulseTiming | None:
+    """The plan's times, where the devices can show it."""
+    caps = rig.projector.caps
+    patterns = make_patterns(plan, caps.size, caps.lattice)
+    recover_camera(rig)
+    settings = rig.camera.configure(rig.camera_settings(plan.exposure_s, plan.bits))
+    try:
+        rig.projector.load(patterns)
+        return planned_timing(rig, plan, patterns, settings.exposure_s)
+    except CapabilityError:  # the fringes have told it
+        return None
+
+
+def _of_transport(rig: Rig, plan: Plan, timing: PulseTiming | None, folder: Path | None) -> list[Finding]:
+    """Whether frames come and are written as fast as the plan takes them."""
+    settings = rig.camera.configure(rig.camera_settings(plan.exposure_s, plan.bits))
+    caps = rig.camera.caps
+    period_s = timing.period_s if timing else settings.exposure_s + caps.readout_s
+    width, height = caps.size
+    kind = raw_dtype(settings.bits)
+    found = [link_finding(rig.camera.info(), width * height * np.dtype(kind).itemsize, period_s)]
+    if folder is not None:
+        noise: Image = np.random.default_rng(0).integers(0, 256, (height, width), kind)
+        found.append(disk_finding(folder, plan, noise, settings, period_s))
+    return [one for one in found if one is not None]
+
+
+def _ranked(findings: list[Finding]) -> tuple[Finding, ...]:
+    """The worst first, each cause once."""
+    first: dict[FaultCause, Finding] = {}
+    for finding in sorted(findings, key=lambda one: -one.excess):
+        first.setdefault(finding.cause, finding)
+    return tuple(first.values())
+
+
+def _require_fitting(rig: Rig, plan: Plan, calibration: Calibration | None) -> None:
+    """Refuse a plan or a calibration that is not for these devices."""
+    caps = rig.projector.caps
+    plan.check_projector(caps.size, "plan")
+    if calibration is not None:
+        calibration.check_camera(rig.camera.caps.size, "calibration")
+        calibration.check_projector(caps.size, caps.lattice, "calibration")
+
+
+class _FringeInspection:
+    """What fringes tell of an open rig."""
+
+    def __init__(self, plan: Plan, calibration: Calibration | None) -> None:
+        self._plan, self._calibration = plan, calibration
+        self.diagnosis: Diagnosis | None = None
+        self.unknown: list[str] = []
+        self.recording: Recording | None = None
+        self.decoded: Decoded | None = None
+        self.cloud: Cloud | None = None
+
+    def at(self, rig: Rig, plan: Plan | None, progress: Progress) -> None:
+        """Take the fringes of a plan, and further ones where the projector can show them."""
+        if plan is None:
+            self.unknown.append("light, focus and geometry: the frames do not show their own patterns")
+            return
+        for wanted in _with_both_axes(plan) if self._calibration else (plan,):
+            try:
+                recording = _taken(rig, wanted, lambda share: progress(0.8 * share))
+            except CapabilityError as error:
+                missing = error
+                continue
+            self.recording = recording
+            self.diagnosis = self._judged(recording, rig)
+            findings = with_mains(self.diagnosis.findings, mains_finding(rig, plan))
+            self.diagnosis = replace(self.diagnosis, findings=findings)
+            return
+        self.unknown.append(f"light, focus and geometry: {missing.found}; {missing.remedy}")
+
+    def _judged(self, recording: Recording, rig: Rig) -> Diagnosis:
+        in_step = check_synchronisation(recording)
+        if in_step.in_step:
+            return self._of_frames(recording, rig)
+        excess = RUINOUS if in_step.causes else UNCERTAIN
+        slipped = Finding(FaultCause.OUT_OF_STEP, in_step.describe(), excess, remedy(recording.plan))
+        # Light that flickers and parts that move look like frames out of step which no slip explains.
+        others = () if in_step.causes else diagnose_frames(recording)
+        return Diagnosis(Verdict.DOUBTFUL, slipped.sentence, others or (slipped,))
+
+    def _of_frames(self, recording: Recording, rig: Rig) -> Diagnosis:
+        if self._calibration is None:
+            self.decoded = _decoded_alone(recording)
+            findings = diagnose_frames(recording, self.decoded)
+            return Diagnosis(Verdict.GOOD, "", findings, (WITHOUT_CALIBRATION,))
+        return self._with_points(recording, rig, self._calibration)
+
+    def _with_points(self, recording: Recording, rig: Rig, calibration: Calibration) -> Diagnosis:
+        depth = first_stated((self._plan.depth_mm, "plan"), (rig.file.depth_mm, str(rig.source)))
+        decoded = decode(recording, bounds=depth_bounds(recording.plan, calibration, depth))
+        cloud = None
+        if decoded.valid.any():
+            try:
+                decoded, cloud = points_of(decoded, calibration, recording.plan)
+            except DataError:  # the frames say why there is no point
+                cloud = None
+        self.decoded, self.cloud = decoded, cloud
+        return diagnose_scan(recording, decoded, cloud, calibration, self._plan)
+
+
+def _with_both_axes(plan: Plan) -> Iterator[Plan]:
+    """A plan with fringes along both axes, which show a stale calibration, and the plan itself.
+
+    The further sets are those of the plan along the other axis, so that they can be unwrapped too.
+    """
+    if len(plan.axes) < len(AXES):
+        (other,) = set(AXES) - set(plan.axes)
+        crossed = tuple(fringe.model_copy(update={"axis": other}) for fringe in plan.fringes)
+        yield plan.model_copy(update={"fringes": plan.fringes + crossed})
+    yield plan
+
+
+def _taken(rig: Rig, plan: Plan, progress: Progress) -> Recording:
+    """The frames of a plan, in memory."""
+    caps = rig.projector.caps
+    patterns = make_patterns(plan, caps.size, caps.lattice)
+    settings = rig.camera_settings(plan.exposure_s, plan.bits)
+    recover_camera(rig)
+    frames = []
+    with closing(expose(rig, patterns, settings, plan)) as shots:
+        for shot in shots:
+            frames.append(shot.image)
+            progress(len(frames) / len(patterns))
+    return Recording(frames, plan, caps.size, settings.bits, "check")
+
+
+def _decoded_alone(recording: Recording) -> Decoded | None:
+    """The projector coordinates, where the plan can be unwrapped without a calibration."""
+    try:
+        return decode(recording)
+    except ConfigError:
+        return None

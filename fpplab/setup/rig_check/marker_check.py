@@ -1,0 +1,348 @@
+"""Synchronisation check of a rig by a marker: uniform grey-level images in an order that reveals every slip.
+
+The levels that a camera sees of uniform grey-level images must rise with them, whatever the response, the
+scene and the exposure. In the order shown neighbours differ by a third of all levels or more, so that a
+frame that shows another's grey level stands out, and each fault of `synchronisation` either fits the levels
+that were seen or does not.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import isotonic_regression
+
+from fpplab.acquisition.acquire import expose
+from fpplab.acquisition.synchronisation import Cause, SyncFault, faults, remedy
+from fpplab.acquisition.timing import PulseTiming, pulse_timing
+from fpplab.core.conventions import Floats, full_scale
+from fpplab.core.errors import DeviceTimeoutError
+from fpplab.core.progress import Progress
+from fpplab.devices import State
+from fpplab.devices.rig import Rig
+from fpplab.diagnosis import FaultCause, Finding
+from fpplab.diagnosis.brightness import COLOURS, colour_finding, light_elsewhere
+from fpplab.patterns.fringes import uniform_patterns
+from fpplab.patterns.plan import Plan
+from fpplab.setup.rig_check.devices import flickers
+from fpplab.setup.rig_check.exposure_shift import LEAST_SHARE, ExposureShift, exposure_shift
+from fpplab.setup.rig_check.marker import marker
+
+LEAST_RISE = 0.05
+"""Share of full scale by which white must be brighter than black."""
+SATURATED = 0.01
+"""Share of the illuminated pixels at full scale beyond which the exposure is too long."""
+MOST_DEPARTURE = 0.015
+"""Greatest RMS departure of the levels from a rising curve, as a share of their range, of frames in step."""
+APART_S = 0.1
+"""Further time in s between triggers beyond an exposure, in which every camera becomes ready."""
+GAPS_S = (0.0, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 0.01, 0.02, 0.05, 0.1)
+"""Further times in s between triggers that are tried for a camera that was not ready."""
+SAME_LEVEL = 0.1
+"""Range of levels of frames that all show darkness, as a share of that of the marker."""
+SETTLE_S = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
+"""Settling times that are tried, in s."""
+PIXELS = 20_000
+"""About how many pixels of a frame are evaluated."""
+RUINOUS = 1e4
+"""Excess of frames that are out of step: everything else follows from it."""
+UNCERTAIN = 1.0
+"""Excess of frames that look out of step where another cause may be behind it."""
+SLIPS = (FaultCause.OUT_OF_STEP, FaultCause.SLOW_DISPLAY, FaultCause.CAMERA_NOT_READY)
+"""What is told by levels that do not rise with the grey levels shown."""
+
+
+@dataclass(frozen=True, eq=False)
+class MarkerRun:
+    """One run of the marker."""
+
+    how: str  # "stepped" or "triggered"
+    levels: Floats  # mean levels of the illuminated pixels as shares of full scale, in the order shown
+    saturated: float  # share of these pixels at full scale in any frame
+
+    @property
+    def rise(self) -> float:
+        """Difference between the brightest and the darkest level, as a share of full scale."""
+        return float(np.nanmax(self.levels) - np.nanmin(self.levels))
+
+    @property
+    def frames(self) -> int:
+        """Number of frames that came."""
+        return int(np.isfinite(self.levels).sum())
+
+
+def matching_faults(shown: Sequence[int] | NDArray[np.int64], levels: Floats) -> tuple[SyncFault, ...] | None:
+    """Find the synchronisation faults under which the levels seen rise with the grey levels shown.
+
+    Of the faults that fit, those that explain the most frames are returned. Swapped frames are not tried,
+    because only the trigger can have slipped.
+    """
+    # shown (K,); levels (K,)
+    greys, in_step = np.asarray(shown), list(range(len(shown)))
+    if _departure(greys, levels, in_step) <= MOST_DEPARTURE:
+        return ()
+    rows = {f: f.shown(len(greys)) for f in faults(len(greys)) if f.cause is not Cause.SWAPPED}
+    fitting = [fault for fault, row in rows.items() if _departure(greys, levels, row) <= MOST_DEPARTURE]
+    explained = {f: sum(k is not None for k in np.array(rows[f])[np.isfinite(levels)]) for f in fitting}
+    most = max(explained.values(), default=0)
+    return tuple(fault for fault in fitting if explained[fault] == most) or None
+
+
+def _departure(greys: NDArray[np.int64], levels: Floats, shown: Sequence[int | None]) -> float:
+    """RMS by which levels depart from any that rise with the grey levels shown, as a share of their range."""
+    known = np.array([k is not None for k in shown]) & np.isfinite(levels)
+    grey, level = greys[[k or 0 for k in shown]][known], levels[known]
+    _, place, frames = np.unique(grey, return_inverse=True, return_counts=True)
+    mean = np.bincount(place, level) / frames
+    curve = isotonic_regression(mean, weights=frames).x
+    return float(
+        np.sqrt(np.mean((level - curve[place]) ** 2)) / max(np.nanmax(levels) - np.nanmin(levels), 1e-9)
+    )
+
+
+class MarkerInspection:
+    """What the marker tells of an open rig: an error ends it, but what was found before is kept."""
+
+    def __init__(self, plan: Plan) -> None:
+        self._plan = plan
+        self.runs: list[MarkerRun] = []
+        self.light: list[Finding] = []
+        self.findings: list[Finding] = []
+        self.settle_s: float | None = None
+        self._of_stepped: list[Finding] = []
+
+    def at(self, rig: Rig, progress: Progress) -> None:
+        """Show the marker, stepped and where the rig can triggered."""
+        shown = marker()
+        stepped = self._plan.model_copy(update={"trigger": "stepped"})
+        self.runs.append(run := _run(rig, stepped, shown))
+        progress(0.4)
+        self.light = _of_light(run)
+        if run.rise < LEAST_RISE:
+            return
+        if (colour := _missing_colour(shown, run.levels)) is not None:
+            self.light = [colour]
+            return
+        if (slipped := matching_faults(shown, run.levels)) != ():
+            again = matching_faults(shown, _run(rig, stepped, shown).levels)
+            self.settle_s = _settling(rig, stepped, shown)
+            recurs = again != () if self.settle_s else bool({*(slipped or ())} & {*(again or ())})
+            self.findings.append(_of_display(slipped, stepped.settle_s, self.settle_s, recurs))
+        self._of_stepped = list(self.findings)
+        progress(0.7)
+        if rig.projector.caps.trigger_outputs and "hardware" in rig.camera.caps.triggers:
+            triggered = self._plan.model_copy(update={"trigger": "triggered"})
+            run = _run(rig, triggered, shown)
+            if run.frames:
+                self.runs.append(run)
+            self.findings += self._of_trigger(rig, triggered, shown, run)
+        self._doubt_slips(rig)
+
+    def _doubt_slips(self, rig: Rig) -> None:
+        """Leave slips uncertain where all frames came but light flickers, which looks alike."""
+        whole = all(run.frames == len(run.levels) for run in self.runs)
+        if not whole or not any(one.cause in SLIPS for one in self.findings) or not flickers(rig, self._plan):
+            return
+        self.findings, self._of_stepped = (
+            [replace(one, excess=UNCERTAIN) if one.cause in SLIPS else one for one in found]
+            for found in (self.findings, self._of_stepped)
+        )
+
+    @property
+    def fringe_plan(self) -> Plan | None:
+        """The plan as it is in step: triggered, or stepped and slowly enough; None where neither is."""
+        if any(finding.cause is FaultCause.MISSING_COLOUR for finding in self.light):
+            return None
+        known = [one for one in self._of_stepped if one.excess > UNCERTAIN]
+        if any(finding.cause is FaultCause.OUT_OF_STEP for finding in known):
+            return None
+        is_triggered = self.runs[-1].how == "triggered" and self._of_stepped == self.findings
+        how = self._plan.trigger if is_triggered else "stepped"
+        return self._plan.model_copy(
+            update={"trigger": how, "settle_s": self.settle_s or self._plan.settle_s}
+        )
+
+    def _of_trigger(self, rig: Rig, plan: Plan, shown: NDArray[np.int64], run: MarkerRun) -> list[Finding]:
+        """Tell what is wrong with a triggered run, by a second one with more time between triggers."""
+        shift = None if self._of_stepped else exposure_shift(self.runs[0].levels, run.levels)
+        if _is_in_step(shown, run):  # levels that mix a little with their neighbours rise all the same
+            return [_shifted(shift, plan.exposure_s)] if shift else []
+        if not run.frames:
+            return [_no_pulse(len(shown))]
+        apart = _run(rig, plan, shown, plan.exposure_s + APART_S)
+        if _shows_darkness(apart, SAME_LEVEL * self.runs[0].rise):
+            return [_wrong_edge()]
+        if shift is not None:
+            return [_shifted(shift, plan.exposure_s)]
+        slipped = matching_faults(shown, run.levels)
+        if not _is_in_step(shown, apart):
+            again = matching_faults(shown, apart.levels)
+            return [
+                _slipped(
+                    slipped, run, remedy(plan), happens_again=bool({*(slipped or ())} & {*(again or ())})
+                )
+            ]
+        gap_s = next((s for s in GAPS_S if _is_in_step(shown, _run(rig, plan, shown, s))), APART_S)
+        if gap_s == 0.0:
+            return [_slipped(slipped, run, remedy(plan), "when it was repeated, all frames were in step")]
+        timing = _timing(rig, plan, shown, gap_s)
+        dead_s = math.ceil(1e4 * (timing.period_s - timing.light_s - timing.dark_s)) / 1e4
+        return [_not_ready(run, gap_s, dead_s)]
+
+
+def _missing_colour(shown: NDArray[np.int64], levels: Floats) -> Finding | None:
+    """A third of the frames darker than the curve by which the others rise with the grey levels."""
+    if not np.isfinite(levels).all() or _departure(shown, levels, range(len(shown))) <= MOST_DEPARTURE:
+        return None
+    places = np.arange(len(shown))
+    for colour in range(COLOURS):
+        others = places % COLOURS != colour
+        if _departure(shown[others], levels[others], range(int(others.sum()))) > MOST_DEPARTURE:
+            continue
+        order = np.argsort(shown[others])
+        wanted = np.interp(shown, shown[others][order], levels[others][order])
+        dark = float(levels.min())
+        relative = (levels - dark + 0.1 * np.ptp(levels)) / (wanted - dark + 0.1 * np.ptp(levels))
+        if (found := colour_finding(np.where(others, 1.0, relative), places)) is not None:
+            return replace(found, excess=RUINOUS)
+    return None
+
+
+def recover_camera(rig: Rig) -> None:
+    """Open a camera anew after a run whose frames did not all come."""
+    if rig.camera.state is State.FAULT:
+        rig.camera.close()
+        rig.camera.open()
+
+
+def _run(rig: Rig, plan: Plan, shown: NDArray[np.int64], gap_s: float = 0.0) -> MarkerRun:
+    """Show the marker once. A triggered run that ends too early is judged by the frames that came."""
+    recover_camera(rig)
+    patterns = uniform_patterns(shown.tolist(), rig.projector.caps.size)
+    settings = rig.camera_settings(plan.exposure_s, plan.bits)
+    samples: list[NDArray[Any]] = []
+    with closing(expose(rig, patterns, settings, plan, gap_s)) as shots:
+        try:
+            for shot in shots:
+                every = max(1, math.isqrt(shot.image.size // PIXELS))
+                samples.append(shot.image[::every, ::every] / full_scale(shot.settings.bits))
+        except DeviceTimeoutError:
+            if plan.trigger == "stepped":
+                raise
+    if not samples:
+        return MarkerRun(plan.trigger, np.full(len(shown), np.nan), 0.0)
+    seen = np.stack(samples)
+    change = np.ptp(seen, axis=0)
+    illuminated = seen[:, change >= 0.5 * np.quantile(change, 0.95)]
+    levels = np.full(len(shown), np.nan)
+    levels[: len(illuminated)] = illuminated.mean(axis=1)
+    return MarkerRun(plan.trigger, levels, float((illuminated >= 1.0).any(axis=0).mean()))
+
+
+def _settling(rig: Rig, plan: Plan, shown: NDArray[np.int64]) -> float | None:
+    """The first settling time with which a stepped plan is in step, twice; None where none is."""
+    for settle_s in SETTLE_S:
+        slower = plan.model_copy(update={"settle_s": settle_s})
+        if settle_s > plan.settle_s and all(_is_in_step(shown, _run(rig, slower, shown)) for _ in range(2)):
+            return settle_s
+    return None
+
+
+def _of_light(run: MarkerRun) -> list[Finding]:
+    if run.saturated > SATURATED:
+        share = f"{100 * run.saturated:.2g} % of the illuminated pixels are at full scale"
+        return [Finding(FaultCause.SATURATED, share, run.saturated / SATURATED)]
+    if run.rise < LEAST_RISE:
+        seen = f"white is brighter than black by {100 * run.rise:.2g} % of full scale"
+        advice = "check the lens caps, the projector's light, where both look, and the plan's exposure_s"
+        excess = LEAST_RISE / max(run.rise, 1e-4)
+        return [Finding(FaultCause.PROJECTOR_DARK, seen, excess, advice), light_elsewhere(excess)]
+    return []
+
+
+def _of_display(
+    slipped: tuple[SyncFault, ...] | None, settle_s: float, needed: float | None, recurs: bool
+) -> Finding:
+    """Frames of a stepped run out of step. A slip that does not recur may be light that flickers."""
+    excess = RUINOUS if recurs else UNCERTAIN
+    if needed is not None:
+        seen = f"with settle_s {settle_s:g} s {_words(slipped)}"
+        return Finding(FaultCause.SLOW_DISPLAY, seen, excess, f"put `settle_s: {needed:g}` into the plan")
+    advice = f"no settle_s up to {SETTLE_S[-1]:g} s helps: make sure that nothing else drives the projector"
+    return Finding(FaultCause.OUT_OF_STEP, f"stepped: {_words(slipped)}", excess, advice)
+
+
+def _is_in_step(shown: NDArray[np.int64], run: MarkerRun) -> bool:
+    return run.frames == len(shown) and matching_faults(shown, run.levels) == ()
+
+
+def _shows_darkness(run: MarkerRun, least: float) -> bool:
+    """Whether frames, most of which came, are all alike but the last, behind which nothing is shown."""
+    return run.frames > len(run.levels) // 2 and float(np.ptp(run.levels[: run.frames][:-1])) < least
+
+
+def _timing(rig: Rig, plan: Plan, shown: NDArray[np.int64], gap_s: float) -> PulseTiming:
+    patterns = uniform_patterns(shown.tolist(), rig.projector.caps.size)
+    dead_s = rig.file.camera.dead_time_s
+    return pulse_timing(rig.camera, rig.projector, patterns, plan.exposure_s, dead_s, gap_s)
+
+
+def _slipped(
+    slipped: tuple[SyncFault, ...] | None,
+    run: MarkerRun,
+    advice: str,
+    more: str = "",
+    happens_again: bool = False,
+) -> Finding:
+    """Frames out of step. A slip that is seen once may be light that flickers, which the fringes tell."""
+    lost = len(run.levels) - run.frames
+    words = ["the last triggers did not expose a frame"] if slipped == () else [_words(slipped)]
+    if lost:
+        words.append(f"{lost} of {len(run.levels)} frames did not come")
+    if more:
+        words.append(more)
+    excess = RUINOUS if happens_again or lost else UNCERTAIN
+    return Finding(FaultCause.OUT_OF_STEP, f"triggered: {'; '.join(words)}", excess, advice)
+
+
+def _no_pulse(count: int) -> Finding:
+    return Finding(FaultCause.NO_TRIGGER, f"none of {count} frames came", RUINOUS)
+
+
+def _wrong_edge() -> Finding:
+    seen = "with darkness between the patterns, the frames show the darkness"
+    return Finding(FaultCause.TRIGGER_EDGE, seen, RUINOUS)
+
+
+def _shifted(shift: ExposureShift, exposure_s: float) -> Finding:
+    how, neighbour = ("late", "next") if shift.is_late else ("early", "previous")
+    seen = (
+        f"{100 * shift.share:.0f} % of each exposure show the {neighbour} pattern: exposures begin about "
+        f"{1e3 * shift.share * exposure_s:.3g} ms too {how}"
+    )
+    return Finding(FaultCause.TRIGGER_SHIFTED, seen, shift.share / LEAST_SHARE)
+
+
+def _not_ready(run: MarkerRun, gap_s: float, dead_s: float) -> Finding:
+    """The camera is not ready. Where no frame is lost, light that flickers may be behind it."""
+    return Finding(
+        FaultCause.CAMERA_NOT_READY,
+        f"{run.frames} of {len(run.levels)} frames came; with {1e3 * gap_s:g} ms more between triggers all "
+        "come",
+        RUINOUS if run.frames < len(run.levels) else UNCERTAIN,
+        f"put `dead_time_s: {dead_s:g}` into the rig file's section of the camera",
+    )
+
+
+def _words(slipped: tuple[SyncFault, ...] | None) -> str:
+    return (
+        "; or ".join(f.describe() for f in slipped)
+        if slipped
+        else "the levels do not rise with the grey levels"
+    )

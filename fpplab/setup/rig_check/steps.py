@@ -1,0 +1,215 @@
+"""A rig step by step, from its links to its focus, as on the first day."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack, closing, suppress
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from fpplab.acquisition.acquire import expose
+from fpplab.acquisition.timing import PulseTiming, pulse_timing
+from fpplab.core.conventions import Floats, full_scale
+from fpplab.core.errors import DeviceError, DeviceTimeoutError, FrameLossError
+from fpplab.core.progress import Progress
+from fpplab.devices.rig import Rig
+from fpplab.diagnosis import REMEDIES, FaultCause
+from fpplab.patterns.fringes import Pattern, make_patterns, uniform_patterns
+from fpplab.patterns.plan import Plan
+from fpplab.setup.rig_check.devices import device_finding
+from fpplab.setup.rig_check.marker import marker
+from fpplab.setup.rig_check.marker_check import LEAST_RISE, SATURATED, recover_camera
+
+STEPS = 7
+"""How many steps there are at most."""
+PULSES = 10
+"""Patterns of a run of several pulses."""
+APART_S = 0.1
+"""Further time in s between pulses in which every camera becomes ready."""
+SWEEP_S = (0.05, 0.02, 0.01, 0.005, 0.002, 0.001, 5e-4, 0.0)
+"""Further times in s between pulses that are tried, the last one as the plan would have it; then less."""
+LEVELS = (0.3, 0.95)
+"""Brightness of a white pattern, as shares of full scale, between which an exposure is good."""
+GOOD_LEVEL = 0.8
+"""Brightness to aim at."""
+LEAST_CONTRAST = 0.3
+"""Contrast of the finest fringes below which the lenses are out of focus."""
+LOST_PULSES = (
+    "see to the plugs of the trigger cable and to the voltage at the camera's input: the camera had time "
+    "enough for each pulse"
+)
+"""What to do where some pulses come, far apart, and others do not."""
+SAMPLE = 40_000
+"""About how many pixels of a frame are kept."""
+
+
+@dataclass(frozen=True)
+class CheckedStep:
+    """What one step showed."""
+
+    name: str  # the step
+    ok: bool  # whether it is as it should be
+    seen: str  # what was seen, with its numbers
+    remedy: str = ""  # what to do; empty where all is well
+    values: dict[str, Any] = field(default_factory=dict)  # the numbers of `seen`
+
+
+class _Steps:
+    """The steps on an open rig, and what they keep for those after them."""
+
+    def __init__(self, rig: Rig, plan: Plan) -> None:
+        self._rig, self._plan = rig, plan
+        self._white: Floats
+        self._change: Floats
+
+    @property
+    def has_trigger(self) -> bool:
+        return bool(self._rig.projector.caps.trigger_outputs) and "hardware" in self._rig.camera.caps.triggers
+
+    def link(self) -> CheckedStep:
+        infos = [device.info() for device in (self._rig.camera, self._rig.projector)]
+        words = [f"{info.model}, {info.serial or 'without a serial number'}, {info.link}" for info in infos]
+        return CheckedStep("link", True, "; ".join(words))
+
+    def lamp(self) -> CheckedStep:
+        black, white = self._taken(self._uniform([0, 255]), "stepped")
+        self._white, self._change = white, white - black
+        rise = float(np.quantile(self._change, 0.95))
+        seen = f"white is brighter than black by {100 * rise:.3g} % of full scale"
+        ok = rise >= LEAST_RISE
+        remedy = "" if ok else f"{REMEDIES[FaultCause.PROJECTOR_DARK]}; at least {100 * LEAST_RISE:g} %"
+        return CheckedStep("lamp", ok, seen, remedy, {"rise": rise})
+
+    def one_pulse(self) -> CheckedStep:
+        return self._pulses("one pulse", [255])
+
+    def ten_pulses(self) -> CheckedStep:
+        return self._pulses("ten pulses", marker().tolist()[:PULSES])
+
+    def rate(self) -> CheckedStep:
+        """Pulses nearer and nearer, until frames are lost or they follow each other at once."""
+        patterns = self._uniform([255] * PULSES)  # one image: none has to be read from flash meanwhile
+        planned = self._timing(patterns)
+        less_s = planned.light_s + planned.dark_s - planned.period_s
+        fastest_s, lost = APART_S + planned.period_s, "and none was lost at all"  # as ten pulses have shown
+        for gap_s in (*SWEEP_S, less_s / 2, less_s):
+            period_s = self._timing(patterns, gap_s).period_s
+            came = len(self._taken(patterns, "triggered", gap_s))
+            if came < PULSES:
+                lost = f"{came} of {PULSES} at {1e3 * period_s:.6g} ms"
+                break
+            fastest_s = period_s
+        ok = fastest_s <= planned.period_s
+        seen = f"all frames came with pulses {1e3 * fastest_s:.6g} ms apart, {lost}"
+        seen += f"; the plan takes {1e3 * planned.period_s:.6g} ms, by {planned.limit}"
+        dead_s = fastest_s - planned.light_s - planned.dark_s
+        remedy = "" if ok else f"put `dead_time_s: {dead_s:.3g}` into the rig file's section of the camera"
+        values = {"shortest_period_s": fastest_s, "planned_period_s": planned.period_s}
+        return CheckedStep("rate", ok, seen, remedy, values)
+
+    def exposure(self) -> CheckedStep:
+        lit = self._white[self._change >= 0.5 * np.quantile(self._change, 0.95)]
+        level, saturated = float(lit.mean()), float((lit >= 1.0).mean())
+        seen = (
+            f"white is at {100 * level:.3g} % of full scale, {100 * saturated:.2g} % of its pixels are full"
+        )
+        values = {"level": level, "saturated": saturated}
+        if saturated > SATURATED or level > LEVELS[1]:
+            return CheckedStep("exposure", False, seen, REMEDIES[FaultCause.SATURATED], values)
+        if level < LEVELS[0]:
+            advice = f"{REMEDIES[FaultCause.UNDEREXPOSED]}; by the factor {GOOD_LEVEL / level:.2g}"
+            return CheckedStep("exposure", False, seen, advice, values)
+        return CheckedStep("exposure", True, seen, "", values)
+
+    def focus(self) -> CheckedStep:
+        caps = self._rig.projector.caps
+        finest = max(self._plan.fringes, key=lambda fringe: fringe.stripes)
+        of_set = [n for n, (k, _, _) in enumerate(self._plan.steps()) if self._plan.fringes[k] is finest]
+        patterns = make_patterns(self._plan, caps.size, caps.lattice)
+        frames = self._taken([patterns[n] for n in of_set], "stepped")
+        lit = self._change >= 0.5 * np.quantile(self._change, 0.95)
+        # Of shifts by equal steps the standard deviation is the amplitude over the root of 2.
+        half = self._change[lit] / 2
+        contrast = float(np.median(np.sqrt(2.0) * np.std(frames, axis=0)[lit] / half))
+        ok = contrast >= LEAST_CONTRAST
+        seen = f"the finest fringes, {finest.stripes:g} stripes, have a contrast of {contrast:.2g}"
+        remedy = f"focus both lenses; at least {LEAST_CONTRAST:g}"
+        return CheckedStep("focus", ok, seen, "" if ok else remedy, {"contrast": contrast})
+
+    def _pulses(self, name: str, greys: Sequence[int]) -> CheckedStep:
+        came = len(self._taken(self._uniform(greys), "triggered", APART_S))
+        seen = f"{came} of {len(greys)} frames came"
+        ok = came == len(greys)
+        remedy = REMEDIES[FaultCause.NO_TRIGGER] if not came else LOST_PULSES
+        return CheckedStep(name, ok, seen, "" if ok else remedy, {"frames": came, "pulses": len(greys)})
+
+    def _uniform(self, greys: Sequence[int]) -> list[Pattern]:
+        return list(uniform_patterns(list(greys), self._rig.projector.caps.size))
+
+    def _timing(self, patterns: Sequence[Pattern], gap_s: float = 0.0) -> PulseTiming:
+        """Of a triggered run of the patterns."""
+        rig = self._rig
+        recover_camera(rig)
+        settings = rig.camera.configure(rig.camera_settings(self._plan.exposure_s, self._plan.bits))
+        rig.projector.load(patterns)
+        dead_s = rig.file.camera.dead_time_s
+        return pulse_timing(rig.camera, rig.projector, patterns, settings.exposure_s, dead_s, gap_s)
+
+    def _taken(self, patterns: Sequence[Pattern], trigger: str, gap_s: float = 0.0) -> Floats:
+        """Samples of the frames that came, as shares of full scale: (frames, rows, columns)."""
+        rig = self._rig
+        recover_camera(rig)
+        plan = self._plan.model_copy(update={"trigger": trigger})
+        settings = rig.camera_settings(plan.exposure_s, plan.bits)
+        frames: list[Floats] = []
+        lost = (DeviceTimeoutError, FrameLossError) if trigger == "triggered" else ()
+        with closing(expose(rig, patterns, settings, plan, gap_s)) as shots, suppress(*lost):
+            for shot in shots:
+                every = max(1, math.isqrt(shot.image.size // SAMPLE))
+                frames.append(shot.image[::every, ::every] / full_scale(shot.settings.bits))
+        return np.array(frames)
+
+
+def check_steps(
+    rig: Rig, plan: Plan, item: str, progress: Progress, tell: Callable[[CheckedStep], None]
+) -> list[CheckedStep]:
+    """Check a rig step by step: link, lamp, one pulse, ten pulses, rate, exposure, focus.
+
+    Without light or without a first pulse, the steps that need it are left out. A rig without a trigger has
+    no steps of pulses.
+    """
+    done: list[CheckedStep] = []
+    steps = _Steps(rig, plan)
+
+    def is_well(name: str, step: Callable[[], CheckedStep]) -> bool:
+        try:
+            found = step()
+        except DeviceError as error:
+            finding = device_finding(error)
+            found = CheckedStep(name, False, finding.evidence, finding.remedy)
+        done.append(found)
+        tell(found)
+        progress(len(done) / STEPS)
+        return found.ok
+
+    with ExitStack() as stack:
+
+        def link() -> CheckedStep:
+            stack.enter_context(rig)
+            plan.check_projector(rig.projector.caps.size, "plan")
+            if rig.fixture:
+                rig.fixture.mount(item)
+            return steps.link()
+
+        if is_well("link", link) and is_well("lamp", steps.lamp):
+            if steps.has_trigger:
+                pulses = is_well("one pulse", steps.one_pulse) and is_well("ten pulses", steps.ten_pulses)
+                if pulses:
+                    is_well("rate", steps.rate)
+            is_well("exposure", steps.exposure)
+            is_well("focus", steps.focus)
+    progress(1.0)
+    return done
