@@ -1,4 +1,4 @@
-"""Gives `drivers` and `sim` names of fpplab's own in wheels; docs/decisions/0060-installs.md says why.
+"""Gives `drivers` and `sim` names of fpplab's own in wheels; docs/decisions says why.
 
 `drivers/basler/camera.py` of the checkout is `fpplab_drivers/basler/camera.py` in a wheel. Only import
 statements and entry points are changed, in the wheel that has been built.

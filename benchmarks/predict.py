@@ -37,9 +37,8 @@ from fpplab.simulation.matchable import TwinParameters
 from fpplab.simulation.predictable import Predictable
 
 JUDGING = 5300
-"""First seed of the benches that judge; to be run once a method is fixed. Those from 5000 to 5011 judged what
-decision 53 replaced, those from 5100 to 5111 what decision 54 did, those from 5200 to 5211 what decision 55
-did, and have been looked at since."""
+"""First seed of the benches that judge; to be run once a method is fixed. Seeds 5000 to 5011, 5100 to 5111,
+and 5200 to 5211 have been looked at since (docs/decisions/archive, records 53 to 55)."""
 SIGMAS = 3.0
 MOST_POSES_UM, LEAST_PARAMETERS = 30.0, 0.95
 NEAR, LEAST_NEAR = 0.10, 0.90

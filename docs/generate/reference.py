@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import re
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import typer
@@ -225,12 +226,20 @@ def decisions_page() -> str:
     str
         Markdown.
     """
-    lines = [f"{HEAD}# Decisions\n\nWhy something is as it is, half a page each.\n"]
-    for page in sorted((DOCS / "decisions").glob("[0-9]*.md")):
-        title = page.read_text(encoding="utf-8").partition("\n")[0].lstrip("# ")
-        number, _, words = title.partition(". ")
-        lines.append(f"* [{number}. {words}]({page.name})")
+    folder = DOCS / "decisions"
+    current = [page for page in sorted(folder.glob("*.md")) if page.name != "index.md"]
+    lines = [f"{HEAD}# Decisions\n\nWhy something is as it is, one page for each topic.\n"]
+    lines += [f"* [{_title(page)}]({page.name})" for page in current]
+    lines.append("\n## Archive\n\nThe records in order of their dates; later ones replace earlier ones.\n")
+    lines += [
+        f"* [{_title(page)}](archive/{page.name})" for page in sorted((folder / "archive").glob("*.md"))
+    ]
     return "\n".join(lines) + "\n"
+
+
+def _title(page: Path) -> str:
+    """Heading of a page, without its number."""
+    return re.sub(r"^# (\d+\. )?", "", page.read_text(encoding="utf-8").partition("\n")[0])
 
 
 PAGES = {

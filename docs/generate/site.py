@@ -44,7 +44,7 @@ def build_site() -> Path:
         MkDocs warns of something.
     """
     command = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict"]
-    # The theme's word on the future of MkDocs is in docs/decisions/0058-documentation-that-runs.md.
+    # The theme's word on the future of MkDocs is in docs/decisions/installation-and-documentation.md.
     settings = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
     done = subprocess.run(command, cwd=ROOT, env=settings, capture_output=True, text=True, check=False)
     if done.returncode or done.stdout or done.stderr:

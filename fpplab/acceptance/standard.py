@@ -88,7 +88,7 @@ class LeastPositions(Document):
     """How many positions, spread over the measuring volume, each quantity has to be measured in.
 
     The defaults are meant to be those of VDI/VDE 2634 part 2 and are not checked against its text
-    (docs/decisions/0029).
+    (docs/decisions/comparison.md).
     """
 
     PF: Count = 10

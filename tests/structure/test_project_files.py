@@ -12,6 +12,8 @@ import yaml
 
 ROOT = Path(__file__).parents[2]
 DECISIONS = sorted((ROOT / "docs" / "decisions").glob("*.md"))
+ARCHIVE = ROOT / "docs" / "decisions" / "archive"
+MAX_WORDS = 250  # of a decision record: what holds today, and why
 
 
 FOLDERS_AT_THE_ROOT = (
@@ -103,10 +105,15 @@ def test_packages_announce_their_types(package: str) -> None:
     assert (ROOT / package / "py.typed").is_file()
 
 
-@pytest.mark.parametrize("path", DECISIONS, ids=lambda path: path.stem)
-def test_decisions_have_number_status_and_date(path: Path) -> None:
-    block = r"\. .+\n\nStatus: (accepted|superseded|proposed).*\nDate: \d{4}-\d\d-\d\d\n\n"
-    assert re.match(f"# {int(path.name[:4])}{block}", path.read_text(encoding="utf-8"))
+def test_decision_records_are_short_dated_and_name_what_they_replace() -> None:
+    archived = set()
+    for path in DECISIONS:
+        record = path.read_text(encoding="utf-8")
+        heading = re.match(r"# .+\n\nDate: \d{4}-\d\d-\d\d \(archive: ([\d, ]+)\)\n\n", record)
+        assert heading, path.name
+        assert len(record.split()) <= MAX_WORDS, path.name
+        archived |= {int(number) for number in heading[1].split(", ")}
+    assert archived == {int(path.name[:4]) for path in ARCHIVE.glob("*.md")}
 
 
 def test_the_glossary_is_sorted_and_names_files_that_exist() -> None:

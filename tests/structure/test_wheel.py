@@ -24,7 +24,7 @@ from tests.support.commands import ROOT
 
 WORDS = {"drivers": "fpplab_drivers", "sim": "fpplab_sim"}
 LARGEST_MB = 860
-"""What an environment with the core may take. docs/decisions/0060-installs.md tells what takes it."""
+"""What an environment with the core may take. docs/decisions lists the largest parts."""
 LONGEST_S = 500
 CONSTRAINTS = ROOT / f"constraints-{sys.version_info.major}.{sys.version_info.minor}.txt"
 
