@@ -25,11 +25,11 @@ def benchmarks_command(
     """Run benchmarks, each figure beside its baseline in the same run; the ratio is what counts."""
     results = []
     for one in [name] if name else [one for one in benchmark_names() if one not in LONG]:
-        console.say(f"Running {one} …")
+        console.log_status(f"Running {one} …")
         results += [asdict(result) for result in benchmark(one)()]
     rows = [list(result.values()) for result in results]
     columns = ["name", "value", "unit", "baseline", "ratio"]
-    console.answer({"results": results}, json, lambda: console.table("Benchmarks", columns, rows))
+    console.print_result({"results": results}, json, lambda: console.table("Benchmarks", columns, rows))
 
 
 if __name__ == "__main__":

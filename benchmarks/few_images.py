@@ -37,7 +37,7 @@ def rig_figures(name: str, folder: Path) -> list[Result]:
     with Rig.load(file) as rig, console.progress(f"Characterising {name}") as report:
         study = with_calibrations(rig, Study.load("study_phases.yaml"), folder / name, report)
     paper, *few = (_smcd_um(file, study, Plan.load(plan)) for plan in (PAPER, *PLANS))
-    console.say(f"{name}: {paper:.2f} um with {PAPER}")
+    console.log_status(f"{name}: {paper:.2f} um with {PAPER}")
     return [
         Result(f"{plan[5:]}_{name}", found, "um", paper / least, paper / least / found)
         for (plan, least), found in zip(PLANS.items(), few, strict=True)
@@ -53,5 +53,7 @@ def _smcd_um(rig: str, study: Study, plan: Plan) -> float:
     finally:
         evaluator.close()
     worst, least = max(s.wrong_orders for s in scores), min(s.completeness for s in scores)
-    console.say(f"{plan.images} images: at most {worst:.2g} wrong orders, completeness at least {least:.4f}")
+    console.log_status(
+        f"{plan.images} images: at most {worst:.2g} wrong orders, completeness at least {least:.4f}"
+    )
     return fmean(score.surface_smcd_um for score in scores)

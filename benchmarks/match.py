@@ -244,10 +244,10 @@ def _refusal(
     try:
         found = _matched(twin, sessions, out, wanted)
         refused = float(found.diagnosis.is_useless)
-        console.say(f"{name}: {found.diagnosis.sentence}")
+        console.log_status(f"{name}: {found.diagnosis.sentence}")
     except (CalibrationError, ConfigError) as error:
         refused = 1.0
-        console.say(f"{name}: {error}")
+        console.log_status(f"{name}: {error}")
     return Result(f"match_refuses_{name}", refused, "refused", 1.0, refused)
 
 

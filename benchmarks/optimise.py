@@ -122,7 +122,7 @@ def searched(what: SearchScope, rig: str, name: str, folder: Path, workers: int)
     out = folder / (str(what) if what is SearchScope.PARETO else f"{what}.yaml")
     with console.progress(f"Searching {what} on {rig}"):
         found = run_search(what, rig, study, out, name, workers=workers)
-    console.say(f"{what}: {len(found.trials)} candidates, {found.ended}")
+    console.log_status(f"{what}: {len(found.trials)} candidates, {found.ended}")
     return found
 
 
@@ -155,7 +155,7 @@ def _phases(folder: Path, trial: OptimiseBenchmarkSetup) -> list[Result]:
 
 def no_worse(name: str, found: Confirmation) -> Result:
     """Give the distance as a multiple of the start's, less its uncertainty, beside 1."""
-    console.say(f"{name}: {1 - found.gain:.4f} ± {found.uncertainty:.4f} of the start's")
+    console.log_status(f"{name}: {1 - found.gain:.4f} ± {found.uncertainty:.4f} of the start's")
     least = 1.0 - found.gain - COVERAGE * found.uncertainty
     return below(name, least, f"of the start's, less {COVERAGE:g} u", 1.0)
 
@@ -184,7 +184,7 @@ def _baseline(folder: Path, trial: OptimiseBenchmarkSetup) -> list[Result]:
     (moved,) = _confirmed(trial.wide, found, folder)
     least, most = (found.space.parameters[0].lower, found.space.parameters[0].upper)
     at = found.optimum.point[0]
-    console.say(f"the baseline's minimum is at {at:g} mm of {least:g} to {most:g}")
+    console.log_status(f"the baseline's minimum is at {at:g} mm of {least:g} to {most:g}")
     return [
         above("optimise_baseline_down", 100 * gain_of(found), "%", LEAST_BASELINE_PERCENT),
         above("optimise_baseline_down_moved", 100 * moved.confirmation.gain, "%", LEAST_BASELINE_PERCENT),
@@ -238,7 +238,7 @@ def deviation(twin: ConfirmedPlan, hidden: ConfirmedPlan) -> float:
     """Compare the gains on twin and hidden bench."""
     one, other = twin.confirmation, hidden.confirmation
     for name, found in (("twin", one), ("hidden", other)):
-        console.say(f"{twin.images} images, {name}: gain {found.gain:.4f} ± {found.uncertainty:.4f}")
+        console.log_status(f"{twin.images} images, {name}: gain {found.gain:.4f} ± {found.uncertainty:.4f}")
     return abs(one.gain - other.gain) / float(np.hypot(one.uncertainty, other.uncertainty))
 
 
@@ -263,7 +263,7 @@ def _speed(folder: Path, trial: OptimiseBenchmarkSetup) -> list[Result]:
     seconds = time.perf_counter() - begin
     images = len(study.artefacts) * sum(one.candidate.images for one in found.trials if one.measured)
     each = _seconds_rendered(trial.search, study, trial.rendered)
-    console.say(
+    console.log_status(
         f"{seconds:.0f} s; extrapolated from {each:.2f} s a render: {images} images in {images * each:.0f} s"
     )
     return [

@@ -170,7 +170,7 @@ def judged_effect(
         Question("half_exposure", PART, trial.part_plan, 0.5),
     )
     with Rig.load(write_rig(effect.board(world), folder / "bench", "Bench outside of the model")) as rig:
-        console.say(f"Recording the bench '{effect.name}'")
+        console.log_status(f"Recording the bench '{effect.name}'")
         rig.need_fixture("the benchmark").mount(CARD, 0)
         response = measure_response(rig, plan.exposure_s)[0]
         take_poses(rig, plan, BOARD, trial.poses, folder / BOARD, force=False)

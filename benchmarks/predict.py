@@ -111,7 +111,7 @@ def run() -> list[Result]:
 def judged(seed: int, folder: Path, trial: PredictSetup = FULL) -> JudgedBench:
     """Record a hidden bench, match a twin to it, predict, measure and compare."""
     with hidden_bench(seed, folder / "bench", trial.poses, trial.binning) as bench:
-        console.say(f"Recording hidden bench {seed}")
+        console.log_status(f"Recording hidden bench {seed}")
         plan = Plan.load(trial.board_plan)
         response = bench.response(plan.exposure_s)
         sessions = bench.board(plan, folder / "board")
@@ -123,7 +123,7 @@ def judged(seed: int, folder: Path, trial: PredictSetup = FULL) -> JudgedBench:
             found = matched(folder, trial, sessions, {SHAPES[0]: part}, {PAINTED: painted}, response)
             predicted = predictions(folder / "matched" / "rig.yaml", trial.questions)
         except FppError as error:
-            console.say(f"{seed}: {error}")
+            console.log_status(f"{seed}: {error}")
             return JudgedBench(seed, str(error))
         known = found.reference.characterisation.calibration
         answers = {

@@ -162,7 +162,7 @@ def _full_size(folder: Path) -> list[Result]:
         samples.append(4 * pixels)
         seconds.append(spent)
         memory.append(peak)
-        console.say(f"{pixels / 1e6:.2f} M pixels x 4 samples: {spent:.1f} s, {peak / 2**30:.2f} GiB")
+        console.log_status(f"{pixels / 1e6:.2f} M pixels x 4 samples: {spent:.1f} s, {peak / 2**30:.2f} GiB")
     per_sample = [s / n for s, n in zip(seconds, samples, strict=True)]
     bytes_per_sample = [m / n for m, n in zip(memory, samples, strict=True)]
     whole = memory[-1] / 2**30  # of this process and Blender together

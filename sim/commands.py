@@ -63,7 +63,7 @@ def write_archive(out: Out, force: Force = False, json: Json = False) -> None:
     need_suffix(out, ".zip")
     refuse_existing(out, force)
     write_atomic(out, write_extension)
-    console.answer({"extension": str(out), "files": len(archive_files())}, json)
+    console.print_result({"extension": str(out), "files": len(archive_files())}, json)
 
 
 @twin.command("describe")
@@ -95,7 +95,7 @@ def describe_rig(
 
         save_preview(bench, wanted, step, out)
         told = arrangement_summary(bench, wanted)
-    console.answer({"preview": str(out), **told}, json)
+    console.print_result({"preview": str(out), **told}, json)
 
 
 @twin.command("export")
@@ -131,7 +131,7 @@ def export_rig(
         with console.progress("Exporting"):
             export_preview(make_preview(bench, wanted, step), out)
         told = arrangement_summary(bench, wanted)
-    console.answer({"blend": str(out), **told}, json)
+    console.print_result({"blend": str(out), **told}, json)
 
 
 @twin.command("record")
@@ -173,7 +173,7 @@ def record_on_twin(
         with console.progress("Scanning") as report:
             cloud = record_scan(bench, wanted, out, calibration=known, force=force, progress=report)
     results = {"points": len(cloud), "images": wanted.plan().images, "seconds": seconds()}
-    console.answer({"session": str(out), "cloud": str(out / CLOUD), **results, **told}, json)
+    console.print_result({"session": str(out), "cloud": str(out / CLOUD), **results, **told}, json)
 
 
 def _simulated(path: str) -> Rig:

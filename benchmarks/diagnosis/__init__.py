@@ -197,7 +197,9 @@ def _of_faults(faults: Sequence[Judged]) -> list[Result]:
     verdicts = Counter((one.verdict, one.useless) for one in faults if one.verdict)
     written = sum(n for (verdict, useless), n in verdicts.items() if useless and verdict != Verdict.USELESS)
     useless = sum(n for (_, useless), n in verdicts.items() if useless)
-    console.say(f"{useless} useless clouds; {verdicts[Verdict.USELESS, False]} others were refused as well")
+    console.log_status(
+        f"{useless} useless clouds; {verdicts[Verdict.USELESS, False]} others were refused as well"
+    )
     good = sum(n for (verdict, _), n in verdicts.items() if verdict == Verdict.GOOD)
     return [
         above("first", 100.0 * float((places == 0).mean()), "%", 95.0),
@@ -210,7 +212,9 @@ def _of_faults(faults: Sequence[Judged]) -> list[Result]:
 def _of_healthy(healthy: Sequence[Judged]) -> Result:
     told = [one for one in healthy if one.named or one.verdict != Verdict.GOOD]
     for one in told:
-        console.say(f"without fault, seed {one.seed}: {one.verdict}, {', '.join(one.named) or 'no finding'}")
+        console.log_status(
+            f"without fault, seed {one.seed}: {one.verdict}, {', '.join(one.named) or 'no finding'}"
+        )
     return below("healthy_with_finding", float(len(told)), "scans", 1e-9)
 
 
@@ -218,13 +222,15 @@ def _of_pairs(pairs: Sequence[Judged]) -> Result:
     both = [set(one.cause.split("+")) <= set(one.named) for one in pairs]
     for one, named in zip(pairs, both, strict=True):
         if not named:
-            console.say(f"{one.cause}, seed {one.seed}: {', '.join(one.named) or 'nothing'}")
+            console.log_status(f"{one.cause}, seed {one.seed}: {', '.join(one.named) or 'nothing'}")
     return above("pairs_both_named", 100.0 * float(np.mean(both)), "%", 80.0)
 
 
 def _of_advice(advised: Sequence[Followed]) -> list[Result]:
     for one in advised:
-        console.say(f"advice, {one.cause}: {one.ratio:.2f} times the best noise after {one.steps} steps")
+        console.log_status(
+            f"advice, {one.cause}: {one.ratio:.2f} times the best noise after {one.steps} steps"
+        )
     return [
         below("advice_worst_noise", max(one.ratio for one in advised), "times the best", 1.1),
         below("advice_most_steps", float(max(one.steps for one in advised)), "steps", MOST_STEPS),
@@ -238,6 +244,6 @@ def tell(judged: Sequence[Judged]) -> None:
     instead = [f"{one.seed}: {', '.join(one.named[:3]) or 'nothing'}" for one in judged if one.place > 0]
     more = f" ({'; '.join(instead)})" if instead else ""
     count = len(judged)
-    console.say(
+    console.log_status(
         f"{judged[0].cause}: {first} of {count} first, {second} among the first two, {useless} useless{more}"
     )

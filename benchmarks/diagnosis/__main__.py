@@ -34,7 +34,7 @@ def diagnosis_command(
     rows = [list(asdict(one).values()) for one in results]
     columns = ["name", "value", "unit", "baseline", "ratio"]
     answer = {"results": [asdict(one) for one in results]}
-    console.answer(answer, json, lambda: console.table("Diagnosis", columns, rows))
+    console.print_result(answer, json, lambda: console.table("Diagnosis", columns, rows))
 
 
 if __name__ == "__main__":

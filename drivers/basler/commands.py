@@ -49,7 +49,7 @@ def save_settings(
     with _connected(serial) as found:
         found.save_features(file)
         info = found.info()
-    console.answer({"settings": str(file), "model": info.model, "serial": info.serial}, json)
+    console.print_result({"settings": str(file), "model": info.model, "serial": info.serial}, json)
 
 
 @camera.command("load")
@@ -63,7 +63,7 @@ def load_settings(file: SettingsFile, serial: CameraSerialOption = None, json: J
     with _connected(serial) as found:
         found.load_features(file)
         info = found.info()
-    console.answer({"settings": str(file), "model": info.model, "serial": info.serial}, json)
+    console.print_result({"settings": str(file), "model": info.model, "serial": info.serial}, json)
 
 
 def _connected(serial: str | None) -> CameraAsLeft:

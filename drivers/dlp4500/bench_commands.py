@@ -63,7 +63,7 @@ def status(
             "state": found.words,
             "faults": found.faults,
         }
-    console.answer(result, json)
+    console.print_result(result, json)
 
 
 @dlp4500.command()
@@ -85,7 +85,7 @@ def power(
             board.enter_standby()
         else:
             board.reset()
-    console.answer({"power": state.value}, json)
+    console.print_result({"power": state.value}, json)
 
 
 @dlp4500.command()
@@ -123,7 +123,7 @@ def led(
         f"{name} {level} (limit {limits[name]})" for name, level in levels.items() if level > limits[name]
     ]
     if dry_run:
-        console.answer({**levels, "above_limits": above, "dry_run": True}, json)
+        console.print_result({**levels, "above_limits": above, "dry_run": True}, json)
         return
     operation = ConfirmationRequired.LED_CURRENT
     if above and not confirm(operation, f"LEDs above their limits: {', '.join(above)}."):
@@ -132,7 +132,7 @@ def led(
     with _board(serial, echo) as board:
         board.set_led_levels(levels, inverted)
         board.switch_on_leds([colour for colour, level in levels.items() if level])
-    console.answer(levels, json)
+    console.print_result(levels, json)
 
 
 def _led_limits(rig: str | None) -> dict[str, int]:
@@ -168,4 +168,4 @@ def show_test_pattern(
             board.go_dark()
         else:
             board.show_test_pattern(name)
-    console.answer({"test_pattern": name}, json)
+    console.print_result({"test_pattern": name}, json)

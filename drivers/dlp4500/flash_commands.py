@@ -75,7 +75,7 @@ def build(
         "image_bytes": built.splash.size,
         "seconds": seconds(),
     }
-    console.answer(result, json)
+    console.print_result(result, json)
 
 
 def _holds(file: Path, text: str) -> bool:
@@ -119,9 +119,9 @@ def upload(
         with boot_loader_session(lambda: connect_projector(serial, echo), RealClock(), NAME) as loader:
             work = plan_upload(built, loader)
             for sentence in work.summary:
-                console.say(sentence)
+                console.log_status(sentence)
             if dry_run:
-                console.answer({"sectors": work.sectors, "images": built.images, "dry_run": True}, json)
+                console.print_result({"sectors": work.sectors, "images": built.images, "dry_run": True}, json)
                 return
             if not (yes or confirm(ConfirmationRequired.ERASE_FLASH, "Flash memory will be erased.")):
                 raise Cancelled("cancelled: nothing was erased; --yes does not ask")
@@ -129,4 +129,4 @@ def upload(
                 perform_upload(built, loader, work, report)
         with closing(connect_projector(serial, echo)) as link:
             verify_image_count(built, link)
-    console.answer({"sectors": work.sectors, "images": built.images, "seconds": seconds()}, json)
+    console.print_result({"sectors": work.sectors, "images": built.images, "seconds": seconds()}, json)

@@ -95,7 +95,7 @@ OPTION_SYNONYMS = {word: options for options, words in _OPTIONS_MEANT.items() fo
 """The options that may be meant by one that a command has not; the first that it has is named."""
 
 
-WHENCE = {
+OPTION_HINTS = {
     "--calibration": "`fpplab characterise` makes one",
     "--item": "what the rig's fixture is to put up, such as pyramid",
     "--out": "name what is to be written",
@@ -107,7 +107,7 @@ WHENCE = {
 
 def missing_option(path: str, option: str) -> str:
     """Say of a command that an option is missing, and where its value comes from."""
-    return f"`{path}` needs {option}; {WHENCE.get(option, f'see `{path} --help`')}"
+    return f"`{path}` needs {option}; {OPTION_HINTS.get(option, f'see `{path} --help`')}"
 
 
 def unknown_command(path: str, word: str, commands: Sequence[str]) -> str:

@@ -68,7 +68,7 @@ def _bar(what: str) -> Iterator[Progress]:
 @contextmanager
 def _words_and_bar(what: str) -> Iterator[tuple[Progress, Say]]:
     if not stderr.is_terminal:
-        say(f"{what} …")
+        log_status(f"{what} …")
         yield no_progress, ignore
         return
     # Most commands end without, and `--help` does.
@@ -84,13 +84,13 @@ def _words_and_bar(what: str) -> Iterator[tuple[Progress, Say]]:
         )
 
 
-def say(sentence: str) -> None:
+def log_status(sentence: str) -> None:
     """Print one line to the operator on stderr, so that stdout stays a result."""
     with suppress(OSError):  # nobody listens: no reason to stop the work
         stderr.print(sentence, soft_wrap=True, markup=False)
 
 
-def answer(result: dict[str, Any], as_json: bool, words: Callable[[], None] | None = None) -> None:
+def print_result(result: dict[str, Any], as_json: bool, words: Callable[[], None] | None = None) -> None:
     """Print the command's result: exactly one JSON object, or words for a person."""
     if as_json:
         sys.stdout.write(json.dumps(result, default=_plain, allow_nan=False) + "\n")
@@ -111,12 +111,12 @@ def conclude(
     diagnosis: Diagnosis, name: str, result: dict[str, Any], as_json: bool, words: Callable[[], None]
 ) -> None:
     """Print a verdict in the first line, and then the result; refuse one that nobody should use."""
-    say(diagnosis.sentence)
+    log_status(diagnosis.sentence)
     for finding in diagnosis.findings:
         told = finding.sentence == diagnosis.reason
-        say(f"  {finding.remedy}" if told else f"  {finding.sentence}; {finding.remedy}")
+        log_status(f"  {finding.remedy}" if told else f"  {finding.sentence}; {finding.remedy}")
     if not (as_json and diagnosis.is_useless):
-        answer(result, as_json, words)
+        print_result(result, as_json, words)
     diagnosis.require_usable(name, result)
 
 
@@ -147,7 +147,7 @@ def stopwatch() -> Iterator[Callable[[], float]]:
     yield lambda: round(time.perf_counter() - start, 3)
 
 
-class Answered(SystemExit):
+class CommandExit(SystemExit):
     """Ends a command that has given its whole answer, with an exit code that is part of it."""
 
 
@@ -164,7 +164,9 @@ def run_program(command: Callable[[], object], as_json: bool) -> NoReturn:
         sys.stdout.flush()
     except BaseException as error:  # noqa: BLE001 - each kind has its own answer
         waits = interrupts.leave_at_once() and not _is_answered(error)
-        if waits or (interrupts.is_caused_by(error, KeyboardInterrupt) and not isinstance(error, Answered)):
+        if waits or (
+            interrupts.is_caused_by(error, KeyboardInterrupt) and not isinstance(error, CommandExit)
+        ):
             error = Cancelled("cancelled")
         elif isinstance(error, SystemExit) and interrupts.is_caused_by(error, BrokenPipeError):
             error = BrokenPipeError(errno.EPIPE, os.strerror(errno.EPIPE))  # typer ends with code 1
@@ -175,7 +177,7 @@ def run_program(command: Callable[[], object], as_json: bool) -> NoReturn:
 
 def _is_answered(error: BaseException) -> bool:
     """Tell whether a command has given its whole answer, such as its help."""
-    return isinstance(error, Answered) or (isinstance(error, SystemExit) and not error.code)
+    return isinstance(error, CommandExit) or (isinstance(error, SystemExit) and not error.code)
 
 
 def _check_words(words: Sequence[str]) -> None:
@@ -193,7 +195,7 @@ def _end_with(error: BaseException, as_json: bool) -> NoReturn:
             _log.debug("refused with exit code %d", error.exit_code, exc_info=error)
             _fail(str(error), error.exit_code, as_json, error.details)
         case SystemExit():  # wrong usage has been explained on stderr
-            if as_json and error.code and not isinstance(error, Answered):
+            if as_json and error.code and not isinstance(error, CommandExit):
                 _answer_fault("wrong usage; see stderr", int(error.code))
             _leave(error.code if isinstance(error.code, int) else int(bool(error.code)))
         case ModuleNotFoundError() if missing := missing_extra(error):
@@ -230,7 +232,7 @@ TRACEBACK = "FPPLAB_TRACEBACK"
 def _fail(
     sentence: str, exit_code: int, as_json: bool, details: Mapping[str, object] | None = None
 ) -> NoReturn:
-    say(f"fpplab: {sentence}")
+    log_status(f"fpplab: {sentence}")
     if as_json:
         _answer_fault(sentence, exit_code, details)
     _leave(exit_code)

@@ -56,5 +56,5 @@ def run_guided(
     depth = depth_mm or plan.depth_mm or rig.file.depth_mm
     settings = GuidedSettings(item, poses, until_mm, depth, level, refine_board is not False, force)
     return guided_characterisation(
-        rig, plan, target, folder, settings, console.say, console.progress, observe_frame
+        rig, plan, target, folder, settings, console.log_status, console.progress, observe_frame
     )

@@ -16,7 +16,7 @@ from fpplab.core.errors import ConfigError
 LISTS = ("--spheres", "--planes", "--reference", "--scan", "--surface")
 
 
-class TakesLists(TyperCommand):
+class VariadicOptionsCommand(TyperCommand):
     """Lets the options of `LISTS` be followed by any number of paths."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:

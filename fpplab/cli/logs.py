@@ -21,7 +21,7 @@ class StderrHandler(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """Print one record."""
-        console.say(f"{self._time(record)}{record.getMessage()}")
+        console.log_status(f"{self._time(record)}{record.getMessage()}")
 
     def _time(self, record: logging.LogRecord) -> str:
         """Seconds since the start, but for warnings, which look as without `--verbose`."""

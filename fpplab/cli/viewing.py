@@ -40,13 +40,13 @@ def open_viewer(
 
     shown: Shown | None = "anywhere" if wanted or keep_open else None
     keep = recording if shown else None
-    viewer = Viewer(view, shown, keep, lambda where: console.say(f"Watch it at {where}"))
+    viewer = Viewer(view, shown, keep, lambda where: console.log_status(f"Watch it at {where}"))
 
     def finish() -> None:
         succeeded = sys.exc_info()[0] is None
         if keep_open and succeeded:
             sys.stdout.flush()
-            viewer.wait(lambda where: console.say(f"{where}: close it, or press Ctrl-C, to end."))
+            viewer.wait(lambda where: console.log_status(f"{where}: close it, or press Ctrl-C, to end."))
         viewer.close(hurry=not succeeded)
 
     context.call_on_close(finish)

@@ -16,7 +16,7 @@ from fpplab.pipeline.decoding import decode_session
 from fpplab.pipeline.depth import check_plan, depth_range_of, plan_with_depth
 from fpplab.pipeline.measuring import diagnose, finish_scan, reconstruct, scan
 from fpplab.pipeline.response import measure_response
-from fpplab.pipeline.taking import check_space, foresee_scan, take, take_poses
+from fpplab.pipeline.taking import check_space, plan_stage_moves, take, take_poses
 
 __all__ = [
     "CALIBRATION",
@@ -31,10 +31,10 @@ __all__ = [
     "diagnose",
     "doubts",
     "finish_scan",
-    "foresee_scan",
     "judge_sessions",
     "measure_response",
     "observe_session",
+    "plan_stage_moves",
     "plan_with_depth",
     "reconstruct",
     "require_plan_fits",

@@ -59,7 +59,7 @@ def take(
     return session
 
 
-def foresee_scan(rig: Rig, plan: Plan, out: Path, force: bool) -> dict[str, Any]:
+def plan_stage_moves(rig: Rig, plan: Plan, out: Path, force: bool) -> dict[str, Any]:
     """Tell what `take` would do; nothing moves, nothing is projected, and nothing is written."""
     check_space(rig, plan, [out], force)
     move = None if plan.stage_mm is None else asdict(rig.foresee_stage(plan.stage_mm))

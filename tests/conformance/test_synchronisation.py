@@ -16,7 +16,7 @@ from fpplab.acquisition.acquire import acquire, capture
 from fpplab.acquisition.synchronisation import Cause, SyncFault
 from fpplab.calibration.model import Calibration
 from fpplab.cli import app
-from fpplab.cli.console import Answered
+from fpplab.cli.console import CommandExit
 from fpplab.core import config
 from fpplab.core.conventions import Lattice
 from fpplab.core.errors import CalibrationError, DataError, DeviceError, FppError, SyncError
@@ -271,4 +271,4 @@ def test_a_device_that_does_not_open_is_a_finding(folder: Path, monkeypatch: pyt
 
 
 def test_an_answer_with_findings_is_given_once() -> None:
-    assert Answered(3).code == 3
+    assert CommandExit(3).code == 3

@@ -75,7 +75,7 @@ def _state_messages(attachment: UsbIpAttachment) -> Iterator[None]:
                     describe_state(attachment.hid.controller) if attachment.hid.is_plugged else "off the bus"
                 )
             if now != said:
-                console.say(now)
+                console.log_status(now)
                 said = now
 
     reporter = threading.Thread(target=report, daemon=True)

@@ -52,4 +52,4 @@ def artefact_command(
             mesh = artefacts.sliced(mesh, layer, bead or 0.0)
     artefacts.save_stl(mesh, out)
     result = {"size_mm": mesh.extents.tolist(), "faces": len(mesh.faces), "mesh": str(out)}
-    console.answer(result | printed, json)
+    console.print_result(result | printed, json)

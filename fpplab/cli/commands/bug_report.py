@@ -38,7 +38,7 @@ def bug_report_command(
     entries = write_bug_report(out, sources or [], frames)
     rows = [[one.name, one.size, one.what] for one in entries]
     contents = [{"name": one.name, "bytes": one.size, "what": one.what} for one in entries]
-    console.answer(
+    console.print_result(
         {"bug_report": str(out), "contents": contents},
         json,
         lambda: console.table(str(out), ["file", "bytes", "what it is"], rows),

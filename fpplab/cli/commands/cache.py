@@ -31,7 +31,7 @@ def _cache(context: typer.Context, json: Json = False) -> None:
         from fpplab.core.caches import cache_folders
 
         found = cache_folders()
-        console.answer(_summary(found), json, lambda: _show(found, "Kept"))
+        console.print_result(_summary(found), json, lambda: _show(found, "Kept"))
 
 
 @cache_app.command("clear")
@@ -43,7 +43,7 @@ def clear_command(context: typer.Context, json: Json = False) -> None:
     from fpplab.core.caches import clear_caches
 
     cleared = clear_caches()
-    console.answer(_summary(cleared), json or bool(context.obj), lambda: _show(cleared, "Deleted"))
+    console.print_result(_summary(cleared), json or bool(context.obj), lambda: _show(cleared, "Deleted"))
 
 
 def _summary(folders: list[CacheFolder]) -> dict[str, Any]:

@@ -157,7 +157,7 @@ def characterise_command(
                 f"{plan}: has fringes along {chosen.axes[0]} alone; characterisation needs x and y"
             )
         if folder.exists() and not force:
-            console.say(f"{folder}: complete poses there are kept; --force takes all anew")
+            console.log_status(f"{folder}: complete poses there are kept; --force takes all anew")
         with Rig.load(rig) as bench:
             caps, observe = bench.projector.caps, frame_observer(viewer)
             viewer.show(CharacterisationView.plan, chosen, caps.size, caps.lattice)
@@ -183,10 +183,10 @@ def characterise_command(
             raise with_causes(error, recorded) from error
     diagnosis = diagnosed_poses(recorded, result.warnings, result.left_out, _of_lens(result))
     for reason in result.left_out.values():
-        console.say(f"left out: {reason}")
+        console.log_status(f"left out: {reason}")
     for warning in result.warnings:
-        console.say(f"warning: {warning}")
-    console.say(diagnosis.sentence)
+        console.log_status(f"warning: {warning}")
+    console.log_status(diagnosis.sentence)
     viewer.show(CharacterisationView.result, result)
     source = poses_provenance(recorded, result.calibration, out)
     answer = {**diagnosis.summary(), **result.summary(), "left_out": result.left_out}
@@ -195,7 +195,7 @@ def characterise_command(
     title = f"Characterisation {out.stem}"
     write_report(page, title, facts=result.facts(), characterisation=result, guided=guided, basis=basis)
     result.calibration.save(out)  # last: where it is, all is done
-    console.answer({**answer, "provenance": source.summary(), "report": str(page)}, json)
+    console.print_result({**answer, "provenance": source.summary(), "report": str(page)}, json)
 
 
 def _of_lens(result: Characterisation) -> list[Finding]:
@@ -243,16 +243,16 @@ def _judge(
         sessions = recorded_sessions(paths)
         found = judge_sessions(sessions, calibration, path, report)
     for reason in found.left_out.values():
-        console.say(f"left out: {reason}")
+        console.log_status(f"left out: {reason}")
     source = poses_provenance(sessions, calibration, path)
     answer = {**found.summary(), "left_out": found.left_out}
     if page:
         basis = PageBasis((judgement_verdict(found),), {"poses": source}, answer)
         write_report(page, f"Judgement of {path.stem}", judgement=found, basis=basis)
     answer = {**answer, "provenance": source.summary(), "report": str(page) if page else None}
-    console.answer(answer, json, lambda: _show_judgement(found))
+    console.print_result(answer, json, lambda: _show_judgement(found))
     if found.contradicted:
-        raise console.Answered(CalibrationError.exit_code)
+        raise console.CommandExit(CalibrationError.exit_code)
 
 
 def _show_judgement(found: Judgement) -> None:

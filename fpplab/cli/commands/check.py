@@ -88,9 +88,9 @@ def check_command(
         write_check_report(page, found, source, found.summary(), known)
     answer = {**found.summary(), "provenance": source.summary(), "report": str(page) if page else None}
     answer |= {"pictures": pictures}
-    console.answer(answer, json, lambda: _show_check(found))
+    console.print_result(answer, json, lambda: _show_check(found))
     if found.findings:
-        raise console.Answered(DeviceError.exit_code)
+        raise console.CommandExit(DeviceError.exit_code)
 
 
 def _check_steps(rig: Rig, plan: Plan, item: str, json: bool) -> None:
@@ -105,9 +105,9 @@ def _check_steps(rig: Rig, plan: Plan, item: str, json: bool) -> None:
     with console.progress("Checking") as report:
         found = check_steps(rig, plan, item, report, tell)
     ok = all(step.ok for step in found)
-    console.answer({"ok": ok, "steps": [asdict(step) for step in found]}, json, lambda: None)
+    console.print_result({"ok": ok, "steps": [asdict(step) for step in found]}, json, lambda: None)
     if not ok:
-        raise console.Answered(DeviceError.exit_code)
+        raise console.CommandExit(DeviceError.exit_code)
 
 
 def _keep_pictures(out: Path, found: RigCheck, calibration: Calibration | None) -> list[str]:
@@ -143,17 +143,17 @@ def _write(content: bytes, stream: BinaryIO) -> None:
 
 def _show_check(found: RigCheck) -> None:
     for run in found.runs:
-        console.say(
+        console.log_status(
             f"{run.how}: {len(run.levels)} greys, white brighter by {100 * run.rise:.2g} % of full scale"
         )
     if (timing := found.timing) is not None:
-        console.say(
+        console.log_status(
             f"each pattern is shown for {1e3 * timing.light_s:.6g} ms, the next one follows "
             f"{1e3 * timing.period_s:.6g} ms after it began: by {timing.limit}"
         )
     for finding in found.findings:
         console.stdout.print(f"{finding.sentence}; {finding.remedy}", markup=False)
     for unknown in found.unknown:
-        console.say(f"not checked: {unknown}")
+        console.log_status(f"not checked: {unknown}")
     if not found.findings:
         console.stdout.print("ok")

@@ -94,7 +94,7 @@ def compare_command(
     if out:
         _write_errors(out, measured, result)
     for warning in result.warnings():
-        console.say(warning)
+        console.log_status(warning)
     summary = result.summary()
     if misplaced:
         summary["warnings"] = [misplaced.describe(), *result.warnings()]
@@ -110,7 +110,7 @@ def compare_command(
             answer=summary,
         )
     files = {"provenance": whence.summary(), "report": str(page) if page else None}
-    console.answer({**summary, **files}, json, lambda: _show(result, said))
+    console.print_result({**summary, **files}, json, lambda: _show(result, said))
 
 
 def _write_errors(out: Path, cloud: Cloud, result: Comparison) -> None:
@@ -169,7 +169,9 @@ def _show(result: Comparison, misplaced: str | None) -> None:
     """Print what matters, then the figures, and the lengths as a table."""
     console.stdout.print(misplaced or _headline(result), markup=False)
     apart = ("lengths", "warnings", "scale")
-    console.answer({name: value for name, value in result.summary().items() if name not in apart}, False)
+    console.print_result(
+        {name: value for name, value in result.summary().items() if name not in apart}, False
+    )
     if (scale := result.scale) is not None:
         console.stdout.print(f"scale {scale.ppm:+.1f} ± {scale.sigma_ppm:.1f} ppm", markup=False)
     if result.lengths:

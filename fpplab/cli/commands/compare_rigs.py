@@ -39,7 +39,7 @@ def compare_rigs_command(
     scan, known = Session.open(session), Calibration.load(calibration)
     with Rig.load(rig) as twin, console.progress("Comparing"):
         answer = compare_rigs(twin, scan, item, known).summary()
-    console.answer(answer, json, lambda: _show(answer))
+    console.print_result(answer, json, lambda: _show(answer))
 
 
 def _show(answer: dict[str, Any]) -> None:
@@ -55,4 +55,4 @@ def _show(answer: dict[str, Any]) -> None:
     ]
     console.table("Frames by calibration", ["", "distance in µm", "noise in µm"], crossed)
     if answer["outside"]:
-        console.say(f"outside of the predicted interval: {', '.join(answer['outside'])}")
+        console.log_status(f"outside of the predicted interval: {', '.join(answer['outside'])}")

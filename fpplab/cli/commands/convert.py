@@ -61,12 +61,14 @@ def convert_command(
         refuse_existing(out, force)
         calibration = Calibration.load(files[0])
         if calibration.uncertainty:
-            console.say(f"{out}: without the uncertainties of {files[0]}, for which OpenCV has no entry")
+            console.log_status(
+                f"{out}: without the uncertainties of {files[0]}, for which OpenCV has no entry"
+            )
         write_text(out, to_opencv(calibration, "xml" if out.suffix.lower() == ".xml" else "yaml"))
     else:
         own = files[foreign.index(False)]
         raise ConfigError(f"{own}: is a calibration of fpplab and complete; give it alone")
-    console.answer(
+    console.print_result(
         {"file": out, "baseline_mm": calibration.baseline_mm, "lattice": str(calibration.projector.lattice)},
         json,
     )

@@ -65,4 +65,4 @@ def dataset_command(
             "bytes": card["bytes"],
             "seconds": seconds(),
         }
-    console.answer({**result, "dataset": str(out)}, json)
+    console.print_result({**result, "dataset": str(out)}, json)

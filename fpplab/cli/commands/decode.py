@@ -40,4 +40,4 @@ def decode_command(
                 "and that they are neither faint nor saturated"
             )
         decoded.save(out)
-    console.answer({"valid": int(decoded.valid.sum()), "seconds": seconds()}, json)
+    console.print_result({"valid": int(decoded.valid.sum()), "seconds": seconds()}, json)

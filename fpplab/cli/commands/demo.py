@@ -28,7 +28,7 @@ def demo_command(
     from fpplab.cli.demonstration import run_demo
 
     result = run_demo(out, quick, force)
-    console.answer(result, json, lambda: _show_demo(result))
+    console.print_result(result, json, lambda: _show_demo(result))
 
 
 def _show_demo(result: dict[str, Any]) -> None:

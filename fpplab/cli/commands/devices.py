@@ -26,10 +26,12 @@ def devices_command(json: Json = False) -> None:
     def words() -> None:
         if rows:
             console.table("Devices", ["kind", "model", "serial", "link", "rig file for it"], shown)
-            console.say("`fpplab rig new --out rig.yaml` writes a rig file with those that you choose.")
+            console.log_status(
+                "`fpplab rig new --out rig.yaml` writes a rig file with those that you choose."
+            )
         else:
-            console.say("No camera, projector or stage is connected; see their power and cables.")
+            console.log_status("No camera, projector or stage is connected; see their power and cables.")
         for sentence in found.missing:
-            console.say(f"missing: {sentence}")
+            console.log_status(f"missing: {sentence}")
 
-    console.answer({"devices": rows, "missing": found.missing}, json, words)
+    console.print_result({"devices": rows, "missing": found.missing}, json, words)

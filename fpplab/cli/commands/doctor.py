@@ -54,9 +54,9 @@ def doctor_command(
         console.stdout.print("All is well." if not wrong else f"To correct: {len(wrong)}.", markup=False)
 
     answer = {"ok": not wrong, "checks": [asdict(one) for one in found], "versions": versions}
-    console.answer(answer, json, words)
+    console.print_result(answer, json, words)
     if wrong:
-        raise console.Answered(DeviceError.exit_code)
+        raise console.CommandExit(DeviceError.exit_code)
 
 
 def _permissions() -> list[DoctorFinding]:

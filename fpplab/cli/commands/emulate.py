@@ -40,7 +40,7 @@ def emulate_command(
     if firmware is not None and "firmware" not in signature(serve).parameters:
         raise ConfigError(f"--firmware: the emulator '{name}' has no flash; leave it out")
     with serve(firmware) if firmware else serve() as use, suppress(KeyboardInterrupt):
-        console.answer(use, json)
+        console.print_result(use, json)
         sys.stdout.flush()  # whoever reads it waits for it
-        console.say("Ctrl-C ends it.")
+        console.log_status("Ctrl-C ends it.")
         threading.Event().wait()

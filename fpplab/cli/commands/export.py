@@ -66,7 +66,7 @@ def export_command(
             answer = _export_calibration(source, out, layout)
         else:
             answer = _export_tables(source, out, table)
-    console.answer({"file": out, **answer}, json)
+    console.print_result({"file": out, **answer}, json)
 
 
 def _kind_of(source: Path) -> str:

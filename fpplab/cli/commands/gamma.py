@@ -78,7 +78,7 @@ def gamma_command(
     from fpplab.report.response_figures import response_fit
 
     for reason in response.left_out:
-        console.say(f"left out: {reason}")
+        console.log_status(f"left out: {reason}")
     viewer.show(ResponseView.response, response)
     drawn = response_fit(response)
     source = rig_provenance(*described, wanted, exposure_s=exposure).with_values(item=item, response=out.name)
@@ -93,7 +93,7 @@ def gamma_command(
         "picture": str(picture),
         "report": str(page),
     }
-    console.answer(result, json, lambda: _show_response(result))
+    console.print_result(result, json, lambda: _show_response(result))
 
 
 def _show_response(result: dict[str, Any]) -> None:

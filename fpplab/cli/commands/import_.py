@@ -64,13 +64,13 @@ def import_command(
     with console.progress("Importing") as report:
         session = import_images(
             source, Plan.load(plan), out, bits, force, report,
-            projector_size=projector_size, lattice=lattice, warn=warnings.append, tell=console.say,
+            projector_size=projector_size, lattice=lattice, warn=warnings.append, tell=console.log_status,
         )  # fmt: skip
         warnings += pipeline.doubts(session)
     for warning in warnings:
-        console.say(f"warning: {warning}")
+        console.log_status(f"warning: {warning}")
     size, shown_in = session.projector()
-    console.answer(
+    console.print_result(
         {
             "frames": len(session.records),
             "bits": session.bits,

@@ -141,14 +141,16 @@ def live_command(
         shown = _viewer(stack, view, out, working)
         page = stack.enter_context(SetUpPage(orders, _page_of(shown)))
         keys = stack.enter_context(terminal_keys(orders))
-        console.say(f"Buttons{' and images' if _page_of(shown) else ''}: {page.address}")
+        console.log_status(f"Buttons{' and images' if _page_of(shown) else ''}: {page.address}")
         if keys:
-            console.say("Keys: a advice, + - exposure, m measure, w white, t take, q quit; all by --help")
+            console.log_status(
+                "Keys: a advice, + - exposure, m measure, w white, t take, q quit; all by --help"
+            )
         run = SetUp(bench, options, orders, _Observer(page, shown, recorded=out is not None))
         last = run.run(turn)
         _clear_line()
     result = {**last.summary(), "poses": [str(path) for path in run.poses], "out": str(out) if out else None}
-    console.answer(result, json, lambda: _show_result(result))
+    console.print_result(result, json, lambda: _show_result(result))
 
 
 def _page_of(viewer: Viewer[LiveView]) -> str | None:
@@ -191,7 +193,7 @@ def _viewer(
 ) -> Viewer[LiveView]:
     """The viewer, once it is open; its page is part of the set-up's. Without rerun it shows nothing."""
     if wanted and find_spec("rerun") is None:
-        console.say(f"Without images: {how_to_install('rerun')}")
+        console.log_status(f"Without images: {how_to_install('rerun')}")
         wanted = False
     from fpplab.viewer.live import MOST_WAITING, LiveView
     from fpplab.viewer.viewer import Viewer
@@ -231,7 +233,7 @@ class _Observer:
             self._said = said
             if said:
                 _clear_line()
-                console.say(said)
+                console.log_status(said)
         if console.stderr.is_terminal and time.monotonic() - self._line_s > LINE_S:
             self._line_s = time.monotonic()
             width = console.stderr.width - 1

@@ -11,7 +11,7 @@ import typer
 from fpplab.cli import console
 from fpplab.cli.app import TWIN, Force, Json, Out, app
 from fpplab.cli.completion import names_of
-from fpplab.cli.lists import TakesLists
+from fpplab.cli.lists import VariadicOptionsCommand
 from fpplab.cli.pose_causes import with_causes
 from fpplab.cli.viewing import KeepOpen, ViewOption, open_viewer
 from fpplab.core.errors import CalibrationError, ConfigError
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from fpplab.matching.reference import Reference
 
 
-@app.command("match", cls=TakesLists, rich_help_panel=TWIN)
+@app.command("match", cls=VariadicOptionsCommand, rich_help_panel=TWIN)
 def match_command(
     context: typer.Context,
     twin: Annotated[
@@ -139,7 +139,7 @@ def match_command(
 
         def observe(epoch: MatchingEpoch) -> None:
             loss = epoch.loss
-            console.say(
+            console.log_status(
                 f"epoch {epoch.epoch}, {epoch.step}: loss {loss['loss']:.4f}, over the board "
                 f"{loss['loss_board']:.4f}, SSIM {loss['ssim']:.4f} / {loss['ssim_board']:.4f}, ε_d "
                 f"{loss['epsilon_d_px']:.4f} px{'' if epoch.accepted else ', taken back'}"
@@ -226,7 +226,7 @@ def _match_surfaces_alone(
         "seconds": elapsed(),
         "rig": str(out / RIG),
     }
-    console.answer(answer, json, lambda: _show_surfaces(surfaces_found))
+    console.print_result(answer, json, lambda: _show_surfaces(surfaces_found))
 
 
 def _show_surfaces(surfaces: list[dict[str, Any]]) -> None:

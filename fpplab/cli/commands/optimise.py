@@ -99,7 +99,7 @@ def optimise_command(
         viewer = open_viewer(context, SearchView, view, keep_open, page.with_suffix(".rrd"))
 
         def observe(epoch: SearchEpoch) -> None:
-            console.say(_words(epoch))
+            console.log_status(_words(epoch))
             viewer.show(SearchView.epoch, epoch)
 
         with console.progress("Searching") as report:

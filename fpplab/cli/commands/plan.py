@@ -76,7 +76,7 @@ def show_command(
 
         drawn = pattern_sheet(patterns)
         write_atomic(out, lambda stream: stream.write(drawn))
-    console.answer(asdict(found), json)
+    console.print_result(asdict(found), json)
 
 
 @plan_app.command("guess")
@@ -114,7 +114,10 @@ def guess_command(
     refuse_existing(out, force)
     source = ImageSelection(tuple(places or ()), frames, first, first_step, numbers_of(skip))
     images, depth = read_images(
-        source, bits, warn=lambda sentence: console.say(f"warning: {sentence}"), tell=console.say
+        source,
+        bits,
+        warn=lambda sentence: console.log_status(f"warning: {sentence}"),
+        tell=console.log_status,
     )
     try:
         found = guess_plan(images, depth, projector_size, finest)
@@ -123,9 +126,9 @@ def guess_command(
     head = "".join(f"# Assumed: {sentence}.\n" for sentence in found.assumed)
     write_text(out, f"# Of the images in {Path(source.title).name}.\n{head}{dump(found.plan)}")
     for sentence in found.assumed:
-        console.say(f"assumed: {sentence}")
+        console.log_status(f"assumed: {sentence}")
     sets = [{"axis": s.axis, "stripes": s.stripes, "images": s.images} for s in found.plan.fringes]
-    console.answer(
+    console.print_result(
         {
             "fringes": sets,
             "disagreement": found.disagreement,

@@ -44,7 +44,7 @@ def predict_command(
     with console.stopwatch() as elapsed, Rig.load(rig) as bench, console.progress("Predicting"):
         found = predict(bench, wanted, item, known)
         answer = {**found.summary(), "predicted_in_s": elapsed()}
-    console.answer(answer, json, lambda: _show(answer))
+    console.print_result(answer, json, lambda: _show(answer))
 
 
 MOST_FACTOR = 100.0
@@ -70,20 +70,22 @@ def _show(answer: dict[str, Any]) -> None:
         f"Prediction for the {answer['item']}", ["figure", "predicted", "at least", "at most"], rows
     )
     if not answer["matched"]:
-        console.say(
+        console.log_status(
             "no discrepancy.yaml beside the rig file: what the simulation lacks is not in the intervals"
         )
     if answer["matched"] and answer["surface"] is None:
         item = answer["item"]
-        console.say(
+        console.log_status(
             f"the surface of the {item} is that of the twin's file: `fpplab match --surface {item}=SESSION` "
             "matches it to a scan"
         )
     if answer["compared_stripes"]:
-        console.say(
+        console.log_status(
             f"fringes are finer than those of {answer['compared_stripes']:g} stripes by which bench and twin "
             "were compared, so that their contrast is uncertain: `fpplab match --scan ITEM=SESSION` with a "
             "scan by such a plan tells it"
         )
     if answer["looks_like"]:
-        console.say(f"the twin's discrepancy looks like {answer['looks_like']}; not for {answer['not_for']}")
+        console.log_status(
+            f"the twin's discrepancy looks like {answer['looks_like']}; not for {answer['not_for']}"
+        )

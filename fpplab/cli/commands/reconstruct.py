@@ -96,6 +96,6 @@ def reconstruct_command(
         )
         diagnosis.require_usable(str(session))
         save_cloud(cloud, out)
-    console.say(diagnosis.sentence)
+    console.log_status(diagnosis.sentence)
     files = {"cloud": str(out), "report": str(page)}
-    console.answer({**result, "provenance": source.summary(), **files}, json)
+    console.print_result({**result, "provenance": source.summary(), **files}, json)

@@ -50,7 +50,7 @@ def report_command(
         write_scans_report(out, records, differences)
     provenance = {one.name: one.provenance.summary() for one in records}
     answer = {**scans_answer(records, differences), "provenance": provenance, "report": str(out)}
-    console.answer(answer, json, lambda: _show(answer))
+    console.print_result(answer, json, lambda: _show(answer))
 
 
 def _show(answer: dict[str, Any]) -> None:

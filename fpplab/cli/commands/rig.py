@@ -69,10 +69,10 @@ def new_command(
     )
     named = {"camera": camera, "projector": projector, "stage": stage}
     names = {kind: value for kind, value in named.items() if value is not None}
-    setup = RigSetup(found, names, out.absolute().parent, None if no_questions else _ask, console.say)
+    setup = RigSetup(found, names, out.absolute().parent, None if no_questions else _ask, console.log_status)
     draft = setup.run(home, operator)
     write_text(out, draft.text(name))
-    console.answer(
+    console.print_result(
         {"rig": str(out), **draft.summary()},
         json,
         lambda: console.stdout.print(f"{out}; next: `fpplab check --rig {out}`", markup=False),
@@ -95,9 +95,9 @@ def timing_command(rig: RigName, plan: PlanName = "plan_paper.yaml", json: Json 
     wanted = Plan.load(plan)
     with Rig.load(rig) as bench, console.progress("Timing") as report:
         found = measure_display(bench, wanted, report)
-    console.answer(found.summary(), json, lambda: _show_timing(found))
+    console.print_result(found.summary(), json, lambda: _show_timing(found))
     if not found.agrees:
-        raise console.Answered(DeviceError.exit_code)
+        raise console.CommandExit(DeviceError.exit_code)
 
 
 def _show_timing(found: DisplayTiming) -> None:
@@ -116,9 +116,9 @@ def _has_terminal() -> bool:
 
 def _ask(question: str, answers: Sequence[str]) -> int:
     """Ask at the terminal, on stderr, until one of the answers is chosen."""
-    console.say(question)
+    console.log_status(question)
     for k, one in enumerate(answers, 1):
-        console.say(f"  {k}  {one}")
+        console.log_status(f"  {k}  {one}")
     chosen: int = typer.prompt("number", type=int, err=True)
     while not 1 <= chosen <= len(answers):
         chosen = typer.prompt(f"number from 1 to {len(answers)}", type=int, err=True)

@@ -72,9 +72,9 @@ def scan_command(
         if item:
             bench.need_fixture(f"--item {item}").check(item, pose)
         if dry_run:
-            from fpplab.pipeline import foresee_scan
+            from fpplab.pipeline import plan_stage_moves
 
-            console.answer(foresee_scan(bench, wanted, out, force), json)
+            console.print_result(plan_stage_moves(bench, wanted, out, force), json)
             return
 
         # Only now the heavy modules: wrong input is told at once. The viewer loads its own meanwhile.
@@ -144,6 +144,6 @@ def scan_command(
                     answer=result,
                 )
             session.check_kept()
-    console.say(diagnosis.sentence)
+    console.log_status(diagnosis.sentence)
     files = {"cloud": str(out / CLOUD), "report": str(out / REPORT)}
-    console.answer({**result, "provenance": source.summary(), **files}, json)
+    console.print_result({**result, "provenance": source.summary(), **files}, json)

@@ -41,4 +41,4 @@ def target_command(
     board = Target.load(name)
     refuse_existing(out, force)
     sheet = print_target(board, out, paper, Path(name).stem)
-    console.answer(asdict(sheet), json)
+    console.print_result(asdict(sheet), json)

@@ -11,7 +11,7 @@ import typer
 from fpplab.cli import console
 from fpplab.cli.app import JUDGE, Force, Json, Out, PlanName, app
 from fpplab.cli.completion import names_of
-from fpplab.cli.lists import TakesLists
+from fpplab.cli.lists import VariadicOptionsCommand
 from fpplab.cli.viewing import KeepOpen, ViewOption, open_viewer
 from fpplab.core.errors import ConfigError, DataError
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from fpplab.viewer.viewer import Viewer
 
 
-@app.command("verify", cls=TakesLists, rich_help_panel=JUDGE)
+@app.command("verify", cls=VariadicOptionsCommand, rich_help_panel=JUDGE)
 def verify_command(
     context: typer.Context,
     standard: Annotated[

@@ -50,14 +50,16 @@ def view_command(
     from fpplab.viewer.recorded import view_recording, view_session
 
     def announce(where: str) -> None:
-        console.say(f"Shown at {where}")
+        console.log_status(f"Shown at {where}")
 
     need_extra("rerun")
     recording = session if session.suffix == ".rrd" else session / RECORDING
     if recording.is_file() and not (session / JOURNAL).is_file():
         if out or mesh or calibration:
             raise ConfigError(f"{recording}: is a recording, shown as it is; give a session instead")
-        console.answer({"session": str(session), "shown": view_recording(recording, announce=announce)}, json)
+        console.print_result(
+            {"session": str(session), "shown": view_recording(recording, announce=announce)}, json
+        )
         return
     if align and not mesh:
         raise ConfigError("--align needs --mesh, the true shape that the cloud is moved onto")
@@ -71,7 +73,7 @@ def view_command(
     errors = _errors(mesh, align) if mesh else None
     with console.progress("Reading the session") as report:
         shown = view_session(opened, known, out or "anywhere", announce, errors, report)
-    console.answer({"session": str(session), "shown": shown}, json)
+    console.print_result({"session": str(session), "shown": shown}, json)
 
 
 def _errors(mesh: Path, align: bool) -> CloudErrors:

@@ -19,7 +19,7 @@ def info_command(session: SessionPath, json: Json = False) -> None:
     from fpplab.sessions.session import Session
 
     found = describe_session(Session.open(session))
-    console.answer(found, json, lambda: _show(found))
+    console.print_result(found, json, lambda: _show(found))
 
 
 def _show(found: dict[str, Any]) -> None:

@@ -35,4 +35,6 @@ def repair_command(session: SessionPath, json: Json = False) -> None:
         say(f"{session}: {'is whole, nothing was changed' if found.is_unchanged else 'is readable again'}, "
             f"{found.kept} frames", markup=False)  # fmt: skip
 
-    console.answer({"session": str(session), "unchanged": found.is_unchanged, **asdict(found)}, json, show)
+    console.print_result(
+        {"session": str(session), "unchanged": found.is_unchanged, **asdict(found)}, json, show
+    )

@@ -29,6 +29,6 @@ def verify_session_command(session: SessionPath, json: Json = False) -> None:
         words = f"{len(faults)} faults; `fpplab session repair {session}` keeps what is whole"
         console.stdout.print(words if faults else f"{session}: is whole", markup=False)
 
-    console.answer({"session": str(session), **found}, json, show)
+    console.print_result({"session": str(session), **found}, json, show)
     if faults:
-        raise console.Answered(DataError.exit_code)
+        raise console.CommandExit(DataError.exit_code)
