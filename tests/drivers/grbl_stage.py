@@ -58,6 +58,11 @@ class Bench:
             self.controller.receive(data)
             self.controller.poll()
 
+    def jog(self, target_mm: float) -> None:
+        """Jog to a machine position at 20 mm/s, as another program does."""
+        with self.terminal.lock:
+            self.controller.jog(target_mm, 20.0)
+
     def alter_line(self, old: str, new: str) -> None:
         """Replace text in all that the controller sends from now on."""
         self.controller.alter_line = lambda line: line.replace(old, new)

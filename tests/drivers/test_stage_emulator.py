@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.emulators.grbl import GrblController, GrblPolicy, GrblState, Rail
-from drivers.emulators.grbl.gcode import GcodeError, Interpreter
+from drivers.emulators.grbl.gcode import Modes
 from drivers.emulators.grbl.ramps import Brake, Ramp
 
 POSITIVE = st.floats(0.01, 500.0)
@@ -38,10 +36,8 @@ class Talk:
 
 
 @given(POSITIVE, POSITIVE, POSITIVE, st.floats(0.0, 1.0))
-def test_ramps_and_their_inverse(distance: float, rate: float, acceleration: float, share: float) -> None:
+def test_ramps_are_symmetric(distance: float, rate: float, acceleration: float, share: float) -> None:
     ramp = Ramp(distance, rate, acceleration)
-    mm = share * distance
-    assert ramp.travelled_mm(ramp.time_to_reach_s(mm)) == pytest.approx(mm, abs=1e-6 * distance)
     assert ramp.travelled_mm(ramp.duration_s) == distance
     t = share * ramp.duration_s
     assert ramp.travelled_mm(t) + ramp.travelled_mm(ramp.duration_s - t) == pytest.approx(distance)
@@ -74,24 +70,23 @@ def test_a_move_takes_its_time() -> None:
 
 def test_a_pause_is_answered_when_the_motion_has_ended() -> None:
     talk = Talk().homed()
-    assert talk("G53G0X-102\nG4P0.5\n", 5.6) == ["ok"]
+    assert talk("G53G0X-102\nG4P0\n", 5.1) == ["ok"]
     assert talk("", 0.2) == ["ok"]
 
 
 @given(st.floats(0.0, 5.2))
-def test_a_hold_stops_and_a_start_completes(at_s: float) -> None:
+def test_a_hold_stops(at_s: float) -> None:
     talk = Talk().homed()
     talk("G53G0X-102\n", at_s)
     where = talk.controller.drive.position[0]
     speed = talk.controller.drive.speed_mm_s(talk.now)
     talk("!", 1.0)
     stopped = talk.controller.drive.position[0]
-    if talk.controller.mode is GrblState.HOLD:
-        assert where - stopped == pytest.approx(speed**2 / 200, abs=1 / 400)
-        assert talk("?")[0].startswith("<Hold:0|")
-    talk("~", 10.0)
-    assert talk.controller.drive.position[0] == -102.0
-    assert talk.controller.drive.carriage_mm == pytest.approx(102.0)
+    assert talk.controller.mode is GrblState.HOLD
+    assert where - stopped == pytest.approx(speed**2 / 200, abs=1 / 400)
+    assert talk("?")[0].startswith("<Hold:0|")
+    assert talk.controller.drive.carriage_mm == pytest.approx(-stopped)
+    assert talk("G53G0X-10\n$$\n", 60.0) == []  # until a reset
 
 
 def test_homing_takes_its_time_and_tells_nothing_meanwhile() -> None:
@@ -105,11 +100,10 @@ def test_homing_takes_its_time_and_tells_nothing_meanwhile() -> None:
     assert talk("?")[0].startswith("<Idle|MPos:-2.000,")
 
 
-def test_moves_wait_in_line_and_lines_in_the_buffer() -> None:
+def test_moves_wait_for_each_other_and_lines_in_the_buffer() -> None:
     talk = Talk().homed()
-    answers = talk("".join(f"G53G0X-{n}\n" for n in range(10, 20)))
-    assert answers == ["ok"] * 10
-    assert talk("", 60.0) == []
+    assert talk("".join(f"G53G0X-{n}\n" for n in range(10, 20))) == ["ok"]
+    assert [line for _ in range(30) for line in talk("", 1.0)] == ["ok"] * 9
     assert talk.controller.drive.position[0] == -19.0
     talk("G53G0X-100\nG4P0\n")
     talk("G4P0\n" * 100)  # 500 bytes for 127 places
@@ -119,11 +113,10 @@ def test_moves_wait_in_line_and_lines_in_the_buffer() -> None:
 # --- limits, alarms, resets
 
 
-def test_it_is_locked_until_homed_or_unlocked() -> None:
+def test_it_is_locked_until_homed() -> None:
     talk = Talk()
     assert talk("G0X-5\n") == ["error:9"]
-    assert talk("$X\n") == ["[MSG:Caution: Unlocked]", "ok"]
-    assert talk("G0X-5\n") == ["ok"]
+    assert talk.homed()("G0X-5\n") == ["ok"]
 
 
 def test_a_target_outside_locks_it_until_a_reset() -> None:
@@ -174,11 +167,8 @@ def test_an_end_stop_makes_it_lose_steps() -> None:
 
 
 ERRORS_OF_LINES = {
-    "5X": 1, "G0X": 2, "$Q": 3, "$100=-1": 4, "$100=0": 4, "$121=.0": 4, "$25=0": 4, "$0=1": 6,
-    "G0X-5" + "0" * 90: 11, "G20.5": 20, "M3": 20,
-    "G0G1X-5": 21, "G1X-5": 22, "G0X-5X-6": 25, "G92": 26, "G4": 28, "G10L2P9X1": 29, "$300=1": 3, "$10=x": 2,
-    "$130=1E3": 2, "$130=1_0": 2, "$130=INF": 2, "$130=": 2,
-    "$J=G91X-1": 22, "$J=G1X-1F5": 16, "$J=X5F100": 15, "$J=F100": 26,
+    "5X": 1, "G0X": 2, "$Q": 3, "$J=G91X-1F5": 3, "G0X-5" + "0" * 90: 11, "G20.5": 20, "M3": 20,
+    "G1X-5F60": 20, "G0X-5Y-5": 20, "G4P1": 20, "G0G0X-5": 21, "G0X-5X-6": 25, "G4": 28,
 }  # fmt: skip
 
 
@@ -197,38 +187,42 @@ def test_nothing_that_is_sent_makes_it_fall(text: str, noise: bytes) -> None:
     assert talk(b"\x18", 0.0)[-1].startswith(("Grbl 1.1f", "[MSG:'$H'"))
 
 
-def test_homing_and_soft_limits_depend_on_each_other() -> None:
-    talk = Talk()
-    assert talk("$22=0\n") == ["ok"]
-    assert talk.controller.settings[20] == 0
-    assert talk("$20=1\n") == ["error:10"]
-    assert talk("$H\n") == ["error:5"]
+def test_homing_that_is_switched_off_is_refused() -> None:
+    assert Talk({20: 0, 22: 0})("$H\n") == ["error:5"]
 
 
-def test_settings_are_kept_and_told() -> None:
-    talk = Talk()
-    talk("$130=123.4567\n$10=3.7\n")
-    told = talk("$$\n")
+def test_settings_are_told() -> None:
+    told = Talk({10: 3, 130: 123.4567})("$$\n")
     assert "$130=123.457" in told
     assert "$10=3" in told
     assert told[-1] == "ok"
-    talk.controller.power_cycle()
-    assert talk.controller.settings[130] == 123.4567
 
 
-def test_offsets_are_told_and_obeyed() -> None:
+def test_what_needs_rest_is_refused_in_motion() -> None:
+    talk = Talk().homed()
+    assert talk("G53G0X-100\n$$\n$H\n$I\n", 0.1) == ["ok", "error:8", "error:8", "error:8"]
+
+
+def test_an_offset_left_behind_is_told_and_obeyed_and_outlives_a_reset() -> None:
     talk = Talk({10: 0}).homed()
     talk("?")
-    assert talk("G10L20P1X0\n") == ["ok"]  # here is zero
+    talk.controller.leave_modes(Modes(offset=(-2.0, 0.0, 0.0)))
     assert talk("?")[0] == "<Idle|WPos:0.000,0.000,0.000|FS:0,0|WCO:-2.000,0.000,0.000>"
-    assert "[G54:-2.000,0.000,0.000]" in talk("$#\n")
     talk("G0X-10\n", 10.0)
     assert talk.controller.drive.position[0] == -12.0
-    talk("G92X5\nG0X0\n", 10.0)
+    talk(b"\x18")
+    talk("G0X-15\n", 10.0)
     assert talk.controller.drive.position[0] == -17.0
-    talk("G92.1\nG20G91G0X-1\n", 20.0)
-    assert math.isclose(talk.controller.drive.position[0], -17.0 - 25.4, abs_tol=1 / 400)
-    assert "G20 G91" in talk("$G\n")[0]
+
+
+def test_modes_left_behind_hold_until_a_line_says_otherwise() -> None:
+    talk = Talk().homed()
+    talk.controller.leave_modes(Modes(in_inches=True, is_relative=True))
+    talk("G0X-1\n", 20.0)
+    assert talk.controller.drive.position[0] == pytest.approx(-2.0 - 25.4, abs=1 / 400)
+    talk("G90G21G0X-10\n", 20.0)
+    talk("G0X-20\n", 20.0)
+    assert talk.controller.drive.position[0] == -20.0
 
 
 def test_the_offset_comes_in_the_first_report_and_in_every_tenth() -> None:
@@ -237,17 +231,11 @@ def test_the_offset_comes_in_the_first_report_and_in_every_tenth() -> None:
     assert [i for i, yes in enumerate(told) if yes] == [0, 10, 20]
 
 
-def test_a_jog_is_cancelled_and_forgotten() -> None:
+def test_a_jog_is_braked_and_forgotten() -> None:
     talk = Talk().homed()
-    assert talk("$J=G91X-100F600\n", 1.0) == ["ok"]
-    assert talk("?G0X0\n")[-1] == "error:9"
-    talk(b"\x85", 1.0)
+    talk.controller.jog(-102.0, 10.0)
+    assert talk("", 1.0) == []
+    assert talk("?")[0].startswith("<Jog|")
+    assert talk("G0X0\n$H\n") == ["error:9", "error:8"]
+    talk("!", 1.0)
     assert talk("?")[0].startswith("<Idle|MPos:-12.000")  # 9.5 mm, and 0.5 mm to brake from 10 mm/s
-
-
-def test_a_refused_line_changes_nothing() -> None:
-    program = Interpreter()
-    before = vars(program).copy()
-    with pytest.raises(GcodeError):
-        program.execute("G91G20G1X5", (0.0, 0.0, 0.0))
-    assert vars(program) == before

@@ -9,6 +9,7 @@ from dataclasses import replace
 import pytest
 
 from drivers.emulators.grbl import GrblPolicy, GrblState, Rail
+from drivers.emulators.grbl.gcode import Modes
 from drivers.emulators.grbl.settings import DEFAULTS
 from drivers.stage_grbl import GrblStage, device, wire
 from drivers.stage_grbl.device import Mechanics
@@ -53,39 +54,39 @@ def test_homing_ends_at_zero_wherever_it_began(start_mm: float) -> None:
         assert bench.controller.drive.carriage_mm == PULL_OFF_MM
 
 
-SET_UPS: dict[str, tuple[dict[int, float], GrblPolicy, bytes]] = {
-    "as delivered": ({}, GrblPolicy(), b""),
-    "switch at the negative end": ({23: 1}, GrblPolicy(), b""),
-    "origin forced": ({}, GrblPolicy(forces_origin=True), b""),
-    "origin forced at the negative end": ({23: 1}, GrblPolicy(forces_origin=True), b""),
-    "work positions": ({10: 0}, GrblPolicy(), b""),
-    "work positions with an offset": ({10: 0}, GrblPolicy(), b"G10L2P1X-12.5\n"),
-    "offset G92": ({10: 0}, GrblPolicy(), b"G92X7.25\n"),
-    "machine positions with an offset": ({}, GrblPolicy(), b"G10L2P1X-12.5\n"),
-    "inches": ({13: 1}, GrblPolicy(), b"G20\n"),
-    "inches with an offset": ({13: 1, 10: 0}, GrblPolicy(), b"G10L2P1X-12.5\n"),
-    "relative": ({}, GrblPolicy(), b"G91\n"),
-    "coarse steps": ({100: 80.5}, GrblPolicy(), b""),
-    "not locked": ({}, GrblPolicy(locks_at_power_up=False), b""),
-    "buffers told": ({10: 3}, GrblPolicy(), b""),
+AS_DELIVERED = Modes()
+SET_UPS: dict[str, tuple[dict[int, float], GrblPolicy, Modes]] = {
+    "as delivered": ({}, GrblPolicy(), AS_DELIVERED),
+    "switch at the negative end": ({23: 1}, GrblPolicy(), AS_DELIVERED),
+    "origin forced": ({}, GrblPolicy(forces_origin=True), AS_DELIVERED),
+    "origin forced at the negative end": ({23: 1}, GrblPolicy(forces_origin=True), AS_DELIVERED),
+    "work positions": ({10: 0}, GrblPolicy(), AS_DELIVERED),
+    "work positions with an offset": ({10: 0}, GrblPolicy(), Modes(offset=(-12.5, 0.0, 0.0))),
+    "machine positions with an offset": ({}, GrblPolicy(), Modes(offset=(-12.5, 0.0, 0.0))),
+    "inches": ({13: 1}, GrblPolicy(), Modes(in_inches=True)),
+    "inches with an offset": ({13: 1, 10: 0}, GrblPolicy(), Modes(offset=(-12.5, 0.0, 0.0))),
+    "relative": ({}, GrblPolicy(), Modes(is_relative=True)),
+    "coarse steps": ({100: 80.5}, GrblPolicy(), AS_DELIVERED),
+    "not locked": ({}, GrblPolicy(locks_at_power_up=False), AS_DELIVERED),
+    "buffers told": ({10: 3}, GrblPolicy(), AS_DELIVERED),
 }
 
 
 @pytest.mark.parametrize("name", SET_UPS)
 def test_the_carriage_goes_where_it_is_sent(name: str) -> None:
-    """However the controller is set, and whatever offset another program has left behind."""
-    settings, policy, typed = SET_UPS[name]
+    """However the controller is set, and whatever modes and offset another program has left behind."""
+    settings, policy, left_behind = SET_UPS[name]
     half_step = 0.5 / settings.get(100, 400.0)
-    told = 25.4 * 0.00005 if settings.get(13) else 0.0005
+    digit = 25.4 * 0.00005 if settings.get(13) else 0.0005
     with Bench(settings, policy=policy) as bench:
         stage = bench.homed()
-        if typed:
-            bench.type(typed)
+        with bench.terminal.lock:
+            bench.controller.leave_modes(replace(left_behind))
         for mm in (10.0, 150.1234, stage.caps.travel_mm[1], 0.0):
             back = stage.move_to(mm)
             moved = bench.controller.drive.carriage_mm - PULL_OFF_MM
-            assert moved == pytest.approx(mm, abs=2 * half_step + told)  # home is at a whole step itself
-            assert back == pytest.approx(mm, abs=half_step + told + 1e-4)
+            assert moved == pytest.approx(mm, abs=2 * half_step + digit)  # home is at a whole step itself
+            assert back == pytest.approx(mm, abs=half_step + digit + 1e-4)
             assert stage.position_mm == back
 
 
@@ -138,7 +139,7 @@ def test_a_halt_brakes_before_it_resets() -> None:
     """So that the position survives: GRBL would give ALARM:3 for a reset in motion."""
     with Bench(BRISK, times=4.0) as bench:
         stage = bench.homed()
-        bench.type(b"$J=G53X-100F1200\n")
+        bench.jog(-100.0)
         time.sleep(0.1)  # up to speed
         stage.halt()
         assert bench.controller.mode is GrblState.IDLE
@@ -292,7 +293,6 @@ def test_a_move_cut_short_is_noticed(bench: Bench) -> None:
     stage = bench.homed()
 
     def meddle() -> None:
-        bench.controller._queue.clear()
         bench.controller.drive.brake(bench.controller._clock())
 
     bench.at_mm(50.0, meddle)
@@ -412,7 +412,7 @@ def test_answers_to_another_program_are_noticed(bench: Bench) -> None:
 
 def test_a_stage_moved_by_another_program_is_noticed(bench: Bench) -> None:
     stage = bench.homed()
-    bench.type(b"$J=G91X-5F1200\n")
+    bench.jog(-PULL_OFF_MM - 5.0)
     time.sleep(0.05)
     with pytest.raises(DeviceError, match=r"was left at 0\.000 mm and is at 5\.000 mm; close other programs"):
         stage.move_to(20.0)

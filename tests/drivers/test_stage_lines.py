@@ -110,7 +110,7 @@ def direct(patch: pytest.MonkeyPatch, spoil: dict[int, tuple[int, int]]) -> tupl
         place %= len(line)
         return line[:place] + chr(byte) + line[place + 1 :]
 
-    controller.spoil = spoiled
+    controller.alter_line = spoiled
     patch.setattr(wire.serial, "Serial", DirectLine(controller, clock))
     for module in (wire, device):
         patch.setattr(module, "time", VirtualTime(clock))

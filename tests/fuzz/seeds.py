@@ -165,7 +165,7 @@ def hid() -> list[bytes]:
 def grbl() -> list[bytes]:
     from tests.drivers.test_stage_lines import LINES
 
-    asked = (b"$H\nG90 G0 X-5\n?", b"$$\n$#\n", b"\x18$X\nG1 F100 Y-2\n!~", b"$100=250\n")
+    asked = (b"$H\nG90 G21 G53 G0 X-5\n?", b"$$\n$I\n", b"\x18G4P0\nY-2\n!")
     return [*asked, *(line.encode() + b"\n" for line in LINES)]
 
 

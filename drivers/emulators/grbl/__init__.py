@@ -1,9 +1,9 @@
 """Software emulator of a GRBL 1.1 controller with one motorised rail, in place of a stage.
 
-It follows GRBL's interface documentation and source: one answer to each line, real-time commands, reports,
-settings, homing, limits, alarms and resets. Motion takes time, by a clock of the caller's choice. Each move
-ends at rest, where GRBL would blend moves that follow each other. Left out: arcs, probing, spindle and
-coolant, overrides, check mode, sleep and the safety door.
+It follows GRBL's interface documentation and source in what the stage's driver relies on: one answer to
+each line, the real-time commands `?`, `!` and reset, reports, settings, homing, limits and alarms. It
+understands the lines that the driver sends and no others. Motion takes time, by a clock of the caller's
+choice.
 
 It serves to test drivers and is no evidence of how a real stage behaves.
 

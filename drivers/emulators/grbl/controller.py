@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import re
 import time
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
@@ -13,20 +13,20 @@ from drivers.emulators.grbl.drive import Drive, Rail
 from drivers.emulators.grbl.gcode import (
     AXES,
     MM_PER_INCH,
-    ORIGIN,
     AxisPositions,
-    Dwell,
     GcodeError,
-    Interpreter,
+    Modes,
     Move,
+    interpret,
+    read_block,
 )
 from drivers.emulators.grbl.settings import DEFAULTS, GrblSettings
 
 VERSION, BUILD = "1.1f", "1.1f.20170801"
 RX_BYTES, LINE_CHARACTERS, PLANNED_MOVES = 128, 80, 15
-"""Size of the receive buffer in bytes, longest line in characters, size of the planner's queue in moves."""
+"""Sizes that GRBL is compiled with on an Arduino: receive buffer, longest line, planner's queue."""
 WCO_EVERY, OVERRIDES_EVERY = (10, 30), (10, 20)
-"""Number of reports from one with this field to the next, at rest and in motion."""
+"""Number of reports from one with this field to the next, at rest and in motion (GRBL's config.h)."""
 
 _COMMENT = re.compile(r"\([^)]*\)?|;.*|\s")
 
@@ -79,10 +79,6 @@ class GrblController:
                     self._report()
                 case 0x21:  # !
                     self._hold()
-                case 0x7E:  # ~
-                    self._resume()
-                case 0x85:
-                    self._cancel_jog()
                 case _ if byte < 0x80 and len(self._waiting) < RX_BYTES - 1:
                     self._waiting.append(byte)
             self._read_lines()
@@ -103,7 +99,7 @@ class GrblController:
     def power_cycle(self) -> None:
         """Switch off and on: the carriage stays where it is, but the position is forgotten."""
         self.drive.forget_position()
-        self._program = Interpreter()
+        self.modes = Modes()
         locked = self._policy.locks_at_power_up and self.settings.flag(22)
         self._mode = GrblState.ALARM if locked else GrblState.IDLE
         self._start()
@@ -112,19 +108,17 @@ class GrblController:
 
     def _start(self) -> None:
         self._waiting = bytearray()
-        self._queue: deque[Move] = deque()
-        self._dwell: Dwell | None = None
-        self._rested_s = 0.0
+        self._awaits_rest = False  # a pause that is answered when all motion has ended
         self._homed_s: float | None = None
-        self._holding = self._needs_reset = False
+        self._is_held = self._needs_reset = False
         self._wco_in = self._overrides_in = 0
-        self._program.reset()
+        self.modes = Modes(offset=self.modes.offset)  # a reset restores G21 and G90, and keeps G54's offset
         self._send(f"\r\nGrbl {VERSION} ['$' for help]")
         if self._mode is GrblState.ALARM:
             self._send("[MSG:'$H'|'$X' to unlock]")
 
     def _reset(self) -> None:
-        broken_off = self._dwell is not None or self._mode is GrblState.HOME or self._needs_reset
+        broken_off = self._awaits_rest or self._mode is GrblState.HOME or self._needs_reset
         if self._mode is GrblState.HOME:
             self._alarm(6)
         elif self.drive.motion is not None:
@@ -140,7 +134,6 @@ class GrblController:
 
     def _alarm(self, code: int) -> None:
         self.drive.motion = None
-        self._queue.clear()
         self._mode = GrblState.ALARM
         self._send(f"ALARM:{code}")
 
@@ -162,85 +155,63 @@ class GrblController:
             if self.drive.motion is not motion or now < motion.ends_s:
                 break
             self.drive.motion = None
-            self._start_next_move(motion.ends_s)
-        self._end_dwell(now)
+            self._end_motion()
 
-    def _start_next_move(self, at_s: float) -> None:
-        """Start the next planned move when a motion has ended; without one come to rest."""
+    def _end_motion(self) -> None:
+        """Come to rest when a motion has ended."""
         if self._mode is GrblState.HOLD:
-            self._holding = True
+            self._is_held = True
             return
-        while self._queue and self.drive.motion is None:
-            self.drive.begin(self._queue.popleft(), at_s)
-        if self.drive.motion is None:
-            self._mode, self._rested_s = GrblState.IDLE, at_s
-
-    def _end_dwell(self, now: float) -> None:
-        if self._dwell and self._mode is GrblState.IDLE and now >= self._rested_s + self._dwell.seconds:
-            self._dwell = None
+        self._mode = GrblState.IDLE
+        if self._awaits_rest:
+            self._awaits_rest = False
             self._send("ok")
 
-    def _plan(self, move: Move, mode: GrblState) -> None:
-        self._queue.append(move)
-        if self._mode is GrblState.IDLE:
+    def _begin(self, move: Move, mode: GrblState, rate_mm_s: float = math.inf) -> None:
+        self.drive.begin(move, self._clock(), rate_mm_s)
+        if self.drive.motion is not None:
             self._mode = mode
-            self._start_next_move(self._clock())
 
-    @property
-    def _planned_end(self) -> AxisPositions:
-        if self._queue:
-            return self._queue[-1].target
-        return self.drive.motion.target if self.drive.motion else self.drive.position
+    def leave_modes(self, modes: Modes) -> None:
+        """Change modes and work offset as another program does; the next report has the offset."""
+        self.modes, self._wco_in = modes, 0
 
-    def _leaves_travel(self, target: AxisPositions) -> bool:
-        for i, mm in enumerate(target):
-            travel = self.settings.travel_mm(i)
-            upwards = self._policy.forces_origin and self.settings.homes_down(i)
-            least, most = (0.0, travel) if upwards else (-travel, 0.0)
-            if self.settings.flag(20) and not least <= mm <= most:
-                return True
-        return False
+    def jog(self, target_mm: float, rate_mm_s: float) -> None:
+        """Move the rail's axis to a machine position, as another program does by `$J=`."""
+        self._begin(Move(self.drive.axis, target_mm), GrblState.JOG, rate_mm_s)
+
+    def _leaves_travel(self, move: Move) -> bool:
+        travel_mm = self.settings.travel_mm(move.axis)
+        upwards = self._policy.forces_origin and self.settings.homes_down(move.axis)
+        least_mm, most_mm = (0.0, travel_mm) if upwards else (-travel_mm, 0.0)
+        return self.settings.flag(20) and not least_mm <= move.target_mm <= most_mm
 
     # --- real-time commands
 
     def _hold(self) -> None:
+        """Brake to rest; a jog is cancelled thereby, a move is held until a reset."""
         if self._mode is GrblState.IDLE:
-            self._mode, self._holding = GrblState.HOLD, True
-        elif self._mode is GrblState.RUN:
-            self._mode = GrblState.HOLD
-            rest = self.drive.brake(self._clock())
-            if rest:
-                self._queue.appendleft(rest)
-            if self.drive.motion is None:
-                self._start_next_move(self._clock())
-        else:
-            self._cancel_jog()
-
-    def _cancel_jog(self) -> None:
-        if self._mode is GrblState.JOG:
-            self._queue.clear()
+            self._mode, self._is_held = GrblState.HOLD, True
+        elif self._mode in (GrblState.RUN, GrblState.JOG):
+            if self._mode is GrblState.RUN:
+                self._mode = GrblState.HOLD
             self.drive.brake(self._clock())
             if self.drive.motion is None:
-                self._start_next_move(self._clock())
-
-    def _resume(self) -> None:
-        if self._holding:
-            self._holding, self._mode = False, GrblState.RUN
-            self._start_next_move(self._clock())
+                self._end_motion()
 
     def _report(self) -> None:
         if self._needs_reset or self._mode is GrblState.HOME:
             return
-        inches, offset = self.settings.flag(13), self._program.offset
+        inches, offset = self.settings.flag(13), self.modes.offset
         in_motion = self._mode in (GrblState.RUN, GrblState.JOG, GrblState.HOLD)
-        fields = [f"Hold:{0 if self._holding else 1}" if self._mode is GrblState.HOLD else str(self._mode)]
+        fields = [f"Hold:{0 if self._is_held else 1}" if self._mode is GrblState.HOLD else str(self._mode)]
         if int(self.settings[10]) & 1:
             fields.append(f"MPos:{_axes(self.drive.position, inches)}")
         else:
             x, y, z = (a - b for a, b in zip(self.drive.position, offset, strict=True))
             fields.append(f"WPos:{_axes((x, y, z), inches)}")
         if int(self.settings[10]) & 2:
-            fields.append(f"Bf:{PLANNED_MOVES - len(self._queue)},{RX_BYTES - len(self._waiting)}")
+            fields.append(f"Bf:{PLANNED_MOVES},{RX_BYTES - len(self._waiting)}")
         speed = self.drive.speed_mm_s(self._clock()) * 60 / (MM_PER_INCH if inches else 1.0)
         fields.append(f"FS:{speed:.0f},0")
         if self.drive.switch_pressed:
@@ -259,7 +230,7 @@ class GrblController:
     # --- lines
 
     def _read_lines(self) -> None:
-        while not self._defers_lines and (end := re.search(rb"[\r\n]", self._waiting)):
+        while (end := re.search(rb"[\r\n]", self._waiting)) and not self._must_wait(self._waiting[0]):
             line = _COMMENT.sub("", self._waiting[: end.start()].decode("ascii")).upper()
             del self._waiting[: end.end()]
             try:
@@ -267,23 +238,19 @@ class GrblController:
             except GcodeError as error:
                 self._send(f"error:{error.code}")
 
-    @property
-    def _defers_lines(self) -> bool:
-        """Whether lines wait in the buffer; real-time commands are obeyed all the same."""
-        full = len(self._queue) >= PLANNED_MOVES
-        return (
-            full
-            or self._needs_reset
-            or self._dwell is not None
-            or self._mode in (GrblState.HOME, GrblState.HOLD)
-        )
+    def _must_wait(self, first: int) -> bool:
+        """Whether a line with this first byte waits in the buffer; real-time commands are executed at once.
+
+        GRBL would plan further moves while one is under way; here they wait, for the driver sends none.
+        """
+        if self._needs_reset or self._awaits_rest or self._mode in (GrblState.HOME, GrblState.HOLD):
+            return True
+        return self._mode is GrblState.RUN and first != ord("$") and not self._waiting.startswith(b"G4")
 
     def _execute(self, line: str) -> None:
         if len(line) >= LINE_CHARACTERS:
             raise GcodeError(11)
-        if line.startswith("$J="):
-            self._jog(line.removeprefix("$J="))
-        elif line == "$H":
+        if line == "$H":
             self._home()
         elif line.startswith("$"):
             self._system(line)
@@ -294,63 +261,27 @@ class GrblController:
             self._gcode(line)
 
     def _gcode(self, line: str) -> None:
-        offset = self._program.offset
-        asked = self._program.execute(line, self._planned_end)
-        if self._program.offset != offset:
-            self._wco_in = 0
-        if isinstance(asked, Dwell):
-            self._dwell, self._rested_s = asked, self._clock()
-            self._end_dwell(self._clock())
+        move = interpret(read_block(line), self.modes, self.drive.position)
+        if move is None and self._mode is GrblState.RUN:
+            self._awaits_rest = True
             return
-        if isinstance(asked, Move):
-            if self._leaves_travel(asked.target):
-                self._lock(2)
-                return
-            self._plan(asked, GrblState.RUN)
-        self._send("ok")
-
-    def _jog(self, line: str) -> None:
-        if self._mode not in (GrblState.IDLE, GrblState.JOG):
-            raise GcodeError(8)
-        asked = self._program.jog(line, self._planned_end)
-        if self._leaves_travel(asked.target):
-            raise GcodeError(15)
-        self._plan(asked, GrblState.JOG)
+        if move is not None and self._leaves_travel(move):
+            self._lock(2)
+            return
+        if move is not None:
+            self._begin(move, GrblState.RUN)
         self._send("ok")
 
     def _system(self, line: str) -> None:
-        if line == "$$":
-            if self._mode is GrblState.RUN:
-                raise GcodeError(8)
-            self._send("\r\n".join(self.settings.report_lines()))
-        elif line == "$G":
-            self._send(self._program.modes())
-        elif line == "$":
-            self._send("[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]")
-        elif line == "$X":
-            if self._mode is GrblState.ALARM:
-                self._mode = GrblState.IDLE
-                self._send("[MSG:Caution: Unlocked]")
-        elif self._mode not in (GrblState.IDLE, GrblState.ALARM):
+        if self._mode not in (GrblState.IDLE, GrblState.ALARM):
             raise GcodeError(8)
-        elif line == "$#":
-            self._send_offsets()
+        if line == "$$":
+            self._send("\r\n".join(self.settings.report_lines()))
         elif line == "$I":
             self._send(f"[VER:{BUILD}:]")
             self._send(f"[OPT:V{'Z' if self._policy.forces_origin else ''},{PLANNED_MOVES},{RX_BYTES}]")
-        elif line == "$N":
-            self._send("$N0=\r\n$N1=")
         else:
-            self.settings.assign(line)
-            self._wco_in = 0
-
-    def _send_offsets(self) -> None:
-        inches = self.settings.flag(13)
-        named = [(f"G{54 + i}", system) for i, system in enumerate(self._program.systems)]
-        for name, vector in [*named, ("G28", ORIGIN), ("G30", ORIGIN), ("G92", self._program.shift)]:
-            self._send(f"[{name}:{_axes(vector, inches)}]")
-        self._send(f"[TLO:{_axes(ORIGIN, inches).split(',')[0]}]")
-        self._send(f"[PRB:{_axes(ORIGIN, inches)}:0]")
+            raise GcodeError(3)
 
     # --- homing
 

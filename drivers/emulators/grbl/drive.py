@@ -29,31 +29,25 @@ class Rail:
 
 @dataclass(frozen=True)
 class Motion:
-    """One move under way."""
+    """A motion under way along one axis."""
 
-    origin: AxisPositions  # machine position in mm where it began
-    target: AxisPositions  # machine position in mm where it ends
+    axis: int  # 0, 1 or 2
+    origin_mm: float  # machine position where it began
+    target_mm: float  # machine position where it ends
     ramp: Ramp | Brake  # its speed over time
-    began_s: float  # time in s when it began
+    began_s: float  # time when it began
 
     @property
     def ends_s(self) -> float:
         """Time in s when it comes to rest."""
         return self.began_s + self.ramp.duration_s
 
-    def position_after(self, travelled_mm: float) -> AxisPositions:
-        """Return the position at a distance from the origin."""
-        share = travelled_mm / self.ramp.distance_mm
-        x, y, z = (a + share * (b - a) for a, b in zip(self.origin, self.target, strict=True))
-        return x, y, z
-
-    def position_at(self, now: float) -> AxisPositions:
-        """Return the position at a time."""
-        return (
-            self.target
-            if now >= self.ends_s
-            else self.position_after(self.ramp.travelled_mm(now - self.began_s))
-        )
+    def position_mm(self, now: float) -> float:
+        """Return the machine position at a time."""
+        if now >= self.ends_s:
+            return self.target_mm
+        share = self.ramp.travelled_mm(now - self.began_s) / self.ramp.distance_mm
+        return self.origin_mm + share * (self.target_mm - self.origin_mm)
 
 
 class Drive:
@@ -95,42 +89,39 @@ class Drive:
         """Call a function once, when a motion passes a position."""
         self._crossings.append((mm, action))
 
-    def begin(self, move: Move, at_s: float) -> None:
-        """Start a move; a move of no length is left out."""
-        ways = [abs(b - a) for a, b in zip(self.position, move.target, strict=True)]
-        length = math.dist(self.position, move.target)
-        if length == 0.0:
+    def begin(self, move: Move, at_s: float, rate_mm_s: float = math.inf) -> None:
+        """Start a move, as fast as the settings or a lower rate allow; a move of no length is left out."""
+        axis, origin_mm = move.axis, self.position[move.axis]
+        if move.target_mm == origin_mm:
             return
-        moving = [(i, way / length) for i, way in enumerate(ways) if way]
-        rate = min(self._settings.rate_mm_s(i) / share for i, share in moving)
-        acceleration = min(self._settings.acceleration_mm_s2(i) / share for i, share in moving)
-        ramp = Ramp(length, min(rate, move.rate_mm_s or rate), acceleration)
-        self.motion = Motion(self.position, move.target, ramp, at_s)
+        rate_mm_s = min(rate_mm_s, self._settings.rate_mm_s(axis))
+        ramp = Ramp(abs(move.target_mm - origin_mm), rate_mm_s, self._settings.acceleration_mm_s2(axis))
+        self.motion = Motion(axis, origin_mm, move.target_mm, ramp, at_s)
 
-    def brake(self, now: float) -> Move | None:
+    def brake(self, now: float) -> None:
         """Slow the present move down to rest."""
         motion = self.motion
         if motion is None or not isinstance(motion.ramp, Ramp):
-            return None
-        ramp, elapsed = motion.ramp, now - motion.began_s
-        brake = Brake(ramp.speed_mm_s(elapsed), ramp.acceleration_mm_s2)
-        gone = min(ramp.travelled_mm(elapsed) + brake.distance_mm, ramp.distance_mm)
-        slows = brake.distance_mm > 0.0
-        self.motion = (
-            Motion(motion.position_at(now), motion.position_after(gone), brake, now) if slows else None
-        )
-        return Move(motion.target, ramp.rate_mm_s) if gone < ramp.distance_mm else None
+            return
+        brake = Brake(motion.ramp.speed_mm_s(now - motion.began_s), motion.ramp.acceleration_mm_s2)
+        if brake.distance_mm == 0.0:
+            self.motion = None
+            return
+        here_mm = motion.position_mm(now)
+        way_mm = math.copysign(brake.distance_mm, motion.target_mm - motion.origin_mm)
+        self.motion = Motion(motion.axis, here_mm, here_mm + way_mm, brake, now)
 
     def update(self, now: float) -> bool:
-        """Move steps and carriage to where the present motion is."""
+        """Move steps and carriage to where the present motion is; return whether the switch closes."""
         assert self.motion is not None
-        before, free = self.position[self.axis], not self.switch_pressed
-        target = self.motion.position_at(now)
-        self._steps = [round(mm * self._settings.steps_per_mm(i)) for i, mm in enumerate(target)]
-        after = self.position[self.axis]
-        self.carriage_mm = self._rail.clamp(self.carriage_mm + self._away * (after - before))
-        self._run_crossing_actions(before, after)
-        return free and self.switch_pressed
+        was_pressed = self.switch_pressed
+        before_mm = self.position[self.axis]
+        moving = self.motion.axis
+        self._steps[moving] = round(self.motion.position_mm(now) * self._settings.steps_per_mm(moving))
+        after_mm = self.position[self.axis]
+        self.carriage_mm = self._rail.clamp(self.carriage_mm + self._away * (after_mm - before_mm))
+        self._run_crossing_actions(before_mm, after_mm)
+        return self.switch_pressed and not was_pressed
 
     def speed_mm_s(self, now: float) -> float:
         """Return the present speed."""

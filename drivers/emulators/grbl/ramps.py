@@ -42,15 +42,6 @@ class Ramp:
         a = self.acceleration_mm_s2
         return max(0.0, min(self.peak_mm_s, a * t_s, a * (self.duration_s - t_s)))
 
-    def time_to_reach_s(self, mm: float) -> float:
-        """Return when a distance is reached: the inverse of `travelled_mm`."""
-        a, up_mm = self.acceleration_mm_s2, self.peak_mm_s**2 / (2 * self.acceleration_mm_s2)
-        if mm <= up_mm:
-            return math.sqrt(2 * mm / a)
-        if mm <= self.distance_mm - up_mm:
-            return mm / self.peak_mm_s + self.peak_mm_s / (2 * a)
-        return self.duration_s - math.sqrt(2 * max(0.0, self.distance_mm - mm) / a)
-
 
 @dataclass(frozen=True)
 class Brake:

@@ -1,11 +1,6 @@
-"""The settings of a GRBL 1.1 controller, as `$$` lists and `$x=value` changes them."""
+"""The settings of a GRBL 1.1 controller, as `$$` lists them."""
 
 from __future__ import annotations
-
-import math
-import re
-
-from drivers.emulators.grbl.gcode import NUMBER, GcodeError
 
 DEFAULTS: dict[int, float] = {
     0: 10, 1: 25, 2: 0, 3: 0, 4: 0, 5: 0, 6: 0, 10: 1, 11: 0.010, 12: 0.002, 13: 0,
@@ -15,8 +10,6 @@ DEFAULTS: dict[int, float] = {
 }  # fmt: skip
 """Settings by number, for a rail of 200 mm with a screw of 4 mm pitch and 1600 microsteps per revolution."""
 
-_DIVISORS = {24, 25, *range(100, 103), *range(110, 113), *range(120, 123)}
-"""Settings that positions and times are divided by: a board takes 0 and is lost, so here it is refused."""
 _WITH_DECIMALS = {11, 12, 24, 25, 27, *range(100, 133)}
 
 
@@ -28,26 +21,6 @@ class GrblSettings(dict[int, float]):
         return [
             f"${n}={value:.3f}" if n in _WITH_DECIMALS else f"${n}={value:.0f}" for n, value in self.items()
         ]
-
-    def assign(self, line: str) -> None:
-        """Execute `$x=value`."""
-        name, equals, text = line[1:].partition("=")
-        if not name.isdecimal() or not equals:
-            raise GcodeError(3)
-        if not re.fullmatch(NUMBER, text):
-            raise GcodeError(2)
-        number, value = int(name), float(text)
-        if value < 0 or (value == 0 and number in _DIVISORS):
-            raise GcodeError(4)
-        if number not in self:
-            raise GcodeError(3)
-        if number == 0 and value < 3:
-            raise GcodeError(6)
-        if number == 20 and value and not self[22]:
-            raise GcodeError(10)
-        if number == 22 and not value:
-            self[20] = 0
-        self[number] = value if number in _WITH_DECIMALS or number in (30, 31) else math.trunc(value)
 
     def flag(self, number: int) -> bool:
         """Return whether a setting is on."""
