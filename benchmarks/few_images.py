@@ -13,8 +13,8 @@ from statistics import fmean
 from benchmarks import Result
 from fpplab.cli import console
 from fpplab.devices.rig import Rig
+from fpplab.optimisation.arrangement import with_calibrations
 from fpplab.optimisation.measuring import RigEvaluator, candidate_from_plan
-from fpplab.optimisation.run import with_calibrations
 from fpplab.optimisation.study import Study
 from fpplab.patterns.plan import Plan
 

@@ -41,14 +41,14 @@ from benchmarks.virtual import virtual_bench
 from fpplab.cli import console
 from fpplab.core.errors import DataError
 from fpplab.devices.rig import Rig
-from fpplab.optimisation import objectives
+from fpplab.optimisation import figures
+from fpplab.optimisation.arrangement import with_calibrations
 from fpplab.optimisation.confirm import Confirmation, RepeatedFigures
 from fpplab.optimisation.confirm_result import ConfirmedPlan, confirm_result
-from fpplab.optimisation.measuring import candidate_from_plan
+from fpplab.optimisation.measuring import RigEvaluatorFactory, candidate_from_plan
 from fpplab.optimisation.methods.gradient import Gradient
 from fpplab.optimisation.result import SearchResult
-from fpplab.optimisation.run import run_search, with_calibrations
-from fpplab.optimisation.scheduling import RigEvaluatorFactory
+from fpplab.optimisation.run import run_search
 from fpplab.optimisation.scope import SearchScope
 from fpplab.optimisation.study import Study
 from fpplab.patterns.fringes import make_patterns
@@ -228,7 +228,7 @@ def beside_singles(found: SearchResult) -> float:
     )
 
 
-def groups_changed(found: SearchResult, trial: objectives.MeasuredCandidate) -> set[str]:
+def groups_changed(found: SearchResult, trial: figures.MeasuredCandidate) -> set[str]:
     """Find the groups of parameters in which a candidate differs from the start."""
     values = zip(found.space.parameters, trial.point, found.start.point, strict=True)
     return {parameter.group for parameter, value, begin in values if value != begin}

@@ -28,9 +28,9 @@ from fpplab.cli import console
 from fpplab.core.config import find_config
 from fpplab.core.conventions import TWO_PI, Floats, Lattice
 from fpplab.devices.rig import Rig
+from fpplab.optimisation.arrangement import with_calibrations
 from fpplab.optimisation.candidate import Candidate, Fringes
 from fpplab.optimisation.measuring import RigEvaluator
-from fpplab.optimisation.run import with_calibrations
 from fpplab.optimisation.study import Study
 from sim.world import World
 

@@ -11,6 +11,7 @@ from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from fpplab.core.geometry import Pinhole, RigidTransform, turned_towards
 from fpplab.core.progress import Progress, no_progress
 from fpplab.devices.rig import Rig
 from fpplab.optimisation.fringe_cache import MeasuringSetup
+from fpplab.optimisation.problem import CalibrationAt, SearchProblem
 from fpplab.patterns.plan import Plan
 from fpplab.pipeline import CALIBRATION, characterise_sessions, take_poses
 from fpplab.simulation.turnable import Turnable
@@ -29,6 +31,9 @@ from fpplab.targets import Target
 
 TRAVEL_TOLERANCE, TRAVEL_TOLERANCE_MM = 0.05, 1.0
 """Allowed deviation of the projector's measured travel from the stage's: a share of it, plus mm."""
+
+
+P = TypeVar("P", bound=SearchProblem)
 
 
 class RigArranger:
@@ -202,3 +207,34 @@ def characterise_positions(
             characterise_sessions(sessions, target).calibration.save(files[mm])
         progress((done + 1) / len(positions))
     return files
+
+
+def with_calibrations(
+    rig: Rig,
+    problem: P,
+    folder: Path,
+    progress: Progress = no_progress,
+    stage_positions: Sequence[float] | None = None,
+) -> P:
+    """Characterise an open rig at the ends of the stage positions that a search needs, and at its start.
+
+    Sessions and calibrations are kept in `folder`; what is there already is not measured again.
+    """
+    searched, start = problem.space.stage_mm, problem.start.stage_mm
+    positions: Sequence[float | None] = [start]
+    if searched is not None:
+        among = (start or 0.0, *(stage_positions or searched))
+        positions = sorted({min(among), among[0], max(among)})
+    board = problem.board
+    files = characterise_positions(
+        rig,
+        positions,
+        Plan.load(board.plan),
+        board.item,
+        Target.load(board.target),
+        board.poses,
+        folder / "board",
+        progress,
+    )
+    known = tuple(CalibrationAt(file=str(path.resolve()), stage_mm=mm) for mm, path in files.items())
+    return problem.model_copy(update={"calibrations": known})

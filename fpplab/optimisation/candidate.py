@@ -9,6 +9,9 @@ from fpplab.core.conventions import Axis
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
 
+Point = tuple[float, ...]
+"""Point of a search space: one value for each parameter, in its unit; for the axis its index."""
+
 
 @dataclass(frozen=True)
 class Fringes:

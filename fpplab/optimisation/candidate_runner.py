@@ -9,10 +9,11 @@ from functools import cached_property
 
 from fpplab.core.errors import DataError
 from fpplab.core.progress import ignore
-from fpplab.optimisation.candidate import Candidate, Score
-from fpplab.optimisation.objectives import CandidateRanking, MeasuredCandidate
+from fpplab.optimisation.candidate import Candidate, Point, Score
+from fpplab.optimisation.figures import MeasuredCandidate
+from fpplab.optimisation.ranking import CandidateRanking
 from fpplab.optimisation.scheduling import Task, Workers
-from fpplab.optimisation.space import Point, SearchSpace
+from fpplab.optimisation.space import SearchSpace
 from fpplab.optimisation.storage import Journal, ScoresOrReason
 
 
@@ -65,7 +66,7 @@ class CandidateRunner:
     @cached_property
     def ranking(self) -> CandidateRanking:
         """How candidates of this study are compared."""
-        return CandidateRanking(self.space.study, self.start.figures)
+        return CandidateRanking(self.space.problem, self.start)
 
     @property
     def best(self) -> MeasuredCandidate:
@@ -89,7 +90,7 @@ class CandidateRunner:
 
     def measure(self, points: Sequence[Point]) -> list[MeasuredCandidate]:
         """Measure points of the space; those that were measured before are not measured again."""
-        if self.start and len(self._by_candidate) >= self.space.study.budget:
+        if self.start and len(self._by_candidate) >= self.space.problem.budget:
             raise BudgetExhausted
         asked = [self._asked(point) for point in points]
         self.refused.update(trial.refused for trial in asked if trial.refused)
@@ -121,7 +122,7 @@ class CandidateRunner:
 
     def _take(self, asked: Sequence[MeasuredCandidate]) -> list[MeasuredCandidate]:
         new = {trial.candidate: trial for trial in asked if trial.candidate not in self._by_candidate}
-        seeds = self.space.study.seeds
+        seeds = self.space.problem.seeds
         outcomes = iter(self._outcomes([(candidate, seed) for candidate in new for seed in seeds]))
         for candidate, trial in new.items():
             found = [next(outcomes) for _ in seeds]

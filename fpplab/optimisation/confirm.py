@@ -19,8 +19,8 @@ from fpplab.core.errors import ConfigError
 from fpplab.core.progress import Progress, no_progress
 from fpplab.optimisation.arrangement import StageCalibrations
 from fpplab.optimisation.measuring import RigEvaluator, candidate_from_plan
+from fpplab.optimisation.problem import SearchProblem
 from fpplab.optimisation.scoring import ArtefactFigures
-from fpplab.optimisation.study import Study
 from fpplab.patterns.plan import Plan
 
 REPEATS = 5
@@ -102,7 +102,7 @@ def _described(found: RepeatedFigures) -> dict[str, Any]:
 
 def compare_plans(
     rig: str,
-    study: Study,
+    problem: SearchProblem,
     before: Plan,
     after: Plan,
     repeats: int = REPEATS,
@@ -112,13 +112,13 @@ def compare_plans(
     if repeats < 2:
         raise ConfigError(f"--repeats: {repeats}: at least 2, or nothing is known of the uncertainty")
     _check_comparable(before, after)
-    evaluator = RigEvaluator(rig, study.model_copy(update={"start": before}), SAMPLES)
+    evaluator = RigEvaluator(rig, problem.model_copy(update={"start": before}), SAMPLES)
     plans = candidate_from_plan(before), candidate_from_plan(after)
     found: dict[tuple[int, str], list[ArtefactFigures]] = defaultdict(list)
     varied: dict[int, list[list[float]]] = defaultdict(list)
     try:
         others = _sampled_calibrations(evaluator.calibrations)
-        turns = list(product(study.artefacts, range(repeats), (0, 1)))
+        turns = list(product(problem.artefacts, range(repeats), (0, 1)))
         for done, (name, repeat, which) in enumerate(turns):
             asked = name, plans[which], FIRST_SEED + repeat
             found[which, name].append(evaluator.figures(*asked))
@@ -128,7 +128,7 @@ def compare_plans(
             progress((done + 1) / len(turns))
     finally:
         evaluator.close()
-    old, new = ({name: tuple(found[which, name]) for name in study.artefacts} for which in (0, 1))
+    old, new = ({name: tuple(found[which, name]) for name in problem.artefacts} for which in (0, 1))
     gains = 1.0 - np.mean(varied[1], axis=0) / np.mean(varied[0], axis=0)
     return Confirmation(old, new, float(np.std(gains, ddof=1)) if others else 0.0)
 

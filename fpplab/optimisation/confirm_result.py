@@ -8,11 +8,11 @@ from typing import Any
 
 from fpplab.core.progress import Progress, no_progress
 from fpplab.devices.rig import Rig
+from fpplab.optimisation.arrangement import with_calibrations
 from fpplab.optimisation.confirm import Confirmation, compare_plans
 from fpplab.optimisation.limits import RigLimits
+from fpplab.optimisation.problem import SearchProblem
 from fpplab.optimisation.result import SearchResult
-from fpplab.optimisation.run import check_artefacts, with_calibrations
-from fpplab.optimisation.study import Study
 from fpplab.patterns.plan import Plan
 
 
@@ -35,10 +35,10 @@ class ConfirmedPlan:
         }
 
 
-def check_confirmable(rig: str, study: Study, source: str) -> None:
+def check_confirmable(rig: str, problem: SearchProblem, source: str) -> None:
     """Refuse a rig that cannot hold the artefacts of a study."""
     with Rig.load(rig) as opened:
-        check_artefacts(study, RigLimits.of(opened), source)
+        RigLimits.of(opened).check_items(problem.artefacts, source)
 
 
 def confirm_result(

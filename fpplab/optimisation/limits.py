@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from fpplab.core.conventions import Axis, axis_length
@@ -90,6 +90,15 @@ class RigLimits:
         elif not self.stage_mm[0] <= mm <= self.stage_mm[1]:
             least, most = self.stage_mm
             yield f"'stage_mm' is {mm:g}: the stage travels from {least:g} to {most:g} mm"
+
+    def check_items(self, artefacts: Sequence[str], source: str) -> None:
+        """Refuse artefacts that the fixture does not hold."""
+        for name in artefacts:
+            if self.items is not None and name not in self.items:
+                raise ConfigError(
+                    f"{source}: 'artefacts' names '{name}', and the fixture of rig '{self.name}' holds "
+                    f"{', '.join(sorted(self.items))}"
+                )
 
     def check(self, candidate: Candidate, source: str) -> None:
         """Refuse a candidate that exceeds a limit."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from contextlib import ExitStack
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -25,8 +25,8 @@ from fpplab.optimisation.arrangement import RigArranger, StageCalibrations
 from fpplab.optimisation.candidate import Candidate, Fringes, Score
 from fpplab.optimisation.fringe_cache import FringeSetCache, MeasuringSetup
 from fpplab.optimisation.limits import RigLimits
+from fpplab.optimisation.problem import SearchProblem
 from fpplab.optimisation.scoring import SAMPLES, ArtefactFigures, TrueShape
-from fpplab.optimisation.study import Study
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, check_unwrapping, decode
@@ -53,9 +53,9 @@ class RigEvaluator:
     otherwise it is what is also illuminated.
     """
 
-    def __init__(self, rig: str, study: Study, samples: int | None = SAMPLES) -> None:
-        self._file, self._study, self._samples = rig, study, samples
-        self._first, self._stack = candidate_from_plan(study.start), ExitStack()
+    def __init__(self, rig: str, problem: SearchProblem, samples: int | None = SAMPLES) -> None:
+        self._file, self._problem, self._samples = rig, problem, samples
+        self._first, self._stack = candidate_from_plan(problem.start), ExitStack()
         self._true_shapes: OrderedDict[tuple[str, float | None, float | None], TrueShape] = OrderedDict()
         self._placed: dict[str, trimesh.Trimesh] = {}
 
@@ -65,7 +65,7 @@ class RigEvaluator:
 
     def measure(self, candidate: Candidate, seed: int) -> tuple[Score, ...]:
         """Measure every artefact of the study, and compare it after aligning the true shape to the cloud."""
-        return tuple(self._score(name, candidate, seed) for name in self._study.artefacts)
+        return tuple(self._score(name, candidate, seed) for name in self._problem.artefacts)
 
     def figures(
         self, name: str, candidate: Candidate, seed: int, calibrations: StageCalibrations | None = None
@@ -74,13 +74,13 @@ class RigEvaluator:
         known = calibrations or self.calibrations
         calibration = known.at(candidate.stage_mm, candidate.convergence_deg)
         shape = self._true_shape(name, candidate)  # may raise, so before anything is acquired
-        plan, decoded = candidate.plan(self._study.start), self._decoded(name, candidate, seed, calibration)
+        plan, decoded = candidate.plan(self._problem.start), self._decoded(name, candidate, seed, calibration)
         return shape.score(decoded, plan, calibration)
 
     def compare(self, name: str, candidate: Candidate, seed: int) -> tuple[Cloud, Comparison]:
         """Measure one artefact and compare all of its points, for an error map."""
         calibration = self.calibrations.at(candidate.stage_mm, candidate.convergence_deg)
-        plan = candidate.plan(self._study.start)
+        plan = candidate.plan(self._problem.start)
         _, cloud = points_of(self._decoded(name, candidate, seed, calibration), calibration, plan)
         return cloud, compare(cloud, self._mesh(name), calibration, align=True)
 
@@ -90,7 +90,7 @@ class RigEvaluator:
         Seen from the centre of its bounding box.
         """
         projector = self.calibrations.at(candidate.stage_mm, candidate.convergence_deg).projector_centre
-        middles = np.array([self._mesh(name).bounds.mean(axis=0) for name in self._study.artefacts])
+        middles = np.array([self._mesh(name).bounds.mean(axis=0) for name in self._problem.artefacts])
         there = projector - middles
         norms = np.linalg.norm(middles, axis=1) * np.linalg.norm(there, axis=1)
         return float(np.degrees(np.arccos(-np.sum(middles * there, axis=1) / norms)).mean())
@@ -107,22 +107,22 @@ class RigEvaluator:
 
     @cached_property
     def _frames(self) -> FringeSetCache:
-        return FringeSetCache(self._rig, self._study.start, RigArranger(self._rig))
+        return FringeSetCache(self._rig, self._problem.start, RigArranger(self._rig))
 
     @cached_property
     def calibrations(self) -> StageCalibrations:
         """Calibrations that the study names."""
-        files = self._study.calibrations
+        files = self._problem.calibrations
         if not files:
             raise CalibrationError(
-                f"study '{self._study.name}': 'calibrations' names none; characterise the rig first"
+                f"study '{self._problem.name}': 'calibrations' names none; characterise the rig first"
             )
         return StageCalibrations({one.stage_mm: Calibration.load(Path(one.file)) for one in files})
 
     @cached_property
     def _image_s(self) -> float:
         """Time that an image takes beside its exposure, by what the devices state of themselves."""
-        return RigLimits.of(self._rig).dead_time_s + self._study.start.settle_s
+        return RigLimits.of(self._rig).dead_time_s + self._problem.start.settle_s
 
     def _score(self, name: str, candidate: Candidate, seed: int) -> Score:
         found = asdict(self.figures(name, candidate, seed))
@@ -131,15 +131,15 @@ class RigEvaluator:
         return Score(artefact=name, seed=seed, images=candidate.images, seconds=seconds, **found)
 
     def _decoded(self, name: str, candidate: Candidate, seed: int, calibration: Calibration) -> Decoded:
-        plan, rig = candidate.plan(self._study.start), self._rig
+        plan, rig = candidate.plan(self._problem.start), self._rig
         bounds = possible_coordinates(plan, calibration, rig)  # may raise, so before anything is acquired
         setup = MeasuringSetup(name, candidate.exposure_s, candidate.stage_mm, candidate.convergence_deg)
         frames = self._frames.frames(setup, candidate.fringes, seed)
-        size, bits = rig.projector.caps.size, self._study.start.bits or rig.file.camera.bits
+        size, bits = rig.projector.caps.size, self._problem.start.bits or rig.file.camera.bits
         return decode(Recording(frames, plan, size, bits, f"measurement of the {name}"), bounds=bounds)
 
     def _true_shape(self, name: str, candidate: Candidate) -> TrueShape:
-        space = self._study.space
+        space = self._problem.space
         illuminated = space.stage_mm is None and space.convergence_deg is None
         # Where one shape is used for all, it is the start's, so that the order of candidates does not matter.
         of = candidate if illuminated else self._first
@@ -163,9 +163,21 @@ class RigEvaluator:
     def _located(self, name: str, mesh: trimesh.Trimesh) -> RigidTransform:
         """Find a pose that the fixture does not know, by a measurement with the plan of the start."""
         calibration = self.calibrations.at(self._first.stage_mm)
-        decoded = self._decoded(name, self._first, self._study.seeds[0], calibration)
-        _, cloud = points_of(decoded, calibration, self._study.start)
+        decoded = self._decoded(name, self._first, self._problem.seeds[0], calibration)
+        _, cloud = points_of(decoded, calibration, self._problem.start)
         return align_mesh(cloud.points.astype(np.float64), mesh).transform
+
+
+@dataclass(frozen=True)
+class RigEvaluatorFactory:
+    """Opens the rig of a search, in the process that measures."""
+
+    rig: str  # rig file, by path or name, as the worker finds it
+    problem: SearchProblem  # what is measured
+
+    def __call__(self) -> RigEvaluator:
+        """Make an evaluator, which opens the rig when it measures first."""
+        return RigEvaluator(self.rig, self.problem)
 
 
 def possible_coordinates(

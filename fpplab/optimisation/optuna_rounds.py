@@ -11,9 +11,10 @@ import optuna
 from optuna.exceptions import ExperimentalWarning
 from optuna.trial import TrialState
 
+from fpplab.optimisation.candidate import Point
 from fpplab.optimisation.candidate_runner import CandidateRunner
-from fpplab.optimisation.objectives import MeasuredCandidate
-from fpplab.optimisation.space import Parameter, Point
+from fpplab.optimisation.figures import MeasuredCandidate
+from fpplab.optimisation.space import Parameter
 
 MAX_REFUSED_PER_POINT = 50
 """Proposals for each point of a round after which the sampler counts as exhausted."""
@@ -34,7 +35,9 @@ def quiet_optuna() -> Iterator[None]:
 
 def make_optuna_study(runner: CandidateRunner, sampler: Any) -> Any:
     """Make an optuna study in memory; the journal makes it unnecessary to store it."""
-    return optuna.create_study(directions=["minimize"] * len(runner.space.study.objectives), sampler=sampler)
+    return optuna.create_study(
+        directions=["minimize"] * len(runner.space.problem.objectives), sampler=sampler
+    )
 
 
 def enqueue_points(study: Any, runner: CandidateRunner, points: Sequence[Point]) -> None:

@@ -11,7 +11,8 @@ import numpy as np
 
 from fpplab.optimisation.candidate import Candidate, Score
 from fpplab.optimisation.candidate_runner import SearchEpoch
-from fpplab.optimisation.objectives import CandidateFigures, CandidateRanking, MeasuredCandidate, seed_means
+from fpplab.optimisation.figures import CandidateFigures, MeasuredCandidate, seed_means
+from fpplab.optimisation.ranking import CandidateRanking
 from fpplab.optimisation.space import SearchSpace
 from fpplab.optimisation.study import Study
 
@@ -48,7 +49,7 @@ class SearchResult:
     @property
     def ranking(self) -> CandidateRanking:
         """How candidates of this study are compared."""
-        return CandidateRanking(self.study, self.start.figures)
+        return CandidateRanking(self.study, self.start)
 
     @property
     def gain(self) -> Gain | None:
@@ -76,7 +77,11 @@ class SearchResult:
 
     def _described(self, trial: MeasuredCandidate) -> dict[str, Any]:
         scores = self.rescored.get(trial.candidate)
-        return {**trial.summary(), "again": asdict(CandidateFigures.of(scores)) if scores else None}
+        return {
+            **trial.summary(),
+            **self.ranking.objective_values(trial),
+            "again": asdict(CandidateFigures.of(scores)) if scores else None,
+        }
 
     def _epoch(self, epoch: SearchEpoch) -> dict[str, Any]:
         best = epoch.best.figures

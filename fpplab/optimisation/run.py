@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -15,26 +14,25 @@ from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.files import write_text
 from fpplab.core.progress import Progress, ignore, no_progress
 from fpplab.devices.rig import Rig
-from fpplab.optimisation.arrangement import characterise_positions
+from fpplab.optimisation.arrangement import with_calibrations
 from fpplab.optimisation.candidate_runner import (
     BudgetExhausted,
     CandidateObserver,
     CandidateRunner,
 )
+from fpplab.optimisation.figures import MeasuredCandidate
 from fpplab.optimisation.limits import RigLimits
-from fpplab.optimisation.measuring import RigEvaluator
-from fpplab.optimisation.objectives import MeasuredCandidate
+from fpplab.optimisation.measuring import RigEvaluator, RigEvaluatorFactory
 from fpplab.optimisation.result import SearchResult
-from fpplab.optimisation.scheduling import EvaluatorFactory, RigEvaluatorFactory, make_workers
+from fpplab.optimisation.scheduling import EvaluatorFactory, make_workers
 from fpplab.optimisation.scope import SearchScope
 from fpplab.optimisation.screening import SampledEvaluatorFactory, can_screen
+from fpplab.optimisation.search_method import SearchMethod
 from fpplab.optimisation.space import SearchSpace
 from fpplab.optimisation.storage import Journal
-from fpplab.optimisation.study import CalibrationAt, Study
+from fpplab.optimisation.study import Study
 from fpplab.optimisation.verdict import diagnose_search
-from fpplab.patterns.plan import Plan
 from fpplab.pipeline import CALIBRATION, REPORT
-from fpplab.targets import Target
 
 WORKER_BYTES = 4 << 30
 """Memory of a process that measures on a simulation: light tables, and the frames of fringe sets."""
@@ -65,7 +63,7 @@ def run_search(
     with Rig.load(rig) as opened:
         limits, file = RigLimits.of(opened), opened.file.model_dump(mode="json")
         study.check_rig(limits.name, source)
-        check_artefacts(study, limits, source)
+        limits.check_items(study.artefacts, source)
         space = SearchSpace.of(study, limits, source)
         _check_scope(scope, space, source)
         count = worker_count(limits, workers)
@@ -79,7 +77,7 @@ def run_search(
     searching = SampledEvaluatorFactory(_absolute(rig), study) if screened else measuring
     with closing(make_workers(searching, count, scheduler)) as searchers:
         runner = CandidateRunner(space, searchers, predicted if screened else measured, observe)
-        ended, ended_early = _search(runner)
+        ended, ended_early = _search(runner, study.method)
         optimum = runner.best
         _check_acceptable(runner, optimum)
         front = tuple(runner.front)
@@ -130,37 +128,6 @@ def _absolute(rig: str) -> str:
     return str(Path(rig).resolve()) if Path(rig).exists() else rig
 
 
-def with_calibrations(
-    rig: Rig,
-    study: Study,
-    folder: Path,
-    progress: Progress = no_progress,
-    stage_positions: Sequence[float] | None = None,
-) -> Study:
-    """Characterise an open rig at the ends of the stage positions that a study needs, and at its start.
-
-    Sessions and calibrations are kept in `folder`; what is there already is not measured again.
-    """
-    searched, start = study.space.stage_mm, study.start.stage_mm
-    positions: Sequence[float | None] = [start]
-    if searched is not None:
-        among = (start or 0.0, *(stage_positions or searched))
-        positions = sorted({min(among), among[0], max(among)})
-    board = study.board
-    files = characterise_positions(
-        rig,
-        positions,
-        Plan.load(board.plan),
-        board.item,
-        Target.load(board.target),
-        board.poses,
-        folder / "board",
-        progress,
-    )
-    known = tuple(CalibrationAt(file=str(path.resolve()), stage_mm=mm) for mm, path in files.items())
-    return study.model_copy(update={"calibrations": known})
-
-
 def work_folder(out: Path) -> Path:
     """Name the folder for what belongs to a search."""
     return out.with_suffix("")
@@ -183,29 +150,19 @@ def plan_paths(scope: SearchScope, out: Path) -> list[Path]:
     return sorted(out.glob("plan_*.yaml")) if scope is SearchScope.PARETO else [out] if out.exists() else []
 
 
-def _search(runner: CandidateRunner) -> tuple[str, bool]:
-    """Run the study's method; returns why it ended, and whether that was too early."""
+def _search(runner: CandidateRunner, method: SearchMethod) -> tuple[str, bool]:
+    """Run a search method; returns why it ended, and whether that was too early."""
     runner.epoch("start", [runner.start])
     try:
-        return runner.space.study.method.search(runner), False
+        return method.search(runner), False
     except BudgetExhausted:
-        return f"the budget of {runner.space.study.budget} candidates is used up", True
+        return f"the budget of {runner.space.problem.budget} candidates is used up", True
 
 
 def _other_seeds(study: Study) -> list[int]:
     """Return as many unused seeds: with those of the search, the optimum is partly chosen by luck."""
     first = max(study.seeds) + 1
     return list(range(first, first + len(study.seeds)))
-
-
-def check_artefacts(study: Study, limits: RigLimits, source: str) -> None:
-    """Refuse a study with artefacts that the rig's fixture does not hold."""
-    for name in study.artefacts:
-        if limits.items is not None and name not in limits.items:
-            raise ConfigError(
-                f"{source}: 'artefacts' names '{name}', and the fixture of rig '{limits.name}' holds "
-                f"{', '.join(sorted(limits.items))}"
-            )
 
 
 def _check_scope(scope: SearchScope, space: SearchSpace, source: str) -> None:
@@ -216,7 +173,7 @@ def _check_scope(scope: SearchScope, space: SearchSpace, source: str) -> None:
             f"{source}: 'space' searches {', '.join(foreign)}, which `optimise {scope}` does not; use "
             "`optimise pareto`, or leave them out"
         )
-    if (scope is SearchScope.PARETO) != (len(space.study.objectives) > 1):
+    if (scope is SearchScope.PARETO) != (len(space.problem.objectives) > 1):
         wanted = "several" if scope is SearchScope.PARETO else "one"
         raise ConfigError(f"{source}: 'objectives' must name {wanted} for `optimise {scope}`")
 

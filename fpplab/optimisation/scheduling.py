@@ -11,13 +11,12 @@ import os
 import socket
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import astuple, dataclass
+from dataclasses import astuple
 from typing import Any, Protocol
 
 from fpplab.core.errors import CalibrationError, DataError, DeviceError
 from fpplab.optimisation.candidate import Candidate, Evaluator, Score
 from fpplab.optimisation.storage import ScoresOrReason
-from fpplab.optimisation.study import Study
 
 CONNECT_TIMEOUT_S = 10.0
 """Seconds that a scheduler may take to answer, and to have a worker."""
@@ -51,20 +50,6 @@ class EvaluatorFactory(Protocol):
         ...
 
     def __hash__(self) -> int: ...
-
-
-@dataclass(frozen=True)
-class RigEvaluatorFactory:
-    """Opens the rig of a study."""
-
-    rig: str  # rig file, by path or name, as the worker finds it
-    study: Study  # what is measured
-
-    def __call__(self) -> Evaluator:
-        """Make an evaluator, which opens the rig when it measures first."""
-        from fpplab.optimisation.measuring import RigEvaluator
-
-        return RigEvaluator(self.rig, self.study)
 
 
 class Workers(Protocol):

@@ -25,8 +25,8 @@ from fpplab.devices.rig import Rig
 from fpplab.optimisation.candidate import Candidate, Evaluator, Fringes, Score
 from fpplab.optimisation.limits import RigLimits
 from fpplab.optimisation.measuring import possible_coordinates
+from fpplab.optimisation.problem import SearchProblem
 from fpplab.optimisation.scoring import ArtefactFigures, TrueShape
-from fpplab.optimisation.study import Study
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import Pattern, make_patterns
 from fpplab.patterns.recording import Recording
@@ -51,27 +51,27 @@ class _ImagePart:
     shape: TrueShape
 
 
-def can_screen(rig: Rig, study: Study) -> bool:
+def can_screen(rig: Rig, problem: SearchProblem) -> bool:
     """Tell whether a study's candidates can be screened: on a simulation, in one geometry."""
-    moves = study.space.stage_mm is not None or study.space.convergence_deg is not None
-    return study.screening and isinstance(rig.simulation, Predictable) and not moves
+    moves = problem.space.stage_mm is not None or problem.space.convergence_deg is not None
+    return problem.screening and isinstance(rig.simulation, Predictable) and not moves
 
 
 class SampledEvaluator:
     """Predicts scores on a rig of a simulation, which is opened when first needed."""
 
-    def __init__(self, rig: str, study: Study) -> None:
-        self._file, self._study, self._stack = rig, study, ExitStack()
+    def __init__(self, rig: str, problem: SearchProblem) -> None:
+        self._file, self._problem, self._stack = rig, problem, ExitStack()
         self._samplers: dict[int, FrameSampler] = {}
         self._parts: dict[str, list[_ImagePart]] = {}
         self._patterns: OrderedDict[Fringes, tuple[Pattern, ...]] = OrderedDict()
 
     def measure(self, candidate: Candidate, seed: int) -> tuple[Score, ...]:
         """Predict the scores of every artefact of the study."""
-        dead = RigLimits.of(self._rig).dead_time_s + self._study.start.settle_s
+        dead = RigLimits.of(self._rig).dead_time_s + self._problem.start.settle_s
         seconds = candidate.images * (candidate.exposure_s + dead)
         scores = []
-        for name in self._study.artefacts:
+        for name in self._problem.artefacts:
             with _one_thread():
                 figures = asdict(self._figures(name, candidate, seed))
             del figures["surface_spread_um"]
@@ -101,7 +101,7 @@ class SampledEvaluator:
         found: list[tuple[int, ArtefactFigures]] = []
         parts = self._parts_of(name)
         for part in parts:
-            plan, known = candidate.plan(self._study.start), part.calibration
+            plan, known = candidate.plan(self._problem.start), part.calibration
             bounds = possible_coordinates(plan, known, self._rig)  # raises where no part can be unwrapped
             recording = self._recorded(name, candidate, seed, part)
             with suppress(DataError):  # nothing is measured there, which makes the whole less complete
@@ -112,7 +112,7 @@ class SampledEvaluator:
         return _joined(found, sum(part.shape.surface_points for part in parts))
 
     def _recorded(self, name: str, candidate: Candidate, seed: int, part: _ImagePart) -> Recording:
-        plan, sampler = candidate.plan(self._study.start), self._sampler(seed)
+        plan, sampler = candidate.plan(self._problem.start), self._sampler(seed)
         settings, first = self._rig.camera_settings(plan.exposure_s, plan.bits), MOST_SETS * (seed + 1)
         frames = [
             frame
@@ -128,7 +128,7 @@ class SampledEvaluator:
         """Make the patterns of a set once: the simulation keeps what it computes by the patterns it got."""
         if fringes not in self._patterns:
             caps, one = self._rig.projector.caps, Sinusoid(**asdict(fringes))
-            plan = self._study.start.model_copy(update={"fringes": (one,)})
+            plan = self._problem.start.model_copy(update={"fringes": (one,)})
             self._patterns[fringes] = tuple(make_patterns(plan, caps.size, caps.lattice))
         self._patterns.move_to_end(fringes)
         while len(self._patterns) > KEPT_SETS:
@@ -200,8 +200,8 @@ class SampledEvaluatorFactory:
     """Opens the rig of a study for predictions."""
 
     rig: str  # rig file, by path or name, as the worker finds it
-    study: Study  # what is predicted
+    problem: SearchProblem  # what is predicted
 
     def __call__(self) -> Evaluator:
         """Make an evaluator, which opens the rig when it predicts first."""
-        return SampledEvaluator(self.rig, self.study)
+        return SampledEvaluator(self.rig, self.problem)

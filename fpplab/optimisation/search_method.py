@@ -9,12 +9,10 @@ new one: its settings are read, its kind is named in messages, and `fpplab.optim
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 from fpplab.core.config import Document
-
-if TYPE_CHECKING:
-    from fpplab.optimisation.candidate_runner import CandidateRunner
+from fpplab.optimisation.candidate_runner import CandidateRunner
 
 
 class SearchMethod(Document):

@@ -11,16 +11,13 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 from fpplab.core.errors import ConfigError
-from fpplab.optimisation.candidate import Candidate, Fringes
+from fpplab.optimisation.candidate import Candidate, Fringes, Point
 from fpplab.optimisation.limits import RigLimits
+from fpplab.optimisation.problem import SearchProblem
 from fpplab.optimisation.scope import ParameterGroup
-from fpplab.optimisation.study import Study
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.unwrapping import unwrapping_methods
 from fpplab.phase import check_unwrapping
-
-Point = tuple[float, ...]
-"""One value for each parameter, in its unit; for the axis its index among those to choose from."""
 
 DECIMALS = {"stripes": 3, "exposure_s": 6, "stage_mm": 3, "convergence_deg": 3}
 """Decimals to which values are rounded, to keep plans readable."""
@@ -72,21 +69,21 @@ class Parameter:
 class SearchSpace:
     """The parameters of a study on a rig."""
 
-    study: Study  # what is searched
+    problem: SearchProblem  # what is searched
     limits: RigLimits  # limits of the rig
     parameters: tuple[Parameter, ...]  # those whose range is more than one value
     template: Candidate  # the start with as many fringe sets as the study allows at most
     start: Point  # where the search begins
 
     @classmethod
-    def of(cls, study: Study, limits: RigLimits, source: str) -> SearchSpace:
+    def of(cls, problem: SearchProblem, limits: RigLimits, source: str) -> SearchSpace:
         """Make the space of a study on a rig."""
-        template = _template_candidate(study, source)
-        parameters = tuple(p for p in _parameters(study) if p.lower < p.upper)
+        template = _template_candidate(problem, source)
+        parameters = tuple(p for p in _parameters(problem) if p.lower < p.upper)
         if not parameters:
             raise ConfigError(f"{source}: 'space' leaves nothing to search; name a parameter and its bounds")
-        start = tuple(_start_value(p.name, study, template, source) for p in parameters)
-        space = cls(study, limits, parameters, template, start)
+        start = tuple(_start_value(p.name, problem, template, source) for p in parameters)
+        space = cls(problem, limits, parameters, template, start)
         _check_bounds(space, source)
         return space
 
@@ -103,7 +100,7 @@ class SearchSpace:
             for i, fringe in enumerate(template.fringes)
         ]
         if "axis" in values:
-            axis = self.study.space.axis[int(values["axis"])]
+            axis = self.problem.space.axis[int(values["axis"])]
             fringes = [replace(fringe, axis=axis) for fringe in fringes]
         count = int(values.get("sets", len(fringes)))
         return Candidate(
@@ -118,7 +115,7 @@ class SearchSpace:
         return next(self._refusals(candidate), None)
 
     def _refusals(self, candidate: Candidate) -> Iterator[str]:
-        wanted = self.study.constraints
+        wanted = self.problem.constraints
         for axis in ("x", "y"):
             stripes = [f.stripes for f in candidate.fringes if f.axis == axis]
             if any(finer <= coarser for coarser, finer in pairwise(stripes)):
@@ -132,9 +129,9 @@ class SearchSpace:
         return tuple(i for i, p in enumerate(self.parameters) if p.group in groups)
 
 
-def _template_candidate(study: Study, source: str) -> Candidate:
+def _template_candidate(problem: SearchProblem, source: str) -> Candidate:
     """Make the start with the greatest number of sets. Raises `ConfigError` when it cannot start a search."""
-    plan, space = study.start, study.space
+    plan, space = problem.start, problem.space
     if not unwrapping_methods()[plan.unwrapping].guided:
         check_unwrapping(plan, source)  # a guided one is checked where the calibration is known
     if any(f != Sinusoid(axis=f.axis, stripes=f.stripes, steps=f.images) for f in plan.fringes):
@@ -150,24 +147,24 @@ def _template_candidate(study: Study, source: str) -> Candidate:
                 f"{source}: 'space.{name}' has {given} bounds for {count} sets; give each its own, or null"
             )
     for i in range(1, count - len(fringes) + 1):
-        fringes.insert(i, _additional_set(study, i, source))
+        fringes.insert(i, _additional_set(problem, i, source))
     convergence_deg = 0.0 if space.convergence_deg is not None else None
     return Candidate(tuple(fringes), plan.exposure_s, plan.stage_mm, convergence_deg)
 
 
-def _additional_set(study: Study, i: int, source: str) -> Fringes:
+def _additional_set(problem: SearchProblem, i: int, source: str) -> Fringes:
     """Make a set that the start does not have, in the middle of its bounds."""
-    steps, stripes = ((*getattr(study.space, name), None)[i] for name in ("steps", "stripes"))
+    steps, stripes = ((*getattr(problem.space, name), None)[i] for name in ("steps", "stripes"))
     if steps is None or stripes is None:
         raise ConfigError(
             f"{source}: 'space.sets' allows more sets than 'start' has, so 'steps[{i}]' and 'stripes[{i}]' "
             "need bounds"
         )
-    return Fringes(study.start.fringes[0].axis, math.sqrt(stripes[0] * stripes[1]), sum(steps) // 2)
+    return Fringes(problem.start.fringes[0].axis, math.sqrt(stripes[0] * stripes[1]), sum(steps) // 2)
 
 
-def _parameters(study: Study) -> Iterator[Parameter]:
-    space = study.space
+def _parameters(problem: SearchProblem) -> Iterator[Parameter]:
+    space = problem.space
     if space.sets:
         yield Parameter("sets", "steps", *space.sets, is_integer=True)
     for i, steps in enumerate(space.steps):
@@ -186,15 +183,15 @@ def _parameters(study: Study) -> Iterator[Parameter]:
         yield Parameter("convergence_deg", "geometry", *space.convergence_deg)
 
 
-def _start_value(name: str, study: Study, template: Candidate, source: str) -> float:
+def _start_value(name: str, problem: SearchProblem, template: Candidate, source: str) -> float:
     """Look up a parameter's value at the start."""
     kind, _, index = name.rstrip("]").partition("[")
     if index:
         return float(getattr(template.fringes[int(index)], kind))
     if kind == "sets":
-        return len(study.start.fringes)
+        return len(problem.start.fringes)
     if kind == "axis":
-        axis, choice = template.fringes[0].axis, study.space.axis
+        axis, choice = template.fringes[0].axis, problem.space.axis
         return choice.index(axis) if axis in choice else -1
     value = getattr(template, kind)
     if value is None:
@@ -204,7 +201,7 @@ def _start_value(name: str, study: Study, template: Candidate, source: str) -> f
 
 def _check_bounds(space: SearchSpace, source: str) -> None:
     """Refuse bounds that contradict the start, each other, or the rig."""
-    study, start = space.study, space.start
+    problem, start = space.problem, space.start
     for parameter, value in zip(space.parameters, start, strict=True):
         if not parameter.contains(value):
             raise ConfigError(
@@ -216,7 +213,7 @@ def _check_bounds(space: SearchSpace, source: str) -> None:
     for i, parameter in enumerate(space.parameters):
         for bound in (parameter.lower, parameter.upper):
             _check_rig_reach(space, i, bound, source)
-    fewest, most = _fewest_images(space), study.constraints.images
+    fewest, most = _fewest_images(space), problem.constraints.images
     if most is not None and fewest > most:
         raise ConfigError(
             f"{source}: 'constraints.images' is {most}, and 'space' has no plan of fewer than {fewest}"
@@ -225,8 +222,8 @@ def _check_bounds(space: SearchSpace, source: str) -> None:
 
 def _check_stripes(space: SearchSpace, source: str) -> None:
     """Refuse a base set that is searched, and bounds within which stripes cannot increase from set to set."""
-    bounds = space.study.space.stripes
-    guided = unwrapping_methods()[space.study.start.unwrapping].guided
+    bounds = space.problem.space.stripes
+    guided = unwrapping_methods()[space.problem.start.unwrapping].guided
     reached: dict[str, float] = {}
     for i, fringe in enumerate(space.template.fringes):
         given = bounds[i] if bounds else None
@@ -251,18 +248,18 @@ def _check_rig_reach(space: SearchSpace, i: int, bound: float, source: str) -> N
     point[i] = bound
     if "sets" in names:
         point[names.index("sets")] = space.parameters[names.index("sets")].upper
-    for axis in range(len(space.study.space.axis) or 1):
+    for axis in range(len(space.problem.space.axis) or 1):
         if "axis" in names:
             point[names.index("axis")] = axis
         reached = space.candidate(tuple(point))
-        for reason in space.limits.refusals(reached, space.study.constraints.pixels_per_period):
+        for reason in space.limits.refusals(reached, space.problem.constraints.pixels_per_period):
             raise ConfigError(
                 f"{source}: 'space.{names[i]}' reaches {bound:g}, beyond rig '{space.limits.name}': {reason}"
             )
 
 
 def _fewest_images(space: SearchSpace) -> int:
-    given, sets = space.study.space.steps, space.study.space.sets
+    given, sets = space.problem.space.steps, space.problem.space.sets
     least = [(given[i] if given else None) or (f.steps,) for i, f in enumerate(space.template.fringes)]
     count = sets[0] if sets else len(least)
     return sum(bounds[0] for bounds in (least[:1] + least[len(least) - count + 1 :]))

@@ -20,7 +20,7 @@ from fpplab.core.journals import append_line, cut_torn_line, make_journal, whole
 from fpplab.core.strict_json import parse_object
 from fpplab.core.version import __version__
 from fpplab.optimisation.candidate import Candidate, Score
-from fpplab.optimisation.study import Study
+from fpplab.optimisation.problem import SearchProblem
 
 IDENTITY_FIELDS = ("artefacts", "start", "calibrations")
 """Fields of a study on which its measurements depend; they identify the journal."""
@@ -34,9 +34,9 @@ _candidate, _scores = TypeAdapter(Candidate), TypeAdapter(tuple[Score, ...])
 class Journal:
     """The measurements of one study on one rig."""
 
-    def __init__(self, path: Path, study: Study, rig: dict[str, Any]) -> None:
+    def __init__(self, path: Path, problem: SearchProblem, rig: dict[str, Any]) -> None:
         self.path = path
-        plain = study.model_dump(mode="json")
+        plain = problem.model_dump(mode="json")
         self._header: dict[str, Any] = {"rig": rig, **{name: plain[name] for name in IDENTITY_FIELDS}}
         self._known: dict[tuple[Candidate, int], ScoresOrReason] = {}
         if path.is_file():

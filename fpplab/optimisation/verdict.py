@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fpplab.diagnosis import Diagnosis, FaultCause, Finding, diagnosis_of
-from fpplab.optimisation.objectives import MeasuredCandidate, seed_means
-from fpplab.optimisation.space import Parameter, Point
-
-if TYPE_CHECKING:
-    from fpplab.optimisation.confirm_result import ConfirmedPlan
-    from fpplab.optimisation.result import SearchResult
+from fpplab.optimisation.candidate import Point
+from fpplab.optimisation.confirm_result import ConfirmedPlan
+from fpplab.optimisation.figures import MeasuredCandidate, seed_means
+from fpplab.optimisation.result import SearchResult
+from fpplab.optimisation.space import Parameter
 
 SURE = 2.0
 """Standard uncertainties by which two figures must differ to be told apart."""
@@ -161,7 +159,7 @@ def _limits(found: SearchResult) -> Iterator[Finding]:
     if not again:
         return
     start = found.rescored.get(found.start.candidate) or found.start.scores
-    ranking = replace(found.ranking, start=replace(found.start, scores=start).figures)
+    ranking = replace(found.ranking, start=replace(found.start, scores=start))
     broken = ranking.violations(replace(found.optimum, scores=again))
     over = {name: by for name, by in broken.items() if by > 0}
     if over:

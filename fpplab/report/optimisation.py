@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +16,9 @@ from matplotlib.ticker import LogFormatter, MaxNLocator
 
 from fpplab.optimisation.candidate import Candidate
 from fpplab.optimisation.confirm_result import ConfirmedPlan
+from fpplab.optimisation.figures import CandidateFigures, MeasuredCandidate
 from fpplab.optimisation.measuring import RigEvaluator
-from fpplab.optimisation.objectives import CandidateFigures, MeasuredCandidate
+from fpplab.optimisation.objective import Objective, registered_objectives
 from fpplab.optimisation.result import SearchResult
 from fpplab.optimisation.scoring import ArtefactFigures
 from fpplab.optimisation.space import Parameter
@@ -31,22 +32,10 @@ from fpplab.report.provenance import Provenance, rig_provenance
 DISTANCE = "mean distance to the surface, µm"
 """Label of the axes."""
 GREY = "#9aa1a9"
-COLUMNS = (
-    "Plan",
-    "Images",
-    "Stripes",
-    "Steps",
-    "Stage in mm",
-    "Surface SMCD in µm",
-    "Surface SMCD in µm, other seeds",
-    "Worst seed",
-    "Surface RMS in µm",
-    "SMCD (floor) in µm",
-    "Completeness",
-    "Wrong orders",
-    "Filtered",
-    "Seconds",
-)
+PLAN_COLUMNS = ("Plan", "Stripes", "Steps", "Stage in mm")
+"""Columns of the summary before those of the objectives."""
+OTHER_COLUMNS = ("Surface SMCD in µm, other seeds", "SMCD (floor) in µm", "Wrong orders", "Filtered")
+"""Columns of the summary after those of the objectives."""
 
 ErrorMaps = Mapping[str, tuple[bytes, bytes]]
 """For each artefact its error maps as PNG files, with the start's plan and with the plan found."""
@@ -148,12 +137,21 @@ def _summary(found: SearchResult) -> list[ReportTable]:
     rows = [_row("start", found.start, found), _row("found", found.optimum, found)]
     if len(found.front) > 1:
         rows += [_row(f"front {i}", trial, found) for i, trial in enumerate(found.front, 1)]
+    objectives = _objectives_in_order(found)
+    columns = (*PLAN_COLUMNS, *(objective.label for objective in objectives), *OTHER_COLUMNS)
     caption = (
-        "Means over artefacts and seeds, ± standard deviation over the seeds. Surface SMCD: symmetric mean "
-        "distance between points and true surface. SMCD: the same between two sets of points; floor: that of "
-        "a perfect measurement. Other seeds: seeds that the search did not use."
+        "Means over artefacts and seeds, ± standard deviation over the seeds. "
+        + " ".join(f"{objective.title}: {objective.sentence}." for objective in objectives)
+        + " SMCD: the symmetric mean distance between two sets of points; floor: that of a perfect "
+        "measurement. Other seeds: seeds that the search did not use."
     )
-    return [ReportTable(COLUMNS, tuple(rows), caption)]
+    return [ReportTable(columns, tuple(rows), caption)]
+
+
+def _objectives_in_order(found: SearchResult) -> list[Objective]:
+    """List all objectives, those of the study first."""
+    asked = {objective.key: objective for objective in found.ranking.objectives}
+    return list((asked | registered_objectives()).values())
 
 
 def _row(name: str, trial: MeasuredCandidate, found: SearchResult) -> tuple[str, ...]:
@@ -162,19 +160,14 @@ def _row(name: str, trial: MeasuredCandidate, found: SearchResult) -> tuple[str,
     stage = candidate.stage_mm
     return (
         name,
-        str(figures.images),
         ", ".join(f"{f.stripes:g}" for f in candidate.fringes),
         ", ".join(str(f.steps) for f in candidate.fringes),
         "" if stage is None else f"{stage:g}",
-        _with_spread(figures),
+        *(objective.text(trial) for objective in _objectives_in_order(found)),
         _with_spread(CandidateFigures.of(again)) if again else "",
-        f"{figures.worst_smcd_um:.2f}",
-        f"{figures.surface_rms_um:.2f}",
         f"{figures.smcd_um:.1f} ({figures.smcd_floor_um:.1f})",
-        f"{figures.completeness:.4f}",
         f"{100 * figures.wrong_orders:.3f} %",
         f"{100 * figures.outliers:.2f} %",
-        f"{figures.seconds:.2f}",
     )
 
 
@@ -213,28 +206,39 @@ def _convergence_section(found: SearchResult) -> ReportSection:
 
 @as_png
 def convergence_figure(found: SearchResult) -> Sheet:
-    """Draw every candidate's distance, and images if they differ, in order, and the best so far."""
+    """Draw every candidate's distance and another objective if one differs, and the best so far."""
     measured = [(i, trial) for i, trial in enumerate(found.trials) if trial.measured]
-    best = [(epoch.measured - 1, epoch.best.figures) for epoch in found.epochs]
-    names: tuple[tuple[str, Callable[[CandidateFigures], float]], ...] = (
-        (DISTANCE, lambda figures: figures.surface_smcd_um),
-        ("images", lambda figures: figures.images),
-    )
+    best = [(epoch.measured - 1, epoch.best) for epoch in found.epochs]
+    distance, images = (registered_objectives()[key] for key in ("surface_smcd_um", "images"))
+    others = [*(one for one in found.ranking.objectives if one.key != distance.key), images]
+    differing = [one for one in others if len({one.value(trial) for _, trial in measured}) > 1]
+    shown = [distance, *differing[:1]]
     panels: tuple[Axes, ...]
-    if len({trial.figures.images for _, trial in measured}) > 1:
+    if differing:
         figure, panels = side_by_side(3.0, (1.0, 1.0))
-        panels[1].yaxis.set_major_locator(MaxNLocator(integer=True))
     else:
         figure, axes = single_axes(FULL, 3.0)
         panels = (axes,)
-    for axes, (name, value) in zip(panels, names, strict=False):
+    for axes, objective in zip(panels, shown, strict=True):
         for keeps, mark, colour in ((True, ".", GREY), (False, "x", SECOND)):
-            chosen = [(i, value(t.figures)) for i, t in measured if found.ranking.is_acceptable(t) is keeps]
+            chosen = [
+                (i, objective.value(trial))
+                for i, trial in measured
+                if found.ranking.is_acceptable(trial) is keeps
+            ]
             axes.plot(*_columns(chosen), mark, color=colour, markersize=3)
-        axes.step(*_columns([(i, value(f)) for i, f in best]), where="post", color=ACCENT, linewidth=1.4)
-        axes.set(xlabel="candidate", ylabel=name)
-    _from_least(panels[0], [t.figures.surface_smcd_um for _, t in measured])
+        bests = [(i, objective.value(trial)) for i, trial in best]
+        axes.step(*_columns(bests), where="post", color=ACCENT, linewidth=1.4)
+        axes.set(xlabel="candidate", ylabel=_axis_label(objective))
+        if objective.is_integer:
+            axes.yaxis.set_major_locator(MaxNLocator(integer=True))
+    _from_least(panels[0], [trial.figures.surface_smcd_um for _, trial in measured])
     return figure
+
+
+def _axis_label(objective: Objective) -> str:
+    """Name an objective at an axis, where there is room for words."""
+    return DISTANCE if objective.key == "surface_smcd_um" else objective.label.lower()
 
 
 def _columns(pairs: Sequence[tuple[float, float]]) -> tuple[list[float], list[float]]:
@@ -243,7 +247,7 @@ def _columns(pairs: Sequence[tuple[float, float]]) -> tuple[list[float], list[fl
 
 def _from_least(axes: Axes, values: Sequence[float]) -> None:
     """Set a logarithmic scale where the distances of failed plans would hide the others."""
-    if max(values) > 5 * min(values):
+    if min(values) > 0 and max(values) > 5 * min(values):
         _ratios(axes.yaxis, axes.set_yscale)
 
 
@@ -255,53 +259,52 @@ def _ratios(axis: Axis, scale: Callable[[str], None]) -> None:
 
 
 def _front_section(found: SearchResult) -> ReportSection:
+    down, across = found.ranking.objectives[:2]
     return _wide_section(
         "Pareto front",
         pareto_front(found),
-        "Front of images and distance",
-        "Plans that no other plan surpasses in both, with the spread over seeds that the search did not use.",
+        f"Front of {across.title.lower()} and {down.title.lower()}",
+        "Plans that no other plan surpasses in every objective, with the spread over seeds that the search "
+        "did not use.",
     )
 
 
 @as_png
 def pareto_front(found: SearchResult) -> Sheet:
-    """Draw mean distance against number of images: all candidates, and the Pareto front with its spread."""
+    """Draw the first two objectives: all candidates, and the Pareto front with its spread."""
+    down, across = found.ranking.objectives[:2]
     figure, axes = single_axes(FULL, 3.6)
     measured = [trial for trial in found.trials if trial.measured]
-    for keeps, mark, colour, words in (
+    for keeps, mark, colour, label in (
         (True, ".", GREY, "measured"),
         (False, "x", SECOND, "exceeds a limit"),
     ):
         chosen = [
-            (t.figures.images, t.figures.surface_smcd_um)
-            for t in measured
-            if found.ranking.is_acceptable(t) is keeps
+            (across.value(trial), down.value(trial))
+            for trial in measured
+            if found.ranking.is_acceptable(trial) is keeps
         ]
-        axes.plot(*_columns(chosen), mark, color=colour, markersize=3, label=words)
-    images = [trial.figures.images for trial in found.front]
-    axes.plot(
-        images,
-        [t.figures.surface_smcd_um for t in found.front],
-        "o-",
-        color=ACCENT,
-        markersize=4,
-        label="front",
-    )
-    again = [(n, found.rescored[t.candidate]) for n, t in zip(images, found.front, strict=True)]
-    known = [(n, CandidateFigures.of(scores)) for n, scores in again if scores]
+        axes.plot(*_columns(chosen), mark, color=colour, markersize=3, label=label)
+    front = [(across.value(trial), down.value(trial)) for trial in found.front]
+    axes.plot(*_columns(front), "o-", color=ACCENT, markersize=4, label="front")
+    again = [
+        (across.value(trial), replace(trial, scores=scores))
+        for trial in found.front
+        if (scores := found.rescored[trial.candidate])
+    ]
     axes.errorbar(
-        [n for n, _ in known],
-        [figures.surface_smcd_um for _, figures in known],
-        yerr=[figures.smcd_spread_um or 0.0 for _, figures in known],
+        [place for place, _ in again],
+        [down.value(trial) for _, trial in again],
+        yerr=[down.spread(trial) or 0.0 for _, trial in again],
         fmt="_",
         color=INK,
         capsize=2,
         label="front, other seeds",
     )
-    start = found.start.figures
-    axes.plot(start.images, start.surface_smcd_um, "s", color=ALARM, markersize=5, label="start")
-    axes.set(xlabel="images", ylabel=DISTANCE)
-    _from_least(axes, [t.figures.surface_smcd_um for t in measured])
+    start = found.start
+    axes.plot(across.value(start), down.value(start), "s", color=ALARM, markersize=5, label="start")
+    axes.set(xlabel=_axis_label(across), ylabel=_axis_label(down))
+    _from_least(axes, [down.value(trial) for trial in measured])
     axes.legend()
     return figure
 

@@ -32,7 +32,7 @@ from fpplab.core.system import cache_directory
 from fpplab.optimisation.candidate import Candidate, Fringes
 from fpplab.optimisation.confirm import Confirmation, RepeatedFigures
 from fpplab.optimisation.confirm_result import ConfirmedPlan
-from fpplab.optimisation.objectives import seed_means
+from fpplab.optimisation.figures import seed_means
 from fpplab.optimisation.result import SearchResult
 from fpplab.optimisation.run import run_search
 from fpplab.optimisation.scope import SearchScope

@@ -16,14 +16,15 @@ from fpplab.core import config, errors
 from fpplab.core.errors import ConfigError, DataError, LimitError
 from fpplab.optimisation.candidate import Candidate, Fringes, Score
 from fpplab.optimisation.candidate_runner import BudgetExhausted, CandidateRunner
+from fpplab.optimisation.figures import CandidateFigures, MeasuredCandidate
 from fpplab.optimisation.methods.gradient import Gradient
-from fpplab.optimisation.objectives import CandidateFigures, CandidateRanking, MeasuredCandidate
+from fpplab.optimisation.ranking import CandidateRanking
 from fpplab.optimisation.scheduling import InProcessWorkers, measure_outcome
 from fpplab.optimisation.space import Parameter, SearchSpace
 from fpplab.optimisation.storage import Journal
 from fpplab.optimisation.study import Study
 from fpplab.patterns.plan import Plan
-from tests.support.searching import FRINGES, LIMITS, PLAIN, Formula, runner_of, study, with_stage
+from tests.support.searching import FRINGES, LIMITS, PLAIN, Formula, runner_of, search, study, with_stage
 
 PHASES = {
     "space": {"steps": [[3, 12], [3, 12], [3, 16]]},
@@ -256,7 +257,7 @@ def _trial(images: int, um: float, **others: Any) -> MeasuredCandidate:
 
 
 def _ranking(**changes: Any) -> CandidateRanking:
-    start = CandidateFigures.of(_scores({("a", 1): 20.0}))
+    start = _trial(36, 20.0)
     return CandidateRanking(
         study(**{"objectives": ["surface_smcd_um", "images"], "method": {"kind": "nsga2"}, **changes}), start
     )
@@ -279,6 +280,20 @@ def test_limit_outweighs_every_objective(others: dict[str, Any], limit: str) -> 
     assert not ranking.is_acceptable(bad)
     assert ranking.rank(good) < ranking.rank(bad)
     assert ranking.front([bad, good]) == [good]
+
+
+def test_violation_of_a_limit_is_measured_as_a_share() -> None:
+    ranking = _ranking(constraints={"seconds": 1.5, "smcd_of_start": 1.01, "completeness_of_start": 0.9})
+    trial = _trial(3, 25.25, seconds=1.8, completeness=0.7, wrong_orders=0.003)
+    of_start = ranking.start.figures.completeness
+    assert ranking.violations(trial) == pytest.approx(
+        {
+            "wrong_orders": 0.002,
+            "completeness": 0.9 * of_start - 0.7,
+            "seconds": 0.2,
+            "surface_smcd_um": 0.25,
+        }
+    )
 
 
 def test_failed_candidate_ranks_last() -> None:
@@ -306,7 +321,7 @@ def test_pareto_front_dominates_all_other_candidates(points: list[tuple[int, int
 
 def test_coordinate_search_finds_the_stripes(tmp_path: Path) -> None:
     runner = runner_of(tmp_path, Formula(best_stripes=100.0, noise_um=3.0))
-    runner.space.study.method.search(runner)
+    search(runner)
     # The valley is quadratic: half the finest move, 1 % of a range of log(228/12), is the most left.
     assert abs(math.log(runner.best.candidate.fringes[-1].stripes / 100.0)) <= 0.01 * math.log(228 / 12)
     assert runner.best.figures.wrong_orders == 0.0
@@ -314,14 +329,14 @@ def test_coordinate_search_finds_the_stripes(tmp_path: Path) -> None:
 
 def test_coordinate_search_finds_the_baseline(tmp_path: Path) -> None:
     runner = runner_of(tmp_path, Formula(best_stage_mm=-31.0), space={"stage_mm": [-60, 60]})
-    runner.space.study.method.search(runner)
+    search(runner)
     assert runner.best.candidate.stage_mm == pytest.approx(-31.0, abs=0.6)
 
 
 def test_search_on_a_grid_stays_on_it(tmp_path: Path) -> None:
     space = {"stage_mm": [-60, 60], "stage_every_mm": 10}
     runner = runner_of(tmp_path, Formula(best_stage_mm=-31.0), space=space)
-    runner.space.study.method.search(runner)
+    search(runner)
     assert runner.best.candidate.stage_mm == -30
     assert {trial.candidate.stage_mm for trial in runner.trials} <= {*range(-60, 61, 10)}
 
@@ -329,14 +344,14 @@ def test_search_on_a_grid_stays_on_it(tmp_path: Path) -> None:
 def test_coordinate_search_finds_the_fewest_images(tmp_path: Path) -> None:
     """Orders hold with 3 steps at ratio 8; the distance, which must not rise, is the finest set's alone."""
     runner = runner_of(tmp_path, **PHASES)
-    runner.space.study.method.search(runner)
+    search(runner)
     assert [f.steps for f in runner.best.candidate.fringes] == [3, 3, 12]
 
 
 def test_failing_fringe_orders_limit_the_search(tmp_path: Path) -> None:
     """With noisier orders, a ratio of 8 needs 8**2 / (4 throw)**2 steps in the coarser set: 6."""
     runner = runner_of(tmp_path, Formula(throw=0.82), **PHASES)
-    runner.space.study.method.search(runner)
+    search(runner)
     assert [f.steps for f in runner.best.candidate.fringes] == [6, 6, 12]
 
 
@@ -346,7 +361,7 @@ def test_gradient_descent_as_in_the_paper(tmp_path: Path) -> None:
         start={"fringes": [{**f, "stripes": s} for f, s in zip(FRINGES, (1, 8, 16), strict=True)]},
         method=GRADIENT,
     )
-    ended = runner.space.study.method.search(runner)
+    ended = search(runner)
     assert ended == "improved by less than 1 in 5 epochs"
     start, best = runner.start.figures.surface_smcd_um, runner.best.figures.surface_smcd_um
     # Near the bottom each epoch leaves a share q of what is above it, and five gained less than 1 µm.
@@ -365,13 +380,13 @@ def test_gradient_stops_when_the_gain_is_small(tmp_path: Path) -> None:
     runner = runner_of(
         tmp_path, Formula(best_stripes=64.0), method={**GRADIENT, "patience": 3, "rate": 0.0001}
     )
-    assert runner.space.study.method.search(runner) == "improved by less than 1 in 3 epochs"
+    assert search(runner) == "improved by less than 1 in 3 epochs"
     assert len(runner.epochs) == 3
 
 
 def test_gradient_moves_steps_by_one(tmp_path: Path) -> None:
     runner = runner_of(tmp_path, **{**PHASES, "method": GRADIENT})
-    runner.space.study.method.search(runner)
+    search(runner)
     for before, after in zip([runner.start, *_steps(runner)], _steps(runner), strict=False):
         assert max(abs(a - b) for a, b in zip(before.point, after.point, strict=True)) == 1
     assert runner.best.candidate.images < 36
@@ -384,7 +399,7 @@ def _steps(runner: CandidateRunner) -> list[MeasuredCandidate]:
 def test_bayesian_search_finds_the_stripes(tmp_path: Path) -> None:
     runner = runner_of(tmp_path, method={"kind": "bayesian", "batch": 8}, budget=64)
     with pytest.raises(BudgetExhausted):
-        runner.space.study.method.search(runner)
+        search(runner)
     assert runner.best.figures.surface_smcd_um < best_of(Formula(), 12) + 1.0
     assert runner.ranking.is_acceptable(runner.best)
 
@@ -392,7 +407,7 @@ def test_bayesian_search_finds_the_stripes(tmp_path: Path) -> None:
 @pytest.mark.nightly
 def test_front_is_at_least_as_good_as_every_single_optimum(tmp_path: Path) -> None:
     runner = runner_of(tmp_path / "front", **FRONT)
-    runner.space.study.method.search(runner)
+    search(runner)
     front = {t.candidate.images: t.figures.surface_smcd_um for t in runner.front}
     assert set(front) == set(range(9, 22))
     for name in ("steps", "stripes", "stage_mm"):
@@ -401,7 +416,7 @@ def test_front_is_at_least_as_good_as_every_single_optimum(tmp_path: Path) -> No
             **{**FRONT, "space": {name: FRONT["space"][name]}, "objectives": ["surface_smcd_um"],  # type: ignore[index]
                "method": {"kind": "coordinate"}},
         )  # fmt: skip
-        single.space.study.method.search(single)
+        search(single)
         best = single.best.figures
         assert front[best.images] <= best.surface_smcd_um
 
@@ -411,7 +426,7 @@ def test_front_is_at_least_as_good_as_every_single_optimum(tmp_path: Path) -> No
 
 def test_killed_search_continues_from_its_journal(tmp_path: Path) -> None:
     whole = runner_of(tmp_path / "whole", Formula(noise_um=2.0))
-    whole.space.study.method.search(whole)
+    search(whole)
     journal = tmp_path / "whole" / "study.jsonl"
     lines = journal.read_bytes().splitlines(keepends=True)
     half = tmp_path / "half" / "study.jsonl"
@@ -419,7 +434,7 @@ def test_killed_search_continues_from_its_journal(tmp_path: Path) -> None:
     half.write_bytes(b"".join(lines[:21]) + lines[21][:40])  # the header, twenty, and a torn line
     log = tmp_path / "log"
     again = runner_of(tmp_path / "half", Formula(noise_um=2.0, log=log))
-    again.space.study.method.search(again)
+    search(again)
     assert half.read_bytes() == journal.read_bytes()
     assert len(log.read_text().splitlines()) == len(lines) - 21
     assert again.best == whole.best
@@ -429,7 +444,7 @@ def test_killed_search_continues_from_its_journal(tmp_path: Path) -> None:
 def test_nothing_is_measured_twice(tmp_path: Path) -> None:
     log = tmp_path / "log"
     runner = runner_of(tmp_path, Formula(log=log))
-    runner.space.study.method.search(runner)
+    search(runner)
     assert len(log.read_text().splitlines()) == 2 * len(runner.trials)
 
 
@@ -453,7 +468,7 @@ def test_a_damaged_journal_is_refused(tmp_path: Path) -> None:
 def test_a_budget_is_kept(tmp_path: Path) -> None:
     runner = runner_of(tmp_path, budget=9)
     with pytest.raises(BudgetExhausted):
-        runner.space.study.method.search(runner)
+        search(runner)
     assert 9 <= len(runner.trials) <= 9 + 6  # a round is always completed
 
 

@@ -50,7 +50,8 @@ from fpplab.optimisation.run import _search
 from tests.support.searching import runner_of, study
 
 runner = runner_of(Path(), method={"kind": "random", "count": 7})
-print(*_search(runner), len(runner.epochs), 1 < len(runner.trials) <= 8)
+ended = _search(runner, runner.space.problem.method)
+print(*ended, len(runner.epochs), 1 < len(runner.trials) <= 8)
 try:
     study(method={"kind": "random", "count": "many"})
 except ConfigError as error:

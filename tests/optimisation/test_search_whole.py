@@ -12,9 +12,10 @@ import pytest
 from fpplab.core import config
 from fpplab.core.errors import ConfigError, DataError, LimitError
 from fpplab.devices.rig import Rig
+from fpplab.optimisation.arrangement import with_calibrations
 from fpplab.optimisation.candidate_runner import SearchEpoch
 from fpplab.optimisation.result import SearchResult
-from fpplab.optimisation.run import run_search, with_calibrations, worker_count
+from fpplab.optimisation.run import run_search, worker_count
 from fpplab.optimisation.scope import SearchScope
 from fpplab.optimisation.study import Study
 from fpplab.patterns.plan import Plan
@@ -170,7 +171,7 @@ def test_rig_is_characterised_at_the_ends_of_its_stage_positions(
         asked.append(positions)
         return {mm: tmp_path / f"{mm:g}.yaml" for mm in positions}
 
-    monkeypatch.setattr("fpplab.optimisation.run.characterise_positions", characterised)
+    monkeypatch.setattr("fpplab.optimisation.arrangement.characterise_positions", characterised)
     with Rig.load("rig_demo_quick") as rig:
         known = with_calibrations(rig, study(**FRONT), tmp_path, stage_positions=stands).calibrations
     assert asked == [wanted]

@@ -16,8 +16,9 @@ from fpplab.optimisation import run
 from fpplab.optimisation.candidate import Candidate, Score
 from fpplab.optimisation.candidate_runner import BudgetExhausted
 from fpplab.optimisation.confirm_result import ConfirmedPlan
-from fpplab.optimisation.objectives import MeasuredCandidate
+from fpplab.optimisation.figures import MeasuredCandidate
 from fpplab.optimisation.result import SearchResult
+from fpplab.optimisation.study import Study
 from fpplab.optimisation.verdict import diagnose_search
 from fpplab.report import optimisation as report
 from tests.support.searching import PLAIN, Calculated, Formula, runner_of
@@ -37,7 +38,8 @@ def searched(folder: Path, formula: Formula, **changes: Any) -> SearchResult:
     """A whole search in this process, without a rig and without files."""
     wanted: dict[str, Any] = {"space": SPACE, "seeds": SEEDS, **changes}
     runner = runner_of(folder, formula, **wanted)
-    study = runner.space.study
+    study = runner.space.problem
+    assert isinstance(study, Study)
     runner.epoch("start", [runner.start])
     early = False
     try:

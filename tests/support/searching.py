@@ -125,6 +125,13 @@ class Calculated:
         return float(np.clip(max([*excess, 0.0]), 0.0, 1.0))
 
 
+def search(runner: CandidateRunner) -> str:
+    """Search with the method of the study that a runner was made for."""
+    problem = runner.space.problem
+    assert isinstance(problem, Study)
+    return problem.method.search(runner)
+
+
 def runner_of(
     folder: Path, formula: Formula | None = None, limits: RigLimits = LIMITS, **changes: Any
 ) -> CandidateRunner:

@@ -142,7 +142,7 @@ def optimise_command(
 def _changed(study: Study, calibration: Path | None, seeds: int | None) -> Study:
     """The study with what the command says instead. Raises `ConfigError`, `CalibrationError`."""
     from fpplab.calibration.model import Calibration
-    from fpplab.optimisation.study import CalibrationAt
+    from fpplab.optimisation.problem import CalibrationAt
 
     changed: dict[str, Any] = {}
     if calibration is not None:

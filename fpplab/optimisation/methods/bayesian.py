@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
+from fpplab.optimisation.candidate_runner import CandidateRunner
 from fpplab.optimisation.search_method import SearchMethod
-
-if TYPE_CHECKING:
-    from fpplab.optimisation.candidate_runner import CandidateRunner
 
 
 class Bayesian(SearchMethod):
@@ -33,7 +31,7 @@ class Bayesian(SearchMethod):
         )
 
         with quiet_optuna():
-            seed = runner.space.study.seeds[0]
+            seed = runner.space.problem.seeds[0]
             sampler = optuna.samplers.TPESampler(seed=seed, multivariate=True, constant_liar=True)
             study = make_optuna_study(runner, sampler)
             enqueue_points(study, runner, [runner.start.point])

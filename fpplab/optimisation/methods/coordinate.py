@@ -12,16 +12,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from itertools import permutations
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
+from fpplab.optimisation.candidate import Point
+from fpplab.optimisation.candidate_runner import CandidateRunner
+from fpplab.optimisation.figures import MeasuredCandidate
+from fpplab.optimisation.ranking import Rank
 from fpplab.optimisation.search_method import SearchMethod
-
-if TYPE_CHECKING:
-    from fpplab.optimisation.candidate_runner import CandidateRunner
-    from fpplab.optimisation.objectives import MeasuredCandidate, Rank
-    from fpplab.optimisation.space import Parameter, Point
+from fpplab.optimisation.space import Parameter
 
 
 class Coordinate(SearchMethod):

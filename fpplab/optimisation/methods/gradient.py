@@ -9,16 +9,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
+from fpplab.optimisation.candidate import Point
+from fpplab.optimisation.candidate_runner import CandidateRunner
+from fpplab.optimisation.figures import MeasuredCandidate
 from fpplab.optimisation.search_method import SearchMethod
-
-if TYPE_CHECKING:
-    from fpplab.optimisation.candidate_runner import CandidateRunner
-    from fpplab.optimisation.objectives import MeasuredCandidate
-    from fpplab.optimisation.space import Parameter, Point
+from fpplab.optimisation.space import Parameter
 
 PENALTY = 10.0
 """Penalty for a violation of 1 (see `CandidateRanking.violation`), as a multiple of the start's objective."""

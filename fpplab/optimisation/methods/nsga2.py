@@ -9,17 +9,15 @@ refinement of the continuous parameters.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
+from fpplab.optimisation.candidate import Point
+from fpplab.optimisation.candidate_runner import CandidateRunner
+from fpplab.optimisation.figures import MeasuredCandidate
 from fpplab.optimisation.methods.coordinate import Coordinate, coordinate_search
 from fpplab.optimisation.search_method import SearchMethod
-
-if TYPE_CHECKING:
-    from fpplab.optimisation.candidate_runner import CandidateRunner
-    from fpplab.optimisation.objectives import MeasuredCandidate
-    from fpplab.optimisation.space import Point
 
 SINGLE_SEARCH = Coordinate(first=0.25, finest=0.02)
 """Of the single-parameter searches at the beginning."""
@@ -53,7 +51,7 @@ class Nsga2(SearchMethod):
 
         first = _single_optima(runner)
         with quiet_optuna():
-            seed = runner.space.study.seeds[0]
+            seed = runner.space.problem.seeds[0]
             sampler = optuna.samplers.NSGAIISampler(population_size=self.population, seed=seed)
             study = make_optuna_study(runner, sampler)
             enqueue_points(study, runner, first)

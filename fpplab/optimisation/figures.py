@@ -1,0 +1,95 @@
+"""Figures of a candidate: what is measured once per artefact and seed is averaged over both."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from fpplab.optimisation.candidate import Candidate, Point, Score
+
+
+@dataclass(frozen=True)
+class CandidateFigures:
+    """Figures of a candidate: means over artefacts and seeds, unless stated otherwise."""
+
+    surface_smcd_um: float  # symmetric mean distance between points and true surface in µm
+    smcd_spread_um: float | None  # standard deviation over the seeds of its mean over artefacts, in µm
+    worst_smcd_um: float  # the same distance for the worst seed, in µm
+    worst_artefact_um: float  # the same distance for the worst artefact, in µm
+    surface_rms_um: float  # root mean square distance of the points from the true surface in µm
+    smcd_um: float  # symmetric mean Chamfer distance between points and sampled surface in µm
+    smcd_floor_um: float  # what a perfect measurement would have for `smcd_um`, in µm
+    completeness: float  # share of the surface that was measured, 0 … 1
+    wrong_orders: float  # share of points with a wrong fringe order, 0 … 1
+    outliers: float  # share of points that the filter removed, 0 … 1
+    images: int  # images that a measurement takes
+    seconds: float  # acquisition time of a measurement
+
+    @classmethod
+    def of(cls, scores: Sequence[Score]) -> CandidateFigures:
+        """Average the scores of a candidate."""
+
+        def mean(name: str) -> float:
+            return float(np.mean([getattr(score, name) for score in scores]))
+
+        seeds, artefacts = (list(_means(scores, key).values()) for key in ("seed", "artefact"))
+        return cls(
+            surface_smcd_um=mean("surface_smcd_um"),
+            smcd_spread_um=float(np.std(seeds, ddof=1)) if len(seeds) > 1 else None,
+            worst_smcd_um=max(seeds),
+            worst_artefact_um=max(artefacts),
+            surface_rms_um=mean("surface_rms_um"),
+            smcd_um=mean("smcd_um"),
+            smcd_floor_um=mean("smcd_floor_um"),
+            completeness=mean("completeness"),
+            wrong_orders=mean("wrong_orders"),
+            outliers=mean("outliers"),
+            images=scores[0].images,
+            seconds=mean("seconds"),
+        )
+
+
+def seed_means(scores: Sequence[Score]) -> Mapping[int, float]:
+    """Average the surface SMCD over the artefacts, for each seed."""
+    return _means(scores, "seed")
+
+
+def _means(scores: Sequence[Score], key: str) -> Mapping[Any, float]:
+    """Average the surface SMCD by seed, or by artefact."""
+    grouped = defaultdict(list)
+    for score in scores:
+        grouped[getattr(score, key)].append(score.surface_smcd_um)
+    return {name: float(np.mean(values)) for name, values in grouped.items()}
+
+
+@dataclass(frozen=True)
+class MeasuredCandidate:
+    """A candidate with its scores, or the reason why it has none."""
+
+    point: Point  # point of the search space
+    candidate: Candidate  # what the point stands for
+    scores: tuple[Score, ...] = ()  # of every artefact with every seed; empty if not measured
+    refused: str | None = None  # why the rig or the study does not allow it
+    failed: str | None = None  # why the measurement failed
+
+    @cached_property
+    def figures(self) -> CandidateFigures:
+        """Mean figures; only of one that was measured."""
+        return CandidateFigures.of(self.scores)
+
+    @property
+    def measured(self) -> bool:
+        """Whether there are figures."""
+        return self.refused is None and self.failed is None
+
+    def summary(self) -> dict[str, Any]:
+        """Describe the candidate and its figures."""
+        known = asdict(self.candidate)
+        known["fringes"] = list(known["fringes"])
+        figures = asdict(self.figures) if self.measured else {"failed": self.refused or self.failed}
+        return {**known, **figures}

@@ -1,0 +1,122 @@
+"""Base class of the objectives of a search.
+
+An objective is one module of the package `fpplab.optimisation.objectives`: a subclass of `Objective` that
+says how it is called, computed, printed and, where a study may limit it, limited. Nothing else has to be
+changed for a new one: study files may name it, their reference lists it, and the report of a search has a
+column for it.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from fpplab.core.tagged_union import concrete_subclasses
+from fpplab.optimisation.figures import MeasuredCandidate
+
+
+@dataclass(frozen=True)
+class ObjectiveLimit:
+    """A field of a study's `constraints`, which limits one objective."""
+
+    key: str  # name of the field
+    type: Any  # type of the field for pydantic, with its bounds
+    default: float | None  # None: without a limit unless the study gives one
+    description: str  # what the limit is, for the reference of study files
+
+
+class Objective(ABC):
+    """One figure of a measured candidate that a search can improve.
+
+    A subclass gives the class variables below, `value`, and `excess` if it has a `limit`; it has no state.
+    """
+
+    key: ClassVar[str]
+    """Name in study files, in results and in messages; it ends with the unit."""
+    title: ClassVar[str]
+    """Name for people, such as the head of a column."""
+    unit: ClassVar[str] = ""
+    """Unit, empty for a share or a count."""
+    sentence: ClassVar[str]
+    """What it is, as a phrase without a full stop."""
+    number_format: ClassVar[str] = ".2f"
+    """How `title` is printed in a report."""
+    is_maximised: ClassVar[bool] = False
+    """Whether more is better."""
+    is_integer: ClassVar[bool] = False
+    """Whether it counts something."""
+    limit: ClassVar[ObjectiveLimit | None] = None
+    """Field of a study's `constraints` that limits it."""
+
+    @abstractmethod
+    def value(self, candidate: MeasuredCandidate) -> float:
+        """Compute the objective.
+
+        Parameters
+        ----------
+        candidate : MeasuredCandidate
+            A candidate with scores: one that was refused or failed is not asked for.
+
+        Returns
+        -------
+        float
+            In `unit`.
+        """
+
+    def spread(self, candidate: MeasuredCandidate) -> float | None:
+        """Compute the standard deviation over the seeds of the noise; None where it is not known.
+
+        Parameters
+        ----------
+        candidate : MeasuredCandidate
+            A candidate with scores.
+
+        Returns
+        -------
+        float or None
+            In `unit`.
+        """
+        return None
+
+    def excess(self, value: float, of_start: float, limit: float) -> float:
+        """Compute by how much a value exceeds its limit.
+
+        Parameters
+        ----------
+        value : float
+            Of a candidate.
+        of_start : float
+            Of the study's start, to which a limit may be relative.
+        limit : float
+            What the study says for `limit`.
+
+        Returns
+        -------
+        float
+            As a share, so that several limits can be added up; not above 0 where the limit is kept.
+        """
+        raise NotImplementedError(f"{self.key} has a limit, and no excess over it")
+
+    @property
+    def label(self) -> str:
+        """Name for people with the unit."""
+        return f"{self.title}, {self.unit}" if self.unit else self.title
+
+    def text(self, candidate: MeasuredCandidate) -> str:
+        """Write the value as a report does, with its spread."""
+        spread = self.spread(candidate)
+        value = f"{self.value(candidate):{self.number_format}}"
+        return value if spread is None else f"{value} ± {spread:.2g}"
+
+
+def registered_objectives() -> dict[str, Objective]:
+    """List the objectives that are defined, by key, in the order of their modules."""
+    objectives: dict[str, Objective] = {}
+    for cls in concrete_subclasses(Objective):  # type: ignore[type-abstract]
+        if cls.key in objectives:
+            raise TypeError(
+                f"{type(objectives[cls.key]).__name__} and {cls.__name__} have the key '{cls.key}'"
+            )
+        objectives[cls.key] = cls()
+    return objectives
