@@ -21,9 +21,9 @@ from fpplab.acceptance import (
     PlaneTest,
     SphereTest,
 )
+from fpplab.core.drawing import FULL, as_png, colour_bar, draw_map, side_by_side
 from fpplab.core.robust import error_limit
 from fpplab.diagnosis import Diagnosis
-from fpplab.report.drawing import FULL, as_png, colour_bar, draw_map, side_by_side
 from fpplab.report.figures import error_map
 from fpplab.report.page import PageBasis, write_page
 from fpplab.report.parts import PageVerdict, ReportFigure, ReportSection, ReportTable

@@ -14,8 +14,7 @@ from fpplab.characterisation import Characterisation, Judgement, Observation
 from fpplab.characterisation.lens import MOST_BREATHING, scales_of_poses
 from fpplab.characterisation.validation import projected_uncertainty
 from fpplab.core.conventions import Floats
-from fpplab.core.errors import DataError
-from fpplab.report.drawing import (
+from fpplab.core.drawing import (
     ACCENT,
     FULL,
     HALF,
@@ -29,6 +28,7 @@ from fpplab.report.drawing import (
     side_by_side,
     single_axes,
 )
+from fpplab.core.errors import DataError
 
 BINS = 41
 CROWDED = 8

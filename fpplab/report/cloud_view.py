@@ -21,7 +21,7 @@ from scipy.spatial import cKDTree
 from fpplab.clouds import Cloud
 from fpplab.comparison import Comparison
 from fpplab.core.conventions import Floats
-from fpplab.report.drawing import as_png, colour_bar, single_axes
+from fpplab.core.drawing import as_png, colour_bar, single_axes
 from fpplab.report.wording import count_words
 
 MOST_POINTS = 60_000

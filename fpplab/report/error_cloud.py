@@ -9,10 +9,10 @@ import numpy as np
 
 from fpplab.clouds import Cloud, ply
 from fpplab.core.conventions import Map, Mask
+from fpplab.core.drawing import ERROR_COLOURS
 from fpplab.core.errors import DataError
 from fpplab.core.files import write_large
 from fpplab.core.robust import error_limit
-from fpplab.report.drawing import ERROR_COLOURS
 
 
 def write_error_cloud(path: Path, cloud: Cloud, distances_mm: Map, counted: Mask) -> None:

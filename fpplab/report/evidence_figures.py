@@ -8,13 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from fpplab.core.conventions import Floats
-from fpplab.diagnosis import geometry, light
-from fpplab.diagnosis.brightness import FEWEST_STRIPES, frame_levels, row_gains
-from fpplab.diagnosis.fringe_shape import MOST_MOIRE_PX, moire_spectrum, phase_deviations
-from fpplab.diagnosis.geometry import PointSample, triangulation_angles_deg
-from fpplab.diagnosis.sample import FrameSample
-from fpplab.report import figures
-from fpplab.report.drawing import (
+from fpplab.core.drawing import (
     ACCENT,
     ALARM,
     HALF,
@@ -28,6 +22,12 @@ from fpplab.report.drawing import (
     single_axes,
     value_range,
 )
+from fpplab.diagnosis import geometry, light
+from fpplab.diagnosis.brightness import FEWEST_STRIPES, frame_levels, row_gains
+from fpplab.diagnosis.fringe_shape import MOST_MOIRE_PX, moire_spectrum, phase_deviations
+from fpplab.diagnosis.geometry import PointSample, triangulation_angles_deg
+from fpplab.diagnosis.sample import FrameSample
+from fpplab.report import figures
 
 LOW = 2.4
 """Height in inches of curves."""

@@ -15,22 +15,19 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Patch
+from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
-from fpplab.core.conventions import TWO_PI, Axis, Floats, Image, Map, Mask, full_scale
-from fpplab.core.errors import DataError
-from fpplab.core.robust import error_limit
-from fpplab.report.drawing import (
+from fpplab.core.conventions import TWO_PI, Axis, Floats, Image, Map, Mask
+from fpplab.core.drawing import (
     ACCENT,
-    ALARM,
     ERROR_COLOURS,
     FULL,
     INK,
     SECOND,
     as_png,
     colour_bar,
-    display_stride,
+    draw_frame,
     draw_map,
     map_axes,
     map_height,
@@ -39,6 +36,8 @@ from fpplab.report.drawing import (
     single_axes,
     value_range,
 )
+from fpplab.core.errors import DataError
+from fpplab.core.robust import error_limit
 from fpplab.report.raster import CloudLike, block_mean, raster_of, rasterise
 
 RELIEF_COLUMNS = 760
@@ -50,27 +49,7 @@ THUMBNAIL = 232
 @as_png
 def camera_image(image: Image, bits: int = 8) -> Figure:
     """Draw one frame with its saturated pixels marked."""
-    full = full_scale(bits)
-    saturated = image >= full
-    figure, axes = map_axes(image.shape)
-    step = display_stride(image.shape)
-    bright = max(float(np.percentile(image[::step, ::step], 99.8)), 1.0)
-    mappable = draw_map(axes, image, "gray", (0.0, bright))
-    share = float(saturated.mean())
-    label = f"{saturated.sum():,} saturated pixels ({100 * share:.2g} %)" if share else "no saturated pixels"
-    if share:
-        marks = cv2.dilate(saturated.astype(np.uint8), np.ones((2 * step + 1,) * 2, np.uint8)) > 0
-        overlay = np.where(marks, 1.0, np.nan)
-        draw_map(axes, overlay, mpl.colors.ListedColormap([ALARM]), (0.0, 1.0), background=False)
-    axes.legend(
-        handles=[Patch(facecolor=ALARM if share else "none", label=label)],
-        loc="lower right",
-        bbox_to_anchor=(1.0, 1.0),
-        borderpad=0.1,
-        handlelength=1.0 if share else 0.0,
-    )
-    colour_bar(figure, axes, mappable, f"grey level (full scale {full})")
-    return figure
+    return draw_frame(image, bits)
 
 
 @as_png

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import ScalarFormatter
 
-from fpplab.report.drawing import ACCENT, FULL, INK, SECOND, as_png, new_figure
+from fpplab.core.drawing import ACCENT, FULL, INK, SECOND, as_png, new_figure
 from fpplab.report.parts import ReportFigure, ReportSection, ReportTable
 from fpplab.report.wording import NOT_KNOWN
 from fpplab.setup.guide import GuidedRun, PoseAttempt

@@ -10,15 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure as Sheet
 from numpy.typing import NDArray
 
-from fpplab.matching.appearance import AppearanceTrial
-from fpplab.matching.artefacts import ArtefactComparison
-from fpplab.matching.gamma import GammaMatch
-from fpplab.matching.match import EXPLAINS
-from fpplab.matching.record import MatchingEpoch, named_numbers
-from fpplab.matching.reference import Reference
-from fpplab.matching.run import MatchingResult
-from fpplab.matching.surface import SurfaceMatch
-from fpplab.report.drawing import (
+from fpplab.core.drawing import (
     ACCENT,
     FULL,
     SECOND,
@@ -29,6 +21,14 @@ from fpplab.report.drawing import (
     new_figure,
     side_by_side,
 )
+from fpplab.matching.appearance import AppearanceTrial
+from fpplab.matching.artefacts import ArtefactComparison
+from fpplab.matching.gamma import GammaMatch
+from fpplab.matching.match import EXPLAINS
+from fpplab.matching.record import MatchingEpoch, named_numbers
+from fpplab.matching.reference import Reference
+from fpplab.matching.run import MatchingResult
+from fpplab.matching.surface import SurfaceMatch
 from fpplab.report.figures import error_map
 from fpplab.report.page import PageBasis, write_page
 from fpplab.report.parts import PageVerdict, ReportFigure, ReportSection, ReportTable

@@ -14,6 +14,7 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure as Sheet
 from matplotlib.ticker import LogFormatter, MaxNLocator
 
+from fpplab.core.drawing import ACCENT, ALARM, FULL, HALF, INK, SECOND, as_png, side_by_side, single_axes
 from fpplab.optimisation.candidate import Candidate
 from fpplab.optimisation.confirm_result import ConfirmedPlan
 from fpplab.optimisation.figures import CandidateFigures, MeasuredCandidate
@@ -23,7 +24,6 @@ from fpplab.optimisation.result import SearchResult
 from fpplab.optimisation.scoring import ArtefactFigures
 from fpplab.optimisation.space import Parameter
 from fpplab.optimisation.verdict import diagnose_search
-from fpplab.report.drawing import ACCENT, ALARM, FULL, HALF, INK, SECOND, as_png, side_by_side, single_axes
 from fpplab.report.figures import error_map
 from fpplab.report.page import PageBasis, write_page
 from fpplab.report.parts import PageVerdict, ReportFigure, ReportSection, ReportTable

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
+from fpplab.core.drawing import FULL, as_png, new_figure
 from fpplab.patterns.fringes import Pattern
-from fpplab.report.drawing import FULL, as_png, new_figure
 
 COLUMNS = 6
 ROW_HEIGHT = 1.25

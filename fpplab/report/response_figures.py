@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from fpplab.core.conventions import Floats
+from fpplab.core.drawing import ACCENT, ALARM, FULL, SECOND, as_png, new_figure, side_by_side
 from fpplab.core.errors import DataError
 from fpplab.patterns.response import Response
-from fpplab.report.drawing import ACCENT, ALARM, FULL, SECOND, as_png, new_figure, side_by_side
 
 
 class ResponseLike(Protocol):

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from fpplab.calibration.model import Calibration, CalibrationFile
 from fpplab.clouds import Cloud, load_cloud
 from fpplab.core.conventions import Image
+from fpplab.core.drawing import value_range
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.diagnosis import Diagnosis
 from fpplab.diagnosis.record import load_diagnosis
@@ -21,7 +22,6 @@ from fpplab.phase import Decoded
 from fpplab.pipeline import CALIBRATION, CLOUD, DECODED, diagnose
 from fpplab.report import figures
 from fpplab.report.cloud_view import MOST_POINTS, cloud_view
-from fpplab.report.drawing import value_range
 from fpplab.report.page import PageBasis, write_page
 from fpplab.report.parts import PageVerdict, ReportFigure, ReportSection, ReportTable
 from fpplab.report.provenance import Provenance, cloud_provenance, local_time, session_provenance

@@ -9,10 +9,7 @@ from matplotlib.figure import Figure
 
 from fpplab.clouds import Cloud
 from fpplab.clouds.cloud import CloudPoints
-from fpplab.core.errors import DataError
-from fpplab.patterns.plan import Plan
-from fpplab.phase.common_errors import LEAST_PIXELS, show_common_errors
-from fpplab.report.drawing import (
+from fpplab.core.drawing import (
     FULL,
     HALF,
     as_png,
@@ -22,6 +19,9 @@ from fpplab.report.drawing import (
     new_figure,
     value_range,
 )
+from fpplab.core.errors import DataError
+from fpplab.patterns.plan import Plan
+from fpplab.phase.common_errors import LEAST_PIXELS, show_common_errors
 from fpplab.report.raster import raster_of, rasterise
 
 PARTS = {

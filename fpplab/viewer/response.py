@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from matplotlib.figure import Figure as Sheet
 
+from fpplab.core.drawing import ACCENT, FULL, as_png, single_axes
 from fpplab.patterns.response import Response
-from fpplab.report.drawing import ACCENT, FULL, as_png, single_axes
 from fpplab.report.response_figures import response_fit
 from fpplab.viewer import layouts
 from fpplab.viewer.canvas import eight_bits

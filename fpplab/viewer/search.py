@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 from matplotlib.figure import Figure as Sheet
 
+from fpplab.core.drawing import ACCENT, ALARM, FULL, SECOND, as_png, single_axes
 from fpplab.optimisation.candidate_runner import SearchEpoch
 from fpplab.optimisation.figures import CandidateFigures, MeasuredCandidate
-from fpplab.report.drawing import ACCENT, ALARM, FULL, SECOND, as_png, single_axes
 from fpplab.viewer import layouts
 from fpplab.viewer.view import CommandView
 

@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from functools import wraps
 from typing import Any, ParamSpec, cast
 
+import cv2
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 from numpy.typing import NDArray
 from PIL import Image as Pixels
 
-from fpplab.core.conventions import Map
+from fpplab.core.conventions import Image, Map, full_scale
 from fpplab.core.errors import DataError
-from fpplab.report.raster import Extent
 
 HALF, FULL = 4.8, 9.6
 """Widths in inches of figures in two columns, and of the full page."""
@@ -55,13 +57,18 @@ def as_png(draw: Callable[P, Figure]) -> Callable[P, bytes]:
 
     @wraps(draw)
     def drawn(*args: P.args, **kwargs: P.kwargs) -> bytes:
-        with mpl.rc_context(cast(Any, STYLE)):
-            return _png(draw(*args, **kwargs))
+        with common_style():
+            return encode_png(draw(*args, **kwargs))
 
     return drawn
 
 
-def _png(figure: Figure) -> bytes:
+def common_style() -> AbstractContextManager[None]:
+    """Apply the common style to what is drawn and encoded inside the block."""
+    return mpl.rc_context(cast(Any, STYLE))
+
+
+def encode_png(figure: Figure) -> bytes:
     """Encode as PNG of 256 colours: a third of the size, for pages of many figures."""
     canvas: Any = FigureCanvasAgg(figure)
     canvas.draw()
@@ -118,10 +125,11 @@ def draw_map(
     values: NDArray[Any],
     colours: str | mpl.colors.Colormap,
     limits: tuple[float, float],
-    extent: Extent | None = None,
+    extent: tuple[float, float, float, float] | None = None,
     background: bool = True,
 ) -> ScalarMappable:
     """Draw a map, subsampled to about `MAX_COLUMNS` columns."""
+    # extent (left, right, bottom, top) in px
     height, width = values.shape
     step = display_stride(values.shape)
     if background:
@@ -134,6 +142,31 @@ def draw_map(
         vmax=limits[1],
         extent=extent or (-0.5, width - 0.5, height - 0.5, -0.5),
     )
+
+
+def draw_frame(image: Image, bits: int = 8) -> Figure:
+    """Draw one frame with its saturated pixels marked."""
+    full = full_scale(bits)
+    saturated = image >= full
+    figure, axes = map_axes(image.shape)
+    step = display_stride(image.shape)
+    bright = max(float(np.percentile(image[::step, ::step], 99.8)), 1.0)
+    mappable = draw_map(axes, image, "gray", (0.0, bright))
+    share = float(saturated.mean())
+    label = f"{saturated.sum():,} saturated pixels ({100 * share:.2g} %)" if share else "no saturated pixels"
+    if share:
+        marks = cv2.dilate(saturated.astype(np.uint8), np.ones((2 * step + 1,) * 2, np.uint8)) > 0
+        overlay = np.where(marks, 1.0, np.nan)
+        draw_map(axes, overlay, mpl.colors.ListedColormap([ALARM]), (0.0, 1.0), background=False)
+    axes.legend(
+        handles=[Patch(facecolor=ALARM if share else "none", label=label)],
+        loc="lower right",
+        bbox_to_anchor=(1.0, 1.0),
+        borderpad=0.1,
+        handlelength=1.0 if share else 0.0,
+    )
+    colour_bar(figure, axes, mappable, f"grey level (full scale {full})")
+    return figure
 
 
 def colour_bar(figure: Figure, axes: Axes, mappable: ScalarMappable, label: str) -> mpl.colorbar.Colorbar:
