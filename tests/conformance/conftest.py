@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -86,6 +87,7 @@ def _rig_files(settings: pytest.Config) -> list[Path]:
     return named or sorted(RIGS.glob("rig_*.yaml"))
 
 
+@cache
 def _kinds(path: Path) -> list[str]:
     file = config.load_document(path, RigFile)
     return [kind for kind in KINDS if getattr(file, kind) is not None]

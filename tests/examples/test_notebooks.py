@@ -7,9 +7,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-import nbformat
 import pytest
-from nbclient import NotebookClient
 
 from tests.support.commands import ROOT, Demo
 
@@ -18,6 +16,8 @@ NOTEBOOKS = sorted((ROOT / "examples").glob("*.ipynb"))
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_it_is_a_notebook_without_outputs(path: Path) -> None:
+    import nbformat  # takes seconds
+
     book = nbformat.read(path, as_version=4)
     nbformat.validate(book)
     assert book.cells[0].cell_type == "markdown"
@@ -27,6 +27,9 @@ def test_it_is_a_notebook_without_outputs(path: Path) -> None:
 
 def run(name: str, demo: Path | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """What the cells of code show last, as text and as HTML."""
+    import nbformat
+    from nbclient import NotebookClient
+
     paths = [str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(paths))
     monkeypatch.setenv("FPPLAB_DEMO", str(demo))

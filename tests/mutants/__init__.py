@@ -1,1 +1,1 @@
-"""Mutation test of the whole suite: faults seeded on the syntax of the sources, one at a time."""
+"""Mutation test of the suite: faults that are listed or drawn at random, seeded one at a time."""

@@ -1,11 +1,13 @@
 """Mutation test of the suite.
 
-    python -m tests.mutants [--each N] [--seed S] [--workers W] [--area AREA …] [--minutes M] [--remake]
+    python -m tests.mutants [listed] [drawn] [--name PART …] [--each N] [--seed S] [--area AREA …]
+                            [--workers W] [--minutes M] [--remake]
 
-Draws faults at random on the syntax of every area, beside those of `named.yaml`, tries each by the quick
-tests that execute it, and fails unless 95 % are killed and every survivor is explained in `equivalent.yaml`.
-Which tests execute what is recorded once, by the whole quick suite, and kept in build/mutants with every
-verdict: an interrupted run goes on where it stopped.
+Tries the faults of `faults.yaml`, each by the test that is named there, and faults drawn at random on the
+syntax of every area, each by the quick tests that execute it. It fails unless 95 % are killed and every
+survivor is explained in `equivalent.yaml`. Which tests execute what is recorded once, by the whole quick
+suite, and kept in build/mutants with every verdict: an interrupted run goes on where it stopped. `listed`
+alone needs no such recording.
 """
 
 from __future__ import annotations
@@ -22,16 +24,18 @@ from pathlib import Path
 import yaml
 
 from tests.mutants import coverage_map
-from tests.mutants.areas import AREAS, draw, named
+from tests.mutants.areas import AREAS, draw
 from tests.mutants.choice import Chooser
+from tests.mutants.fault import Fault
 from tests.mutants.judge import KILLED, Bench, Trial, Verdict
+from tests.mutants.listed import listed
 from tests.mutants.record import TrialRecord, test_of
-from tests.mutants.seeding import Mutant
 from tests.mutants.tree import ROOT, copy_tree
 
 RECORDED = ROOT / "build" / "mutants"
+KINDS = ("listed", "drawn")
 EQUIVALENT = Path(__file__).with_name("equivalent.yaml")
-LEAST_KILLED = 0.95
+MIN_KILLED = 0.95
 
 
 def explained() -> dict[str, str]:
@@ -41,54 +45,60 @@ def explained() -> dict[str, str]:
 
 def main(words: list[str]) -> int:
     """Draw faults, judge them, and print what became of each."""
-    asked = _parser().parse_args(words)
+    parser = _parser()
+    asked = parser.parse_args(words)
+    if unknown := set(asked.kinds) - set(KINDS):
+        parser.error(f"{', '.join(sorted(unknown))} is no kind of faults: {', '.join(KINDS)}")
     if asked.remake:
         shutil.rmtree(asked.map, ignore_errors=True)
-    if asked.record or not (asked.map / "map.json").exists():
+    kinds = asked.kinds or KINDS
+    if asked.record or ("drawn" in kinds and not (asked.map / "map.json").exists()):
         coverage_map.make(asked.map, asked.record or ["tests"], asked.workers)
-    by_name = named(ROOT)
-    first = {mutant.name: tests for mutant, tests in by_name.items()}
-    there = coverage_map.collected(["tests"])
+    by_list = listed(ROOT) if "listed" in kinds else []
+    drawn = draw(ROOT, asked.each, asked.seed, tuple(asked.area or AREAS)) if "drawn" in kinds else []
+    faults: list[Fault] = [f for f in (*by_list, *drawn) if all(part in f.name for part in asked.name)]
+    killers = {fault.name: [fault.killed_by] for fault in by_list}
+    there = coverage_map.collected(["tests"]) if drawn else set()
     known = coverage_map.without_gone(coverage_map.load(asked.map), there)
-    chooser = Chooser(ROOT, known, first=first)
-    drawn = draw(ROOT, asked.each, asked.seed, tuple(asked.area or AREAS))
-    every = [*by_name, *drawn][: asked.most]
+    chooser = Chooser(ROOT, known, first=killers)
+    there |= {fault.killed_by for fault in by_list}
     record = TrialRecord(asked.map / "trials.jsonl", there, 60 * asked.minutes)
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
         free: queue.Queue[Bench] = queue.Queue()
         for k in range(asked.workers):
             free.put(Bench(copy_tree(Path(folder) / str(k)), chooser))
 
-        def judge(mutant: Mutant) -> Trial | None:
-            known = record.known(mutant)
+        def judge(fault: Fault) -> Trial | None:
+            known = record.known(fault)
             if known or not record.has_time:
                 return known
             bench = free.get()
             try:
-                trial = bench.try_fault(mutant)
+                trial = bench.try_fault(fault)
             finally:
                 free.put(bench)
-            record.add(mutant, trial)
+            record.add(fault, trial)
             print(f"{trial.verdict:9}  {trial.name}\n{'':11}{trial.evidence}", flush=True)
             return trial
 
         with ThreadPoolExecutor(asked.workers) as pool:
-            judged = [(m, t) for m, t in zip(every, pool.map(judge, every), strict=True) if t]
+            judged = [(f, t) for f, t in zip(faults, pool.map(judge, faults), strict=True) if t]
         trials = _without_false_kills(judged, record, free.get())
-    if len(trials) < len(every):
-        print(f"{len(trials)} of {len(every)} are judged: the time is over, and the same command goes on.")
-    return _summed_up(trials) or int(len(trials) < len(every))
+    if len(trials) < len(faults):
+        print(f"{len(trials)} of {len(faults)} are judged: the time is over, and the same command goes on.")
+    return _summed_up(trials) or int(len(trials) < len(faults))
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m tests.mutants", description=__doc__)
-    parser.add_argument("--each", type=int, default=16, help="faults of each area")
+    parser.add_argument("kinds", nargs="*", metavar="KIND", help=f"of {' and '.join(KINDS)}, these alone")
+    parser.add_argument("--name", action="append", default=[], help="only faults whose names hold this part")
+    parser.add_argument("--each", type=int, default=16, help="faults drawn of each area")
     parser.add_argument("--seed", type=int, default=1, help="of the draw")
     parser.add_argument(
         "--workers", type=int, default=2, help="copies of the sources that are tested at once"
     )
     parser.add_argument("--area", action="append", choices=list(AREAS), help="only these")
-    parser.add_argument("--most", type=int, help="only so many, the named ones first")
     parser.add_argument("--minutes", type=float, default=float("inf"), help="try no fault after so long")
     parser.add_argument("--map", type=Path, default=RECORDED, help="folder of what is recorded")
     parser.add_argument(
@@ -98,9 +108,7 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _without_false_kills(
-    judged: list[tuple[Mutant, Trial]], record: TrialRecord, bench: Bench
-) -> list[Trial]:
+def _without_false_kills(judged: list[tuple[Fault, Trial]], record: TrialRecord, bench: Bench) -> list[Trial]:
     """Run the tests that killed once more on the unharmed sources: one that fails there proves nothing."""
     killing = sorted({test_of(trial) for _, trial in judged} - {""} - record.passing)
     failing: set[str] = set()
@@ -113,12 +121,12 @@ def _without_false_kills(
         failing.add(asked)
         killing = killing[killing.index(asked) + 1 :]
     trials = []
-    for mutant, found in judged:
+    for fault, found in judged:
         test = test_of(found)
         why = f"{found.evidence} fails without the fault too"
         trial = Trial(found.name, Verdict.UNDECIDED, why) if test in failing else found
         if test and test not in record.passing:
-            record.confirm(mutant, trial)
+            record.confirm(fault, trial)
         trials.append(trial)
     return trials
 
@@ -135,7 +143,7 @@ def _summed_up(trials: list[Trial]) -> int:
     print(f"{killed} of {judged} killed ({killed / max(judged, 1):.1%}), {len(equal)} equivalent")
     for trial in left:
         print(f"not explained: {trial.name}")
-    return 0 if trials and killed >= LEAST_KILLED * judged and not left else 1
+    return 0 if trials and killed >= MIN_KILLED * judged and not left else 1
 
 
 if __name__ == "__main__":

@@ -6,11 +6,7 @@ import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
-import yaml
-
 from tests.mutants.seeding import Mutant, mutants
-
-NAMED = Path(__file__).with_name("named.yaml")
 
 AREAS = {
     "core": ("fpplab/core/*.py",),
@@ -37,21 +33,6 @@ def files_of(root: Path, area: str) -> list[str]:
     if area != "uncertainty":
         found -= set(AREAS["uncertainty"])
     return sorted(found)
-
-
-def named(root: Path) -> dict[Mutant, list[str]]:
-    """The faults that are named one by one in `named.yaml`, and the tests that are to kill each."""
-    found = {}
-    for one in yaml.safe_load(NAMED.read_text(encoding="utf-8")):
-        source = (root / one["file"]).read_text(encoding="utf-8")
-        before, *after = source.split(one["old"])
-        if len(after) != 1:
-            raise SystemExit(f"{NAMED.name}: {one['file']} has {len(after)} places like: {one['old']}")
-        line = before.count("\n") + 1
-        start, end = len(before.encode()), len((before + one["old"]).encode())
-        mutant = Mutant(one["file"], line, start, end, one["old"], one["new"], one["name"])
-        found[mutant] = one["killed_by"]
-    return found
 
 
 def draw(root: Path, each: int, seed: int, areas: Sequence[str]) -> list[Mutant]:

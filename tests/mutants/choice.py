@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from tests.mutants.coverage_map import CoverageMap
-from tests.mutants.seeding import Mutant
+from tests.mutants.fault import Fault
 
 SECONDS = 30.0
 """Tests are added as long as they take no longer than this together."""
@@ -33,19 +33,19 @@ class Chooser:
         """`first` names tests that come before all others, by the name of a fault."""
         self._root, self._known, self._seconds, self._first = root, known, seconds, first or {}
 
-    def tests_for(self, mutant: Mutant) -> list[str]:
+    def tests_for(self, fault: Fault) -> list[str]:
         """Tests in the order in which they are to run; empty where none executes the fault."""
-        recorded = self._known.tests_of(mutant.file, self._lines(mutant))
-        direct = recorded or self._indirect(mutant)
+        recorded = self._known.tests_of(fault.file, self._lines(fault))
+        direct = recorded or self._indirect(fault)
         files = {test.partition("::")[0] for test in direct}
         # What a fixture of a module executes is recorded for the first test that asks for it alone.
         beside = {t for t in self._known.seconds if t.partition("::")[0] in files} - direct
-        chosen = list(self._first.get(mutant.name, ()))
+        chosen = list(self._first.get(fault.name, ()))
         beside -= set(chosen)
         direct -= set(chosen)
         left = self._seconds if recorded else INDIRECT * self._seconds
         for tests in (direct, beside):
-            for test in sorted(tests, key=lambda test: (self._distance(test, mutant), self._time(test))):
+            for test in sorted(tests, key=lambda test: (self._distance(test, fault), self._time(test))):
                 if not chosen or self._time(test) <= left:
                     chosen.append(test)
                     left -= self._time(test)
@@ -58,24 +58,24 @@ class Chooser:
     def _time(self, test: str) -> float:
         return self._known.seconds.get(test, UNKNOWN_S)
 
-    def _distance(self, test: str, mutant: Mutant) -> int:
+    def _distance(self, test: str, fault: Fault) -> int:
         """0 for a test of the fault's own module, 1 for one of its package, 2 for any other."""
-        package = next(part for part in Path(mutant.file).parts if part != "fpplab")
+        package = next(part for part in Path(fault.file).parts if part != "fpplab")
         if not test.startswith(f"tests/{package}/"):
             return 2
-        return 0 if Path(test.partition("::")[0]).name == f"test_{Path(mutant.file).name}" else 1
+        return 0 if Path(test.partition("::")[0]).name == f"test_{Path(fault.file).name}" else 1
 
-    def _lines(self, mutant: Mutant) -> list[int]:
+    def _lines(self, fault: Fault) -> list[int]:
         """Lines that tell a test: of a default argument, which runs at import, those of its function."""
-        lines = [mutant.line]
-        for node in ast.walk(ast.parse((self._root / mutant.file).read_text(encoding="utf-8"))):
-            if isinstance(node, ast.FunctionDef) and node.lineno <= mutant.line < node.body[0].lineno:
+        lines = [fault.line]
+        for node in ast.walk(ast.parse((self._root / fault.file).read_text(encoding="utf-8"))):
+            if isinstance(node, ast.FunctionDef) and node.lineno <= fault.line < node.body[0].lineno:
                 lines += range(node.body[0].lineno, (node.end_lineno or 0) + 1)
         return lines
 
-    def _indirect(self, mutant: Mutant) -> set[str]:
+    def _indirect(self, fault: Fault) -> set[str]:
         """Tests of a line that none is known to execute; of machine code what calls it is recorded alone."""
-        files = {mutant.file}
+        files = {fault.file}
         for _ in range(DEEPEST):
             files |= {importer for file in files for importer in importers(self._root, file)}
             if found := {test for file in files for test in self._callers(file)}:

@@ -13,7 +13,7 @@ from enum import StrEnum
 from pathlib import Path
 
 from tests.mutants.choice import Chooser, importers
-from tests.mutants.seeding import Mutant
+from tests.mutants.fault import Fault
 
 STARTING_S, TIMES_SLOWER = 300.0, 5.0
 """A run of tests is given so long to start and compile, and so many times the time that the map knows."""
@@ -56,30 +56,30 @@ class Bench:
     def __init__(self, tree: Path, chooser: Chooser) -> None:
         self._tree, self._chooser = tree, chooser
 
-    def try_fault(self, mutant: Mutant) -> Trial:
+    def try_fault(self, fault: Fault) -> Trial:
         """Seed a fault, run its tests up to the first failure, and mend it again."""
-        tests = self._chooser.tests_for(mutant)
+        tests = self._chooser.tests_for(fault)
         if not tests:
-            return Trial(mutant.name, Verdict.UNTESTED, f"no test executes line {mutant.line}")
+            return Trial(fault.name, Verdict.UNTESTED, f"no test executes line {fault.line}")
         limit = STARTING_S + TIMES_SLOWER * self._chooser.seconds_of(tests)
-        path = self._tree / mutant.file
+        path = self._tree / fault.file
         source, times = path.read_bytes(), path.stat()
-        path.write_bytes(mutant.seeded(source))
-        self._forget_machine_code(mutant)
+        path.write_bytes(fault.seeded(source))
+        self._forget_machine_code(fault)
         try:
             ended = self.run(tests, limit)
         finally:
             path.write_bytes(source)
             os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))  # what numba compiled stays valid
-            self._forget_machine_code(mutant)
+            self._forget_machine_code(fault)
         if ended is None:
             ends = self.run(tests, limit) == ""
-            return Trial(mutant.name, Verdict.HUNG if ends else Verdict.UNDECIDED, f"after {limit:.0f} s")
+            return Trial(fault.name, Verdict.HUNG if ends else Verdict.UNDECIDED, f"after {limit:.0f} s")
         if not ended:
-            return Trial(mutant.name, Verdict.SURVIVED, f"{len(tests)} tests")
+            return Trial(fault.name, Verdict.SURVIVED, f"{len(tests)} tests")
         if not failed_test(ended) and self.run(tests, limit):
-            return Trial(mutant.name, Verdict.UNDECIDED, ended)
-        return Trial(mutant.name, Verdict.KILLED, ended)
+            return Trial(fault.name, Verdict.UNDECIDED, ended)
+        return Trial(fault.name, Verdict.KILLED, ended)
 
     def run(self, tests: list[str], limit: float) -> str | None:
         """Run tests up to the first failure: its name, or what else ended them; empty if all pass.
@@ -112,9 +112,9 @@ class Bench:
         failed = [line for line in output.splitlines() if line.startswith(("FAILED", "ERROR"))]
         return failed[0].split(" - ")[0] if failed else output.strip().splitlines()[-1]
 
-    def _forget_machine_code(self, mutant: Mutant) -> None:
+    def _forget_machine_code(self, fault: Fault) -> None:
         """Delete what numba compiled of code that calls the fault's: it looks at its own file alone."""
-        for file in (mutant.file, *importers(self._tree, mutant.file)):
+        for file in (fault.file, *importers(self._tree, fault.file)):
             cached = self._tree / Path(file).parent / "__pycache__"
             for compiled in cached.glob(f"{Path(file).stem}.*.nb?"):
                 compiled.unlink()

@@ -8,8 +8,8 @@ import time
 from pathlib import Path
 
 from fpplab.core.journals import append_line, cut_torn_line, whole_lines
+from tests.mutants.fault import Fault
 from tests.mutants.judge import KILLED, Trial, Verdict, failed_test
-from tests.mutants.seeding import Mutant
 from tests.mutants.tree import ROOT
 
 
@@ -34,19 +34,19 @@ class TrialRecord:
             self._remember(kept["source"], Trial(kept["name"], Verdict(kept["verdict"]), kept["evidence"]))
             self.passing.update(kept["passing"])
 
-    def known(self, mutant: Mutant) -> Trial | None:
+    def known(self, fault: Fault) -> Trial | None:
         """The trial of a fault that was killed in the source as it is now, by a test that is still there."""
-        trial = self._killed.get((mutant.name, _sum(mutant.file)))
+        trial = self._killed.get((fault.name, _sum(fault.file)))
         gone = trial is not None and test_of(trial) not in {"", *self._there}
         return None if gone else trial
 
-    def add(self, mutant: Mutant, trial: Trial) -> None:
+    def add(self, fault: Fault, trial: Trial) -> None:
         """Keep a trial."""
-        self._write(mutant.file, trial, [])
+        self._write(fault.file, trial, [])
 
-    def confirm(self, mutant: Mutant, trial: Trial) -> None:
+    def confirm(self, fault: Fault, trial: Trial) -> None:
         """Keep that the test that killed a fault passes on the unharmed sources, or else that it does not."""
-        self._write(mutant.file, trial, [test_of(trial)] if trial.verdict is Verdict.KILLED else [])
+        self._write(fault.file, trial, [test_of(trial)] if trial.verdict is Verdict.KILLED else [])
 
     @property
     def has_time(self) -> bool:

@@ -12,10 +12,11 @@ import pytest
 import yaml
 
 from tests.mutants.__main__ import EQUIVALENT, _without_false_kills, explained
-from tests.mutants.areas import AREAS, draw, files_of, named
+from tests.mutants.areas import AREAS, draw, files_of
 from tests.mutants.choice import Chooser, importers
 from tests.mutants.coverage_map import CoverageMap, collected, without_gone
 from tests.mutants.judge import Bench, Trial, Verdict
+from tests.mutants.listed import listed
 from tests.mutants.record import TrialRecord
 from tests.mutants.record import test_of as killer_of
 from tests.mutants.seeding import mutants
@@ -77,21 +78,11 @@ def test_what_is_drawn_stays_drawn_while_other_code_changes(tmp_path: Path) -> N
     assert kept == before[: len(kept)]
 
 
-def test_named_faults_are_of_today_s_sources() -> None:
-    for mutant, tests in named(ROOT).items():
-        for file, _, function in (test.partition("::") for test in tests):
-            assert f"def {function.partition('[')[0]}(" in (ROOT / file).read_text(encoding="utf-8")
-        source = (ROOT / mutant.file).read_bytes()
-        assert source[mutant.start : mutant.end].decode() == mutant.old
-        assert mutant.old.splitlines()[0] in source.decode().splitlines()[mutant.line - 1]
-        assert ast.dump(ast.parse(mutant.seeded(source))) != ast.dump(ast.parse(source))
-
-
 THERE = {"tests/a.py::test_b"}
 
 
 def test_what_is_killed_is_not_tried_again(tmp_path: Path) -> None:
-    killed, survivor, hung = list(named(ROOT))[:3]
+    killed, survivor, hung = listed(ROOT)[:3]
     path = tmp_path / "map" / "trials.jsonl"
     record = TrialRecord(path, THERE)
     record.add(killed, Trial(killed.name, Verdict.KILLED, "FAILED tests/a.py::test_b"))
@@ -147,7 +138,7 @@ class CrashingBench(Bench):
 def test_an_ending_that_names_no_test_is_compared_with_the_unharmed_sources(
     tmp_path: Path, endings: list[str], verdict: Verdict
 ) -> None:
-    mutant = next(iter(named(ROOT)))
+    mutant = listed(ROOT)[0]
     (tmp_path / mutant.file).parent.mkdir(parents=True)
     (tmp_path / mutant.file).write_bytes((ROOT / mutant.file).read_bytes())
     chooser = SimpleNamespace(tests_for=lambda _: ["tests/a.py::a"], seconds_of=lambda _: 1.0)
@@ -172,7 +163,7 @@ class EmptyBench(SoundBench):
 
 
 def test_a_kill_by_what_fails_anyway_proves_nothing(tmp_path: Path) -> None:
-    by_test, by_file, sound = list(named(ROOT))[:3]
+    by_test, by_file, sound = listed(ROOT)[:3]
     killers = {
         by_test: "FAILED tests/a.py::test_a",
         by_file: "ERROR tests/b.py",
@@ -185,7 +176,7 @@ def test_a_kill_by_what_fails_anyway_proves_nothing(tmp_path: Path) -> None:
 
 
 def test_tests_that_do_not_run_are_no_verdict(tmp_path: Path) -> None:
-    mutant = next(iter(named(ROOT)))
+    mutant = listed(ROOT)[0]
     bench = EmptyBench([])
     judged = [(mutant, Trial(mutant.name, Verdict.KILLED, "FAILED tests/a.py::test_a"))]
     with pytest.raises(SystemExit, match="no tests ran"):
