@@ -159,17 +159,6 @@ POWER = _declare(
     )
 )
 SOFTWARE_RESET = _declare(Command("software reset", 0x0802, RegisterLayout(), acknowledged=False))
-DMD_PARK = _register("DMD park", 0x0609, _flag("on"))
-"""Not in TI's client, but sent by others; the number is that of the sibling controller DLPC900."""
-MEMORY = _declare(
-    Command(
-        "memory",
-        0x1A16,
-        None,
-        _record(RegisterField("value", 32)),
-        selector=_record(RegisterField("address", 32)),
-    )
-)
 
 # --- display mode and video input
 
@@ -183,16 +172,6 @@ PIXEL_FORMAT = _register("pixel format", 0x1A02, _record(RegisterField("format",
 PORT_CLOCK = _register("port clock", 0x1A03, _record(RegisterField("clock", 3, range(3)), _gap(5)))
 CHANNEL_SWAP = _register(
     "channel swap", 0x1A37, _record(RegisterField("swap", 3, range(6)), _gap(4), RegisterField("port", 1))
-)
-FPD_MODE = _register(
-    "FPD mode",
-    0x1A04,
-    _record(
-        RegisterField("field", 3, range(3)),
-        RegisterField("polarity_swap", 1),
-        _gap(2),
-        RegisterField("pixel_map", 2),
-    ),
 )
 LONG_AXIS_FLIP = _register("long-axis flip", 0x1008, _flag("on"))
 SHORT_AXIS_FLIP = _register("short-axis flip", 0x1009, _flag("on"))
@@ -232,7 +211,6 @@ TEST_PATTERN_COLOURS = _register(
         )
     ),
 )
-LOAD_IMAGE = _register("load flash image", 0x1A39, _bytes("index"))
 IMAGE_LOAD_TIMING = _declare(
     Command("image load timing", 0x1A3A, _bytes("first", "count"), _record(RegisterField("ticks", 32)))
 )
@@ -304,7 +282,6 @@ TRIGGER_OUT_2 = _register(
     ),
 )
 TRIGGER_IN_1 = _register("trigger input 1", 0x1A35, _record(RegisterField("delay", 32, range(1 << 19))))
-TRIGGER_IN_2 = _register("trigger input 2", 0x1A36, _record(RegisterField("falling", 8, range(2))))
 
 # --- pattern sequence
 

@@ -169,9 +169,9 @@ class Link:
             raise SettingError(self.name, command.name, str(error)) from error
         self._write(command, data)
 
-    def read(self, command: Command, **selector: int) -> Values:
+    def read(self, command: Command) -> Values:
         """Read a command whose reply consists of bit fields; raises the same errors as `write`."""
-        data = self._query(command, selector)
+        data = self._query(command, {})
         try:
             assert isinstance(command.returned, RegisterLayout)
             return command.returned.unpack(data)

@@ -352,7 +352,7 @@ def test_faults_of_replies() -> None:
     assert host.device.read(64, 1)[1] == 1
     assert host.send("100a 01", sequence=2)[1] == 2
     assert host.device.read(64, 1)[1] == 2
-    assert host.write("1a36 01") == ERROR
+    assert host.write("1a05 01") == ERROR
     assert len(host.send("1a0e 80")) == 6
     assert [host.read(number) for number in ("1008", "1009", "100a", "1a0e")] == [
         b"\1",
@@ -360,4 +360,4 @@ def test_faults_of_replies() -> None:
         b"\1",
         b"\x80",
     ]
-    assert host.read("1a36") == b"\0", "refused and not done"
+    assert host.read("1a05") == b"\0", "refused and not done"

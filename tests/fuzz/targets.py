@@ -202,7 +202,7 @@ def hid(data: bytes, folder: Path) -> None:
     for command in (SHORT_COMMANDS[byte % len(SHORT_COMMANDS)] for byte in data[:4]):
         with suppress(DeviceError):
             if command.returned is not None:
-                link.read(command, **{f.name: f.values()[0] for f in command.selector.named})
+                link.read(command)
             elif command.written is not None:
                 link.write(command, **{f.name: f.values()[0] for f in command.written.named})
 

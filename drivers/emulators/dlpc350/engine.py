@@ -89,7 +89,7 @@ class LightEngine:
 
         It is meant for the receiver of a pulse, whose edges may lie a little ahead of the present time.
         """
-        if self.asleep or self._is_parked():
+        if self.asleep:
             return None
         enabled = self._registers[protocol.LED_ENABLE.number]
         if self._mode is DisplayMode.VIDEO:
@@ -114,9 +114,6 @@ class LightEngine:
     def trigger_in(self, number: int, rising: bool) -> None:
         """Take an edge on a trigger input, now."""
         self.sequencer.trigger_in(number, rising, self.clock.now())
-
-    def _is_parked(self) -> bool:
-        return bool(self._registers[protocol.DMD_PARK.number]["on"])
 
     def _levels(self, enabled: Values, sequenced: tuple[str, ...]) -> dict[str, float]:
         """Return the levels of the LEDs that are on, by their own switches or as the sequencer sets them."""

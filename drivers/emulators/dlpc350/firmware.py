@@ -88,9 +88,8 @@ class Dlpc350(LightEngine):
     # --- reading
 
     def _read(self, command: Command, data: bytes) -> bytes:
-        selected = command.selector.unpack(data)
-        if command is protocol.MEMORY:
-            return self.peek(selected["address"]).to_bytes(4, "little")
+        if data:  # only the boot loader's commands say in a read what is wanted
+            raise CommandRejected
         if command is protocol.MAILBOX_DATA:
             return self._table_bytes()
         if command is protocol.VARIABLE_DATA:
@@ -141,7 +140,7 @@ class Dlpc350(LightEngine):
         frozen = self._registers[protocol.FREEZE.number]["on"]
         gamma = self._registers[protocol.GAMMA.number]["on"]
         return {
-            "parked": int(self.asleep or self._is_parked()),
+            "parked": int(self.asleep),
             "running": int(self.sequencer.running and self._is_shown_running()),
             "frozen": frozen,
             "gamma": gamma,
@@ -186,10 +185,6 @@ class Dlpc350(LightEngine):
             raise CommandRejected
         assert isinstance(protocol.VARIABLE_DATA.returned, RegisterLayout)
         return protocol.VARIABLE_DATA.returned.pack(self._tables.variable[address])
-
-    def peek(self, address: int) -> int:
-        """Read a word of the controller's memory."""
-        return 0
 
     # --- writing
 

@@ -13,7 +13,7 @@ from typing import NoReturn
 from drivers.clock import Clock
 from drivers.dlp4500.framing import ERROR, READ, REPLY_WANTED, UsbMessage
 from drivers.emulators.dlpc350.firmware import CommandRejected, Dlpc350
-from drivers.emulators.dlpc350.flash import BASE_ADDRESS, SECTOR, SIZE, Flash, stored_images
+from drivers.emulators.dlpc350.flash import SECTOR, Flash, stored_images
 from drivers.emulators.dlpc350.policy import Dlpc350Policy
 from drivers.emulators.dlpc350.sequencer import Pulse
 
@@ -165,13 +165,6 @@ class FlashedDlpc350(Dlpc350):
         if self.loader is not None:
             self.loader.lose_power()
         self.switch_on()
-
-    def peek(self, address: int) -> int:
-        """Read a word of the controller's memory."""
-        offset = address - BASE_ADDRESS
-        if not 0 <= offset <= SIZE - 4:
-            return 0
-        return int.from_bytes(self.flash.content[offset : offset + 4], "little")
 
     def answer(self, message: UsbMessage) -> UsbMessage | None:
         """Carry out a message, as the application or as the boot loader."""

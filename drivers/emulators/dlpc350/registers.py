@@ -18,7 +18,6 @@ SEQUENCE_COMMANDS = {
         protocol.TRIGGER_OUT_1,
         protocol.TRIGGER_OUT_2,
         protocol.TRIGGER_IN_1,
-        protocol.TRIGGER_IN_2,
         protocol.MAILBOX,
         protocol.MAILBOX_ADDRESS,
         protocol.MAILBOX_DATA,

@@ -201,8 +201,7 @@ def ask(link: Link, wire: LyingWire, command: Command, chance: random.Random) ->
     """One question or order; success only for an answer that bears its flags and its number."""
     if command.returned is not None and chance.random() < 0.6:
         assert isinstance(command.returned, RegisterLayout)
-        selector = {f.name: f.values()[0] for f in command.selector.named}
-        found = link.read(command, **selector)
+        found = link.read(command)
         size = command.returned.size
         answer = wire.given[-1]
         assert answer[:2] == wire.head

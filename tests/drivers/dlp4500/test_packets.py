@@ -31,7 +31,6 @@ WRITTEN: dict[int, tuple[dict[str, int], str]] = {
     0x1A02: ({"format": 2}, "02"),
     0x1A03: ({"clock": 2}, "02"),
     0x1A37: ({"swap": 4, "port": 1}, "84"),
-    0x1A04: ({"field": 2, "polarity_swap": 1, "pixel_map": 3}, "ca"),
     0x1008: ({"on": 1}, "01"),
     0x1009: ({"on": 1}, "01"),
     0x100A: ({"on": 1}, "01"),
@@ -60,8 +59,6 @@ WRITTEN: dict[int, tuple[dict[str, int], str]] = {
         },
         "ff03 0100 0200 0300 0400 0002",
     ),
-    0x1A39: ({"index": 7}, "07"),
-    0x0609: ({"on": 1}, "01"),
     0x1A3A: ({"first": 2, "count": 3}, "02 03"),
     0x1A0E: ({"table": 1, "on": 1}, "81"),
     0x1A07: ({"red": 1, "green": 0, "blue": 1, "sequenced": 1}, "0d"),
@@ -73,7 +70,6 @@ WRITTEN: dict[int, tuple[dict[str, int], str]] = {
     0x1A1D: ({"inverted": 1, "rising": 0xBB, "falling": 0xD5}, "01 bb d5"),
     0x1A1E: ({"inverted": 0, "rising": 0xBA}, "00 ba"),
     0x1A35: ({"delay": 0x7FFFF}, "ffff0700"),
-    0x1A36: ({"falling": 1}, "01"),
     0x1A22: ({"source": 3}, "03"),
     0x1A23: ({"mode": 4}, "04"),
     0x1A24: ({"run": 2}, "02"),
@@ -130,7 +126,6 @@ RETURNED: dict[int, tuple[dict[str, int], str]] = {
     ),
     0x1A42: ({"count": 12}, "0c"),
     0x0200: ({"standby": 2}, "02"),
-    0x1A16: ({"value": 0x01020304}, "04030201"),
     0x1A3A: ({"ticks": 373_340}, "5cb20500"),
     0x071C: (
         {

@@ -9,6 +9,7 @@ import pytest
 
 from drivers.clock import SteppedClock
 from drivers.dlp4500 import protocol
+from drivers.dlp4500.flash.loader import READ_STATUS
 from drivers.dlp4500.framing import READ, UsbMessage
 from drivers.dlp4500.transport import MOST_STALE, Link, connect
 from fpplab.core.errors import (
@@ -88,9 +89,9 @@ def test_a_read_gives_the_fields() -> None:
 
 
 def test_a_selector_travels_with_the_request() -> None:
-    link, wire = link_to(lambda r: [echo(r, bytes(4))])
-    link.read(protocol.MEMORY, address=0xF9093400)
-    assert wire.sent == [bytes.fromhex("c000 0600 161a 003409f9").ljust(64, b"\0")]
+    link, wire = link_to(lambda r: [echo(r, bytes(16))])
+    link.read_bytes(READ_STATUS, what=0x0C)
+    assert wire.sent == [bytes.fromhex("c000 0300 1500 0c").ljust(64, b"\0")]
 
 
 @pytest.mark.parametrize("size", [1, 60, 61, 124, 125, 384])
