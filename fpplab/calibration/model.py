@@ -125,17 +125,17 @@ class Calibration:
     origin: CalibrationOrigin | None = None
 
     def __repr__(self) -> str:
-        devices = {"camera": self.camera, "projector": self.projector}
         sizes = ", ".join(
-            f"{name} {one.size[0]} x {one.size[1]} (f {one.matrix[0, 0]:.1f} px)"
-            for name, one in devices.items()
+            f"{name} {device.size[0]} x {device.size[1]} (f {device.matrix[0, 0]:.1f} px)"
+            for name, device in self._devices.items()
         )
         rms = "".join(f", {name} RMS {value:.3g} px" for name, value in self.rms_px.items())
         lattice, baseline = self.projector.lattice, f"{self.baseline_mm:.2f}"
         return f"<Calibration: {sizes}, {lattice} lattice, baseline {baseline} mm{rms}>"
 
     def _repr_html_(self) -> str:
-        return calibration_table(self)
+        has_uncertainty = self.uncertainty is not None
+        return calibration_table(self._devices, self.baseline_mm, self.rms_px, has_uncertainty)
 
     def plot(self, distance_mm: float | None = None, axes: Axes | None = None) -> Axes:
         """Draw camera and projector from above, with what each of them sees.
@@ -152,7 +152,12 @@ class Calibration:
         matplotlib.axes.Axes
             In mm in the camera's frame: x to the right, z upwards.
         """
-        return draw_from_above(self, distance_mm or 3.0 * self.baseline_mm, axes)
+        reach_mm = distance_mm or 3.0 * self.baseline_mm
+        return draw_from_above(self._devices, self.T_projector_camera, reach_mm, axes)
+
+    @property
+    def _devices(self) -> dict[str, Pinhole]:
+        return {"camera": self.camera, "projector": self.projector}
 
     @property
     def baseline_mm(self) -> float:

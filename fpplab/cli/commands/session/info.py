@@ -6,7 +6,7 @@ from typing import Any
 
 from fpplab.cli import console
 from fpplab.cli.app import Json
-from fpplab.cli.commands.session import SessionPath, session_app
+from fpplab.cli.commands.session.group import SessionPath, session_app
 
 
 @session_app.command("info")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from fpplab.cli import console
 from fpplab.cli.app import Json
-from fpplab.cli.commands.session import SessionPath, session_app
+from fpplab.cli.commands.session.group import SessionPath, session_app
 from fpplab.core.errors import DataError
 
 
