@@ -27,16 +27,15 @@ from fpplab.core.files import write_text
 from fpplab.core.geometry import RigidTransform
 from fpplab.devices import Frame
 from fpplab.devices.rig import Rig
-from fpplab.matching.match import MatchingLimits
-from fpplab.matching.run import MatchingRequest, MatchingResult, match_sessions, twin_of
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.response import Response
 from fpplab.pipeline import measure_response, take, take_poses
 from fpplab.sessions.session import Session, recorded_sessions
-from fpplab.simulation.matchable import Twin, TwinParameters
 from fpplab.targets import Target
-from sim.parameters import white_level_per_s
-from sim.twin import SimTwin
+from sim.matching.match import MatchingLimits
+from sim.matching.run import MatchingRequest, MatchingResult, match_sessions, twin_of
+from sim.parameters import TwinParameters, white_level_per_s
+from sim.twin import Twin
 from sim.world import World
 
 BOARD, CARD = "board", "grey_card"
@@ -231,7 +230,7 @@ def _refusals(rig: Rig, sessions: Sequence[Session], folder: Path, wanted: Match
         "moved_focus": (world, [*few[:-MOVED], *recorded_sessions([folder.parent / REFOCUSED])]),
     }
     return [
-        _refusal(name, SimTwin(nominal, BOARD, virtual_bench(rig).blender), seen, folder / name, wanted)
+        _refusal(name, Twin(nominal, BOARD, virtual_bench(rig).blender), seen, folder / name, wanted)
         for name, (nominal, seen) in cases.items()
     ]
 

@@ -29,18 +29,18 @@ from fpplab.core.conventions import Image
 from fpplab.core.errors import FppError
 from fpplab.devices import CameraSettings
 from fpplab.devices.rig import Rig
-from fpplab.matching.measured import measured_figures
+from fpplab.devices.simulation import Predictable
 from fpplab.patterns.curve import DEGREE, knots
 from fpplab.patterns.fringes import Pattern
 from fpplab.patterns.plan import Plan
 from fpplab.pipeline import measure_response, take, take_poses
-from fpplab.prediction import MeasuredFigures, Prediction
 from fpplab.sessions.session import Session, recorded_sessions
-from fpplab.simulation.predictable import Predictable
 from sim.bench import VirtualBench
 from sim.build import Setup
 from sim.items import item_poses
 from sim.light import Show
+from sim.matching.judging.measured import measured_figures
+from sim.prediction import MeasuredFigures, Prediction
 from sim.sensor import SensorModel
 from sim.world import World
 

@@ -25,16 +25,16 @@ from fpplab.core.conventions import Floats
 from fpplab.core.errors import FppError
 from fpplab.core.geometry import RigidTransform
 from fpplab.devices.rig import Rig
-from fpplab.matching.light import ADJUSTABLE, FALLOFF, LAMP
-from fpplab.matching.match import MatchingLimits
-from fpplab.matching.measured import measured_figures
-from fpplab.matching.run import MatchingRequest, MatchingResult, match_sessions, twin_of
+from fpplab.devices.simulation import Predictable
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.response import Response
-from fpplab.prediction import MeasuredFigures, Prediction, predict
 from fpplab.sessions.session import Session, recorded_sessions
-from fpplab.simulation.matchable import TwinParameters
-from fpplab.simulation.predictable import Predictable
+from sim.matching.judging.measured import measured_figures
+from sim.matching.light.light_fit import ADJUSTABLE, FALLOFF, LAMP
+from sim.matching.match import MatchingLimits
+from sim.matching.run import MatchingRequest, MatchingResult, match_sessions, twin_of
+from sim.parameters import TwinParameters
+from sim.prediction import MeasuredFigures, Prediction, predict
 
 JUDGING = 5300
 """First seed of the benches that judge; to be run once a method is fixed. Seeds 5000 to 5011, 5100 to 5111,

@@ -16,9 +16,6 @@ from fpplab.core.conventions import Floats
 from fpplab.core.errors import ConfigError
 from fpplab.core.geometry import RigidTransform
 from fpplab.devices import CameraSettings
-from fpplab.simulation.arrangeable import SceneStudio
-from fpplab.simulation.matchable import Twin
-from fpplab.simulation.predictable import FrameSampler
 from sim.build import Setup, build_scene, is_lit_in_view
 from sim.fluctuation import Fluctuation
 from sim.items import item_poses
@@ -27,7 +24,7 @@ from sim.sampling import SimSampler
 from sim.scene import Effort, SubpixelView
 from sim.studio import SimStudio
 from sim.timing import is_whole, plane_weights
-from sim.twin import SimTwin
+from sim.twin import Twin
 from sim.vibration import displaced, displacement_mm, wave_phase, with_vibration
 from sim.worker import START_S, Blender
 from sim.world import Binning, Subpixels, World
@@ -134,12 +131,12 @@ class VirtualBench:
         return Light(world, self.blender, analytic=self._analytic)
 
     def twin(self, board: str) -> Twin:
-        """Make a twin that starts from this world and looks at one of its boards; see `fpplab.matching`.
+        """Make a twin that starts from this world and looks at one of its boards; see `sim.matching`.
 
         It renders in the same Blender process and lives as long.
         """
         with self._naming_file():
-            return SimTwin(self.world, board, self.blender)
+            return Twin(self.world, board, self.blender)
 
     def draw(self, numbers: Iterable[int]) -> None:
         """Let noise and vibration of the next frames follow from these numbers and the world's seed.
@@ -150,7 +147,7 @@ class VirtualBench:
 
     @property
     def next_frame(self) -> int:
-        """Number of the next frame, counted since opening; see `fpplab.simulation.seeded`."""
+        """Number of the next frame, counted since opening; see `fpplab.devices.simulation`."""
         return self._count
 
     def number_frames(self, numbers: Sequence[int], then: int) -> None:
@@ -166,13 +163,13 @@ class VirtualBench:
         """Turn the projector towards the camera."""
         self.setup = replace(self.setup, convergence_deg=float(convergence_deg))
 
-    def sampler(self, draw: int = 0) -> FrameSampler:
-        """Make a sampler of parts of the image, for predictions; see `fpplab.simulation.predictable`."""
+    def sampler(self, draw: int = 0) -> SimSampler:
+        """Make a sampler of parts of the image, for predictions; see `fpplab.devices.simulation`."""
         world = self.world.drawn(draw)
         return SimSampler(world, self.light if world is self.world else self._light_of(world))
 
-    def studio(self) -> SceneStudio:
-        """Make a studio that arranges scenes for data sets, see `fpplab.simulation.arrangeable`."""
+    def studio(self) -> SimStudio:
+        """Make a studio that arranges scenes for data sets."""
         return SimStudio(self)
 
     def irradiance(self, settings: CameraSettings, frame: int) -> PatternLevels:

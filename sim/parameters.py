@@ -2,17 +2,79 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
 
 from fpplab.calibration.model import Calibration, CalibrationFile, PoseFile
 from fpplab.core import config
+from fpplab.core.geometry import RigidTransform
 from fpplab.devices import CameraSettings
-from fpplab.simulation.matchable import NO_LINE, TwinParameters
+from fpplab.patterns.curve import Curve
 from fpplab.targets import Target
 from sim.items import item_poses
+from sim.part_surface import PartSurface
 from sim.sensor import SensorModel
 from sim.world import RoomLamp, World
 from sim.world.surface import with_surface
+
+NO_LINE = (0.0, 0.0, 0.0)
+"""Of a vibration that has no direction."""
+NO_FALLOFF = (0.0, 0.0, 0.0, 0.0, 0.0)
+"""Of a projector whose light is even."""
+
+
+@dataclass(frozen=True, eq=False)
+class TwinParameters:
+    """Everything of a twin that matching may change. A parameter that is None is absent from the world."""
+
+    calibration: Calibration  # both devices and the pose between them
+    poses: tuple[RigidTransform, ...]  # `T_camera_item` of the board
+    white: float  # level above black of a surface that faces the lamp at its distance
+    response: Curve  # of the projector, with a + b = 1, since `white` takes the scale
+    ambient: float  # even ambient light, relative to the projector's white
+    paper: float  # reflectances of the board's ground and print
+    ink: float  # reflectances of the board's ground and print
+    projector_blur: float  # standard deviation of the projector lens's point spread at its sharpest
+    projector_focus_mm: float | None  # distance in focus of the projector, as in a world file
+    projector_aperture_mm: float  # diameter of the projector's aperture, as in a world file
+    camera_focus_mm: float | None  # distance in focus of the camera; None: sharp at every depth
+    f_number: float  # of the camera's lens
+    vignetting: float  # exponent n of the camera's loss of light cosⁿ towards the edge
+    black_level: float  # share of full scale
+    read_noise_e: float  # electrons of the unbinned pixel
+    full_well_e: float  # electrons of the unbinned pixel
+    vibration_mm: float  # standard deviation of the item's position from frame to frame
+    vibration_line_mm: tuple[float, float, float] = NO_LINE
+    vibration_periodic: float = 0.0  # share of its variance that has one frequency
+    vibration_cycles_per_frame: float = 0.0  # that frequency, as frames at regular intervals sample it
+    projector_falloff: tuple[float, float, float, float, float] = NO_FALLOFF  # coefficients of x
+    projector_flicker: float = 0.0  # standard deviation of the projector's light from frame to frame
+    lamp_irradiance: float = 0.0  # light of the room's lamp on a surface that faces it
+    lamp_angle_deg: float = 45.0  # place of the lamp from that point
+    lamp_azimuth_deg: float = -90.0  # place of the lamp from that point
+    lamp_distance_mm: float = 2000.0  # place of the lamp from that point
+    ambient_ripple: float = 0.0  # amplitude of the rolling bands of ambient light and lamp, as a share of it
+    band_period_px: float = 0.0  # from band to band, in rows of the frame; 0 where there are none
+    band_advance: float | None = None  # share of a period by which they move from frame to frame
+    placed: Mapping[str, RigidTransform] = field(default_factory=dict)
+    surfaces: Mapping[str, PartSurface] = field(default_factory=dict)  # of items whose surface was matched
+    sigma: Mapping[str, float] = field(default_factory=dict)  # standard uncertainties that a fit stated
+
+    @property
+    def displacement_mm(self) -> float:
+        """RMS displacement of the item along an axis by all of its vibration."""
+        return float(np.sqrt(self.vibration_mm**2 + np.mean(np.square(self.vibration_line_mm))))
+
+    def sigma_with(self, **known: float) -> dict[str, float]:
+        """Give the standard uncertainties with some replaced."""
+        return {name: value for name, value in {**self.sigma, **known}.items() if value or name not in known}
+
+    def with_pose(self, index: int, pose: RigidTransform) -> TwinParameters:
+        """Replace one of the poses."""
+        return replace(self, poses=(*self.poses[:index], pose, *self.poses[index + 1 :]))
+
 
 NO_LAMP = RoomLamp(irradiance=0.0)
 LAMP = "room"

@@ -11,14 +11,14 @@ import trimesh
 from fpplab.calibration.model import Calibration
 from fpplab.core.conventions import Image, PixelIndices
 from fpplab.devices import CameraSettings
+from fpplab.devices.simulation import Columns, Rows
 from fpplab.patterns.fringes import Pattern
-from fpplab.simulation.predictable import Columns, Rows
-from fpplab.simulation.surface import PartSurface
 from sim.build import Setup
 from sim.fluctuation import Fluctuation
 from sim.items import item_poses, part_mesh
 from sim.light import Light, PatternLevels
 from sim.light.byte_limited_cache import ByteLimitedCache
+from sim.part_surface import PartSurface
 from sim.sensor import SensorModel
 from sim.vibration import displaced, displacement_mm, wave_phase
 from sim.world import World
@@ -53,7 +53,7 @@ class FramePart:
 
 
 class SimSampler:
-    """A `fpplab.simulation.predictable.FrameSampler`."""
+    """A `fpplab.devices.simulation.FrameSampler` of a world."""
 
     def __init__(self, world: World, light: Light) -> None:
         self._world, self._light = world, light

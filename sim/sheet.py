@@ -14,8 +14,8 @@ from fpplab.core.conventions import Floats
 from fpplab.core.errors import ConfigError, FppError
 from fpplab.core.files import write_atomic
 from fpplab.sessions.image_files import grey_images, places_in
-from fpplab.simulation.appearance import BoardSheet
 from fpplab.targets import Target
+from sim.appearance import BoardSheet
 from sim.world import BoardItem
 
 EVEN = 128

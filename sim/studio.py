@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Any, Protocol
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, Protocol
 
 import trimesh
+from pydantic import Field
 
-from fpplab.calibration.model import Calibration
+from fpplab.calibration.model import Calibration, PoseFile
 from fpplab.core import config
-from fpplab.simulation.arrangeable import SceneTruth
-from fpplab.simulation.scene import DatasetScene
+from fpplab.core.config import Document
 from sim.build import Setup
 from sim.items import item_poses, item_shape
 from sim.light import Light
@@ -18,6 +18,53 @@ from sim.world import World
 
 ITEM = "item"
 """Name of the one item of a scene."""
+
+
+class DatasetScene(Document):
+    """One scene as drawn: an artefact, or the board of a target file, with its paint, light and noise."""
+
+    seed: int
+    """Of the scene's noise."""
+    artefact: str | None = None
+    """Kind of the artefact; None for a board."""
+    sizes: Annotated[dict[str, float | tuple[float, ...]], Field(default_factory=dict)]
+    """Lengths of the artefact in mm, by name."""
+    target: str | None = None
+    """Target file of the board; None for an artefact."""
+    pose: PoseFile
+    """T_camera_item."""
+    reflectance: float
+    """Diffuse reflectance of the artefact, or of the board's ground."""
+    ink: float
+    """Diffuse reflectance of the board's print."""
+    roughness: float
+    """Roughness of the paint's matt body."""
+    gloss: float
+    """Share of the light that the gloss of the paint reflects."""
+    gloss_roughness: float
+    """Square root of the width of the gloss (GGX), from nearly a mirror to matt."""
+    ambient: float
+    """Even ambient light, relative to the projector's white."""
+    charge: float
+    """Electrons for the same grey level, relative to the rig's sensor."""
+    read_noise_e: float
+    """Read noise in electrons."""
+    exposure_s: float
+    """Exposure of the camera in s."""
+    projector_blur: float
+    """Standard deviation of the projector lens's point spread at its sharpest, in mirrors."""
+    projector_focus_mm: float
+    """Distance in focus of the projector in mm."""
+    stage_mm: float
+    """Position of the stage in mm."""
+
+
+@dataclass(frozen=True, eq=False)
+class SceneTruth:
+    """Ground truth of an arranged scene."""
+
+    mesh: trimesh.Trimesh  # true surface in mm in the camera's frame; flat items are meshes of two sides
+    calibration: Calibration  # the true devices, with the stage where it is
 
 
 class WorldHolder(Protocol):
@@ -41,7 +88,7 @@ class WorldHolder(Protocol):
 
 
 class SimStudio:
-    """A `fpplab.simulation.arrangeable.SceneStudio` over the world in use when it is made."""
+    """Scenes that are variations of the world in use when the studio is made."""
 
     def __init__(self, bench: WorldHolder) -> None:
         self._bench, self._nominal = bench, bench.world

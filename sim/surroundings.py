@@ -16,7 +16,7 @@ from fpplab.core.errors import ConfigError, FppError
 from fpplab.core.files import write_atomic
 from fpplab.core.geometry import Pinhole
 from fpplab.sessions.image_files import grey_images, places_in
-from fpplab.simulation.appearance import BenchSurroundings
+from sim.appearance import BenchSurroundings
 from sim.scene import Paint, Surface
 from sim.world import SurroundingsSection, World
 

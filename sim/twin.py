@@ -17,6 +17,7 @@ from weakref import finalize
 
 import numpy as np
 import trimesh
+from numpy.typing import NDArray
 
 from fpplab.calibration.model import CalibrationFile
 from fpplab.core import config
@@ -26,13 +27,12 @@ from fpplab.core.files import write_text
 from fpplab.core.geometry import RigidTransform
 from fpplab.devices import CameraSettings
 from fpplab.patterns.fringes import Pattern
-from fpplab.simulation.appearance import Appearance
-from fpplab.simulation.matchable import ExpectedLevels, TwinParameters
+from sim.appearance import Appearance
 from sim.build import Setup
 from sim.fluctuation import Fluctuation
 from sim.items import board_target, item_poses, part_mesh
 from sim.light import Light, PatternLevels, Show
-from sim.parameters import parameters_of, world_of
+from sim.parameters import TwinParameters, parameters_of, world_of
 from sim.sensor import SensorModel
 from sim.sheet import board_relative_to, save_sheet
 from sim.surroundings import save_surroundings
@@ -40,9 +40,15 @@ from sim.vibration import displaced, displacement_mm, wave_phase, with_vibration
 from sim.worker import Blender
 from sim.world import BoardItem, World
 
+ExpectedLevels = NDArray[np.float32]
+"""Raw levels without noise and without rounding, (n, h, w), clipped to 0 … full scale."""
 
-class SimTwin:
-    """A `fpplab.simulation.matchable.Twin` that looks at one board."""
+
+class Twin:
+    """A simulation of a board whose parameters can be set.
+
+    Poses are indices into `parameters.poses`; frames and levels are raw, of the bit depth of the settings.
+    """
 
     def __init__(self, nominal: World, board: str, blender: Blender) -> None:
         item = nominal.item(board)

@@ -16,11 +16,11 @@ from docs.generate.pages import DOCS
 from fpplab.acceptance.standard import Standard
 from fpplab.calibration.model import CalibrationFile
 from fpplab.cli import app
-from fpplab.dataset.scenes import SceneRanges
 from fpplab.devices.rig import RigFile
 from fpplab.optimisation.study import Study
 from fpplab.patterns.plan import Plan
 from fpplab.targets.target import Target
+from sim.dataset.scenes import SceneRanges
 from sim.world.world import World
 
 FILES: dict[str, tuple[str, type[BaseModel]]] = {

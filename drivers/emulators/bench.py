@@ -51,7 +51,7 @@ from fpplab.core.geometry import RigidTransform
 from fpplab.devices import CameraSettings, DeviceInfo, Fixture, FixtureCaps
 from fpplab.devices.backends import load_backend
 from fpplab.devices.rig import Rig
-from fpplab.simulation.seeded import NumberedFrames
+from fpplab.devices.simulation import NumberedFrames
 
 STAGE_SPEEDUP = 100.0
 """Factor by which the emulated stage's time runs faster than real time."""
@@ -146,7 +146,7 @@ class EmulatedBench:
 
     @property
     def next_frame(self) -> int:
-        """Number of the next frame that the optics render; see `fpplab.simulation.seeded`."""
+        """Number of the next frame that the optics render; see `fpplab.devices.simulation`."""
         optics = self.optics_rig.simulation
         return optics.next_frame if isinstance(optics, NumberedFrames) else 0
 

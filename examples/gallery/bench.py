@@ -15,10 +15,10 @@ import trimesh
 import yaml
 
 from fpplab import Plan, Rig, Session, decode, load_cloud, scan
-from fpplab.dataset.labels import trace_labels
 from fpplab.diagnosis import UselessScanError
 from fpplab.diagnosis.record import load_diagnosis
-from fpplab.simulation.arrangeable import SceneTruth
+from sim.dataset.labels import trace_labels
+from sim.studio import SceneTruth
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt

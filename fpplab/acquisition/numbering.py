@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from fpplab.acquisition.acquire import end_markers
 from fpplab.devices.rig import Rig
+from fpplab.devices.simulation import NumberedFrames
 from fpplab.sessions.origin import session_origin
 from fpplab.sessions.session import Session
-from fpplab.simulation.seeded import NumberedFrames
 
 
 def next_frame_of(rig: Rig) -> int | None:

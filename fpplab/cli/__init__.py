@@ -1,4 +1,4 @@
-"""The command line: every file of `fpplab.cli.commands` is a command; drivers bring their own.
+"""The command line: every file of `fpplab.cli.commands` is a command; drivers and twin bring their own.
 
 Heavy modules are imported where they are used, so that `--help` is at once.
 """
@@ -9,14 +9,18 @@ from importlib import import_module
 from pkgutil import iter_modules
 
 from fpplab.cli import commands, console
-from fpplab.cli.app import INSTRUMENTS, app, sort_commands
+from fpplab.cli.app import INSTRUMENTS, app, is_single_command, sort_commands
 from fpplab.core import plugins
 
 for _module in iter_modules(commands.__path__):
     import_module(f"{commands.__name__}.{_module.name}")
-sort_commands()
 for _name in plugins.plugin_names(plugins.COMMANDS):
-    app.add_typer(plugins.load_plugin(plugins.COMMANDS, _name), name=_name, rich_help_panel=INSTRUMENTS)
+    _program = plugins.load_plugin(plugins.COMMANDS, _name)
+    if is_single_command(_program):
+        app.registered_commands.extend(_program.registered_commands)
+    else:
+        app.add_typer(_program, name=_name, rich_help_panel=INSTRUMENTS)
+sort_commands()
 
 
 def main() -> None:

@@ -137,6 +137,12 @@ PANELS = (START, PREPARE, MEASURE, JUDGE, TWIN, INSTRUMENTS)
 """Headings of `fpplab --help`, in its order; a command names its own."""
 
 
+def is_single_command(program: typer.Typer) -> bool:
+    """Whether a program is one command rather than a group of them, by typer's own rule."""
+    alone = len(program.registered_commands) == 1 and not program.registered_groups
+    return alone and program.registered_callback is None
+
+
 def sort_commands() -> None:
     """Put the commands in the order of their headings, and of their names under each."""
     app.registered_commands.sort(

@@ -17,7 +17,9 @@ from fpplab.core.errors import ConfigError
 from fpplab.core.extras import missing_extra
 
 COMMANDS = "fpplab.commands"
-"""`typer.Typer` programs, added to the command line under the entry's name."""
+"""`typer.Typer` programs, added to the command line under the entry's name.
+
+A program of one command without a callback is added as that command, under the heading that it names."""
 
 BACKENDS = "fpplab.backends"
 """Classes of devices and benches that rig files may name, by the entry's name or its `module:Class`."""

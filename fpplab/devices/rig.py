@@ -135,7 +135,7 @@ class RigFile(DepthSection):
 class Rig:
     """The devices of a rig file, open between `with Rig.load(path) as rig:` and its end.
 
-    simulation: what the devices share (the rig file's `bench`), or None; see `fpplab.simulation`.
+    simulation: what the devices share (the rig file's `bench`), or None; see `fpplab.devices.simulation`.
 
     Every device is closed in reverse order, whatever fails; a device that cannot be made
     safe is reported after all the others are closed.

@@ -22,11 +22,11 @@ from fpplab.core.errors import CalibrationError, ConfigError
 from fpplab.core.geometry import Pinhole, RigidTransform, turned_towards
 from fpplab.core.progress import Progress, no_progress
 from fpplab.devices.rig import Rig
+from fpplab.devices.simulation import Turnable
 from fpplab.optimisation.fringe_cache import MeasuringSetup
 from fpplab.optimisation.problem import CalibrationAt, SearchProblem
 from fpplab.patterns.plan import Plan
 from fpplab.pipeline import CALIBRATION, characterise_sessions, take_poses
-from fpplab.simulation.turnable import Turnable
 from fpplab.targets import Target
 
 TRAVEL_TOLERANCE, TRAVEL_TOLERANCE_MM = 0.05, 1.0

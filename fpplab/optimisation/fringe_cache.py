@@ -21,10 +21,10 @@ from fractions import Fraction
 from fpplab.acquisition.acquire import capture
 from fpplab.core.conventions import Axis, Image
 from fpplab.devices.rig import Rig
+from fpplab.devices.simulation import Seeded
 from fpplab.optimisation.candidate import Fringes
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
-from fpplab.simulation.seeded import Seeded
 
 CACHE_BYTES = 3 << 28
 """Memory for frames, by default."""

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 from fpplab.core.conventions import Axis, axis_length
 from fpplab.core.errors import ConfigError
 from fpplab.devices.rig import Rig
+from fpplab.devices.simulation import Seeded, Turnable
 from fpplab.optimisation.candidate import Candidate
 from fpplab.patterns.fringes import Pattern
-from fpplab.simulation.seeded import Seeded
-from fpplab.simulation.turnable import Turnable
 
 BITS = Pattern.bit_depth
 """Bit depth in which fringes are projected."""

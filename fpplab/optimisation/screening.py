@@ -22,6 +22,7 @@ import numpy as np
 from fpplab.calibration.model import Calibration
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.devices.rig import Rig
+from fpplab.devices.simulation import FrameSampler, Predictable
 from fpplab.optimisation.candidate import Candidate, Evaluator, Fringes, Score
 from fpplab.optimisation.limits import RigLimits
 from fpplab.optimisation.measuring import possible_coordinates
@@ -31,7 +32,6 @@ from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import Pattern, make_patterns
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
-from fpplab.simulation.predictable import FrameSampler, Predictable
 
 BANDS, ROWS, BORDER = 2, 14, 3
 """Parts of the image for each artefact, their rows, and how many at each edge serve as neighbours alone."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from fpplab.core import config
-from fpplab.simulation.surface import PartSurface
+from sim.part_surface import PartSurface
 from sim.world.materials.base import Material
 
 KEPT = {"diffuse": {"roughness", "ridges", "grain"}, "glossy": {"roughness", "ridges", "grain"}}

@@ -14,11 +14,11 @@ from benchmarks.match import MatchBenchmarkSetup, errors, match_figures, perturb
 from fpplab.core import config
 from fpplab.core.geometry import RigidTransform
 from fpplab.devices.rig import Rig
-from fpplab.matching.match import MatchingLimits
-from fpplab.matching.record import MatchingRecord
 from fpplab.patterns.curve import Curve
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
+from sim.matching.match import MatchingLimits
+from sim.matching.record import MatchingRecord
 from sim.world import World
 from tests.support.plane_twin import nominal, tilted
 

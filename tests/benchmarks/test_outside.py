@@ -25,8 +25,8 @@ from fpplab.patterns.curve import Curve
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.response import Response
-from fpplab.prediction import MeasuredFigures, Prediction
-from fpplab.prediction.intervals import FigureInterval
+from sim.prediction import MeasuredFigures, Prediction
+from sim.prediction.intervals import FigureInterval
 
 SHOWN = np.linspace(0.0, 1.0, 256)
 

@@ -10,8 +10,8 @@ import pytest
 from benchmarks.predict import JudgedBench, PredictSetup, errors_in_sigmas, figures, poses_off_um
 from fpplab.calibration.model import Uncertainty
 from fpplab.core.geometry import RigidTransform
-from fpplab.prediction import MeasuredFigures, Prediction
-from fpplab.prediction.intervals import FigureInterval
+from sim.prediction import MeasuredFigures, Prediction
+from sim.prediction.intervals import FigureInterval
 from tests.support.plane_twin import nominal, tilted
 
 

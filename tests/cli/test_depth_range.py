@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fpplab.cli.warmup import DISTANCE_MM, frames_of_plane, small_rig
 from fpplab.core.conventions import Lattice
 from fpplab.core.errors import ConfigError
 from fpplab.devices import CameraSettings, Frame
@@ -16,6 +15,7 @@ from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import MaskRules, Plan
 from fpplab.pipeline import depth_range_of
 from fpplab.sessions.session import Session
+from sim.warmup import DISTANCE_MM, frames_of_plane, small_rig
 from tests.support.commands import Command
 
 RIG = small_rig()

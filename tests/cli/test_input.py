@@ -176,7 +176,8 @@ def test_unknown_benchmark_lists_the_known() -> None:
 
 
 def test_help_teaches_every_command() -> None:
-    files = (ROOT / "fpplab/cli/commands").glob("[a-z]*.py")
+    folders = (ROOT / "fpplab/cli/commands", ROOT / "sim/commands")
+    files = [path for folder in folders for path in folder.glob("[a-z]*.py")]
     commands = [path.stem.strip("_").replace("_", "-") for path in files]
     assert len(commands) >= 19
     for command in commands:

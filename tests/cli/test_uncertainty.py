@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from fpplab.calibration.model import Calibration, Uncertainty
-from fpplab.cli.warmup import frames_of_plane, small_rig
 from fpplab.clouds import load_cloud
 from fpplab.patterns.plan import Plan
+from sim.warmup import frames_of_plane, small_rig
 from tests.support.commands import Command
 from tests.support.recorded import frame
 

@@ -140,7 +140,7 @@ from pathlib import Path
 import numpy, tifffile
 WINDOWS
 from fpplab.core.files import sweep_file_drafts, write_text
-from fpplab.dataset.shard import claim_shard
+from sim.dataset.shard import claim_shard
 from fpplab.devices.rig_lock import using_rig, watching_rig
 from fpplab.sessions.lock import exclusive_write
 import fpplab.setup.live.keys, drivers.video_camera.camera

@@ -15,8 +15,8 @@ from fpplab.core.files import read_bounded
 from fpplab.core.journals import whole_lines
 from fpplab.core.lock import lock_owner
 from fpplab.core.strict_json import parse_json, parse_object
-from fpplab.dataset.card import read_card
-from fpplab.dataset.shard import check_shard
+from sim.dataset.card import read_card
+from sim.dataset.shard import check_shard
 
 DEEP = "[" * 100_000
 

@@ -42,11 +42,11 @@ def yaml(data: bytes, folder: Path) -> None:
     """The first byte says as which of the eight kinds the rest is read."""
     from fpplab.acceptance.standard import Standard
     from fpplab.calibration.model import Calibration
-    from fpplab.dataset.scenes import SceneRanges
     from fpplab.devices.rig import Rig
     from fpplab.optimisation.study import Study
     from fpplab.patterns.plan import Plan
     from fpplab.targets.target import Target
+    from sim.dataset.scenes import SceneRanges
     from sim.world.world import World
 
     kinds = (Calibration, SceneRanges, Plan, Rig, Standard, Study, Target, World)
@@ -151,10 +151,10 @@ def image(data: bytes, folder: Path) -> None:
 def records(data: bytes, folder: Path) -> None:
     """Lines and objects of JSON; the first byte says of what."""
     from fpplab.core.checksums import check_recorded
-    from fpplab.dataset.card import read_card
-    from fpplab.dataset.shard import check_shard
-    from fpplab.matching.record import MatchingRecord
     from fpplab.sessions.journal import read_journal
+    from sim.dataset.card import read_card
+    from sim.dataset.shard import check_shard
+    from sim.matching.record import MatchingRecord
     from tests.support.recorded import PLAN
 
     if not data:
@@ -277,7 +277,7 @@ TARGETS: dict[str, Fuzzed] = {
     "opencv": Fuzzed(opencv, seeds.opencv, ("fpplab.calibration.interchange",)),
     "image": Fuzzed(image, seeds.image, ("fpplab.sessions.image_files", "PIL", "fpplab.core.archives")),
     "records": Fuzzed(
-        records, seeds.records, ("fpplab.core.checksums", "fpplab.sessions.journal", "fpplab.dataset.card")
+        records, seeds.records, ("fpplab.core.checksums", "fpplab.sessions.journal", "sim.dataset.card")
     ),
     "hid": Fuzzed(hid, seeds.hid, ("drivers.dlp4500", "drivers.emulators.dlpc350")),
     "grbl": Fuzzed(grbl, seeds.grbl, ("drivers.stage_grbl", "drivers.emulators.grbl")),

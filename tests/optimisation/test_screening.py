@@ -12,13 +12,13 @@ import pytest
 from fpplab.core import config
 from fpplab.core.errors import DataError
 from fpplab.devices.rig import Rig
+from fpplab.devices.simulation import Predictable
 from fpplab.optimisation.candidate import Candidate, Fringes
 from fpplab.optimisation.measuring import RigEvaluator, candidate_from_plan
 from fpplab.optimisation.run import journal_paths, run_search
 from fpplab.optimisation.scope import SearchScope
 from fpplab.optimisation.screening import SampledEvaluator, can_screen
 from fpplab.optimisation.study import Study
-from fpplab.simulation.predictable import Predictable
 from tests.support.searching import study
 
 RIG = "rig_demo_quick"

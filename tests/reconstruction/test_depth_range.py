@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fpplab.cli.warmup import DISTANCE_MM, frames_of_plane, small_rig
 from fpplab.core.conventions import AXES
 from fpplab.core.errors import ConfigError
 from fpplab.core.geometry import RigidTransform
@@ -18,6 +17,7 @@ from fpplab.phase import decode
 from fpplab.pipeline import check_plan, plan_with_depth
 from fpplab.reconstruction.depth_range import MARGIN_PX, DepthRange, depth_bounds
 from fpplab.reconstruction.triangulation import triangulate
+from sim.warmup import DISTANCE_MM, frames_of_plane, small_rig
 
 RIG = small_rig()
 NEAR, FAR = DISTANCE_MM - 40.0, DISTANCE_MM + 40.0

@@ -16,7 +16,6 @@ from scipy.stats import norm
 from fpplab.calibration.model import INTRINSICS, PARAMETERS, Calibration, Uncertainty
 from fpplab.characterisation import characterise
 from fpplab.characterisation.parameters import DEFAULT_SCALE_TOLERANCE, DistortionModel, vectors_of
-from fpplab.cli.warmup import frames_of_plane, small_rig
 from fpplab.clouds import Cloud
 from fpplab.core.errors import CalibrationError
 from fpplab.core.geometry import Pinhole, RigidTransform
@@ -31,6 +30,7 @@ from fpplab.reconstruction.uncertainty import (
     point_covariance,
     with_uncertainty,
 )
+from sim.warmup import frames_of_plane, small_rig
 from tests.reconstruction.test_triangulation import CALIBRATION as DISTORTED
 from tests.reconstruction.test_triangulation import Maps, maps_of, plane, sphere
 from tests.support import rigs

@@ -41,7 +41,7 @@ from tests.sim.conftest import RIG, plain, world, write_world
 
 ROOT = Path(__file__).parents[2]
 RIG_WITH_STAGE = RIG.replace("bits: 12", "bits: 8") + 'stage: {backend: "sim.devices:SimStage"}\n'
-ENTRY_POINT = "[fpplab.commands]\ntwin = sim.commands:twin\n"
+ENTRY_POINT = "[fpplab.commands]\ntwin = sim.commands.twin:twin\n"
 
 Picture = np.ndarray[Any, Any]
 

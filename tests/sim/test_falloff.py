@@ -13,7 +13,7 @@ from fpplab.patterns.fringes import uniform_patterns
 from sim.build import Setup
 from sim.light import Light, Show
 from sim.light.falloff import projector_falloff
-from sim.twin import SimTwin
+from sim.twin import Twin
 from sim.worker import Blender
 from sim.world import ProjectorWorld, World
 
@@ -68,7 +68,7 @@ def test_a_board_is_lit_by_it() -> None:
 
 def test_a_matched_twin_keeps_it(tmp_path: Path) -> None:
     blender = Blender("test")
-    twin = SimTwin(world(FALLOFF), "board", blender)
+    twin = Twin(world(FALLOFF), "board", blender)
     assert twin.parameters.projector_falloff == FALLOFF
     twin.save(tmp_path)
     assert World.load(str(tmp_path / "world.yaml")).projector.falloff == FALLOFF

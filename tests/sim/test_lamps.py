@@ -19,15 +19,14 @@ from fpplab.devices import CameraSettings
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import Plan
-from fpplab.simulation.matchable import TwinParameters
 from sim.build import Setup, build_scene
 from sim.light import Light, PatternLevels, Show
 from sim.light.lamps import lamp_light, point_lamps
-from sim.parameters import FIELDS
+from sim.parameters import FIELDS, TwinParameters
 from sim.preview_file import Preview, write_preview
 from sim.sensor import SensorModel
 from sim.surroundings import surroundings_surface
-from sim.twin import SimTwin
+from sim.twin import Twin
 from sim.worker import Blender
 from sim.world import RoomLamp, World
 from tests.sim.conftest import SIZE, plain, world
@@ -155,7 +154,7 @@ def test_lamps_alone_are_light_enough() -> None:
     assert not dark.irradiance(Setup("board", 0), None).any()
 
 
-def seen(parameters: TwinParameters, twin: SimTwin, pixels: Any) -> PatternLevels:
+def seen(parameters: TwinParameters, twin: Twin, pixels: Any) -> PatternLevels:
     twin.become(parameters)
     return twin.expected_at(0, PATTERNS, CameraSettings(0.02), pixels)
 
@@ -199,7 +198,7 @@ def test_vibration_moves_what_the_lamp_lights() -> None:
 
 
 def test_a_twin_has_the_lamp_that_it_is_given() -> None:
-    twin = SimTwin(lamped(), "board", Blender("bench"))
+    twin = Twin(lamped(), "board", Blender("bench"))
     now = twin.parameters
     assert (now.lamp_irradiance, now.lamp_angle_deg, now.lamp_azimuth_deg) == (0.25, 55.0, 160.0)
     pixels = (np.full(8, 64), np.arange(80, 112, 4))
@@ -212,7 +211,7 @@ def test_a_twin_has_the_lamp_that_it_is_given() -> None:
 
 def test_uncertainty_of_the_lamp_is_written(tmp_path: Path) -> None:
     """By the paths of its fields, so that draws of the world have other lamps."""
-    twin = SimTwin(lamped(), "board", Blender("bench"))
+    twin = Twin(lamped(), "board", Blender("bench"))
     twin.become(replace(twin.parameters, sigma={"lamp_irradiance": 0.01, "lamp_angle_deg": 3.0}))
     twin.save(tmp_path)
     found = World.load(tmp_path / "world.yaml")

@@ -18,13 +18,13 @@ from fpplab.devices import CameraSettings
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import make_patterns, uniform_patterns
 from fpplab.patterns.plan import Plan
-from fpplab.simulation.appearance import Appearance, BenchSurroundings, BoardSheet
+from sim.appearance import Appearance, BenchSurroundings, BoardSheet
 from sim.build import NOTHING, Setup
 from sim.items import item_surface
 from sim.light import Light, PatternLevels, Show
 from sim.light.background import Background
 from sim.surroundings import surroundings_surface
-from sim.twin import SimTwin
+from sim.twin import Twin
 from sim.worker import Blender
 from sim.world import World
 from tests.sim.conftest import SIZE, plain
@@ -189,14 +189,14 @@ def test_a_sheet_has_margins_and_texture(tmp_path: Path) -> None:
 
 def test_what_a_twin_looks_like_is_saved_and_read_again(tmp_path: Path) -> None:
     of = config.validate(plain(render=EXACT), World, "test")
-    twin = SimTwin(of, "board", Blender("bench"))
+    twin = Twin(of, "board", Blender("bench"))
     mesh = trimesh.load(write_wall(tmp_path)["mesh"], process=False)
     texture = np.random.default_rng(1).uniform(0.8, 1.2, (40, 60)).astype(np.float32)
     around = BenchSurroundings(mesh, np.full(SIZE[::-1], 0.3, np.float32))
     twin.appear(Appearance(BoardSheet((5.0, 0.0, 0.0, 5.0), 8.0, 0.06, texture), around))
     shown = twin.expected(0, PATTERNS, SETTINGS)
     twin.save(tmp_path / "saved")
-    again = SimTwin(World.load(tmp_path / "saved" / "world.yaml"), "board", Blender("bench"))
+    again = Twin(World.load(tmp_path / "saved" / "world.yaml"), "board", Blender("bench"))
     np.testing.assert_allclose(again.expected(0, PATTERNS, SETTINGS), shown, atol=0.02)
     assert {"surroundings.ply", "surroundings.png", "board_texture.png"} <= {
         one.name for one in (tmp_path / "saved").iterdir()

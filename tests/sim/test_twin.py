@@ -20,11 +20,11 @@ from fpplab.patterns.curve import Curve
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import Pattern, make_patterns, uniform_patterns
 from fpplab.patterns.plan import Plan
-from fpplab.simulation.matchable import Twin, TwinParameters
 from sim.build import Setup
 from sim.light import Light, Show
+from sim.parameters import TwinParameters
 from sim.sensor import SensorModel
-from sim.twin import SimTwin
+from sim.twin import Twin
 from sim.worker import Blender
 from sim.world import World
 from tests.sim.conftest import SIZE, plain
@@ -55,8 +55,8 @@ def _nominal() -> World:
     return config.validate(plain(render=EXACT), World, "test")
 
 
-def _twin(of: World, board: str = "board") -> SimTwin:
-    return SimTwin(of, board, Blender("bench"))  # which no board needs, so it does not start
+def _twin(of: World, board: str = "board") -> Twin:
+    return Twin(of, board, Blender("bench"))  # which no board needs, so it does not start
 
 
 def _patterns(of: Twin) -> tuple[Pattern, ...]:
@@ -65,7 +65,7 @@ def _patterns(of: Twin) -> tuple[Pattern, ...]:
 
 
 @pytest.fixture
-def twin() -> SimTwin:
+def twin() -> Twin:
     return _twin(_nominal())
 
 
@@ -125,7 +125,7 @@ def test_rendered_light_at_some_pixels_agrees_with_the_whole_image(blender: Blen
     assert found[0].min() > 2 * found[1].max() > 0
 
 
-def test_with_another_world_s_parameters_the_twin_gives_its_pictures(twin: SimTwin) -> None:
+def test_with_another_world_s_parameters_the_twin_gives_its_pictures(twin: Twin) -> None:
     """Brightness too: what the lamps differ by is in `white`."""
     bench = _twin(_bent())
     patterns = _patterns(bench)
@@ -142,19 +142,19 @@ def _white_level(of: World) -> float:
     return sensor.gain(SETTINGS) * sensor.electrons(1.0, 1.0)
 
 
-def _changed(twin: SimTwin, **fields: Any) -> np.ndarray[Any, np.dtype[np.float32]]:
+def _changed(twin: Twin, **fields: Any) -> np.ndarray[Any, np.dtype[np.float32]]:
     patterns = _patterns(twin)
     twin.become(replace(twin.parameters, **fields))
     return twin.expected(0, patterns, SETTINGS)
 
 
 @pytest.mark.parametrize("fields", [{"f_number": 5.6}, {"full_well_e": 9000.0}])
-def test_the_white_level_does_not_depend_on_lens_and_sensor(twin: SimTwin, fields: dict[str, Any]) -> None:
+def test_the_white_level_does_not_depend_on_lens_and_sensor(twin: Twin, fields: dict[str, Any]) -> None:
     before = _changed(twin)
     np.testing.assert_allclose(_changed(twin, **fields), before, rtol=1e-5)
 
 
-def test_white_scales_all_light(twin: SimTwin) -> None:
+def test_white_scales_all_light(twin: Twin) -> None:
     black = 0.01 * 4095
     before = _changed(twin, ambient=0.03)
     np.testing.assert_allclose(_changed(twin, white=0.5) - black, 0.5 * (before - black), atol=2e-3)
@@ -162,7 +162,7 @@ def test_white_scales_all_light(twin: SimTwin) -> None:
     np.testing.assert_allclose(before, 0.5 * (_changed(twin, black_level=0.01, white=1.0) - black), atol=2e-3)
 
 
-def test_a_changed_pose_moves_the_picture_and_a_changed_lamp_keeps_the_table(twin: SimTwin) -> None:
+def test_a_changed_pose_moves_the_picture_and_a_changed_lamp_keeps_the_table(twin: Twin) -> None:
     before = _changed(twin)
     poses = twin.parameters.poses
     tables = twin._light._tables._results
@@ -176,7 +176,7 @@ def test_a_changed_pose_moves_the_picture_and_a_changed_lamp_keeps_the_table(twi
     np.testing.assert_array_equal(_changed(twin, poses=poses), before)
 
 
-def test_frames_have_the_sensor_s_noise_and_every_draw_is_another(twin: SimTwin) -> None:
+def test_frames_have_the_sensor_s_noise_and_every_draw_is_another(twin: Twin) -> None:
     patterns = _patterns(twin)[:1]
     levels = twin.expected(0, patterns, SETTINGS)[0]
     frames = np.stack([twin.frames(0, patterns, SETTINGS)[0] for _ in range(40)]).astype(np.float64)
@@ -186,7 +186,7 @@ def test_frames_have_the_sensor_s_noise_and_every_draw_is_another(twin: SimTwin)
     assert np.mean(frames.var(axis=0, ddof=1)[lit] / variance) == pytest.approx(1, rel=0.03)
 
 
-def test_vibration_is_that_of_a_moved_item(twin: SimTwin) -> None:
+def test_vibration_is_that_of_a_moved_item(twin: Twin) -> None:
     """To first order: the pictures' covariance over many frames is that of truly moved ones."""
     shake = 0.02
     _changed(twin, vibration_mm=shake, read_noise_e=0.0, full_well_e=1e9)  # hardly any noise
@@ -258,7 +258,7 @@ def test_slopes_by_the_board_s_place_add_up_to_the_change_of_level() -> None:
         assert np.abs(slopes - wanted)[inside].mean() < 0.01 * np.abs(wanted).mean()
 
 
-def test_light_of_a_displaced_board_agrees_with_a_moved_one(twin: SimTwin) -> None:
+def test_light_of_a_displaced_board_agrees_with_a_moved_one(twin: Twin) -> None:
     twin.become(replace(_twin(_bent()).parameters, vibration_mm=0.0))
     patterns, pose = _patterns(twin)[:1], twin.parameters.poses[1]
     light, still, step = twin._light, Setup("board", held=pose), 0.003
@@ -274,7 +274,7 @@ def test_light_of_a_displaced_board_agrees_with_a_moved_one(twin: SimTwin) -> No
         assert np.mean(np.abs(picture - here - wanted)) < 0.02 * np.mean(np.abs(wanted)), axis
 
 
-def test_a_saved_twin_is_a_rig_that_gives_the_same_pictures(twin: SimTwin, tmp_path: Path) -> None:
+def test_a_saved_twin_is_a_rig_that_gives_the_same_pictures(twin: Twin, tmp_path: Path) -> None:
     bench = _twin(_bent()).parameters
     twin.become(replace(bench, vibration_mm=0.0, calibration=_unequal(bench.calibration)))
     patterns = _patterns(twin)
@@ -319,7 +319,7 @@ def test_a_saved_twin_states_its_uncertainty(tmp_path: Path) -> None:
 
 def test_a_body_is_scanned_in_the_given_pose(blender: Blender) -> None:
     of = _nominal()
-    twin = SimTwin(of, "board", blender)
+    twin = Twin(of, "board", blender)
     patterns = _patterns(twin)
     pose = RigidTransform.from_vectors(np.array([np.pi, 0.0, 0.02]), np.array([3.0, -2.0, 455.0]))
     frames = twin.scan("pillars", pose, patterns, SETTINGS)
@@ -342,7 +342,7 @@ WRONG: list[tuple[Callable[[TwinParameters], TwinParameters], str]] = [
 
 @pytest.mark.parametrize(("change", "said"), WRONG)
 def test_what_no_world_can_have_is_refused(
-    twin: SimTwin, change: Callable[[TwinParameters], TwinParameters], said: str
+    twin: Twin, change: Callable[[TwinParameters], TwinParameters], said: str
 ) -> None:
     before = twin.parameters
     with pytest.raises(ConfigError, match=said):
@@ -350,7 +350,7 @@ def test_what_no_world_can_have_is_refused(
     assert twin.parameters is before
 
 
-def test_only_a_board_can_be_matched_and_only_bodies_have_a_mesh(twin: SimTwin) -> None:
+def test_only_a_board_can_be_matched_and_only_bodies_have_a_mesh(twin: Twin) -> None:
     with pytest.raises(ConfigError, match=r"'items\.card' is no board; there are board"):
         _twin(_nominal(), "card")
     with pytest.raises(ConfigError, match="no item 'cup'"):

@@ -56,7 +56,7 @@ def test_imports_and_entry_points_are_renamed() -> None:
 @pytest.mark.parametrize(
     ("path", "wheel"),
     [("sim/scene.py", "fpplab_sim/scene.py"), ("drivers/py.typed", "fpplab_drivers/py.typed"),
-     ("fpplab/simulation/scene.py", "fpplab/simulation/scene.py"), ("simple.py", "simple.py")],
+     ("fpplab/devices/simulation.py", "fpplab/devices/simulation.py"), ("simple.py", "simple.py")],
 )  # fmt: skip
 def test_files_are_moved(path: str, wheel: str) -> None:
     assert hatch_build.renamed_path(path) == wheel

@@ -18,7 +18,7 @@ from fpplab.patterns.curve import Curve
 from fpplab.patterns.fringes import Pattern, make_patterns
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
-from fpplab.simulation.matchable import TwinParameters
+from sim.parameters import TwinParameters
 from tests.support.plane_twin import PlaneTwin, nominal, tilted
 
 

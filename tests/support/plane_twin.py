@@ -26,9 +26,10 @@ from fpplab.patterns.fringes import Pattern, make_patterns
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.sessions.session import Session
-from fpplab.simulation.appearance import Appearance
-from fpplab.simulation.matchable import ExpectedLevels, TwinParameters
 from fpplab.targets import Target
+from sim.appearance import Appearance
+from sim.parameters import TwinParameters
+from sim.twin import ExpectedLevels
 
 CAMERA = Pinhole.from_focal((456, 304), (1216, 1216), (230, 150), (-0.08, 0.1, 4e-4, -3e-4, 0))
 PROJECTOR = Pinhole.from_focal((456, 285), (547, 547), (227, 300), (-0.03, 0.05, 2e-4, 3e-4, 0))
@@ -131,7 +132,7 @@ class SeenSample:
 
 
 class PlaneTwin:
-    """Implements `fpplab.simulation.matchable.Twin`."""
+    """Does what `sim.twin.Twin` does."""
 
     def __init__(
         self,
@@ -419,7 +420,7 @@ def record(twin: PlaneTwin, plan: Plan, folder: Path) -> list[Session]:
 
 @dataclass(frozen=True, eq=False)
 class Remembered:
-    """A session without a disk: what `fpplab.matching` asks of one."""
+    """A session without a disk: what `sim.matching` asks of one."""
 
     plan: Plan
     images: list[Image]

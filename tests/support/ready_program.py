@@ -39,7 +39,7 @@ READ_LATE = {
     "_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION",
 }
 """Variables that no module reads while it is loaded, or that OpenCV and others set then."""
-NOT_LOADED = ("fpplab.__main__", "fpplab.viewer.process", "fpplab.cli.warmup")
+NOT_LOADED = ("fpplab.__main__", "fpplab.viewer.process", "sim.warmup")
 """Programs of their own."""
 LONGEST_REQUEST = 1 << 20
 

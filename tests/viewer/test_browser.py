@@ -10,16 +10,16 @@ import pytest
 
 from fpplab.clouds import save_cloud
 from fpplab.core.files import make_directory
-from fpplab.matching.record import MatchingEpoch, ParametersFile
 from fpplab.optimisation.scope import SearchScope
 from fpplab.pipeline import CLOUD, DECODED
 from fpplab.viewer import host
 from fpplab.viewer.canvas import BACKGROUND, Canvas
-from fpplab.viewer.matching import CURVES, MatchingView
 from fpplab.viewer.measurement import MeasurementView
 from fpplab.viewer.recorded import view_session
 from fpplab.viewer.search import SearchView
 from fpplab.viewer.server import ViewerServer
+from sim.matching.record import MatchingEpoch, ParametersFile
+from sim.matching.view import CURVES, MatchingView
 from tests.optimisation.test_search_whole import ITEMS, searched, study
 from tests.support.browser import SOFTWARE_WEBGL, chromium, hosts, number_of_colours
 from tests.support.plane_twin import nominal, tilted

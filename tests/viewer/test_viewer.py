@@ -27,7 +27,6 @@ from fpplab.core.conventions import Lattice
 from fpplab.core.errors import DeviceError
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.devices import CameraSettings, Frame
-from fpplab.matching.record import MatchingEpoch, ParametersFile
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import Pattern, make_patterns
 from fpplab.patterns.plan import Plan
@@ -38,12 +37,13 @@ from fpplab.viewer import server as servers
 from fpplab.viewer import viewer as viewers
 from fpplab.viewer.canvas import Canvas
 from fpplab.viewer.colours import BAR_SIZE, UNMEASURED
-from fpplab.viewer.matching import MatchingView
 from fpplab.viewer.measurement import MeasurementView, ShownFrame
 from fpplab.viewer.outbox import Message, Outbox
 from fpplab.viewer.recorded import view_recording, view_session
 from fpplab.viewer.server import ViewerServer, has_display
 from fpplab.viewer.viewer import Viewer
+from sim.matching.record import MatchingEpoch, ParametersFile
+from sim.matching.view import MatchingView
 from tests.support.plane_twin import CAMERA, nominal, tilted
 from tests.support.recordings import Recording
 

@@ -1,5 +1,0 @@
-"""Labelled captures of random scenes for training: made with a simulation, and read by `Dataset`."""
-
-from fpplab.dataset.loader import Dataset
-
-__all__ = ["Dataset"]

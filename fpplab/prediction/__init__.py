@@ -1,7 +1,0 @@
-"""What a measurement will give, predicted on a simulation, and how far a measurement is from that."""
-
-from fpplab.prediction.discrepancy import Discrepancy
-from fpplab.prediction.figures import MeasuredFigures, figures_of, median_figures
-from fpplab.prediction.predict import Prediction, predict
-
-__all__ = ["Discrepancy", "MeasuredFigures", "Prediction", "figures_of", "median_figures", "predict"]

@@ -1,0 +1,60 @@
+"""`fpplab compare-rigs`: a bench beside its twin, on one scan."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from fpplab.cli import console
+from fpplab.cli.app import TWIN, Json
+from fpplab.cli.completion import names_of
+
+program = typer.Typer()
+
+
+@program.command("compare-rigs", rich_help_panel=TWIN)
+def compare_rigs_command(
+    session: Annotated[Path, typer.Argument(help="The bench's scan of the item.")],
+    rig: Annotated[
+        str, typer.Option("--rig", help="Rig file of the bench's twin.", autocompletion=names_of("rig"))
+    ],
+    item: Annotated[str, typer.Option("--item", help="What was scanned, as the twin's world calls it.")],
+    calibration: Annotated[Path, typer.Option("--calibration", help="The bench's calibration.")],
+    json: Json = False,
+) -> None:
+    """Compare a bench with its twin on one scan: what was predicted, what was measured, calibrations crossed.
+
+    Each figure stands beside its predicted interval of 95 %. Then the frames of bench and twin are
+    triangulated by either calibration: where the other's is as good as its own, both describe the same bench.
+    The true shape is aligned with the points. The item should stand on the bench as in the twin's
+    world.
+
+    Example: `fpplab compare-rigs scan --rig matched/rig.yaml --item pyramid --calibration bench.yaml`
+    """
+    from fpplab.calibration.model import Calibration
+    from fpplab.devices.rig import Rig
+    from fpplab.sessions.session import Session
+    from sim.matching.judging.compared_rigs import compare_rigs
+
+    scan, known = Session.open(session), Calibration.load(calibration)
+    with Rig.load(rig) as twin, console.progress("Comparing"):
+        answer = compare_rigs(twin, scan, item, known).summary()
+    console.print_result(answer, json, lambda: _show(answer))
+
+
+def _show(answer: dict[str, Any]) -> None:
+    rows = [
+        [name, *(f"{one[key]:.4g}" for key in ("measured", "predicted", "low", "high"))]
+        for name, one in answer["figures"].items()
+    ]
+    columns = ["figure", "measured", "predicted", "at least", "at most"]
+    console.table(f"The bench's {answer['item']} beside its twin's", columns, rows)
+    crossed = [
+        [name.replace("_", " "), f"{one['distance_um']:.4g}", f"{one['noise_um']:.4g}"]
+        for name, one in answer["crossed"].items()
+    ]
+    console.table("Frames by calibration", ["", "distance in µm", "noise in µm"], crossed)
+    if answer["outside"]:
+        console.log_status(f"outside of the predicted interval: {', '.join(answer['outside'])}")

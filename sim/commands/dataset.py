@@ -1,0 +1,70 @@
+"""`fpplab dataset`: labelled captures of random scenes, for machine learning."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from fpplab.cli import console
+from fpplab.cli.app import TWIN, Json, Out, PlanName, RigName
+from fpplab.cli.completion import names_of
+from fpplab.cli.viewing import KeepOpen, ViewOption, open_viewer
+
+program = typer.Typer()
+
+
+@program.command("dataset", rich_help_panel=TWIN)
+def dataset_command(
+    context: typer.Context,
+    rig: RigName,
+    count: Annotated[int, typer.Option("--count", min=1, help="How many samples.")],
+    out: Out,
+    plan: PlanName = "plan_paper.yaml",
+    scenes: Annotated[
+        str,
+        typer.Option(
+            "--scenes", help="Ranges that scenes are drawn from.", autocompletion=names_of("dataset")
+        ),
+    ] = "dataset_demo.yaml",
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Another seed gives other scenes.")] = 0,
+    shard_size: Annotated[int, typer.Option("--shard-size", min=1, help="Samples in a shard.")] = 8,
+    view: ViewOption = False,
+    keep_open: KeepOpen = False,
+    json: Json = False,
+) -> None:
+    """Make labelled captures of random scenes on a simulated rig, for machine learning.
+
+    Each sample has the frames, wrapped phase, decoded coordinates, and the truth: absolute phase, depth,
+    normals, mask, calibration, and all random parameters. OUT holds shards of NumPy files, `card.json` and
+    `README.md`; `sim.dataset.Dataset(OUT)` reads it. An interrupted data set is completed by the same
+    command; run twice at once, the two share the work.
+
+    Example: `fpplab dataset --rig rig_demo_quick --count 100 --out captures`
+    """
+    from fpplab.devices.rig import Rig
+    from fpplab.patterns.plan import Plan
+    from sim.dataset.making import need_simulation
+    from sim.dataset.scenes import SceneRanges
+
+    wanted_plan, ranges, devices = Plan.load(plan), SceneRanges.load(scenes), Rig.load(rig)
+    need_simulation(devices, rig)
+    with console.stopwatch() as seconds, devices as bench:
+        from fpplab.core.session_names import RECORDING
+        from sim.dataset import Dataset
+        from sim.dataset.making import DatasetMaker, DatasetRequest
+        from sim.dataset.view import SampleView, sample_observer
+
+        viewer = open_viewer(context, SampleView, view, keep_open, out / RECORDING)
+
+        maker = DatasetMaker(bench, DatasetRequest(wanted_plan, ranges, count, seed, shard_size))
+        with console.progress("Making samples") as report:
+            card = maker.make(out, report, sample_observer(viewer))
+        result = {
+            "samples": len(Dataset(out)),
+            "shards": card["shards"],
+            "splits": card["splits"],
+            "bytes": card["bytes"],
+            "seconds": seconds(),
+        }
+    console.print_result({**result, "dataset": str(out)}, json)

@@ -1,0 +1,93 @@
+"""`fpplab predict`: what a measurement will give, by a twin."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from fpplab.cli import console
+from fpplab.cli.app import TWIN, Json
+from fpplab.cli.completion import names_of
+
+program = typer.Typer()
+
+
+@program.command("predict", rich_help_panel=TWIN)
+def predict_command(
+    rig: Annotated[
+        str,
+        typer.Option("--rig", help="Rig file of a twin or virtual bench.", autocompletion=names_of("rig")),
+    ],
+    plan: Annotated[str, typer.Option("--plan", help="What to project.", autocompletion=names_of("plan"))],
+    item: Annotated[str, typer.Option("--item", help="What to measure, as the twin's world calls it.")],
+    calibration: Annotated[
+        Path | None,
+        typer.Option("--calibration", help="To triangulate with; by default the twin's true one."),
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Predict a measurement without making it: distance, noise, completeness, wrong orders and time.
+
+    Each figure has an interval of 95 %: of the scatter of the noise, of the uncertainty of the calibration,
+    and of what twin and bench differ by, which `fpplab match` leaves beside the rig file
+    (`discrepancy.yaml`). A sample of the image's rows is simulated.
+
+    Example: `fpplab predict --rig matched/rig.yaml --plan plan_paper --item pyramid`
+    """
+    from fpplab.calibration.model import Calibration
+    from fpplab.devices.rig import Rig
+    from fpplab.patterns.plan import Plan
+    from sim.prediction import predict
+
+    wanted = Plan.load(plan)
+    known = None if calibration is None else Calibration.load(calibration)
+    with console.stopwatch() as elapsed, Rig.load(rig) as bench, console.progress("Predicting"):
+        found = predict(bench, wanted, item, known)
+        answer = {**found.summary(), "predicted_in_s": elapsed()}
+    console.print_result(answer, json, lambda: _show(answer))
+
+
+MOST_FACTOR = 100.0
+"""Ratio of the ends of an interval from which on nothing is known."""
+UNITS = {
+    "distance_um": ("distance from the surface", "µm", 1.0),
+    "noise_um": ("noise", "µm", 1.0),
+    "completeness": ("completeness", "%", 100.0),
+    "wrong_order": ("chance of a wrong order", "", 1.0),
+    "seconds": ("time of the images", "s", 1.0),
+}
+
+
+def _show(answer: dict[str, Any]) -> None:
+    rows = []
+    for name, (words, unit, scale) in UNITS.items():
+        one = answer[name]
+        values = [f"{scale * one[key]:.3g} {unit}".strip() for key in ("value", "low", "high")]
+        if unit == "µm" and one["high"] > MOST_FACTOR * one["low"]:
+            values[1:] = ["unknown", "unknown"]
+        rows.append([words, *values])
+    console.table(
+        f"Prediction for the {answer['item']}", ["figure", "predicted", "at least", "at most"], rows
+    )
+    if not answer["matched"]:
+        console.log_status(
+            "no discrepancy.yaml beside the rig file: what the simulation lacks is not in the intervals"
+        )
+    if answer["matched"] and answer["surface"] is None:
+        item = answer["item"]
+        console.log_status(
+            f"the surface of the {item} is that of the twin's file: `fpplab match --surface {item}=SESSION` "
+            "matches it to a scan"
+        )
+    if answer["compared_stripes"]:
+        console.log_status(
+            f"fringes are finer than those of {answer['compared_stripes']:g} stripes by which bench and twin "
+            "were compared, so that their contrast is uncertain: `fpplab match --scan ITEM=SESSION` with a "
+            "scan by such a plan tells it"
+        )
+    if answer["looks_like"]:
+        console.log_status(
+            f"the twin's discrepancy looks like {answer['looks_like']}; not for {answer['not_for']}"
+        )

@@ -1,0 +1,76 @@
+"""A data set as it grows: frames, labels and what was drawn for each sample."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+
+from fpplab.core.conventions import TWO_PI
+from fpplab.viewer import layouts
+from fpplab.viewer.canvas import subsampled
+from fpplab.viewer.colours import ColourScale
+from fpplab.viewer.view import CommandView
+from fpplab.viewer.viewer import Viewer
+from sim.dataset.fields import FRAMES, Arrays
+from sim.dataset.making import SampleObserver
+
+SHOWN = {
+    "wrapped_phase": ("Wrapped phase of the finest set", "rad", "twilight"),
+    "depth": ("True distance from the camera", "mm", "viridis_r"),
+    "projector_u": ("True projector column u", "px", "viridis"),
+    "modulation": ("Modulation", "grey levels of 255", "inferno"),
+}
+"""By field: quantity, unit and colours of the map."""
+
+
+class SampleView(CommandView):
+    """Maps of the latest sample; the timeline is `sample`."""
+
+    def begin(self) -> None:
+        """Arrange the views."""
+        import rerun.blueprint as rrb
+
+        maps = [layouts.image(words, f"/sample/{name}") for name, (words, *_) in SHOWN.items()]
+        images = [
+            layouts.image("Camera", "/sample/camera"),
+            *maps,
+            layouts.image("Normals", "/sample/normals"),
+        ]
+        self.canvas.layout(
+            rrb.Horizontal(
+                rrb.Grid(*images, grid_columns=3),
+                layouts.words("Scene", "/words/scene"),
+                column_shares=[4, 1],
+            )
+        )
+
+    def sample(self, arrays: dict[str, Any], record: dict[str, Any]) -> None:
+        """Show a sample."""
+        self.canvas.at("sample", record["index"])
+        image = arrays[FRAMES].astype(np.float32)
+        bright = max(float(np.percentile(image, 99.8)), 1.0)
+        self.canvas.map("sample/camera", image, ColourScale("Raw level", "", "gray", 0.0, bright))
+        for name, (words, unit, colours) in SHOWN.items():
+            scale = ColourScale.spanning(words, unit, colours, arrays[name])
+            if name == "wrapped_phase":
+                scale = ColourScale(words, unit, colours, 0.0, TWO_PI)
+            self.canvas.map(f"sample/{name}", arrays[name], scale)
+        normals = np.nan_to_num(arrays["normals"], nan=0.0)
+        self.canvas.picture("sample/normals", (127.5 * (normals + 1.0)).astype(np.uint8))
+        words = json.dumps(record["scene"], indent=1, ensure_ascii=False)
+        self.canvas.text("words/scene", f"**Sample {record['index']}**\n\n```\n{words}\n```", static=False)
+
+
+def sample_observer(viewer: Viewer[SampleView]) -> SampleObserver:
+    """Make the observer of a data set's making that shows its samples."""
+
+    def observe(arrays: Arrays, record: dict[str, Any]) -> None:
+        shown = {name: subsampled(arrays[name]).copy() for name in SHOWN if name != "wrapped_phase"}
+        shown["wrapped_phase"] = subsampled(arrays["wrapped_phase"][-1]).copy()
+        shown["normals"] = subsampled(np.moveaxis(arrays["normals"], 0, -1)).copy()
+        shown[FRAMES] = subsampled(arrays[FRAMES][-1]).copy()
+        viewer.show_one_of_many(SampleView.sample, shown, record)
+
+    return observe

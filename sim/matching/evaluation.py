@@ -1,0 +1,138 @@
+"""Evaluation of a twin: expected images are compared with the reference, noisy frames characterised."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from dataclasses import dataclass
+
+import numpy as np
+
+from fpplab.characterisation import Characterisation, Observation, characterise, finest_periods, observe
+from fpplab.core.conventions import Image
+from fpplab.core.errors import CalibrationError
+from fpplab.core.progress import Progress, no_progress
+from fpplab.patterns.recording import Recording
+from fpplab.phase import decode
+from sim.matching.loss import Loss, Similarity, Weights, board_mask, ssim
+from sim.matching.reference import LevelStack, Reference
+from sim.twin import Twin
+
+
+@dataclass(frozen=True, eq=False)
+class TwinEvaluation:
+    """How well a twin agrees with the reference."""
+
+    loss: Loss  # the loss with its parts
+    characterisation: Characterisation | None  # of the twin's own frames
+
+    def by_pose_name(self, reference: Reference) -> dict[str, dict[str, float]]:
+        """Give the figures of every pose; the images of all have been compared."""
+        names = [session.path.name for session in reference.sessions]
+        similar = self.loss.similarity
+        figures = {
+            name: {"ssim": float(whole), "ssim_board": float(board)}
+            for name, whole, board in zip(
+                names,
+                similar.whole.reshape(len(names), -1).mean(axis=1),
+                similar.board.reshape(len(names), -1).mean(axis=1),
+                strict=True,
+            )
+        }
+        if self.characterisation:
+            of_reference, of_twin = (
+                _rms_of_poses(reference.characterisation),
+                _rms_of_poses(self.characterisation),
+            )
+            for name, error in of_twin.items():
+                figures[name]["epsilon_d_px"] = of_reference[name] - error
+        return figures
+
+
+def _rms_of_poses(found: Characterisation) -> dict[str, float]:
+    """Joint RMS reprojection error in px by name of pose."""
+    return {
+        name: float(np.hypot(of["camera"], of["projector"]) / np.sqrt(2.0))
+        for name, of in found.pose_rms_px.items()
+    }
+
+
+def evaluate(
+    reference: Reference,
+    twin: Twin,
+    weights: Weights,
+    epsilon_v: float | None = None,
+    poses: Sequence[int] | None = None,
+    progress: Progress = no_progress,
+) -> TwinEvaluation:
+    """Compare the twin's expected images with the reference, pose by pose.
+
+    They have no noise: that of twin and bench are never alike, and noise is judged by its variance.
+    """
+    every = range(len(twin.parameters.poses))
+    chosen = set(every if poses is None else poses)
+    pairs: list[tuple[float, float]] = []
+    observed: list[Future[Observation]] = []
+    with ThreadPoolExecutor(1) as pool:  # observes a pose while the next one's frames are simulated
+        for pose in every:
+            if pose in chosen:
+                pairs += pose_similarity(reference, twin, pose)
+            if epsilon_v is None:
+                frames = twin.frames(pose, reference.patterns, reference.settings)
+                wait(observed)  # so that no more than two poses' frames are held
+                observed.append(pool.submit(_observed, reference, pose, frames))
+            progress((pose + 1) / len(every))
+    seen: list[Observation] = []
+    left_out: dict[str, str] = {}
+    for pose, one in enumerate(observed):
+        try:
+            seen.append(one.result())
+        except CalibrationError as error:
+            left_out[reference.sessions[pose].path.name] = str(error)
+    similarity = Similarity(*(np.array(one) for one in zip(*pairs, strict=True)))
+    found = _characterised(reference, seen, left_out) if epsilon_v is None else None
+    own = found.calibration.rms_px["joint"] if found else epsilon_v
+    assert own is not None
+    return TwinEvaluation(Loss(weights, reference.epsilon_r, own, similarity), found)
+
+
+def pose_similarity(reference: Reference, twin: Twin, pose: int) -> list[tuple[float, float]]:
+    """Compare the first image of every fringe set in one pose with the twin's, which has no noise."""
+    now, images = twin.parameters, reference.one_of_each_set
+    expected = twin.expected(pose, reference.shown(images), reference.settings)
+    board = board_mask(now.calibration.camera, now.poses[pose], reference.target)
+
+    def compare(real: LevelStack, own: LevelStack) -> tuple[float, float]:
+        return ssim(real, own, reference.full_scale, board)
+
+    with ThreadPoolExecutor(2) as pool:
+        return list(pool.map(compare, reference.frames(pose, images), expected))
+
+
+def _observed(reference: Reference, pose: int, frames: Sequence[Image]) -> Observation:
+    """Observe the board in the twin's frames of a pose. Raises `CalibrationError` where it is not found."""
+    plan, (size, _) = reference.plan, reference.projector
+    name = reference.sessions[pose].path.name
+    recording = Recording(frames, plan, size, reference.settings.bits, f"the twin's {name}")
+    decoded, image = decode(recording), recording.mean_image()
+    return observe(name, image, decoded, reference.target, finest_periods(plan, size))
+
+
+def _characterised(
+    reference: Reference, seen: Sequence[Observation], left_out: Mapping[str, str]
+) -> Characterisation:
+    found, (size, lattice) = reference.characterisation, reference.projector
+    width, height, _ = reference.sessions[0].format
+    try:
+        return characterise(
+            seen,
+            reference.target,
+            (width, height),
+            size,
+            lattice,
+            left_out=left_out,
+            level=found.level,
+            refine_board=found.drawn is not None,
+        )
+    except CalibrationError as error:
+        raise CalibrationError(f"the twin's own frames cannot be characterised: {error}") from error

@@ -1,0 +1,199 @@
+"""Light of the room that ripples with the mains, as the bench's frames show it.
+
+Under a rolling shutter it makes bands along the rows, under a global one it is another light in every frame.
+Frames at regular intervals see it advance by the same share of a period from frame to frame. In step with the
+fringes' phase steps it shifts the phase as much as that of the projector would, and no frame tells; so the
+advance is estimated, too, wherever frames agree on one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import groupby
+
+import numpy as np
+from scipy.ndimage import median_filter
+
+from fpplab.core.conventions import Floats
+from sim.matching.fluctuation.frame_terms import ROOM, FrameTerms
+from sim.matching.fluctuation.fringe_rests import Complex, FringeRest, Variances
+from sim.matching.fluctuation.waves import change_of
+from sim.parameters import TwinParameters
+
+LEAST_BANDS = 2e-3
+"""Amplitude of bands, relative to the level, below which they are not told from what motion leaves."""
+LEAST_PERIOD_PX = 6.0
+"""Least period of bands, in rows of the image."""
+IN_STEP_PX = 1e5
+"""Period of bands so long that all rows are in step."""
+PERIODS_PER_HEIGHT = 4
+"""Steps of the search along the axis of frequency for one period more over the board's height."""
+NEARBY = 12
+"""Frequencies, in periods over the board's height, whose power tells that of all that is no wave."""
+ADVANCE_STEP = 2e-3
+"""Steps of the search for the advance from frame to frame, in periods."""
+AGREEING = 0.5
+"""Share of the waves' power that one advance must explain to be believed."""
+
+
+@dataclass(frozen=True)
+class Ripple:
+    """Rippling light of the room that was found."""
+
+    amplitude: float  # as a share of the room's light
+    amplitude_sigma: float  # standard uncertainty of that, relative
+    period_px: float  # from band to band, in rows of the image
+    period_sigma: float  # standard uncertainty of the period, relative
+    advance: float | None  # periods from frame to frame; None where frames do not agree on one
+    gained: float  # by how much Schwarz's criterion is lower than that of steady light
+
+
+@dataclass(frozen=True, eq=False)
+class Bands:
+    """Power of waves along the rows of many frames."""
+
+    rests: tuple[FringeRest, ...]  # V sets of frames that show bands
+    frequency: Floats  # (F,) in periods per row of the image
+    power: Floats  # (V, F) mean squared amplitude of each set, relative to the level
+    freedom: Floats  # (V,) independent frames of each set
+    height: float  # rows that the board extends over
+
+    @classmethod
+    def of(cls, rests: Sequence[FringeRest]) -> Bands | None:
+        """Compute the power of waves from `LEAST_PERIOD_PX` to the board's height."""
+        shown = tuple(one for one in rests if one.shows_bands)
+        if not shown:
+            return None
+        height = max(float(np.ptp(one.rows)) for one in shown)
+        steps = max(2, int(PERIODS_PER_HEIGHT * height / LEAST_PERIOD_PX))
+        frequency = np.linspace(1.0 / height, 1.0 / LEAST_PERIOD_PX, steps)
+        power = np.array([np.sum(np.abs(one.waves(frequency)) ** 2, axis=0) / one.freedom for one in shown])
+        return cls(shown, frequency, power, np.array([float(one.freedom) for one in shown]), height)
+
+    @cached_property
+    def floor(self) -> Floats:
+        """Power (V, F) by all that is no wave: the median over the frequencies nearby."""
+        nearby = median_filter(self.power, (1, NEARBY * PERIODS_PER_HEIGHT), mode="nearest")
+        return np.asarray(nearby + (0.5 * LEAST_BANDS) ** 2)
+
+    @cached_property
+    def best(self) -> int:
+        """Index of the frequency with the greatest power."""
+        return int(np.argmax(self.freedom @ (self.power / self.floor)))
+
+    @property
+    def best_frequency(self) -> float:
+        """Place of the greatest power, by a parabola through the logarithms of three neighbours."""
+        k, step = self.best, float(self.frequency[1] - self.frequency[0])
+        if not 0 < k < len(self.frequency) - 1:
+            return float(self.frequency[k])
+        before, here, after = np.log(self.freedom @ self.power[:, k - 1 : k + 2])
+        return float(self.frequency[k] + 0.5 * step * (before - after) / (before - 2 * here + after))
+
+    def at(self, frequency: float) -> Variances:
+        """Give the power at a frequency."""
+        index = int(np.argmin(np.abs(self.frequency - frequency)))
+        return Variances(self.power[:, index], self.floor[:, index], 2.0 * self.freedom)
+
+    @property
+    def period_sigma(self) -> float:
+        """Standard uncertainty of the best period, relative: that of a wave's frequency in noise."""
+        power, floor = self.power[:, self.best], self.floor[:, self.best]
+        snr = float(np.sum(self.freedom * np.maximum(power / floor - 1.0, 0.0)))
+        of_frequency = np.sqrt(6.0 / max(snr, 1e-9)) / (2.0 * np.pi * self.height)
+        return float(of_frequency / self.frequency[self.best])
+
+    def advancing(self, frequency: float, advance: float) -> Variances:
+        """Give the power at a frequency of waves that advance by the same from frame to frame."""
+        index = int(np.argmin(np.abs(self.frequency - frequency)))
+        squares, noise = [], []
+        for _, group in groupby(range(len(self.rests)), lambda n: self.rests[n].pose):
+            sets = list(group)
+            found, strength = _one_wave([self._waves(n, frequency) for n in sets], advance)
+            squares.append(abs(found) ** 2)
+            noise.append(float(self.floor[sets, index].mean()) / strength)
+        return Variances(np.array(squares), np.array(noise), np.full(len(squares), 2.0))
+
+    def rolling(self, room_share: float) -> Ripple:
+        """Take the strongest waves along the rows, with the advance that frames agree on, if there is one."""
+        frequency = self.best_frequency
+        told, free = self.at(frequency), 2
+        advance, share = self._best_advance(frequency)
+        if share >= AGREEING:
+            told, free = self.advancing(frequency, advance), 3
+        return Ripple(
+            2.0 * float(np.sqrt(told.further)) / room_share,
+            told.relative_sigma,
+            1.0 / frequency,
+            self.period_sigma,
+            advance if share >= AGREEING else None,
+            told.criterion(0.0, 0) - told.criterion(told.further, free),
+        )
+
+    def _waves(self, index: int, frequency: float) -> tuple[FringeRest, Complex]:
+        return self.rests[index], self.rests[index].waves(np.array([frequency]))[:, 0]
+
+    def _best_advance(self, frequency: float) -> tuple[float, float]:
+        """The advance with which waves explain most, and the share of all power that they explain."""
+        tried = np.arange(-0.5, 0.5, ADVANCE_STEP)
+        explained, whole = np.zeros(len(tried)), 0.0
+        for _, group in groupby(range(len(self.rests)), lambda n: self.rests[n].pose):
+            waves = [self._waves(n, frequency) for n in group]
+            for n, advance in enumerate(tried.tolist()):
+                found, strength = _one_wave(waves, advance)
+                explained[n] += strength * abs(found) ** 2
+            whole += sum(float(np.sum(np.abs(seen) ** 2)) for _, seen in waves)
+        best = int(np.argmax(explained))
+        return float(tried[best]), float(explained[best]) / max(whole, 1e-30)
+
+
+def _one_wave(sets: Sequence[tuple[FringeRest, Complex]], advance: float) -> tuple[complex, float]:
+    """Fit one wave to the sets of a pose; its complex amplitude, and the frames' worth that tell it.
+
+    sets: with the waves (N,) of their frames.
+    """
+    right, strength = 0j, 0.0
+    for one, waves in sets:
+        seen = one.beyond @ np.exp(2j * np.pi * advance * one.frames)
+        right += complex(np.vdot(seen, waves))
+        strength += float(np.vdot(seen, seen).real)
+    return right / max(strength, 1e-9), max(strength, 1e-9)
+
+
+def ripple_in_step(seen: Sequence[FrameTerms]) -> Ripple:
+    """Take light of the room that is another in every frame, alike in all rows."""
+    found = change_of([one.series(ROOM) for one in seen])
+    swings = bool(found.swing.any())
+    rms = abs(float(found.swing[0])) if swings else found.random.alike
+    advance = found.cycles_per_frame if swings else None
+    return Ripple(float(np.sqrt(2.0)) * rms, found.sigma, IN_STEP_PX, 0.0, advance, found.gained)
+
+
+def match_bands(
+    now: TwinParameters, seen: Sequence[FrameTerms], rests: Sequence[FringeRest]
+) -> TwinParameters:
+    """Give a twin the rippling light of the bench's room: bands along the rows, or light that is in step."""
+    share = float(np.mean([one.room_share for one in seen]))
+    steady = now.sigma_with(ambient_ripple=0.0, band_period_px=0.0)
+    still = replace(now, ambient_ripple=0.0, band_period_px=0.0, band_advance=None, sigma=steady)
+    if share <= 0:
+        return still
+    bands = Bands.of(rests)
+    found = max(
+        [ripple_in_step(seen), *([bands.rolling(share)] if bands else [])], key=lambda ripple: ripple.gained
+    )
+    if found.gained <= 0 or not found.amplitude:
+        return still
+    ripple = min(found.amplitude, 1.0)
+    sigma = now.sigma_with(
+        ambient_ripple=ripple * found.amplitude_sigma, band_period_px=found.period_px * found.period_sigma
+    )
+    return replace(
+        now,
+        ambient_ripple=ripple,
+        band_period_px=found.period_px,
+        band_advance=found.advance,
+        sigma=sigma,
+    )

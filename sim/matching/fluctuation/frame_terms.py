@@ -1,0 +1,131 @@
+"""What every frame of the bench has beyond the twin's: more light, other light of the room, a displacement.
+
+Each is common to many thousands of pixels, so that least squares find it: frame n of a pose is
+
+    E_n + gain_n P_n + room_n R + move_n · ∂E_n
+
+with the expected image E_n of the twin, its parts by the projector P_n and by the room R, and its derivatives
+by a displacement of the board. Unlike a fit of the phase steps alone it also sees what is in step with these.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.core.conventions import Floats
+from fpplab.patterns.plan import Plan
+from fpplab.phase.common_errors import beyond_fringe
+from sim.matching.fluctuation.waves import Series
+from sim.matching.geometry.board_shape import change_by_bend
+from sim.matching.geometry.geometry_fit import levels_with_gradient
+from sim.matching.geometry.places import slopes_by_move
+from sim.matching.loss import board_mask, subsample_pixels
+from sim.matching.reference import Reference
+from sim.matching.samples import TILES, tile_numbers
+from sim.twin import Twin
+
+MAX_PIXELS = 15_000
+"""Pixels of each pose that are compared."""
+GAIN, ROOM, MOVES = (0,), (1,), (2, 3, 4)
+"""Columns of a frame's terms: share of the projector's light, of the room's light, and mm along the axes."""
+LEAST_GAIN = 3e-4
+"""Standard deviation of the projector's light below which it is not told from faults of the fit."""
+LEAST_ROOM = 1e-3
+"""Share of the level below which the light of the room tells nothing of its changes."""
+
+
+@dataclass(frozen=True, eq=False)
+class FrameTerms:
+    """Terms of the frames of a pose."""
+
+    pose: int  # index of the pose
+    frames: Floats  # numbers (n,) of the frames in the session
+    sets: NDArray[np.int64]  # fringe set (n,) of each frame
+    values: Floats  # (n, 5)
+    covariance: Floats  # (n, 5, 5), by all that the fit leaves. Residuals within a tile count as dependent
+    noise: Floats  # (n, 5, 5), by what of it changes from frame to frame
+    room_share: float  # share of the room's light in the mean level above black
+
+    def series(self, columns: Sequence[int]) -> Series:
+        """Take some of the terms."""
+        of = list(columns)
+        # A fringe that the twin has elsewhere in all frames looks like a motion, but not like more light.
+        known = self.noise if columns == GAIN else self.covariance
+        least = LEAST_GAIN**2 if columns == GAIN else 0.0
+        covariance = known[:, of][:, :, of] + least * np.eye(len(of))
+        return Series(self.frames, self.sets, self.values[:, of], covariance)
+
+
+def terms_of_pose(reference: Reference, twin: Twin, pose: int) -> FrameTerms:
+    """Estimate the terms of every frame of a pose. The twin is left as it is."""
+    now, images, sets = twin.parameters, *_finest(reference.plan)
+    board = board_mask(now.calibration.camera, now.poses[pose], reference.target)
+    pixels = subsample_pixels(board, MAX_PIXELS)
+    first = reference.shown(images[:1])
+    expected, gradient = levels_with_gradient(reference, twin, pose, images, pixels)
+    twin.become(replace(now, ambient=0.0, lamp_irradiance=0.0))
+    room = expected[0] - twin.expected_at(pose, first, reference.settings, pixels)[0]
+    twin.become(now)
+    slopes = slopes_by_move(pixels, now.calibration, now.poses[pose], gradient)
+    above = expected - now.black_level * reference.full_scale
+    share = float(room.mean() / above.mean())
+    projected = above - room
+    beside = room if share > LEAST_ROOM else np.ones_like(room)
+    frames = reference.frames(pose, images)[:, *pixels].astype(np.float64)
+    bases = [np.column_stack([light, beside, slope]) for light, slope in zip(projected, slopes, strict=True)]
+    differences = frames - expected - change_by_bend(reference, now, pose, pixels, slopes)
+    fits = [_fit(off, basis) for off, basis in zip(differences, bases, strict=True)]
+    values = np.array([found for found, _ in fits])
+    left, tiles = np.array([rest for _, rest in fits]), tile_numbers(pixels)
+    both = [
+        np.array([_covariance(rest, basis, tiles) for rest, basis in zip(one, bases, strict=True)])
+        for one in (left, _changing(left, reference.plan, sets))
+    ]
+    room_share = share if share > LEAST_ROOM else 0.0
+    return FrameTerms(pose, np.array(images, np.float64), sets, values, both[0], both[1], room_share)
+
+
+def _finest(plan: Plan) -> tuple[tuple[int, ...], NDArray[np.int64]]:
+    """Numbers (n,) and sets (n,) of the images of the finest sets."""
+    wanted = {plan.finest_set(axis) for axis in plan.axes}
+    steps = [(n, index) for n, (index, _, _) in enumerate(plan.steps()) if index in wanted]
+    images, sets = zip(*steps, strict=True)
+    return images, np.array(sets, np.int64)
+
+
+def _fit(off: Floats, basis: Floats) -> tuple[Floats, Floats]:
+    """Fit differences (P,) by a basis (P, 5); the coefficients (5,), and what they leave (P,)."""
+    size = _sizes(basis)
+    found = np.linalg.lstsq(basis / size, off, rcond=1e-6)[0] / size
+    return found, off - basis @ found
+
+
+def _sizes(basis: Floats) -> Floats:
+    size = np.sqrt(np.mean(basis**2, axis=0))
+    return np.asarray(np.where(size == 0, 1.0, size))
+
+
+def _changing(left: Floats, plan: Plan, sets: NDArray[np.int64]) -> Floats:
+    """Take off what of each pixel (n, P) is in every frame of a set: another offset, or another fringe."""
+    changing = left.copy()
+    for one in np.unique(sets):
+        of, shift = sets == one, plan.fringes[one].phase_shifts()
+        beyond = beyond_fringe(shift)
+        freedom = max(float(np.trace(beyond)), 1.0)
+        changing[of] = np.sqrt(len(shift) / freedom) * (beyond @ left[of]) if freedom > 1 else left[of]
+    return changing
+
+
+def _covariance(left: Floats, basis: Floats, tiles: NDArray[np.int64]) -> Floats:
+    """Covariance (5, 5) of coefficients, by residuals (P,) that may depend on each other within a tile."""
+    size = _sizes(basis)
+    scaled = basis / size
+    inverse = np.linalg.pinv(scaled.T @ scaled, rcond=1e-10)
+    scores = np.array([np.bincount(tiles, column, TILES**2) for column in (scaled * left[:, None]).T])
+    covariance = inverse @ (scores @ scores.T) @ inverse
+    least = np.eye(len(size)) * 1e-12 * max(float(np.trace(covariance)), 1e-300)
+    return np.asarray((covariance + least) / np.outer(size, size))

@@ -1,0 +1,167 @@
+"""Noise of the bench's sensor, estimated from its frames for the twin: photon transfer.
+
+The sensor's noise is what the phase fit leaves of the frames beyond harmonics and flicker
+(`fpplab.phase.error_model`), so that nothing which the twin lacks is taken for noise. It is estimated alike
+from frames of the bench and of the twin, and the twin's is scaled.
+
+References
+----------
+Janesick, Photon Transfer, 2007
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.core.conventions import Floats, Image
+from fpplab.patterns.recording import Recording
+from fpplab.phase.common_errors import beyond_fringe
+from fpplab.phase.error_model import error_model_of
+from fpplab.phase.noise import QUANTISATION, NoiseModel
+from sim.matching.loss import board_mask
+from sim.matching.reference import LevelStack, Reference
+from sim.parameters import TwinParameters
+from sim.twin import Twin
+
+SIGNIFICANT = 3.0
+"""Standard errors by which the noise of bench and twin must differ for the twin's to be changed."""
+ROUNDS = 2
+"""Comparisons of the sensor's noise, each with the twin as the one before left it."""
+PROBE_E, PROBE_FACTOR, MOST_PROBE_E = 5.0, 4.0, 1e5
+"""Read noise in electrons of the unbinned pixel at least with which it is found what it does to the levels,
+the factor by which it grows until that shows, and where it ends."""
+FINE_PX = 1.5
+"""Width in px by which residuals are divided into a fine and a coarse part."""
+LEVELS = 3
+"""Number of brightness classes in which residuals are compared."""
+
+
+def match_noise(reference: Reference, twin: Twin, poses: Sequence[int]) -> TwinParameters:
+    """Give the twin the noise of the reference, estimated in the same way from frames of both.
+
+    Read noise is changed only where the two differ significantly at black. Rounding makes the estimates
+    nonlinear, so they are compared again with the twin as it was found. The twin is left as it is.
+    """
+    now = changed = twin.parameters
+    real = [_noise_of(reference, pose, reference.recorded(pose)) for pose in poses]
+    levels = [_bright_level(reference, pose) for pose in poses]
+    for _ in range(ROUNDS):
+        twin.become(changed)
+        changed = _sensor_noise(reference, twin, poses, real, levels)
+    twin.become(now)
+    return changed
+
+
+def _sensor_noise(
+    reference: Reference,
+    twin: Twin,
+    poses: Sequence[int],
+    real: Sequence[NoiseModel],
+    levels: Sequence[float],
+) -> TwinParameters:
+    """Change full well and read noise: variances at black and at the bright levels become the bench's."""
+    now = twin.parameters
+    own = [_twin_noise(reference, twin, pose) for pose in poses]
+    pairs = list(zip(real, own, strict=True))
+    at_black = np.array([a.constant - b.constant for a, b in pairs])
+    if not _significant(at_black):
+        shot = np.array(
+            [(_above_rounding(a, x), _above_rounding(b, x)) for (a, b), x in zip(pairs, levels, strict=True)]
+        )
+    else:
+        changed = _read_noise(reference, twin, poses[:2], own, float(at_black.mean()))
+        now = replace(now, read_noise_e=changed)
+        shot = np.array([(a.per_level, b.per_level) for a, b in pairs])
+    of_bench, of_twin = shot.sum(axis=0)
+    if min(of_bench, of_twin) <= 0 or not _significant(shot[:, 0] - shot[:, 1]):
+        return now
+    # Electrons per level: the read noise in levels is not to change with them.
+    ratio = float(of_twin / of_bench)
+    return replace(now, full_well_e=now.full_well_e * ratio, read_noise_e=now.read_noise_e * ratio)
+
+
+def _bright_level(reference: Reference, pose: int) -> float:
+    """Mean of what is brighter than the mean, in 8-bit grey levels: there shot noise outweighs rounding."""
+    frames = reference.frames(pose, reference.one_of_each_set)
+    return float(frames[frames > frames.mean()].mean()) / reference.full_scale * 255.0
+
+
+def _significant(differences: Floats) -> bool:
+    """Whether the mean of what several poses say differs from 0 by more than their scatter explains."""
+    if len(differences) < 2:
+        return False
+    return bool(abs(differences.mean()) > SIGNIFICANT * differences.std(ddof=1) / np.sqrt(len(differences)))
+
+
+def _above_rounding(noise: NoiseModel, level: float) -> float:
+    return float(noise.variance(level)) - QUANTISATION * noise.step**2
+
+
+def _read_noise(
+    reference: Reference, twin: Twin, poses: Sequence[int], own: Sequence[NoiseModel], excess: float
+) -> float:
+    """Read noise that adds `excess` to the variance at black, by what a probe adds to it."""
+    now = twin.parameters
+    before = float(np.mean([one.constant for one in own]))
+    probe_e, added = max(PROBE_E, now.read_noise_e), 0.0
+    while added < 0.5 * abs(excess) and probe_e < MOST_PROBE_E:
+        probe_e *= PROBE_FACTOR
+        twin.become(replace(now, read_noise_e=probe_e))
+        added = float(np.mean([_twin_noise(reference, twin, pose).constant for pose in poses])) - before
+    twin.become(now)
+    if added <= 0:
+        return now.read_noise_e
+    per_square = added / (probe_e**2 - now.read_noise_e**2)
+    return float(np.sqrt(max(now.read_noise_e**2 + excess / per_square, 0.0)))
+
+
+def _twin_noise(reference: Reference, twin: Twin, pose: int) -> NoiseModel:
+    return _noise_of(reference, pose, twin.frames(pose, reference.patterns, reference.settings))
+
+
+def _noise_of(reference: Reference, pose: int, frames: Sequence[Image]) -> NoiseModel:
+    name = reference.sessions[pose].path.name
+    recording = Recording(frames, reference.plan, reference.projector[0], reference.settings.bits, name)
+    return error_model_of(recording).noise
+
+
+def noise_misfit(reference: Reference, twin: Twin, poses: Sequence[int]) -> float:
+    """Tell how far the twin's noise is from the reference's, by variance and by spectrum.
+
+    Compared is what the phase fit leaves of the finest fringes over the board, in `LEVELS` classes of
+    brightness, divided into structure finer and coarser than `FINE_PX`: the sensor's noise is fine, vibration
+    is as coarse as edges and fringes are.
+    """
+    images = reference.plan.finest_images
+    if len(images) < 4:
+        return 0.0
+    shift = reference.plan.fringes[reference.plan.finest_set()].phase_shifts()
+    off = []
+    for pose in poses:
+        now = twin.parameters
+        board = board_mask(now.calibration.camera, now.poses[pose], reference.target)
+        real = reference.frames(pose, images)
+        own = np.stack(twin.frames(pose, reference.shown(images), reference.settings)).astype(np.float32)
+        edges = np.quantile(real.mean(axis=0)[board], np.linspace(0, 1, LEVELS + 1)[1:-1])
+        classes = np.where(board, np.digitize(real.mean(axis=0), edges), -1)
+        off.append(np.log(_spreads(real, shift, classes) / _spreads(own, shift, classes)))
+    return float(np.sqrt(np.mean(np.square(off))))
+
+
+def _spreads(frames: LevelStack, shift: Floats, classes: NDArray[np.int64]) -> Floats:
+    """Standard deviations (LEVELS, 2) of what the phase fit leaves, fine and coarse."""
+    rest = np.einsum("mn,nvu->mvu", beyond_fringe(shift), frames)
+    coarse = np.stack([cv2.GaussianBlur(one.astype(np.float32), (0, 0), FINE_PX) for one in rest])
+    parts = (rest - coarse, coarse)
+    freedom = len(shift) / (len(shift) - 3)
+    return np.array(
+        [
+            [max(float(np.sqrt(freedom * np.mean(part[:, classes == k] ** 2))), 1e-3) for part in parts]
+            for k in range(LEVELS)
+        ]
+    )

@@ -1,0 +1,319 @@
+"""Fit of the twin's geometry, by reprojection of the observed points and by the images themselves.
+
+By images: a pixel's level is the reflectance at the point (x, y) of the board that it sees, times the light
+of the point (u, v) of the projector's image that illuminates it. The twin gives the derivatives of the level
+by these four with the level itself. (Those of a twin that has none are found by finite differences: it is
+rendered with board and projector image slightly shifted.) The derivatives of the four by every parameter are
+plain geometry (`sim.matching.geometry.places`): Gauss-Newton on image residuals, as in image alignment.
+
+References
+----------
+Baker and Matthews, "Lucas-Kanade 20 years on", 2004
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from fpplab.calibration.error_modes import chi_square
+from fpplab.calibration.model import Calibration
+from fpplab.characterisation import Characterisation
+from fpplab.characterisation.bundle import adjust_bundle
+from fpplab.characterisation.parameters import DistortionModel, Model, Solution, vectors_of
+from fpplab.characterisation.zhang import matrix_of, transform
+from fpplab.core.conventions import Floats, PixelIndices
+from fpplab.core.geometry import Pinhole, RigidTransform
+from sim.matching.geometry.board_shape import change_by_bend
+from sim.matching.geometry.places import place_jacobian, slopes_by_move
+from sim.matching.loss import SURROUNDINGS_PX, board_mask, level_weights, subsample_pixels
+from sim.matching.reference import Reference
+from sim.matching.samples import TILES, tile_numbers
+from sim.parameters import TwinParameters
+from sim.twin import ExpectedLevels, Twin
+
+SHIFT_MM, SHIFT_PX = 0.02, 0.05
+"""Shifts of board and projector image for finite differences, smaller than any detail of either."""
+MAX_PIXELS, ALL_PIXELS = 40_000, 400_000
+"""Pixels of each pose, and of all, that are compared at most, evenly subsampled."""
+NUISANCE_PARAMETERS = 6
+"""Parameters of each pose for what light and sharpness still lack: gain (3), offset, response, blur."""
+MOST_SIGMAS = 3.0
+"""Standard deviations by which χ² of two geometries may exceed its expectation."""
+
+
+def contradiction(reference: Reference, parameters: TwinParameters) -> float:
+    """Tell how far a geometry is from the points that the reference's characterisation is found from.
+
+    Points are centres of marks: blur, grain of the print and uneven light hardly move them, while a fit of
+    images takes for geometry whatever else the twin lacks. So images are believed as far as points allow.
+    """
+    found = reference.characterisation
+    known = found.calibration.uncertainty
+    if known is None:
+        return 0.0
+    free = len(found.level.terms)
+    off = _shared(parameters.calibration, free) - _shared(found.calibration, free)
+    return chi_square(known, off) / float(len(off) + MOST_SIGMAS * np.sqrt(2.0 * len(off)))
+
+
+def _shared(known: Calibration, free: int) -> Floats:
+    pair = vectors_of(known.T_projector_camera)
+    return np.concatenate([_intrinsics(known.camera)[:free], _intrinsics(known.projector)[:free], pair])
+
+
+def solution_of(parameters: TwinParameters, board: Floats) -> Solution:
+    """Convert the twin's geometry to the form of the bundle adjustment."""
+    # board (P, 3) mm
+    known = parameters.calibration
+    return Solution(
+        _intrinsics(known.camera),
+        _intrinsics(known.projector),
+        vectors_of(known.T_projector_camera),
+        np.stack([vectors_of(pose) for pose in parameters.poses]),
+        board,
+    )
+
+
+def with_solution(parameters: TwinParameters, found: Solution) -> TwinParameters:
+    """Replace the geometry by the solution of a bundle adjustment."""
+    known = parameters.calibration
+    calibration = Calibration(
+        replace(known.camera, matrix=matrix_of(found.camera), distortion=found.camera[4:]),
+        replace(known.projector, matrix=matrix_of(found.projector), distortion=found.projector[4:]),
+        transform(found.T_projector_camera),
+        {},
+        known.uncertainty,
+    )
+    return replace(parameters, calibration=calibration, poses=tuple(transform(p) for p in found.poses))
+
+
+def _intrinsics(device: Pinhole) -> Floats:
+    k = device.matrix
+    return np.array([k[0, 0], k[1, 1], k[0, 2], k[1, 2], *device.distortion])
+
+
+def refine_by_reprojection(parameters: TwinParameters, found: Characterisation) -> TwinParameters:
+    """Refine the geometry by bundle adjustment of the points observed in camera and projector."""
+    model = Model(found.level, found.board)
+    adjusted, _ = adjust_bundle(found.observations, solution_of(parameters, found.board), model)
+    return with_solution(parameters, adjusted)
+
+
+def refine_by_images(reference: Reference, twin: Twin, level: DistortionModel) -> TwinParameters:
+    """Make one Gauss-Newton step of the geometry on the residuals of the images.
+
+    What light and sharpness still lack must not be taken for motion, so every pose has a gain, linear over
+    the board, an offset, a quadratic term of its response and a blur of its own (`NUISANCE_PARAMETERS`).
+    Each image has a small displacement of the board, normally distributed with the twin's `displacement_mm`.
+    The twin is left with the parameters that it had.
+    """
+    start = twin.parameters
+    free = len(level.terms)
+    shared = 2 * free + 6
+    per_pose = 6 + NUISANCE_PARAMETERS
+    size = shared + per_pose * len(start.poses)
+    normal, gradient, scatter = np.zeros((size, size)), np.zeros(size), np.zeros((size, size))
+    for pose in range(len(start.poses)):
+        residuals = _residual_of_pose(reference, twin, start, pose)
+        columns = np.append(np.arange(shared), shared + per_pose * pose + np.arange(per_pose))
+        displacement, tiles = slice(shared + 3, shared + 6), _tile_members(residuals.pixels)
+        by_tile = np.zeros((TILES**2, len(columns)))
+        for image, jacobian in enumerate(residuals.jacobian(start, free)):
+            own, residual = _remove_vibration(
+                reference, twin, start, residuals, image, jacobian[:, shared + 3 :]
+            )
+            block, right_side, scores = _equations(
+                jacobian, residual, displacement, own, start.displacement_mm, tiles
+            )
+            normal[np.ix_(columns, columns)] += block
+            gradient[columns] += right_side
+            by_tile += scores
+        scatter[np.ix_(columns, columns)] += by_tile.T @ by_tile
+    twin.become(start)
+    scale = np.sqrt(np.diag(normal))
+    scale[scale == 0] = 1.0
+    inverse = np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-12) / np.outer(scale, scale)
+    variance = np.diag(inverse @ scatter @ inverse)
+    of_places = variance[shared:].reshape(-1, per_pose)[:, 3:6].sum(axis=1)
+    sigma = {**start.sigma, "poses_um": 1e3 * float(np.sqrt(of_places.mean()))}
+    return replace(_updated(start, inverse @ gradient, free, shared, per_pose), sigma=sigma)
+
+
+def _remove_vibration(
+    reference: Reference,
+    twin: Twin,
+    start: TwinParameters,
+    residuals: PoseResidual,
+    image: int,
+    jacobian: Floats,
+) -> tuple[Floats, Floats]:
+    """Estimate the board's displacement (3,) in mm in one image, and the residuals (P,) without it.
+
+    jacobian: (P, 3 + NUISANCE_PARAMETERS), by the displacement and the nuisance parameters. The level of
+    an edge is not linear over the displacement, so the twin is rendered again with the board displaced.
+    """
+    residual = residuals.residual[image]
+    if start.displacement_mm == 0:
+        return np.zeros(3), residual
+    own = np.linalg.solve(jacobian.T @ jacobian, jacobian.T @ residual)[:3]
+    twin.become(start.with_pose(residuals.pose, start.poses[residuals.pose].moved(own)))
+    pattern = reference.shown([residuals.images[image]])
+    level = twin.expected_at(residuals.pose, pattern, reference.settings, residuals.pixels)[0].astype(
+        np.float64
+    )
+    return own, residual - np.where(residuals.valid[image], level - residuals.expected[image], 0.0)
+
+
+def _equations(
+    jacobian: Floats,
+    residual: Floats,
+    displacement: slice,
+    own: Floats,
+    vibration_mm: float,
+    tiles: csr_array,
+) -> tuple[Floats, Floats, Floats]:
+    """Build normal equations (C, C), (C,) of one image, weighted by its noise, its displacement eliminated.
+
+    displacement: columns of the board's displacement. That of the image is normally distributed with
+    `vibration_mm`; the residual is without its estimate `own`. tiles: (T, P), which pixels each has. At last
+    the part of each tile in the right side, (T, C).
+    """
+    weight, sigma = level_weights(residual)
+    weighted = jacobian * (weight / sigma**2)[:, None]
+    block = jacobian.T @ weighted
+    scores: Floats = tiles @ (weighted * residual[:, None])
+    if vibration_mm == 0:
+        return block, scores.sum(axis=0), scores
+    normal = block[displacement, displacement] + np.eye(3) / vibration_mm**2
+    share = np.linalg.solve(normal, block[displacement])
+    scores = scores - scores[:, displacement] @ share
+    right_side = scores.sum(axis=0) + share.T @ own / vibration_mm**2
+    return block - block[:, displacement] @ share, right_side, scores
+
+
+def _tile_members(pixels: PixelIndices) -> csr_array:
+    """Tell which pixels each tile has: (T, P), 1 where it has one."""
+    tiles = tile_numbers(pixels)
+    number = np.arange(len(tiles))
+    return csr_array((np.ones(len(tiles)), (tiles, number)), shape=(TILES**2, len(tiles)))
+
+
+def _updated(start: TwinParameters, step: Floats, free: int, shared: int, per_pose: int) -> TwinParameters:
+    now = solution_of(start, np.zeros((0, 3)))
+    camera, projector = now.camera.copy(), now.projector.copy()
+    camera[:free] += step[:free]
+    projector[:free] += step[free : 2 * free]
+    moves = step[shared:].reshape(-1, per_pose)[:, :6]
+    poses = np.stack([_perturbed(pose, move) for pose, move in zip(now.poses, moves, strict=True)])
+    pair = _perturbed(now.T_projector_camera, step[2 * free : shared])
+    return with_solution(start, Solution(camera, projector, pair, poses, now.board))
+
+
+def _perturbed(pose: Floats, move: Floats) -> Floats:
+    """Turn a pose (6,) by a small rotation about the device's axes, and move it."""
+    turn = RigidTransform.from_vectors(move[:3], np.zeros(3)).rotation
+    held = transform(pose)
+    return vectors_of(RigidTransform(turn @ held.rotation, held.translation + move[3:]))
+
+
+@dataclass(frozen=True, eq=False)
+class PoseResidual:
+    """Residuals of some pixels in some images of one pose."""
+
+    pose: int  # index of the pose
+    images: tuple[int, ...]  # indices of the n images in the plan
+    pixels: PixelIndices  # rows and columns of the P pixels
+    valid: NDArray[np.bool_]  # (n, P), neither saturated nor dark
+    expected: Floats  # raw levels (n, P) that the twin expects
+    residual: Floats  # reference less twin, bent as the reference's board is, (n, P) in raw levels
+    laplacian: Floats  # of the expected image, (n, P): proportional to the effect of slightly more blur
+    level_gradient: Floats  # (n, P, 4) mm
+
+    def jacobian(self, at: TwinParameters, free: int) -> Iterator[Floats]:
+        """Compute the derivatives of the levels by the parameters of `refine_by_images`."""
+        # returns (P, C)
+        points = np.stack(self.pixels[::-1], axis=-1).astype(np.float64)
+        places = place_jacobian(points, at.calibration, at.poses[self.pose], free)
+        across, down = ((points - points.mean(axis=0)) / np.ptp(points, axis=0)).T
+        for seen, laplacian, level_gradient in zip(
+            self.expected, self.laplacian, self.level_gradient, strict=True
+        ):
+            geometric = np.einsum("pk,pkc->pc", level_gradient, places)
+            other = [seen, seen * across, seen * down, np.ones_like(seen), seen**2, laplacian]
+            yield np.column_stack([geometric, *other])
+
+
+def _residual_of_pose(reference: Reference, twin: Twin, start: TwinParameters, pose: int) -> PoseResidual:
+    images = reference.finest_spread
+    looked_at = board_mask(start.calibration.camera, start.poses[pose], reference.target, -SURROUNDINGS_PX)
+    pixels = subsample_pixels(looked_at, min(MAX_PIXELS, ALL_PIXELS // len(start.poses)))
+    seen, patterns = reference.frames(pose, images)[:, *pixels], reference.shown(images)
+
+    def picked(levels: ExpectedLevels) -> Floats:
+        return np.asarray(levels[:, *pixels], np.float64)
+
+    twin.become(start)
+    whole = twin.expected(pose, patterns, reference.settings)
+    here = picked(whole)
+    laplacian = picked(np.stack([cv2.Laplacian(one, cv2.CV_32F) for one in whole]))
+    _, gradient = levels_with_gradient(reference, twin, pose, images, pixels)
+    slopes = slopes_by_move(pixels, start.calibration, start.poses[pose], gradient)
+    bent = change_by_bend(reference, start, pose, pixels, slopes)
+    # Where there is no light there is no noise either, and rounding errors are all the same.
+    dark = start.black_level * reference.full_scale + 1.0
+    valid = (seen < reference.full_scale) & (here < reference.full_scale) & (here > dark)
+    return PoseResidual(
+        pose,
+        tuple(images),
+        pixels,
+        valid,
+        here,
+        np.where(valid, seen - here - bent, 0.0),
+        laplacian * valid,
+        gradient * valid[..., None],
+    )
+
+
+def levels_with_gradient(
+    reference: Reference, twin: Twin, pose: int, images: Sequence[int], pixels: PixelIndices
+) -> tuple[Floats, Floats]:
+    """Compute levels, and differentiate them by the places on board and projector that pixels see."""
+    # returns levels (n, P), gradient (n, P, 4) mm
+    start, patterns = twin.parameters, reference.shown(images)
+    own = twin.expected_with_slopes(pose, patterns, reference.settings, pixels)
+    if own is not None:
+        return own[0].astype(np.float64), own[1].astype(np.float64)
+
+    def seen_from(there: TwinParameters) -> Floats:
+        twin.become(there)
+        return twin.expected_at(pose, patterns, reference.settings, pixels).astype(np.float64)
+
+    here = seen_from(start)
+    gradient = [sign * (seen_from(there) - here) / by for there, by, sign in _shifted(start, pose)]
+    twin.become(start)
+    return here, np.stack(gradient, axis=-1)
+
+
+def _shifted(start: TwinParameters, pose: int) -> list[tuple[TwinParameters, float, float]]:
+    """Shift the board in its plane, and the projector's image, along each axis.
+
+    With each, how far, and the sign with which the point seen moves.
+    """
+    held = start.poses[pose]
+    found = []
+    for axis in range(2):
+        there = held.moved(SHIFT_MM * held.rotation[:, axis])
+        found.append((start.with_pose(pose, there), SHIFT_MM, -1.0))
+    for axis in range(2):
+        known = start.calibration
+        matrix = known.projector.matrix.copy()
+        matrix[axis, 2] += SHIFT_PX
+        moved = replace(known, projector=replace(known.projector, matrix=matrix))
+        found.append((replace(start, calibration=moved), SHIFT_PX, 1.0))
+    return found

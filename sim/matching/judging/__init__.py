@@ -1,0 +1,1 @@
+"""Whether to believe a matched twin: refusals, verdict, and what twin and bench differ by."""

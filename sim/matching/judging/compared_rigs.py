@@ -1,0 +1,102 @@
+"""A bench beside its twin: prediction and measurement, and the frames of both by either's calibration.
+
+With its own calibration a rig hides what is wrong with it; with the other's it shows in how far the two
+describe the same bench.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fpplab.calibration.model import Calibration
+from fpplab.core.errors import ConfigError
+from fpplab.devices.rig import Rig
+from fpplab.patterns.fringes import make_patterns
+from fpplab.patterns.recording import Recording
+from fpplab.pipeline import depth_range_of
+from fpplab.sessions.session import Session
+from sim.bench import VirtualBench
+from sim.matching.judging.measured import measured_figures, recorded_figures
+from sim.prediction import MeasuredFigures, Prediction, predict
+
+
+@dataclass(frozen=True)
+class RigComparison:
+    """A bench beside its twin, on one scan."""
+
+    prediction: Prediction  # of the twin
+    crossed: Mapping[tuple[str, str], MeasuredFigures]  # by whose frames
+
+    @property
+    def measured(self) -> MeasuredFigures:
+        """The bench's own figures."""
+        return self.crossed["bench", "bench"]
+
+    @property
+    def outside(self) -> list[str]:
+        """Figures of the bench that lie outside of their predicted interval."""
+        return [
+            name
+            for name, value in self.measured.summary().items()
+            if not self.prediction.figures[name].contains(value)
+        ]
+
+    def summary(self) -> dict[str, Any]:
+        """Give plain values, as the command line prints them."""
+        outside = self.outside
+        return {
+            "item": self.prediction.item,
+            "figures": {
+                name: {
+                    "predicted": said.value,
+                    "low": said.low,
+                    "high": said.high,
+                    "measured": value,
+                    "inside": name not in outside,
+                }
+                for name, value in self.measured.summary().items()
+                for said in [self.prediction.figures[name]]
+            },
+            "outside": outside,
+            "crossed": {
+                f"{frames}_by_{known}": found.summary() for (frames, known), found in self.crossed.items()
+            },
+        }
+
+
+def compare_rigs(rig: Rig, session: Session, item: str, calibration: Calibration) -> RigComparison:
+    """Confront a twin's prediction with a bench's scan, and cross their calibrations."""
+    if not isinstance(rig.simulation, VirtualBench):
+        raise ConfigError(f"{rig.source}: is no simulation that can predict; name a twin's rig file")
+    _need_same_devices(rig, session)
+    sampler, plan = rig.simulation.sampler(), session.plan
+    mesh, depth = sampler.mesh(item), depth_range_of(session)
+    size, lattice = session.projector()
+    settings = rig.camera_settings(plan.exposure_s, plan.bits)
+    rows = np.arange(rig.camera.caps.size[1])
+    frames = sampler.frames(item, tuple(make_patterns(plan, size, lattice)), settings, rows, 0)
+    own = Recording(frames, plan, size, settings.bits, f"the twin's {item}")
+    known = {"bench": calibration, "twin": sampler.calibration}
+    crossed = {("bench", name): measured_figures(session, one, mesh) for name, one in known.items()}
+    crossed |= {("twin", name): recorded_figures(own, one, mesh, depth) for name, one in known.items()}
+    return RigComparison(predict(rig, plan, item), crossed)
+
+
+def _need_same_devices(rig: Rig, session: Session) -> None:
+    width, height, _ = session.format
+    size, lattice = session.projector()
+    camera, projector = rig.camera.caps, rig.projector.caps
+    if (width, height) != camera.size:
+        raise ConfigError(
+            f"{session.path}: the bench's camera has {width} x {height} pixels, the twin's "
+            f"{camera.size[0]} x {camera.size[1]}; name this bench's twin"
+        )
+    if (size, lattice) != (projector.size, projector.lattice):
+        raise ConfigError(
+            f"{session.path}: the bench's projector has {size[0]} x {size[1]} mirrors, {lattice}, the twin's "
+            f"{projector.size[0]} x {projector.size[1]}, {projector.lattice}; name this bench's twin"
+        )

@@ -1,0 +1,170 @@
+"""What is left between a matched twin and its bench, for the intervals of predictions.
+
+Noise is compared in poses of the board whose images the light was not fitted to, where there are such, and in
+scans; distance and completeness in scans. All are measured alike on bench and twin. The contrast of fine
+fringes in scans is fitted, their noise and distance are not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from fpplab.core.conventions import Floats, Image
+from fpplab.core.errors import DataError
+from fpplab.patterns.fringes import make_patterns
+from fpplab.patterns.recording import Recording
+from fpplab.phase import decode
+from fpplab.pipeline import depth_range_of
+from sim.matching.fluctuation.scan_motion import motion_of_scan
+from sim.matching.judging.measured import expected_figures, measured_figures
+from sim.matching.light.contrast import ContrastSample, board_contrasts, sample_contrasts
+from sim.matching.loss import board_mask, subsample_pixels
+from sim.matching.reference import Reference
+from sim.matching.samples import TILES, tile_numbers
+from sim.matching.scene.artefacts import BenchScan, placed_part
+from sim.matching.steps import SAMPLED_POSES
+from sim.prediction import Discrepancy, MeasuredFigures, median_figures
+from sim.prediction.discrepancy import (
+    ContrastDeviation,
+    Deviation,
+    LevelDifferences,
+    ScanEffects,
+    named_effects,
+)
+from sim.twin import Twin
+
+PIXELS = 5_000
+"""Pixels of each pose at which levels are compared, about."""
+TWIN_SCANS = 5
+"""Scans of the twin whose median is compared with one of the bench: flicker and vibration differ from one to
+the next, and of the twin there may be any number."""
+
+
+def discrepancy_of(reference: Reference, twin: Twin, scans: Sequence[BenchScan]) -> Discrepancy:
+    """Compare bench and twin where both are known."""
+    fitted = set(reference.spread_poses(SAMPLED_POSES))
+    others = [pose for pose in range(len(reference.sessions)) if pose not in fitted]
+    judged = others or sorted(fitted)
+    noise = [_noise_difference(reference, twin, pose) for pose in judged]
+    pairs = [scan_figures(reference, twin, scan) for scan in scans]
+    levels = level_differences(reference, twin)
+    part_noise = [float(np.log(a.noise_um / b.noise_um)) for a, b in pairs]
+    contrasts = sample_contrasts(twin, scans, reference.plan)
+    off = {one.number: one.relative_residual(reference, twin) for one in contrasts}
+    found = Discrepancy(
+        noise=Deviation.of_kinds([noise, part_noise], fitted=not others),
+        distance=_deviation([float(np.log(a.distance_um / b.distance_um)) for a, b in pairs]),
+        completeness=_deviation([a.completeness - b.completeness for a, b in pairs]),
+        contrast=_contrast_deviation(reference, twin, contrasts, off, judged),
+        levels=levels.model_copy(update={"left_out": tuple(_name(reference, pose) for pose in others)}),
+    )
+    effects = [_effects(twin, scan, off.get(number)) for number, scan in enumerate(scans)]
+    looks_like, not_for = named_effects(found, noise, part_noise, effects)
+    return found.model_copy(update={"looks_like": looks_like, "not_for": not_for})
+
+
+def level_differences(reference: Reference, twin: Twin) -> LevelDifferences:
+    """Compare the levels of bench and twin by pose, pattern and place on the board."""
+    images = reference.one_of_each_set
+    squares = [_relative_squares(reference, twin, pose, images) for pose in range(len(reference.sessions))]
+    by_image, tiles, pixels = zip(*squares, strict=True)
+    count = np.sum(pixels, axis=0)
+    places = [
+        float(np.sqrt(total / n)) if n else None
+        for total, n in zip(np.sum(tiles, axis=0).tolist(), count.tolist(), strict=True)
+    ]
+    return LevelDifferences(
+        by_pose={_name(reference, pose): float(np.sqrt(one.mean())) for pose, one in enumerate(by_image)},
+        by_pattern={
+            reference.patterns[index].id: float(np.sqrt(one))
+            for index, one in zip(images, np.mean(by_image, axis=0), strict=True)
+        },
+        by_place=tuple(tuple(places[row : row + TILES]) for row in range(0, TILES**2, TILES)),
+    )
+
+
+def _relative_squares(
+    reference: Reference, twin: Twin, pose: int, images: Sequence[int]
+) -> tuple[Floats, Floats, Floats]:
+    """Mean square over the board of every image (n,), and sum and number of pixels of the tiles (TILES²,)."""
+    now = twin.parameters
+    pixels = subsample_pixels(board_mask(now.calibration.camera, now.poses[pose], reference.target), PIXELS)
+    seen = reference.frames(pose, images)[:, *pixels].astype(np.float64)
+    expected = twin.expected_at(pose, reference.shown(images), reference.settings, pixels)
+    square = ((seen - expected) / seen.mean()) ** 2
+    tiles, every = tile_numbers(pixels), square.mean(axis=0)
+    sums, counts = (
+        np.asarray(np.bincount(tiles, one, TILES**2), np.float64) for one in (every, np.ones_like(every))
+    )
+    return square.mean(axis=1), sums, counts
+
+
+def _noise_difference(reference: Reference, twin: Twin, pose: int) -> float:
+    """Logarithm of the bench's noise of the coordinate over the twin's, on the board."""
+    own = twin.frames(pose, reference.patterns, reference.settings)
+    now = twin.parameters
+    board = board_mask(now.calibration.camera, now.poses[pose], reference.target)
+
+    def noise(frames: Sequence[Image]) -> float:
+        name = _name(reference, pose)
+        recording = Recording(frames, reference.plan, reference.projector[0], reference.settings.bits, name)
+        sigma = decode(recording).sigma[board]
+        if not np.isfinite(sigma).any():
+            raise DataError(f"{name}: no pixel of the board was decoded")
+        return float(np.nanmedian(sigma))
+
+    return float(np.log(noise(reference.recorded(pose)) / noise(own)))
+
+
+def _effects(twin: Twin, scan: BenchScan, contrast_off: Floats | None) -> ScanEffects:
+    """What a scan shows by itself; its contrast less the twin's, relative to the bench's, by tiles."""
+    off = 0.0 if contrast_off is None else float(np.median(contrast_off))
+    contrast = 1.0 / (1.0 - off) - 1.0  # relative to the twin's
+    motion = motion_of_scan(twin, scan)
+    moved = motion.um_per_frame if motion and motion.is_significant else None
+    return ScanEffects(scan.item, contrast, moved)
+
+
+def _contrast_deviation(
+    reference: Reference,
+    twin: Twin,
+    finer: Sequence[ContrastSample],
+    off: Mapping[int, Floats],
+    poses: Sequence[int],
+) -> ContrastDeviation:
+    """Of the finest fringes of all recordings: those on parts where they are finer than the board's."""
+    if finer:
+        stripes = max(fringe.stripes for one in finer for fringe in one.sets)
+        differences = np.concatenate([off[one.number] for one in finer])
+    else:
+        stripes = reference.plan.finest.stripes
+        differences = board_contrasts(reference, twin, poses)
+    return ContrastDeviation(stripes=stripes, relative=float(np.sqrt(np.mean(differences**2))))
+
+
+def scan_figures(
+    reference: Reference, twin: Twin, scan: BenchScan
+) -> tuple[MeasuredFigures, MeasuredFigures]:
+    """Compute the figures of a scan on the bench, and of such scans on the twin."""
+    placed = placed_part(twin, scan)
+    real = measured_figures(scan.session, reference.characterisation.calibration, placed)
+    session, known = scan.session, twin.parameters.calibration
+    plan, (size, lattice) = session.plan, session.projector()
+    settings = session.records[0].settings
+    patterns, depth = make_patterns(plan, size, lattice), depth_range_of(session)
+    own = []
+    for _ in range(TWIN_SCANS):
+        frames = twin.scan(scan.item, scan.T_camera_item, patterns, settings)
+        recording = Recording(frames, plan, size, settings.bits, f"the twin's {scan.item}")
+        own.append(expected_figures(recording, known, placed, depth))
+    return real, median_figures(own)
+
+
+def _deviation(differences: Sequence[float]) -> Deviation | None:
+    return Deviation.of(differences, fitted=False) if differences else None
+
+
+def _name(reference: Reference, pose: int) -> str:
+    return reference.sessions[pose].path.name

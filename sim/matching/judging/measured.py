@@ -1,0 +1,71 @@
+"""Figures of a measurement of a known shape, of a bench's session or of frames, as predictions state them.
+
+The shape is aligned with the points, for where a part stood is not known as well as it is measured.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import trimesh
+
+from fpplab.calibration.model import Calibration
+from fpplab.clouds import Cloud
+from fpplab.comparison.alignment import align_mesh
+from fpplab.core.conventions import Mask
+from fpplab.patterns.plan import Plan
+from fpplab.patterns.recording import Recording
+from fpplab.phase import Decoded, decode
+from fpplab.pipeline import depth_range_of, reconstruct
+from fpplab.reconstruction.depth_range import DepthRange, depth_bounds
+from fpplab.reconstruction.points import points_of
+from fpplab.reconstruction.uncertainty import coordinate_noise
+from fpplab.sessions.session import Session
+from sim.prediction.figures import MeasuredFigures, figures_of, seen_surface
+from sim.prediction.form import distance_factors
+
+
+def measured_figures(session: Session, calibration: Calibration, mesh: trimesh.Trimesh) -> MeasuredFigures:
+    """Compute the figures of a scan."""
+    found = reconstruct(session, calibration)
+    return _figures(found, calibration, mesh, session.plan, depth_range_of(session))[0]
+
+
+def recorded_figures(
+    recording: Recording, calibration: Calibration, mesh: trimesh.Trimesh, depth: DepthRange | None = None
+) -> MeasuredFigures:
+    """Compute the figures of frames that are in no session, as those of a twin."""
+    found = _points(recording, calibration, depth)
+    return _figures(found, calibration, mesh, recording.plan, depth)[0]
+
+
+def expected_figures(
+    recording: Recording, calibration: Calibration, mesh: trimesh.Trimesh, depth: DepthRange | None = None
+) -> MeasuredFigures:
+    """Compute the figures of frames as a bench would see them, whose calibration is in error."""
+    found = decoded, cloud = _points(recording, calibration, depth)
+    figures, placed, on_shape = _figures(found, calibration, mesh, recording.plan, depth)
+    factors = distance_factors(cloud, on_shape, placed, calibration, coordinate_noise(decoded))
+    return replace(figures, distance_um=figures.distance_um * float(np.median(factors)))
+
+
+def _points(
+    recording: Recording, calibration: Calibration, depth: DepthRange | None
+) -> tuple[Decoded, Cloud]:
+    bounds = depth_bounds(recording.plan, calibration, depth)
+    return points_of(decode(recording, bounds=bounds), calibration, recording.plan)
+
+
+def _figures(
+    found: tuple[Decoded, Cloud],
+    calibration: Calibration,
+    mesh: trimesh.Trimesh,
+    plan: Plan,
+    depth: DepthRange | None,
+) -> tuple[MeasuredFigures, trimesh.Trimesh, Mask]:
+    """The figures, the shape where its points are, and the pixels that see it."""
+    T_camera_mesh = align_mesh(found[1].points.astype(float), mesh).transform
+    placed = mesh.copy().apply_transform(T_camera_mesh.matrix)
+    bounds, seen = depth_bounds(plan, calibration, depth), seen_surface(placed, calibration)
+    return figures_of(*found, placed, calibration, plan, seen, bounds), placed, seen[0]

@@ -1,0 +1,201 @@
+"""Plausibility checks of a matching: a twin that cannot match the bench is refused with the reason.
+
+What the recordings tell is checked before the work starts; what only the matched twin shows is a finding.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.calibration.model import Calibration
+from fpplab.core.conventions import Floats, Mask
+from fpplab.core.errors import ConfigError
+from fpplab.diagnosis import FaultCause, Finding
+from fpplab.patterns.phase_error import relative_harmonics
+from fpplab.patterns.response import Response
+from fpplab.phase.error_model import error_model_of
+from fpplab.sessions.session import Session
+from fpplab.targets import Target
+from fpplab.targets.kinds import OWN_FIELDS
+from sim.matching.loss import board_mask
+from sim.matching.reference import Reference
+from sim.matching.refusal import Refusals
+from sim.twin import Twin
+
+MAX_RELATIVE_DIFFERENCE = {"camera's focal length": 0.1, "projector's focal length": 0.1, "baseline": 0.1}
+"""Greatest relative difference between what was found and the twin's own file."""
+MAX_ROTATION_DEG = 10.0
+MAX_CONTRAST_DIFFERENCE = 0.12
+"""Greatest relative difference of edge contrast, bench to twin, between poses, that a matched focus leaves.
+"""
+EDGE_GRADIENT = 0.3
+"""Share of the steepest gradient from which a pixel lies on an edge."""
+BRIGHTNESS_SHARE = 0.1
+"""Width of the neighbourhood whose brightness edges are divided by, as a share of the board's side."""
+MIN_SSIM = 0.8
+"""SSIM over the board below which the twin does not match."""
+RUINOUS_UNLIKE = 3.0
+"""Excess of unlike images from which on nobody should use the twin."""
+MAX_HARMONIC_DIFFERENCE = 0.02
+"""Greatest difference of the fringes' second harmonic from that of the response, as a share of the fringe:
+0.06 of an exponent near 1."""
+
+
+def check_devices(twin: Twin, session: Session) -> None:
+    """Refuse a session of another camera or projector."""
+    known = twin.parameters.calibration
+    width, height, _ = session.format
+    size, lattice = session.projector()
+    if (width, height) != known.camera.size:
+        raise ConfigError(
+            f"{session.path}: the bench's camera has {width} x {height} pixels, the twin's "
+            f"{known.camera.size[0]} x {known.camera.size[1]}; name this bench's twin, or set its binning"
+        )
+    if size != known.projector.size or lattice is not known.projector.lattice:
+        raise ConfigError(
+            f"{session.path}: the bench's projector has {size[0]} x {size[1]} mirrors, {lattice}, the twin's "
+            f"{known.projector.size[0]} x {known.projector.size[1]}, {known.projector.lattice}; name this "
+            "bench's twin"
+        )
+
+
+def check_board(twin: Twin, target: Target, source: str) -> None:
+    """Refuse a target that is not the twin's board."""
+    own = twin.target
+    for name in ("kind", "counts", "spacing_mm", *OWN_FIELDS, "size_mm"):
+        if (given := getattr(target, name)) != (has := getattr(own, name)):
+            raise ConfigError(
+                f"{source}: '{name}' is {given} but the twin's board has {has}; give both the same board"
+            )
+
+
+def check_geometry(found: Calibration, nominal: Calibration, refusals: Refusals) -> None:
+    """Refuse a bench whose geometry is far from that of the twin's file.
+
+    A board of another pitch changes only the scale of the scene, not its images: the baseline shows it.
+    """
+    pairs = {
+        "camera's focal length": (found.camera.matrix[0, 0], nominal.camera.matrix[0, 0], "px"),
+        "projector's focal length": (found.projector.matrix[0, 0], nominal.projector.matrix[0, 0], "px"),
+        "baseline": (found.baseline_mm, nominal.baseline_mm, "mm"),
+    }
+    for name, (is_, should, unit) in pairs.items():
+        if abs(is_ / should - 1.0) > MAX_RELATIVE_DIFFERENCE[name]:
+            why = (
+                "the board has another pitch than its target file says, or the devices stand elsewhere"
+                if name == "baseline"
+                else "another lens, or another binning"
+            )
+            words = f"the {name} is {is_:.4g} {unit} on the bench and {should:.4g} {unit} in the twin: {why}"
+            refusals.refuse(FaultCause.STALE_CALIBRATION, words)
+    turn = found.T_projector_camera.rotation @ nominal.T_projector_camera.rotation.T
+    angle = float(np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1))))
+    if angle > MAX_ROTATION_DEG:
+        refusals.refuse(
+            FaultCause.STALE_CALIBRATION,
+            f"the projector is turned by {angle:.1f}° against the twin's: its pose in the twin's file is "
+            "wrong, or one of the pictures is mirrored or turned",
+        )
+
+
+def check_response(response: Response, sessions: Sequence[Session], refusals: Refusals) -> None:
+    """Refuse a response that is not that of the recordings.
+
+    The fringes on the board are bent by the response: the second harmonic of the widest set of at least four
+    images tells it without any twin.
+    """
+    plan = sessions[0].plan
+    wide = [k for k, one in enumerate(plan.fringes) if one.images > 3]
+    if not wide:
+        return
+    widest = min(wide, key=lambda k: plan.fringes[k].stripes)
+    recordings = [replace(one.recording(verify=False), response=None) for one in sessions]
+    seen = float(np.median([error_model_of(one).sets[widest].harmonics[0] for one in recordings]))
+    should = float(relative_harmonics(response, plan.response, 2)[2])
+    if not abs(seen - should) <= MAX_HARMONIC_DIFFERENCE:
+        refusals.refuse(
+            FaultCause.RESPONSE,
+            f"the second harmonic of the fringes on the board is {100 * seen:.1f} % of the fringe, but "
+            f"{100 * should:.1f} % by the response file: it is another rig's, or the projector's gamma was "
+            "changed; measure it again with `fpplab gamma`",
+        )
+
+
+def sharpness_finding(reference: Reference, twin: Twin) -> Finding | None:
+    """Find a pose that was taken with another focus than the others.
+
+    Each pose's edges must be as steep as the twin's, at the same brightness, relative to the other poses:
+    what softens all of them alike is the bench's lens or print, not a focus that moved.
+    """
+    contrasts = edge_contrast(reference, twin)
+    usual = float(np.median(contrasts))
+    worst = int(np.argmax(np.abs(np.log(contrasts / usual))))
+    off = float(contrasts[worst]) / usual - 1.0
+    if abs(off) <= MAX_CONTRAST_DIFFERENCE:
+        return None
+    word, name = "softer" if off < 0 else "sharper", reference.sessions[worst].path.name
+    words = (
+        f"{name}: at the same brightness its edges are {100 * abs(off):.0f} % {word}, relative to the "
+        f"matched twin's, than those of the other poses (at most {100 * MAX_CONTRAST_DIFFERENCE:.0f} %): the "
+        "bench's focus moved, or the board moved"
+    )
+    return Finding(FaultCause.LENS_NOT_LOCKED, words, abs(off) / MAX_CONTRAST_DIFFERENCE)
+
+
+def edge_contrast(reference: Reference, twin: Twin) -> Floats:
+    """Compare how steep edges and fringes are on the bench and in the twin."""
+    # returns (M,)
+    images = reference.finest[:2]
+    return np.array([_contrast(reference, twin, pose, images) for pose in range(len(twin.parameters.poses))])
+
+
+def _contrast(reference: Reference, twin: Twin, pose: int, images: Sequence[int]) -> float:
+    now = twin.parameters
+    whole = board_mask(now.calibration.camera, now.poses[pose], reference.target)
+    x, y, width, height = cv2.boundingRect(whole.astype(np.uint8))
+    part = np.s_[y : y + height, x : x + width]
+    board = whole[part]
+    share = _mean_nearby(np.ones(board.shape, np.float32), board)
+    seen = twin.expected(pose, reference.shown(images), reference.settings)
+    real = reference.frames(pose, images)
+    products, squares = 0.0, 0.0
+    for pair in zip(real, seen, strict=True):
+        there, here = (_at_even_brightness(one[part], board, share) for one in pair)
+        for axis in ((1, 0), (0, 1)):
+            a, b = (
+                cv2.Sobel(one, cv2.CV_32F, *axis, ksize=3)[board].astype(np.float64) for one in (there, here)
+            )
+            edge = np.abs(b) > EDGE_GRADIENT * np.abs(b).max()
+            products, squares = products + float(a[edge] @ b[edge]), squares + float(b[edge] @ b[edge])
+    return products / max(squares, 1e-12)
+
+
+def _mean_nearby(image: NDArray[np.float32], board: Mask) -> NDArray[np.float32]:
+    """Mean over the neighbourhood of each pixel, with nothing where the board is not."""
+    width = BRIGHTNESS_SHARE * float(np.sqrt(board.sum()))
+    inside = image * board.astype(np.float32)
+    return np.asarray(cv2.GaussianBlur(inside, (0, 0), width, borderType=cv2.BORDER_CONSTANT), np.float32)
+
+
+def _at_even_brightness(
+    image: NDArray[np.float32], board: Mask, share: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Divide an image by the mean level of its neighbourhood on the board, `share` of which is board."""
+    level = _mean_nearby(image, board)
+    return np.asarray(image * share / np.maximum(level, 1e-3 * level.max()), np.float32)
+
+
+def similarity_finding(alike: float, unexplained: float) -> Finding | None:
+    """Find that a matching's result is not similar to the reference."""
+    if alike >= MIN_SSIM:
+        return None
+    words = (
+        f"SSIM over the board is {alike:.3f} at best, but at least {MIN_SSIM:g} is needed; {unexplained:.1f} "
+        "levels of difference are left"
+    )
+    return Finding(FaultCause.UNLIKE_IMAGES, words, RUINOUS_UNLIKE * (1.0 - alike) / (1.0 - MIN_SSIM))

@@ -1,0 +1,144 @@
+"""Whether to believe a matched twin: by the recordings that it was fitted to, and by what the fit left."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fpplab.diagnosis import Diagnosis, FaultCause, Finding, diagnose_poses, diagnosis_of
+from fpplab.patterns.recording import Recording
+from fpplab.sessions.session import Session
+from sim.matching.judging.plausibility import RUINOUS_UNLIKE
+from sim.matching.light.light_fit import ADJUSTABLE
+from sim.matching.match import CONVERGED, EQUAL_LOSS
+
+if TYPE_CHECKING:
+    from sim.matching.run import MatchingResult
+
+MOST_UNLIKE = 0.03
+"""RMS difference between images of bench and twin over the board, without noise, as a share of full scale."""
+MOST_POINTS_PX = 0.1
+"""Greatest difference between the reprojection errors of bench and twin in px."""
+POSE_UNLIKE = 0.1
+"""By how much the SSIM over the board of one pose may be below that of the others."""
+ARTEFACT_SHARE, ARTEFACT_UM = 0.3, 2.0
+"""Difference between bench and twin on an artefact that counts, as a share of the bench's and in µm."""
+NEAR_BORDER = 1e-3
+"""Share of a parameter's range within which it lies at the border."""
+NATURAL = frozenset(
+    {
+        "ink",
+        "ambient",
+        "black_level",
+        "projector_blur",
+        "projector_aperture_mm",
+        "vignetting",
+        "lamp_nearness",
+    }
+)
+"""Parameters whose least value a device may well have: no ambient light, a sharp projector, a lamp
+far away."""
+RUINOUS = {
+    FaultCause.NO_GAIN: 1.0,
+    FaultCause.UNLIKE_IMAGES: RUINOUS_UNLIKE,
+    FaultCause.LENS_NOT_LOCKED: 1.0,
+}
+"""Excess from which on nobody should use the twin, unless the cause is accepted."""
+
+
+def diagnose_matching(found: MatchingResult) -> Diagnosis:
+    """Judge a matched twin."""
+    recorded = diagnose_poses(_recordings(found.reference.sessions), (), {}).findings
+    ruinous = {cause: excess for cause, excess in RUINOUS.items() if cause not in found.accepted}
+    unknown = [] if found.artefacts else ["artefact_misfit: no --scan of an artefact was given"]
+    if found.gamma and not found.card_measured:
+        unknown.append("the grey card stands where the twin's file says: no --card ITEM=SESSION was given")
+    poses = len(found.reference.sessions)
+    good = (
+        f"its images differ from the bench's by {found.matched.unexplained:.2f} levels RMS in {poses} poses"
+    )
+    return diagnosis_of([*recorded, *_own_findings(found)], good, unknown, ruinous)
+
+
+def accepted_findings(found: MatchingResult) -> tuple[str, ...]:
+    """List what would have made the twin useless, had it not been accepted."""
+    return tuple(
+        f"{one.cause} accepted: {one.evidence}"
+        for one in _own_findings(found)
+        if one.cause in found.accepted and one.excess >= RUINOUS.get(one.cause, np.inf)
+    )
+
+
+def _own_findings(found: MatchingResult) -> list[Finding]:
+    return [
+        *found.late,
+        *_of_fit(found),
+        *_of_poses(found),
+        *_at_borders(found),
+        *_of_artefacts(found),
+    ]
+
+
+def _recordings(sessions: Sequence[Session]) -> Iterator[tuple[str, Recording]]:
+    for session in sessions:
+        yield session.path.name, session.recording(verify=False)
+
+
+def _of_fit(found: MatchingResult) -> Iterator[Finding]:
+    matched = found.matched
+    final, before = found.final.loss, found.before.loss
+    if final.board - before.board > EQUAL_LOSS:
+        words = f"the loss over the board is {final.board:.4f}, and was {before.board:.4f} before"
+        yield Finding(FaultCause.NO_GAIN, words, final.board / before.board)
+    if matched.ended != CONVERGED:
+        words = f"the matching ended {matched.ended}, before its loss had converged"
+        advice = "name another --out, and give more --epochs or --seconds"
+        yield Finding(FaultCause.ENDED_EARLY, words, 1.0, advice)
+    noise = min(max(sum(matched.explained.get(name, 0.0) for name in ("vibration", "noise")), 0.0), 1.0)
+    left = matched.unexplained * float(np.sqrt(1.0 - noise))
+    most = MOST_UNLIKE * found.reference.full_scale
+    if left > most:
+        words = (
+            f"the images differ over the board by {left:.1f} levels RMS without noise (at most {most:.1f})"
+        )
+        yield Finding(FaultCause.UNLIKE_IMAGES, words, left / most)
+    if abs(final.epsilon_d) > MOST_POINTS_PX:
+        words = (
+            f"the reprojection errors of bench and twin differ by {abs(final.epsilon_d):.3f} px "
+            f"(at most {MOST_POINTS_PX:g})"
+        )
+        yield Finding(FaultCause.POINTS_MISFIT, words, abs(final.epsilon_d) / MOST_POINTS_PX)
+
+
+def _of_poses(found: MatchingResult) -> Iterator[Finding]:
+    alike = {one["pose"]: float(one["ssim_board_after"]) for one in found.by_pose()}
+    usual = float(np.median(list(alike.values())))
+    worst = min(alike, key=lambda name: alike[name])
+    if usual - alike[worst] > POSE_UNLIKE:
+        words = f"{worst}: SSIM over the board {alike[worst]:.3f}, of all poses {usual:.3f} in the median"
+        yield Finding(FaultCause.POSE_MISFIT, words, (usual - alike[worst]) / POSE_UNLIKE)
+
+
+def _at_borders(found: MatchingResult) -> Iterator[Finding]:
+    now, start = found.matched.parameters, found.start
+    for name, parameter in ADJUSTABLE.items():
+        if getattr(now, name, 0.0) is None:  # a focus that was not searched
+            continue
+        value = parameter.read(now)
+        span = NEAR_BORDER * (parameter.upper - parameter.lower)
+        below = value - parameter.lower <= span and name not in NATURAL
+        moved = getattr(start, name, 0.0) is None or value != parameter.read(start)
+        if moved and (below or parameter.upper - value <= span):
+            words = f"{name} is {value:.4g}, and may be from {parameter.lower:g} to {parameter.upper:g}"
+            advice = "correct what the twin's file says of lamp, lens or board, and match again"
+            yield Finding(FaultCause.AT_BORDER, words, 1.0, advice)
+
+
+def _of_artefacts(found: MatchingResult) -> Iterator[Finding]:
+    for one in found.artefacts:
+        share = abs(one.delta_um) / max(one.reference_um, 1e-9)
+        if share > ARTEFACT_SHARE and abs(one.delta_um) > ARTEFACT_UM:
+            words = f"{one.item}: {one.twin_um:.1f} µm in the twin, {one.reference_um:.1f} µm on the bench"
+            yield Finding(FaultCause.ARTEFACT_MISFIT, words, share / ARTEFACT_SHARE)

@@ -1,0 +1,202 @@
+"""Contrast of fringes on parts, which tells how sharp projector and camera are where fringes are fine.
+
+The board is recorded with fringes that can be unwrapped alone; on parts they are often several times finer,
+and lose a large share of their contrast to a blur that the board's hardly show. Of a pixel that sees a matt
+part the reflectance is not known, but offset A and amplitude B of its fringe are both proportional to it:
+`B/A` is that of the light.
+
+Light of the room adds to A alone. What the twin has of it is told by the board, which faces the camera; on a
+face that is turned away by its normal n, lamps of any number give more or less by a linear function of n
+(Lambert's law), which is fitted to every scan and taken off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.core.conventions import Floats, PixelIndices, full_scale
+from fpplab.core.geometry import RigidTransform
+from fpplab.core.robust import huber_weights, robust_spread
+from fpplab.devices import CameraSettings
+from fpplab.patterns.fringe_sets import FringeSet
+from fpplab.patterns.fringes import Pattern, make_patterns
+from fpplab.patterns.plan import Plan
+from fpplab.phase.common_errors import fit_sinusoids
+from sim.matching.light.light_fit import level_slopes, light_residuals
+from sim.matching.loss import board_mask, subsample_pixels
+from sim.matching.reference import Reference
+from sim.matching.samples import TILES, tile_numbers
+from sim.matching.scene.artefacts import CLIPPED, SHORT, BenchScan, lit_inside, part_surface_seen
+from sim.parameters import TwinParameters
+from sim.twin import Twin
+
+ROUNDS = 4
+"""Fits of the light of the room on turned faces, each with outliers of the one before weighted less."""
+PIXELS, LEAST_PIXELS = 4_000, 200
+"""Pixels of a scan that are compared, about, and the least number that tells a contrast."""
+
+
+@dataclass(frozen=True, eq=False)
+class ContrastSample:
+    """Contrast of some fringe sets at some pixels that see a part."""
+
+    number: int  # of the scan, from 0
+    item: str  # the part, as the twin's world calls it
+    T_camera_item: RigidTransform  # pose of the part, in mm
+    settings: CameraSettings  # of the bench's camera
+    sets: tuple[FringeSet, ...]  # the S sets that are compared
+    patterns: tuple[Pattern, ...]  # of all their images, one set after the other
+    pixels: PixelIndices  # rows and columns of the P pixels
+    normals: Floats  # unit normals (P, 3) of what they see, in the camera's frame
+    offset: Floats  # of the bench's fringes (S, P), in raw levels
+    amplitude: Floats  # of the bench's fringes (S, P), in raw levels
+
+    @cached_property
+    def clusters(self) -> NDArray[np.int64]:
+        """Numbers (3, S P) of row and column of the tile, and of the set, of every residual.
+
+        What is left of a contrast reaches over a face of the part, and so over many tiles.
+        """
+        tiles = TILES**2 * self.number + tile_numbers(self.pixels)
+        row, column = (np.tile(one, len(self.sets)) for one in (tiles // TILES, tiles % TILES))
+        sets = np.repeat(np.arange(len(self.sets)), len(tiles))
+        return np.array([row, TILES * self.number + column, len(self.sets) * self.number + sets], np.int64)
+
+    def residual(self, reference: Reference, twin: Twin) -> Floats:
+        """Compare amplitudes with those that the twin has where it is as bright."""
+        # returns (S P,)
+        black = twin.parameters.black_level * full_scale(self.settings.bits)
+        short = replace(self.settings, exposure_s=SHORT * self.settings.exposure_s)
+        levels = twin.expected_part(self.item, self.T_camera_item, self.patterns, short, self.pixels)
+        own = _fitted(levels.astype(np.float64), self.sets)
+        above, scale = np.maximum(own[0] - black, 1e-9), self._scale(reference)
+        brightness = (self.offset - black) / above
+        left = np.nan_to_num(scale * (self.amplitude - brightness * own[1])).ravel()
+        per_offset = scale * own[1] / above * np.isfinite(self.offset)
+        turned = np.stack([(per_offset * one).ravel() for one in self.normals.T[:2]], axis=1)
+        return _without(left, turned)
+
+    def relative_residual(self, reference: Reference, twin: Twin) -> Floats:
+        """Compare contrasts by the tiles of the part."""
+        level, tiles = self.level(reference), tile_numbers(self.pixels)
+        lit = level > 0.0
+        off = self.residual(reference, twin)[lit] / level[lit]
+        cells = (np.arange(len(self.sets))[:, None] * TILES**2 + tiles).ravel()[lit]
+        return np.array([np.median(off[cells == cell]) for cell in np.unique(cells)])
+
+    def level(self, reference: Reference) -> Floats:
+        """Give the amplitudes of the bench in the unit of the residuals."""
+        # returns (S P,)
+        return np.nan_to_num(self._scale(reference) * self.amplitude).ravel()
+
+    def _scale(self, reference: Reference) -> Floats:
+        """Factors (S, 1) that give amplitudes the noise of one image, in levels of the reference."""
+        images = np.array([[one.images] for one in self.sets])
+        return np.asarray(reference.full_scale / full_scale(self.settings.bits) * np.sqrt(0.5 * images))
+
+
+def sample_contrasts(twin: Twin, scans: Sequence[BenchScan], board: Plan) -> list[ContrastSample]:
+    """Sample the contrast of fringes on parts that are finer than all on the board."""
+    return list(_samples(twin, scans, board.most_stripes))
+
+
+def board_contrasts(reference: Reference, twin: Twin, poses: Sequence[int]) -> Floats:
+    """Compare the contrast of the board's finest fringes with the twin's."""
+    # returns (poses, axes)
+    plan, now = reference.plan, twin.parameters
+    black, sets = now.black_level * reference.full_scale, [plan.finest_set(axis) for axis in plan.axes]
+
+    def contrast(levels: Floats, index: int) -> Floats:
+        offset, cosine, sine = fit_sinusoids(levels, plan.fringes[index])
+        return np.asarray(np.hypot(cosine, sine) / np.maximum(offset - black, 1.0))
+
+    def of_pose(pose: int) -> list[float]:
+        board = board_mask(now.calibration.camera, now.poses[pose], reference.target)
+        pixels, found = subsample_pixels(board, PIXELS), []
+        for index in sets:
+            images = range(*plan.set_starts[index : index + 2])
+            seen = reference.frames(pose, images)[:, *pixels].astype(np.float64)
+            shown = reference.shown(images)
+            own = twin.expected_at(pose, shown, reference.settings, pixels).astype(np.float64)
+            clear = np.maximum(seen.max(axis=0), own.max(axis=0)) < CLIPPED * reference.full_scale
+            ratio = contrast(seen[:, clear], index) / contrast(own[:, clear], index)
+            found.append(float(np.median(np.log(ratio))))
+        return found
+
+    return np.array([of_pose(pose) for pose in poses])
+
+
+def with_common_error(
+    reference: Reference,
+    twin: Twin,
+    found: TwinParameters,
+    names: Sequence[str],
+    samples: Sequence[ContrastSample],
+) -> TwinParameters:
+    """Add to standard uncertainties that a whole scan's contrast may be off, as that of its tiles is.
+
+    A fit of one scan takes for sharpness what all its pixels have in common, whatever it comes from.
+    """
+    twin.become(found)
+    slopes = level_slopes(reference, twin, names, samples, found, light_residuals(reference, twin, samples))
+    twin.become(found)
+    by_tile = np.concatenate([one.relative_residual(reference, twin) for one in samples])
+    common = np.sqrt(np.mean(by_tile**2)) * np.concatenate([one.level(reference) for one in samples])
+    scale = np.maximum(np.linalg.norm(slopes, axis=0), 1e-12)
+    shift = np.linalg.lstsq(slopes / scale, common, rcond=1e-6)[0] / scale
+    sigma = {
+        name: float(np.hypot(found.sigma.get(name, 0.0), by)) for name, by in zip(names, shift, strict=True)
+    }
+    return replace(found, sigma={**found.sigma, **sigma})
+
+
+def _samples(twin: Twin, scans: Sequence[BenchScan], stripes: float) -> Iterator[ContrastSample]:
+    for number, scan in enumerate(scans):
+        plan, settings = scan.session.plan, scan.session.records[0].settings
+        finer = [index for index, one in enumerate(plan.fringes) if one.stripes > stripes]
+        inner = lit_inside(twin, scan)
+        if not finer or np.count_nonzero(inner) < LEAST_PIXELS:
+            continue
+        pixels, sets = subsample_pixels(inner, PIXELS), tuple(plan.fringes[index] for index in finer)
+        images = [n for index in finer for n in range(*plan.set_starts[index : index + 2])]
+        shown = make_patterns(plan, *scan.session.projector())
+        levels = scan.levels(images, pixels)
+        levels[:, levels.max(axis=0) >= CLIPPED * full_scale(settings.bits)] = np.nan
+        if np.count_nonzero(np.isfinite(levels[0])) < LEAST_PIXELS:
+            continue
+        yield ContrastSample(
+            number,
+            scan.item,
+            scan.T_camera_item,
+            settings,
+            sets,
+            tuple(shown[n] for n in images),
+            pixels,
+            part_surface_seen(twin, scan, pixels)[1],
+            *_fitted(levels, sets),
+        )
+
+
+def _without(values: Floats, columns: Floats) -> Floats:
+    """Take off what columns (N, C) explain of values (N,), whatever a few outliers say."""
+    weight = np.ones_like(values)
+    for _ in range(ROUNDS):
+        weighted = weight[:, None] * columns
+        left = values - columns @ (np.linalg.pinv(weighted.T @ columns) @ (weighted.T @ values))
+        weight = huber_weights(left, robust_spread(left))
+    return np.asarray(left)
+
+
+def _fitted(levels: Floats, sets: Sequence[FringeSet]) -> tuple[Floats, Floats]:
+    """Offsets and amplitudes (S, P) of sets whose images (n, P) follow one another."""
+    ends = np.cumsum([0, *(one.images for one in sets)]).tolist()
+    found = [
+        fit_sinusoids(levels[first:end], one) for one, (first, end) in zip(sets, pairwise(ends), strict=True)
+    ]
+    return np.stack([a for a, _, _ in found]), np.stack([np.hypot(c, s) for _, c, s in found])

@@ -1,0 +1,217 @@
+"""Gamma matching: the twin's response to uniform grey-level images is fitted to that of the bench.
+
+Least squares of mean DC levels, `min Σ (x_i - x̂_i(W, a, b, g))²`, as in the paper. W and a are one factor of
+the levels, so a + b = 1 here and W takes the scale; the dark level, which is not the projector's, is matched
+by ambient light and the camera's black level.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from fpplab.core.conventions import Floats, full_scale
+from fpplab.core.errors import CalibrationError
+from fpplab.devices import CameraSettings
+from fpplab.patterns.curve import Curve
+from fpplab.patterns.fringes import Pattern, uniform_patterns
+from fpplab.patterns.response import Response
+from fpplab.patterns.response_fit import GRID, MEAN, pixels_of_regions, statistics
+from sim.matching.light.light_fit import normalised_response
+from sim.parameters import TwinParameters
+from sim.twin import Twin
+
+MAX_EPOCHS = 10
+MATCHED_SUM_OF_SQUARES = 0.002
+"""Sum of squares at which the paper's matching ends, levels as shares of full scale."""
+CONVERGED_GAIN = 1e-9
+"""Decrease of the sum of squares below which the fit has converged."""
+
+
+@dataclass(frozen=True, eq=False)
+class GammaEpoch:
+    """One evaluation of the twin."""
+
+    parameters: TwinParameters  # the twin's parameters in this epoch
+    levels: Floats  # mean levels (L,) that the twin's camera sees, as shares of full scale
+    sum_of_squares: float  # of the differences from the reference's levels
+
+
+@dataclass(frozen=True, eq=False)
+class GammaMatch:
+    """Result of a gamma matching."""
+
+    shown: Floats  # levels (L,) shown on the bench, as shares of full scale
+    seen: Floats  # mean levels (L,) that the bench's camera saw, as shares of full scale
+    epochs: tuple[GammaEpoch, ...]  # all evaluations in their order; the last is the best
+
+    @property
+    def parameters(self) -> TwinParameters:
+        """The twin's parameters with the matched response."""
+        return self.epochs[-1].parameters
+
+    def summary(self) -> dict[str, float]:
+        """Give the figures that reports and the command line print."""
+        found = self.parameters
+        return {
+            "W": found.white,
+            "a": found.response.a,
+            "b": found.response.b,
+            "g": found.response.g,
+            "sum_of_squares": self.epochs[-1].sum_of_squares,
+            "epochs": len(self.epochs),
+        }
+
+
+def match_gamma(twin: Twin, response: Response, item: str, settings: CameraSettings) -> GammaMatch:
+    """Fit the twin's response, so that it sees a card in uniform grey levels as the bench did.
+
+    Starts from the fit of the measured response. The twin is left with the matched parameters.
+    """
+    if len(response.measured) == 0:
+        raise CalibrationError("the response file holds no levels; measure it again with `fpplab gamma`")
+    shown, seen = _measured(response)
+    card = GreyCard(twin, item, settings, response)
+    start = _normalised_response(response)
+    twin.become(replace(twin.parameters, response=start))
+    _match_dark(card, response)
+    epochs = [_epoch(card, shown, seen)]
+    while len(epochs) < MAX_EPOCHS:
+        twin.become(_fitted_parameters(card, epochs[-1], shown, seen))
+        epochs.append(_epoch(card, shown, seen))
+        if epochs[-2].sum_of_squares - epochs[-1].sum_of_squares < CONVERGED_GAIN:
+            break
+    if epochs[-1].sum_of_squares > epochs[-2].sum_of_squares:
+        epochs.pop()
+    twin.become(epochs[-1].parameters)
+    if epochs[-1].sum_of_squares > MATCHED_SUM_OF_SQUARES:
+        raise CalibrationError(
+            f"gamma: no response of the twin fits the bench's levels: the least sum of squares is "
+            f"{epochs[-1].sum_of_squares:.2g}, but {MATCHED_SUM_OF_SQUARES:g} is needed; make sure that both "
+            "look at a white card"
+        )
+    return GammaMatch(shown, seen, tuple(epochs))
+
+
+def with_level_of_card(twin: Twin, response: Response, item: str, settings: CameraSettings) -> TwinParameters:
+    """Scale the lamp so that the twin sees the card as bright as the bench did, and its board as before.
+
+    Vignetting and falloff are found on the board, after the response. They change what the card shows, and
+    the board's reflectance alone would make up for that: every other part would be too dark or too bright.
+    """
+    now, card = twin.parameters, GreyCard(twin, item, settings, response)
+    shown, seen = _measured(response)
+    own_dark = card.dark_level()
+    own = card.levels(shown) - own_dark
+    lit = seen - (response.dark[0] if response.dark else own_dark)
+    # No board reflects more than all light.
+    factor = max(float(own @ lit / (own @ own)), now.paper)
+    scaled = {name: now.sigma[name] / factor for name in ("paper", "ink") if name in now.sigma}
+    return replace(
+        now,
+        white=now.white * factor,
+        paper=now.paper / factor,
+        ink=now.ink / factor,
+        sigma={**now.sigma, **scaled},
+    )
+
+
+def _measured(response: Response) -> tuple[Floats, Floats]:
+    """Levels (L,) shown and seen."""
+    return np.array([one.shown for one in response.measured]), np.array(
+        [one.seen for one in response.measured]
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class GreyCard:
+    """The twin in front of a grey card, in the image regions where the bench's response was fitted."""
+
+    twin: Twin  # whose camera looks at the card
+    item: str  # the card, as the twin's fixture calls it
+    settings: CameraSettings  # of the camera
+    response: Response  # measured on the bench; names the regions
+
+    def levels(self, shown: Floats) -> Floats:
+        """Give the mean levels that the twin's camera sees of uniform grey-level images."""
+        # shown (L,); returns (L,)
+        levels_8_bit = [round(255 * level) for level in shown.tolist()]
+        return self._means(uniform_patterns(levels_8_bit, self.twin.parameters.calibration.projector.size))
+
+    def dark_level(self) -> float:
+        """Give the mean level without the projector's light."""
+        present = self.twin.parameters
+        self.twin.become(replace(present, response=Curve(a=1.0, b=0.0, g=1.0)))
+        level = float(self.levels(np.zeros(1))[0])
+        self.twin.become(present)
+        return level
+
+    def _means(self, patterns: list[Pattern]) -> Floats:
+        chosen = np.zeros(GRID**2, bool)
+        for region in self.response.regions:
+            chosen[region.row * GRID + region.column] = True
+        chosen |= not chosen.any()
+        found = []
+        for pattern in patterns:
+            image = self.twin.expected_of(self.item, [pattern], self.settings)[0] / full_scale(
+                self.settings.bits
+            )
+            weight = pixels_of_regions(image)[chosen]
+            # The image is in shares of full scale already; the full scale of one bit is 1.
+            found.append(statistics(image, 1)[MEAN, chosen] @ weight / weight.sum())
+        return np.array(found)
+
+
+def _normalised_response(response: Response) -> Curve:
+    """Take the dark level off the measured response and scale its white to 1."""
+    dark_level = response.dark[0] if response.dark else min(level.seen for level in response.measured)
+    white = response.a + response.b - dark_level
+    black = min(max((response.b - dark_level) / white, 0.0), 0.5)
+    return normalised_response(response, black=black)
+
+
+def _match_dark(card: GreyCard, response: Response) -> None:
+    """Match the dark level by ambient light, or by the black level where the bench is darker than that."""
+    if response.dark is None:
+        return
+    twin = card.twin
+    now = twin.parameters
+    twin.become(replace(now, ambient=0.0))
+    without = card.dark_level()
+    wanted = response.dark[0]
+    if wanted < without:
+        twin.become(replace(now, ambient=0.0, black_level=max(0.0, now.black_level - (without - wanted))))
+        return
+    probe = 0.05
+    twin.become(replace(now, ambient=probe))
+    per_ambient = (card.dark_level() - without) / probe
+    twin.become(replace(now, ambient=(wanted - without) / per_ambient if per_ambient > 0 else now.ambient))
+
+
+def _epoch(card: GreyCard, shown: Floats, seen: Floats) -> GammaEpoch:
+    levels = card.levels(shown)
+    return GammaEpoch(card.twin.parameters, levels, float(np.sum((seen - levels) ** 2)))
+
+
+def _fitted_parameters(card: GreyCard, last: GammaEpoch, shown: Floats, seen: Floats) -> TwinParameters:
+    """Fit W, b, g with the scale from light to level of the last epoch; the dark level is held."""
+    now = last.parameters
+    dark_level = card.dark_level()
+    light, shape = now.response.apply(shown), now.response
+    factor = float(light @ (last.levels - dark_level) / (light @ light))
+
+    def misfit(unknown: Floats) -> Floats:
+        return np.asarray(dark_level + factor * unknown[0] * response_of(unknown).apply(shown) - seen)
+
+    def response_of(unknown: Floats) -> Curve:
+        # A spline's shape is that of the measured levels already; only black and white are left.
+        g = shape.g if shape.spline else float(unknown[2])
+        return normalised_response(shape, black=float(unknown[1]), g=g)
+
+    start, bounds = [1.0, shape.b, shape.g], ([0.01, 0.0, 0.2], [100.0, 0.5, 5.0])
+    free = 2 if shape.spline else 3
+    found = least_squares(misfit, start[:free], bounds=(bounds[0][:free], bounds[1][:free])).x
+    white = float(found[0])
+    return replace(now, white=now.white * white, response=response_of(found), ambient=now.ambient / white)

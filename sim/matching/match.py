@@ -1,0 +1,412 @@
+"""Characterisation matching: the twin's parameters are fitted in steps, each kept only if it lowers the loss.
+
+The steps are those of `sim.matching.steps`; each is one epoch. The last ones are repeated until neither
+the loss nor any parameter changes by more than it is uncertain.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fpplab.core.config import Document
+from fpplab.core.errors import CalibrationError
+from fpplab.core.progress import Progress, Say, ignore, no_progress
+from sim.matching.evaluation import TwinEvaluation, evaluate
+from sim.matching.light import light_fit
+from sim.matching.light.contrast import sample_contrasts
+from sim.matching.light.light_fit import ADJUSTABLE
+from sim.matching.loss import Weights
+from sim.matching.record import MatchingEpoch, MatchingRecord, ParametersFile
+from sim.matching.reference import Reference
+from sim.matching.samples import PixelSample, sample_pixels
+from sim.matching.scene.artefacts import BenchScan
+from sim.matching.steps import (
+    CHANGING_STEPS,
+    FIRST_STEPS,
+    REPEATED_STEPS,
+    SAMPLED_POSES,
+    SHARPNESS_OF_BOARD,
+    MatchingContext,
+    MatchingStep,
+)
+from sim.matching.watching import watched_twin
+from sim.parameters import NO_LINE, TwinParameters
+from sim.twin import Twin
+
+CONVERGED = "converged"
+"""Why a matching ends that need not go on."""
+LEAST_CHANGE = 1e-3
+"""Relative change of a parameter below which it has converged, however well it is known."""
+COMPARED_POSES = 6
+"""Greatest number of poses whose images judge an epoch; those of all poses judge the result."""
+EQUAL_LOSS = 2e-4
+"""Losses that differ by less are equal but for noise; the images' mean square difference then decides."""
+EXPLAINS = {
+    "projector defocus": "blur of the projector that grows with the distance from its focus",
+    "depth of field": "blur of the camera that grows with the distance from its focus",
+    "vignetting": "light that the camera's lens loses towards the corners of the image",
+    "projector falloff": "light that the projector gives unevenly",
+    "room lamp": "light of the room from one side",
+    "ambient light": "light that is not the projector's, and the camera's black level",
+    "flicker": "light of the projector that changes from frame to frame",
+    "rolling bands": "light on the mains in the rows of a rolling shutter",
+    "vibration": "displacements of the item from frame to frame",
+    "noise": "noise of the sensor",
+}
+"""The effects that are matched beyond the paper, by step."""
+CHANGING = {"flicker", "rolling bands", "vibration", "noise"}
+"""Those that differ from frame to frame: no expected image shows them."""
+USUAL_IMAGES = 60
+"""About as many times a step has the twin compute images: the scale of its progress, which is an estimate."""
+FOCUS_STEPS = {"projector defocus", "depth of field"}
+"""The steps that fit the focus; before them the twin may be sharp where the bench is not."""
+
+
+class MatchingLimits(Document):
+    """When a matching stops."""
+
+    epochs: int = 25
+    """Greatest number of epochs."""
+    seconds: float = 900.0
+    """Greatest duration of the epochs in s, of all runs together. A step that lasts longer is given up: the
+    record then ends with the epoch before.
+    """
+    patience: int = 1
+    """Number of rounds of the last steps without a gain after which the matching has converged."""
+    converged: float = 2e-4
+    """Decrease of the loss over the board below which a round has no gain."""
+    poses_um: float = 5.0
+    """RMS distance in µm by which a round may move the poses and still have no gain; half of their own
+    standard uncertainty, where that is more."""
+
+
+@dataclass(frozen=True, eq=False)
+class MatchedTwin:
+    """Result of a matching."""
+
+    parameters: TwinParameters  # the best that were found
+    epochs: tuple[MatchingEpoch, ...]  # all epochs, those of earlier runs included
+    explained: dict[str, float]  # by step
+    unexplained: float  # RMS difference over the board that is left, in raw levels
+    ended: str  # why the matching stopped
+
+    @property
+    def refined_focus(self) -> bool:
+        """Whether both focus steps were made, so that sharpness can be compared with the reference's."""
+        return {epoch.step for epoch in self.epochs} >= FOCUS_STEPS
+
+    @property
+    def ssim_board(self) -> float:
+        """Mean SSIM over the board of the best epoch, which knows nothing of the board's sheet."""
+        return _best(self.epochs).loss["ssim_board"]
+
+
+class _TimeOver(Exception):  # noqa: N818 - no fault: the time is over
+    """Ends a step that would last longer than the matching may."""
+
+
+@dataclass(eq=False)
+class _StepWatch:
+    """Called before the twin computes images: tells how far a step is, and ends it when the time is over."""
+
+    started: float
+    limits: MatchingLimits
+    progress: Progress
+    tell: Say
+    words: str = ""
+    number: int = 0
+    images: int = 0
+    may_end: bool = False
+
+    @property
+    def seconds(self) -> float:
+        return time.monotonic() - self.started
+
+    def begin(self, number: int, words: str, may_end: bool = True) -> None:
+        self.number, self.words, self.images, self.may_end = number, words, 0, may_end
+
+    def __call__(self) -> None:
+        left = self.limits.seconds - self.seconds
+        if self.may_end and left < 0:
+            raise _TimeOver
+        done = self.number - np.exp(-self.images / USUAL_IMAGES)
+        self.images += 1
+        self.progress(min(1.0, float(done + 1.0) / (_usual_steps() + 2)))
+        self.tell(f"{self.words}, {max(left, 0.0):.0f} s left at most" if self.may_end else self.words)
+
+
+@dataclass(eq=False)
+class _State:
+    at: MatchingContext
+    weights: Weights
+    record: MatchingRecord
+    epochs: list[MatchingEpoch]
+    started: float
+    watch: _StepWatch
+
+    @property
+    def best(self) -> MatchingEpoch:
+        return _best(self.epochs)
+
+    @property
+    def seconds(self) -> float:
+        return time.monotonic() - self.started
+
+
+EpochObserver = Callable[[MatchingEpoch], None]
+
+
+def match_twin(
+    reference: Reference,
+    twin: Twin,
+    start: TwinParameters,
+    record: MatchingRecord,
+    weights: Weights,
+    limits: MatchingLimits,
+    scans: Sequence[BenchScan] = (),
+    *,
+    progress: Progress = no_progress,
+    observe: EpochObserver = ignore,
+    tell: Say = ignore,
+) -> MatchedTwin:
+    """Match a twin to the reference, or continue where the record ends.
+
+    The twin is left with the matched parameters.
+    """
+    epochs = record.read()
+    if not epochs:
+        start = ParametersFile.of(start).parameters()  # as the record will tell them to whoever goes on
+    elif epochs[-1].next_frame is not None:
+        twin.count_frames_from(epochs[-1].next_frame)
+    twin.become(_best(epochs).parameters.parameters() if epochs else start)
+    white = "paper" if reference.response is not None else "white"
+    samples = _samples_of_poses(reference, epochs[-1].parameters.parameters() if epochs else start)
+    before = epochs[-1].seconds if epochs else 0.0
+    started = time.monotonic() - before
+    watch = _StepWatch(started, limits, progress, tell)
+    contrasts = tuple(sample_contrasts(twin, scans, reference.plan))
+    at = MatchingContext(reference, watched_twin(twin, watch), samples, white, contrasts)
+    state = _State(at, weights, record, epochs, started, watch)
+    twin = at.twin
+    if not epochs:
+        watch.begin(0, "epoch 0, start", may_end=False)
+        first = _evaluated(state).loss.summary()
+        _record_epoch(state, "start", ParametersFile.of(start), first, _difference(state), True, observe)
+    ended = _run(state, limits, observe)
+    watch.begin(_usual_steps() + 1, "judging the result", may_end=False)
+    twin.become(state.best.parameters.parameters())
+    state.at = replace(state.at, samples=_samples_of_poses(reference, twin.parameters))
+    left = _difference(state)
+    explained = explained_shares(state.epochs) | _changing_shares(state, left**2)
+    return MatchedTwin(twin.parameters, tuple(state.epochs), explained, left, ended)
+
+
+def _best(epochs: Sequence[MatchingEpoch]) -> MatchingEpoch:
+    """Find the last epoch that was accepted."""
+    return next(epoch for epoch in reversed(epochs) if epoch.accepted)
+
+
+def explained_shares(epochs: Sequence[MatchingEpoch]) -> dict[str, float]:
+    """Compute the share of the difference that each step of `EXPLAINS` removed, but for those of `CHANGING`.
+
+    Shadows need relief: a flat board has none, so `shadowing` explains nothing.
+    """
+    found, last = {"shadowing": 0.0}, epochs[0]
+    for epoch in epochs[1:]:
+        if epoch.step in EXPLAINS.keys() - CHANGING and last.difference > 0:
+            gained = 1.0 - (epoch.difference / last.difference) ** 2
+            found[epoch.step] = gained if epoch.accepted else 0.0
+        if epoch.accepted:
+            last = epoch
+    return found
+
+
+def _samples_of_poses(reference: Reference, parameters: TwinParameters) -> list[PixelSample]:
+    images = sorted({*reference.one_of_each_set, *reference.finest})
+    return sample_pixels(reference, parameters, reference.spread_poses(SAMPLED_POSES), images)
+
+
+def _usual_steps() -> int:
+    """Number of steps that a matching usually takes."""
+    return len(FIRST_STEPS) + 2 * len(REPEATED_STEPS) + len(CHANGING_STEPS)
+
+
+def _run(state: _State, limits: MatchingLimits, observe: EpochObserver) -> str:
+    """Make steps until one of the limits; return which."""
+    for number, step in enumerate(FIRST_STEPS, 1):
+        if ended := _step_within(state, limits, observe, number, step):
+            return ended
+    idle, number, repeated = 0, len(FIRST_STEPS), [one for one in REPEATED_STEPS if one.applies(state.at)]
+    while idle < limits.patience:
+        before = _best(state.epochs[: number + 1])
+        for step in _worth_trying(repeated, state.epochs[: number + 1]):
+            number += 1
+            if ended := _step_within(state, limits, observe, number, step):
+                return ended
+        idle = 0 if _changed(before, _best(state.epochs[: number + 1]), limits) else idle + 1
+    # By the rounds alone: a matching that goes on has taken some of what follows already.
+    state.at.twin.become(_best(state.epochs[: number + 1]).parameters.parameters())
+    last = [step for step in (SHARPNESS_OF_BOARD, *CHANGING_STEPS) if step.applies(state.at)]
+    for later, step in enumerate(last, number + 1):
+        if _step_within(state, limits, observe, later, step):
+            break
+    return CONVERGED
+
+
+def _worth_trying(steps: Sequence[MatchingStep], epochs: Sequence[MatchingEpoch]) -> list[MatchingStep]:
+    """Leave out the steps that were refused and are not tried again."""
+    refused = {epoch.step for epoch in epochs if not epoch.accepted}
+    return [step for step in steps if step.again or step.name not in refused]
+
+
+def _step_within(
+    state: _State, limits: MatchingLimits, observe: EpochObserver, number: int, step: MatchingStep
+) -> str | None:
+    """Make a step unless an earlier run took it; tell which limit ended it, None for none."""
+    if number < len(state.epochs):
+        return None
+    if number > limits.epochs:
+        return f"after {limits.epochs} epochs"
+    if state.seconds > limits.seconds:
+        return f"after {state.seconds:.0f} s"
+    loss = state.best.loss["loss_board"]
+    state.watch.begin(number, f"epoch {number}, {step.name}: loss over the board {loss:.4f}")
+    try:
+        _take_step(state, step, observe)
+    except _TimeOver:
+        return f"after {state.seconds:.0f} s"
+    return None
+
+
+def _changed(before: MatchingEpoch, after: MatchingEpoch, limits: MatchingLimits) -> bool:
+    """Whether a round still changed the loss, or a parameter by more than it is uncertain."""
+    if before.loss["loss_board"] - after.loss["loss_board"] >= limits.converged:
+        return True
+    old, new = before.parameters.parameters(), after.parameters.parameters()
+    if moved_um(old, new) > max(limits.poses_um, 0.5 * new.sigma.get("poses_um", 0.0)):
+        return True
+    for name in new.sigma.keys() & ADJUSTABLE.keys():
+        values = [ADJUSTABLE[name].read(one) for one in (old, new) if getattr(one, name, 0.0) is not None]
+        if len(values) < 2 or abs(values[1] - values[0]) > max(
+            new.sigma[name], LEAST_CHANGE * abs(values[0])
+        ):
+            return True
+    return False
+
+
+def moved_um(before: TwinParameters, after: TwinParameters) -> float:
+    """Compute how far the poses of the board moved."""
+    off = [a.translation - b.translation for a, b in zip(before.poses, after.poses, strict=True)]
+    return 1e3 * float(np.sqrt(np.mean(np.sum(np.square(off), axis=-1))))
+
+
+def _take_step(state: _State, step: MatchingStep, observe: EpochObserver) -> None:
+    best, twin = state.best, state.at.twin
+    twin.become(best.parameters.parameters())
+    before = step.misfit(state.at)
+    written = ParametersFile.of(step.propose(state.at))
+    tried = written.parameters()
+    twin.become(tried)
+    after = step.misfit(state.at)
+    better = after <= before if before is not None and after is not None else None
+    refused = better is False or not step.allowed(state.at)
+    if step.same_images and (refused or not step.characterises):
+        loss, difference = best.loss, best.difference
+    else:
+        known = None if step.characterises and not refused else best.loss["epsilon_v_px"]
+        loss = _evaluated(state, known).loss.summary()
+        state.at = replace(state.at, samples=_samples_of_poses(state.at.reference, tried))
+        difference = _difference(state)
+    accepted = not refused and (_accepted(best, loss, difference) if better is None else better)
+    _record_epoch(state, step.name, written, loss, difference, accepted, observe)
+
+
+def _evaluated(state: _State, epsilon_v: float | None = None) -> TwinEvaluation:
+    """Judge an epoch by the images of some poses."""
+    reference = state.at.reference
+    compared = reference.spread_poses(COMPARED_POSES)
+    return evaluate(reference, state.at.twin, state.weights, epsilon_v, poses=compared)
+
+
+def _accepted(best: MatchingEpoch, loss: Mapping[str, float], difference: float) -> bool:
+    """Decide by the loss over the board; where losses are equal, by the mean square difference."""
+    gain = best.loss["loss_board"] - loss["loss_board"]
+    if abs(gain) > EQUAL_LOSS:
+        return gain > 0
+    return difference <= best.difference * (1.0 + 1e-3)
+
+
+def _difference(state: _State) -> float:
+    return float(
+        np.sqrt(light_fit.mean_square_difference(state.at.reference, state.at.twin, state.at.samples))
+    )
+
+
+def _changing_shares(state: _State, left: float) -> dict[str, float]:
+    """Shares of what is left that flicker, bands, vibration and the sensor's noise make."""
+    twin, now = state.at.twin, state.at.twin.parameters
+    whole = _noise(state)
+    without = {
+        "flicker": replace(now, projector_flicker=0.0) if now.projector_flicker else None,
+        "rolling bands": replace(now, ambient_ripple=0.0) if now.ambient_ripple else None,
+        "vibration": replace(now, vibration_mm=0.0, vibration_line_mm=NO_LINE)
+        if now.displacement_mm
+        else None,
+    }
+    shares = dict.fromkeys(without, 0.0)
+    for step, steady in without.items():
+        if steady is not None:
+            twin.become(steady)
+            shares[step] = (whole - _noise(state)) / left
+    twin.become(now)
+    return {**shares, "noise": whole / left - sum(shares.values())}
+
+
+def _noise(state: _State) -> float:
+    """Mean square of the twin's own noise at the samples, since expected images have no noise."""
+    reference, twin = state.at.reference, state.at.twin
+    squares = []
+    for sample in state.at.samples:
+        patterns = reference.shown(sample.images)
+        expected = twin.expected_at(sample.pose, patterns, reference.settings, sample.pixels)
+        for frame, level in zip(
+            twin.frames(sample.pose, patterns, reference.settings), expected, strict=True
+        ):
+            off = frame[sample.pixels].astype(np.float64) - level
+            squares.append(float(np.mean(off**2)))
+    return float(np.mean(squares))
+
+
+def _record_epoch(
+    state: _State,
+    name: str,
+    tried: ParametersFile,
+    loss: dict[str, float],
+    difference: float,
+    accepted: bool,
+    observe: EpochObserver,
+) -> None:
+    if not np.isfinite(loss["loss_board"]):
+        raise CalibrationError(
+            f"the step '{name}' led to images that cannot be compared: their SSIM is not finite"
+        )
+    epoch = MatchingEpoch(
+        epoch=len(state.epochs),
+        step=name,
+        accepted=accepted,
+        loss=loss,
+        difference=difference,
+        seconds=state.seconds,
+        parameters=tried,
+        next_frame=state.at.twin.next_frame,
+        poses_um=moved_um(state.best.parameters.parameters(), state.at.twin.parameters)
+        if state.epochs
+        else None,
+    )
+    state.record.add(epoch)
+    state.epochs.append(epoch)
+    observe(epoch)

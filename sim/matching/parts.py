@@ -1,0 +1,68 @@
+"""Surfaces of parts, matched to scans together with a board, or on a twin that is matched already."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from fpplab.calibration.model import Calibration
+from fpplab.core.progress import Progress, Say, ignore, no_progress
+from fpplab.sessions.session import Session
+from sim.matching.judging import plausibility
+from sim.matching.refusal import Refusals
+from sim.matching.scene.artefacts import BenchScan, fit_scan
+from sim.matching.scene.surface import SurfaceMatch, match_surface, with_surfaces
+from sim.prediction import Discrepancy
+from sim.twin import Twin
+
+
+def check_scans(twin: Twin, scans: Mapping[str, Session]) -> None:
+    """Refuse what can be told of scans before any work."""
+    for item, session in scans.items():
+        twin.mesh(item)
+        plausibility.check_devices(twin, session)
+
+
+def fit_scans(
+    twin: Twin, scans: Mapping[str, Session], calibration: Calibration, refusals: Refusals
+) -> list[BenchScan]:
+    """Find how parts stood in their scans."""
+    return [fit_scan(twin, item, session, calibration, refusals) for item, session in scans.items()]
+
+
+def match_surfaces(twin: Twin, scans: Sequence[BenchScan], tell: Say = ignore) -> list[SurfaceMatch]:
+    """Match the surfaces of parts. The twin is left with them."""
+    found = []
+    for scan in scans:
+        tell(f"matching the surface of the {scan.item}")
+        found.append(match_surface(twin, scan))
+    twin.become(with_surfaces(twin.parameters, found))
+    return found
+
+
+def match_parts(
+    twin: Twin,
+    scans: Mapping[str, Session],
+    folder: Path,
+    rig: Path,
+    refusals: Refusals,
+    notes: Sequence[str] = (),
+    *,
+    progress: Progress = no_progress,
+    tell: Say = ignore,
+) -> list[SurfaceMatch]:
+    """Match the surfaces of parts on a twin that was matched before, and save it.
+
+    What bench and twin differed by on the board and in earlier scans stays what it was.
+    """
+    check_scans(twin, scans)
+    tell("comparing the scans with the parts' shapes")
+    fitted = fit_scans(twin, scans, twin.parameters.calibration, refusals)
+    progress(0.3)
+    found = match_surfaces(twin, fitted, tell)
+    progress(0.9)
+    known = Discrepancy.beside(rig)
+    if known is not None:
+        known.save(folder)
+    twin.save(folder, [*notes, *refusals.notes])
+    return found

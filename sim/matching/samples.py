@@ -1,0 +1,108 @@
+"""Samples of what the bench recorded, beside which the twin's light is fitted: pixels of the board's images.
+
+Another kind, the contrast of fringes on parts, is in `sim.matching.light.contrast`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.core.conventions import Floats, PixelIndices
+from sim.matching.loss import SURROUNDINGS_PX, board_mask, subsample_pixels
+from sim.matching.reference import Reference
+from sim.parameters import TwinParameters
+from sim.twin import Twin
+
+MAX_PIXELS = 8_000
+"""Pixels of each pose that are compared."""
+DARK_LEVELS = 2.0
+"""Raw levels above the darkest places up to which there is no light."""
+TILES = 5
+"""Tiles along each side of the board whose residuals count as dependent in standard uncertainties."""
+
+
+class LightSample(Protocol):
+    """Levels of the bench at some pixels, which the twin's are compared with."""
+
+    @property
+    def clusters(self) -> NDArray[np.int64]:
+        """Numbers (3, N) of the clusters of every residual, by three groupings.
+
+        What the twin lacks is shared by residuals that have one of them in common.
+        """
+
+    def residual(self, reference: Reference, twin: Twin) -> Floats:
+        """Compare with the twin as it is.
+
+        Parameters
+        ----------
+        reference : Reference
+            What was recorded of the bench.
+        twin : Twin
+            With the parameters to evaluate.
+
+        Returns
+        -------
+        Floats
+            Bench less twin (N,), in raw levels of the reference.
+        """
+
+
+@dataclass(frozen=True, eq=False)
+class PixelSample:
+    """Some pixels of some images of a pose."""
+
+    pose: int  # index of the pose
+    images: tuple[int, ...]  # indices of the n images in the plan
+    pixels: PixelIndices  # rows and columns of the P pixels
+    seen: Floats  # raw levels (n, P) of the reference
+
+    @property
+    def tiles(self) -> NDArray[np.int64]:
+        """Number of the tile of every pixel, (P,): residuals within one count as dependent."""
+        return tile_numbers(self.pixels)
+
+    @property
+    def clusters(self) -> NDArray[np.int64]:
+        """Numbers (3, n P) of tile, pose and image of every residual."""
+        count, tiles = len(self.images), self.tiles
+        poses = np.full(count * len(tiles), self.pose)
+        return np.array([np.tile(tiles, count), poses, np.repeat(self.images, len(tiles))], np.int64)
+
+    def residual(self, reference: Reference, twin: Twin) -> Floats:
+        """Compare with the twin as it is."""
+        # returns (n P,)
+        patterns = reference.shown(self.images)
+        here = twin.expected_at(self.pose, patterns, reference.settings, self.pixels).astype(np.float64)
+        # Where there is no light there is hardly any noise, and all levels are rounded to the same side.
+        lit = self.seen > reference.darkest_level + DARK_LEVELS
+        valid = lit & (self.seen < reference.full_scale) & (here < reference.full_scale)
+        return np.where(valid, self.seen - here, 0.0).ravel()
+
+
+def tile_numbers(pixels: PixelIndices) -> NDArray[np.int64]:
+    """Number the tiles of a grid over some pixels."""
+    # returns (P,)
+    row, column = (TILES * (one - one.min()) // (np.ptp(one) + 1) for one in pixels)
+    return np.asarray(TILES * row + column, np.int64)
+
+
+def sample_pixels(
+    reference: Reference, parameters: TwinParameters, poses: Sequence[int], images: Sequence[int]
+) -> list[PixelSample]:
+    """Sample the pixels of the board and its surroundings."""
+
+    def one(pose: int) -> PixelSample:
+        area = board_mask(
+            parameters.calibration.camera, parameters.poses[pose], reference.target, -SURROUNDINGS_PX
+        )
+        pixels = subsample_pixels(area, MAX_PIXELS)
+        seen = reference.frames(pose, images)[:, *pixels].astype(np.float64)
+        return PixelSample(pose, tuple(images), pixels, seen)
+
+    return [one(pose) for pose in poses]

@@ -1,0 +1,115 @@
+"""How the bench looks beside what parameters tell: the board's sheet, and what stands around.
+
+Both are found once geometry and light are matched, and proven in a pose from which they were not found: a
+part that does not make the twin's images of it more alike is left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from fpplab.core.progress import Progress, no_progress
+from sim.appearance import Appearance
+from sim.matching.evaluation import pose_similarity
+from sim.matching.reference import Reference
+from sim.matching.scene.board_sheet import find_sheet, sharpened_sheet
+from sim.matching.scene.surroundings import rebuild_surroundings
+from sim.twin import Twin
+
+MOST_POSES = 8
+"""Poses that are looked at: sheet and surroundings are the same in all."""
+LEAST_GAIN = 0.005
+"""Least gain of the mean SSIM of a pose that was left out."""
+
+
+@dataclass(frozen=True)
+class PartTrial:
+    """Whether a part of the appearance makes images more alike in a pose from which it was not found."""
+
+    ssim_without: float  # mean SSIM of the pose's images
+    ssim_with: float  # mean SSIM of the pose's images
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the images are more alike by more than noise makes of it."""
+        return self.ssim_with > self.ssim_without + LEAST_GAIN
+
+
+@dataclass(frozen=True, eq=False)
+class AppearanceTrial:
+    """What was found of the appearance, and whether the twin has it."""
+
+    pose: str  # name of the pose that was left out
+    sheet: PartTrial  # of the board's sheet; SSIM over the board as the target outlines it
+    surroundings: PartTrial  # SSIM of whole images
+    found: Appearance  # what the twin has
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the twin has any of it."""
+        return self.sheet.accepted or self.surroundings.accepted
+
+    def summary(self) -> dict[str, Any]:
+        """Give plain values."""
+        sheet, around = self.found.sheet, self.found.surroundings
+        return {
+            "pose": self.pose,
+            "sheet": {
+                **asdict(self.sheet),
+                "accepted": self.sheet.accepted,
+                "margins_mm": list(sheet.margins_mm),
+                "rim_mm": sheet.rim_mm,
+                "rim_reflectance": sheet.rim_reflectance,
+                "texture": None if sheet.texture is None else float(sheet.texture.std()),
+            },
+            "surroundings": {
+                **asdict(self.surroundings),
+                "accepted": self.surroundings.accepted,
+                "faces": 0 if around is None else len(around.mesh.faces),
+            },
+        }
+
+
+def match_appearance(reference: Reference, twin: Twin, progress: Progress = no_progress) -> AppearanceTrial:
+    """Find the board's sheet and the surroundings, and show what proves itself."""
+    *others, held = reference.spread_poses(MOST_POSES)
+    bare = _similarity(reference, twin, held)
+    sheet = find_sheet(reference, twin, others, lambda share: progress(0.1 * share))
+    sheet_trial = PartTrial(bare[1], _similarity(reference, twin, held)[1])
+    if sheet_trial.accepted:
+        sheet = sharpened_sheet(reference, twin, sheet, others, lambda share: progress(0.1 + 0.2 * share))
+        sheet_trial = PartTrial(bare[1], _similarity(reference, twin, held)[1])
+    else:
+        sheet = replace(sheet, texture=None)
+    around = rebuild_surroundings(reference, twin, sheet, others, lambda share: progress(0.3 + 0.2 * share))
+    twin.appear(Appearance(sheet))
+    before = _similarity(reference, twin, held)[0]
+    twin.appear(Appearance(sheet, around))
+    around_trial = PartTrial(before, _similarity(reference, twin, held)[0] if around else before)
+    found = _of_all(reference, twin, [*others, held], sheet_trial, around_trial)
+    progress(1.0)
+    twin.appear(found)
+    return AppearanceTrial(reference.sessions[held].path.name, sheet_trial, around_trial, found)
+
+
+def _of_all(
+    reference: Reference, twin: Twin, poses: Sequence[int], sheet: PartTrial, around: PartTrial
+) -> Appearance:
+    """Find what was accepted once more, from all poses; nothing without either."""
+    if not (sheet.accepted or around.accepted):
+        return Appearance()
+    found = find_sheet(reference, twin, poses)
+    bare = replace(found, texture=None)
+    found = sharpened_sheet(reference, twin, found, poses) if sheet.accepted else bare
+    beside = rebuild_surroundings(reference, twin, found, poses) if around.accepted else None
+    return Appearance(found, beside)
+
+
+def _similarity(reference: Reference, twin: Twin, pose: int) -> tuple[float, float]:
+    """Mean SSIM of one pose's images, whole and over the board; without noise of the twin's."""
+    whole, board = np.mean(pose_similarity(reference, twin, pose), axis=0)
+    return float(whole), float(board)

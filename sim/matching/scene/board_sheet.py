@@ -1,0 +1,219 @@
+"""The sheet of a board, found from its recordings: blank margins, a dark frame, and the texture of its print.
+
+In every pose the levels of bench and twin are compared pixel by pixel, least squares over all images. Where
+the twin shows the same sheet their ratio is the factor by which the bench's reflects more; mapped onto the
+sheet, its median over the poses is what belongs to the board and not to the light. Beyond the target the
+twin's sheet is blank: as far as the bench's levels follow the same fringes and are about as bright, it is
+sheet there as well, and a frame where they are dark.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.core.conventions import Floats, Mask
+from fpplab.core.geometry import RigidTransform
+from fpplab.core.progress import Progress, no_progress
+from sim.appearance import NO_MARGINS, Appearance, BoardSheet
+from sim.matching.reference import LevelStack, Reference
+from sim.twin import Twin
+
+Margins = tuple[float, float, float, float]
+"""On the left, top, right and bottom, in mm."""
+_Strip = tuple[Floats, LevelStack]
+"""Distances in mm beyond a side of the sheet, and the values of the pixels that are so far away."""
+
+REACH = 0.3
+"""Share of the target's smaller side up to which sheet and frame are looked for beyond it."""
+RING_MM = 0.5
+"""Width of the rings in which pixels are counted."""
+LEAST_RING = 50
+"""Pixels that must be seen lit of a ring."""
+ALIKE = 0.97
+"""Correlation of levels from which they follow the same fringes."""
+BLANK = 0.5
+"""Share of the light of a blank sheet from which a pixel is of the sheet."""
+DARK = 0.2
+"""Share of the sheet's light below which a pixel is of the frame, or hidden."""
+BLURRED_MM = 1.0
+"""Width along the sheet's edge where a frame is not yet dark."""
+LIT = 0.04
+"""Mean level, as a share of full scale, from which a pixel of the sheet counts as lit."""
+FINEST_PX = 1.0
+"""Pixels of the camera for each pixel of the texture, at the board's nearest pose."""
+SHARPENING_ROUNDS = 2
+"""Times the texture is corrected by what the twin that has it lacks; more make its noise greater."""
+MOST_FACTOR = 1.9
+"""Greatest factor of a texture, which its file can hold."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Compared:
+    """One pose: how much brighter the bench is than the twin's sheet, and whether by the same fringes."""
+
+    ratio: LevelStack  # (height, width), NaN where the twin's sheet is not lit
+    correlation: LevelStack  # (height, width), NaN where the twin's sheet is not lit
+    pose: RigidTransform  # `T_camera_board`
+
+    @property
+    def as_sheet(self) -> LevelStack:
+        """The ratio where levels follow the same fringes, 0 where they do not."""
+        return self.ratio * (self.correlation > ALIKE)
+
+
+def find_sheet(
+    reference: Reference, twin: Twin, poses: Sequence[int], progress: Progress = no_progress
+) -> BoardSheet:
+    """Find the sheet of the board."""
+    reach = REACH * min(reference.target.size_mm)
+    twin.appear(Appearance(BoardSheet((reach, reach, reach, reach))))
+    compared = _compare_all(reference, twin, poses, progress)
+    margins = _margins(reference, twin, compared, reach)
+    beyond = [[_beside(reference, twin, one, one.ratio, margins, k) for k in range(4)] for one in compared]
+    rim = _rim_mm(beyond, reach)
+    sheet = BoardSheet(margins, rim, _rim_reflectance(beyond, rim, twin.parameters.paper))
+    found = replace(sheet, texture=_texture(reference, twin, compared, margins))
+    twin.appear(Appearance(found))
+    return found
+
+
+def sharpened_sheet(
+    reference: Reference,
+    twin: Twin,
+    sheet: BoardSheet,
+    poses: Sequence[int],
+    progress: Progress = no_progress,
+) -> BoardSheet:
+    """Find the texture again, beyond what the twin shows of it already.
+
+    A texture that was found in images has been blurred by a lens, and the twin's lens blurs it once more.
+    """
+    assert sheet.texture is not None
+
+    def in_round(number: int) -> Progress:
+        return lambda share: progress((number + share) / SHARPENING_ROUNDS)
+
+    for number in range(SHARPENING_ROUNDS):
+        twin.appear(Appearance(sheet))
+        compared = _compare_all(reference, twin, poses, in_round(number))
+        texture = sheet.texture * _texture(reference, twin, compared, sheet.margins_mm)
+        sheet = replace(sheet, texture=np.clip(texture, 0, np.float32(MOST_FACTOR)))
+    twin.appear(Appearance(sheet))
+    return sheet
+
+
+def _compare_all(
+    reference: Reference, twin: Twin, poses: Sequence[int], progress: Progress
+) -> list[_Compared]:
+    compared = []
+    for done, pose in enumerate(poses):
+        compared.append(_compare(reference, twin, pose))
+        progress((done + 1) / len(poses))
+    return compared
+
+
+def _compare(reference: Reference, twin: Twin, pose: int) -> _Compared:
+    every = tuple(range(len(reference.patterns)))
+    black = twin.parameters.black_level * reference.full_scale
+    real = reference.frames(pose, every) - black
+    own = twin.expected(pose, reference.shown(every), reference.settings) - black
+    own_square, both = np.einsum("nvu,nvu->vu", own, own), np.einsum("nvu,nvu->vu", own, real)
+    real_square = np.einsum("nvu,nvu->vu", real, real)
+    is_lit = own.mean(axis=0) > LIT * reference.full_scale
+    nothing = np.full_like(both, np.nan)
+    ratio = np.divide(both, own_square, out=nothing.copy(), where=is_lit)
+    likeness = np.sqrt(own_square * real_square)
+    correlation = np.divide(both, likeness, out=nothing, where=is_lit & (likeness > 0))
+    return _Compared(ratio, correlation, twin.parameters.poses[pose])
+
+
+def _margins(reference: Reference, twin: Twin, compared: Sequence[_Compared], reach: float) -> Margins:
+    """How far the sheet goes on beyond each side of the target."""
+    found = []
+    for side in range(4):
+        widths = []
+        for one in compared:
+            away, values = _beside(reference, twin, one, one.as_sheet, NO_MARGINS, side)
+            widths.append(_until(away, values > BLANK, reach))
+        known = [width for width in widths if width is not None]
+        found.append(float(np.median(known)) if known else 0.0)
+    return found[0], found[1], found[2], found[3]
+
+
+def _rim_mm(beyond: Sequence[Sequence[_Strip]], reach: float) -> float:
+    """Width of the frame: as far as it is dark beyond the sheet on all sides; a shadow falls to one alone."""
+    found = []
+    for sides in beyond:
+        widths = [_until(away, ratio < DARK, reach, BLURRED_MM) for away, ratio in sides]
+        known = [width for width in widths if width is not None]
+        if known:
+            width = min(known)
+            found.append(width if width > BLURRED_MM else 0.0)
+    return float(np.median(found)) if found else 0.0
+
+
+def _rim_reflectance(beyond: Sequence[Sequence[_Strip]], rim_mm: float, paper: float) -> float:
+    """Reflectance of the frame, whose light the ratios compare with that of blank paper in its place."""
+    within = (BLURRED_MM, rim_mm - BLURRED_MM)
+    found = [ratio[(away > within[0]) & (away < within[1])] for sides in beyond for away, ratio in sides]
+    ratios = np.concatenate(found)
+    return float(np.clip(np.median(ratios) * paper, 0.0, 1.0)) if len(ratios) else 0.0
+
+
+def _until(away_mm: Floats, holds: Mask, reach: float, first: float = 0.0) -> float | None:
+    """Distance, from the first on, up to which something holds for most pixels; None where no end is seen."""
+    for width in np.arange(first, reach, RING_MM):
+        ring = (away_mm >= width) & (away_mm < width + RING_MM)
+        if ring.sum() < LEAST_RING:
+            return None
+        if holds[ring].mean() < 0.5:
+            return float(width)
+    return None
+
+
+def _beside(
+    reference: Reference, twin: Twin, one: _Compared, values: LevelStack, margins: Margins, side: int
+) -> _Strip:
+    """Distances in mm beyond a side of the sheet, and the values of pixels that see its plane lit there."""
+    rows, columns = np.nonzero(np.isfinite(values))
+    slopes = twin.parameters.calibration.camera.normalise(
+        np.stack([columns, rows], axis=-1).astype(np.float64)
+    )
+    rays = np.column_stack([slopes, np.ones(len(slopes))])
+    normal = one.pose.rotation[:, 2]
+    depth = (normal @ one.pose.translation) / (rays @ normal)
+    x, y, _ = one.pose.inverse().apply(depth[:, None] * rays).T
+    half_x, half_y = 0.5 * np.array(reference.target.size_mm)
+    away = (-x - half_x, -y - half_y, x - half_x, y - half_y)[side] - margins[side]
+    along = (np.abs(y) < half_y) if side % 2 == 0 else (np.abs(x) < half_x)
+    kept = along & (away >= 0)
+    return away[kept], values[rows[kept], columns[kept]]
+
+
+def _texture(
+    reference: Reference, twin: Twin, compared: Sequence[_Compared], margins: Margins
+) -> NDArray[np.float32]:
+    """Median over the poses of the factor, relative to that of the whole sheet; 1 where it is not known."""
+    camera = twin.parameters.calibration.camera
+    nearest = min(float(one.pose.translation[2]) for one in compared)
+    per_mm = float(camera.matrix[0, 0]) / nearest / FINEST_PX
+    width, height = reference.target.size_mm
+    left, top, right, bottom = margins
+    x = np.arange(-0.5 * width - left, 0.5 * width + right, 1.0 / per_mm) + 0.5 / per_mm
+    y = np.arange(-0.5 * height - top, 0.5 * height + bottom, 1.0 / per_mm) + 0.5 / per_mm
+    places = np.stack([*np.meshgrid(x, y), np.zeros((len(y), len(x)))], axis=-1)
+    factors = []
+    for one in compared:
+        pixels = camera.project(places.reshape(-1, 3), one.pose).astype(np.float32)
+        u, v = pixels.reshape(len(y), len(x), 2).transpose(2, 0, 1)
+        factors.append(cv2.remap(one.ratio, u, v, cv2.INTER_LINEAR, borderValue=(np.nan,)))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # a place that is lit in no pose
+        factor: LevelStack = np.nanmedian(np.stack(factors), axis=0)
+    return np.clip(np.nan_to_num(factor, nan=1.0), 0, np.float32(MOST_FACTOR))

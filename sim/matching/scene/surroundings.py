@@ -1,0 +1,264 @@
+"""The surroundings of a bench, rebuilt from its own recordings of a board: shape and reflectance.
+
+Camera and projector stand still, so whatever is beside the board is seen in the same pixels again. Its shape
+is triangulated where the fringes decode, and merged over the poses by the median of the depths along every
+pixel's ray. Where none decodes, surfaces go on along their planes for a while, and a backdrop stands behind
+all. The reflectance is the ratio of the levels that were recorded to those of the twin, least squares
+over all images of a pose and the median over the poses: what hides or shades a surface in some poses does not
+count. A surface is believed to be matt, and light that reaches it by way of others counts as its own.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import cast
+
+import cv2
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from fpplab.clouds import Cloud
+from fpplab.core.conventions import Floats, Mask
+from fpplab.core.errors import FppError
+from fpplab.core.geometry import Pinhole, RigidTransform
+from fpplab.core.progress import Progress, no_progress
+from fpplab.pipeline import reconstruct
+from fpplab.targets import Target
+from sim.appearance import Appearance, BenchSurroundings, BoardSheet
+from sim.matching.loss import rectangle_mask
+from sim.matching.reference import LevelStack, Reference
+from sim.twin import Twin
+
+CELL_PX = 4
+"""Side of the squares of pixels that share a corner of the mesh."""
+SMOOTHED_CELLS = 5
+"""Side of the window of cells whose median is the depth of its middle."""
+LEAST_KNOWN = 0.3
+"""Share of the window that must be known."""
+MOST_STEP = 0.03
+"""Greatest ratio, less 1, of depths at the corners of a face: beyond lies an edge that nothing joins."""
+NEAR_BOARD_MM = 10.0
+"""Distance from the board and its frame within which a point may belong to them."""
+FURTHER = 1.02
+"""How much further than all that is known the backdrop stands."""
+BACKDROP_PX = 32
+"""Side of the backdrop's squares in the image."""
+LEAST_CELLS = 100
+"""With fewer that are known there are no surroundings worth the name."""
+CONTINUED_CELLS = 40
+"""How far known surfaces go on where nothing is known, in cells."""
+LEAST_SPREAD = 1e-3
+"""Added to the squared distances of known cells, so that a single one is enough for a fit."""
+PLANE_CELLS = 9
+"""Side of the window of cells whose plane they go on along."""
+TRIAL = 0.1
+"""Reflectance with which levels are computed: dark enough that none is saturated."""
+LEAST_LEVEL = 0.001
+"""Level of the twin at the trial's reflectance, a share of full scale, below which a surface is not lit."""
+HIDDEN_PX = 12
+"""Pixels beyond the board's outline that are not used for the reflectance."""
+
+
+def rebuild_surroundings(
+    reference: Reference,
+    twin: Twin,
+    sheet: BoardSheet,
+    poses: Sequence[int],
+    progress: Progress = no_progress,
+) -> BenchSurroundings | None:
+    """Rebuild what stands beside the board."""
+    depths = _depths(reference, twin, sheet, poses, lambda share: progress(0.6 * share))
+    camera = twin.parameters.calibration.camera
+    depths = _smoothed(depths)
+    if np.isfinite(depths).sum() < LEAST_CELLS:
+        return None
+    backdrop = backdrop_mesh(FURTHER * float(np.nanmax(depths)), camera)
+    mesh = cast(trimesh.Trimesh, trimesh.util.concatenate([grid_mesh(continued(depths), camera), backdrop]))
+    width, height = camera.size
+    found = BenchSurroundings(mesh, np.full((height, width), TRIAL, np.float32))
+    twin.appear(Appearance(sheet, found))
+    painted = _reflectance(reference, twin, sheet, poses, lambda share: progress(0.6 + 0.4 * share))
+    twin.appear(Appearance(sheet))
+    return replace(found, reflectance=painted) if painted.any() else None
+
+
+def _depths(
+    reference: Reference, twin: Twin, sheet: BoardSheet, poses: Sequence[int], progress: Progress
+) -> Floats:
+    """Median depth of the surroundings over poses in cells of pixels, NaN where nothing is known."""
+    found = []
+    parameters = twin.parameters
+    for done, pose in enumerate(poses):
+        try:
+            _, cloud = reconstruct(reference.sessions[pose], parameters.calibration, as_recorded=True)
+        except FppError:  # a pose that shows too little to be triangulated
+            continue
+        found.append(_cells(cloud, _is_beside(cloud, parameters.poses[pose], reference.target, sheet)))
+        progress((done + 1) / len(poses))
+    if not found:
+        return np.full((1, 1), np.nan)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # a cell that is known in no pose
+        return np.asarray(np.nanmedian(np.stack(found), axis=0))
+
+
+def _is_beside(cloud: Cloud, pose: RigidTransform, target: Target, sheet: BoardSheet) -> Mask:
+    """Tell which points (N,) are neither on the board nor near it, and so do not move with it."""
+    x, y, z = pose.inverse().apply(cloud.points.astype(np.float64)).T
+    low, high = sheet_outline(target, sheet, NEAR_BOARD_MM)
+    is_board = (x > low[0]) & (x < high[0]) & (y > low[1]) & (y < high[1]) & (np.abs(z) < NEAR_BOARD_MM)
+    return np.asarray(~is_board)
+
+
+def _cells(cloud: Cloud, chosen: Mask) -> Floats:
+    """Median depth (rows, columns) of chosen points in cells of pixels, NaN where there is none."""
+    assert cloud.pixels is not None
+    assert cloud.size is not None
+    width, height = cloud.size
+    depths = np.full((-(-height // CELL_PX) * CELL_PX, -(-width // CELL_PX) * CELL_PX), np.nan)
+    u, v = cloud.pixels[chosen].T
+    depths[v, u] = cloud.points[chosen, 2]
+    rows, columns = depths.shape[0] // CELL_PX, depths.shape[1] // CELL_PX
+    cells = depths.reshape(rows, CELL_PX, columns, CELL_PX).swapaxes(1, 2).reshape(rows, columns, -1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # an empty cell
+        return np.asarray(np.nanmedian(cells, axis=-1))
+
+
+def grid_mesh(depths: Floats, camera: Pinhole) -> trimesh.Trimesh:
+    """Join depths in cells of pixels to a mesh, where neighbours are near."""
+    # depths (rows, columns) mm
+    number = np.full(depths.shape, -1)
+    known = np.isfinite(depths)
+    number[known] = np.arange(known.sum())
+    v, u = np.nonzero(known)
+    middle = CELL_PX * (np.stack([u, v], axis=-1) + 0.5) - 0.5
+    slopes = camera.normalise(middle.astype(np.float64))
+    vertices = depths[known][:, None] * np.column_stack([slopes, np.ones(len(slopes))])
+    corners = _corners(number)
+    corners = corners[(corners >= 0).all(axis=1)]
+    depth = vertices[:, 2][corners]
+    corners = corners[depth.max(axis=1) < (1.0 + MOST_STEP) * depth.min(axis=1)]
+    mesh = trimesh.Trimesh(vertices, _triangles(corners), process=False)
+    mesh.remove_unreferenced_vertices()
+    return mesh
+
+
+def continued(depths: Floats) -> Floats:
+    """Let surfaces go on along their planes, up to `CONTINUED_CELLS`, where nothing is known.
+
+    The inverse depth of a plane is linear in the image, so each ring of cells around what is known gets the
+    value of the linear fit to the known cells of its window.
+    """
+    # depths (rows, columns) mm
+    inverse = 1.0 / depths
+    least, most = np.nanmin(inverse), np.nanmax(inverse)
+    for _ in range(CONTINUED_CELLS):
+        known = np.isfinite(inverse)
+        ring = cv2.dilate(known.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(np.bool_) & ~known
+        if not ring.any():
+            break
+        inverse[ring] = np.clip(_linear_fits(inverse, known, ring), least, most)
+    return np.asarray(1.0 / inverse)
+
+
+def _linear_fits(values: Floats, known: Mask, wanted: Mask) -> Floats:
+    """Values (N,) of wanted cells by linear fits to the known ones around each."""
+    weight = known.astype(np.float64)
+    filled = np.where(known, values, 0.0)
+    away = np.arange(PLANE_CELLS, dtype=np.float64) - PLANE_CELLS // 2
+
+    def moment(of: Floats, x: int, y: int) -> Floats:
+        """Sum over the window of a value times powers of the distance from its middle."""
+        sums = cv2.sepFilter2D(of, -1, away**x, away**y, borderType=cv2.BORDER_CONSTANT)
+        return np.asarray(sums[wanted])
+
+    n, x, y, xx, xy, yy = (moment(weight, *k) for k in ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)))
+    right = np.stack([moment(filled, *k) for k in ((0, 0), (1, 0), (0, 1))], axis=-1)
+    normal = np.stack([n, x, y, x, xx, xy, y, xy, yy], axis=-1).reshape(-1, 3, 3)
+    normal = normal + np.diag([0.0, LEAST_SPREAD, LEAST_SPREAD])
+    return np.asarray(np.linalg.solve(normal, right[..., None])[:, 0, 0])
+
+
+def backdrop_mesh(depth_mm: float, camera: Pinhole) -> trimesh.Trimesh:
+    """Make a plane that faces the camera and fills its image: what is seen where no shape is known.
+
+    It stands behind all else, so that it neither hides nor shades anything.
+    """
+    width, height = camera.size
+    columns, rows = (-(-side // BACKDROP_PX) + 1 for side in (width, height))
+    grid = np.meshgrid(np.linspace(-1, width, columns), np.linspace(-1, height, rows))
+    slopes = camera.normalise(np.stack(grid, axis=-1).reshape(-1, 2))
+    number = np.arange(rows * columns).reshape(rows, columns)
+    vertices = depth_mm * np.column_stack([slopes, np.ones(len(slopes))])
+    return trimesh.Trimesh(vertices, _triangles(_corners(number)), process=False)
+
+
+def _corners(number: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Corners (N, 4) of the quadrilaterals between neighbours of a grid of numbered vertices."""
+    corners = [number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]]
+    return np.asarray(np.stack(corners, axis=-1).reshape(-1, 4))
+
+
+def _triangles(corners: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Two triangles (2 N, 3) of each quadrilateral (N, 4)."""
+    return np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]])
+
+
+def _smoothed(depths: Floats) -> Floats:
+    """Median over windows of cells; NaN where too little of the window is known, or not the middle itself."""
+    margin = SMOOTHED_CELLS // 2
+    wide = np.pad(depths, margin, constant_values=np.nan)
+    windows = np.lib.stride_tricks.sliding_window_view(wide, (SMOOTHED_CELLS, SMOOTHED_CELLS))
+    enough = np.isfinite(windows).mean(axis=(2, 3)) >= LEAST_KNOWN
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # a window of unknown cells
+        found = np.nanmedian(windows, axis=(2, 3))
+    return np.where(enough, found, np.nan)
+
+
+def _reflectance(
+    reference: Reference, twin: Twin, sheet: BoardSheet, poses: Sequence[int], progress: Progress
+) -> NDArray[np.float32]:
+    """Ratio (height, width) of recorded levels to the twin's, times the trial's reflectance; at most 1."""
+    ratios = []
+    for done, pose in enumerate(poses):
+        ratios.append(_ratio(reference, twin, sheet, pose))
+        progress((done + 1) / len(poses))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # a pixel that is lit in no pose
+        ratio: LevelStack = np.nanmedian(np.stack(ratios), axis=0)
+    return np.clip(np.float32(TRIAL) * np.nan_to_num(ratio), 0, 1)
+
+
+def _ratio(reference: Reference, twin: Twin, sheet: BoardSheet, pose: int) -> LevelStack:
+    """Recorded levels over the twin's at every pixel in one pose, NaN where nothing lit is seen."""
+    every = tuple(range(len(reference.patterns)))
+    black = twin.parameters.black_level * reference.full_scale
+    real = reference.frames(pose, every) - black
+    computed = twin.expected(pose, reference.shown(every), reference.settings) - black
+    square = np.einsum("nvu,nvu->vu", computed, computed)
+    both = np.einsum("nvu,nvu->vu", computed, real)
+    is_lit = square > len(every) * (LEAST_LEVEL * reference.full_scale) ** 2
+    is_lit &= ~_hidden(reference, twin, sheet, pose)
+    ratio: LevelStack = np.divide(both, square, out=np.full_like(both, np.nan), where=is_lit)
+    return ratio
+
+
+def _hidden(reference: Reference, twin: Twin, sheet: BoardSheet, pose: int) -> Mask:
+    """Pixels that see the board or its frame, and some beyond."""
+    now = twin.parameters
+    low, high = sheet_outline(reference.target, sheet, 0.0)
+    return rectangle_mask(now.calibration.camera, now.poses[pose], low, high, -HIDDEN_PX)
+
+
+def sheet_outline(target: Target, sheet: BoardSheet, beyond_mm: float) -> tuple[Floats, Floats]:
+    """Give the corners of a sheet with a margin."""
+    # returns (2,) mm
+    left, top, right, bottom = sheet.margins_mm
+    half = 0.5 * np.array(target.size_mm)
+    beyond = sheet.rim_mm + beyond_mm
+    return -half - [left, top] - beyond, half + [right, bottom] + beyond

@@ -1,0 +1,311 @@
+"""The steps of a characterisation matching, each of which proposes parameters of the twin.
+
+Order: geometry by the observed points, light, then one by one the effects that the paper names as missing
+(ambient light, defocus of projector and camera, vignetting, the projector's falloff, a lamp of the room,
+flicker, rolling bands, vibration, noise); then all parameters of light together and the geometry by the
+images in turn; at last once more what changes from frame to frame. Falloff, lamp, flicker, bands and
+vibration are kept where they explain more than their parameters cost. Noise is judged by its variance and
+spectrum, since the images that the loss compares have none. Scans of parts with finer fringes than the
+board's tell the projector's sharpness better than the board does, and alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from sim.matching.fluctuation import bands, flicker, noise, vibration
+from sim.matching.fluctuation.frame_terms import FrameTerms, terms_of_pose
+from sim.matching.fluctuation.fringe_rests import fringe_rests
+from sim.matching.geometry import geometry_fit
+from sim.matching.light import light_fit, room_lamp
+from sim.matching.light.contrast import ContrastSample, board_contrasts, with_common_error
+from sim.matching.record import ParametersFile
+from sim.matching.reference import Reference
+from sim.matching.samples import PixelSample
+from sim.parameters import TwinParameters
+from sim.twin import Twin
+
+SAMPLED_POSES = 6
+"""Greatest number of poses whose pixels are compared by steps that fit light and noise."""
+STEADY: dict[str, Any] = {
+    "projector_flicker": 0.0,
+    "ambient_ripple": 0.0,
+    "band_period_px": 0.0,
+    "band_advance": None,
+    "sigma": {},
+}
+"""What parameters have in common whose expected images are alike."""
+LEAST_CONTRAST, SIGNIFICANT = 0.02, 3.0
+"""Relative difference of the contrast, and standard errors of it, by which the board must be sharper than
+contrasts on parts say."""
+PROJECTOR_FOCUS = ("projector_focus_mm", "projector_aperture_mm")
+CAMERA_FOCUS = ("camera_focus_mm", "f_number")
+"""Names of the parameters of focus and aperture."""
+F_NUMBERS = (1.0, 2.0, 4.0)
+APERTURES = (0.5, 1.0, 2.0)
+"""Factors of the twin's own aperture with which the search for a focus starts."""
+
+
+@dataclass(frozen=True, eq=False)
+class MatchingContext:
+    """What every step is given."""
+
+    reference: Reference  # what was recorded of the bench
+    twin: Twin  # to be matched
+    samples: list[PixelSample]  # pixels at which images are compared
+    white: str  # the parameter that scales the levels
+    contrasts: tuple[ContrastSample, ...] = ()  # of finer fringes on parts
+    _terms: dict[str, list[FrameTerms]] = field(default_factory=dict)
+
+    def frame_terms(self) -> list[FrameTerms]:
+        """Estimate what every frame of some poses has beyond the twin's; kept while the light is the same."""
+        now = self.twin.parameters
+        still = replace(now, **STEADY)
+        key = ParametersFile.of(still).model_dump_json()
+        if key not in self._terms:
+            self._terms.clear()
+            poses = self.reference.spread_poses(SAMPLED_POSES)
+            self._terms[key] = [terms_of_pose(self.reference, self.twin, pose) for pose in poses]
+        return self._terms[key]
+
+    def light_parameters(self, *more: str) -> tuple[str, ...]:
+        """Name the parameters of light that are free."""
+        response = () if self.reference.response is not None else ("b", "g")
+        black = () if self._black_is_held else ("black_level",)
+        return (self.white, "ink", "ambient", *black, *response, *more)
+
+    @property
+    def _most_black(self) -> float:
+        """The greatest black level that the recordings allow, relative to full scale.
+
+        The darkest places may have been rounded down by half a level.
+        """
+        return (self.reference.darkest_level + 0.5) / self.reference.full_scale
+
+    @property
+    def _black_is_held(self) -> bool:
+        return abs(self.twin.parameters.black_level - self._most_black) < 1e-9
+
+    def fit(self, *names: str) -> TwinParameters:
+        """Fit parameters of light and sharpness to the samples; the darkest places limit the black level."""
+        found = light_fit.fit_light(self.reference, self.twin, names, self.samples)
+        if "black_level" not in names or found.black_level <= self._most_black:
+            return found
+        # Light that the parameters lack was taken for black: held, black leaves it to the ambient light.
+        self.twin.become(replace(found, black_level=self._most_black))
+        others = [name for name in names if name != "black_level"]
+        return light_fit.fit_light(self.reference, self.twin, others, self.samples)
+
+    @property
+    def projector_focus(self) -> tuple[str, ...]:
+        """Names of the projector's focus and aperture, where its focus was searched."""
+        return PROJECTOR_FOCUS if self.twin.parameters.projector_focus_mm is not None else ()
+
+    @property
+    def camera_focus(self) -> tuple[str, ...]:
+        """Names of the camera's focus and aperture, where its focus was searched."""
+        return CAMERA_FOCUS if self.twin.parameters.camera_focus_mm is not None else ()
+
+    @property
+    def blur_by_images(self) -> tuple[str, ...]:
+        """The projector's blur, unless contrasts tell it."""
+        return () if self.contrasts else ("projector_blur",)
+
+    def fit_projector_sharpness(self) -> TwinParameters:
+        """Fit blur, focus and aperture of the projector to contrasts, or without them to the board's images.
+
+        Together, what the twin lacks of the light on the board would decide: it is most of what is left.
+        """
+        names = ("projector_blur", *self.projector_focus)
+        if not self.contrasts:
+            return light_fit.fit_light(self.reference, self.twin, names, self.samples)
+        found = light_fit.fit_light(self.reference, self.twin, names, self.contrasts)
+        return with_common_error(self.reference, self.twin, found, names, self.contrasts)
+
+
+@dataclass(frozen=True)
+class MatchingStep:
+    """One step of a matching."""
+
+    name: str  # as recorded and reported
+    propose: Callable[[MatchingContext], TwinParameters]  # gives the parameters to try
+    characterises: bool = False  # whether the twin's own RMS reprojection error must be found again
+    misfit: Callable[[MatchingContext], float | None] = lambda at: None  # what the step is judged by
+    allowed: Callable[[MatchingContext], bool] = lambda at: True  # whether what was proposed
+    applies: Callable[[MatchingContext], bool] = lambda at: True  # whether the step is taken
+    same_images: bool = False  # whether the images that the twin expects, which have no noise, stay the same
+    again: bool = True  # whether it is tried in a later round after it was refused
+
+
+def _projector_defocus(at: MatchingContext) -> TwinParameters:
+    if at.projector_focus:
+        return at.fit_projector_sharpness()
+    if at.contrasts:
+        return _focus_by_contrasts(at)
+    light_fit.search_focus_grid(at.reference, at.twin, _ends(at.samples), *PROJECTOR_FOCUS, APERTURES)
+    return at.fit_projector_sharpness()
+
+
+def _focus_by_contrasts(at: MatchingContext) -> TwinParameters:
+    """Fit the sharpness without a focus, and from several: contrasts are many times quicker than images."""
+    start, found = at.twin.parameters, []
+    for focus in (None, *light_fit.focus_distances(start, "projector_focus_mm")):
+        at.twin.become(replace(start, projector_focus_mm=focus))
+        tried = at.fit_projector_sharpness()
+        found.append((light_fit.mean_square_difference(at.reference, at.twin, at.contrasts), tried))
+    best = min(found, key=lambda one: one[0])[1]
+    at.twin.become(best)
+    return best
+
+
+def _depth_of_field(at: MatchingContext) -> TwinParameters:
+    if not at.camera_focus:
+        light_fit.search_focus_grid(at.reference, at.twin, _ends(at.samples), *CAMERA_FOCUS, F_NUMBERS)
+    if not at.camera_focus:
+        return at.twin.parameters
+    return at.fit(*at.blur_by_images, *CAMERA_FOCUS)
+
+
+def _ends(samples: Sequence[PixelSample]) -> list[PixelSample]:
+    """The nearest, the middle and the farthest pose."""
+    return [samples[0], samples[len(samples) // 2], samples[-1]]
+
+
+def _fit_together(at: MatchingContext) -> TwinParameters:
+    now = at.twin.parameters
+    names = [*at.blur_by_images, "vignetting"]
+    if any(now.projector_falloff):
+        names += light_fit.FALLOFF
+    if now.lamp_irradiance:
+        names += light_fit.LAMP
+    if not at.contrasts:
+        names += at.projector_focus
+    return at.fit(*at.light_parameters(*names, *at.camera_focus))
+
+
+def _board_is_sharper(at: MatchingContext) -> bool:
+    """Whether the board's fringes have more contrast than the twin's, in the mean over poses.
+
+    Then it is not the projector that takes contrast from fringes on the parts, but the parts themselves.
+    """
+    off = board_contrasts(at.reference, at.twin, _spread(at)).mean(axis=1)
+    error = off.std(ddof=1) / np.sqrt(len(off)) if len(off) > 1 else 0.0
+    return bool(off.mean() > max(LEAST_CONTRAST, SIGNIFICANT * error))
+
+
+def _without_contrasts(at: MatchingContext) -> TwinParameters:
+    """Search the projector's focus by the board's images, and fit all light again."""
+    alone = replace(at, contrasts=())
+    at.twin.become(replace(at.twin.parameters, projector_focus_mm=None))
+    _projector_defocus(alone)
+    return _fit_together(alone)
+
+
+def _contrast_left(at: MatchingContext) -> float | None:
+    """What is left of contrasts, of which the loss knows nothing; None without them."""
+    if not at.contrasts:
+        return None
+    return light_fit.mean_square_difference(at.reference, at.twin, at.contrasts)
+
+
+def _evidence_for_falloff(at: MatchingContext) -> float:
+    free = len(light_fit.FALLOFF) if any(at.twin.parameters.projector_falloff) else 0
+    return light_fit.information_criterion(at.reference, at.twin, at.samples, free)
+
+
+def _room_lamp(at: MatchingContext) -> TwinParameters:
+    """Fit the light without and with a lamp, which is kept where it explains more than it costs."""
+    without = at.fit(*at.light_parameters())
+    least = _evidence_for_lamp(at)
+    linear = [name for name in (at.white, "ambient", "black_level") if name in at.light_parameters()]
+    found = room_lamp.search_lamp(at.reference, at.twin, at.samples, linear)
+    if found.lamp_irradiance:
+        found = at.fit(*at.light_parameters(*light_fit.LAMP))
+        if _evidence_for_lamp(at) < least:
+            return found
+    at.twin.become(without)
+    return without
+
+
+def _evidence_for_lamp(at: MatchingContext) -> float:
+    free = len(light_fit.LAMP) if at.twin.parameters.lamp_irradiance else 0
+    return light_fit.information_criterion(at.reference, at.twin, at.samples, free)
+
+
+def _refine_by_images(at: MatchingContext) -> TwinParameters:
+    return geometry_fit.refine_by_images(at.reference, at.twin, at.reference.characterisation.level)
+
+
+def _rolling_bands(at: MatchingContext) -> TwinParameters:
+    now = at.twin.parameters
+    return bands.match_bands(now, at.frame_terms(), fringe_rests(at.reference, now, _spread(at)))
+
+
+def _spread(at: MatchingContext) -> tuple[int, ...]:
+    return at.reference.spread_poses(SAMPLED_POSES)
+
+
+SHARPNESS_OF_BOARD = MatchingStep(
+    "sharpness of the board",
+    _without_contrasts,
+    applies=lambda at: bool(at.contrasts) and _board_is_sharper(at),
+)
+"""Taken after all rounds, where contrasts told a blur that the board's fringes do not have."""
+CHANGING_STEPS = (
+    MatchingStep(
+        "flicker",
+        lambda at: flicker.match_flicker(at.twin.parameters, at.frame_terms()),
+        same_images=True,
+    ),
+    MatchingStep("rolling bands", _rolling_bands, same_images=True),
+    MatchingStep(
+        "vibration",
+        lambda at: vibration.match_vibration(at.twin.parameters, at.frame_terms()),
+        same_images=True,
+    ),
+)
+"""What changes from frame to frame: found before noise is compared, and again with the light at the end."""
+FIRST_STEPS = (
+    MatchingStep(
+        "points",
+        lambda at: geometry_fit.refine_by_reprojection(at.twin.parameters, at.reference.characterisation),
+    ),
+    MatchingStep("light", lambda at: at.fit(at.white, "ink", "projector_blur")),
+    MatchingStep("ambient light", lambda at: at.fit(*at.light_parameters())),
+    MatchingStep("projector defocus", _projector_defocus, misfit=_contrast_left),
+    MatchingStep("depth of field", _depth_of_field),
+    MatchingStep("vignetting", lambda at: at.fit(at.white, "vignetting")),
+    MatchingStep(
+        "projector falloff",
+        lambda at: at.fit(at.white, "vignetting", *light_fit.FALLOFF),
+        misfit=_evidence_for_falloff,
+    ),
+    MatchingStep("room lamp", _room_lamp, misfit=_evidence_for_lamp),
+    *CHANGING_STEPS,
+    MatchingStep(
+        "noise",
+        lambda at: noise.match_noise(at.reference, at.twin, _spread(at)),
+        True,
+        lambda at: noise.noise_misfit(at.reference, at.twin, _spread(at)),
+        same_images=True,
+    ),
+)
+REPEATED_STEPS = (
+    MatchingStep("together", _fit_together),
+    MatchingStep(
+        "images",
+        _refine_by_images,
+        allowed=lambda at: geometry_fit.contradiction(at.reference, at.twin.parameters) <= 1.0,
+        again=False,  # what the twin lacks and images take for geometry is the same in every round
+    ),
+    MatchingStep(
+        "fine fringes",
+        lambda at: at.fit_projector_sharpness(),
+        misfit=_contrast_left,
+        applies=lambda at: bool(at.contrasts),
+    ),
+)

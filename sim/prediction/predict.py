@@ -1,0 +1,201 @@
+"""Prediction of a measurement on a simulation, from a sample of the camera's rows.
+
+Bands of rows are simulated in place of whole frames: with the light of every pattern, computed once, and with
+the sensor's noise drawn anew for every draw. They are decoded, triangulated and compared like a measurement,
+so that the prediction is that of a whole synthesis but for the sample.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from fpplab.calibration.model import Calibration
+from fpplab.clouds import Cloud
+from fpplab.core.conventions import Axis, Map, Mask
+from fpplab.core.errors import ConfigError
+from fpplab.devices.rig import Rig
+from fpplab.devices.simulation import Rows
+from fpplab.patterns.fringes import make_patterns
+from fpplab.patterns.plan import Plan
+from fpplab.patterns.recording import Recording
+from fpplab.phase import Decoded, decode
+from fpplab.phase.bounds import PossibleCoordinates
+from fpplab.reconstruction.depth_range import depth_bounds, first_stated
+from fpplab.reconstruction.points import points_of
+from fpplab.reconstruction.uncertainty import coordinate_noise
+from sim.bench import VirtualBench
+from sim.part_surface import PartSurface
+from sim.prediction.discrepancy import Discrepancy
+from sim.prediction.figures import MeasuredFigures, figures_of, seen_surface
+from sim.prediction.form import distance_factors
+from sim.prediction.intervals import FigureInterval, figure_intervals
+from sim.sampling import SimSampler
+
+PIXELS = 40_000
+"""Number of pixels on the item that are simulated, about."""
+BAND, MARGIN = 12, 2
+"""Rows of a band, and how many at each of its ends serve as neighbours alone."""
+DRAWS = 8
+"""Number of draws of noise, flicker and vibration; the last two are common to a whole frame."""
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What a measurement will give."""
+
+    item: str  # name of the item
+    figures: dict[str, FigureInterval]  # by attribute of `MeasuredFigures`, and `seconds`
+    images: int  # number of images
+    pixels: int  # number of pixels on the item that were simulated
+    stripes: float  # of the finest fringes
+    discrepancy: Discrepancy | None  # that the intervals contain; None for a rig that is no matched twin
+    surface: PartSurface | None = None  # of the item as it was matched to a scan; None where it was not
+
+    def summary(self) -> dict[str, Any]:
+        """Give plain values, as the command line prints them."""
+        known = self.discrepancy
+        return {
+            "item": self.item,
+            **{name: one.summary() for name, one in self.figures.items()},
+            "images": self.images,
+            "pixels": self.pixels,
+            "matched": known is not None,
+            "surface": self.surface.summary() if self.surface else None,
+            "looks_like": known.looks_like if known else None,
+            "not_for": known.not_for if known else None,
+            "compared_stripes": self._compared_stripes,
+        }
+
+    @property
+    def _compared_stripes(self) -> float | None:
+        compared = self.discrepancy.contrast if self.discrepancy else None
+        return compared.stripes if compared and self.stripes > compared.stripes else None
+
+
+def predict(
+    rig: Rig, plan: Plan, item: str, calibration: Calibration | None = None, pixels: int = PIXELS
+) -> Prediction:
+    """Predict a measurement of an item on an open rig of a simulation."""
+    if not isinstance(rig.simulation, VirtualBench):
+        raise ConfigError(f"{rig.source}: is no simulation that can predict; name a twin's rig file")
+    sampler, folder = rig.simulation.sampler(), Path(rig.source).parent
+    known = calibration or _with_uncertainty_beside(sampler.calibration, folder)
+    mesh = sampler.mesh(item)
+    seen, lit = seen_surface(mesh, known)
+    if not lit.any():
+        raise ConfigError(f"{rig.source}: no pixel sees lit surface of the item '{item}'")
+    rows, inner = sampled_rows(seen, pixels)
+    counted = np.zeros_like(seen)
+    counted[inner] = True
+    study = _Sampled(rig, plan, item, known, sampler, mesh, rows, (seen & counted, lit & counted))
+    draws = [study.measured(seed) for seed in range(DRAWS)]
+    _, decoded, cloud = draws[0]
+    discrepancy = Discrepancy.beside(Path(rig.source))
+    surface = sampler.surface(item)
+    figures = figure_intervals(
+        [one for one, _, _ in draws],
+        distance_factors(cloud, seen & counted, mesh, known, coordinate_noise(decoded)),
+        discrepancy or Discrepancy(),
+        surface.relative_sigma if surface else 0.0,
+        plan.most_stripes,
+    )
+    seconds = plan_seconds(rig, plan)
+    figures["seconds"] = FigureInterval(seconds, seconds, seconds)
+    sampled = int(np.count_nonzero(seen & counted))
+    return Prediction(item, figures, len(study.patterns), sampled, plan.most_stripes, discrepancy, surface)
+
+
+def _with_uncertainty_beside(true: Calibration, folder: Path) -> Calibration:
+    path = folder / "calibration.yaml"
+    return replace(true, uncertainty=Calibration.load(path).uncertainty) if path.is_file() else true
+
+
+def plan_seconds(rig: Rig, plan: Plan) -> float:
+    """Compute how long the images of a plan take, by what the devices state of themselves."""
+    camera = rig.camera.caps
+    images = sum(fringe.images for fringe in plan.fringes)
+    return images * (plan.exposure_s + camera.readout_s + camera.dark_s + plan.settle_s)
+
+
+def sampled_rows(seen: Mask, pixels: int) -> tuple[Rows, Rows]:
+    """Choose bands of rows, evenly spread over what is seen of an item."""
+    # seen (height, width)
+    used = np.flatnonzero(seen.any(axis=1))
+    first, end = max(0, int(used[0]) - MARGIN), min(len(seen), int(used[-1]) + 1 + MARGIN)
+    share = min(1.0, pixels / max(1, int(np.count_nonzero(seen))))
+    inside = BAND - 2 * MARGIN
+    count = max(1, round(share * (end - first) / inside))
+    if count * BAND >= end - first:
+        every = np.arange(first, end)
+        return every, every
+    starts = np.rint(np.linspace(first, end - BAND, count)).astype(np.intp)
+    band = np.arange(BAND)
+    rows, inner = (np.unique(starts[:, None] + part) for part in (band, band[MARGIN:-MARGIN]))
+    return rows, inner
+
+
+@dataclass(eq=False)
+class _Sampled:
+    """A measurement of some rows, repeated with other noise."""
+
+    rig: Rig
+    plan: Plan
+    item: str
+    calibration: Calibration
+    sampler: SimSampler
+    mesh: trimesh.Trimesh
+    rows: Rows
+    seen: tuple[Mask, Mask]
+
+    def __post_init__(self) -> None:
+        caps = self.rig.projector.caps
+        self.patterns = tuple(make_patterns(self.plan, caps.size, caps.lattice))
+        depth = first_stated(
+            (self.plan.depth_mm, "plan: 'depth_mm'"),
+            (self.rig.file.depth_mm, f"{self.rig.source}: 'depth_mm'"),
+        )
+        self._bounds = depth_bounds(self.plan, self.calibration, depth)
+
+    def measured(self, seed: int) -> tuple[MeasuredFigures, Decoded, Cloud]:
+        settings = self.rig.camera_settings(self.plan.exposure_s, self.plan.bits)
+        frames = self.sampler.frames(self.item, self.patterns, settings, self.rows, seed)
+        size, name = self.calibration.projector.size, f"the sample of the {self.item}"
+        of_rows = self._bounds_of_rows()
+        recording = Recording(frames, self.plan, size, settings.bits, name)
+        decoded = self._placed(decode(recording, bounds=of_rows))
+        decoded, cloud = points_of(decoded, self.calibration, self.plan)
+        figures = figures_of(decoded, cloud, self.mesh, self.calibration, self.plan, self.seen, self._bounds)
+        return figures, decoded, cloud
+
+    def _bounds_of_rows(self) -> dict[Axis, PossibleCoordinates] | None:
+        if self._bounds is None:
+            return None
+        return {
+            axis: PossibleCoordinates(
+                np.ascontiguousarray(one.least[self.rows]), np.ascontiguousarray(one.most[self.rows])
+            )
+            for axis, one in self._bounds.items()
+        }
+
+    def _placed(self, decoded: Decoded) -> Decoded:
+        """Put maps of the rows where they are in the image; NaN, or 0 in flags, elsewhere."""
+        width, height = self.calibration.camera.size
+
+        def placed(values: Map | NDArray[np.uint8] | None) -> Any:
+            if values is None:
+                return None
+            empty = np.nan if np.issubdtype(values.dtype, np.floating) else 0
+            whole = np.full((height, width), empty, values.dtype)
+            whole[self.rows] = values
+            return whole
+
+        names = ("u", "v", "modulation", "sigma", "disagreement", "uncertain_order", "sigma_phase_error")
+        return replace(
+            decoded, outside=None, removed=None, **{name: placed(getattr(decoded, name)) for name in names}
+        )

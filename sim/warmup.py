@@ -1,0 +1,83 @@
+"""`python -m sim.warmup`: compile the kernels once, so that no measurement waits for it.
+
+A small plane is encoded, decoded, triangulated and compared, and a measurement is predicted; numba keeps
+what it compiled beside the sources. The set-up runs this, and after a change of the sources the next
+measurement does.
+"""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+import trimesh
+
+from fpplab.calibration.model import Calibration
+from fpplab.comparison import compare
+from fpplab.core.conventions import (
+    Floats,
+    Image,
+    axis_length,
+    full_scale,
+    phase_of_coordinate,
+    raw_dtype,
+)
+from fpplab.core.geometry import Pinhole, RigidTransform
+from fpplab.devices.rig import Rig
+from fpplab.patterns.plan import Plan
+from fpplab.patterns.recording import Recording
+from fpplab.phase import Decoded, decode
+from fpplab.reconstruction.points import points_of
+from sim.prediction import predict
+
+DISTANCE_MM = 400.0
+SIZE = 96, 64
+PREDICTED = 2000
+"""Pixels of the prediction, about."""
+
+
+def small_rig() -> Calibration:
+    """Make a small camera and projector."""
+    camera = Pinhole.from_focal(SIZE, (200.0, 200.0), (47.5, 31.5), (0.01, 0.0, 0.0, 0.0, 0.0))
+    projector = Pinhole.from_focal((912, 1140), (1100.0, 2200.0), (455.5, 569.5))
+    turned = RigidTransform.from_vectors(np.array([0.0, -0.24, 0.0]), np.array([100.0, 0.0, 0.0]))
+    return Calibration(camera, projector, turned.inverse(), {})
+
+
+def frames_of_plane(plan: Plan, rig: Calibration, bits: int) -> list[Image]:
+    """Compute what the camera sees of a plane under a plan's fringes, without noise."""
+    # returns (height, width)
+    u, v = np.meshgrid(np.arange(SIZE[0], dtype=float), np.arange(SIZE[1], dtype=float))
+    slopes = rig.camera.normalise(np.stack([u, v], axis=-1))
+    points = DISTANCE_MM * np.concatenate([slopes, np.ones((*slopes.shape[:2], 1))], axis=-1)
+    seen = rig.projector.project(points, rig.T_projector_camera)
+    return [_frame(plan, i, n, seen, rig.projector.size, bits) for i, n, _ in plan.steps()]
+
+
+def _frame(plan: Plan, index: int, step: int, seen: Floats, size: tuple[int, int], bits: int) -> Image:
+    fringe = plan.fringes[index]
+    coordinate = seen[..., 0 if fringe.axis == "x" else 1]
+    phase = phase_of_coordinate(coordinate, fringe.stripes, axis_length(size, fringe.axis))
+    level = 0.1 + 0.8 * fringe.wave(phase, step)
+    image: Image = np.rint(level * full_scale(bits)).astype(raw_dtype(bits))
+    return image
+
+
+def warm_up() -> int:
+    """Run every compiled kernel once, for every type that measurements use."""
+    rig = small_rig()
+    plan = Plan.load("plan_paper.yaml")
+    for bits in (16, 8):
+        decoded: Decoded = decode(Recording(frames_of_plane(plan, rig, bits), plan, rig.projector.size, bits))
+    _, cloud = points_of(decoded, rig, plan)
+    plate = trimesh.creation.box((300.0, 200.0, 10.0))
+    plate.apply_translation((0.0, 0.0, DISTANCE_MM + 5.0))
+    compare(cloud, plate, rig, density=0.5)
+    with Rig.load("rig_matched") as twin:
+        predict(twin, plan, "pyramid", pixels=PREDICTED)
+    return len(cloud)
+
+
+if __name__ == "__main__":
+    sys.stderr.write("fpplab: compiling …\n")
+    warm_up()

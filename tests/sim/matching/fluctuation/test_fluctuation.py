@@ -1,0 +1,159 @@
+"""What changes from frame to frame on a bench, as a matching finds it where there is some."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.plan import Plan
+from sim.matching.fluctuation.bands import IN_STEP_PX, Bands
+from sim.matching.fluctuation.frame_terms import GAIN
+from sim.matching.fluctuation.fringe_rests import Variances, fringe_rests, rest_of_set
+from sim.matching.fluctuation.vibration import match_vibration
+from sim.matching.fluctuation.waves import change_of
+from sim.matching.samples import sample_pixels
+from sim.matching.steps import FIRST_STEPS, MatchingContext
+from sim.parameters import TwinParameters
+from tests.sim.matching.test_matching import reference_of, truth
+from tests.support.plane_twin import PlaneTwin
+
+__all__ = ["truth"]  # a fixture
+
+PLAN = Plan(fringes=tuple(Sinusoid(axis=axis, stripes=24, steps=8) for axis in ("x", "y")))
+SHAKEN_MM = 0.01
+
+
+def context(bench: TwinParameters, start: TwinParameters) -> MatchingContext:
+    reference, twin = reference_of(bench, plan=PLAN), PlaneTwin(start)
+    return MatchingContext(reference, twin, sample_pixels(reference, start, [0], [0]), "white")
+
+
+def proposed(name: str, bench: TwinParameters, start: TwinParameters) -> TwinParameters:
+    """What a step proposes; the twin is left as it was."""
+    at = context(bench, start)
+    found = next(one for one in FIRST_STEPS if one.name == name).propose(at)
+    assert at.twin.parameters is start
+    return found
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("flicker", [0.002, 0.01])
+def test_flicker_of_a_shaking_bench_is_found(truth: TwinParameters, flicker: float) -> None:
+    bench = replace(truth, projector_flicker=flicker, vibration_mm=SHAKEN_MM)
+    found = proposed("flicker", bench, truth)
+    told = change_of([one.series(GAIN) for one in context(bench, truth).frame_terms()], swings=False)
+    assert told.gained > 20
+    assert found.projector_flicker == pytest.approx(flicker, rel=0.25)
+    assert abs(found.projector_flicker - flicker) < 3 * found.sigma["projector_flicker"]
+    assert found.sigma["projector_flicker"] < 0.2 * flicker
+
+
+@pytest.mark.nightly
+def test_steady_light_of_a_shaking_bench_has_no_flicker(truth: TwinParameters) -> None:
+    found = proposed("flicker", replace(truth, vibration_mm=SHAKEN_MM), truth)
+    assert found.projector_flicker < 3e-4
+
+
+@pytest.mark.nightly
+def test_rolling_bands_are_found(truth: TwinParameters) -> None:
+    lit = replace(truth, ambient=0.05)
+    bench = replace(lit, ambient_ripple=0.3, band_period_px=37.0, vibration_mm=SHAKEN_MM)
+    found = proposed("rolling bands", bench, lit)
+    at = context(bench, lit)
+    told = Bands.of(fringe_rests(at.reference, lit, range(len(lit.poses))))
+    assert told is not None
+    assert told.rolling(0.1).gained > 20
+    assert found.ambient_ripple == pytest.approx(0.3, rel=0.3)
+    assert abs(found.ambient_ripple - 0.3) < 3 * found.sigma["ambient_ripple"]
+    assert found.band_period_px == pytest.approx(37.0, rel=0.05)
+    assert abs(found.band_period_px - 37.0) < 4 * found.sigma["band_period_px"]
+    assert found.band_advance is None, "their place is another in each frame"
+
+
+@pytest.mark.nightly
+def test_bands_that_move_on_evenly_are_found(truth: TwinParameters) -> None:
+    lit = replace(truth, ambient=0.05)
+    bench = replace(lit, ambient_ripple=0.3, band_period_px=37.0, band_advance=0.31)
+    found = proposed("rolling bands", bench, lit)
+    assert found.band_period_px == pytest.approx(37.0, rel=0.05)
+    assert found.band_advance == pytest.approx(0.31, abs=0.01)
+    assert found.ambient_ripple == pytest.approx(0.3, rel=0.2)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("advance", [0.1, 0.125])
+def test_light_in_step_is_found_where_no_fit_of_phase_steps_sees_it(
+    truth: TwinParameters, advance: float
+) -> None:
+    """An eighth of a period for each of eight phase steps: it shifts the phase, and leaves nothing."""
+    lit = replace(truth, ambient=0.05)
+    bench = replace(lit, ambient_ripple=0.2, band_period_px=IN_STEP_PX, band_advance=advance)
+    found = proposed("rolling bands", bench, lit)
+    assert found.band_period_px == IN_STEP_PX
+    assert found.band_advance == pytest.approx(advance, abs=5e-3)
+    assert found.ambient_ripple == pytest.approx(0.2, rel=0.1)
+    assert abs(found.ambient_ripple - 0.2) < 4 * found.sigma["ambient_ripple"]
+
+
+@pytest.mark.nightly
+def test_steady_light_of_a_shaking_bench_has_no_bands(truth: TwinParameters) -> None:
+    bench = replace(truth, vibration_mm=SHAKEN_MM, projector_flicker=0.005)
+    found = proposed("rolling bands", bench, truth)
+    assert found.ambient_ripple == 0.0
+
+
+@pytest.mark.nightly
+def test_vibration_along_a_line_is_found_with_its_frequency(truth: TwinParameters) -> None:
+    line = (0.012, -0.004, 0.006)
+    bench = replace(
+        truth,
+        vibration_line_mm=line,
+        vibration_periodic=0.8,
+        vibration_cycles_per_frame=0.21,
+        vibration_mm=0.0,
+    )
+    at = context(bench, truth)
+    found = match_vibration(truth, at.frame_terms())
+    size = np.linalg.norm(found.vibration_line_mm)
+    assert size == pytest.approx(np.linalg.norm(line), rel=0.3)
+    assert abs(np.dot(found.vibration_line_mm, line)) / size / np.linalg.norm(line) > 0.95
+    assert found.vibration_cycles_per_frame == pytest.approx(0.21, abs=0.01)
+    assert found.vibration_periodic == pytest.approx(0.8, abs=0.2)
+    assert found.vibration_mm < 0.3 * size
+
+
+def test_motion_of_fringes_leaves_no_waves() -> None:
+    """Every frame is shifted by a hundredth of a radian, and by a gain of a thousandth."""
+    random, fringe = np.random.default_rng(3), Sinusoid(axis="x", stripes=24, steps=12)
+    phase, pixels = random.uniform(0, 2 * np.pi, 5000), random.integers(0, 300, (2, 5000))
+    shifted = phase - fringe.phase_shifts()[:, None] + random.normal(0, 0.01, (12, 1))
+    gains = random.normal(0, 0.001, (12, 1))
+    slopes = random.normal(0, 5, (2, 5000))
+    moved = random.normal(0, 0.01, (12, 2)) @ slopes / 100
+    levels = (1 + gains + moved) * (100 + 80 * np.cos(shifted)) + random.normal(0, 1, shifted.shape)
+    places = (pixels[0], pixels[1])
+    bands = Bands.of([rest_of_set(levels, slopes, places, fringe)])
+    assert bands is not None
+    assert bands.rolling(0.1).gained < 0
+    waves = 0.4 * np.cos(2 * np.pi * (pixels[0] / 23.0 + 0.3 * np.arange(12)[:, None]))
+    bands = Bands.of([rest_of_set(levels + waves, slopes, places, fringe)])
+    assert bands is not None
+    found = bands.rolling(0.1)
+    assert found.gained > 10
+    assert found.period_px == pytest.approx(23.0, rel=0.02)
+    assert found.advance == pytest.approx(0.3, abs=0.01)
+    assert found.amplitude == pytest.approx(0.04, rel=0.2)
+
+
+def test_a_further_variance_is_found_beside_noise() -> None:
+    random, count = np.random.default_rng(2), 400
+    noise = np.full(count, 2.0)
+    values = random.normal(0, np.sqrt(2.0 + 3.0), count)
+    told = Variances(values**2, noise, np.ones(count))
+    assert told.further == pytest.approx(3.0, rel=0.2)
+    assert told.criterion(told.further, 1) < told.criterion(0.0, 0) - 20
+    alone = Variances(random.normal(0, np.sqrt(2.0), count) ** 2, noise, np.ones(count))
+    assert alone.criterion(alone.further, 1) > alone.criterion(0.0, 0)

@@ -1,0 +1,96 @@
+"""The bend of the bench's board, and geometries that its points contradict."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from fpplab.calibration.model import Calibration, Uncertainty
+from fpplab.characterisation import DistortionModel
+from fpplab.characterisation.parameters import parameter_names
+from fpplab.core.conventions import Floats
+from sim.matching.geometry import geometry_fit
+from sim.matching.geometry.board_shape import bend_mm, bend_moves
+from sim.matching.match import moved_um
+from sim.matching.reference import Reference
+from sim.parameters import TwinParameters
+from tests.sim.matching.test_matching import PLAN, truth
+from tests.support.plane_twin import CAMERA, PAIR, PROJECTOR, TARGET, PlaneTwin, Remembered
+
+__all__ = ["truth"]  # a fixture
+
+
+def bent() -> np.ndarray[Any, np.dtype[np.float64]]:
+    """The board's points on a shallow bowl with a twist."""
+    board = TARGET.points()
+    x, y = board[:, 0] / 30.0, board[:, 1] / 20.0
+    board[:, 2] = 0.02 * x**2 - 0.01 * x * y + 0.004 * y**3
+    return board
+
+
+def test_bend_is_interpolated_and_goes_on_beyond_the_points() -> None:
+    places = np.array([[3.0, -5.0], [-20.0, 11.0], [0.0, 0.0]])
+    x, y = places.T / [[30.0], [20.0]]
+    np.testing.assert_allclose(bend_mm(bent(), places), 0.02 * x**2 - 0.01 * x * y + 0.004 * y**3, atol=1e-9)
+    most = bent()[:, :2].max(axis=0)
+    beyond = bend_mm(bent(), np.array([most, 2 * most]))
+    assert beyond[0] == pytest.approx(beyond[1])
+    assert not bend_mm(TARGET.points(), places).any()
+
+
+def height(x: Floats, y: Floats) -> Floats:
+    """By how much the board of `bent` lies along its normal from its plane, within its points."""
+    low, high = TARGET.points()[:, :2].min(axis=0), TARGET.points()[:, :2].max(axis=0)
+    x, y = np.clip(x, low[0], high[0]) / 30.0, np.clip(y, low[1], high[1]) / 20.0
+    return np.asarray(0.02 * x**2 - 0.01 * x * y + 0.004 * y**3)
+
+
+def test_the_bend_moves_the_surface_along_its_normal(truth: TwinParameters) -> None:
+    known = SimpleNamespace(board=bent())
+    reference = Reference((), TARGET, cast(Any, known))
+    moves = bend_moves(reference, truth, 0, (np.array([150, 160]), np.array([200, 240])))
+    np.testing.assert_allclose(np.cross(moves, truth.poses[0].rotation[:, 2]), 0.0, atol=1e-12)
+    assert np.abs(moves).max() > 1e-4
+
+
+def test_a_bent_board_is_not_taken_for_another_geometry(truth: TwinParameters) -> None:
+    """Recordings of a board that is bent: the step stays near the truth only if the bend is known."""
+    bench = PlaneTwin(truth, 1, height)
+    sessions = tuple(Remembered.of(bench, PLAN, pose) for pose in range(len(truth.poses)))
+    calibration = Calibration(CAMERA, PROJECTOR, PAIR, {})
+    steps = []
+    for board in (bent(), TARGET.points()):
+        known = SimpleNamespace(poses=truth.poses, calibration=calibration, board=board)
+        reference = Reference(cast(Any, sessions), TARGET, cast(Any, known))
+        found = geometry_fit.refine_by_images(reference, PlaneTwin(truth), DistortionModel.TANGENTIAL)
+        steps.append(moved_um(truth, found))
+    with_bend, without = steps
+    assert without > 5.0
+    assert with_bend < 0.4 * without
+
+
+def test_geometries_beyond_what_points_tell_are_contradicted(truth: TwinParameters) -> None:
+    level = DistortionModel.TANGENTIAL
+    names = parameter_names(level)
+    sigma = np.where([name.endswith(("fx", "fy", "cx", "cy")) for name in names], 0.2, 1e-3)
+    known = Calibration(CAMERA, PROJECTOR, PAIR, {}, Uncertainty(names, np.diag(sigma**2)))
+    found = cast(Any, SimpleNamespace(calibration=known, level=level, poses=truth.poses))
+    reference = Reference((), TARGET, found)
+    random = np.random.default_rng(2)
+
+    def moved(factor: float) -> TwinParameters:
+        matrix = CAMERA.matrix.copy()
+        matrix[[0, 1, 0, 1], [0, 1, 2, 2]] += factor * 0.2 * np.abs(random.standard_normal(4))
+        calibration = replace(known, camera=replace(CAMERA, matrix=matrix))
+        return replace(truth, calibration=calibration)
+
+    assert geometry_fit.contradiction(reference, moved(0.0)) == 0.0
+    assert geometry_fit.contradiction(reference, moved(1.0)) < 1.0
+    assert geometry_fit.contradiction(reference, moved(20.0)) > 1.0
+    bare = replace(known, uncertainty=None)
+    nothing = Reference((), TARGET, cast(Any, SimpleNamespace(calibration=bare, level=level, poses=())))
+    assert geometry_fit.contradiction(nothing, moved(20.0)) == 0.0

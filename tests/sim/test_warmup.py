@@ -1,0 +1,25 @@
+"""The small scene that the set-up compiles with is a whole measurement, and a right one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fpplab.patterns.plan import Plan
+from fpplab.patterns.recording import Recording
+from fpplab.phase import decode
+from fpplab.reconstruction.triangulation import triangulate
+from sim.warmup import DISTANCE_MM, SIZE, frames_of_plane, small_rig, warm_up
+
+
+@pytest.mark.parametrize("plan", ["plan_paper", "plan_board"])
+def test_the_plane_is_measured_where_it_is(plan: str) -> None:
+    rig, chosen = small_rig(), Plan.load(plan)
+    decoded = decode(Recording(frames_of_plane(chosen, rig, 16), chosen, rig.projector.size, 16))
+    cloud = triangulate(decoded, rig)
+    assert len(cloud) == SIZE[0] * SIZE[1]
+    assert np.abs(cloud.points[:, 2] - DISTANCE_MM).max() < 1e-3
+
+
+def test_every_pixel_of_the_warm_up_is_measured() -> None:
+    assert warm_up() == SIZE[0] * SIZE[1]
