@@ -12,8 +12,8 @@ from fpplab.cli import console
 from fpplab.core.extras import need_extra
 
 if TYPE_CHECKING:
+    from fpplab.viewer.canvas import CommandView
     from fpplab.viewer.server import Shown
-    from fpplab.viewer.view import CommandView
     from fpplab.viewer.viewer import Viewer
 
     V = TypeVar("V", bound=CommandView)
@@ -47,7 +47,7 @@ def open_viewer(
         if keep_open and succeeded:
             sys.stdout.flush()
             viewer.wait(lambda where: console.log_status(f"{where}: close it, or press Ctrl-C, to end."))
-        viewer.close(hurry=not succeeded)
+        viewer.close(abort=not succeeded)
 
     context.call_on_close(finish)
     return viewer

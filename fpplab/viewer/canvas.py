@@ -203,6 +203,18 @@ class Canvas:
         self.log(entity, rr.ViewCoordinates.RDF, static=True)
 
 
+class CommandView:
+    """What one command shows; its methods draw on the canvas."""
+
+    def __init__(self, canvas: Canvas) -> None:
+        self.canvas = canvas
+        self.begin()
+
+    def begin(self) -> None:
+        """Arrange the views and draw what is there from the beginning."""
+        raise NotImplementedError
+
+
 def shown_step(columns: int) -> int:
     """Give the step at which pixels of an image are shown."""
     return max(1, -(-columns // SHOWN_COLUMNS))

@@ -2,8 +2,8 @@
 
 It is started by `fpplab.viewer.server`, not imported, and needs the standard library alone. Its standard
 input is a pipe from its parent: when that ends, because the parent wants so or because it was killed, rerun
-is ended too. What it has to say goes to standard output, a line of JSON each: where it is reached, then
-whenever the last page in a browser is closed.
+is ended too. It reports on standard output, a line of JSON each: its address, then whenever the last page
+in a browser is closed.
 
 rerun's own page sends usage statistics and loads fonts from the network. It is not used: the page here loads
 rerun's compiled viewer, under a content security policy that lets it reach nothing but this computer.
@@ -30,16 +30,16 @@ from pathlib import Path
 from typing import Any
 
 LOCAL = "127.0.0.1"
-PATIENCE_S = 20.0
-"""Longest time in s that rerun may take to start."""
-MEMORY = "1GB"
-"""Memory limit of rerun's server."""
+START_TIMEOUT_S = 20.0
+"""Longest time in s that rerun may take to start (chosen; it takes 1 s)."""
+MEMORY_LIMIT = "1GB"
+"""Memory limit of rerun's server (chosen)."""
 RELOAD_S = 2.0
-"""Time in s within which a page that is loaded again has not been closed."""
-OWN = {"/": "page.html", "/page.css": "page.css", "/page.js": "page.js"}
+"""Time in s within which a page that is loaded again does not count as closed (chosen)."""
+OWN_FILES = {"/": "page.html", "/page.css": "page.css", "/page.js": "page.js"}
 """Files of the page that are fpplab's."""
-KINDS = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
-RELAYED = ("/re_viewer.js", "/re_viewer_bg.wasm", "/favicon.svg")
+CONTENT_TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
+RERUN_FILES = ("/re_viewer.js", "/re_viewer_bg.wasm", "/favicon.svg")
 """Files of the page that rerun's program contains."""
 PR_SET_PDEATHSIG = 1
 
@@ -58,10 +58,10 @@ def run(program: str, kind: str, files: list[str]) -> None:
         where = {"data": f"rerun+http://{LOCAL}:{data}/proxy", "pid": rerun.pid, "page": "window"}
         if kind == "browser":
             where["page"] = _serve(data, raw)
-        _say(where)
+        _report(where)
         rerun.wait()
     except OSError as error:
-        _say({"fault": str(error)})
+        _report({"fault": str(error)})
     finally:
         if rerun is not None:
             rerun.kill()
@@ -69,9 +69,9 @@ def run(program: str, kind: str, files: list[str]) -> None:
         shutil.rmtree(home, ignore_errors=True)
 
 
-def _say(words: dict[str, Any]) -> None:
-    with suppress(OSError):  # nobody listens any more
-        sys.stdout.write(json.dumps(words) + "\n")
+def _report(values: dict[str, Any]) -> None:
+    with suppress(OSError):  # the parent reads no more
+        sys.stdout.write(json.dumps(values) + "\n")
         sys.stdout.flush()
 
 
@@ -83,7 +83,7 @@ def _start(
     subprocess.run(
         [program, "analytics", "disable"],
         env=environment,
-        timeout=PATIENCE_S,
+        timeout=START_TIMEOUT_S,
         check=False,  # what is wrong with the program is told by its next start
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
@@ -91,9 +91,9 @@ def _start(
     )
     command = [program, *files, "--bind", LOCAL, "--port", str(data), "--hide-welcome-screen"]
     if kind == "browser":
-        command += ["--serve-web", "--web-viewer-port", str(raw), "--server-memory-limit", MEMORY]
+        command += ["--serve-web", "--web-viewer-port", str(raw), "--server-memory-limit", MEMORY_LIMIT]
     else:
-        command += ["--memory-limit", MEMORY]
+        command += ["--memory-limit", MEMORY_LIMIT]
         command += [] if files else ["--expect-data-soon"]
     with (home / "log").open("wb") as log:
         return subprocess.Popen(
@@ -121,15 +121,15 @@ def _end_with_parent(rerun: subprocess.Popen[bytes]) -> None:
 
 
 def _await(rerun: subprocess.Popen[bytes], port: int, log: Path) -> None:
-    deadline = time.monotonic() + PATIENCE_S
+    deadline = time.monotonic() + START_TIMEOUT_S
     while time.monotonic() < deadline:
         if rerun.poll() is not None:
-            words = log.read_text(errors="replace").strip().splitlines()
-            raise OSError(f"rerun ended: {words[-1] if words else 'no reason given'}")
+            output = log.read_text(errors="replace").strip().splitlines()
+            raise OSError(f"rerun ended: {output[-1] if output else 'no reason given'}")
         with suppress(OSError), socket.create_connection((LOCAL, port), 1.0):
             return
         time.sleep(0.05)
-    raise OSError(f"rerun did not start within {PATIENCE_S:g} s")
+    raise OSError(f"rerun did not start within {START_TIMEOUT_S:g} s")
 
 
 def _free_ports(n: int) -> list[int]:
@@ -179,9 +179,9 @@ class _PageHandler(BaseHTTPRequestHandler):
         address = f"{LOCAL}:{self.connection.getsockname()[1]}"
         if self.headers.get("Host") != address:  # a foreign name that was pointed at this computer
             self.send_error(403)
-        elif self.path in OWN:
-            self._own(OWN[self.path])
-        elif self.path in RELAYED:
+        elif self.path in OWN_FILES:
+            self._own(OWN_FILES[self.path])
+        elif self.path in RERUN_FILES:
             self._relayed()
         elif self.path == "/open":
             self._stay_open()
@@ -203,11 +203,11 @@ class _PageHandler(BaseHTTPRequestHandler):
     def _own(self, name: str) -> None:
         text = (Path(__file__).parent / "web" / name).read_text()
         recording = f"rerun+http://{LOCAL}:{self.data_port}/proxy"
-        self._head(KINDS[Path(name).suffix])
+        self._head(CONTENT_TYPES[Path(name).suffix])
         self.wfile.write(text.replace("{{recording}}", recording).encode())
 
     def _relayed(self) -> None:
-        source = http.client.HTTPConnection(LOCAL, self.raw_port, timeout=PATIENCE_S)
+        source = http.client.HTTPConnection(LOCAL, self.raw_port, timeout=START_TIMEOUT_S)
         try:
             source.request("GET", self.path)
             answer = source.getresponse()
@@ -218,7 +218,7 @@ class _PageHandler(BaseHTTPRequestHandler):
             source.close()
 
     def _stay_open(self) -> None:
-        """Keep a request open for as long as its page is, and say when the last one is closed."""
+        """Keep a request open for as long as its page is, and report when the last one is closed."""
         cls = _PageHandler
         with cls._lock:
             cls._open_pages += 1
@@ -230,7 +230,7 @@ class _PageHandler(BaseHTTPRequestHandler):
             cls._open_pages -= 1
         time.sleep(RELOAD_S)
         if cls._open_pages == 0:
-            _say({"closed": True})
+            _report({"closed": True})
 
 
 if __name__ == "__main__":

@@ -23,9 +23,8 @@ from fpplab.setup.live.focus import FocusMeasure, FocusTracker
 from fpplab.setup.live.regions import REGIONS
 from fpplab.setup.live.status import LiveStatus
 from fpplab.viewer import layouts
-from fpplab.viewer.canvas import REACH, eight_bits, shown_step, subsampled
+from fpplab.viewer.canvas import REACH, CommandView, eight_bits, shown_step, subsampled
 from fpplab.viewer.measurement import CAMERA, IMAGE, PATTERN, PROJECTOR, show_devices
-from fpplab.viewer.view import CommandView
 from fpplab.viewer.viewer import Viewer
 
 SATURATED, DARK = (255, 48, 32), (24, 60, 150)
@@ -40,11 +39,11 @@ CELL_PX = 40
 BINS = 64
 """Bins of the histogram."""
 
-MOST_WAITING = 3
-"""Frames that may wait to be drawn: what is shown of a set-up shall be new rather than whole."""
+MAX_QUEUED_FRAMES = 3
+"""Frames that may wait to be drawn (chosen: recent frames matter more than all of them)."""
 
-MOST_HZ = 10.0
-"""Most frames per s that are shown: a browser falls behind with more."""
+MAX_RATE_HZ = 10.0
+"""Frames per s that are shown at most: browsers fall behind with more."""
 
 SLICES = 7
 """Planes of the depth range in which the overlap of both fields is drawn."""
@@ -218,8 +217,8 @@ class LiveView(CommandView):
 class LiveFrames:
     """Sends frames of the set-up to a viewer, with what was measured since the one before."""
 
-    def __init__(self, viewer: Viewer[LiveView], most_hz: float = MOST_HZ) -> None:
-        self._viewer, self._most_hz = viewer, most_hz
+    def __init__(self, viewer: Viewer[LiveView], max_rate_hz: float = MAX_RATE_HZ) -> None:
+        self._viewer, self._max_rate_hz = viewer, max_rate_hz
         self._last_s = -math.inf
         self._levels: LightLevels | None = None
         self._focus: dict[str, FocusMeasure] = {}
@@ -228,7 +227,7 @@ class LiveFrames:
         """Show a frame with the state after it; one that comes too soon is left out."""
         # dark (height, width)
         now = time.monotonic()
-        if now - self._last_s < 1.0 / self._most_hz:
+        if now - self._last_s < 1.0 / self._max_rate_hz:
             return
         self._last_s = now
         levels = None if status.levels is self._levels else status.levels

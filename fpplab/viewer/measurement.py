@@ -28,9 +28,8 @@ from fpplab.phase.bounds import widest
 from fpplab.phase.order_risk import order_risk
 from fpplab.reconstruction.depth_range import DepthRange, depth_bounds
 from fpplab.viewer import layouts
-from fpplab.viewer.canvas import REACH, Canvas, eight_bits, subsampled
+from fpplab.viewer.canvas import REACH, Canvas, CommandView, eight_bits, subsampled
 from fpplab.viewer.colours import ColourScale
-from fpplab.viewer.view import CommandView
 from fpplab.viewer.viewer import Viewer
 
 if TYPE_CHECKING:

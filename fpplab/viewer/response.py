@@ -8,9 +8,8 @@ from fpplab.core.drawing import ACCENT, FULL, as_png, single_axes
 from fpplab.patterns.response import Response
 from fpplab.report.response_figures import response_fit
 from fpplab.viewer import layouts
-from fpplab.viewer.canvas import eight_bits
+from fpplab.viewer.canvas import CommandView, eight_bits
 from fpplab.viewer.measurement import ShownFrame
-from fpplab.viewer.view import CommandView
 
 
 class ResponseView(CommandView):

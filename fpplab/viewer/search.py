@@ -10,7 +10,7 @@ from fpplab.core.drawing import ACCENT, ALARM, FULL, SECOND, as_png, single_axes
 from fpplab.optimisation.candidate_runner import SearchEpoch
 from fpplab.optimisation.figures import CandidateFigures, MeasuredCandidate
 from fpplab.viewer import layouts
-from fpplab.viewer.view import CommandView
+from fpplab.viewer.canvas import CommandView
 
 CURVES = {
     "surface_smcd_um": "mean distance to the surface in µm",

@@ -21,11 +21,11 @@ ServerKind = Literal["window", "browser"]
 """A window on this display, or a page for a browser on this computer."""
 Shown = Literal["window", "browser", "anywhere"]
 """A window, a page, or a window where there is a display and one can be opened, and a page otherwise."""
-OWN_GROUP = 0 if os.name == "posix" else None
-"""Process group of what is started, so that Ctrl-C is for the command alone. A session of its own would have
-a share of the processor of its own on Linux, whatever its niceness."""
-ENDS_WITHIN_S = 5.0
-"""Time in s that the process is given to end by itself."""
+PROCESS_GROUP = 0 if os.name == "posix" else None
+"""A new process group, so that Ctrl-C is for the command alone. In a session of its own, Linux would give it
+a share of the processor whatever its niceness."""
+STOP_TIMEOUT_S = 5.0
+"""Time in s for the process to end by itself (chosen)."""
 
 
 class ViewerServer:
@@ -34,10 +34,10 @@ class ViewerServer:
     def __init__(self, kind: ServerKind, files: Sequence[Path] = ()) -> None:
         command = [sys.executable, "-I", host.__file__, _program(), kind, *(str(path) for path in files)]
         self._process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, process_group=OWN_GROUP, bufsize=0
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, process_group=PROCESS_GROUP, bufsize=0
         )
         atexit.register(self.stop)
-        where = self._next_words()
+        where = self._next_report()
         if "data" not in where:
             self.stop()
             raise DeviceError("viewer", "open", where.get("fault", "its process ended"))
@@ -55,8 +55,8 @@ class ViewerServer:
 
     def wait(self) -> None:
         """Wait until the window, or the last page that was open, has been closed."""
-        while words := self._next_words():
-            if "closed" in words:
+        while report := self._next_report():
+            if "closed" in report:
                 return
 
     def stop(self) -> None:
@@ -67,14 +67,14 @@ class ViewerServer:
         with suppress(OSError):
             self._process.stdin.close()
         try:
-            self._process.wait(ENDS_WITHIN_S)
+            self._process.wait(STOP_TIMEOUT_S)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
         self._process.stdout.close()
 
-    def _next_words(self) -> dict[str, Any]:
-        """What the process says next; nothing where it has ended."""
+    def _next_report(self) -> dict[str, Any]:
+        """The next report of the process; empty where it has ended."""
         assert self._process.stdout is not None
         with suppress(OSError, ValueError):  # `stop` has closed it in another thread
             line = self._process.stdout.readline()

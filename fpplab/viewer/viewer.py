@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import json
 import logging
+import pickle
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Generic, Self, TypeVar, TypeVarTuple
@@ -22,20 +24,19 @@ from typing import Any, Generic, Self, TypeVar, TypeVarTuple
 import psutil
 
 from fpplab.core.progress import ignore
-from fpplab.viewer.channel import WAITING, Opening, write_message
-from fpplab.viewer.outbox import MOST_WAITING, Message, Outbox
-from fpplab.viewer.server import OWN_GROUP, Shown
-from fpplab.viewer.view import CommandView
+from fpplab.viewer.canvas import CommandView
+from fpplab.viewer.messages import MAX_QUEUED, WAITING, Message, Opening, Outbox
+from fpplab.viewer.server import PROCESS_GROUP, Shown
 
-FINISH_S = 120.0
-"""Longest time in s in which what waits is drawn and the recording written when the work is done: a second,
-unless the computer has much else to do."""
 
-QUIET_S = 10.0
-"""Time in s without any work of the process after which it is not waited for: it hangs."""
+@dataclass(frozen=True)
+class ViewerTimeouts:
+    """How long a command waits for its viewer once its own work is done; all chosen."""
 
-HURRY_S = 3.0
-"""Longest time in s where what waits is left out."""
+    finish_s: float = 120.0  # to draw the queue and write the recording: 1 s, or far more on a busy computer
+    idle_s: float = 10.0  # without any processor time used: the viewer hangs
+    abort_s: float = 3.0  # instead of `finish_s` where the queue is discarded
+
 
 log = logging.getLogger("fpplab")
 V = TypeVar("V", bound=CommandView)
@@ -45,24 +46,25 @@ Arguments = TypeVarTuple("Arguments")
 class Viewer(Generic[V]):
     """Shows one view; starts when there is something to show, and is used in a `with` block.
 
-    No method raises, and none but `wait` and `close` waits.
+    No method raises; only `wait`, `wait_open` and `close` wait.
     """
 
     def __init__(
         self,
         view: type[V],
         shown: Shown | None = "anywhere",
-        keep: Path | None = None,
+        recording: Path | None = None,
         announce: Callable[[str], object] = ignore,
         complete: bool = False,
-        most_waiting: int = MOST_WAITING,
+        max_queued: int = MAX_QUEUED,
     ) -> None:
         self.where = ""
         self.fault: str | None = None
-        opening = Opening(view, shown, keep.absolute() if keep else None)
-        self._opening = opening if shown or keep else None
+        self.timeouts = ViewerTimeouts()
+        opening = Opening(view, shown, recording.absolute() if recording else None)
+        self._opening = opening if shown or recording else None
         self._announce = announce
-        self._outbox = Outbox(most_waiting, waits=complete)
+        self._outbox = Outbox(max_queued, waits=complete)
         self._thread: threading.Thread | None = None
         self._listener: threading.Thread | None = None
         self._process: subprocess.Popen[bytes] | None = None
@@ -82,7 +84,7 @@ class Viewer(Generic[V]):
         self._add(Message((method, args)))
 
     def show_one_of_many(self, method: Callable[[V, *Arguments], object], *args: *Arguments) -> None:
-        """Show something that may be left out where there is too much."""
+        """Show something that may be left out where the viewer is too slow."""
         self._add(Message((method, args), droppable=True))
 
     def _add(self, message: Message) -> None:
@@ -91,11 +93,11 @@ class Viewer(Generic[V]):
 
     @property
     def runs(self) -> bool:
-        """Whether what is given is shown anywhere."""
+        """Whether messages are shown or recorded."""
         return self._opening is not None and self.fault is None and not self._closing
 
     def _start(self) -> bool:
-        """Start what shows it, if anything is shown and nothing was before; tell whether it is."""
+        """Start the drawing process if it is wanted and not started yet; return whether it is wanted."""
         if not self.runs:
             return False
         if self._thread is None:
@@ -104,7 +106,7 @@ class Viewer(Generic[V]):
         return True
 
     def wait_open(self) -> None:
-        """Wait until its address or window is there, or it has failed; nothing need have been shown yet."""
+        """Wait until its page or window is open, or it has failed; starts it if nothing was shown yet."""
         if self._start():
             self._opened.wait()
 
@@ -117,7 +119,7 @@ class Viewer(Generic[V]):
         """Wait until the window or page is closed or Ctrl-C is pressed, if anything is shown."""
         if self._thread is None or self.fault is not None:
             return
-        with suppress(KeyboardInterrupt):  # Ctrl-C may come as soon as the first word is out
+        with suppress(KeyboardInterrupt):  # Ctrl-C may come as soon as the address is printed
             self._add(Message(WAITING))
             self._outbox.end()
             self._thread.join()
@@ -126,11 +128,14 @@ class Viewer(Generic[V]):
                 announce(self.where)
                 self._closed.wait()
 
-    def close(self, hurry: bool = False) -> None:
-        """End the process; what waits is shown and the recording finished first. May be called again."""
+    def close(self, abort: bool = False) -> None:
+        """End the process once the queue is drawn and the recording written, or with `abort` at once.
+
+        May be called again.
+        """
         self._closing = True
-        self._outbox.end(discard=hurry)
-        sent = self._thread is None or self._waited_for(_joined(self._thread), hurry)
+        self._outbox.end(discard=abort)
+        sent = self._thread is None or self._waited_for(_joined(self._thread), abort)
         process = self._process
         if process is None or process.stdout is None or process.stdout.closed:
             return
@@ -138,7 +143,7 @@ class Viewer(Generic[V]):
         if sent:
             with suppress(OSError):
                 process.stdin.close()
-        if not (sent and self._waited_for(_ended(process), hurry)):
+        if not (sent and self._waited_for(_ended(process), abort)):
             process.kill()
             process.wait()
             log.warning("the viewer did not end by itself and was ended; its recording is not complete")
@@ -148,65 +153,64 @@ class Viewer(Generic[V]):
         if self._outbox.dropped:
             log.info("%d images came too fast to be shown", self._outbox.dropped)
 
-    def _waited_for(self, done: Callable[[float], bool], hurry: bool) -> bool:
-        """Wait until something is done, for as long as the process works on it; tell whether it is."""
-        most, used = HURRY_S if hurry else FINISH_S, self._processor_time()
-        deadline = time.monotonic() + most
-        while not done(min(QUIET_S, most)):
-            now = self._processor_time()
-            if now <= used or time.monotonic() > deadline:
+    def _waited_for(self, done: Callable[[float], bool], abort: bool) -> bool:
+        """Wait until something is done, as long as the process uses the processor; return whether it is."""
+        timeout_s = self.timeouts.abort_s if abort else self.timeouts.finish_s
+        deadline, used_s = time.monotonic() + timeout_s, self._processor_time_s()
+        while not done(min(self.timeouts.idle_s, timeout_s)):
+            now_s = self._processor_time_s()
+            if now_s <= used_s or time.monotonic() > deadline:
                 return False
-            used = now
+            used_s = now_s
         return True
 
-    def _processor_time(self) -> float:
-        """Seconds that the process and those it has started have worked."""
+    def _processor_time_s(self) -> float:
+        """Processor time used by the process and those that it has started."""
         if self._process is None:
             return 0.0
         with suppress(psutil.Error):
             drawing = psutil.Process(self._process.pid)
-            times = [one.cpu_times() for one in (drawing, *drawing.children(recursive=True))]
-            return float(sum(one.user + one.system for one in times))
+            times = [process.cpu_times() for process in (drawing, *drawing.children(recursive=True))]
+            return float(sum(used.user + used.system for used in times))
         return 0.0
 
     def _send(self) -> None:
-        """Start the process, and write to it until the end is said; runs in a thread."""
+        """Start the process and write the queue to it until that ends; runs in a thread."""
         command = [sys.executable, "-m", "fpplab.viewer.process"]
         try:
             self._process = process = subprocess.Popen(
-                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, process_group=OWN_GROUP, bufsize=0
+                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, process_group=PROCESS_GROUP
             )
-            assert process.stdin is not None
             self._listener = threading.Thread(target=self._listen, args=(process,), daemon=True)
             self._listener.start()
-            write_message(process.stdin, self._opening)  # type: ignore[arg-type]
+            _write(process, self._opening)
             self._opened.wait()
             if not self.where:
                 return
             self._announce(self.where)
             while (message := self._outbox.take()) is not None:
-                write_message(process.stdin, message.content)  # type: ignore[arg-type]
+                _write(process, message.content)
         except OSError as error:
             if self._listener is not None:
-                self._listener.join(HURRY_S)  # the process may have said why
+                self._listener.join(self.timeouts.abort_s)  # the process may have reported why
             self._fail(f"its process ended: {error}")
         except Exception as error:  # noqa: BLE001 - whatever it is, the measurement goes on
             self._fail(" ".join(str(error).split()) or type(error).__name__)
 
     def _listen(self, process: subprocess.Popen[bytes]) -> None:
-        """Take what the process says, until it ends; runs in a thread."""
+        """Read the reports of the process until it ends; runs in a thread."""
         assert process.stdout is not None
         for line in process.stdout:
-            words: dict[str, Any] = json.loads(line)
-            if "where" in words:
-                self.where = str(words["where"])
+            report: dict[str, Any] = json.loads(line)
+            if "where" in report:
+                self.where = str(report["where"])
                 self._opened.set()
-            if "fault" in words:
-                self._fail(str(words["fault"]))
-            if "waiting" in words:
+            if "fault" in report:
+                self._fail(str(report["fault"]))
+            if "waiting" in report:
                 self._closed.clear()  # a page that was closed before may be opened again
                 self._drawn.set()
-            if "closed" in words:
+            if "closed" in report:
                 self._closed.set()
         if not self._closing:
             self._fail("its process ended")
@@ -221,8 +225,15 @@ class Viewer(Generic[V]):
             log.warning("the viewer is switched off: %s", why)
 
 
+def _write(process: subprocess.Popen[bytes], content: object) -> None:
+    """Send an object; protocol 5 writes arrays to the pipe without copying them."""
+    assert process.stdin is not None
+    pickle.dump(content, process.stdin, protocol=5)
+    process.stdin.flush()
+
+
 def _joined(thread: threading.Thread) -> Callable[[float], bool]:
-    """Waits for a thread for some seconds, and tells whether it has ended."""
+    """A function that waits for a thread for some seconds, and returns whether it has ended."""
 
     def joined(seconds: float) -> bool:
         thread.join(seconds)
@@ -232,7 +243,7 @@ def _joined(thread: threading.Thread) -> Callable[[float], bool]:
 
 
 def _ended(process: subprocess.Popen[bytes]) -> Callable[[float], bool]:
-    """Waits for a process for some seconds, and tells whether it has ended."""
+    """A function that waits for a process for some seconds, and returns whether it has ended."""
 
     def ended(seconds: float) -> bool:
         with suppress(subprocess.TimeoutExpired):

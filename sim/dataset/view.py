@@ -9,9 +9,8 @@ import numpy as np
 
 from fpplab.core.conventions import TWO_PI
 from fpplab.viewer import layouts
-from fpplab.viewer.canvas import subsampled
+from fpplab.viewer.canvas import CommandView, subsampled
 from fpplab.viewer.colours import ColourScale
-from fpplab.viewer.view import CommandView
 from fpplab.viewer.viewer import Viewer
 from sim.dataset.fields import FRAMES, Arrays
 from sim.dataset.making import SampleObserver

@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.viewer import layouts
-from fpplab.viewer.canvas import subsampled
+from fpplab.viewer.canvas import CommandView, subsampled
 from fpplab.viewer.colours import ColourScale
 from fpplab.viewer.measurement import show_devices
-from fpplab.viewer.view import CommandView
 from fpplab.viewer.viewer import Viewer
 from sim.matching.page import loss_curve
 from sim.matching.record import MatchingEpoch

@@ -128,7 +128,7 @@ def test_the_log_would_show_another_host(tmp_path: Path, monkeypatch: pytest.Mon
     source = Path(host.__file__)
     copy = tmp_path / "open"
     make_directory(copy, lambda folder: (folder / "web").mkdir())
-    for name in host.OWN.values():
+    for name in host.OWN_FILES.values():
         (copy / "web" / name).write_bytes((source.parent / "web" / name).read_bytes())
     header = 'self.send_header("Content-Security-Policy", _policy(self.data_port))'
     assert header in source.read_text()

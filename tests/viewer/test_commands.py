@@ -139,7 +139,7 @@ import sys
 from pathlib import Path
 from fpplab.viewer.viewer import Viewer
 from fpplab.viewer.response import ResponseView
-viewer = Viewer(ResponseView, keep=Path(sys.argv[1]))
+viewer = Viewer(ResponseView, recording=Path(sys.argv[1]))
 viewer.wait_open()
 print(viewer.where, flush=True)
 sys.stdin.read(1)

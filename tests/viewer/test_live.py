@@ -31,9 +31,9 @@ def test_saturated_and_dark_pixels_are_painted_in() -> None:
 
 def test_the_recording_has_image_focus_histogram_and_scene(tmp_path: Path) -> None:
     path, geometry = tmp_path / "live.rrd", RigGeometry(converging(18.0))
-    with Viewer(LiveView, None, keep=path, complete=True) as viewer:
+    with Viewer(LiveView, None, recording=path, complete=True) as viewer:
         viewer.show(LiveView.scene, geometry, 400.0)
-        shown = LiveFrames(viewer, most_hz=math.inf)
+        shown = LiveFrames(viewer, max_rate_hz=math.inf)
 
         class Watching(Operator):
             def __call__(self, status, frame, pattern, dark):  # type: ignore[no-untyped-def]

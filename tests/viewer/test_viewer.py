@@ -13,6 +13,7 @@ import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -34,11 +35,10 @@ from fpplab.phase import Decoded
 from fpplab.pipeline import CLOUD, DECODED
 from fpplab.sessions.session import Session
 from fpplab.viewer import server as servers
-from fpplab.viewer import viewer as viewers
 from fpplab.viewer.canvas import Canvas
 from fpplab.viewer.colours import BAR_SIZE, UNMEASURED
 from fpplab.viewer.measurement import MeasurementView, ShownFrame
-from fpplab.viewer.outbox import Message, Outbox
+from fpplab.viewer.messages import Message, Outbox
 from fpplab.viewer.recorded import view_recording, view_session
 from fpplab.viewer.server import ViewerServer, has_display
 from fpplab.viewer.viewer import Viewer
@@ -306,14 +306,14 @@ def test_a_viewer_that_dies_does_not_stop_the_measurement(
 
 @pytest.mark.whole
 def test_a_viewer_that_hangs_is_not_waited_for(
-    served: Viewer[MeasurementView], started: list[psutil.Process], monkeypatch: pytest.MonkeyPatch
+    served: Viewer[MeasurementView], started: list[psutil.Process]
 ) -> None:
-    monkeypatch.setattr(viewers, "QUIET_S", 1.0)
+    served.timeouts = replace(served.timeouts, idle_s=1.0)
     for one in started:
         one.suspend()
     since = time.monotonic()
     served.close()
-    assert time.monotonic() - since < 0.2 * viewers.FINISH_S
+    assert time.monotonic() - since < 0.2 * served.timeouts.finish_s
     for one in started:
         with suppress(psutil.NoSuchProcess):
             one.resume()  # what was suspended could not notice that the process above it has ended
@@ -330,7 +330,7 @@ def test_bad_data_switch_the_viewer_off(
 
 
 def test_a_full_queue_drops_images_and_never_waits() -> None:
-    outbox = Outbox(most=3)
+    outbox = Outbox(max_queued=3)
     for k in range(6):
         outbox.add(Message(k, droppable=k != 1))
     outbox.end()
@@ -344,7 +344,7 @@ def test_a_full_queue_drops_images_and_never_waits() -> None:
 MEASURING = """
 import sys, time
 from pathlib import Path
-from fpplab.viewer.view import CommandView
+from fpplab.viewer.canvas import CommandView
 from fpplab.viewer.viewer import Viewer
 from tests.viewer.test_viewer import MeasurementView, calibration
 viewer = Viewer(MeasurementView, "browser", Path(sys.argv[1]), lambda where: print(where, flush=True))

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import sys
 import time
-from contextlib import ExitStack
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,23 +12,12 @@ import typer
 from fpplab.cli import console
 from fpplab.cli.app import PREPARE, Force, Json, RigName, app
 from fpplab.cli.completion import names_of
-from fpplab.core.errors import ConfigError
-from fpplab.core.extras import how_to_install, need_extra
 
 if TYPE_CHECKING:
-    from fpplab.core.conventions import Mask
-    from fpplab.devices import Frame
-    from fpplab.devices.rig import Rig
-    from fpplab.patterns.fringes import Pattern
-    from fpplab.patterns.plan import Plan
-    from fpplab.setup.live.expectation import WorkingPoint
-    from fpplab.setup.live.page import SetUpPage
     from fpplab.setup.live.status import LiveStatus
-    from fpplab.viewer.live import LiveView
-    from fpplab.viewer.viewer import Viewer
 
-LINE_S = 0.25
-"""Time in s between two status lines on a terminal."""
+LINE_INTERVAL_S = 0.25
+"""Time in s between two updates of the status line (chosen: still readable)."""
 
 
 @app.command("live", rich_help_panel=PREPARE)
@@ -47,7 +34,7 @@ def live_command(
     ] = None,
     calibration: Annotated[
         Path | None,
-        typer.Option("--calibration", help="Show overlap, angle and expected uncertainty, by this one."),
+        typer.Option("--calibration", help="Show overlap, angle and expected uncertainty by it."),
     ] = None,
     distance: Annotated[
         float | None,
@@ -70,14 +57,14 @@ def live_command(
         Path, typer.Option("--poses", help="Folder of the sessions of poses that are taken.")
     ] = Path("live_poses"),
     item: Annotated[
-        str | None, typer.Option("--item", help="Have the rig's fixture put this up first.")
+        str | None, typer.Option("--item", help="Item that the rig's fixture mounts first.")
     ] = None,
     stage_step: Annotated[
         float, typer.Option("--stage-step", min=1e-4, help="How far one key moves the stage, in mm.")
     ] = 1.0,
-    frames: Annotated[int | None, typer.Option("--frames", min=1, help="End after so many frames.")] = None,
+    frames: Annotated[int | None, typer.Option("--frames", min=1, help="End after this many frames.")] = None,
     seconds: Annotated[
-        float | None, typer.Option("--seconds", min=0.1, help="End after so many seconds.")
+        float | None, typer.Option("--seconds", min=0.1, help="End after this many seconds.")
     ] = None,
     view: Annotated[
         bool, typer.Option("--view/--no-view", help="Show images in the viewer, or only figures here.")
@@ -90,9 +77,9 @@ def live_command(
 ) -> None:
     """Set a rig up: see focus, exposure, overlap and coverage at the camera's rate.
 
-    Driven by keys here or by the buttons of a page for the browser, whose address is printed. Any other
-    fpplab command that wants the rig gets it at once: `live` closes the devices and goes on afterwards.
-    Quitting leaves the projector dark.
+    It is operated by keys here or by the buttons of a page for the browser, whose address is printed. Any
+    other fpplab command that wants the rig gets it at once: `live` closes the devices and continues
+    afterwards. Quitting leaves the projector dark.
 
     Keys: `a` takes the advised exposure, `+` `-` exposure, `>` `<` gain; `m` measures with fringes, `w`
     white, `b` black, `c` `f` coarse and fine fringes, `k` checkerboard, `x` cross; `[` `]` stage, `h` homes
@@ -100,142 +87,46 @@ def live_command(
 
     Example: `fpplab live --rig rig_demo --item board --target target_paper --poses poses`
     """
-    from fpplab.core.files import need_suffix, refuse_existing
-    from fpplab.devices.rig import Rig
-    from fpplab.patterns.plan import Plan
+    from fpplab.workflows.live import LiveRequest, set_up_live
 
-    name = plan or ("plan_board.yaml" if target else "plan_paper.yaml")
-    wanted, bench = Plan.load(name), Rig.load(rig)
-    if target:
-        _need_board_plan(wanted, name)
-    if item:
-        _need_fixture(bench, item)
-    if out:
-        need_suffix(out, ".rrd")
-        refuse_existing(out, force)
-        need_extra("rerun")
-    working = _working_point(bench, wanted, name, calibration, distance)
-
-    from queue import SimpleQueue
-
-    from fpplab.devices.rig_lock import watching_rig
-    from fpplab.setup.live.keys import terminal_keys
-    from fpplab.setup.live.loop import LiveOptions, SetUp
-    from fpplab.setup.live.orders import Order
-    from fpplab.setup.live.page import SetUpPage
-    from fpplab.targets import Target
-
-    options = LiveOptions(
-        plan=wanted,
-        working=working,
-        target=Target.load(target) if target else None,
+    request = LiveRequest(
+        rig=rig,
+        plan=plan,
+        calibration=calibration,
+        distance_mm=distance,
+        target=target,
         poses=poses,
         item=item,
         stage_step_mm=stage_step,
         frames=frames,
         seconds=seconds,
+        view=view,
+        recording=out,
+        force=force,
     )
-    orders: SimpleQueue[Order] = SimpleQueue()
-    with ExitStack() as stack:
-        turn = stack.enter_context(watching_rig(bench.source))
-        shown = _viewer(stack, view, out, working)
-        page = stack.enter_context(SetUpPage(orders, _page_of(shown)))
-        keys = stack.enter_context(terminal_keys(orders))
-        console.log_status(f"Buttons{' and images' if _page_of(shown) else ''}: {page.address}")
-        if keys:
-            console.log_status(
-                "Keys: a advice, + - exposure, m measure, w white, t take, q quit; all by --help"
-            )
-        run = SetUp(bench, options, orders, _Observer(page, shown, recorded=out is not None))
-        last = run.run(turn)
+    try:
+        result = set_up_live(request, console.log_status, _StatusLine())
+    finally:
         _clear_line()
-    result = {**last.summary(), "poses": [str(path) for path in run.poses], "out": str(out) if out else None}
-    console.print_result(result, json, lambda: _show_result(result))
+    summary = result.summary()
+    console.print_result(summary, json, lambda: _print_summary(summary))
 
 
-def _page_of(viewer: Viewer[LiveView]) -> str | None:
-    return viewer.where if viewer.where.startswith("http") else None
+class _StatusLine:
+    """New messages as lines, and the present state as one line that is overwritten."""
 
+    def __init__(self) -> None:
+        self._message, self._written_s = "", 0.0
 
-def _need_board_plan(plan: Plan, name: str) -> None:
-    from fpplab.phase import check_unwrapping
-
-    check_unwrapping(plan, name)
-    if plan.axes != ("x", "y"):
-        raise ConfigError(f"{name}: has fringes along {plan.axes[0]} alone; poses of a board need x and y")
-
-
-def _need_fixture(bench: Rig, item: str) -> None:
-    if bench.file.fixture is None:
-        raise ConfigError(f"{bench.source}: 'fixture' is missing, and --item {item} needs one")
-
-
-def _working_point(
-    bench: Rig, plan: Plan, name: str, path: Path | None, distance_mm: float | None
-) -> WorkingPoint | None:
-    """What the geometry promises, where it is known."""
-    if path is None:
-        if distance_mm is not None:
-            raise ConfigError("--distance is of use with --calibration only; give it too, or leave it out")
-        return None
-    from fpplab.calibration.model import Calibration
-    from fpplab.reconstruction.depth_range import first_stated
-    from fpplab.setup.live.expectation import RigGeometry, WorkingPoint
-
-    stated = first_stated((plan.depth_mm, name), (bench.file.depth_mm, bench.source))
-    geometry = RigGeometry(Calibration.load(path), stated)
-    middle = sum(stated.mm) / 2 if stated else None
-    return WorkingPoint(geometry, plan, distance_mm or middle or geometry.meeting_mm)
-
-
-def _viewer(
-    stack: ExitStack, wanted: bool, out: Path | None, working: WorkingPoint | None
-) -> Viewer[LiveView]:
-    """The viewer, once it is open; its page is part of the set-up's. Without rerun it shows nothing."""
-    if wanted and find_spec("rerun") is None:
-        console.log_status(f"Without images: {how_to_install('rerun')}")
-        wanted = False
-    from fpplab.viewer.live import MOST_WAITING, LiveView
-    from fpplab.viewer.viewer import Viewer
-
-    viewer = Viewer(LiveView, "anywhere" if wanted else None, out, most_waiting=MOST_WAITING)
-    stack.enter_context(viewer)
-    viewer.wait_open()
-    if working:
-        viewer.show(LiveView.scene, working.geometry, working.distance_mm)
-    return viewer
-
-
-class _Observer:
-    """Shows the set-up on the page, in the viewer and in one line of the terminal."""
-
-    def __init__(self, page: SetUpPage, viewer: Viewer[LiveView], recorded: bool) -> None:
-        from fpplab.viewer.live import LiveFrames
-
-        self._page, self._viewer, self._recorded = page, viewer, recorded
-        self._frames = LiveFrames(viewer)
-        self._said, self._line_s = "", 0.0
-
-    def __call__(
-        self, status: LiveStatus, frame: Frame | None, pattern: Pattern | None, dark: Mask | None
-    ) -> bool:
-        self._page.show(status)
-        # No backlog for who opens the page later.
-        looked_at = self._page.seen or self._recorded or _page_of(self._viewer) is None
-        if self._viewer.runs and frame is not None and pattern is not None and looked_at:
-            self._frames.show(status, frame, pattern, dark)
-        self._say(status)
-        return not (self._page.closed or self._viewer.window_closed)
-
-    def _say(self, status: LiveStatus) -> None:
-        said = f"paused: {status.paused_for} has the rig" if status.paused_for else status.message
-        if said != self._said:
-            self._said = said
-            if said:
+    def __call__(self, status: LiveStatus) -> None:
+        message = f"paused: {status.paused_for} has the rig" if status.paused_for else status.message
+        if message != self._message:
+            self._message = message
+            if message:
                 _clear_line()
-                console.log_status(said)
-        if console.stderr.is_terminal and time.monotonic() - self._line_s > LINE_S:
-            self._line_s = time.monotonic()
+                console.log_status(message)
+        if console.stderr.is_terminal and time.monotonic() - self._written_s > LINE_INTERVAL_S:
+            self._written_s = time.monotonic()
             width = console.stderr.width - 1
             sys.stderr.write(f"\r{status.line()[:width]:<{width}}")
             sys.stderr.flush()
@@ -247,13 +138,13 @@ def _clear_line() -> None:
         sys.stderr.flush()
 
 
-def _show_result(result: dict[str, Any]) -> None:
-    chosen = f"exposure_s: {result['exposure_s']:.6g}" if result["exposure_s"] else "no frame was taken"
+def _print_summary(summary: dict[str, Any]) -> None:
+    chosen = f"exposure_s: {summary['exposure_s']:.6g}" if summary["exposure_s"] else "no frame was taken"
     console.stdout.print(f"{chosen}  (for the plan)", markup=False)
-    if result["gain_db"] is not None:
-        console.stdout.print(f"gain_db: {result['gain_db']:.3g}  (for the rig file's camera)", markup=False)
-    console.stdout.print(f"frames: {result['frames']}", markup=False)
-    for pose in result["poses"]:
+    if summary["gain_db"] is not None:
+        console.stdout.print(f"gain_db: {summary['gain_db']:.3g}  (for the rig file's camera)", markup=False)
+    console.stdout.print(f"frames: {summary['frames']}", markup=False)
+    for pose in summary["poses"]:
         console.stdout.print(f"pose: {pose}", markup=False)
-    for limit in (result["advice"] or {}).get("limits", []):
+    for limit in (summary["advice"] or {}).get("limits", []):
         console.stdout.print(limit, markup=False)

@@ -1,0 +1,79 @@
+"""Messages to the process that draws, and the bounded queue in which they wait to be sent."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from fpplab.viewer.server import Shown
+
+WAITING = "waiting"
+"""Message in place of a method: answer now, and again whenever the operator has closed the view."""
+
+MAX_QUEUED = 32
+"""Messages that may wait (chosen to bound memory: each image has at most `SHOWN_COLUMNS` columns)."""
+
+
+@dataclass(frozen=True)
+class Opening:
+    """First message to the process that draws."""
+
+    view: type  # subclass of `CommandView`
+    shown: Shown | None  # where it is shown; None: it is only recorded
+    recording: Path | None  # file (.rrd) that is left when the view is closed
+
+
+@dataclass(frozen=True)
+class Message:
+    """Something to show."""
+
+    content: Any  # what is sent
+    droppable: bool = False  # whether the view is still right without it: one of many images
+
+
+class Outbox:
+    """A queue between one thread that adds and one that takes.
+
+    When it is full, the oldest droppable message is dropped, or else the oldest; with `waits` the thread that
+    adds waits instead.
+    """
+
+    def __init__(self, max_queued: int = MAX_QUEUED, waits: bool = False) -> None:
+        self.dropped = 0
+        self._max_queued, self._waits = max_queued, waits
+        self._queue: deque[Message] = deque()
+        self._changed = threading.Condition()
+        self._ended = False
+
+    def add(self, message: Message) -> None:
+        """Add a message; ignored after the end."""
+        with self._changed:
+            if self._waits:
+                self._changed.wait_for(lambda: self._ended or len(self._queue) < self._max_queued)
+            if self._ended:
+                return
+            if len(self._queue) >= self._max_queued:
+                victim = next((queued for queued in self._queue if queued.droppable), self._queue[0])
+                self._queue.remove(victim)
+                self.dropped += 1
+            self._queue.append(message)
+            self._changed.notify_all()
+
+    def take(self) -> Message | None:
+        """Take the oldest message, waiting for one; None after the end."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._queue or self._ended)
+            message = self._queue.popleft() if self._queue else None
+            self._changed.notify_all()
+            return message
+
+    def end(self, discard: bool = False) -> None:
+        """Accept no more messages."""
+        with self._changed:
+            self._ended = True
+            if discard:
+                self._queue.clear()
+            self._changed.notify_all()
