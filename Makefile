@@ -52,7 +52,8 @@ test-nightly: setup
 
 # What depends on the versions of NumPy and Blender: all devices, the simulation, and the demonstration.
 test-twin: setup
-	$(BIN)/python -m pytest -m $(QUICK) $(PARALLEL) tests/conformance tests/sim tests/cli/test_demo.py
+	$(BIN)/python -m pytest -m $(QUICK) $(PARALLEL) tests/conformance tests/sim
+	$(BIN)/python -m pytest -m 'not nightly' tests/cli/test_demo.py
 
 # All that takes hours; with -k, the others follow where one fails.
 nightly: SECONDS = 300

@@ -6,6 +6,7 @@ import fcntl
 import json
 import os
 import signal
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -56,7 +57,14 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark as `whole` what asks for the demonstration, and all but the first cases of `whole_after(n)`."""
+    cases = Counter[str]()
     for item in items:
+        function = item.nodeid.partition("[")[0]
+        cases[function] += 1
+        after = item.get_closest_marker("whole_after")
+        if "demo" in getattr(item, "fixturenames", ()) or (after and cases[function] > after.args[0]):
+            item.add_marker(pytest.mark.whole)
         if item.get_closest_marker("whole") or item.get_closest_marker("nightly"):
             item.add_marker(pytest.mark.slow)
 
@@ -92,9 +100,9 @@ def captures() -> Path:
     return folder
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def blender() -> Iterator[Blender]:
-    """One Blender process for the tests of a module."""
+    """One Blender process for all tests of a worker: it knows nothing but the scene it was last sent."""
     from sim.worker import Blender  # here, for most runs of a few tests need no Blender
 
     process = Blender("bench")

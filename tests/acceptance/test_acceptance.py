@@ -412,6 +412,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
+@pytest.mark.whole
 def test_the_command_judges_and_reports(folder: Path) -> None:
     bars, page = [folder / f"bar{k}.ply" for k in range(2)], folder / "verify.html"
     words = ["--standard", folder / "standard.yaml", "--spheres", *bars, "--planes", folder / "plane.npz"]

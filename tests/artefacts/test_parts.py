@@ -44,6 +44,7 @@ def in_two_groups() -> str:
     return "\n".join([*lines, "o one", *faces[:6], "o two", *faces[6:]])
 
 
+@pytest.mark.whole_after(1)
 @pytest.mark.parametrize("suffix", ["stl", "ply", "obj", "STL"])
 def test_a_part_is_read_as_one_solid(tmp_path: Path, suffix: str) -> None:
     BOX.export(tmp_path / f"part.{suffix}", file_type=suffix.lower())
@@ -54,6 +55,7 @@ def test_a_part_is_read_as_one_solid(tmp_path: Path, suffix: str) -> None:
     assert part.bounds == pytest.approx(BOX.bounds)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("text", [with_seams(), in_two_groups()], ids=["seams", "groups"])
 def test_seams_of_texture_and_groups_do_not_open_a_part(tmp_path: Path, text: str) -> None:
     (tmp_path / "part.obj").write_text(text)
@@ -73,6 +75,7 @@ def test_files_that_are_no_mesh_are_refused(tmp_path: Path) -> None:
         load_part(tmp_path / "torn.ply")
 
 
+@pytest.mark.whole_after(1)
 @pytest.mark.parametrize(
     ("name", "content"),
     [
@@ -88,12 +91,14 @@ def test_files_without_faces_are_refused(tmp_path: Path, name: str, content: byt
         load_part(tmp_path / name)
 
 
+@pytest.mark.whole
 def test_empty_files_are_called_empty(tmp_path: Path) -> None:
     (tmp_path / "empty.stl").write_bytes(b"")
     with pytest.raises(ConfigError, match=r"empty\.stl: is empty; export the mesh again"):
         load_part(tmp_path / "empty.stl")
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 @pytest.mark.parametrize("suffix", ["stl", "ply", "obj"])
 def test_corners_that_are_not_finite_are_refused(tmp_path: Path, suffix: str, value: float) -> None:

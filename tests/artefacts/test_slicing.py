@@ -110,6 +110,7 @@ def test_corners_of_a_staircase_are_half_a_layer_off() -> None:
         assert distances(stairs, drawn) == pytest.approx(LAYER / 2 * np.cos(np.pi / 4), abs=1e-9)
 
 
+@pytest.mark.whole_after(1)
 @pytest.mark.parametrize(("layer", "bead"), [(LAYER, 0.0), (2.0, 0.2)])
 @pytest.mark.parametrize("name", artefacts.NAMES)
 def test_artefacts_are_one_solid_close_to_the_drawn_one(

@@ -59,6 +59,7 @@ def test_without_effects_the_light_is_the_worlds(world: World, blender: Blender,
     assert np.abs(other / one - 1.0).mean() < 1e-3
 
 
+@pytest.mark.nightly
 def test_the_falloff_is_that_of_the_projectors_image(world: World, blender: Blender, plain: Light) -> None:
     effects = Effects(SEED, projector=Falloff(0.2, (0.1, -0.2), (0.03, -0.02)))
     hidden, show = HiddenLight(world, blender, effects), Show(white(world), 0)
@@ -114,6 +115,7 @@ def test_the_print_of_a_bent_board_moves_with_it(world: World, blender: Blender,
     assert one.sum() == pytest.approx(other.sum(), rel=0.01)
 
 
+@pytest.mark.whole
 def test_grain_is_the_boards(world: World, blender: Blender) -> None:
     """The same places are dark in both poses, as strong as stated."""
     light = HiddenLight(world, blender, Effects(SEED, board=Print(mottle=0.05, mottle_mm=5.0)))

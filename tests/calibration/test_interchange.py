@@ -161,6 +161,7 @@ def test_intrinsics_and_extrinsics_may_stand_apart(tmp_path: Path) -> None:
     same(from_opencv([inner, outer], **TOLD), from_opencv([write(tmp_path / "one.yml", STEREO)], **TOLD))
 
 
+@pytest.mark.whole
 def test_each_device_may_have_a_file(tmp_path: Path) -> None:
     devices = [
         write(
@@ -187,6 +188,7 @@ def test_single_precision_and_fewer_coefficients_are_taken(tmp_path: Path) -> No
     np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-15)
 
 
+@pytest.mark.whole_after(6)
 @pytest.mark.parametrize(
     ("changes", "words"),
     [

@@ -49,6 +49,7 @@ def test_without_noise_parameters_and_poses_are_exact() -> None:
         np.testing.assert_allclose(pose_found.matrix, pose_true.matrix, atol=2e-3)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("centre", [(905, 1300), (2000, 570)])
 def test_a_lens_shifted_beyond_the_edge_is_found(centre: tuple[int, int]) -> None:
     shifted = Pinhole.from_focal((1824, 1140), (2600, 2600), centre)
@@ -59,6 +60,7 @@ def test_a_lens_shifted_beyond_the_edge_is_found(centre: tuple[int, int]) -> Non
     assert found.calibration.rms_px["projector"] < 0.05
 
 
+@pytest.mark.whole
 def test_the_error_in_unseen_poses_is_a_little_more_than_the_noise() -> None:
     found = characterise(observed(poses(8), noise_px=0.1), BOARD, CAMERA.size, SQUARE.size)
     assert found.leave_one_out_px is not None
@@ -74,6 +76,7 @@ def test_three_poses_give_a_result_but_no_error_in_unseen_poses() -> None:
     assert found.calibration.rms_px["joint"] < 0.04
 
 
+@pytest.mark.whole
 def test_a_few_gross_errors_do_not_spoil_the_result() -> None:
     clean = observed(poses(8), noise_px=0.05)
     spoiled = [replace(o, camera_px=o.camera_px.copy()) for o in clean]
@@ -88,6 +91,7 @@ def test_a_few_gross_errors_do_not_spoil_the_result() -> None:
         assert value == pytest.approx(expected[name], abs=1.2 * without.sigma[name]), name
 
 
+@pytest.mark.whole
 def test_partial_views_are_used() -> None:
     whole = observed(poses(8), noise_px=0.03)
     random = np.random.default_rng(3)
@@ -100,6 +104,7 @@ def test_partial_views_are_used() -> None:
     assert found.calibration.rms_px["joint"] == pytest.approx(0.03 * np.sqrt(2), rel=0.1)
 
 
+@pytest.mark.whole
 def test_a_board_within_its_tolerance_has_its_shape_found() -> None:
     drawn = BOARD.points()
     bend = 0.1 * (drawn[:, 0] / 30) ** 2 - 0.05
@@ -155,6 +160,7 @@ def test_normal_equations_are_those_of_the_misfit(level: DistortionModel, refine
         )
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("tolerance", [None, pytest.param(0.05, marks=pytest.mark.nightly)])
 def test_the_truth_lies_within_its_uncertainty_in_repeats(tolerance: float | None) -> None:
     """40 repeats with fresh noise and, where it is free, a freshly bent board."""

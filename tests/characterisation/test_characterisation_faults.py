@@ -21,6 +21,7 @@ from tests.support.rigs import BOARD, CAMERA, PAIR, SQUARE, observed, poses
 # Poses
 
 
+@pytest.mark.whole
 def test_a_pose_in_which_something_moved_is_left_out_and_named() -> None:
     seen = observed(poses(6), noise_px=0.05)
     moved = RigidTransform.from_vectors(np.array([0, 0.05, 0]), np.array([2.0, 0, 0]))
@@ -33,6 +34,7 @@ def test_a_pose_in_which_something_moved_is_left_out_and_named() -> None:
     assert found.calibration.rms_px["joint"] < 0.08
 
 
+@pytest.mark.whole
 def test_a_board_that_moved_while_it_was_taken_is_named() -> None:
     seen = observed(poses(8), noise_px=0.03)
     still = characterise(seen, BOARD, CAMERA.size, SQUARE.size, level=DistortionModel.K2)
@@ -76,6 +78,7 @@ def test_poses_tilted_too_little_are_refused_with_the_doubt_they_leave() -> None
         characterise(observed(nearly, noise_px=0.3), BOARD, CAMERA.size, SQUARE.size)
 
 
+@pytest.mark.whole
 def test_parallel_poses_are_refused_as_such() -> None:
     parallel = [pose((25, -10, 5), (x, y, 250)) for x, y in ((-20, 0), (0, 10), (10, -5), (20, 5), (5, 0))]
     with pytest.raises(CalibrationError, match=r"parallel.*tilted by 20° or more"):
@@ -91,6 +94,7 @@ def spoiled(observations: list[Observation], index: int, device: str, rows: Any,
     observations[index] = replace(observations[index], **{f"{device}_px": pixels})
 
 
+@pytest.mark.whole
 def test_points_in_a_wrong_place_are_rejected_with_a_reason() -> None:
     clean = observed(poses(8), noise_px=0.05)
     seen = list(clean)
@@ -114,12 +118,14 @@ def test_points_in_a_wrong_place_are_rejected_with_a_reason() -> None:
     assert found.leave_one_out_px["camera"] < 0.09
 
 
+@pytest.mark.whole
 def test_noise_alone_rejects_nothing() -> None:
     found = characterise(observed(poses(8), noise_px=0.2), BOARD, CAMERA.size, SQUARE.size)
     assert found.rejected == ()
     assert found.points == 8 * 52
 
 
+@pytest.mark.whole
 def test_no_more_than_a_share_of_a_pose_is_rejected_and_the_worst_first() -> None:
     seen = observed(poses(8), noise_px=0.05)
     spoiled(seen, 3, "camera", slice(0, 8), (0.8, 0.0))
@@ -152,6 +158,7 @@ def spread_poses(tilts: list[tuple[float, float]], depths: tuple[float, ...] = (
 WELL_TILTED = [(25.0, 5.0), (-25.0, 8.0), (4.0, 28.0), (-3.0, -27.0)]
 
 
+@pytest.mark.whole
 def test_well_spread_poses_cause_no_warning() -> None:
     assert warned(spread_poses(WELL_TILTED)) == ""
 
@@ -160,16 +167,19 @@ def test_small_tilts_are_warned_of() -> None:
     assert "no board is tilted by more than 10°" in warned(spread_poses([(9, 1), (-9, 2), (2, 9), (0, -10)]))
 
 
+@pytest.mark.whole
 def test_tilts_that_are_alike_are_warned_of() -> None:
     found = warned(spread_poses([(25, 5), (32, 9), (28, -4), (22, 6)]))
     assert "tilted alike" in found
     assert "no board is tilted" not in found
 
 
+@pytest.mark.whole
 def test_distances_that_are_alike_are_warned_of() -> None:
     assert "the same distance, 2" in warned(spread_poses(WELL_TILTED, (249.0, 250.0, 251.0)))
 
 
+@pytest.mark.whole
 def test_bare_parts_of_the_image_are_named() -> None:
     aside = np.array([12.0, 0, 0])
     held = [RigidTransform(T.rotation, T.translation + aside) for T in spread_poses(WELL_TILTED)]
@@ -185,6 +195,7 @@ def test_bare_parts_of_the_image_are_named() -> None:
 # Mistakes
 
 
+@pytest.mark.whole_after(2)
 @pytest.mark.parametrize(
     ("wrong", "cause"),
     [

@@ -42,6 +42,7 @@ def test_the_command_knows_every_level() -> None:
     assert [str(name) for name in ModelName] == [*DistortionModel, "auto"]
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("level", list(DistortionModel))
 def test_a_level_frees_its_terms_alone(level: DistortionModel) -> None:
     found = characterise(seen_with(TRUTHS["k1"]), BOARD, CAMERA.size, SQUARE.size, level=level)
@@ -55,6 +56,7 @@ def test_a_level_frees_its_terms_alone(level: DistortionModel) -> None:
     assert found.calibration.rms_px["camera"] == pytest.approx(0.02 * np.sqrt(2), rel=0.1)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("truth", list(TRUTHS))
 def test_the_default_holds_every_lens_up_to_k3_and_rational_the_rest(truth: str) -> None:
     level = DistortionModel.RATIONAL if truth == "rational" else "auto"
@@ -67,6 +69,7 @@ def test_the_default_holds_every_lens_up_to_k3_and_rational_the_rest(truth: str)
     assert found.calibration.rms_px["camera"] == pytest.approx(0.02 * np.sqrt(2), rel=0.1)
 
 
+@pytest.mark.whole
 def test_every_level_is_tried_and_the_default_is_kept() -> None:
     found = characterise(seen_with(TRUTHS["k3"])[:8], BOARD, CAMERA.size, SQUARE.size, level="auto")
     assert found.level is DistortionModel.K3
@@ -78,6 +81,7 @@ def test_every_level_is_tried_and_the_default_is_kept() -> None:
     assert found.calibration.rms_px == pytest.approx(trial.fitted_px)
 
 
+@pytest.mark.whole
 def test_the_result_names_the_model_and_what_else_was_tried() -> None:
     found = characterise(seen_with(TRUTHS["k2"])[:8], BOARD, CAMERA.size, SQUARE.size, level="auto")
     summary = found.summary()
@@ -92,6 +96,7 @@ def test_the_result_names_the_model_and_what_else_was_tried() -> None:
     assert "px in poses left out" in facts["Error with k1"]
 
 
+@pytest.mark.whole
 def test_three_poses_leave_none_to_judge_by_and_the_result_says_so() -> None:
     few = seen_with(TRUTHS["k1"])[:3]
     found = characterise(few, BOARD, CAMERA.size, SQUARE.size)
@@ -118,6 +123,7 @@ def test_fits_without_a_pose_are_those_of_the_other_poses() -> None:
         assert at_once == pytest.approx(moved, rel=0.05, abs=0.05 * found.sigma[f"{device}.fx"])
 
 
+@pytest.mark.whole
 def test_the_board_is_refined_as_asked() -> None:
     drawn, tight = BOARD.points(), BOARD.model_copy(update={"tolerance_mm": 0.05})
     seen = seen_with(TRUTHS["k1"])[:6]

@@ -78,6 +78,7 @@ def five() -> Guide:
     return guided(5)
 
 
+@pytest.mark.whole
 def test_a_moved_board_is_far_from_what_is_predicted_and_a_good_one_is_not(five: Guide) -> None:
     guide = deepcopy(five)
     pose = guide.wanted().T_camera_target

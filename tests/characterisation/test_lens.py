@@ -10,6 +10,7 @@ from fpplab.characterisation.lens import breathes
 from tests.support.breathing_lens import breathing, fitted, scales
 
 
+@pytest.mark.whole
 def test_a_lens_that_breathes_is_named_and_a_locked_one_is_not() -> None:
     grown = 5e-4 * np.random.default_rng(21).standard_normal(9)
     found, sigmas = scales(fitted(breathing(5e-4, 21)))

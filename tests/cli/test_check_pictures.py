@@ -5,11 +5,14 @@ from __future__ import annotations
 import html
 from pathlib import Path
 
+import pytest
+
 from fpplab.core import config
 from tests.support.commands import Command
 from tests.support.faulty_rig import formula_rig
 
 
+@pytest.mark.whole
 def test_pictures_are_numbered_as_the_findings_rank(fpplab: Command, tmp_path: Path) -> None:
     rig = tmp_path / "rig.yaml"
     rig.write_text(config.dump(formula_rig("projector_focus", 2).file))

@@ -34,6 +34,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory, cloud: Cloud) -> Path:
     return path
 
 
+@pytest.mark.whole
 def test_a_mesh_that_stands_elsewhere_is_said_first(fpplab: Command, folder: Path) -> None:
     done = fpplab("compare", folder / "cloud.ply", folder / "aside.stl")
     assert done.code == 0, done.err
@@ -46,6 +47,7 @@ def test_a_mesh_that_stands_elsewhere_is_said_first(fpplab: Command, folder: Pat
     assert told.json["alignment"] is None
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("words", "end"), [(("there.stl",), ", not aligned"), (("aside.stl", "--align"), ", aligned")]
 )

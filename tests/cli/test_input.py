@@ -175,6 +175,7 @@ def test_unknown_benchmark_lists_the_known() -> None:
     assert "decode" in json.loads(done.stdout)["error"]
 
 
+@pytest.mark.whole
 def test_help_teaches_every_command() -> None:
     folders = (ROOT / "fpplab/cli/commands", ROOT / "sim/commands")
     files = [path for folder in folders for path in folder.glob("[a-z]*.py")]

@@ -21,6 +21,7 @@ MOMENTS = [n / 20 for n in range(20)]
 PROGRAM = [sys.executable, "-m", "fpplab"]
 
 
+@pytest.mark.whole
 def test_a_signal_at_any_moment_of_a_short_command() -> None:
     """Before the first line of the program Python answers itself: by its death, or showing where it was."""
     begun, codes = time.monotonic(), []
@@ -111,6 +112,7 @@ def test_names_that_no_file_can_have(fpplab: Command, option: str, tmp_path: Pat
     assert none.json["error"] == "odd?.yaml: is not text in UTF-8; rename the file"
 
 
+@pytest.mark.whole
 def test_the_working_directory_holds_no_libraries(tmp_path: Path) -> None:
     for name in ("typer", "numpy", "mine"):
         (tmp_path / f"{name}.py").write_text("raise SystemExit('imported')\n", encoding="utf-8")

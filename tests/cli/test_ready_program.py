@@ -14,6 +14,7 @@ from tests.support.commands import ROOT, run
 from tests.support.ready_program import ReadyProgram
 
 
+@pytest.mark.whole_after(2)
 @pytest.mark.parametrize("words", [["--version"], ["rubbish"], ["plan", "show", "none.yaml"], ["artefact"]])
 def test_the_same_answer(words: list[str], tmp_path: Path) -> None:
     alone = subprocess.run(
@@ -29,6 +30,7 @@ def test_a_file_is_written_where_the_command_runs(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["pyramid.stl"]
 
 
+@pytest.mark.whole
 def test_a_command_can_be_killed_and_the_next_one_runs(tmp_path: Path) -> None:
     ready, given = ReadyProgram(ROOT), dict(os.environ)
     words = ["artefact", "pyramid", "--out", "pyramid.stl"]

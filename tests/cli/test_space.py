@@ -123,6 +123,7 @@ def test_imported_images_that_do_not_fit_are_refused(tmp_path: Path, monkeypatch
     assert import_images(*words, projector_size=(64, 48)).missing() == []
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("words", "out"),
     [

@@ -115,6 +115,7 @@ def test_wrong_item_that_is_not_mounted_yet(fpplab: Command, tmp_path: Path) -> 
     assert {path.name for path in tmp_path.iterdir()} == {"bench"}
 
 
+@pytest.mark.whole
 def test_a_part_of_ones_own_is_scanned_from_another_folder(fpplab: Command, tmp_path: Path) -> None:
     """Rig, world and part lie together; a cache that cannot be written is only told of."""
     rig = bench(tmp_path / "bench")

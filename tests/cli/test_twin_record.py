@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from fpplab.sessions.session import Session
 from tests.cli.test_twin_input import bench
 from tests.support.commands import Command
 
 
+@pytest.mark.whole
 def test_a_scan_with_chosen_fringes_replaces_another_only_when_told(fpplab: Command, tmp_path: Path) -> None:
     rig, out = bench(tmp_path / "rig"), tmp_path / "scan"
     call = ("twin", "record", "--rig", rig, "--stripes", 8, "--steps", 3, "--out", out)

@@ -39,6 +39,7 @@ def saved(calibration: Calibration, path: Path) -> Path:
     return path
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("suffix", [".ply", ".npz"])
 def test_the_cloud_carries_its_uncertainty(
     fpplab: Command, session: Path, tmp_path: Path, suffix: str

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from fpplab.devices import CameraSettings, Frame
 from fpplab.sessions.session import Session
 from tests.support.commands import Command, Outcome
@@ -22,6 +24,7 @@ def reconstructed(fpplab: Command, bench: Bench, folder: Path) -> Outcome:
     return fpplab("reconstruct", folder / "session", *words, "--json")
 
 
+@pytest.mark.whole
 def test_a_good_session_is_good(fpplab: Command, tmp_path: Path) -> None:
     done = reconstructed(fpplab, healthy(101), tmp_path)
     assert done.code == 0, done.err

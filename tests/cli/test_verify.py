@@ -46,6 +46,7 @@ def bench(fpplab: Command, tmp_path_factory: pytest.TempPathFactory) -> Bench:
     return Bench(folder, standard, calibration, done.json)
 
 
+@pytest.mark.whole
 def test_positions_and_the_fits_errors_were_shown(bench: Bench) -> None:
     shown = Recording(bench.folder / "verify.rrd")
     assert shown.frames("world/camera/image")
@@ -87,6 +88,7 @@ def test_the_report_shows_every_position(bench: Bench) -> None:
     assert "://" not in page
 
 
+@pytest.mark.whole
 def test_recorded_sessions_and_clouds_give_the_same(fpplab: Command, bench: Bench) -> None:
     scans = bench.folder / "verify_scans"
     bars = [scans / BARS[0], scans / BARS[1] / "cloud.ply"]

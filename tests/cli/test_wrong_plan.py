@@ -64,6 +64,7 @@ def test_a_plan_is_guessed_used_and_found_out(fpplab: Command, tmp_path: Path) -
     assert taken.code == 0, taken.err
 
 
+@pytest.mark.whole
 def test_a_stack_with_white_and_black_images_is_guessed_and_imported(fpplab: Command, tmp_path: Path) -> None:
     plan = plan_of("x", (4, 4, 6), (1, 8, 48))
     frames = list(Bench(plan=plan, seed=76, bits=12).recording().frames)
@@ -97,6 +98,7 @@ def test_a_depth_that_no_camera_has_is_refused(fpplab: Command, tmp_path: Path) 
     assert not (tmp_path / "plan.yaml").exists()
 
 
+@pytest.mark.whole
 def test_images_out_of_step_are_told_at_import_and_can_be_taken_as_they_are(
     fpplab: Command, tmp_path: Path
 ) -> None:
@@ -120,6 +122,7 @@ def test_images_out_of_step_are_told_at_import_and_can_be_taken_as_they_are(
     assert "show each other's pattern" not in taken.err
 
 
+@pytest.mark.whole
 def test_gray_code_behind_phase_images_is_named_at_import_and_left_out(
     fpplab: Command, tmp_path: Path
 ) -> None:
@@ -141,6 +144,7 @@ def test_gray_code_behind_phase_images_is_named_at_import_and_left_out(
     assert skipped.json["warnings"] == []
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("fields", "told"),
     [
@@ -162,6 +166,7 @@ def test_a_reconstruction_by_a_wrong_plan_is_useless(
     assert told in done["findings"][0]["evidence"]
 
 
+@pytest.mark.whole
 def test_a_sign_that_is_wrong_throughout_is_named_by_the_calibration(fpplab: Command, tmp_path: Path) -> None:
     bench = Bench(plan=plan_of("x", (4, 4, 6), (1, 8, 48)), seed=74)
     sets = tuple(s.model_copy(update={"shift_sign": -1}) for s in bench.plan.fringes)

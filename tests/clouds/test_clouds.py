@@ -144,6 +144,7 @@ def test_missing_files_and_unknown_suffixes_are_refused(tmp_path: Path) -> None:
         save_cloud(a_cloud(), tmp_path / "cloud.stl")
 
 
+@pytest.mark.whole
 def test_a_mesh_file_without_faces_is_refused(tmp_path: Path) -> None:
     save_cloud(a_cloud(), tmp_path / "cloud.ply")
     with pytest.raises(DataError, match=r"cloud\.ply"):
@@ -153,6 +154,7 @@ def test_a_mesh_file_without_faces_is_refused(tmp_path: Path) -> None:
         load_mesh(tmp_path / "noise.stl")
 
 
+@pytest.mark.whole_after(1)
 @pytest.mark.parametrize("suffix", ["stl", "ply", "obj"])
 def test_meshes_are_read_by_suffix(tmp_path: Path, suffix: str) -> None:
     box = trimesh.creation.box((2.0, 3.0, 4.0))

@@ -41,6 +41,7 @@ def test_text_without_a_last_newline_is_read(tmp_path: Path) -> None:
     assert load_cloud(path).points.tolist() == [[0, 0, 0], [1, 2, 3]]
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("corner", [7, -1])
 def test_a_face_with_a_corner_that_is_not_there(tmp_path: Path, corner: int) -> None:
     path = tmp_path / "part.ply"

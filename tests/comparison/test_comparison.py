@@ -142,6 +142,7 @@ def test_inclination_and_facing_are_those_of_the_view() -> None:
     assert facing.sum() == 4
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("name", artefacts.NAMES)
 def test_perfect_measurement_scores_the_floor_and_no_surface_distance(name: str) -> None:
     result = compare(perfect_cloud(placed(name)), placed(name), CALIBRATION, density=20.0)
@@ -156,6 +157,7 @@ def test_perfect_measurement_scores_the_floor_and_no_surface_distance(name: str)
     assert 0.25 < result.visible_share < 0.5
 
 
+@pytest.mark.whole
 def test_noise_shows_in_every_figure_as_it_should() -> None:
     noise = 0.08
     cloud = perfect_cloud(placed("pyramid"), noise)
@@ -218,6 +220,7 @@ def test_without_calibration_the_front_counts_and_the_result_says_so() -> None:
     assert result.completeness > 0.95
 
 
+@pytest.mark.whole
 def test_what_lies_outside_of_the_images_is_told() -> None:
     aside = placed("pyramid").apply_translation([90.0, 0.0, 0.0])
     result = compare(perfect_cloud(aside), aside, CALIBRATION, density=20.0)
@@ -243,6 +246,7 @@ def test_a_cloud_without_pixels_has_no_surface_figure() -> None:
     assert result.completeness > 0.5
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("name", ["pyramid", pytest.param("pillars", marks=pytest.mark.nightly)])
 def test_alignment_finds_the_mesh_from_far(name: str) -> None:
     cloud = perfect_cloud(placed(name), 0.01)
@@ -254,6 +258,7 @@ def test_alignment_finds_the_mesh_from_far(name: str) -> None:
     assert set(aligned.alignment.summary()) == {"rotation_deg", "translation_mm", "rms_um", "iterations"}
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("seed", [6, pytest.param(22, marks=pytest.mark.nightly)])
 def test_alignment_does_not_take_the_wrong_side_of_a_plate(seed: int) -> None:
     """With these seeds the axes alone bring the cloud nearer to the plate's back, from every side."""
@@ -272,6 +277,7 @@ def test_refinement_counts_its_iterations(off_mm: float, rounds: int, iterations
     assert refine_pose(points, target, start, rounds)[1] == iterations
 
 
+@pytest.mark.whole
 def test_alignment_corrects_a_small_motion_exactly() -> None:
     mesh = placed("pillars")
     motion = RigidTransform.from_vectors(np.array([0.01, -0.02, 0.015]), np.array([0.5, -0.4, 0.3]))
@@ -296,6 +302,7 @@ def test_alignment_finds_a_printed_part_from_far() -> None:
     np.testing.assert_allclose(found.translation, true.translation, atol=0.1)
 
 
+@pytest.mark.whole
 def test_alignment_to_something_else_is_refused() -> None:
     ball = np.random.default_rng(0).normal(size=(3000, 3))
     ball = 200.0 * ball / np.linalg.norm(ball, axis=1)[:, None] + [0, 0, 600]

@@ -65,6 +65,7 @@ def test_scale_is_found_to_its_uncertainty(name: str, ppm: float) -> None:
     assert 30 < found.spread_mm < 36  # of a plate of 90 x 70 mm: 32.9
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("common_mm", [0.0, 0.01])
 @pytest.mark.parametrize("name", artefacts.NAMES)
 def test_the_scale_s_uncertainty_covers_its_errors(name: str, common_mm: float) -> None:
@@ -84,6 +85,7 @@ def test_a_plane_and_a_single_sphere_have_no_scale() -> None:
     assert CELLS_ACROSS >= 8
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", [*artefacts.NAMES, "ball_bar"])
 def test_lengths_are_measured_to_their_uncertainty(name: str) -> None:
     shape = artefacts.artefact_types()[name]()
@@ -101,6 +103,7 @@ def test_lengths_are_measured_to_their_uncertainty(name: str) -> None:
     assert 0.6 < np.sqrt(np.mean(np.square(errors))) < 1.6
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("name", [*artefacts.NAMES, "ball_bar"])
 def test_true_lengths_are_those_of_the_mesh(name: str) -> None:
     """Without noise the features fitted to the mesh's own surface give the stated values."""
@@ -110,6 +113,7 @@ def test_true_lengths_are_those_of_the_mesh(name: str) -> None:
         assert found.measured_mm == pytest.approx(found.true_mm, abs=1e-3 if name == "ball_bar" else 1e-6)
 
 
+@pytest.mark.whole
 def test_a_scale_error_is_told_where_the_distance_hides_it() -> None:
     """Distances rise by less than a fifth, while the points are moved by 66 µm."""
     artefact = recognise(artefacts.make("steps"))
@@ -138,6 +142,7 @@ def test_a_scale_error_is_told_where_the_distance_hides_it() -> None:
     assert plain["lengths"][-1]["true_mm"] == 20.0  # type: ignore[index]
 
 
+@pytest.mark.whole
 def test_shear_shows_in_the_diagonals_of_the_pyramid() -> None:
     """A shear of 1e-3 within the plate leaves sides as they are and changes 100 mm of diagonal by ± 48 µm."""
     points, camera = in_artefact(noisy(perfect_cloud(placed("pyramid")).points.astype(np.float64), 3))
@@ -170,6 +175,7 @@ def test_without_alignment_there_is_neither_scale_nor_length() -> None:
     assert (found.scale, found.lengths, found.warnings()) == (None, (), [])
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("name", artefacts.artefact_types())
 def test_an_artefact_is_recognised_wherever_it_stands(name: str, tmp_path: Path) -> None:
     pose = RigidTransform.from_vectors(np.array([0.4, -2.0, 0.3]), np.array([10.0, -20.0, 450.0]))
@@ -196,6 +202,7 @@ def test_the_command_gives_scale_lengths_and_warnings(tmp_path: Path) -> None:
     assert "ppm" in shown.stdout
 
 
+@pytest.mark.whole
 def test_another_part_is_not_recognised() -> None:
     assert recognise(artefacts.make("steps", {"heights": (5.0, 10.0, 15.0, 20.0, 25.1)})) is None
     assert recognise(trimesh.creation.box((10.0, 20.0, 30.0))) is None

@@ -30,6 +30,7 @@ def test_memory_is_used_again_once_the_last_view_is_gone() -> None:
     assert buffers.empty(5 * COUNT - 3, np.int32).ctypes.data == place
 
 
+@pytest.mark.whole
 def test_what_is_far_too_large_is_not_taken() -> None:
     place = buffers.empty(10 * COUNT).ctypes.data
     assert buffers.empty(COUNT).ctypes.data != place
@@ -44,6 +45,7 @@ def test_no_more_is_kept_than_allowed(monkeypatch: pytest.MonkeyPatch) -> None:
     assert buffers.kept_bytes() <= 3 * held.nbytes
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     "size", [0, 1, direct.STAGED_BYTES, direct.STAGED_BYTES + 4097, 3 * direct.STAGED_BYTES - 1]
 )

@@ -113,6 +113,7 @@ def test_a_plugin_that_lacks_its_library(monkeypatch: pytest.MonkeyPatch) -> Non
         load_plugin(COMMANDS, "x")
 
 
+@pytest.mark.whole
 def test_a_command_that_lacks_its_library(fpplab: Command, tmp_path: Path) -> None:
     (tmp_path / "sitecustomize.py").write_text("import sys\nsys.modules['rerun'] = None\n", encoding="utf-8")
     path = f"{Path(__file__).parents[2]}:{tmp_path}:{':'.join(sys.path)}"

@@ -41,6 +41,7 @@ def test_what_nests_without_end_ends_the_reader_alone(tmp_path: Path) -> None:
         read_apart("opencv", path)
 
 
+@pytest.mark.whole
 def test_a_reader_gets_no_more_memory_than_files_of_such_a_size_need(tmp_path: Path) -> None:
     path = tmp_path / "many.stl"
     path.write_bytes(b"\0" * 80 + struct.pack("<I", 0xFFFFFFFF) + b"\0" * 50)
@@ -65,6 +66,7 @@ def test_a_reader_that_does_not_end_is_ended(tmp_path: Path, monkeypatch: pytest
         read_apart("stl", tmp_path / "ball.stl")
 
 
+@pytest.mark.whole
 def test_a_reader_does_not_import_from_the_working_directory(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -100,6 +100,7 @@ except KeyboardInterrupt:
 }
 
 
+@pytest.mark.whole_after(2)
 @pytest.mark.parametrize("moment", MOMENTS)
 def test_an_interruption_stops_the_work_once(moment: str, tmp_path: Path) -> None:
     (tmp_path / "slow.py").write_text(
@@ -112,6 +113,7 @@ def test_an_interruption_stops_the_work_once(moment: str, tmp_path: Path) -> Non
     assert (done.stdout, done.stderr) == ("stopped\n", "")
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_at_the_end_of_the_process(number: signal.Signals) -> None:
     code = f"{BEGIN}\nimport atexit\natexit.register(lambda: (print('end', flush=True), time.sleep(20)))\n"

@@ -87,6 +87,7 @@ def test_without_limits_nothing_is_judged() -> None:
     assert [one.split(":")[0] for one in found.unknown] == ["PF", "PS", "SD", "F"]
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("scale", "verdict"),
     [(1.001, Verdict.DOUBTFUL), (0.999, Verdict.DOUBTFUL), (1.003, Verdict.USELESS), (0.98, Verdict.USELESS)],
@@ -123,6 +124,7 @@ def test_spheres_too_large_at_a_right_spacing() -> None:
     assert "60.0 µm are left when the scale is taken out" in found.reason
 
 
+@pytest.mark.whole
 def test_the_command_ends_with_4_where_the_system_is_useless(tmp_path: Path) -> None:
     (tmp_path / "standard.yaml").write_text(config.dump(standard(positions=ENOUGH)))
     words: list[object] = ["--standard", tmp_path / "standard.yaml", "--spheres"]
@@ -142,6 +144,7 @@ def test_the_command_ends_with_4_where_the_system_is_useless(tmp_path: Path) -> 
     assert "lengths are wrong by +2.0" in page
 
 
+@pytest.mark.whole
 def test_the_command_says_the_verdict_first(tmp_path: Path) -> None:
     (tmp_path / "standard.yaml").write_text(config.dump(standard(positions=ENOUGH)))
     save_cloud(bar(), tmp_path / "bar.ply")

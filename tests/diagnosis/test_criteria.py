@@ -22,6 +22,7 @@ def judged(bench: Bench) -> Diagnosis:
     return diagnose_scan(recording, decoded, cloud, bench.calibration)
 
 
+@pytest.mark.whole
 def test_a_good_scan_meets_every_criterion_and_says_so() -> None:
     found = judged(healthy(700))
     assert found.verdict is Verdict.GOOD
@@ -32,6 +33,7 @@ def test_a_good_scan_meets_every_criterion_and_says_so() -> None:
     assert {"name", "value", "unit", "met"} < set(told[0])
 
 
+@pytest.mark.whole
 def test_noise_of_the_coordinate_is_that_of_the_plan_on_a_white_surface() -> None:
     """A quarter of the light on a camera whose noise is that of photons: twice the noise, and no less."""
     bench = replace(healthy(701), flicker=0.0)
@@ -42,6 +44,7 @@ def test_noise_of_the_coordinate_is_that_of_the_plan_on_a_white_surface() -> Non
     assert by_name[1]["uncertainty"] / by_name[0]["uncertainty"] == pytest.approx(2.0, rel=0.15)
 
 
+@pytest.mark.whole
 def test_a_calibration_of_another_time_misses_the_criterion_of_epipolar_lines() -> None:
     found = judged(faulty("stale_calibration", 702))
     missed = {one.name: one for one in found.criteria if not one.is_met}
@@ -49,6 +52,7 @@ def test_a_calibration_of_another_time_misses_the_criterion_of_epipolar_lines() 
     assert "at most 0.3 px" in missed["epipolar_residual"].sentence
 
 
+@pytest.mark.whole
 def test_a_scan_without_findings_that_misses_a_criterion_is_doubtful(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fpplab.diagnosis.criteria.MOST_NOISE", 0.1)
     found = judged(healthy(703))
@@ -57,6 +61,7 @@ def test_a_scan_without_findings_that_misses_a_criterion_is_doubtful(monkeypatch
     assert found.reason.startswith("the noise of the coordinate")
 
 
+@pytest.mark.whole
 def test_criteria_are_kept_with_the_verdict(tmp_path: Path) -> None:
     found = judged(healthy(704))
     save_diagnosis(found, tmp_path)

@@ -84,6 +84,7 @@ GOOD: list[Fault] = [
 FIRST = [(cause, faults[0]) for cause, faults in FAULTS.items()]
 
 
+@pytest.mark.whole_after(1)
 @pytest.mark.parametrize(("cause", "fault"), FIRST, ids=lambda x: str(x)[:40])
 def test_a_fault_is_named_first(cause: FaultCause, fault: Fault) -> None:
     found = diagnosis(replace(Bench(seed=11), **fault))
@@ -91,6 +92,7 @@ def test_a_fault_is_named_first(cause: FaultCause, fault: Fault) -> None:
     assert found.findings[0].cause is cause
 
 
+@pytest.mark.whole_after(1)
 @pytest.mark.parametrize("bench", GOOD[:4], ids=str)
 def test_a_good_bench_has_no_findings(bench: Fault) -> None:
     found = diagnosis(replace(Bench(seed=12), **bench))
@@ -147,11 +149,13 @@ PAIRS = [
 ]
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(("one", "other", "expected"), PAIRS, ids=lambda x: str(x)[:40])
 def test_two_faults_are_both_named(one: Fault, other: Fault, expected: tuple[FaultCause, ...]) -> None:
     assert set(causes(replace(Bench(seed=13), **one, **other))) >= set(expected)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     "fault", [{"lamp": 0.0}, {"projector_blur_px": 6.0}, {"camera_blur_px": 7.0}], ids=str
 )
@@ -167,17 +171,20 @@ def test_a_result_that_nobody_should_use_is_refused(fault: Fault) -> None:
     assert (str(again), again.details) == (str(refused.value), found.summary())
 
 
+@pytest.mark.whole
 def test_what_one_axis_cannot_tell_is_said() -> None:
     assert diagnosis(Bench()).unknown == ("stale_calibration: fringes along one axis alone do not show it",)
     assert diagnosis(Bench(plan=plan_of("xy"))).unknown == ()
 
 
+@pytest.mark.whole
 def test_frames_alone_tell_what_is_wrong_with_them() -> None:
     found = diagnose_frames(Bench(white=1.6).recording())
     assert [finding.cause for finding in found] == [FaultCause.SATURATED]
     assert diagnose_frames(Bench().recording()) == ()
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("white", [1.2, 2.0, 4.0, 8.0])
 def test_the_advised_exposure_is_reached_in_two_steps(white: float) -> None:
     """However far too bright: one step is coarse where all images are saturated, the second is right."""
@@ -191,6 +198,7 @@ def test_the_advised_exposure_is_reached_in_two_steps(white: float) -> None:
     assert white > 0.35
 
 
+@pytest.mark.whole
 def test_devices_of_another_calibration_make_a_scan_doubtful() -> None:
     decoded, cloud, good = measured(Bench())
     assert good.verdict is Verdict.GOOD
@@ -216,6 +224,7 @@ def test_a_tiny_part_is_not_a_dark_projector() -> None:
     assert diagnose_frames(dark)[0].cause is FaultCause.PROJECTOR_DARK
 
 
+@pytest.mark.whole
 def test_poses_are_judged_by_their_frames_and_by_what_the_fit_said() -> None:
     good, bright = Bench().recording(), Bench(white=1.6).recording()
     assert diagnose_poses([("pose_0", good), ("pose_1", good)], [], {}).verdict is Verdict.GOOD
@@ -237,6 +246,7 @@ def test_one_set_on_a_small_picture_is_judged_too() -> None:
     assert diagnose_frames(small) == ()
 
 
+@pytest.mark.whole
 def test_few_of_the_lit_pixels_measured_is_doubtful_and_next_to_none_useless() -> None:
     bench = Bench()
     decoded, cloud, _ = measured(bench)

@@ -33,6 +33,7 @@ def test_the_table_of_causes_is_the_catalogue() -> None:
     assert sorted(listed) == sorted(cause.value for cause in FaultCause)
 
 
+@pytest.mark.whole_after(1)
 @pytest.mark.parametrize(
     "cause", ["harmonics", "interreflection", "wrong_resolution", "missing_colour", "bands"]
 )
@@ -40,6 +41,7 @@ def test_it_is_named_first(cause: str) -> None:
     assert of_other(faulty(cause, 202)).findings[0].cause == cause
 
 
+@pytest.mark.whole
 def test_points_that_a_mirroring_face_makes_are_useless() -> None:
     """A third of them stands where there is nothing, and all fringe sets agree on them."""
     found = of_other(faulty("interreflection", 1001))
@@ -70,6 +72,7 @@ def test_a_colour_is_missing_only_where_every_third_frame_is_dark() -> None:
     assert found.evidence.startswith("frames 2, 5, 8")
 
 
+@pytest.mark.whole
 def test_a_lattice_that_is_another_shows_in_the_focal_lengths() -> None:
     scene = Scene(seed=3)
     _, cloud, _ = measured(scene)

@@ -17,6 +17,7 @@ from tests.diagnosis.test_diagnosis import measured, of_other
 from tests.support.faulty_bench import FAULTS, faulty, healthy
 
 
+@pytest.mark.whole_after(1)
 @pytest.mark.parametrize(
     ("cause", "seed"),
     [("camera_focus", 711), ("missing_colour", 718), ("bands", 701), ("wrong_resolution", 720)],
@@ -33,6 +34,7 @@ def test_flicker_leaves_no_trace_of_a_scaled_picture() -> None:
     assert spectrum[1].max() < 0.1 * MOST_MOIRE_PX
 
 
+@pytest.mark.whole
 def test_flicker_is_seen_where_the_finest_fringes_are_next_to_lost() -> None:
     blurred = faulty("projector_focus", 731)
     both = FAULTS["flicker"](blurred, np.random.default_rng([731, 9]))
@@ -41,12 +43,14 @@ def test_flicker_is_seen_where_the_finest_fringes_are_next_to_lost() -> None:
     assert FaultCause.FLICKER not in {one.cause for one in diagnose_frames(blurred.recording())}
 
 
+@pytest.mark.whole
 def test_a_scan_with_a_scaled_picture_is_refused() -> None:
     assert of_other(faulty("wrong_resolution", 702)).verdict is Verdict.USELESS
     still = replace(faulty("wrong_resolution", 702), scale=1.0)
     assert of_other(still).verdict is Verdict.GOOD
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("lit_share", [0.15, 0.6])
 def test_no_more_points_are_counted_than_pixels_that_see_the_fringes(
     lit_share: float, monkeypatch: pytest.MonkeyPatch
@@ -62,20 +66,24 @@ def test_no_more_points_are_counted_than_pixels_that_see_the_fringes(
     assert diagnosis.criteria[0].value == pytest.approx(points / pixels, rel=1e-3)
 
 
+@pytest.mark.whole
 def test_a_bench_without_fault_shows_neither_bands_nor_a_scaled_picture() -> None:
     recording = healthy(712).recording()
     assert diagnose_frames(recording, decode(recording)) == ()
 
 
+@pytest.mark.whole
 def test_a_bent_response_shows_no_bands() -> None:
     """A row of few phases is brighter or darker by harmonics; a row of all phases is not."""
     assert [one.cause.value for one in of_other(faulty("response", 40)).findings] == ["response"]
 
 
+@pytest.mark.whole
 def test_a_weak_colour_is_told_where_contrast_differs_between_sets() -> None:
     assert of_other(faulty("missing_colour", 1206)).findings[0].cause == "missing_colour"
 
 
+@pytest.mark.whole
 def test_without_any_light_the_projector_may_be_dark_or_light_another_place() -> None:
     for cause, seed in (("projector_dark", 1301), ("no_overlap", 1309)):
         found = [one.cause.value for one in of_other(faulty(cause, seed)).findings]

@@ -140,6 +140,7 @@ def test_the_message_about_replies_is_the_programs(monkeypatch: pytest.MonkeyPat
     assert f"fpplab: {told}\n" in PAGE.read_text(encoding="utf-8")
 
 
+@pytest.mark.whole
 def test_a_plan_that_is_not_in_flash_is_refused(desk: Path) -> None:
     """As the page says of a characterisation without its plan."""
     words = "build plan_first.yaml --base DLPR350PROM.bin --out patterns.bin"

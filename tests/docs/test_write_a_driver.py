@@ -75,6 +75,7 @@ def test_the_projector_of_the_page_is_accepted_as_it_stands() -> None:
     assert backend("projector", section).state == "closed"
 
 
+@pytest.mark.nightly
 def test_the_camera_alone_passes_without_light(tmp_path: Path) -> None:
     done = run_suite(tmp_path, camera(), rig_file("rig_alone.yaml"), CAMERA_ALONE, *WITHOUT_LIGHT)
     assert done.returncode == 0, done.stdout
@@ -83,6 +84,7 @@ def test_the_camera_alone_passes_without_light(tmp_path: Path) -> None:
     assert shown in done.stdout
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("triggered", [False, True], ids=["software trigger", "hardware trigger"])
 def test_the_cameras_of_the_page_pass_the_conformance_suite(tmp_path: Path, triggered: bool) -> None:
     done = run_suite(tmp_path, camera(), emulated(triggered), ALL)
@@ -91,6 +93,7 @@ def test_the_cameras_of_the_page_pass_the_conformance_suite(tmp_path: Path, trig
     assert count(done.stdout, "skipped") == (not triggered), done.stdout
 
 
+@pytest.mark.nightly
 def test_exposures_in_microseconds_end_the_run(tmp_path: Path) -> None:
     code = camera().replace("(least_us / 1e6, most_us / 1e6)", "(least_us, most_us)")
     done = run_suite(tmp_path, code, emulated(triggered=False), ALL)
@@ -99,6 +102,7 @@ def test_exposures_in_microseconds_end_the_run(tmp_path: Path) -> None:
     assert count(done.stdout, "passed", "failed", "error") == 1, done.stdout
 
 
+@pytest.mark.nightly
 def test_a_dark_picture_is_told_with_its_exposure(tmp_path: Path) -> None:
     code = (
         camera().replace("bits=(8, 12)", "bits=(8, 16)").replace("else np.uint16)", "else np.uint16) // 50")

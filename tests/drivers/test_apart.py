@@ -29,6 +29,7 @@ def test_an_answer_comes_back() -> None:
     assert ask_apart(doubled, "ab", patience_s=60.0) == "abab"
 
 
+@pytest.mark.whole
 def test_one_that_crashes_or_blocks_gives_none(capfd: pytest.CaptureFixture[str]) -> None:
     assert ask_apart(crashing, patience_s=60.0) is None
     begin = time.monotonic()

@@ -204,6 +204,7 @@ def test_pulses_reach_only_a_camera_that_waits_for_them(camera: BaslerCamera, be
     camera.stop()
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("kept", [3, 30])
 def test_frames_stay_what_they_were(
     camera: BaslerCamera, scene: Counter, kept: int, monkeypatch: pytest.MonkeyPatch

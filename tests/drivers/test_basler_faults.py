@@ -155,6 +155,7 @@ USES: dict[str, Callable[[BaslerCamera], object]] = {
 }
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("use", USES.values(), ids=USES)
 def test_unplugged_between_two_uses(
     camera: BaslerCamera, bench: EmulatedPylon, scene: Counter, use: Callable[[BaslerCamera], object]
@@ -167,6 +168,7 @@ def test_unplugged_between_two_uses(
     assert_mended(camera, bench, scene)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("trigger", ["software", "hardware"])
 def test_unplugged_between_two_frames(
     camera: BaslerCamera, bench: EmulatedPylon, scene: Counter, trigger: Any
@@ -213,6 +215,7 @@ def test_unplugged_it_can_be_closed_and_does_not_open(camera: BaslerCamera, benc
     assert camera.state is State.CLOSED
 
 
+@pytest.mark.whole
 def test_unplugged_again_and_again_it_leaves_nothing(bench: EmulatedPylon) -> None:
     camera, held = driver(bench), []
     for _ in range(3):

@@ -71,6 +71,7 @@ def played(rig: Rig, count: int, exposure_s: float = PLAN.exposure_s, play_s: fl
     return [rig.camera.read(SOON_S).image for _ in range(count)]
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("trigger", ["stepped", "triggered"])
 @pytest.mark.parametrize("bits", [8, 12])
 @pytest.mark.parametrize("rig_on", [rig_file, on_video])
@@ -216,6 +217,7 @@ def test_each_run_begins_anew(folder: Path) -> None:
 # When the camera is ready
 
 
+@pytest.mark.whole_after(1)
 @pytest.mark.parametrize("rig_on", [rig_file, on_video])
 @pytest.mark.parametrize("dead_us", [0.0, 30.0, 100.0, 231.0, 300.0])
 def test_no_pulse_comes_before_the_camera_is_ready(
@@ -229,6 +231,7 @@ def test_no_pulse_comes_before_the_camera_is_ready(
         assert bench_of(rig).shutter.ignored == 0
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("rig_on", [rig_file, on_video])
 def test_a_readout_longer_than_the_exposure(folder: Path, rig_on: Callable[..., Rig]) -> None:
     with rig_on(folder, {"sensor": {"readout_us": 58e3}}) as rig:

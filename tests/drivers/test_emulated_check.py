@@ -50,6 +50,7 @@ def test_a_sound_bench(folder: Path, rig_on: Callable[..., Rig]) -> None:
     assert checked(rig_on(folder)).findings == ()
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("faults", "fault"),
     [
@@ -73,6 +74,7 @@ def test_no_pulse(folder: Path) -> None:
     assert "trigger cable" in finding.remedy
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     "sections",
     [{"camera": {"trigger": {"edge": "falling"}}}, {"projector": {"trigger_out_1": {"inverted": True}}}],
@@ -103,6 +105,7 @@ def test_both_edges_the_other_way_round_are_right(folder: Path) -> None:
     assert checked(rig_file(folder, **sections)).findings == ()
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(("untold_us", "dead_s"), [(300.0, 0.0007), pytest.param(4000.0, 0.0052, marks=SLOW)])
 def test_a_camera_that_is_not_ready_yet(folder: Path, untold_us: float, dead_s: float) -> None:
     """It needs more time than it tells; with the time that the check finds it is ready."""

@@ -41,6 +41,7 @@ def stepped(rig: Rig) -> dict[str, CheckedStep]:
     return {step.name: step for step in found}
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("rig_on", [rig_file, pytest.param(on_video, marks=pytest.mark.whole)])
 def test_a_sound_bench(folder: Path, rig_on: Callable[..., Rig]) -> None:
     found = stepped(rig_on(folder))
@@ -59,6 +60,7 @@ def test_the_shortest_period_is_what_the_sensor_takes(folder: Path) -> None:
     assert "5 of 10 at" in rate.seen
 
 
+@pytest.mark.whole
 def test_a_dead_time_that_is_not_told_is_found(folder: Path) -> None:
     sensor = {"sensor": {"untold_us": 1500.0}}
     rate = stepped(rig_file(folder, sensor))["rate"]
@@ -67,6 +69,7 @@ def test_a_dead_time_that_is_not_told_is_found(folder: Path) -> None:
     assert stepped(rig_file(folder, sensor, {"dead_time_s": dead_s}))["rate"].ok
 
 
+@pytest.mark.whole_after(3)
 @pytest.mark.parametrize(
     ("sections", "failing", "seen", "remedy"),
     [

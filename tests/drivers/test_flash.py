@@ -98,6 +98,7 @@ ROW = b"\0\0" + b"\0\0"
 END_OF_ALL = ROW + b"\0\1"
 
 
+@pytest.mark.whole_after(2)
 @pytest.mark.parametrize(
     ("rows", "stored"),
     [
@@ -273,6 +274,7 @@ def test_a_file_without_images_where_its_table_says(maker):
 # --- command --------------------------------------------------------------------------------------
 
 
+@pytest.mark.whole
 def test_the_command(maker, tmp_path):
     out = tmp_path / "out.bin"
     words = ["dlp4500", "build", "plan_paper.yaml", "--base", maker, "--out", out]
@@ -300,6 +302,7 @@ def test_the_command(maker, tmp_path):
     assert not out.exists()
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("change", "code", "found"),
     [

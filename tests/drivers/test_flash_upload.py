@@ -147,6 +147,7 @@ def test_power_may_fail_at_any_time(share):
     _finish(_interrupted(round(share * (len(MESSAGES) - 1))))
 
 
+@pytest.mark.whole_after(10)
 @pytest.mark.parametrize(
     "fails_at",
     [at + shift for at in (MESSAGES.index(ENTER), *ERASES, MESSAGES.index(LEAVE)) for shift in (-1, 0, 1, 2)],

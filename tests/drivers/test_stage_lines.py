@@ -67,6 +67,7 @@ def test_half_a_line_is_not_understood(line: str) -> None:
             parse_line(line[:end])
 
 
+@pytest.mark.whole
 @given(st.text(max_size=60))
 def test_any_text_is_a_line_or_refused(text: str) -> None:
     with suppress(ValueError):

@@ -270,6 +270,7 @@ def test_a_device_that_left_the_bus_comes_back_over_another_cable(monkeypatch: p
         assert second.recv(1) == b""
 
 
+@pytest.mark.whole
 def test_firmware_is_for_the_projector_alone() -> None:
     done = run("emulate", "stage", "--firmware", "x.bin")
     assert done.code == 2

@@ -37,6 +37,7 @@ def changed(data: bytes, others: list[bytes], chance: random.Random) -> bytes:
     return bytes(changes)
 
 
+@pytest.mark.whole_after(1)
 @pytest.mark.parametrize("name", TARGETS)
 def test_only_typed_errors(name: str, tmp_path: Path) -> None:
     target, chance = TARGETS[name], random.Random(1)

@@ -72,6 +72,7 @@ def test_figures_of_all_points_equal_those_of_the_comparison() -> None:
     assert found.completeness == pytest.approx(wanted.completeness, abs=1e-9)
 
 
+@pytest.mark.whole_after(2)
 @pytest.mark.parametrize("name", ["pyramid", "pillars", "steps"])
 def test_sampled_figures_differ_within_their_stated_spread(name: str) -> None:
     cloud = perfect_cloud(placed(name), noise_mm=0.05)

@@ -50,6 +50,7 @@ def evaluator(wanted: Study) -> Iterator[SampledEvaluator]:
         yield opened
 
 
+@pytest.mark.whole
 def test_predicted_scores_are_those_of_whole_measurements(wanted: Study, evaluator: SampledEvaluator) -> None:
     with closing(RigEvaluator(RIG, wanted)) as whole:
         for candidate in (COARSE, FINE):
@@ -75,6 +76,7 @@ def test_nothing_lit_is_an_error_and_no_score(evaluator: SampledEvaluator) -> No
         evaluator.measure(dark, 1)
 
 
+@pytest.mark.whole
 def test_stripes_that_the_depth_range_does_not_unwrap_are_told(wanted: Study) -> None:
     start = wanted.start.model_copy(update={"depth_mm": (300.0, 700.0)})
     unclear, deep = Candidate((Fringes("x", 30, 4), Fringes("x", 60, 4)), 0.02), {"start": start}
@@ -97,6 +99,7 @@ def test_what_moves_and_what_is_no_simulation_is_measured(wanted: Study) -> None
         assert not can_screen(rig, wanted)
 
 
+@pytest.mark.whole
 def test_a_screened_search_measures_the_start_and_what_it_has_found(wanted: Study, tmp_path: Path) -> None:
     out = tmp_path / "found.yaml"
     found = run_search(SearchScope.STRIPES, RIG, wanted, out, "study")
@@ -113,6 +116,7 @@ def test_a_screened_search_measures_the_start_and_what_it_has_found(wanted: Stud
     assert candidate_from_plan(config.load_document(out, type(wanted.start))) == found.optimum.candidate
 
 
+@pytest.mark.whole
 def test_seeds_draw_the_twin_within_its_uncertainty(wanted: Study, tmp_path: Path) -> None:
     """Blur that is not known well spreads what seeds predict; otherwise their spread is the noise's."""
 

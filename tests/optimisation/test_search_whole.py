@@ -41,6 +41,7 @@ def searched(what: SearchScope, wanted: Study, out: Path, **more: Any) -> Search
     return run_search(what, "rig_demo", wanted, out, "study.yaml", factory=Formula(noise_um=1.0), **more)
 
 
+@pytest.mark.whole
 def test_front_is_written_as_a_folder_of_plans(tmp_path: Path) -> None:
     seen: list[SearchEpoch] = []
     found = searched(SearchScope.PARETO, study(**FRONT), tmp_path / "front", observe=seen.append)
@@ -119,6 +120,7 @@ def test_plan_found_keeps_other_settings_of_the_start(tmp_path: Path) -> None:
     assert written.masks.modulation_min == 7.0
 
 
+@pytest.mark.whole
 def test_search_is_shown_in_the_viewer(tmp_path: Path) -> None:
     with Canvas(file=tmp_path / "search.rrd") as canvas:
         searched(

@@ -93,6 +93,7 @@ def copy_of_fpplab(folder: Path, added: dict[str, str]) -> None:
         (folder / "fpplab" / "patterns" / name).write_text(text, encoding="utf-8")
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("method", ["hierarchical", "renamed"])
 def test_a_new_kind_is_one_file(tmp_path: Path, method: str) -> None:
     added = {"fringe_sets/reordered.py": NEW_KIND, "unwrapping/renamed.py": NEW_METHOD}

@@ -27,6 +27,7 @@ def test_without_noise_the_parameters_come_back(a: float, b: float, g: float) ->
     assert found.residual < 1e-7
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("known", [True, False])
 def test_uncertainties_match_the_scatter_of_repeated_fits(known: bool) -> None:
     random, sigma = np.random.default_rng(4), 0.002
@@ -180,6 +181,7 @@ def test_the_normalised_response_is_free_of_gain_and_black_level() -> None:
     assert fit_response(SHOWN, through).normalised is None
 
 
+@pytest.mark.whole
 def test_the_normalised_response_knows_its_uncertainty() -> None:
     random, sigma, dark, values, told = np.random.default_rng(2), 0.002, 0.02, [], []
     for _ in range(200):

@@ -55,6 +55,7 @@ def seen_from(u, plan, width=SIZE[0], amplitude=0.4, bias=0.0):
 X3 = make_plan(("x", 1, 12), ("x", 8, 12), ("x", 64, 12))
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("lattice", list(Lattice))
 @pytest.mark.parametrize(
     "plan",

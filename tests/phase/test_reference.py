@@ -30,6 +30,7 @@ def frames(plan: Plan, noise: float, bits: int, seed: int) -> Iterator[Image]:
         yield np.rint(np.clip(level, 0.0, 0.999) * full).astype(np.uint8 if bits == 8 else np.uint16)
 
 
+@pytest.mark.whole
 @settings(deadline=None, max_examples=40)
 @given(
     ratios=st.lists(st.floats(1.5, 9), min_size=1, max_size=3),
@@ -92,6 +93,7 @@ def test_both_axes_are_the_reference_s(axis: Axis) -> None:
         np.testing.assert_allclose(decoded.sigma[both], known.sigma[both], rtol=1e-3)
 
 
+@pytest.mark.whole
 @settings(deadline=None, max_examples=15)
 @given(
     steps=st.integers(7, 12),

@@ -135,6 +135,7 @@ def fitted(points: NDArray[np.float64], onto: NDArray[np.float64]) -> NDArray[np
     return np.asarray(turn.apply(points - points.mean(axis=0)) + onto.mean(axis=0))
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("name", [ONE_AXIS, TWO_AXES])
 def test_noise_of_the_frames_is_the_spread_of_the_points(name: str) -> None:
     maps = noisy_maps(name, seed=3)

@@ -41,6 +41,7 @@ def test_every_cause_is_drawn_or_has_its_place_elsewhere() -> None:
     assert not set(PICTURES) & (IN_WORDS | OF_POSES | OF_RESULTS)
 
 
+@pytest.mark.whole
 def test_each_picture_has_something_on_it(given: Evidence) -> None:
     causes = list({picture: cause for cause, picture in PICTURES.items()}.values())
     drawn = evidence_pictures([Finding(cause, "1.2 of 1", 1.2) for cause in causes], given)

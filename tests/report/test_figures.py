@@ -207,6 +207,7 @@ def test_block_means_need_half_a_block() -> None:
     assert np.array_equal(block_mean(values, 3), np.array([[2.0, nan, 5.0]], np.float32), equal_nan=True)
 
 
+@pytest.mark.whole_after(2)
 @pytest.mark.parametrize("points", [1, 2, 1500])
 def test_a_line_of_points_is_drawn(points: int) -> None:
     pixels = np.stack([np.arange(points), np.full(points, 7)], axis=1).astype(np.int32)

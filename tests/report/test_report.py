@@ -100,6 +100,7 @@ def comparison(points: int) -> Comparison:
     )
 
 
+@pytest.mark.whole
 def test_lengths_and_what_contradicts_the_distances_are_shown(tmp_path: Path) -> None:
     lengths = (
         MeasuredLength("step height 1 to 5", 20.0, 20.2, 0.4),
@@ -174,6 +175,7 @@ def full(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.whole
 def test_the_page_refers_to_nothing_outside_the_file(full: Path) -> None:
     page = Page(full)
     assert not {"link", "iframe", "object", "form"} & set(page.tags)
@@ -232,6 +234,7 @@ def test_sections_in_their_order(full: Path) -> None:
     assert "pose_03: the board was not found in the image" in Page(full).cells
 
 
+@pytest.mark.whole
 def test_a_scan_without_truth_has_its_roughness(tmp_path: Path) -> None:
     path = tmp_path / "scan.html"
     write_report(path, "Scan", scans=[scan(truth=False)])
@@ -287,6 +290,7 @@ def test_a_cloud_from_elsewhere_has_no_map_of_its_uncertainty(tmp_path: Path) ->
     assert len(Page(path).images) == 7
 
 
+@pytest.mark.whole
 def test_only_counted_points_are_in_the_error_map(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[Any] = []
 
@@ -322,6 +326,7 @@ def test_a_report_is_written_completely_or_not_at_all(tmp_path: Path) -> None:
     assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "report.html"]
 
 
+@pytest.mark.whole
 def test_the_caption_of_a_response_says_what_is_drawn(tmp_path: Path) -> None:
     fitted, levels = response()
     parts = {

@@ -81,6 +81,7 @@ def test_a_board_taken_as_drawn_has_no_shape_to_show() -> None:
         board_shape(flat)
 
 
+@pytest.mark.whole
 def test_the_page_shows_both(refined: Characterisation, tmp_path: Path) -> None:
     assert epipolar_figure(refined).startswith(b"\x89PNG")
     write_report(tmp_path / "c.html", "Characterisation", characterisation=refined)

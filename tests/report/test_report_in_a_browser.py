@@ -158,6 +158,7 @@ def test_print_shows_the_still_picture(browser: Browser, pages: dict[str, Path],
     browser.call("Emulation.setEmulatedMedia", media="")
 
 
+@pytest.mark.whole
 def test_without_webgl_the_still_picture_stays(pages: dict[str, Path], tmp_path: Path) -> None:
     with chromium(tmp_path, *NO_WEBGL) as plain:
         plain.open(pages["one"])

@@ -55,6 +55,7 @@ def test_other_calibrations_and_clouds_without_pixels_are_not_compared() -> None
         assert reason in difference(other, one).summary()["not_compared"]
 
 
+@pytest.mark.whole
 def test_the_page_marks_what_differs(tmp_path: Path) -> None:
     scans = [record("a", cloud()), record("b", farther(cloud(), 0.1), rig="two"), record("c", None)]
     write_scans_report(tmp_path / "s.html", scans, [difference(one, scans[0]) for one in scans[1:]])

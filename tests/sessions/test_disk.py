@@ -141,6 +141,7 @@ def test_a_text_is_there_whole_or_not_at_all(tmp_path: Path) -> None:
     assert list(path.parent.iterdir()) == [path]
 
 
+@pytest.mark.whole
 def test_killed_at_any_line_a_result_is_the_old_or_the_new(tmp_path: Path) -> None:
     path = tmp_path / "x.yaml"
     for n in count():

@@ -271,6 +271,7 @@ bring(Path(FOLDER), force=True, progress=kill)
 """
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("share", [0.25, 1.0])
 def test_a_killed_import_leaves_nothing_under_its_name(folder: Path, share: float) -> None:
     script = KILLED.replace("FOLDER", repr(str(folder))).replace("SHARE", str(share))

@@ -115,6 +115,7 @@ def test_a_file_system_that_cannot_lock(tmp_path: Path, monkeypatch: pytest.Monk
         pass
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("force", [False, True])
 def test_one_of_several_processes_wins(tmp_path: Path, force: bool) -> None:
     place = tmp_path / "part"

@@ -81,6 +81,7 @@ def test_killed_at_any_line_while_a_frame_is_written(tmp_path: Path) -> None:
     assert n > 20
 
 
+@pytest.mark.whole
 def test_killed_at_any_line_while_a_session_is_made(tmp_path: Path) -> None:
     for n in count():
         path = tmp_path / f"{n}" / "session"

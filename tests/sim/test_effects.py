@@ -123,6 +123,7 @@ def test_phase_errors_of_vibration_are_those_of_theory(bench: Bench, steps: int)
     assert rms(error - expected) < 0.15 * rms(expected)
 
 
+@pytest.mark.whole
 def test_phase_errors_grow_with_the_vibration(bench: Bench) -> None:
     """The same seed gives the same vibration, so that errors are in proportion."""
     fringes = fringe(4)
@@ -412,6 +413,7 @@ def test_one_translucent_item_makes_the_world_linear() -> None:
     assert "'items.soft'" in str(of.indirect)
 
 
+@pytest.mark.whole
 def test_a_groove_takes_the_linear_path_and_is_correct(
     blender: Blender, groove: dict[str, Any], caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -432,6 +434,7 @@ def test_a_groove_takes_the_linear_path_and_is_correct(
     assert np.abs(pictures[0] - pictures[1]).max() < 0.2 / 255
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("path", ["transport", "linear", "reference"])
 def test_ambient_light_is_the_same_by_any_light_path(bench: Bench, path: str) -> None:
     """Ambient light is on the whole card, whether the projector is dark or not."""

@@ -235,6 +235,7 @@ def test_scan_has_coarser_fringes_in_equal_ratios() -> None:
     assert [fringe.stripes for fringe in Arrangement(stripes=5).plan().fringes] == [1, 5]
 
 
+@pytest.mark.whole
 def test_rigs_that_are_not_simulated_are_refused(python_path: str, tmp_path: Path) -> None:
     done = twin_command(python_path, "export", "--rig", "rig_emulated", "--out", tmp_path / "r.blend")
     assert done.returncode == 2
@@ -257,6 +258,7 @@ def jobs() -> ModuleType:
     return module
 
 
+@pytest.mark.whole
 def test_failed_command_says_why_and_leaves_no_files(
     jobs: ModuleType, python_path: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -56,6 +56,7 @@ def fewer(fringes: Fringes, steps: int) -> Fringes:
     return Fringes(fringes.axis, fringes.stripes, steps)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("steps", [6, 4, 3])
 def test_subset_of_a_set_equals_the_set_acquired_alone(sets: Sets, steps: int) -> None:
     of_twelve, alone = sets(), sets()
@@ -66,6 +67,7 @@ def test_subset_of_a_set_equals_the_set_acquired_alone(sets: Sets, steps: int) -
     assert alone.acquired == 2 * steps
 
 
+@pytest.mark.whole
 def test_five_steps_are_no_subset_of_twelve(sets: Sets) -> None:
     store = sets()
     stack(store, BASE)
@@ -73,6 +75,7 @@ def test_five_steps_are_no_subset_of_twelve(sets: Sets) -> None:
     assert store.acquired == 17
 
 
+@pytest.mark.whole
 def test_frames_do_not_depend_on_earlier_measurements(sets: Sets) -> None:
     one, other = sets(), sets()
     first = stack(one, BASE, MIDDLE, FINE)
@@ -81,6 +84,7 @@ def test_frames_do_not_depend_on_earlier_measurements(sets: Sets) -> None:
     np.testing.assert_array_equal(first, stack(other, BASE, MIDDLE, FINE))
 
 
+@pytest.mark.whole
 def test_changed_frequency_acquires_one_set_only(sets: Sets) -> None:
     store = sets()
     stack(store, BASE, MIDDLE, FINE)
@@ -88,6 +92,7 @@ def test_changed_frequency_acquires_one_set_only(sets: Sets) -> None:
     assert store.acquired == 48
 
 
+@pytest.mark.whole
 def test_noise_differs_between_seeds_positions_and_steps(sets: Sets) -> None:
     """In a large share of the pixels."""
     store = sets()
@@ -98,6 +103,7 @@ def test_noise_differs_between_seeds_positions_and_steps(sets: Sets) -> None:
     assert np.abs(halves - halves.mean(axis=0)).mean() > 0.3
 
 
+@pytest.mark.whole
 def test_similar_candidates_have_common_noise(sets: Sets) -> None:
     """So that the noise cancels in their difference."""
     near = Fringes("x", 7.3001, 12)
@@ -106,6 +112,7 @@ def test_similar_candidates_have_common_noise(sets: Sets) -> None:
     assert np.std(frames[0] - frames[1]) < 0.5 * np.std(frames[0] - other)
 
 
+@pytest.mark.whole
 def test_evicted_set_is_acquired_again_with_equal_frames(sets: Sets) -> None:
     store = sets(keep_bytes=1)
     before = stack(store, BASE)
@@ -114,6 +121,7 @@ def test_evicted_set_is_acquired_again_with_equal_frames(sets: Sets) -> None:
     assert store.acquired == 36
 
 
+@pytest.mark.whole
 def test_cached_frames_do_not_move_the_rig(rig: Rig) -> None:
     stood: list[MeasuringSetup] = []
     store = FringeSetCache(rig, LIKE, stood.append)

@@ -75,6 +75,7 @@ def rms(error: Floats) -> float:
     return float(np.sqrt(np.mean(((error + np.pi) % TWO_PI - np.pi) ** 2)))
 
 
+@pytest.mark.whole
 def test_precorrection_takes_the_response_out_of_three_steps(rig: Rig) -> None:
     """At g = 2.2, with the response as measured on the virtual bench itself.
 
@@ -93,6 +94,7 @@ def test_precorrection_takes_the_response_out_of_three_steps(rig: Rig) -> None:
     assert bent / straight >= 10
 
 
+@pytest.mark.whole
 def test_a_hidden_response_is_recovered(rig: Rig) -> None:
     """a and b are the projector's times the camera's gain, plus its black level; both are known otherwise.
 
@@ -122,6 +124,7 @@ def test_a_hidden_response_is_recovered(rig: Rig) -> None:
     assert found.region_spread < 2 * found.region_sigma
 
 
+@pytest.mark.whole
 def test_where_white_is_full_scale_the_fit_gives_the_projectors_own_parameters(rig: Rig) -> None:
     """Without black level, and exposed so that irradiance 1 is full scale, a and b are the projector's."""
     become(rig, STRAIGHT)
@@ -135,6 +138,7 @@ def test_where_white_is_full_scale_the_fit_gives_the_projectors_own_parameters(r
     assert (found.a / 0.99, (found.b - 0.01) / 0.99, found.g) == pytest.approx((0.65, 0.056, 1.033), rel=0.01)
 
 
+@pytest.mark.whole
 def test_the_assessment_of_the_response_agrees_with_the_frames(rig: Rig, tmp_path: Path) -> None:
     become(rig, {"a": 1.0, "b": 0.0, "g": 2.2}, quiet=True)
     response, _ = measure_response(rig, EXPOSURE_S)

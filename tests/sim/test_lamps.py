@@ -121,6 +121,7 @@ def ball_over_plate(tmp_path: Path) -> tuple[World, list[Shape]]:
     return of, [Sphere(there.apply(centre), radius), Box(-half, half, there)]
 
 
+@pytest.mark.whole
 def test_light_on_bodies_has_their_shadows(ball_over_plate: tuple[World, list[Shape]]) -> None:
     of, shapes = ball_over_plate
     found = lamp_light(of, build_scene(of, Setup("part"))[0], all_pixels(of))
@@ -133,6 +134,7 @@ def test_light_on_bodies_has_their_shadows(ball_over_plate: tuple[World, list[Sh
     assert np.mean(found[shaded] > 0) < 0.1
 
 
+@pytest.mark.whole
 def test_light_of_the_room_is_what_is_reflected_of_it(ball_over_plate: tuple[World, list[Shape]]) -> None:
     """Without the projector, of a board: reflectance times ambient light and lamp."""
     of = lamped(ambient=0.02)
@@ -159,6 +161,7 @@ def seen(parameters: TwinParameters, twin: Twin, pixels: Any) -> PatternLevels:
     return twin.expected_at(0, PATTERNS, CameraSettings(0.02), pixels)
 
 
+@pytest.mark.nightly
 def test_slopes_of_the_light_hold_for_the_lamps_light() -> None:
     """Reflectance changes with the place on the print, the lamp's light hardly."""
     of = lamped(ambient=0.02)
@@ -178,6 +181,7 @@ def test_slopes_of_the_light_hold_for_the_lamps_light() -> None:
     np.testing.assert_allclose(more[..., 2:], 0.0, atol=1e-7)
 
 
+@pytest.mark.whole
 def test_vibration_moves_what_the_lamp_lights() -> None:
     """The lamp's part of a picture of a displaced board, against the board at that place."""
     step = np.array([[0.008, -0.006, 0.004]])
@@ -232,6 +236,7 @@ def plate_in_the_way(folder: Path) -> dict[str, Any]:
     return {"mesh": str(folder / "plate.ply"), "picture": str(folder / "plate.png"), "reflectance": 0.5}
 
 
+@pytest.mark.whole
 def test_surroundings_throw_no_shadow_of_lamps(tmp_path: Path) -> None:
     plate = plate_in_the_way(tmp_path)
     pixels = (np.full(8, 64), np.arange(80, 112, 4))

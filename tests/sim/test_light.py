@@ -152,6 +152,7 @@ def test_many_patterns_are_looked_up_as_one_is() -> None:
     np.testing.assert_allclose(together, alone, rtol=1e-6)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("fill", [None, 1.0, 0.8])
 def test_look_up_outside_the_texture_or_in_shadow_is_dark(fill: float | None) -> None:
     texture = np.ones((8, 10))

@@ -86,6 +86,7 @@ def ggx(roughness: float, at: Lit) -> Floats:
     return np.asarray(np.pi * facets / (1 + hidden[0] + hidden[1]) / (4 * cos_out))
 
 
+@pytest.mark.whole_after(1)
 @pytest.mark.parametrize("roughness", [0.0, 0.3, 1.0])
 def test_rough_paint_is_oren_nayar(blender: Blender, roughness: float) -> None:
     at = lit(blender, world(material={**ROUGH, "roughness": roughness}))
@@ -114,6 +115,7 @@ def test_one_sample_of_direct_light_is_free_of_noise(blender: Blender, material:
     assert one[..., 3].max() > 0.3
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("material", DIRECT_KINDS)
 def test_transport_agrees_with_reference(blender: Blender, material: dict[str, Any]) -> None:
     plan = Plan(fringes=(Sinusoid(axis="x", stripes=24, steps=4),))
@@ -264,6 +266,7 @@ def test_light_leaves_a_translucent_body_beside_where_it_entered(blender: Blende
     np.testing.assert_allclose(coarse, expected, atol=0.06)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("reflectance", [0.5, 0.9])
 def test_translucent_body_reflects_about_as_much_as_paint(blender: Blender, reflectance: float) -> None:
     """Light and eye are some 20° off the normal, where a body is up to 4 % brighter than from in front."""
@@ -274,6 +277,7 @@ def test_translucent_body_reflects_about_as_much_as_paint(blender: Blender, refl
     assert soft[hard > 0.2].sum() / hard[hard > 0.2].sum() == pytest.approx(1.0, abs=0.04)
 
 
+@pytest.mark.whole
 def test_linear_light_through_a_translucent_body(blender: Blender) -> None:
     """A basis gives what rendering every pattern gives, and `auto` chooses it."""
     plan = Plan(fringes=(Sinusoid(axis="x", stripes=12, steps=4),))

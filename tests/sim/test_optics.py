@@ -71,6 +71,7 @@ def _moments(picture: Floats, axis: int) -> tuple[float, float]:
     return float(middle), float(profile @ (place - middle) ** 2 / profile.sum())
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("depth", "axis"), [(340.0, 1), (385.0, 0), (412.0, 1), (495.0, 0), (560.0, 1)])
 def test_depth_of_field_is_that_of_a_thin_lens(blender: Blender, depth: float, axis: int) -> None:
     """A strip's width: its own, the pixel's, and a disc of D = f_px A |1/z - 1/z_focus|, D²/16."""
@@ -92,6 +93,7 @@ def test_depth_of_field_is_that_of_a_thin_lens(blender: Blender, depth: float, a
     assert lit == pytest.approx(narrow * FOCAL_PX / depth + circle, abs=2)
 
 
+@pytest.mark.whole
 def test_in_focus_the_picture_is_the_pinhole_s(blender: Blender) -> None:
     pictures = []
     for focus in (FOCUS_MM, None):
@@ -107,6 +109,7 @@ def test_in_focus_the_picture_is_the_pinhole_s(blender: Blender) -> None:
     np.testing.assert_allclose(pictures[0], pictures[1], atol=2e-4)
 
 
+@pytest.mark.nightly
 def test_blur_does_not_move_a_dot(blender: Blender) -> None:
     """Both lenses distort, the dot is far from the axis, in front of focus and behind it."""
     for depth, x, y in ((395.0, 55.0, -38.0), (540.0, -70.0, 45.0)):
@@ -161,6 +164,7 @@ def _circle(depth: Floats | float, aperture: float = LENS_MM) -> Any:
     return THROW * COLUMNS * aperture * np.abs(1 / np.asarray(depth) - 1 / SHARP_MM)
 
 
+@pytest.mark.whole_after(1)
 @pytest.mark.parametrize("depth", [390.0, 430.0, 475.0, 520.0, 590.0])
 def test_projector_defocus_widens_an_edge(blender: Blender, depth: float) -> None:
     of = _facing(depth, focus_mm=SHARP_MM, aperture_mm=LENS_MM)
@@ -200,6 +204,7 @@ def _lens(frequency: float) -> float:
     return float(np.exp(-(np.pi**2) * (BLUR**2 + 1 / 12) * frequency**2))
 
 
+@pytest.mark.whole_after(2)
 @pytest.mark.parametrize("depth", [390.0, 450.0, 475.0, 590.0])
 def test_defocused_fringes_fade_and_invert_as_a_disc_makes_them(blender: Blender, depth: float) -> None:
     of = _facing(depth, focus_mm=SHARP_MM, aperture_mm=LENS_MM)
@@ -260,6 +265,7 @@ def test_paths_agree_on_defocus_across_pillars(blender: Blender) -> None:
     assert np.abs(pictures[2] - pictures[1]).max() < 1.2 / 255
 
 
+@pytest.mark.whole
 def test_defocus_does_not_move_a_spot_of_light(blender: Blender) -> None:
     middles = []
     for focus in (None, 430.0):
@@ -295,6 +301,7 @@ def test_mirrors_fill_their_share(blender: Blender) -> None:
         assert lit.mean() == pytest.approx(fill, rel=0.01)
 
 
+@pytest.mark.whole
 def test_gaps_between_mirrors_are_the_same_by_both_paths(blender: Blender) -> None:
     pictures = []
     for path in ("transport", "reference"):
@@ -308,6 +315,7 @@ def test_gaps_between_mirrors_are_the_same_by_both_paths(blender: Blender) -> No
     assert pictures[0].max() > 0.5
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("path", ["transport", "reference"])
 def test_contrast_is_that_of_the_black_level(blender: Blender, path: str) -> None:
     a, b = 0.95, 0.002

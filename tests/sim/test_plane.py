@@ -44,6 +44,7 @@ def _world(subpixels: int, focus_mm: float | None, projector_focus_mm: float | N
     )
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("subpixels", "focus_mm", "projector_focus_mm"),
     [(2, None, None), (3, 425.0, None), (2, None, 490.0)],
@@ -87,6 +88,7 @@ def test_computed_light_agrees_with_blender(
         assert np.sqrt(np.mean(error**2)) < 2e-4
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("focus_mm", [None, 445.0, 500.0], ids=["sharp", "nearer", "farther"])
 @pytest.mark.parametrize("pose", range(2))
 def test_few_spots_agree_with_many_points(pose: int, focus_mm: float | None) -> None:

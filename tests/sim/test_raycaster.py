@@ -96,6 +96,7 @@ def test_the_case_has_shadows_edges_and_enough_to_compare(bench: Bench) -> None:
     assert (dark.sum() > 300) == (name != "card")
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("path", ["transport", "reference"])
 def test_irradiance_under_white(blender: Blender, bench: Bench, path: str) -> None:
     of = _on(bench.world, path)
@@ -131,6 +132,7 @@ def test_projector_coordinates_in_the_table(blender: Blender, bench: Bench) -> N
         assert (error < allowed[:, seen.smooth]).all()
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("axis", "stripes", "path"),
     [("x", 8, "transport"), ("x", 48, "transport"), ("x", 48, "reference"), ("y", 48, "transport")],
@@ -209,6 +211,7 @@ def _pixel_error(of: World, points: Floats, shift: tuple[float, float]) -> Float
     return np.asarray(pixels - np.stack([u, v], axis=-1) - shift)
 
 
+@pytest.mark.nightly
 def test_points_seen_beside_a_pixel_s_middle_project_there(blender: Blender) -> None:
     of, shift = _distorting(Lattice.DIAMOND), (0.25, -0.375)
     scene, _ = build_scene(of, Setup("card"))
@@ -236,6 +239,7 @@ def test_points_seen_through_a_wide_lens_project_to_their_pixels(
     assert np.abs(_pixel_error(of, points, (0.0, 0.0))).max() < 0.002
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("lens", "lattice"),
     [

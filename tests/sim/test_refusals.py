@@ -170,6 +170,7 @@ def checked(folder: Path, item: str, **changes: Any) -> ConfigError:
     return caught.value
 
 
+@pytest.mark.whole
 def test_a_device_that_is_not_there(tmp_path: Path) -> None:
     """Before anything is measured, although nothing is mounted yet."""
     said = sentence(opened(tmp_path, render={"device": "ONEAPI"}))
@@ -215,6 +216,7 @@ PARTS: dict[str, tuple[bytes | None, str]] = {
 }
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("content", "why"), PARTS.values(), ids=PARTS.keys())
 def test_a_file_that_is_no_part(tmp_path: Path, content: bytes | None, why: str) -> None:
     """At the start and on mounting; the message names the item's field and the file."""
@@ -297,6 +299,7 @@ def test_a_rig_a_world_and_a_part_in_one_folder(tmp_path: Path, monkeypatch: pyt
     assert rig.camera.state is State.CLOSED
 
 
+@pytest.mark.whole
 def test_a_part_that_has_changed_is_read_again(tmp_path: Path) -> None:
     file = tmp_path / "part.stl"
     item = MeshItem.model_validate_json(f'{{"mesh": "{file}", "pose": {json.dumps(POSE)}}}')
@@ -341,6 +344,7 @@ def straight(**fields: Any) -> dict[str, Any]:
     return {"camera": {**plain()["camera"], "distortion": [0.0] * 5, **fields}}
 
 
+@pytest.mark.whole_after(1)
 @pytest.mark.parametrize("size", [(192, 128), (96, 144), (100, 100)])
 def test_the_camera_without_shaders_sees_the_same(
     blender: Any, without_shaders: Any, size: tuple[int, int]

@@ -69,6 +69,7 @@ def test_grey_ramp_is_a_straight_line(blender: Blender, path: str) -> None:
     np.testing.assert_allclose(means / means[-1], np.array(greys) / 255, atol=2e-6)
 
 
+@pytest.mark.whole
 def test_response_is_the_stated_one(blender: Blender) -> None:
     of = world(projector={**_projector(), "response": {"a": 0.9, "b": 0.05, "g": 1.8}})
     greys = [0, 100, 255]
@@ -80,6 +81,7 @@ def test_response_is_the_stated_one(blender: Blender) -> None:
         np.testing.assert_allclose(means / means[-1], light / light[-1], atol=2e-6)
 
 
+@pytest.mark.whole
 def test_changed_pattern_is_seen(blender: Blender) -> None:
     of = world(render={"path": "reference", "subpixels": 1})
     left = levels(lambda u, v: u < 456, of)
@@ -154,6 +156,7 @@ def test_lens_model_does_not_fold_light_in_from_outside(blender: Blender) -> Non
     assert Light(of, blender).irradiance(Setup("card", 0, 700.0), show).max() == 0
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("blur", [0.0, 0.6])
 def test_transport_and_linear_agree_with_reference(blender: Blender, blur: float) -> None:
     plan = Plan(fringes=(Sinusoid(axis="x", stripes=1, steps=4), Sinusoid(axis="x", stripes=48, steps=4)))
@@ -172,6 +175,7 @@ def test_transport_and_linear_agree_with_reference(blender: Blender, blur: float
     assert pictures["reference"].max() > 0.5
 
 
+@pytest.mark.nightly
 def test_bounced_light_is_linear_too(blender: Blender) -> None:
     plan = Plan(fringes=(Sinusoid(axis="x", stripes=6, steps=4),))
     pictures = {}
@@ -212,6 +216,7 @@ def test_ambient_light_is_even_and_stays_when_the_projector_is_dark(blender: Ble
     np.testing.assert_allclose(lit - dark, alone, atol=1e-6)
 
 
+@pytest.mark.whole
 def test_board_is_where_its_pose_says(blender: Blender) -> None:
     """The centres of the board's circles, seen under white light, are OpenCV's projection of its points."""
     import cv2

@@ -54,6 +54,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[st
     return folder / "rig.yaml", frames(folder / "whole")
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("stops", [[(0, 1)], [(1, 3)], [(0, 1), (1, 2), (2, 1)]])
 def test_a_resumed_series_is_the_undisturbed_one(
     undisturbed: tuple[Path, dict[str, bytes]], tmp_path: Path, stops: list[tuple[int, int]]

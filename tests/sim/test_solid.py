@@ -45,6 +45,7 @@ def _pixels(of: World) -> tuple[Any, Any]:
     return rows.ravel(), columns.ravel()
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("focus_mm", "projector_focus_mm", "subpixels"),
     [(None, None, 2), (425.0, None, 3), (None, 490.0, 2)],
@@ -75,6 +76,7 @@ def test_traced_light_agrees_with_blender(
     assert np.mean(np.abs(table.albedo - rendered.albedo) > 1e-4) < BESIDE
 
 
+@pytest.mark.whole
 def test_pictures_at_pixels_are_those_of_whole_images(blender: Blender) -> None:
     """Through `Light`, with ambient light: traced at pixels, rendered as a whole."""
     of = _world(440.0, 480.0)

@@ -65,6 +65,7 @@ def seen(of: World, setup: Setup, index: int = 0) -> PatternLevels:
     return Light(of, Blender("bench"), analytic=True).irradiance(setup, Show(PATTERNS, index))
 
 
+@pytest.mark.nightly
 def test_the_empty_bench_shows_them_as_the_same_item_would_be_seen(tmp_path: Path) -> None:
     of = walled(tmp_path)
     alone = of.model_copy(update={"surroundings": None})
@@ -72,6 +73,7 @@ def test_the_empty_bench_shows_them_as_the_same_item_would_be_seen(tmp_path: Pat
     assert not seen(alone, Setup(NOTHING)).any()
 
 
+@pytest.mark.whole
 def test_an_item_hides_and_shades_them(tmp_path: Path) -> None:
     of = walled(tmp_path)
     white = uniform_patterns([255], (912, 1140))
@@ -94,6 +96,7 @@ def test_an_item_hides_and_shades_them(tmp_path: Path) -> None:
     assert (shaded | lit)[beyond].mean() > 0.95, "and nothing between"
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("item", ["board", "pillars"])
 def test_some_pixels_are_as_all_are(tmp_path: Path, item: str) -> None:
     of = walled(tmp_path)
@@ -131,6 +134,7 @@ def with_board(of: World, **fields: Any) -> World:
     return config.validate(data | {"items": data["items"] | {"board": board}}, World, "test")
 
 
+@pytest.mark.whole
 def test_a_frame_hides_and_shades_and_is_black(tmp_path: Path) -> None:
     of = walled(tmp_path)
     bare, found = seen(of, Setup("board")), seen(with_board(of, rim_mm=12.0), Setup("board"))
@@ -140,6 +144,7 @@ def test_a_frame_hides_and_shades_and_is_black(tmp_path: Path) -> None:
     assert (found[changed] < 1e-6).mean() > 0.3, "the frame itself is black in ambient light too"
 
 
+@pytest.mark.whole
 def test_a_frame_reflects_as_a_sheet_in_its_place(tmp_path: Path) -> None:
     of = walled(tmp_path)
     black, grey, sheet = (
@@ -187,6 +192,7 @@ def test_a_sheet_has_margins_and_texture(tmp_path: Path) -> None:
     assert (grey[:, 0] > 0.59).all(), "margins are blank"
 
 
+@pytest.mark.whole
 def test_what_a_twin_looks_like_is_saved_and_read_again(tmp_path: Path) -> None:
     of = config.validate(plain(render=EXACT), World, "test")
     twin = Twin(of, "board", Blender("bench"))
@@ -207,6 +213,7 @@ def test_what_a_twin_looks_like_is_saved_and_read_again(tmp_path: Path) -> None:
     assert np.abs(twin.expected(0, PATTERNS, SETTINGS) - shown).max() > 1
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
@@ -226,6 +233,7 @@ def test_files_that_cannot_be_read_are_named(tmp_path: Path, spoil: Any, message
         Light(of, Blender("bench"), analytic=True)
 
 
+@pytest.mark.whole
 def test_a_mesh_behind_the_camera_is_refused(tmp_path: Path) -> None:
     of = walled(tmp_path)
     mesh = trimesh.load(tmp_path / "wall.ply", process=False)
@@ -235,6 +243,7 @@ def test_a_mesh_behind_the_camera_is_refused(tmp_path: Path) -> None:
         Light(of, Blender("bench"), analytic=True)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("axis", [0, 1])
 def test_a_picture_lies_on_the_wall_as_the_camera_sees_it(axis: int, tmp_path: Path) -> None:
     of, places = walled(tmp_path), np.mgrid[0 : SIZE[1], 0 : SIZE[0]][axis]

@@ -119,6 +119,7 @@ def interpolated(texels: Texels, weights: Texels, places: Floats) -> Floats:
     return found
 
 
+@pytest.mark.whole_after(1)
 @pytest.mark.parametrize("direction", [(0.183, 0.0), (0.0917, 0.0917), (0.125, -0.125), (0.05, 0.02)])
 @pytest.mark.parametrize(
     ("blur", "fill", "circle"),

@@ -111,6 +111,7 @@ def test_expected_at_some_pixels_agrees_with_the_whole_image(ambient: float) -> 
     assert np.count_nonzero(whole == whole.min()) > 100
 
 
+@pytest.mark.whole
 def test_rendered_light_at_some_pixels_agrees_with_the_whole_image(blender: Blender) -> None:
     """Of a part that is not traced, for its gloss."""
     data = _bent().model_dump(mode="json")
@@ -235,6 +236,7 @@ def test_slopes_by_the_projector_s_place_agree_with_central_differences() -> Non
     assert np.abs(found[1][..., 2]).max() > 1000 * rounding
 
 
+@pytest.mark.whole
 def test_slopes_by_the_board_s_place_add_up_to_the_change_of_level() -> None:
     """Of a print between whose pixels light is interpolated, so that derivatives jump there."""
     twin, pixels, step = _twin(_bent()), _grid(), 0.02

@@ -21,5 +21,6 @@ def test_the_plane_is_measured_where_it_is(plan: str) -> None:
     assert np.abs(cloud.points[:, 2] - DISTANCE_MM).max() < 1e-3
 
 
+@pytest.mark.whole
 def test_every_pixel_of_the_warm_up_is_measured() -> None:
     assert warm_up() == SIZE[0] * SIZE[1]

@@ -57,6 +57,7 @@ def descriptors() -> int:
     return len(os.listdir("/proc/self/fd"))
 
 
+@pytest.mark.whole
 def test_death_in_the_middle_of_a_render_faults_the_camera_until_it_is_reopened(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -98,6 +99,7 @@ def test_death_in_the_middle_of_a_render_faults_the_camera_until_it_is_reopened(
     assert shared_memory() == before
 
 
+@pytest.mark.whole
 def test_closing_leaves_no_process_memory_or_descriptor(tmp_path: Path) -> None:
     before, memory = descriptors(), shared_memory()
     blender = Blender("bench")
@@ -113,6 +115,7 @@ def test_closing_leaves_no_process_memory_or_descriptor(tmp_path: Path) -> None:
     assert shared_memory() == memory
 
 
+@pytest.mark.whole
 def test_too_slow_a_render_is_ended() -> None:
     blender = Blender("bench")
     of = world(render={"samples": 4096, "bounces": 8, "subpixels": 8})
@@ -126,6 +129,7 @@ def test_too_slow_a_render_is_ended() -> None:
     assert blender.pid is None
 
 
+@pytest.mark.whole
 def test_interruption_ends_the_process_and_the_next_render_starts_another(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -147,6 +151,7 @@ def test_interruption_ends_the_process_and_the_next_render_starts_another(
     blender.close()
 
 
+@pytest.mark.whole
 def test_blender_ends_with_the_process_that_started_it() -> None:
     """Killed outright in the middle of a long render, the parent takes Blender with it."""
     script = """
@@ -172,6 +177,7 @@ blender.render(scene, None, [SubpixelView((0.0, 0.0))], Effort(4096, 8), 600)
     assert shared_memory() == before
 
 
+@pytest.mark.whole
 def test_failure_inside_blender_is_reported_and_the_process_lives_on() -> None:
     blender = Blender("bench")
     of = world()

@@ -111,6 +111,7 @@ def test_board_poses_are_reproducible_spread_and_in_view() -> None:
     np.testing.assert_array_equal([p.matrix for p in once_more], [p.matrix for p in poses])
 
 
+@pytest.mark.whole
 def test_a_board_that_does_not_fit_is_refused() -> None:
     data = plain()
     data["items"]["board"]["poses"] = {"count": 1, "distance_mm": 100.0, "range_mm": 0.0}
@@ -255,6 +256,7 @@ def test_the_hidden_reference_and_its_twin_look_alike_to_a_session(name: str) ->
 UNCERTAIN = {"projector.blur": 0.05, "camera.sensor.full_well_e": 300.0, "vibration_mm": 0.0}
 
 
+@pytest.mark.whole
 def test_draws_of_a_world_have_its_uncertainty() -> None:
     of = world(uncertainty=UNCERTAIN)
     draws = [of.drawn(n) for n in range(1, 200)]

@@ -52,6 +52,7 @@ def test_the_contracts_hold(tmp_path: Path) -> None:
     assert "0 broken" in done.stdout
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("file", "line"),
     [

@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 import fpplab
 
 SHIFTED = '''
@@ -43,6 +45,7 @@ for changes in ({}, {"kind": "circles", "shift": 0.1}, {"kind": "stars"}):
 """
 
 
+@pytest.mark.whole
 def test_a_module_in_the_package_is_a_kind_of_target_file(tmp_path: Path) -> None:
     shutil.copytree(Path(fpplab.__file__).parent, tmp_path / "fpplab")
     (tmp_path / "fpplab/targets/kinds/shifted.py").write_text(SHIFTED)

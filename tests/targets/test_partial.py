@@ -53,6 +53,7 @@ def well_inside(points: np.ndarray, margin: float) -> np.ndarray:
     return ((points > margin) & (points < np.array(SIZE) - margin)).all(axis=1)
 
 
+@pytest.mark.whole_after(1)
 @KINDS
 @pytest.mark.parametrize("view", list(VIEWS))
 def test_points_in_view_keep_their_ids(kind: str, view: str) -> None:
@@ -67,6 +68,7 @@ def test_points_in_view_keep_their_ids(kind: str, view: str) -> None:
     assert set(np.flatnonzero(well_inside(expected, 45))) <= set(found.ids.tolist())
 
 
+@pytest.mark.whole_after(1)
 @KINDS
 def test_noise_does_not_change_what_is_what(kind: str) -> None:
     target = dim(kind)
@@ -76,6 +78,7 @@ def test_noise_does_not_change_what_is_what(kind: str) -> None:
     np.testing.assert_allclose(found.pixels, expected[found.ids], atol=0.08)
 
 
+@pytest.mark.whole_after(2)
 @KINDS
 def test_a_whole_board_is_found_whole(kind: str) -> None:
     target = dim(kind)
@@ -85,12 +88,14 @@ def test_a_whole_board_is_found_whole(kind: str) -> None:
     np.testing.assert_array_equal(found.ids, np.arange(len(target.points())))
 
 
+@pytest.mark.whole_after(1)
 @KINDS
 def test_a_middle_without_ends_could_be_anywhere(kind: str) -> None:
     with pytest.raises(UnclearPart, match=r"could be any of \d+ parts of it; show a corner"):
         dim(kind).detect_part(taken(dim(kind), pose((0, 0, 0), (0, 0, 60))))
 
 
+@pytest.mark.whole_after(2)
 @pytest.mark.parametrize("level", [26, 77, 150, 204, 255])
 @pytest.mark.parametrize("from_row", [100, 112])
 def test_what_hides_a_row_does_not_pass_for_the_boards_end(from_row: int, level: int) -> None:
@@ -102,6 +107,7 @@ def test_what_hides_a_row_does_not_pass_for_the_boards_end(from_row: int, level:
         target.detect_part(picture)
 
 
+@pytest.mark.whole_after(2)
 @KINDS
 @pytest.mark.parametrize("level", [26, 204])
 def test_a_point_that_is_hidden_is_not_passed_over(kind: str, level: int) -> None:
@@ -120,6 +126,7 @@ def test_without_a_contrast_to_what_is_behind_it_a_boards_end_is_not_known() -> 
         target.detect_part(taken(target, UP, ground=0.8))
 
 
+@pytest.mark.whole_after(3)
 @pytest.mark.parametrize(
     ("real", "said"),
     [
@@ -140,6 +147,7 @@ def test_a_board_described_wrongly_is_no_part_of_itself(
         dim(real, **said).detect_part(picture)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("kind", ["staggered", "checkerboard"])
 def test_nothing_is_no_part(kind: str) -> None:
     assert dim(kind).detect_part(np.zeros(SIZE[::-1], np.uint8)) is None

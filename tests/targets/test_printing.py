@@ -159,6 +159,7 @@ def picture(page: tuple[Floats, list[Fill]], px_per_mm: float) -> np.ndarray:
     return cv2.resize(sheet, tuple(shape[::-1].tolist()), interpolation=cv2.INTER_AREA)
 
 
+@pytest.mark.whole_after(2)
 @FORMATS
 @pytest.mark.parametrize("kind", ["staggered", "symmetric", "bright"])
 def test_circles_lie_where_the_board_has_them(kind: str, suffix: str, tmp_path: Path) -> None:
@@ -187,6 +188,7 @@ def test_corners_are_shared_by_two_dark_squares(kind: str, suffix: str, tmp_path
         assert np.sum(np.linalg.norm(corners - point, axis=1) < CLOSE) == 2
 
 
+@pytest.mark.whole
 @FORMATS
 def test_markers_are_opencvs_own(suffix: str, tmp_path: Path) -> None:
     target = board("charuco", size_mm=[140, 100])
@@ -199,6 +201,7 @@ def test_markers_are_opencvs_own(suffix: str, tmp_path: Path) -> None:
     assert np.mean(np.abs(cut.astype(int) - expected) > 128) < 0.004
 
 
+@pytest.mark.whole_after(1)
 @FORMATS
 @KINDS
 def test_our_detector_finds_what_is_printed_where_it_is_meant(kind: str, suffix: str, tmp_path: Path) -> None:
@@ -244,6 +247,7 @@ def test_cutting_marks_point_at_the_boards_corners_and_stay_outside(kind: str, t
         assert np.all((np.abs(mark) >= half + 2.9).any(axis=1))
 
 
+@pytest.mark.whole_after(2)
 @FORMATS
 @pytest.mark.parametrize(
     ("paper", "expected"),
@@ -312,6 +316,7 @@ def run(*words: object) -> Result:
     return CliRunner().invoke(app, ["target", *map(str, words)])
 
 
+@pytest.mark.whole_after(2)
 @pytest.mark.parametrize("name", ["target_paper", "target_slstudio", "target_charuco", "target_checkerboard"])
 @FORMATS
 def test_every_board_that_comes_with_fpplab_fits_a4(name: str, suffix: str, tmp_path: Path) -> None:

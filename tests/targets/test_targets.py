@@ -144,6 +144,7 @@ def test_a_charuco_picture_is_opencvs_own() -> None:
 # Finding
 
 
+@pytest.mark.whole_after(2)
 @KINDS
 @pytest.mark.parametrize("view", VIEWS.values(), ids=VIEWS.keys())
 def test_points_are_found_where_they_are(fields: dict, view: object) -> None:
@@ -168,6 +169,7 @@ def test_noise_moves_points_no_more_than_it_must(fields: dict) -> None:
     assert np.sqrt(np.mean(errors**2)) < 0.015
 
 
+@pytest.mark.whole_after(4)
 @pytest.mark.parametrize("turn", [0, 90, 180, 270])
 @pytest.mark.parametrize("fields", [CIRCLES, {**CORNERS, "counts": [7, 4]}, MARKED], ids=lambda f: f["kind"])
 def test_a_board_without_symmetry_keeps_its_ids_however_it_is_turned(fields: dict, turn: int) -> None:
@@ -179,6 +181,7 @@ def test_a_board_without_symmetry_keeps_its_ids_however_it_is_turned(fields: dic
     np.testing.assert_allclose(found.pixels, truth(target, matrix)[found.ids], atol=0.03)
 
 
+@pytest.mark.whole_after(2)
 @pytest.mark.parametrize("turn", [20, 110, 200, 290])
 def test_a_symmetric_board_points_right_or_down(turn: int) -> None:
     target = board(CORNERS)
@@ -224,6 +227,7 @@ def test_a_dim_picture_is_no_hindrance(fields: dict) -> None:
     np.testing.assert_allclose(found.pixels, truth(target, matrix)[found.ids], atol=0.03)
 
 
+@pytest.mark.whole
 def test_a_checkerboard_before_a_black_ground_with_noise_is_found() -> None:
     target = board(CORNERS, counts=[13, 9], size_mm=[160, 120], foreground=0.25, background=0.6)
     size = (844, 676)
@@ -234,6 +238,7 @@ def test_a_checkerboard_before_a_black_ground_with_noise_is_found() -> None:
     np.testing.assert_allclose(found.pixels, truth(target, matrix), atol=0.08)
 
 
+@pytest.mark.whole
 def test_a_board_too_small_for_a_picture_of_half_the_size_is_found_in_the_whole() -> None:
     """Squares of 8 px, of which half the size leaves 4."""
     target, size = board(CORNERS), (960, 720)
@@ -245,6 +250,7 @@ def test_a_board_too_small_for_a_picture_of_half_the_size_is_found_in_the_whole(
     assert np.abs(found.pixels - truth(target, matrix)).max() < 0.1
 
 
+@pytest.mark.whole_after(1)
 @KINDS
 def test_a_board_that_is_not_there_is_not_found(fields: dict) -> None:
     target = board(fields)
@@ -283,6 +289,7 @@ def discs(target: Target, matrix: np.ndarray, fine: int = 6) -> np.ndarray:
     return np.asarray(cv2.GaussianBlur(picture, (0, 0), 0.7))
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "view", [pose((0, 50, 0), (0, 0, 110)), pose((45, -20, 10), (2, 1, 110)), pose((-55, 0, 0), (0, 0, 100))]
 )

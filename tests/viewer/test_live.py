@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from fpplab.setup.live.expectation import RigGeometry, WorkingPoint
 from fpplab.setup.live.orders import Order
@@ -29,6 +30,7 @@ def test_saturated_and_dark_pixels_are_painted_in() -> None:
     assert not LitImage.of(image, 12, None).painted()[0].any()
 
 
+@pytest.mark.whole
 def test_the_recording_has_image_focus_histogram_and_scene(tmp_path: Path) -> None:
     path, geometry = tmp_path / "live.rrd", RigGeometry(converging(18.0))
     with Viewer(LiveView, None, recording=path, complete=True) as viewer:

@@ -252,6 +252,7 @@ def listening(started: list[psutil.Process]) -> list[Any]:
     return [connection.laddr for connection in found]
 
 
+@pytest.mark.whole
 def test_the_viewer_is_reached_from_this_computer_alone_and_ends(
     served: Viewer[MeasurementView], started: list[psutil.Process]
 ) -> None:
@@ -265,6 +266,7 @@ def test_the_viewer_is_reached_from_this_computer_alone_and_ends(
     served.close()
 
 
+@pytest.mark.whole
 def test_the_page_may_connect_to_this_computer_alone(served: Viewer[MeasurementView]) -> None:
     with urllib.request.urlopen(served.where) as page:
         policy, text = page.headers["Content-Security-Policy"], page.read().decode()
@@ -276,6 +278,7 @@ def test_the_page_may_connect_to_this_computer_alone(served: Viewer[MeasurementV
         urllib.request.urlopen(foreign)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     "name",
     [
@@ -320,6 +323,7 @@ def test_a_viewer_that_hangs_is_not_waited_for(
     assert not psutil.wait_procs(started, timeout=30)[1]
 
 
+@pytest.mark.whole
 def test_bad_data_switch_the_viewer_off(
     served: Viewer[MeasurementView], caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -410,6 +414,7 @@ print(view_session(Session.open(Path(sys.argv[1])), None, "browser", lambda wher
 """
 
 
+@pytest.mark.whole
 def test_ctrl_c_ends_the_viewer_and_its_processes(tmp_path: Path) -> None:
     made = session(tmp_path / "scan", PLAN)
     command = [sys.executable, "-c", WAITING, str(made.path)]

@@ -85,6 +85,7 @@ MISTAKES: dict[str, tuple[Plan, Change, str]] = {
 }
 
 
+@pytest.mark.whole_after(1)
 @pytest.mark.parametrize("name", MISTAKES)
 def test_a_mistake_is_named_with_what_to_write(name: str) -> None:
     plan, change, told = MISTAKES[name]
@@ -101,6 +102,7 @@ def assert_told(said: str, told: str) -> None:
     assert re.search(told, said), said
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(("axis", "sign", "told"), [("x", -1, "'shift_sign: 1'"), ("y", 1, "'axis: x'")])
 def test_what_one_axis_cannot_prove_is_said_to_be_unusual(axis: Axis, sign: int, told: str) -> None:
     recording = each(lambda s: s.model_copy(update={"axis": axis, "shift_sign": sign}))(
@@ -145,6 +147,7 @@ def assert_left_alone(bench: Bench) -> None:
     assert found.note is None
 
 
+@pytest.mark.whole_after(2)
 @pytest.mark.parametrize("seed", range(4))
 def test_a_right_plan_is_left_alone(seed: int) -> None:
     assert_left_alone(right_plan(seed))
@@ -166,6 +169,7 @@ def test_fringes_that_blur_has_turned_into_noise_say_nothing(seed: int) -> None:
     assert check_plan_fit(Bench(plan=BOTH, seed=seed, projector_blur_px=15.0).recording()) is None
 
 
+@pytest.mark.whole_after(2)
 @pytest.mark.parametrize("name", ["calseq1", "calseq2", "calseq3", "calseq4", "calseq5", "skull_2x3"])
 def test_plans_of_real_captures_are_left_alone_and_their_mistakes_named(captures: Path, name: str) -> None:
     plan = Plan.load("plan_slstudio_skull" if "skull" in name else "plan_slstudio_board")

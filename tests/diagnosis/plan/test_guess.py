@@ -23,6 +23,7 @@ PLANS = {
 }
 
 
+@pytest.mark.whole_after(1)
 @pytest.mark.parametrize("name", PLANS)
 def test_a_plan_is_found_from_its_images(name: str) -> None:
     axes, steps, stripes = PLANS[name]

@@ -91,6 +91,7 @@ def test_leds_by_hand(hid: EmulatedHid) -> None:
     assert hid.controller.light() is None
 
 
+@pytest.mark.whole
 def test_levels_above_the_limits_need_consent(
     hid: EmulatedHid, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -123,6 +124,7 @@ def test_a_rig_file_whose_levels_exceed_its_limits_is_refused() -> None:
         Dlp4500("projector", options)
 
 
+@pytest.mark.whole
 def test_test_patterns(hid: EmulatedHid) -> None:
     for number, name in enumerate(protocol.TEST_PATTERNS):
         said("test-pattern", name)

@@ -215,6 +215,7 @@ def test_many_images_are_shown_when_they_are_loaded(tmp_path: Path) -> None:
         projector.blank()
 
 
+@pytest.mark.whole_after(2)
 @pytest.mark.parametrize(("count", "loads"), [(3, (1, 0.0)), (6, (2, 0.0)), (12, (4, 0.03))])
 def test_the_time_that_loads_need_is_told(tmp_path: Path, count: int, loads: tuple[int, float]) -> None:
     """Each image has three patterns, which last until the next image is loaded."""
@@ -237,6 +238,7 @@ def test_an_image_that_came_too_late_is_told(tmp_path: Path) -> None:
         assert bench.is_dark()
 
 
+@pytest.mark.whole
 def test_more_than_128_patterns_go_by_the_long_tables(tmp_path: Path) -> None:
     bench = Bench(greys(3), tmp_path, Dlpc350Policy())
     many = [bench.patterns[i % 3] for i in range(129)]
@@ -247,6 +249,7 @@ def test_more_than_128_patterns_go_by_the_long_tables(tmp_path: Path) -> None:
         assert protocol.VARIABLE_CONFIG.number in bench.controller.executed
 
 
+@pytest.mark.whole
 def test_36_patterns_take_fewer_than_60_commands(tmp_path: Path) -> None:
     bench = Bench(greys(36), tmp_path, Dlpc350Policy())
     with bench.projector() as projector:
@@ -401,6 +404,7 @@ def test_a_new_load_ends_what_was_on_show(bench: Bench, projector: Dlp4500) -> N
     assert not bench.pulses
 
 
+@pytest.mark.whole
 def test_too_many_changes_of_image(bench: Bench, projector: Dlp4500) -> None:
     with pytest.raises(SettingError, match="258 changes of image: at most 256"):
         projector.load([bench.patterns[0], bench.patterns[5]] * 129)

@@ -85,6 +85,7 @@ def within_time(trial: Trial) -> Iterator[None]:
     assert trial.clock.now() - begin < LONGEST_S
 
 
+@pytest.mark.whole_after(1)
 @pytest.mark.parametrize("fault", ERRORS, ids=lambda fault: fault.name)
 def test_a_fault_at_every_command(bench: Bench, requests: int, fault: UsbFault) -> None:
     failed = [at for at in range(requests) if not survives(Trial(bench, at, fault))]
@@ -125,6 +126,7 @@ def check_safe(trial: Trial) -> None:
     assert trial.grey() is None
 
 
+@pytest.mark.whole
 def test_unplugged_during_the_set_up_nothing_is_lit(bench: Bench) -> None:
     """The LEDs are given to the sequencer last of all, right before the start."""
     trial = Trial(bench)
@@ -147,6 +149,7 @@ def test_unplugged_during_the_set_up_nothing_is_lit(bench: Bench) -> None:
     assert len(lit) == start_and_status
 
 
+@pytest.mark.whole
 def test_a_doubled_answer_at_every_command_does_no_harm(bench: Bench, requests: int) -> None:
     for at in range(requests):
         trial = Trial(bench, at, UsbFault.DUPLICATE)

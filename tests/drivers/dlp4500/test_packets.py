@@ -238,6 +238,7 @@ def one_of(values: Sequence[int]) -> st.SearchStrategy[int]:
     return st.integers(values[0], values[-1]) if isinstance(values, range) else st.sampled_from(values)
 
 
+@pytest.mark.whole_after(7)
 @pytest.mark.parametrize("layout", [r[1] for r in RECORDS], ids=[r[0] for r in RECORDS])
 def test_there_and_back_is_an_identity(layout: RegisterLayout) -> None:
     @given(values_of(layout), st.binary(min_size=layout.size, max_size=layout.size))

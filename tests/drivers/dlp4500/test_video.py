@@ -96,6 +96,7 @@ def played(bench: VideoBench, projector: Dlp4500, exposure_s: float) -> list[int
 # --- packing
 
 
+@pytest.mark.whole_after(3)
 @pytest.mark.parametrize("bits", range(1, 9))
 def test_every_pattern_of_a_depth_comes_out_of_its_planes(bits: int) -> None:
     """Read by the emulated controller, which takes planes apart on its own."""
@@ -169,6 +170,7 @@ def test_patterns_are_in_one_place(bench: VideoBench, options: dict[str, Any], w
 # --- showing
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("policy", [STRICT, Dlpc350Policy()], ids=["strict", "quick"])
 def test_a_shown_pattern_stays_lit_in_every_frame(tmp_path: Path, policy: Dlpc350Policy) -> None:
     """Also on a board that has started before the next frame begins."""
@@ -353,6 +355,7 @@ def test_a_signal_lost_between_frames_is_noticed(bench: VideoBench, projector: D
     assert bench.is_dark()
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("fault", [UsbFault.DROP, UsbFault.LATE, UsbFault.NACK, UsbFault.UNPLUG_BEFORE])
 def test_a_fault_at_any_command_of_a_run_ends_it(tmp_path: Path, fault: UsbFault) -> None:
     """No frame later than where it happened, and dark where the cable is still there."""

@@ -55,6 +55,7 @@ def test_bad_poses_are_rejected_with_their_cause_and_the_loop_goes_on(
     assert not [w for w in found.result.warnings if "moved" in w]
 
 
+@pytest.mark.whole
 def test_every_pose_lessens_the_uncertainty_and_residuals_are_as_predicted(
     run: tuple[GuidedRun, list[str], Path],
 ) -> None:
@@ -77,6 +78,7 @@ def test_what_was_asked_for_and_not_reached_is_said(run: tuple[GuidedRun, list[s
     assert (run[2] / "next_pose.png").stat().st_size > 2000
 
 
+@pytest.mark.whole
 def test_poses_on_disk_are_kept_and_count(run: tuple[GuidedRun, list[str], Path]) -> None:
     """The same command again takes nothing; one pose more is taken where more are allowed."""
     found, _, folder = run

@@ -58,6 +58,7 @@ def test_every_view_shows_its_own_pattern(rig: Path) -> None:
     assert operator.seen[-1].levels is not None  # white, checker and cross are measured as well
 
 
+@pytest.mark.whole
 def test_a_command_gets_the_rig_and_the_set_up_goes_on(rig: Path) -> None:
     """The devices are closed while the command has the rig, and open again afterwards, with the exposure."""
     from tests.devices.test_rig_lock import waiting

@@ -33,11 +33,13 @@ def with_plan(plan: Plan, calibration: Calibration | None, cause: str | None = N
     return check_rig(formula_rig(cause, 6), plan, "card", lambda _: None, calibration)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("cause", ["projector_focus", "flicker", "response"])
 def test_the_cause_is_named_first(cause: str) -> None:
     assert causes(checked(cause, 2))[0] == cause
 
 
+@pytest.mark.whole
 def test_all_is_well_with_a_good_rig() -> None:
     found = checked(None, 3)
     assert found.summary()["ok"]
@@ -58,6 +60,7 @@ def test_other_good_rigs_are_left_in_peace(seed: int) -> None:
     assert causes(checked(None, seed)) == []
 
 
+@pytest.mark.whole
 def test_a_stale_calibration_is_found_though_the_plan_has_one_axis() -> None:
     bench = drawn("stale_calibration", 6)
     found = with_plan(PLANS["three"], bench.calibration, "stale_calibration")
@@ -83,6 +86,7 @@ def holding(monkeypatch: pytest.MonkeyPatch, axes: str) -> None:
     monkeypatch.setattr(FormulaProjector, "load", held)
 
 
+@pytest.mark.whole
 def test_fringes_along_one_axis_serve_where_the_others_are_not_in_flash(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -34,6 +34,7 @@ def folder(tmp_path: Path) -> Path:
 WORDS = ("--rig", "rig.yaml", "--plan", "plan.yaml", "--scenes", "ranges.yaml", "--out", "set", "--json")
 
 
+@pytest.mark.whole
 def test_samples_and_their_card(fpplab: Command, folder: Path) -> None:
     made = fpplab("dataset", *WORDS, "--count", 3, "--shard-size", 2, "--view", cwd=folder, env=NO_DISPLAY)
     assert made.code == 0, made.err

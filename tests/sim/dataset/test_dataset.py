@@ -193,11 +193,13 @@ def test_plate_lit_from_behind_is_visible_but_masked() -> None:
     assert trace_labels(SceneTruth(plate, Calibration(camera, camera, beside, {}))).mask.sum() > 1000
 
 
+@pytest.mark.whole
 def test_boards_agree_with_their_labels(boards: Dataset) -> None:
     for k in range(3):
         check_sample(boards[k], edges_px=2)
 
 
+@pytest.mark.whole
 def test_artefacts_agree_with_their_labels_in_any_order(tmp_path: Path) -> None:
     """Rendered by Blender; each sample is the same by itself as after others."""
     scenes = ALL.model_copy(update={"targets": (), "gloss": (0.0, 0.0)})
@@ -223,6 +225,7 @@ DEVICES = Calibration(
 )
 
 
+@pytest.mark.whole
 @given(seed=st.integers(0, 2**40), index=st.integers(0, 10**6))
 def test_scenes_are_drawn_within_their_ranges(seed: int, index: int) -> None:
     scene = draw_scene(ALL, seed, index, DEVICES, 0.0)
@@ -264,6 +267,7 @@ def test_draft_of_a_killed_process_is_started_again(boards: Dataset, tmp_path: P
     assert contents(out) == contents(boards.folder)
 
 
+@pytest.mark.whole
 def test_two_processes_do_not_make_the_same_shard(tmp_path: Path, boards: Dataset) -> None:
     out = tmp_path / "set"
     with opened(tmp_path) as maker:

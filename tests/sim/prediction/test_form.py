@@ -43,6 +43,7 @@ def true_plane() -> trimesh.Trimesh:
     return trimesh.Trimesh(wide, [[0, 1, 2], [0, 2, 3]], process=False)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(("noise_px", "least"), [(0.02, 1.1), (0.002, 4.0)])
 def test_intervals_of_distance_hold_benches_with_calibrations_of_known_covariance(
     noise_px: float, least: float

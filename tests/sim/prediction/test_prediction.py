@@ -71,6 +71,7 @@ def measured(rig: Rig, plan: Plan, item: str) -> MeasuredFigures:
     return figures_of(decoded, cloud, mesh, known, plan, seen_surface(mesh, known))
 
 
+@pytest.mark.whole
 def test_a_prediction_is_that_of_a_whole_synthesis(rig: Rig) -> None:
     found, whole = predict(rig, PLAN, ITEM), measured(rig, PLAN, ITEM)
     assert found.figures["distance_um"].value == pytest.approx(whole.distance_um, rel=0.03)

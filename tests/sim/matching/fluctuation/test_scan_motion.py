@@ -70,6 +70,7 @@ def test_a_part_at_rest_has_no_speed_however_the_lamp_flickers(bench: TwinParame
     assert abs(found.um_per_frame) < 4 * found.sigma
 
 
+@pytest.mark.whole
 def test_vibration_makes_speeds_by_chance_as_large_as_stated(bench: TwinParameters) -> None:
     shaking = replace(bench, vibration_line_mm=(0.0, 0.0, 0.008))
     found = []

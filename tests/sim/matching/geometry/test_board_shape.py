@@ -57,6 +57,7 @@ def test_the_bend_moves_the_surface_along_its_normal(truth: TwinParameters) -> N
     assert np.abs(moves).max() > 1e-4
 
 
+@pytest.mark.whole
 def test_a_bent_board_is_not_taken_for_another_geometry(truth: TwinParameters) -> None:
     """Recordings of a board that is bent: the step stays near the truth only if the bend is known."""
     bench = PlaneTwin(truth, 1, height)

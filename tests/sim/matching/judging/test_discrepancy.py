@@ -41,6 +41,7 @@ def compared(bench: TwinParameters, twin: TwinParameters) -> Discrepancy:
     return discrepancy_of(reference_of(bench, plan=PLAN), PlaneTwin(twin, 7), NO_SCANS)
 
 
+@pytest.mark.whole
 def test_a_twin_that_is_the_bench_leaves_noise_alone(truth: TwinParameters, tmp_path: Path) -> None:
     found = compared(truth, truth)
     assert found.noise is not None
@@ -55,6 +56,7 @@ def test_a_twin_that_is_the_bench_leaves_noise_alone(truth: TwinParameters, tmp_
     assert Discrepancy.beside(tmp_path / "rig.yaml") == found
 
 
+@pytest.mark.whole
 def test_noise_that_the_twin_lacks_is_told(truth: TwinParameters) -> None:
     found = compared(replace(truth, full_well_e=truth.full_well_e / 9), truth)
     assert found.noise is not None
@@ -69,6 +71,7 @@ def test_noise_that_the_twin_lacks_is_told(truth: TwinParameters) -> None:
     assert found.not_for == "noise and chance of wrong orders"
 
 
+@pytest.mark.whole
 def test_levels_are_told_by_pose_and_place(truth: TwinParameters) -> None:
     dark = reference_of(replace(truth, vignetting=300.0), plan=PLAN)
     found = level_differences(dark, PlaneTwin(truth))

@@ -160,6 +160,7 @@ def test_contrast_of_finer_fringes_is_as_uncertain_as_a_blur_makes_it() -> None:
     assert np.hypot(known.relative, known.sigma(256)) == pytest.approx(0.16)
 
 
+@pytest.mark.whole
 def test_where_scans_tell_the_sharpness_the_board_does_not(bench: TwinParameters) -> None:
     """Light that the twin lacks on the board then leaves the projector's focus alone."""
     true = replace(bench, projector_focus_mm=560.0, projector_aperture_mm=14.0)
@@ -188,6 +189,7 @@ def test_where_scans_tell_the_sharpness_the_board_does_not(bench: TwinParameters
     assert together.propose(alone).sigma["projector_blur"] != found.sigma["projector_blur"]
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(("below", "told"), [(0.0, False), (0.9, True)])
 def test_a_part_that_blurs_by_itself_is_told_from_the_projector(
     bench: TwinParameters, below: float, told: bool

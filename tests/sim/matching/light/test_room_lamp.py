@@ -55,6 +55,7 @@ def room_light(parameters: TwinParameters) -> Floats:
     return np.stack([twin.expected(n, pattern, SETTINGS)[0] - black for n in range(len(parameters.poses))])
 
 
+@pytest.mark.whole
 def test_lamp_is_found(truth: TwinParameters) -> None:
     """From a twin that has taken its light for ambient light."""
     bench = replace(truth, **LAMP)
@@ -73,6 +74,7 @@ def test_lamp_is_found(truth: TwinParameters) -> None:
     assert np.std((found - true)[board]) < 0.1 * np.std(true[board])
 
 
+@pytest.mark.whole
 def test_even_room_has_no_lamp(truth: TwinParameters) -> None:
     """Four parameters more explain nothing."""
     proposed, _ = judged_lamp(truth, truth)

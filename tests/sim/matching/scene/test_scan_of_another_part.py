@@ -38,6 +38,7 @@ def test_a_scan_of_the_part_is_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
     assert found.T_camera_item.translation == pytest.approx(PLACE.translation, abs=0.02)
 
 
+@pytest.mark.whole
 def test_a_scan_of_another_part_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(
         CalibrationError, match=r"scan: its points are \d+ µm off the roof's surface"
