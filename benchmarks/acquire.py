@@ -26,7 +26,7 @@ from pypylon import pylon
 from benchmarks import Result
 from benchmarks.peak import peak_of
 from drivers.basler import BaslerCamera
-from drivers.basler.frames import POOL_BYTES
+from drivers.basler.frames import MAX_POOL_BYTES
 from drivers.emulators.pylon import EmulatedPylon, PylonPolicy
 from fpplab.core.progress import ignore
 from fpplab.devices import CameraSettings, Frame
@@ -157,7 +157,7 @@ def _memory(camera: BaslerCamera, bench: EmulatedPylon) -> Result:
         for _ in range(4 * FRAMES):
             bench.pulse()
             camera.read(TIMEOUT_S)
-    taken, allowed = (peak[0] - before) / 2**30, (POOL_BYTES + SIZE[0] * SIZE[1]) / 2**30
+    taken, allowed = (peak[0] - before) / 2**30, (MAX_POOL_BYTES + SIZE[0] * SIZE[1]) / 2**30
     return Result(f"memory for {4 * FRAMES} frames", taken, "GiB", allowed, allowed / taken)
 
 

@@ -9,24 +9,21 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-END_S = 5.0
-"""Time in s for such a process to end."""
 
-
-def ask_apart(answer: Callable[..., None], *words: Any, patience_s: float) -> Any:
-    """Have a function answer in a process of its own."""
+def ask_apart(answer: Callable[..., None], *arguments: Any, timeout_s: float) -> Any:
+    """Have a function answer in a process of its own; None where it crashes or takes too long."""
     context = multiprocessing.get_context("spawn")  # libraries and threads do not survive a fork
     mine, theirs = context.Pipe(duplex=False)
-    process = context.Process(target=answer, args=(theirs, *words), name=answer.__name__, daemon=True)
+    process = context.Process(target=answer, args=(theirs, *arguments), name=answer.__name__, daemon=True)
     process.start()
     theirs.close()
     try:
-        return mine.recv() if mine.poll(patience_s) else None
+        return mine.recv() if mine.poll(timeout_s) else None
     except EOFError:
         return None
     finally:
         mine.close()
-        process.join(END_S)
+        process.join(5.0)
         if process.is_alive():
             process.kill()
             process.join()

@@ -3,7 +3,19 @@
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
 from typing import Protocol
+
+ROUNDING_S = 1e-9
+"""Tolerance in s where times that are equal but for rounding are compared: sums of floats up to days."""
+
+
+@dataclass(frozen=True)
+class Polling:
+    """How a change of a device's state is awaited."""
+
+    step_s: float  # from one query to the next
+    limit_s: float  # after which the change is given up
 
 
 class Clock(Protocol):

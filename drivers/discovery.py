@@ -14,11 +14,10 @@ from typing import Any
 
 from drivers import computer_discovery
 from drivers.dlp4500.sequence import SIZE as LIGHTCRAFTER
+from drivers.dlp4500.transport import PRODUCT, VENDOR
 from fpplab.core.extras import MissingExtraError, missing_extra
 from fpplab.devices.discovery import FoundDevice, FoundDevices
 
-DLP4500_VENDOR, DLP4500_PRODUCT = 0x0451, 0x6401
-"""USB identity of the DLPC350, the LightCrafter 4500's controller."""
 LIGHTCRAFTER_DRIVER = "dlp4500"
 """Its driver, as rig files name it."""
 BASLER_VENDOR = 0x2676
@@ -39,9 +38,7 @@ SPEEDS = {
     4: "USB 3, 5 Gbit/s",
     5: "USB 3, 10 Gbit/s",
 }
-"""Descriptions of libusb's speed numbers."""
-USB_3 = 4
-"""libusb's number of the slowest USB 3 speed."""
+"""Descriptions of libusb's speed numbers (`enum libusb_speed`)."""
 BENCH = "rig_bench.yaml"
 """Rig file that comes with fpplab, of a bench of these devices."""
 RULES = "copy the udev rules of docs/hardware.md, and plug it in again"
@@ -179,7 +176,7 @@ def cameras(usb: Iterable[UsbDevice]) -> FoundDevices:
             found.missing.append(f"camera {device.label}: this user may not open it; {RULES}")
         elif device.serial not in serials:
             found.missing.append(f"camera {device.label}: pylon does not show it; install pylon's USB driver")
-        if device.speed is not None and device.speed < USB_3:
+        if device.speed is not None and device.speed < 4:  # slower than USB 3
             found.missing.append(
                 f"camera {device.label}: connected by {SPEEDS.get(device.speed, 'an unknown speed')}; "
                 "use a USB 3 port and cable, or frames will be lost"
@@ -195,9 +192,9 @@ def projectors(usb: Iterable[UsbDevice]) -> FoundDevices:
     """
     import hid
 
-    plugged = [device for device in usb if device.ids == (DLP4500_VENDOR, DLP4500_PRODUCT)]
+    plugged = [device for device in usb if device.ids == (VENDOR, PRODUCT)]
     found = FoundDevices([], [])
-    for one in hid.enumerate(DLP4500_VENDOR, DLP4500_PRODUCT):
+    for one in hid.enumerate(VENDOR, PRODUCT):
         if one["interface_number"] in (-1, 0):
             serial = one["serial_number"] or ""
             speed = next((d.speed for d in plugged if d.serial == serial or len(plugged) == 1), None)

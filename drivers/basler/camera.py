@@ -17,7 +17,7 @@ from typing import Any, ClassVar
 from pypylon import genicam, pylon
 
 from drivers.basler.families import BASLER_RAW, family_of, raw_gain_of
-from drivers.basler.frames import SPARE, BufferPool
+from drivers.basler.frames import SPARE_BUFFERS, BufferPool
 from drivers.basler.link import lost_on_link
 from drivers.basler.options import BaslerOptions
 from drivers.basler.transport import Pylon
@@ -40,17 +40,14 @@ from fpplab.devices import DeviceInfo, Frame, State, Trigger
 
 _log = logging.getLogger(__name__)
 
-NS_PER_S = 1e9
 GENTLER = "use a better cable or network card, or a larger packet_delay_ticks"
 """Remedy for packets that are lost again and again."""
-READY_S = 5.0
-"""Time limit in s for a camera to become ready for its first trigger."""
-SLICE_S = 0.2
-"""Interval in s at which a wait checks for an unplugged camera and for the operator's Ctrl-C."""
+READY_TIMEOUT_S = 5.0
+"""Longest wait in s for a camera to become ready for its first trigger (chosen)."""
 FIRST_BLOCK = {"BaslerGigE": 1}
 """BlockID of the first frame after `arm`, by pylon's device class, where it is not 0."""
 NO_BLOCK_ID = (1 << 64) - 1
-"""BlockID that pylon reports for a camera that does not count its frames."""
+"""BlockID of a camera that does not count its frames (pylon's API reference, `GetBlockID`)."""
 USB_SPEEDS = {
     "LowSpeed": "USB 1, 1.5 Mbit/s",
     "FullSpeed": "USB 1, 12 Mbit/s",
@@ -118,7 +115,9 @@ class BaslerCamera(GenicamCamera):
         conversion = self._options.raw_gain or raw_gain_of(info.GetModelName())
         self._gain = CameraGain(self._features, conversion)
         self._first_block = FIRST_BLOCK.get(info.GetDeviceClass(), 0)
-        self._ticks_per_s = float(self._features.read(named.TICKS_PER_S) or NS_PER_S)
+        self._ticks_per_s = float(
+            self._features.read(named.TICKS_PER_S) or 1e9
+        )  # ns, unless the camera tells another unit
         if self._options.features is not None:
             path = Path(self._options.features)
             self._load(config.read_text(path), path)
@@ -151,13 +150,13 @@ class BaslerCamera(GenicamCamera):
     def _arm(self, n: int, trigger: Trigger) -> None:
         self._choose_trigger(trigger)
         # Hardware triggers do not wait for the host, software triggers do; new buffers take time to allocate.
-        waiting = n if trigger == "hardware" else SPARE
+        waiting = n if trigger == "hardware" else SPARE_BUFFERS
         self._pool = BufferPool(waiting, self._features.read(named.PAYLOAD_BYTES))
         self._trigger = trigger
         self._camera.MaxNumBuffer.SetValue(self._pool.size)
         self._camera.StartGrabbing(pylon.GrabStrategy_OneByOne)
         # A pulse that comes before the camera is ready would be lost without an error.
-        self._await_ready(time.monotonic() + READY_S, "arm")
+        self._await_ready(time.monotonic() + READY_TIMEOUT_S, "arm")
 
     def _read(self, timeout_s: float) -> Frame:
         deadline = time.monotonic() + timeout_s
@@ -305,4 +304,5 @@ def _words(error: genicam.GenericException) -> str:
 
 
 def _slice_ms(deadline: float) -> int:
-    return round(1000 * min(max(deadline - time.monotonic(), 0.0), SLICE_S))
+    """Time to wait in pylon, in ms: short, as it notices neither an unplugged camera nor Ctrl-C meanwhile."""
+    return round(1000 * min(max(deadline - time.monotonic(), 0.0), 0.2))

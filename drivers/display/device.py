@@ -30,8 +30,8 @@ from fpplab.patterns.fringes import Pattern, quantise
 Channel = Literal["red", "green", "blue"]
 CHANNELS: tuple[Channel, ...] = ("red", "green", "blue")
 """Of a pixel, in the order of a frame."""
-MOST_PATTERNS = 1024
-"""Patterns that are held at once, in the computer's memory."""
+MAX_PATTERNS = 1024
+"""Patterns that are held at once, in the computer's memory (chosen)."""
 CURVED_DEPTHS = (1, 8)
 """Bit depths whose grey levels a curve of 8 bits still shows."""
 
@@ -95,7 +95,7 @@ class DisplayProjector(FlashingProjector):
             self._options.lattice,
             dict.fromkeys(depths, vsync_s),
             trigger_outputs=0,
-            max_patterns=MOST_PATTERNS,
+            max_patterns=MAX_PATTERNS,
             period_s=0.0 if self._options.steady else vsync_s,
         )
 

@@ -21,16 +21,15 @@ from typing import Any
 
 from drivers.apart import libraries_silent
 
-EVENTS_S = 0.02
-"""Interval in s at which window events are processed while no command comes."""
 QUEUED_FRAMES = 3
-"""Frames that drivers and compositors may queue: a frame is transmitted once so many more were presented."""
-MEASURED_FRAMES = 10
-"""Frames over which the refresh period is measured."""
+"""Frames that drivers and compositors may queue: a frame is transmitted once so many more were presented.
+
+Chosen: triple buffering queues two.
+"""
 WHOLE_RATES_HZ = (24, 30, 60, 120)
 """Refresh rates whose television variants, 59.94 Hz for 60 Hz, are reported as the whole number below."""
-LEAST_OF_PERIOD = 0.7
-"""Share of the refresh period below which frames are not synchronised to the display."""
+MIN_SHARE_OF_PERIOD = 0.7
+"""Share of the refresh period below which frames are not synchronised to the display (chosen)."""
 HINTS = {
     b"SDL_NO_SIGNAL_HANDLERS": b"1",
     b"SDL_VIDEO_MINIMIZE_ON_FOCUS_LOSS": b"0",  # the operator works on another display
@@ -103,7 +102,7 @@ def serve_screen(connection: Connection, wanted: int | str, size: tuple[int, int
                 memory = SharedMemory(connection.recv())
                 assert memory.buf is not None
                 while True:
-                    while not connection.poll(EVENTS_S):
+                    while not connection.poll(0.02):
                         screen.process_events()
                     command = connection.recv()
                     screen.show(bytes(memory.buf[: screen.frame_bytes]), command.refreshes)
@@ -251,13 +250,13 @@ class Screen:
         Raises `ScreenError` when frames are presented faster than the display shows them.
         """
         times = []
-        for _ in range(1 + MEASURED_FRAMES):
+        for _ in range(11):
             self._present()
             times.append(time.perf_counter())
         measured_s = median(b - a for a, b in pairwise(times))
         if not reported_hz:
             return measured_s
-        if measured_s < LEAST_OF_PERIOD / reported_hz:
+        if measured_s < MIN_SHARE_OF_PERIOD / reported_hz:
             raise ScreenError(
                 f"frames come every {1e3 * measured_s:.1f} ms on a display of {reported_hz} Hz",
                 "switch on vertical synchronisation in the graphics driver",

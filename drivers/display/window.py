@@ -22,7 +22,7 @@ from fpplab.core.errors import DeviceError, DeviceTimeoutError, DisconnectedErro
 from fpplab.core.extras import need_extra
 
 START_S, SHOW_S, STOP_S = 30.0, 5.0, 5.0
-"""Time limits in s for the process to open the display, to show a frame, and to end."""
+"""Time limits in s for the process to open the display, to show a frame, and to end (chosen)."""
 
 VideoFrame = NDArray[np.uint8]
 """uint8 (height, width, 3): red, green, blue."""
@@ -163,7 +163,7 @@ class SdlDisplay:
 def connected_displays() -> list[DisplayInfo]:
     """List the displays of this computer, from a process of its own."""
     need_extra("sdl2")
-    found = ask_apart(screen.serve_displays, patience_s=START_S)
+    found = ask_apart(screen.serve_displays, timeout_s=START_S)
     if isinstance(found, screen.ScreenFailure):
         raise DeviceError("displays", "list", found.found, found.remedy)
     if found is None:

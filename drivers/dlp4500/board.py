@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 
-from drivers.clock import Clock
+from drivers.clock import Clock, Polling
 from drivers.dlp4500 import protocol
 from drivers.dlp4500.protocol import COLOURS, DisplayMode, Run
 from drivers.dlp4500.status import Status
@@ -18,9 +18,7 @@ from drivers.dlp4500.transport import Link
 from fpplab.core.errors import DeviceError, DeviceTimeoutError, ProtocolError, SettingError
 
 LED_FULL = 255
-"""Level of an LED at full current."""
-TEST_PATTERN_FULL = 1023
-"""Full intensity of a test pattern's colour."""
+"""Level of an LED at full current, on the operator's scale; the wire's may be inverted (`set_led_levels`)."""
 PARALLEL_24_BIT = {"source": 0, "width": 1}
 """Input source: the parallel port, 24 bits wide."""
 INTERNAL_TEST_PATTERN = {"source": 1, "width": 1}
@@ -28,19 +26,19 @@ INTERNAL_TEST_PATTERN = {"source": 1, "width": 1}
 BOARD_CHANNEL_SWAP = {"swap": 4, "port": 0}
 """Colour channels of the HDMI input of the evaluation module."""
 
-MODE_STEP_S, MODE_S = 0.1, 2.0
-"""Polling interval and time limit in s of a change of display mode; the pairs below are of the same form."""
-STOP_STEP_S, STOP_S = 0.01, 2.0
-LOCK_STEP_S, LOCK_S = 0.1, 1.5
-WAKE_STEP_S, WAKE_S = 0.1, 5.0
-"""Waking has the longest limit that existing clients use."""
-SETTLING_S = 5.0
-"""Time in s that TI's GUI waits after a reset before it opens the device again."""
+MODE_CHANGE = Polling(step_s=0.1, limit_s=2.0)
+"""Of the display mode. TI's GUI asks every 0.1 s and gives up after 0.7 s; the limit is chosen longer."""
+STOPPING = Polling(step_s=0.01, limit_s=2.0)
+"""Of the sequence (chosen: TI's GUI waits without a limit)."""
+LOCKING = Polling(step_s=0.1, limit_s=1.5)
+"""Of the video signal, as in TI's GUI."""
+WAKING = Polling(step_s=0.1, limit_s=5.0)
+"""From standby: TI's GUI allows 2 s, other clients up to 5 s."""
 
 
 def delay_code(us: float) -> int:
     """Convert a trigger delay to the controller's unit."""
-    return protocol.ZERO_DELAY + round(us / protocol.DELAY_STEP_US)
+    return protocol.ZERO_DELAY_CODE + round(us / protocol.DELAY_STEP_US)
 
 
 class ProjectorBoard:
@@ -95,21 +93,21 @@ class ProjectorBoard:
                 return not self.is_standby()
             return False
 
-        self._until(awake, "wake", "is still in standby", WAKE_STEP_S, WAKE_S)
+        self._until(awake, "wake", "is still in standby", WAKING)
 
     def enter_standby(self) -> None:
         """Switch the light off and enter standby, which is possible from video mode only."""
         self.go_dark()
         self.set_display_mode(DisplayMode.VIDEO)
         self.link.write(protocol.POWER, standby=1)
-        self._until(self.is_standby, "standby", "is still awake", WAKE_STEP_S, WAKE_S)
+        self._until(self.is_standby, "standby", "is still awake", WAKING)
 
     def reset(self) -> None:
         """Restart the controller and close the link: the USB device disappears and must be opened again."""
         self.go_dark()
         self.link.write(protocol.SOFTWARE_RESET)
         self.link.close()
-        self._clock.sleep(SETTLING_S)
+        self._clock.sleep(5.0)  # as TI's GUI waits before it opens the device again
 
     # --- light
 
@@ -194,9 +192,7 @@ class ProjectorBoard:
         if mode is DisplayMode.PATTERN:  # with a test pattern selected the USB link was lost on the way back
             self.link.write(protocol.INPUT_SOURCE, **PARALLEL_24_BIT)
         self.link.write(protocol.DISPLAY_MODE, mode=int(mode))
-        self._until(
-            lambda: self._mode() == mode, "display mode", f"is not in {mode.name} mode", MODE_STEP_S, MODE_S
-        )
+        self._until(lambda: self._mode() == mode, "display mode", f"is not in {mode.name} mode", MODE_CHANGE)
 
     def select_video(self) -> None:
         """Select 24-bit frames from the parallel port (HDMI), and wait until their signal is locked.
@@ -208,7 +204,7 @@ class ProjectorBoard:
         self.link.write(protocol.PORT_CLOCK, clock=0)
         self.link.write(protocol.PIXEL_FORMAT, format=0)
         self.link.write(protocol.CHANNEL_SWAP, **BOARD_CHANNEL_SWAP)
-        self._until(self.is_locked, "video", "no signal is locked on the video port", LOCK_STEP_S, LOCK_S)
+        self._until(self.is_locked, "video", "no signal is locked on the video port", LOCKING)
 
     def show_test_pattern(self, name: str) -> None:
         """Show an internal test pattern, white on black, lit by the LEDs at their present currents."""
@@ -216,7 +212,7 @@ class ProjectorBoard:
         self.set_display_mode(DisplayMode.VIDEO)
         self.link.write(protocol.INPUT_SOURCE, **INTERNAL_TEST_PATTERN)
         self.link.write(protocol.TEST_PATTERN, pattern=protocol.TEST_PATTERNS.index(name))
-        white = dict.fromkeys(("front_red", "front_green", "front_blue"), TEST_PATTERN_FULL)
+        white = dict.fromkeys(("front_red", "front_green", "front_blue"), 1023)  # 10 bits
         black = dict.fromkeys(("back_red", "back_green", "back_blue"), 0)
         self.link.write(protocol.TEST_PATTERN_COLOURS, **white, **black)
         self.link.write(protocol.LED_ENABLE, red=0, green=0, blue=0, sequenced=1)
@@ -242,19 +238,18 @@ class ProjectorBoard:
             lambda: self.link.read(protocol.SEQUENCE)["run"] == Run.STOP,
             "stop",
             "the sequence still runs",
-            STOP_STEP_S,
-            STOP_S,
+            STOPPING,
         )
 
     def _mode(self) -> int:
         return self.link.read(protocol.DISPLAY_MODE)["mode"]
 
-    def _until(
-        self, done: Callable[[], bool], operation: str, found: str, step_s: float, most_s: float
-    ) -> None:
-        """Poll every `step_s` until done, or raise `DeviceTimeoutError` with `found` after `most_s`."""
-        for _ in range(round(most_s / step_s)):
+    def _until(self, done: Callable[[], bool], operation: str, found: str, polling: Polling) -> None:
+        """Poll until done, or raise `DeviceTimeoutError` with `found` after the limit."""
+        for _ in range(round(polling.limit_s / polling.step_s)):
             if done():
                 return
-            self._clock.sleep(step_s)
-        raise DeviceTimeoutError(self._name, operation, f"{found} after {most_s:g} s", "switch it off and on")
+            self._clock.sleep(polling.step_s)
+        raise DeviceTimeoutError(
+            self._name, operation, f"{found} after {polling.limit_s:g} s", "switch it off and on"
+        )

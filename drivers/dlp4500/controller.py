@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 
+from drivers.clock import Polling
 from drivers.dlp4500 import protocol
 from drivers.dlp4500.board import ProjectorBoard
 from drivers.dlp4500.protocol import DisplayMode, Mailbox, Run, Source
@@ -24,10 +25,12 @@ from drivers.dlp4500.status import (
 )
 from fpplab.core.errors import DeviceError, ProtocolError
 
-VALIDATION_STEP_S, VALIDATION_S = 0.01, 2.0
-"""Polling interval and time limit in s of a validation; the pairs below are of the same form."""
-START_STEP_S, START_S = 0.01, 0.2
-END_STEP_S, END_S = 0.005, 1.0
+VALIDATION = Polling(step_s=0.01, limit_s=2.0)
+"""TI's SDK asks every 10 ms; the limit is chosen, existing clients wait for ever."""
+START = Polling(step_s=0.01, limit_s=0.2)
+"""Until a sequence is shown to run (chosen; a sequence that is shorter may have ended before)."""
+END = Polling(step_s=0.005, limit_s=1.0)
+"""Beyond the duration of a sequence that is not repeated (chosen; the first video frame is waited for)."""
 
 
 class Controller(ProjectorBoard):
@@ -73,8 +76,8 @@ class Controller(ProjectorBoard):
             return not found["busy"]
 
         if found["busy"]:
-            self._clock.sleep(VALIDATION_STEP_S)
-            self._until(done, "validation", "does not end", VALIDATION_STEP_S, VALIDATION_S)
+            self._clock.sleep(VALIDATION.step_s)
+            self._until(done, "validation", "does not end", VALIDATION)
         self._warnings = validation_messages(found, VALIDATION_WARNINGS)
         if words := validation_messages(found, VALIDATION_ERRORS):
             raise ProtocolError(self._name, "validation", "; ".join(words), "change the plan's exposure")
@@ -89,7 +92,7 @@ class Controller(ProjectorBoard):
         self.link.write(protocol.LED_ENABLE, red=0, green=0, blue=0, sequenced=1)
         standing = hardware_faults(self.link.read(protocol.HARDWARE_STATUS))
         took_s = self._order_start()
-        is_short = not program.repeat and program.duration_s < START_S
+        is_short = not program.repeat and program.duration_s < START.limit_s
         if is_short and took_s < program.duration_s / 2:  # later it might have ended, and would run again
             self._order_start()
         faults = self._faults_until_running(standing)
@@ -120,9 +123,9 @@ class Controller(ProjectorBoard):
                 return None
             if faults := [fault for fault in status.faults if fault not in harmless]:
                 return faults
-            if self._clock.now() - begun >= START_S:
+            if self._clock.now() - begun >= START.limit_s:
                 return []
-            self._clock.sleep(START_STEP_S)
+            self._clock.sleep(START.step_s)
 
     def await_end(self, program: Program) -> None:
         """Wait until a sequence that is not repeated has ended, a first wait for a video frame included."""
@@ -130,8 +133,7 @@ class Controller(ProjectorBoard):
             lambda: not self.link.read(protocol.MAIN_STATUS)["running"],
             "play",
             "the sequence still runs",
-            END_STEP_S,
-            END_S + program.duration_s,
+            Polling(END.step_s, END.limit_s + program.duration_s),
         )
 
     def has_forced_swap(self) -> bool:

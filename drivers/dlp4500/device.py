@@ -25,8 +25,8 @@ from drivers.dlp4500.controller import Controller
 from drivers.dlp4500.in_flash import InFlash
 from drivers.dlp4500.index import shown_image
 from drivers.dlp4500.on_video import OnVideo
-from drivers.dlp4500.protocol import MOST_VARIABLE_ENTRIES
-from drivers.dlp4500.sequence import LEAST_EXPOSURE_US, SIZE
+from drivers.dlp4500.protocol import MAX_VARIABLE_ENTRIES
+from drivers.dlp4500.sequence import MIN_EXPOSURE_US, SIZE
 from drivers.dlp4500.transport import HidModule, Link, connect, load_hidapi
 from fpplab.core import config
 from fpplab.core.config import Document
@@ -251,14 +251,14 @@ class Dlp4500(Projector):
         return DeviceInfo("projector", model.strip(), self._serial, "USB HID")
 
     def _caps(self) -> ProjectorCaps:
-        depths = {bits: LEAST_EXPOSURE_US[bits] * 1e-6 for bits in sorted(self._storage.depths)}
+        depths = {bits: MIN_EXPOSURE_US[bits] * 1e-6 for bits in sorted(self._storage.depths)}
         storage = self._storage
         return ProjectorCaps(
             SIZE,
             Lattice.DIAMOND,
             depths,
             2,
-            MOST_VARIABLE_ENTRIES,
+            MAX_VARIABLE_ENTRIES,
             longest_s=storage.longest_us * 1e-6,
             gap_s=storage.gap_us * 1e-6,
             period_s=storage.still_us * 1e-6,

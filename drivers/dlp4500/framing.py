@@ -22,7 +22,7 @@ HEADER_BYTES = 4
 """Size of a message's header."""
 FIRST_BYTES = REPORT_BYTES - HEADER_BYTES
 """Payload bytes in the first report of a message."""
-MOST_PAYLOAD = 512 - HEADER_BYTES
+MAX_PAYLOAD_BYTES = 512 - HEADER_BYTES
 """Longest payload: the client's message buffer holds 512 bytes."""
 
 READ, REPLY_WANTED, ERROR = 0x80, 0x40, 0x20
@@ -54,8 +54,8 @@ class UsbMessage:
 
     def reports(self) -> list[bytes]:
         """Split the message into USB reports."""
-        if len(self.payload) > MOST_PAYLOAD:
-            raise ValueError(f"a payload of {len(self.payload)} bytes: at most {MOST_PAYLOAD}")
+        if len(self.payload) > MAX_PAYLOAD_BYTES:
+            raise ValueError(f"a payload of {len(self.payload)} bytes: at most {MAX_PAYLOAD_BYTES}")
         whole = struct.pack("<BBH", self.flags, self.sequence, len(self.payload)) + self.payload
         return [
             whole[start : start + REPORT_BYTES].ljust(REPORT_BYTES, b"\0")
@@ -73,8 +73,8 @@ def parse_header(report: bytes) -> Header:
     if len(report) != REPORT_BYTES:
         raise ValueError(f"a report of {len(report)} bytes: {REPORT_BYTES}")
     found = Header(*struct.unpack_from("<BBH", report))
-    if found.length > MOST_PAYLOAD:
-        raise ValueError(f"a payload of {found.length} bytes: at most {MOST_PAYLOAD}")
+    if found.length > MAX_PAYLOAD_BYTES:
+        raise ValueError(f"a payload of {found.length} bytes: at most {MAX_PAYLOAD_BYTES}")
     return found
 
 

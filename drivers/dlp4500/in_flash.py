@@ -9,9 +9,9 @@ from drivers.dlp4500.controller import Controller
 from drivers.dlp4500.index import FlashIndex, index_checksum
 from drivers.dlp4500.protocol import DisplayMode
 from drivers.dlp4500.sequence import (
-    LEAST_EXPOSURE_US,
-    LEAST_GAP_US,
-    MOST_EXPOSURE_US,
+    MAX_EXPOSURE_US,
+    MIN_EXPOSURE_US,
+    MIN_GAP_US,
     PRELOADED_IMAGES,
     Program,
     Slot,
@@ -40,17 +40,17 @@ class InFlash:
     @property
     def longest_us(self) -> int:
         """The controller's own limit."""
-        return MOST_EXPOSURE_US
+        return MAX_EXPOSURE_US
 
     @property
     def gap_us(self) -> int:
         """The controller's own limit."""
-        return LEAST_GAP_US
+        return MIN_GAP_US
 
     @property
     def still_us(self) -> int:
         """Time of one still pattern of the greatest depth."""
-        return LEAST_EXPOSURE_US[max(self.depths)]
+        return MIN_EXPOSURE_US[max(self.depths)]
 
     def open(self, board: Controller) -> None:
         """Enter pattern mode and compare the index with the number of images in flash."""
@@ -85,14 +85,14 @@ class InFlash:
             with board.dark_on_failure():
                 for image in {slot.image for slot in slots} - set(self._load_us):
                     self._load_us[image] = board.image_load_us(image)
-        self._program(slots, max(LEAST_EXPOSURE_US[slot.bits] for slot in slots))
+        self._program(slots, max(MIN_EXPOSURE_US[slot.bits] for slot in slots))
         self._slots = slots
 
     def show(self, board: Controller, i: int) -> None:
         """Show one pattern until told otherwise."""
         slot = self._slots[i]
         with board.dark_on_failure():
-            board.run(still_program(slot, LEAST_EXPOSURE_US[slot.bits], self._leds))
+            board.run(still_program(slot, MIN_EXPOSURE_US[slot.bits], self._leds))
 
     def play(self, board: Controller, exposure_us: int, dark_us: int, period_us: int) -> None:
         """Start a run of all patterns; returns once it has begun."""

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from drivers.dlp4500.protocol import MOST_VARIABLE_IMAGES
+from drivers.dlp4500.protocol import MAX_VARIABLE_IMAGES
 from drivers.dlp4500.sequence import Slot
 from fpplab.core.config import Document
 from fpplab.patterns.fringes import Pattern, quantise
@@ -41,7 +41,7 @@ class FlashPattern(Document):
 
     id: str
     """Name of the pattern in its plan."""
-    image: Annotated[int, Field(ge=0, lt=MOST_VARIABLE_IMAGES)]
+    image: Annotated[int, Field(ge=0, lt=MAX_VARIABLE_IMAGES)]
     """Index of the flash image."""
     number: Annotated[int, Field(ge=0, le=23)]
     """Pattern number within the image."""

@@ -80,13 +80,13 @@ class RegisterLayout:
 class RawBytes:
     """Data without a bit-field layout."""
 
-    least: int  # smallest number of bytes
-    most: int  # largest number of bytes
+    min_bytes: int
+    max_bytes: int
 
     def check(self, data: bytes) -> None:
         """Check the number of bytes."""
-        if not self.least <= len(data) <= self.most:
-            raise ValueError(f"{len(data)} bytes of data: {self.least} to {self.most}")
+        if not self.min_bytes <= len(data) <= self.max_bytes:
+            raise ValueError(f"{len(data)} bytes of data: {self.min_bytes} to {self.max_bytes}")
 
 
 Layout = RegisterLayout | RawBytes

@@ -16,14 +16,14 @@ from drivers.display.window import Display
 from drivers.dlp4500.controller import Controller
 from drivers.dlp4500.packing import Planes, assign_slots, pack_images
 from drivers.dlp4500.protocol import DisplayMode
-from drivers.dlp4500.sequence import LEAST_EXPOSURE_US, Slot, pattern_numbers, video_program
+from drivers.dlp4500.sequence import MIN_EXPOSURE_US, Slot, pattern_numbers, video_program
 from fpplab.core.errors import CapabilityError, SettingError
 from fpplab.devices import PatternLoads
 from fpplab.patterns.fringes import Pattern
 
 RGB = (1, 0, 2)
 """Colour plane of each channel of a video frame; planes are in the order green, red, blue."""
-MOST_IN_FRAME = len(pattern_numbers(1))
+MAX_PATTERNS_IN_FRAME = len(pattern_numbers(1))
 """Patterns of one bit in a frame."""
 
 
@@ -40,7 +40,7 @@ class OnVideo:
     @property
     def depths(self) -> set[int]:
         """Bit depths of which at least one pattern fits into a frame."""
-        return {bits for bits, least_us in LEAST_EXPOSURE_US.items() if least_us <= self._frame_us}
+        return {bits for bits, least_us in MIN_EXPOSURE_US.items() if least_us <= self._frame_us}
 
     @property
     def longest_us(self) -> int:
@@ -82,7 +82,7 @@ class OnVideo:
         """Assign the patterns to frames."""
         self._patterns, self._slots, self._displayed_image = (
             patterns,
-            assign_slots(patterns, MOST_IN_FRAME),
+            assign_slots(patterns, MAX_PATTERNS_IN_FRAME),
             None,
         )
 

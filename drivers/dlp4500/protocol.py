@@ -99,10 +99,10 @@ class PatternTrigger(IntEnum):
     NONE = 3
 
 
-MOST_ENTRIES, MOST_IMAGES = 128, 64
-"""Largest tables of the modes with one exposure for all patterns."""
-MOST_VARIABLE_ENTRIES, MOST_VARIABLE_IMAGES = 1824, 256
-"""Largest tables of the modes with an exposure for each pattern."""
+MAX_ENTRIES, MAX_IMAGES = 128, 64
+"""Largest tables of the modes with one exposure for all patterns, by TI's client."""
+MAX_VARIABLE_ENTRIES, MAX_VARIABLE_IMAGES = 1824, 256
+"""Largest tables of the modes with an exposure for each pattern, by TI's client."""
 
 # --- status, identity, power
 
@@ -215,7 +215,7 @@ IMAGE_LOAD_TIMING = _declare(
     Command("image load timing", 0x1A3A, _bytes("first", "count"), _record(RegisterField("ticks", 32)))
 )
 TICKS_PER_MS = 18667
-"""Unit of the image load time."""
+"""Unit of the image load time, as TI's client converts it."""
 VIDEO_SIGNAL = _read_only(
     "video signal",
     0x071C,
@@ -261,25 +261,23 @@ LED_DELAYS = {
 
 # --- triggers
 
-ZERO_DELAY, MOST_TRIGGER_DELAY = 0xBB, 0xD5
-"""Codes of a trigger delay of zero, and of the longest one."""
+ZERO_DELAY_CODE, MAX_DELAY_CODE = 0xBB, 0xD5
+"""Codes of a trigger delay of zero, and of the longest one that TI documents (2.787 µs)."""
 DELAY_STEP_US = 0.1072
-"""Step of a trigger delay in µs."""
+"""Step of a trigger delay in µs, by TI's client."""
 TRIGGER_OUT_1 = _register(
     "trigger output 1",
     0x1A1D,
     _record(
         RegisterField("inverted", 8, range(2)),
-        RegisterField("rising", 8, range(MOST_TRIGGER_DELAY + 1)),
-        RegisterField("falling", 8, range(MOST_TRIGGER_DELAY + 1)),
+        RegisterField("rising", 8, range(MAX_DELAY_CODE + 1)),
+        RegisterField("falling", 8, range(MAX_DELAY_CODE + 1)),
     ),
 )
 TRIGGER_OUT_2 = _register(
     "trigger output 2",
     0x1A1E,
-    _record(
-        RegisterField("inverted", 8, range(2)), RegisterField("rising", 8, range(MOST_TRIGGER_DELAY + 1))
-    ),
+    _record(RegisterField("inverted", 8, range(2)), RegisterField("rising", 8, range(MAX_DELAY_CODE + 1))),
 )
 TRIGGER_IN_1 = _register("trigger input 1", 0x1A35, _record(RegisterField("delay", 32, range(1 << 19))))
 
@@ -296,29 +294,29 @@ PATTERN_CONFIG = _register(
     "pattern configuration",
     0x1A31,
     _record(
-        RegisterField("entries", 8, range(1, MOST_ENTRIES + 1), offset=1),
+        RegisterField("entries", 8, range(1, MAX_ENTRIES + 1), offset=1),
         RegisterField("repeat", 8, range(2)),
         RegisterField("patterns", 8, range(1, 257), offset=1),
-        RegisterField("images", 8, range(1, MOST_IMAGES + 1), offset=1),
+        RegisterField("images", 8, range(1, MAX_IMAGES + 1), offset=1),
     ),
 )
 VARIABLE_CONFIG = _register(
     "variable-exposure configuration",
     0x1A40,
     _record(
-        RegisterField("entries", 16, range(1, MOST_VARIABLE_ENTRIES + 1), offset=1),
-        RegisterField("patterns", 16, range(1, MOST_VARIABLE_ENTRIES + 1), offset=1),
-        RegisterField("images", 8, range(1, MOST_VARIABLE_IMAGES + 1), offset=1),
+        RegisterField("entries", 16, range(1, MAX_VARIABLE_ENTRIES + 1), offset=1),
+        RegisterField("patterns", 16, range(1, MAX_VARIABLE_ENTRIES + 1), offset=1),
+        RegisterField("images", 8, range(1, MAX_VARIABLE_IMAGES + 1), offset=1),
         RegisterField("repeat", 8, range(2)),
     ),
 )
 MAILBOX_ADDRESS = _register(
-    "mailbox address", 0x1A32, _record(RegisterField("address", 8, range(MOST_ENTRIES)))
+    "mailbox address", 0x1A32, _record(RegisterField("address", 8, range(MAX_ENTRIES)))
 )
 MAILBOX = _register("mailbox", 0x1A33, _record(RegisterField("table", 8, range(4))))
-MAILBOX_DATA = _register("mailbox data", 0x1A34, RawBytes(1, 3 * MOST_ENTRIES))
+MAILBOX_DATA = _register("mailbox data", 0x1A34, RawBytes(1, 3 * MAX_ENTRIES))
 VARIABLE_ADDRESS = _register(
-    "variable-exposure address", 0x1A3F, _record(RegisterField("address", 16, range(MOST_VARIABLE_ENTRIES)))
+    "variable-exposure address", 0x1A3F, _record(RegisterField("address", 16, range(MAX_VARIABLE_ENTRIES)))
 )
 
 _ENTRY_BITS = (

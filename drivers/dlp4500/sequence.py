@@ -17,10 +17,10 @@ from drivers.dlp4500.layout import Values
 from drivers.dlp4500.protocol import (
     COLOURS,
     ENTRY,
-    MOST_ENTRIES,
-    MOST_IMAGES,
-    MOST_VARIABLE_ENTRIES,
-    MOST_VARIABLE_IMAGES,
+    MAX_ENTRIES,
+    MAX_IMAGES,
+    MAX_VARIABLE_ENTRIES,
+    MAX_VARIABLE_IMAGES,
     PatternTrigger,
     Source,
     TriggerMode,
@@ -29,19 +29,22 @@ from drivers.dlp4500.protocol import (
 SIZE = (912, 1140)
 """Number of micromirrors (width, height)."""
 
-LEAST_EXPOSURE_US = {1: 235, 2: 700, 3: 1570, 4: 1700, 5: 2000, 6: 2500, 7: 4500, 8: 8333}
-"""Shortest exposure in µs by bit depth."""
-MOST_EXPOSURE_US = 200_000_000
-"""Longest exposure in µs, the SDK's limit."""
-LEAST_GAP_US = 231
+MIN_EXPOSURE_US = {1: 235, 2: 700, 3: 1570, 4: 1700, 5: 2000, 6: 2500, 7: 4500, 8: 8333}
+"""Shortest exposure in µs by bit depth, as in TI's GUI and SDK."""
+MAX_EXPOSURE_US = 200_000_000
+"""Longest exposure in µs, the limit of TI's SDK."""
+MIN_GAP_US = 231
 """Smallest difference in µs of a period and a shorter exposure.
 
-TI's sources say more than, or at least, 230 µs.
+TI's GUI and SDK want more than 230 µs, a comment in its client at least 230: this satisfies both.
 """
 PRELOADED_IMAGES = 2
-"""Images that the controller buffers."""
+"""Images that the controller buffers; loading a third takes time (TI's SDK)."""
 SOLID = 24
-"""Pattern number of solid black at depth 1; inverted it is white."""
+"""Pattern number of solid black at depth 1; inverted it is white.
+
+So TI's SDK and two other clients use it. By a comment in TI's client 25 is white, but its code refuses that.
+"""
 
 _STARTS = {
     1: range(24),
@@ -124,7 +127,7 @@ class Program:
     @property
     def variable(self) -> bool:
         """Whether the sequence needs the longer tables of the variable-exposure modes."""
-        return len(self.entries) > MOST_ENTRIES or len(self.images) > MOST_IMAGES
+        return len(self.entries) > MAX_ENTRIES or len(self.images) > MAX_IMAGES
 
     @property
     def trigger_mode(self) -> TriggerMode:
@@ -210,24 +213,24 @@ def video_program(
 
 def shortest_period_us(exposure_us: int, least_us: int = 0) -> int:
     """Compute the shortest period that the controller accepts for an exposure."""
-    return exposure_us if least_us <= exposure_us else max(least_us, exposure_us + LEAST_GAP_US)
+    return exposure_us if least_us <= exposure_us else max(least_us, exposure_us + MIN_GAP_US)
 
 
 def check_sequence(program: Program) -> None:
     """Check that the controller can show a sequence as intended."""
     entries, exposure, period = program.entries, program.exposure_us, program.period_us
-    if not 1 <= len(entries) <= MOST_VARIABLE_ENTRIES:
-        raise ValueError(f"{len(entries)} patterns: 1 to {MOST_VARIABLE_ENTRIES}")
-    if len(program.images) > MOST_VARIABLE_IMAGES:
-        raise ValueError(f"{len(program.images)} changes of image: at most {MOST_VARIABLE_IMAGES}")
+    if not 1 <= len(entries) <= MAX_VARIABLE_ENTRIES:
+        raise ValueError(f"{len(entries)} patterns: 1 to {MAX_VARIABLE_ENTRIES}")
+    if len(program.images) > MAX_VARIABLE_IMAGES:
+        raise ValueError(f"{len(program.images)} changes of image: at most {MAX_VARIABLE_IMAGES}")
     if entries[0].trigger is PatternTrigger.NONE or not entries[0].swap:
         raise ValueError("the first pattern needs a trigger and a new image")
-    least = max(LEAST_EXPOSURE_US[entry.depth] for entry in entries)
-    if not least <= exposure <= MOST_EXPOSURE_US:
-        raise ValueError(f"the exposure is {exposure} µs: {least} to {MOST_EXPOSURE_US} µs")
-    if period != exposure and period < exposure + LEAST_GAP_US:
+    least = max(MIN_EXPOSURE_US[entry.depth] for entry in entries)
+    if not least <= exposure <= MAX_EXPOSURE_US:
+        raise ValueError(f"the exposure is {exposure} µs: {least} to {MAX_EXPOSURE_US} µs")
+    if period != exposure and period < exposure + MIN_GAP_US:
         raise ValueError(
-            f"the period is {period} µs: {exposure}, the exposure, or at least {exposure + LEAST_GAP_US} µs"
+            f"the period is {period} µs: {exposure}, the exposure, or at least {exposure + MIN_GAP_US} µs"
         )
     for before, entry in pairwise(entries):
         if entry.share_trigger and before.black_after:
@@ -240,7 +243,7 @@ def _check_shared(entries: Sequence[Entry], exposure_us: int) -> None:
     starts = [i for i, entry in enumerate(entries) if not entry.share_trigger]
     for start, end in zip(starts, [*starts[1:], len(entries)], strict=True):
         group = entries[start:end]
-        least = max(LEAST_EXPOSURE_US[entry.depth] for entry in group)
+        least = max(MIN_EXPOSURE_US[entry.depth] for entry in group)
         if exposure_us < least * len(group):
             raise ValueError(
                 f"{len(group)} patterns share {exposure_us} µs: at least {least * len(group)} µs"

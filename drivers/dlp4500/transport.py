@@ -20,11 +20,11 @@ from fpplab.core.logs import log_traffic
 VENDOR, PRODUCT = 0x0451, 0x6401
 """USB identity of the DLPC350."""
 INTERFACE = 0
-"""The HID interface that takes commands, where the device has several."""
-TIMEOUT_S = 2.0
-"""Time limit in s for a reply, as in TI's client."""
-MOST_STALE = 64
-"""Number of unexpected reports that are discarded before the exchange is given up."""
+"""The HID interface that takes commands, where the device has several (TI's client)."""
+REPLY_TIMEOUT_S = 2.0
+"""Longest wait in s for a reply, as in TI's client."""
+MAX_STALE_REPORTS = 64
+"""Unexpected reports that are discarded before the exchange is given up (chosen: 4 KiB)."""
 
 
 class HidDevice(Protocol):
@@ -146,7 +146,12 @@ class Link:
     """Exchange of requests and replies with the controller."""
 
     def __init__(
-        self, wire: HidDevice, clock: Clock, name: str, checks_echo: bool = True, timeout_s: float = TIMEOUT_S
+        self,
+        wire: HidDevice,
+        clock: Clock,
+        name: str,
+        checks_echo: bool = True,
+        timeout_s: float = REPLY_TIMEOUT_S,
     ) -> None:
         self._wire, self._clock, self.name = wire, clock, name
         self._checks_echo, self._timeout_s = checks_echo, timeout_s
@@ -190,7 +195,7 @@ class Link:
 
     def drain(self) -> None:
         """Discard all reports that wait to be read, or raise `ProtocolError` if they do not end."""
-        for _ in range(MOST_STALE):
+        for _ in range(MAX_STALE_REPORTS):
             if not self._report("drain", 1):
                 return
         raise self._protocol_error("drain", "unexpected reports keep arriving")
@@ -241,7 +246,7 @@ class Link:
     def _reply(self, operation: str, flags: int, sequence: int) -> UsbMessage:
         deadline = self._clock.now() + self._timeout_s
         other: Header | None = None
-        for _ in range(MOST_STALE):
+        for _ in range(MAX_STALE_REPORTS):
             try:
                 report = self._next_report(operation, deadline)
                 head = framing.parse_header(report)

@@ -54,9 +54,7 @@ from fpplab.devices.rig import Rig
 from fpplab.devices.simulation import NumberedFrames
 
 STAGE_SPEEDUP = 100.0
-"""Factor by which the emulated stage's time runs faster than real time."""
-STAGE_DIGITS = 4
-"""Decimals of the carriage's position in mm that count: a tenth of a micrometre."""
+"""Factor by which the emulated stage's time runs faster than real time (chosen)."""
 
 FaultCount = Annotated[int, Field(ge=0)]
 """An index or number from 0."""
@@ -207,7 +205,8 @@ class EmulatedBench:
         if self.terminal is not None:
             with self.terminal.lock:
                 carriage_mm = self.grbl.drive.carriage_mm
-            self.optics.move_stage(round(carriage_mm - DEFAULTS[27], STAGE_DIGITS))
+            # To 0.1 µm: the rounding of steps would move the optics' stage for nothing.
+            self.optics.move_stage(round(carriage_mm - DEFAULTS[27], 4))
 
     def _related_patterns(self, light: ProjectedLight | None) -> Iterator[GreyImage]:
         """Yield the patterns of the same kind that are in flash, or in the same video frame."""

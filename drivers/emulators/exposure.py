@@ -10,17 +10,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.clock import SteppedClock
+from drivers.clock import ROUNDING_S, SteppedClock
 from drivers.emulators.dlpc350 import Dlpc350, ProjectedLight
 from drivers.emulators.sensor_timing import STRICT, SensorTiming
 from fpplab.devices import CameraSettings
 
 NEVER = float("inf")
 """Time of what never happens, in s."""
-HISTORY_S = 1.0
-"""How far back light is remembered in s, beyond what is being exposed."""
-ROUNDING_S = 1e-9
-"""A camera that is ready this late in s, by rounding alone, is ready in time for the next pulse."""
 
 CollectedLight = list[tuple[ProjectedLight, float]]
 """What a shutter collected: each light and its share of the exposure time; the rest was dark."""
@@ -132,7 +128,8 @@ class EmulatedShutter:
             past[-1] = replace(past[-1], end_s=interval.end_s)
         else:
             past.append(interval)
-        needed_s = min([interval.end_s - HISTORY_S, *(exposure.begin_s for exposure in self._exposures)])
+        # 1 s (chosen) beyond what is being exposed: a pulse may be reported a little after its time.
+        needed_s = min([interval.end_s - 1.0, *(exposure.begin_s for exposure in self._exposures)])
         while past[0].end_s < needed_s:
             past.popleft()
 

@@ -16,9 +16,7 @@ from fpplab.patterns.fringes import Pattern
 GreyImage = NDArray[np.uint8]
 """Grey levels, uint8 (height, width)."""
 MAX_LOADED_PATTERNS = 128
-"""Number of patterns that the projector is given at once, at most."""
-FRAME_TIMEOUT_S = 60.0
-"""How long to wait for an image, beyond its exposure, in s."""
+"""Patterns that the projector is given at once (chosen: 133 MB of a LightCrafter's size)."""
 
 
 class OpticsRig:
@@ -61,7 +59,7 @@ class OpticsRig:
             self._rig.projector.blank()
         else:
             self._patterns.show(greys, others)
-        image = camera.snap(settings.exposure_s + FRAME_TIMEOUT_S).image
+        image = camera.snap(settings.exposure_s + 60.0).image  # rendering takes time
         if bits == settings.bits:
             return image
         return np.left_shift(image.astype(np.uint16), settings.bits - bits, dtype=np.uint16)

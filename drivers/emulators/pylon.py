@@ -25,6 +25,7 @@ import tifffile
 from pypylon import genicam, pylon
 
 from drivers.basler.transport import Pylon
+from drivers.clock import ROUNDING_S
 from drivers.emulators.sensor_timing import STRICT, SensorTiming
 from drivers.genicam.features import Features
 from drivers.genicam.names import (
@@ -41,9 +42,7 @@ from fpplab.devices import CameraSettings
 CAMERA_COUNT_VARIABLE = "PYLON_CAMEMU"
 """Environment variable with the number of cameras that pylon emulates; read at every enumeration."""
 READY_MS = 5000
-"""Longest time in ms that the emulator is given to become ready for a trigger."""
-ROUNDING_S = 1e-9
-"""A camera that is ready this late in s, by rounding alone, is ready in time for the next pulse."""
+"""Longest time in ms that pylon's emulator is given to become ready for a trigger (chosen)."""
 
 SceneSource = Callable[[CameraSettings], Image]
 """Renders the whole sensor [v, u] under given settings, in raw integers of `settings.bits`."""

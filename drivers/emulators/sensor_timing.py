@@ -13,10 +13,6 @@ from pydantic import Field
 
 from fpplab.core.config import Document
 
-S_PER_US = 1e-6
-RATE_STEPS_PER_HZ = 100
-"""Steps per Hz of the frame rate that pylon's emulator can tell."""
-
 Microseconds = Annotated[float, Field(ge=0)]
 
 
@@ -34,13 +30,14 @@ class SensorTiming(Document):
 
     def told_rate_hz(self, exposure_s: float) -> float:
         """Compute the resulting frame rate that the camera tells."""
-        rate_hz = 1.0 / (max(exposure_s, self.readout_us * S_PER_US) + self.dead_us * S_PER_US)
-        return max(int(rate_hz * RATE_STEPS_PER_HZ), 1) / RATE_STEPS_PER_HZ
+        rate_hz = 1.0 / (max(exposure_s, self.readout_us * 1e-6) + self.dead_us * 1e-6)
+        steps_per_hz = 100  # of the frame rate that pylon's emulator can tell
+        return max(int(rate_hz * steps_per_hz), 1) / steps_per_hz
 
     def period_s(self, exposure_s: float) -> float:
         """Compute the time from the beginning of an exposure until the camera takes the next pulse."""
-        dead_s = (self.dead_us + self.untold_us) * S_PER_US
-        return (max(exposure_s, self.readout_us * S_PER_US) + dead_s) * (1 + 1e-6 * self.clock_ppm)
+        dead_s = (self.dead_us + self.untold_us) * 1e-6
+        return (max(exposure_s, self.readout_us * 1e-6) + dead_s) * (1 + 1e-6 * self.clock_ppm)
 
 
 STRICT = SensorTiming()

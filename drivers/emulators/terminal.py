@@ -11,7 +11,7 @@ from typing import Protocol, Self
 from fpplab.core.errors import DeviceError
 
 POLL_S = 0.002
-"""Longest time in s between two looks at the emulated device."""
+"""Longest time in s between two queries of the emulated device (chosen)."""
 
 
 class SerialEmulator(Protocol):

@@ -19,7 +19,7 @@ from drivers.genicam.features import Features
 from drivers.genicam.gain import CameraGain
 from drivers.genicam.pixels import PACKED
 from drivers.gentl.options import GentlOptions
-from drivers.gentl.producer import SPARE, GentlFrame, GentlProducer
+from drivers.gentl.producer import SPARE_BUFFERS, GentlFrame, GentlProducer
 from fpplab.core import config
 from fpplab.core.errors import (
     CapabilityError,
@@ -32,10 +32,9 @@ from fpplab.core.errors import (
 from fpplab.devices import CameraCaps, DeviceInfo, Frame, Trigger
 
 READY_S = 0.1
-"""Time in s after which a camera that does not tell counts as ready for its first trigger."""
-LONGEST_READY_S = 5.0
-"""Time limit in s for a camera that tells to become ready."""
-POLL_S = 0.001
+"""Time in s after which a camera that does not report readiness counts as ready (chosen)."""
+READY_TIMEOUT_S = 5.0
+"""Longest wait in s for a camera that reports readiness (chosen)."""
 WAITING = "FrameTriggerWait"
 """What `AcquisitionStatus` is asked for."""
 GENICAM_ERRORS = (genapi.GenericException, gentl.GenericException)
@@ -112,7 +111,7 @@ class GentlCamera(GenicamCamera):
     def _arm(self, n: int, trigger: Trigger) -> None:
         self._choose_trigger(trigger)
         self._trigger, self._first = trigger, self._end.first_number
-        self._end.start(n if trigger == "hardware" else SPARE)
+        self._end.start(n if trigger == "hardware" else SPARE_BUFFERS)
         self._ready_s = time.monotonic() + READY_S
         self._await_ready("arm")
 
@@ -157,7 +156,7 @@ class GentlCamera(GenicamCamera):
             time.sleep(max(0.0, self._ready_s - time.monotonic()))
             return
         features.write(named.STATUS_SELECTOR, WAITING, operation)
-        deadline = time.monotonic() + LONGEST_READY_S
+        deadline = time.monotonic() + READY_TIMEOUT_S
         while not features.read(named.STATUS):
             if time.monotonic() >= deadline:
                 raise DeviceTimeoutError(
@@ -166,7 +165,7 @@ class GentlCamera(GenicamCamera):
                     "the camera does not become ready for a trigger",
                     "close it and open it again",
                 )
-            time.sleep(POLL_S)
+            time.sleep(0.001)
 
     @contextmanager
     def _guard(self, operation: str) -> Iterator[None]:

@@ -9,23 +9,20 @@ from pathlib import Path
 from drivers.apart import ask_apart
 from fpplab.core.extras import how_to_install
 
-PATIENCE_S = 20.0
-"""Time in s for a producer to look for its cameras."""
-
 
 @dataclass(frozen=True)
 class ListedCamera:
     """A camera, as its producer tells it."""
 
     serial: str  # serial number, or the producer's own name for it
-    vendor: str  # serial number, or the producer's own name for it
-    model: str  # serial number, or the producer's own name for it
-    layer: str  # serial number, or the producer's own name for it
+    vendor: str
+    model: str
+    layer: str  # transport layer, such as U3V or GEV
 
 
 def listed_cameras(path: Path) -> list[ListedCamera] | str:
     """Ask a producer for its cameras, in a process of its own: it is a library of somebody else."""
-    answer: list[ListedCamera] | str | None = ask_apart(send_cameras, path, patience_s=PATIENCE_S)
+    answer: list[ListedCamera] | str | None = ask_apart(send_cameras, path, timeout_s=20.0)
     return "it crashes, or does not answer" if answer is None else answer
 
 

@@ -25,9 +25,8 @@ from drivers.gentl.nodes import GentlNodeMap
 from fpplab.core.conventions import Image
 from fpplab.core.errors import ConfigError
 
-NS_PER_S = 1e9
-SPARE = 4
-"""Buffers more than the frames that may wait."""
+SPARE_BUFFERS = 4
+"""Buffers in addition to the frames that may wait (chosen)."""
 FIRST_FRAME = {"U3V": 0, "GEV": 1}
 """Number of the first frame after a start, by the transport layer; others begin as they like."""
 
@@ -81,7 +80,7 @@ class GentlEnd:
 
     def start(self, frames: int) -> None:
         """Start the transfer of frames."""
-        self._acquirer.num_buffers = frames + SPARE
+        self._acquirer.num_buffers = frames + SPARE_BUFFERS
         self._acquirer.start()
 
     def fetch(self, timeout_s: float) -> GentlFrame | None:
@@ -150,7 +149,7 @@ def _returned(buffer: Any) -> Iterator[None]:
 
 def _time_s(buffer: Any) -> float | None:
     with suppress(gentl.GenericException):
-        return float(buffer.timestamp_ns) / NS_PER_S or None
+        return float(buffer.timestamp_ns) / 1e9 or None
     return None
 
 

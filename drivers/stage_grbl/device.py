@@ -33,6 +33,7 @@ from fpplab.devices import DeviceInfo, Stage, StageCaps
 FORCES_ORIGIN = "Z"
 """Build option of a controller whose machine position is 0 where homing ends."""
 POLL_S = 0.05
+"""Interval of status queries in s (chosen)."""
 HOME, AFTER_MOTION = "$H", "G4P0"
 """Lines to home, and to wait for the end of all motion.
 
@@ -40,9 +41,9 @@ HOME, AFTER_MOTION = "$H", "G4P0"
 it is planned.
 """
 REPORTS_PER_OFFSET = 30
-"""GRBL sends the work coordinate offset at least once in this many reports."""
+"""GRBL sends the work coordinate offset at least once in this many reports (config.h, in motion)."""
 DIGIT_MM, DIGIT_INCH = 0.001, 0.0001
-"""Last digit of a reported position, in mm or inches."""
+"""Last digit of a reported position, in mm or inches (GRBL's interface documentation)."""
 OTHER_PROGRAM_REMEDY = "close other programs that move the stage, then close, open and home it again"
 
 

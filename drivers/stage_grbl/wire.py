@@ -31,17 +31,18 @@ from fpplab.core.errors import DeviceError, DeviceTimeoutError, DisconnectedErro
 from fpplab.core.logs import log_traffic
 
 BAUD = 115200
+"""GRBL 1.1's baud rate (config.h)."""
 START_S = 5.0
-"""Time limit in s for the welcome message; an Arduino restarts when its port is opened."""
+"""Longest wait in s for the welcome message (chosen); an Arduino restarts when its port is opened."""
 ANSWER_S = 2.0
-"""Time limit in s for an answer.
+"""Longest wait in s for an answer (chosen).
 
 GRBL reports within 20 ms, but pauses for 0.5 s after an alarm and while it stores a setting.
 """
 BUILD_INFO, BUILD_OPTIONS = "$I", "[OPT:"
 """Command for the build's version and options, and the beginning of the line that names the options."""
-LONGEST_LINE = 256
-"""Bytes without a line end at which the input is taken to be noise."""
+MAX_LINE_BYTES = 256
+"""Bytes without a line end at which the input is taken to be noise (chosen)."""
 
 
 class RestartedError(DeviceError):
@@ -214,7 +215,7 @@ class GrblWire:
                 if line:
                     log_traffic(self._name, "from", line)
                     return line
-            if len(self._received) > LONGEST_LINE:
+            if len(self._received) > MAX_LINE_BYTES:
                 beginning = bytes(self._received[:20])
                 self._received.clear()
                 raise ProtocolError(

@@ -33,9 +33,7 @@ from fpplab.core.errors import (
 from fpplab.devices import Camera, CameraCaps, CameraSettings, DeviceInfo, Frame, Trigger
 
 UNIT_S = 1e-4
-"""Unit of the exposure in s."""
-CLOCK_S = 1e-3
-"""By how much in s a frame's time may lie ahead; of a driver that extrapolates it stale frames look fresh."""
+"""Unit of V4L2_CID_EXPOSURE_ABSOLUTE in s."""
 FORMATS = {"GREY": 8, "Y10 ": 10, "Y12 ": 12, "Y14 ": 14, "Y16 ": 16}
 """Bit depth of each pixel format whose values are right-justified integers."""
 
@@ -113,7 +111,9 @@ class VideoCamera(Camera):
                     f"no frame that began after it was asked for came within {timeout_s:g} s",
                     "check the cable, or allow more time",
                 )
-            if frame.time_s is None or frame.time_s > time.monotonic() + CLOCK_S:
+            # With a driver that extrapolates the time of its frames stale ones look fresh; a time that lies
+            # 1 ms ahead (chosen: above the rounding of clocks) gives it away.
+            if frame.time_s is None or frame.time_s > time.monotonic() + 1e-3:
                 raise CapabilityError(
                     self.name,
                     "read",
@@ -205,10 +205,12 @@ class VideoCamera(Camera):
                 f"the exposure of {self._card} cannot be set: {why}",
                 "use a camera whose exposure can be set",
             )
-        return Control(control.name, max(control.least, 1), control.most, control.step, control.default, True)
+        return Control(
+            control.name, max(control.minimum, 1), control.maximum, control.step, control.default, True
+        )
 
     def _set_if_possible(self, number: int, value: int, control: Control) -> None:
-        if control.is_settable and control.least <= value <= control.most:
+        if control.is_settable and control.minimum <= value <= control.maximum:
             try:
                 self._device.set(number, value)
             except OSError as error:
@@ -217,8 +219,8 @@ class VideoCamera(Camera):
 
     def _set(self, number: int, value: int, control: Control) -> int:
         """Set a control to the nearest of its steps, and read it back."""
-        steps = round((value - control.least) / max(control.step, 1))
-        self._device.set(number, min(control.least + steps * max(control.step, 1), control.most))
+        steps = round((value - control.minimum) / max(control.step, 1))
+        self._device.set(number, min(control.minimum + steps * max(control.step, 1), control.maximum))
         return int(self._device.get(number))
 
     def _set_gain(self, gain_db: float) -> float:
@@ -226,7 +228,7 @@ class VideoCamera(Camera):
         if self._gain is None:
             return 0.0
         if conversion is None:
-            self._set(GAIN, self._gain.least, self._gain)
+            self._set(GAIN, self._gain.minimum, self._gain)
             return 0.0
         return to_db(self._set(GAIN, round(to_raw(gain_db, conversion)), self._gain), conversion)
 
@@ -234,8 +236,8 @@ class VideoCamera(Camera):
         conversion = self._options.raw_gain
         if self._gain is None or conversion is None:
             return 0.0, 0.0
-        least = self._gain.least if conversion.unity is None else max(self._gain.least, 1)
-        return to_db(least, conversion), to_db(self._gain.most, conversion)
+        least = self._gain.minimum if conversion.unity is None else max(self._gain.minimum, 1)
+        return to_db(least, conversion), to_db(self._gain.maximum, conversion)
 
     def _set_format(self, letters: str) -> None:
         size = self._options.size or self._device.format()[1:3]
@@ -260,7 +262,7 @@ class VideoCamera(Camera):
         return CameraCaps(
             (width, height),
             tuple(sorted(self._bits)),
-            (self._exposure.least * UNIT_S, self._exposure.most * UNIT_S),
+            (self._exposure.minimum * UNIT_S, self._exposure.maximum * UNIT_S),
             self._gain_limits_db(),
             ("software",),
             0.0 if self._options.shutter == "global" else period_s,

@@ -25,7 +25,7 @@ except ImportError:  # the interface is Linux's
     fcntl = None  # type: ignore[assignment]
 
 BUFFERS = 4
-"""Frames that the kernel may fill before one is taken."""
+"""Frames that the kernel may fill before one is taken (chosen: enough for a camera never to wait)."""
 
 
 @dataclass(frozen=True)
@@ -33,10 +33,10 @@ class Control:
     """A control of the camera."""
 
     name: str  # as the kernel names it
-    least: int  # its range
-    most: int  # its range
-    step: int  # its range
-    default: int  # its range
+    minimum: int
+    maximum: int
+    step: int
+    default: int
     is_settable: bool  # false where it can be read only, or not set in the present mode
 
 
@@ -54,7 +54,7 @@ class VideoDevice:
 
     def __init__(self, path: str) -> None:
         if fcntl is None:
-            raise OSError(errno.ENOSYS, "video cameras are read by Linux's V4L2, which this system has not")
+            raise OSError(errno.ENOSYS, "V4L2 is not available on this system")
         self._file = os.open(path, os.O_RDWR | os.O_NONBLOCK)
         self._memory: list[mmap.mmap] = []
 
@@ -111,7 +111,7 @@ class VideoDevice:
         if found.flags & v4l2.DISABLED:
             return None
         settable = not found.flags & (v4l2.READ_ONLY | v4l2.INACTIVE)
-        return Control(found.name.decode(), found.least, found.most, found.step, found.default, settable)
+        return Control(found.name.decode(), found.minimum, found.maximum, found.step, found.default, settable)
 
     def get(self, number: int) -> int:
         """Read a control."""

@@ -11,21 +11,26 @@ import ctypes
 from ctypes import Structure, c_char, c_int32, c_int64, c_uint8, c_uint32, c_uint64
 
 CAPTURE, MMAP = 1, 1
-"""Kind of buffer, and of its memory."""
+"""V4L2_BUF_TYPE_VIDEO_CAPTURE and V4L2_MEMORY_MMAP: kind of buffer, and of its memory."""
 IS_CAPTURE, CAN_STREAM, HAS_OWN_CAPS = 0x1, 0x0400_0000, 0x8000_0000
-"""Bits of a device's capabilities."""
+"""V4L2_CAP_…: bits of a device's capabilities."""
 DISABLED, READ_ONLY, INACTIVE = 0x1, 0x4, 0x10
-"""Bits of a control's flags."""
+"""V4L2_CTRL_FLAG_…: bits of a control's flags."""
 DAMAGED, CLOCK, MONOTONIC = 0x40, 0xE000, 0x2000
-"""Bits of a buffer's flags: damaged, which clock its time is of, and its value for the monotonic one."""
+"""V4L2_BUF_FLAG_…: damaged, the mask for the clock of its time, and the monotonic clock's value there."""
 
 
 class Capability(Structure):
     """What a device is."""
 
     _fields_ = (
-        *(("driver", c_char * 16), ("card", c_char * 32), ("bus", c_char * 32), ("version", c_uint32)),
-        *(("capabilities", c_uint32), ("device_caps", c_uint32), ("reserved", c_uint32 * 3)),
+        ("driver", c_char * 16),
+        ("card", c_char * 32),
+        ("bus", c_char * 32),
+        ("version", c_uint32),
+        ("capabilities", c_uint32),
+        ("device_caps", c_uint32),
+        ("reserved", c_uint32 * 3),
     )
 
 
@@ -33,8 +38,13 @@ class FormatDescription(Structure):
     """One pixel format that a device has."""
 
     _fields_ = (
-        *(("index", c_uint32), ("kind", c_uint32), ("flags", c_uint32), ("description", c_char * 32)),
-        *(("pixel_format", c_uint32), ("mbus_code", c_uint32), ("reserved", c_uint32 * 3)),
+        ("index", c_uint32),
+        ("kind", c_uint32),
+        ("flags", c_uint32),
+        ("description", c_char * 32),
+        ("pixel_format", c_uint32),
+        ("mbus_code", c_uint32),
+        ("reserved", c_uint32 * 3),
     )
 
 
@@ -42,9 +52,15 @@ class PixelLayout(Structure):
     """The format of frames; of the union only the part for single planes."""
 
     _fields_ = (
-        *(("kind", c_uint32), ("_", c_uint32), ("width", c_uint32), ("height", c_uint32)),
-        *(("pixel_format", c_uint32), ("field", c_uint32), ("bytes_per_line", c_uint32)),
-        *(("image_bytes", c_uint32), ("rest", c_uint8 * 176)),
+        ("kind", c_uint32),
+        ("_", c_uint32),
+        ("width", c_uint32),
+        ("height", c_uint32),
+        ("pixel_format", c_uint32),
+        ("field", c_uint32),
+        ("bytes_per_line", c_uint32),
+        ("image_bytes", c_uint32),
+        ("rest", c_uint8 * 176),
     )
 
 
@@ -52,8 +68,12 @@ class Period(Structure):
     """Time per frame; of the union only the part for capture."""
 
     _fields_ = (
-        *(("kind", c_uint32), ("capability", c_uint32), ("mode", c_uint32)),
-        *(("numerator", c_uint32), ("denominator", c_uint32), ("rest", c_uint8 * 184)),
+        ("kind", c_uint32),
+        ("capability", c_uint32),
+        ("mode", c_uint32),
+        ("numerator", c_uint32),
+        ("denominator", c_uint32),
+        ("rest", c_uint8 * 184),
     )
 
 
@@ -61,7 +81,10 @@ class BufferRequest(Structure):
     """How many buffers are wanted."""
 
     _fields_ = (
-        *(("count", c_uint32), ("kind", c_uint32), ("memory", c_uint32), ("capabilities", c_uint32)),
+        ("count", c_uint32),
+        ("kind", c_uint32),
+        ("memory", c_uint32),
+        ("capabilities", c_uint32),
         ("flags", c_uint32),
     )
 
@@ -70,10 +93,19 @@ class Buffer(Structure):
     """One buffer."""
 
     _fields_ = (
-        *(("index", c_uint32), ("kind", c_uint32), ("bytes_used", c_uint32), ("flags", c_uint32)),
-        *(("field", c_uint32), ("seconds", c_int64), ("microseconds", c_int64)),
-        *(("time_code", c_uint8 * 16), ("sequence", c_uint32), ("memory", c_uint32)),
-        *(("offset", c_uint64), ("length", c_uint32), ("reserved", c_uint32 * 2)),
+        ("index", c_uint32),
+        ("kind", c_uint32),
+        ("bytes_used", c_uint32),
+        ("flags", c_uint32),
+        ("field", c_uint32),
+        ("seconds", c_int64),
+        ("microseconds", c_int64),
+        ("time_code", c_uint8 * 16),
+        ("sequence", c_uint32),
+        ("memory", c_uint32),
+        ("offset", c_uint64),
+        ("length", c_uint32),
+        ("reserved", c_uint32 * 2),
     )
 
 
@@ -81,8 +113,14 @@ class ControlDescription(Structure):
     """One control that a device has."""
 
     _fields_ = (
-        *(("id", c_uint32), ("kind", c_uint32), ("name", c_char * 32), ("least", c_int32)),
-        *(("most", c_int32), ("step", c_int32), ("default", c_int32), ("flags", c_uint32)),
+        ("id", c_uint32),
+        ("kind", c_uint32),
+        ("name", c_char * 32),
+        ("minimum", c_int32),
+        ("maximum", c_int32),
+        ("step", c_int32),
+        ("default", c_int32),
+        ("flags", c_uint32),
         ("reserved", c_uint32 * 2),
     )
 

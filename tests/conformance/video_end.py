@@ -93,7 +93,7 @@ class ScriptedVideo:
         if number in self.stuck:
             raise OSError(errno.EINVAL, "Invalid argument")
         found = self.controls[number]
-        assert found.least <= value <= found.most, "the kernel would clamp it"
+        assert found.minimum <= value <= found.maximum, "the kernel would clamp it"
         self.values[number] = value
 
     def start(self) -> None:

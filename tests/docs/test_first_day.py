@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from docs.generate.pages import ROOT, blocks, commands, fits
 from drivers.clock import SteppedClock
 from drivers.dlp4500.device import LedLevels
-from drivers.dlp4500.sequence import LEAST_GAP_US
+from drivers.dlp4500.sequence import MIN_GAP_US
 from drivers.emulators.dlpc350 import STRICT, Dlpc350, Dlpc350Policy, EmulatedHid
 from fpplab.cli import app
 from fpplab.core.errors import CapabilityError, ProtocolError
@@ -156,7 +156,7 @@ def test_the_means_of_the_output_follow_from_the_times() -> None:
     """What a voltmeter shows, by the plan's exposure, the projector's gap, and the pauses of the check."""
     text = PAGE.read_text(encoding="utf-8")
     exposure_s = 0.033332
-    period_s = exposure_s + 1e-6 * LEAST_GAP_US
+    period_s = exposure_s + 1e-6 * MIN_GAP_US
     run, pulses = exposure_s / period_s, exposure_s / (period_s + APART_S)
     assert f"{1e3 * period_s:.3f} ms, which is {100 * run:.1f} % of the time" in text
     assert f"a mean of {3.3 * run:.2f} V or {1.8 * run:.2f} V" in text

@@ -26,14 +26,14 @@ def blocking(connection: Connection) -> None:
 
 
 def test_an_answer_comes_back() -> None:
-    assert ask_apart(doubled, "ab", patience_s=60.0) == "abab"
+    assert ask_apart(doubled, "ab", timeout_s=60.0) == "abab"
 
 
 @pytest.mark.whole
 def test_one_that_crashes_or_blocks_gives_none(capfd: pytest.CaptureFixture[str]) -> None:
-    assert ask_apart(crashing, patience_s=60.0) is None
+    assert ask_apart(crashing, timeout_s=60.0) is None
     begin = time.monotonic()
-    assert ask_apart(blocking, patience_s=0.1) is None
+    assert ask_apart(blocking, timeout_s=0.1) is None
     assert time.monotonic() - begin < 30.0
 
 

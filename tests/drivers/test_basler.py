@@ -210,7 +210,7 @@ def test_frames_stay_what_they_were(
     camera: BaslerCamera, scene: Counter, kept: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """While more are taken, after the camera is stopped, closed, and gone; few buffers or many."""
-    monkeypatch.setattr(frames, "POOL_BYTES", 1)
+    monkeypatch.setattr(frames, "MAX_POOL_BYTES", 1)
     before = scene.exposures
     camera.arm(30)
     taken = [camera.read(5.0) for _ in range(30)][:kept]
@@ -258,17 +258,17 @@ def test_frames_leave_in_pylons_own_buffers(
 def test_where_buffers_are_few_some_always_go_round(
     camera: BaslerCamera, bench: EmulatedPylon, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(frames, "POOL_BYTES", 1)
+    monkeypatch.setattr(frames, "MAX_POOL_BYTES", 1)
     assert len(set(addresses(camera, bench, 30, keep=True))) == 30
-    assert end(camera).MaxNumBuffer.GetValue() == 2 * frames.SPARE
+    assert end(camera).MaxNumBuffer.GetValue() == 2 * frames.SPARE_BUFFERS
 
 
 def test_triggers_of_the_hosts_own_need_few_buffers(camera: BaslerCamera) -> None:
     camera.arm(1000)
-    assert end(camera).MaxNumBuffer.GetValue() == 2 * frames.SPARE
+    assert end(camera).MaxNumBuffer.GetValue() == 2 * frames.SPARE_BUFFERS
     camera.stop()
     camera.arm(1000, "hardware")
-    assert end(camera).MaxNumBuffer.GetValue() == 1000 + frames.SPARE
+    assert end(camera).MaxNumBuffer.GetValue() == 1000 + frames.SPARE_BUFFERS
 
 
 # Settings in files

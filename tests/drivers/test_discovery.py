@@ -17,10 +17,11 @@ from pypylon import pylon
 from serial.tools import list_ports
 
 from drivers import computer_discovery, discovery
-from drivers.discovery import BASLER_VENDOR, DLP4500_PRODUCT, DLP4500_VENDOR
+from drivers.discovery import BASLER_VENDOR
 from drivers.display import DisplayProjector, window
 from drivers.display.screen import DisplayInfo
 from drivers.dlp4500 import Dlp4500
+from drivers.dlp4500.transport import PRODUCT, VENDOR
 from drivers.gentl import GentlCamera, listing
 from drivers.gentl.listing import ListedCamera
 from fpplab.core.errors import CapabilityError, DeviceError
@@ -63,7 +64,7 @@ class Computer:
             )
 
     def plug_projector(self, shown: bool = True) -> None:
-        self.plug_usb(DLP4500_VENDOR, DLP4500_PRODUCT, "LCR3", 3)
+        self.plug_usb(VENDOR, PRODUCT, "LCR3", 3)
         if shown:
             for interface in (0, 1):
                 self.hid.append(

@@ -101,7 +101,7 @@ def test_without_displays(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_frames_that_do_not_wait_for_the_display_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(screen, "LEAST_OF_PERIOD", 100.0)
+    monkeypatch.setattr(screen, "MIN_SHARE_OF_PERIOD", 100.0)
     found = r"frames come every .* ms on a display of 60 Hz"
     with pytest.raises(screen.ScreenError, match=found), screen.open_screen(0, DUMMY):
         pass

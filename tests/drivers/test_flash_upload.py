@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from drivers.clock import RealClock
 from drivers.dlp4500.flash.firmware import Firmware
-from drivers.dlp4500.flash.loader import MOST_DATA, BootLoaderLink, boot_loader_session
+from drivers.dlp4500.flash.loader import MAX_DATA_BYTES, BootLoaderLink, boot_loader_session
 from drivers.dlp4500.flash.upload import check_firmware, plan_upload, verify_image_count
 from drivers.dlp4500.framing import UsbMessage
 from drivers.dlp4500.sequence import SIZE
@@ -163,7 +163,9 @@ FAST = Dlpc350Policy(sector_erase_s=0.02)
 def test_power_may_fail_at_every_message():
     """Of one image."""
     messages = _messages(FAST, SMALL)
-    assert messages.count(DATA) > SECTOR // MOST_DATA, "among them all of the sector with the flash table"
+    assert messages.count(DATA) > SECTOR // MAX_DATA_BYTES, (
+        "among them all of the sector with the flash table"
+    )
     for fails_at in range(len(messages)):
         _finish(_interrupted(fails_at, FAST, SMALL), SMALL)
 

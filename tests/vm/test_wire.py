@@ -13,7 +13,7 @@ import pytest
 from drivers.dlp4500 import Dlp4500
 from drivers.dlp4500.framing import READ, REPLY_WANTED, make_request
 from drivers.dlp4500.protocol import VERSION
-from drivers.dlp4500.transport import TIMEOUT_S, HidDevice, connect
+from drivers.dlp4500.transport import REPLY_TIMEOUT_S, HidDevice, connect
 from drivers.emulators.dlpc350 import UsbFault
 from fpplab.core.errors import DeviceError, DeviceTimeoutError, DisconnectedError, ProtocolError
 from fpplab.devices import State
@@ -24,7 +24,7 @@ from tests.vm.projector import Projector
 ROUND_TRIPS = 300
 MOST_COMMANDS = 40
 EXPOSURE_S = 0.02
-AT_MOST_S = 4 * TIMEOUT_S
+AT_MOST_S = 4 * REPLY_TIMEOUT_S
 """One command that is not answered, and more time than switching the LEDs off takes."""
 
 
@@ -39,7 +39,7 @@ def raw_round_trip(wire: HidDevice) -> None:
     """The reports of a command and of its answer, with no driver."""
     for report in make_request(VERSION.number, b"", 0, READ | REPLY_WANTED).reports():
         wire.write(b"\0" + report)
-    assert wire.read(64, round(1e3 * TIMEOUT_S))
+    assert wire.read(64, round(1e3 * REPLY_TIMEOUT_S))
 
 
 def test_round_trips(driver: Dlp4500, emulated: Projector, capsys: pytest.CaptureFixture[str]) -> None:

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 ImageBytes = NDArray[np.uint8]
 
-LINES = 4
+STORED_ROWS = 4
 """Rows that the four-line compression stores."""
-LONGEST = 255
+MAX_RUN = 255
 """Pixels that one count byte can announce."""
 
 
@@ -46,7 +46,7 @@ def compress(image: ImageBytes) -> CompressedImage:
     """
     # image (height, width, 3)
     if repeats_every_four_lines(image):
-        return CompressedImage(Compression.FOUR_LINE, image[:LINES].tobytes())
+        return CompressedImage(Compression.FOUR_LINE, image[:STORED_ROWS].tobytes())
     runs = encode_run_lengths(image)
     if len(runs) < image.nbytes:
         return CompressedImage(Compression.RUN_LENGTH, runs)
@@ -56,7 +56,7 @@ def compress(image: ImageBytes) -> CompressedImage:
 def repeats_every_four_lines(image: ImageBytes) -> bool:
     """Tell whether every row equals the one four rows above it."""
     # image (height, width, 3)
-    return len(image) > LINES and np.array_equal(image[LINES:], image[:-LINES])
+    return len(image) > STORED_ROWS and np.array_equal(image[STORED_ROWS:], image[:-STORED_ROWS])
 
 
 def encode_run_lengths(image: ImageBytes) -> bytes:
@@ -82,7 +82,7 @@ def _encode(image: ImageBytes, stored: ImageBytes) -> int:
         while column < len(row):
             run = _run(row, column)
             single = 0
-            while single < LONGEST and column + single < len(row) and _run(row, column + single) == 1:
+            while single < MAX_RUN and column + single < len(row) and _run(row, column + single) == 1:
                 single += 1
             if single > 1:
                 stored[at + 1] = single
@@ -99,9 +99,9 @@ def _encode(image: ImageBytes, stored: ImageBytes) -> int:
 
 @njit(inline="always")
 def _run(row: ImageBytes, column: int) -> int:
-    """Count how often the pixel at `column` is repeated from there on, at most LONGEST."""
+    """Count how often the pixel at `column` is repeated from there on, at most MAX_RUN."""
     end = column + 1
-    while end < len(row) and end - column < LONGEST and _same(row, column, end):
+    while end < len(row) and end - column < MAX_RUN and _same(row, column, end):
         end += 1
     return end - column
 

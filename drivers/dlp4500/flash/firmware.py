@@ -33,7 +33,8 @@ TABLE_SECTOR = memory.sector_of(TABLE)
 _SIGNATURE = struct.pack("<I", 0x01234567)
 _BLOCK = struct.Struct("<II")
 _BLOCKS = TABLE + 16
-_BLOCK_COUNT = 56
+_BLOCKS_END = _BLOCKS + 56 * _BLOCK.size
+"""Entries of the table: from its offset 16 on, 56 of them."""
 _SPLASH_BLOCKS = range(20, 24)
 """Table entries of the splash area; TI's firmware also lists single images there. New images replace all."""
 
@@ -41,6 +42,7 @@ SPLASH_ENTRY = _BLOCKS + _SPLASH_BLOCKS[0] * _BLOCK.size
 """Offset of the splash area's address in the table."""
 
 _UNUSED = 0xFFFFFFFF
+"""Address and size of a table entry that is not used, as erased flash reads."""
 
 PER_IMAGE = 3
 """Patterns of 8 bits in an image: in green, red and blue."""
@@ -48,16 +50,15 @@ PER_IMAGE = 3
 STORED = (2, 1, 0)
 """Order of the colour planes in a stored pixel: blue, red, green."""
 
-BIT_DEPTH = 8
-MOST_IMAGES = 256
-"""Images that the splash area can list."""
+MAX_IMAGES = 256
+"""Entries of the splash area's table."""
 _SPLASH_SIGNATURE = struct.pack("<II", 0x12345678, 0x87654321)
-_IMAGES_AT = len(_SPLASH_SIGNATURE) + 4 + MOST_IMAGES * _BLOCK.size
+_IMAGES_AT = len(_SPLASH_SIGNATURE) + 4 + MAX_IMAGES * _BLOCK.size
 """Offset of the first image in the splash area."""
 
 _HEADER = struct.Struct("<4sHHIIIIBBBB4x")
-MOST_BYTES = 4 * memory.SIZE
-"""Of a file that is read at all."""
+MAX_FILE_BYTES = 4 * memory.SIZE
+"""Of a file that is read at all (chosen: several times what fits into the flash)."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +85,7 @@ class Firmware:
     def load(cls, path: Path) -> Firmware:
         """Read a firmware file."""
         try:
-            firmware = cls(read_bounded(path, MOST_BYTES), path)
+            firmware = cls(read_bounded(path, MAX_FILE_BYTES), path)
         except OSError as error:
             raise ConfigError(f"{path}: cannot be read ({error.strerror})") from error
         firmware._check()
@@ -100,7 +101,7 @@ class Firmware:
     @property
     def blocks(self) -> tuple[FlashBlock, ...]:
         """Program and configuration: all blocks of the table except the splash area, by offset."""
-        table = self.content[_BLOCKS : _BLOCKS + _BLOCK_COUNT * _BLOCK.size]
+        table = self.content[_BLOCKS:_BLOCKS_END]
         listed = [
             FlashBlock(address - memory.ADDRESS, size)
             for i, (address, size) in enumerate(_BLOCK.iter_unpack(table))
@@ -125,9 +126,9 @@ class Firmware:
         """Replace the images by patterns and keep the program."""
         _check(patterns)
         slots = arrange_patterns(patterns)
-        if slots[-1].image >= MOST_IMAGES:
+        if slots[-1].image >= MAX_IMAGES:
             raise ConfigError(
-                f"{len(patterns)} patterns take {slots[-1].image + 1} images: the flash holds {MOST_IMAGES}"
+                f"{len(patterns)} patterns take {slots[-1].image + 1} images: the flash holds {MAX_IMAGES}"
             )
         start = self.behind_program
         splash = splash_area(
@@ -139,14 +140,13 @@ class Firmware:
                 f"{len(patterns)} patterns take {len(splash)} bytes of flash and {memory.SIZE - start} are "
                 "free: use fewer, or patterns that compress well (fringes along one axis)"
             )
-        content = bytearray(self.content[:start].ljust(start, bytes([memory.ERASED])))
+        content = bytearray(self.content[:start].ljust(start, b"\xff"))  # as erased
         struct.pack_into("<I", content, SPLASH_ENTRY, memory.ADDRESS + start)
         return Firmware(bytes(content) + splash, source)
 
     def _check(self) -> None:
         """Raise `DataError` unless this is a complete firmware whose program fits into the flash."""
-        table_end = _BLOCKS + _BLOCK_COUNT * _BLOCK.size
-        if len(self.content) < table_end or not self.content.startswith(_SIGNATURE, TABLE):
+        if len(self.content) < _BLOCKS_END or not self.content.startswith(_SIGNATURE, TABLE):
             raise DataError(
                 f"{self.source}: is not a firmware of the LightCrafter 4500 (no flash table at {TABLE:#x})"
             )
@@ -174,7 +174,7 @@ def arrange_patterns(patterns: Sequence[Pattern]) -> list[Slot]:
         repeats = repeats_every_four_lines(pattern.image)
         if number == PER_IMAGE or repeats != repeated:
             image, number, repeated = image + 1, 0, repeats
-        slots.append(Slot(image, number, BIT_DEPTH))
+        slots.append(Slot(image, number, bits=8))
         number += 1
     return slots
 
@@ -184,7 +184,7 @@ def _check(patterns: Sequence[Pattern]) -> None:
         raise ConfigError("no patterns were given")
     width, height = SIZE
     for pattern in patterns:
-        if pattern.bit_depth != BIT_DEPTH:
+        if pattern.bit_depth != 8:
             raise ConfigError(
                 f"pattern {pattern.id} has {pattern.bit_depth} bits: flash images are built of 8 bits"
             )
@@ -198,7 +198,7 @@ def _check(patterns: Sequence[Pattern]) -> None:
 def splash_area(images: Sequence[CompressedImage], address: int) -> bytes:
     """Encode the splash area: signature, number and table of the images, then each image with its header."""
     stored = [_header(image) + image.data for image in images]
-    table = bytearray(_BLOCK.pack(_UNUSED, _UNUSED) * MOST_IMAGES)
+    table = bytearray(_BLOCK.pack(_UNUSED, _UNUSED) * MAX_IMAGES)
     at = address + _IMAGES_AT
     for i, image in enumerate(stored):
         _BLOCK.pack_into(table, i * _BLOCK.size, at, len(image))

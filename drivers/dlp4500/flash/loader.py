@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 
-from drivers.clock import Clock
+from drivers.clock import Clock, Polling
 from drivers.dlp4500.flash import memory
 from drivers.dlp4500.layout import Command, RawBytes, RegisterField, RegisterLayout
 from drivers.dlp4500.protocol import VERSION
@@ -27,8 +27,8 @@ from fpplab.core.errors import (
 )
 
 _NUMBER = RegisterLayout((RegisterField("value", 32),))
-MOST_DATA = 504
-"""Bytes of one data message; two less than fit, to avoid a fault of the boot loader."""
+MAX_DATA_BYTES = 504
+"""Bytes of one data message, as TI's client sends them: two less than fit, or the boot loader fails."""
 
 ENTER = Command("enter the boot loader", 0x3001, RegisterLayout(), acknowledged=False)
 READ_STATUS = Command(
@@ -41,25 +41,21 @@ FLASH_TYPE = Command("flash type", 0x002F, RegisterLayout((RegisterField("algori
 ADDRESS = Command("flash address", 0x0029, _NUMBER)
 ERASE = Command("erase sector", 0x0028, RegisterLayout())
 UPLOAD_SIZE = Command("upload size", 0x002C, _NUMBER)
-DATA = Command("flash data", 0x0025, RawBytes(1, MOST_DATA), acknowledged=False)
+DATA = Command("flash data", 0x0025, RawBytes(1, MAX_DATA_BYTES), acknowledged=False)
 SUM = Command("start checksum", 0x0026, RegisterLayout(), acknowledged=False)
 LEAVE = Command(
     "leave the boot loader", 0x0030, RegisterLayout((RegisterField("how", 8, (2,)),)), acknowledged=False
 )
 
 _CHECKSUM, _MANUFACTURER, _DEVICE = 0x00, 0x0C, 0x0D
-_BUSY = 0x08
+"""What `READ_STATUS` may be asked for; byte 0 of each answer is the boot loader's status."""
 EVM_FLASH = 0x0020, 0x227E
 """Manufacturer and device id of the flash on the evaluation module."""
-EVM_ALGORITHM = 0
-"""Number of the algorithm that writes it."""
 
-POLL_S = 0.01
-BUSY_LIMIT_S = 30.0
-"""Time limit in s for one sector; TI's sources give no figure."""
-RESTART_LIMIT_S = 15.0
-"""Time limit in s for the device to reappear; TI's SDK waits 10 s."""
-RESTART_POLL_S = 0.25
+FLASH_BUSY = Polling(step_s=0.01, limit_s=30.0)
+"""For one sector (chosen; TI's sources give no figure)."""
+RESTART = Polling(step_s=0.25, limit_s=15.0)
+"""Until the device reappears on USB; TI's SDK waits 10 s."""
 
 Connect = Callable[[], Link]
 """Opens a link to the projector, whichever program it runs."""
@@ -86,7 +82,7 @@ class BootLoaderLink:
                 f"the flash is {_words(found)}, not {_words(EVM_FLASH)}",
                 "only the evaluation module's flash can be written",
             )
-        self.link.write(FLASH_TYPE, algorithm=EVM_ALGORITHM)
+        self.link.write(FLASH_TYPE, algorithm=0)  # that of the evaluation module's flash
 
     def erase(self, sector: int) -> None:
         """Erase a sector, which sets all its bits to one."""
@@ -100,8 +96,8 @@ class BootLoaderLink:
         self._check(offset, len(data))
         self.link.write(ADDRESS, value=offset)
         self.link.write(UPLOAD_SIZE, value=len(data))
-        for start in range(0, len(data), MOST_DATA):
-            self.link.write_bytes(DATA, data[start : start + MOST_DATA])
+        for start in range(0, len(data), MAX_DATA_BYTES):
+            self.link.write_bytes(DATA, data[start : start + MAX_DATA_BYTES])
         self._wait("flash data")
         found, wanted = self.checksum(offset, len(data)), memory.flash_checksum(data)
         if found != wanted:
@@ -132,7 +128,8 @@ class BootLoaderLink:
             self.link.close()
 
     def _check(self, offset: int, size: int) -> None:
-        if offset < (memory.BOOT_SECTOR + 1) * memory.SECTOR or offset + size > memory.SIZE:
+        # Sector 0 is the boot loader's: without it a projector cannot be repaired over USB.
+        if offset < memory.SECTOR or offset + size > memory.SIZE:
             raise SettingError(
                 self.name,
                 "write flash",
@@ -146,16 +143,16 @@ class BootLoaderLink:
         return int.from_bytes(low + high, "little")
 
     def _wait(self, operation: str) -> None:
-        deadline = self._clock.now() + BUSY_LIMIT_S
-        while self.link.read_bytes(READ_STATUS, what=_CHECKSUM)[0] & _BUSY:
+        deadline = self._clock.now() + FLASH_BUSY.limit_s
+        while self.link.read_bytes(READ_STATUS, what=_CHECKSUM)[0] & 0x08:  # bit 3: busy
             if self._clock.now() > deadline:
                 raise DeviceTimeoutError(
                     self.name,
                     operation,
-                    f"the flash is still busy after {BUSY_LIMIT_S:g} s",
+                    f"the flash is still busy after {FLASH_BUSY.limit_s:g} s",
                     "switch the projector off and on, and give the same command again",
                 )
-            self._clock.sleep(POLL_S)
+            self._clock.sleep(FLASH_BUSY.step_s)
 
 
 def _words(part: tuple[int, int]) -> str:
@@ -202,9 +199,9 @@ def _runs_program(link: Link) -> bool:
 
 def _restarted(connect: Connect, clock: Clock, name: str, into_program: bool) -> Link:
     """Open the projector again once it has reappeared running the other program."""
-    deadline, is_last = clock.now() + RESTART_LIMIT_S, False
+    deadline, is_last = clock.now() + RESTART.limit_s, False
     while not is_last:
-        clock.sleep(RESTART_POLL_S)
+        clock.sleep(RESTART.step_s)
         is_last = clock.now() >= deadline  # tried after it, too: a busy computer may sleep for longer
         try:
             link = connect()
@@ -217,6 +214,6 @@ def _restarted(connect: Connect, clock: Clock, name: str, into_program: bool) ->
     raise StateError(
         name,
         "restart",
-        f"does not reappear {'from' if into_program else 'in'} its boot loader within {RESTART_LIMIT_S:g} s",
+        f"does not reappear {'from' if into_program else 'in'} its boot loader within {RESTART.limit_s:g} s",
         "switch the projector off and on, and give the same command again",
     )

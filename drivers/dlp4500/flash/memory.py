@@ -5,21 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 SECTOR = 0x20000
-"""Bytes that are erased together."""
-
-SECTORS = 256
-"""Number of sectors."""
-SIZE = SECTORS * SECTOR
+"""Bytes that are erased together, as TI's GUI knows the evaluation module's flash."""
+SIZE = 256 * SECTOR
 """Bytes of the whole flash."""
 
 ADDRESS = 0xF9000000
 """Address of the first byte; tables in flash hold such addresses, the boot loader takes offsets."""
-
-BOOT_SECTOR = 0
-"""Sector of the boot loader: without it a projector cannot be repaired over USB."""
-
-ERASED = 0xFF
-"""Value of an erased byte."""
 
 
 def flash_checksum(data: bytes) -> int:

@@ -14,7 +14,7 @@ import hashlib
 from dataclasses import dataclass
 
 from drivers.dlp4500.flash import memory
-from drivers.dlp4500.flash.firmware import MOST_IMAGES, SPLASH_ENTRY, TABLE_SECTOR, Firmware, FlashBlock
+from drivers.dlp4500.flash.firmware import MAX_IMAGES, SPLASH_ENTRY, TABLE_SECTOR, Firmware, FlashBlock
 from drivers.dlp4500.flash.loader import BootLoaderLink
 from drivers.dlp4500.protocol import IMAGES_IN_FLASH
 from drivers.dlp4500.transport import Link
@@ -22,7 +22,7 @@ from fpplab.core.errors import DataError, DeviceError
 from fpplab.core.progress import Progress
 
 _SLOT = 16
-"""Bytes of the digest and of each mark on the progress page."""
+"""Bytes of the digest and of each mark on the progress page (chosen: 128 bits of SHA-256)."""
 _MARK = bytes(_SLOT)
 
 
@@ -97,7 +97,7 @@ def perform_upload(firmware: Firmware, loader: BootLoaderLink, work: UploadPlan,
 def verify_image_count(firmware: Firmware, link: Link) -> None:
     """Compare the number of images that the projector finds in its flash with that of the file."""
     found, wanted = link.read(IMAGES_IN_FLASH)["count"], firmware.images
-    if found != wanted % MOST_IMAGES:  # the count is one byte, in which 256 is 0
+    if found != wanted % MAX_IMAGES:  # the count is one byte, in which 256 is 0
         raise DeviceError(
             link.name,
             "upload",

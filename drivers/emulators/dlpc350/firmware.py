@@ -15,8 +15,8 @@ from drivers.dlp4500.layout import Command, RawBytes, RegisterLayout, Values
 from drivers.dlp4500.protocol import (
     COMMANDS,
     DELAY_STEP_US,
-    MOST_IMAGES,
-    MOST_VARIABLE_IMAGES,
+    MAX_IMAGES,
+    MAX_VARIABLE_IMAGES,
     DisplayMode,
     Mailbox,
     Run,
@@ -289,9 +289,9 @@ class Dlpc350(LightEngine):
         if self._open() is Mailbox.PATTERNS:
             self._tables.fill_patterns(short, data)
         elif self._open() is Mailbox.IMAGES and self._is_variable():
-            self._tables.fill_images(long, data, MOST_VARIABLE_IMAGES)
+            self._tables.fill_images(long, data, MAX_VARIABLE_IMAGES)
         elif self._open() is Mailbox.IMAGES:
-            self._tables.fill_images(short, data, MOST_IMAGES)
+            self._tables.fill_images(short, data, MAX_IMAGES)
         else:
             raise CommandRejected
 
@@ -351,7 +351,7 @@ class Dlpc350(LightEngine):
             entries=self._entries(),
             times=[(1e-6 * exposure, 1e-6 * period) for exposure, period in self._times_us()],
             images=self._images() if self._is_from_flash() else [],
-            load_s=[self.load_s[i] if i < len(self.load_s) else 0.0 for i in range(MOST_VARIABLE_IMAGES)],
+            load_s=[self.load_s[i] if i < len(self.load_s) else 0.0 for i in range(MAX_VARIABLE_IMAGES)],
             patterns=declared["patterns"],
             repeat=bool(declared["repeat"]),
             edges_s=(delay_s(first["rising"]), delay_s(first["falling"]), delay_s(second["rising"])),

@@ -16,10 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 SIZE, SECTOR = 0x2000000, 0x20000
+"""Bytes of the flash, and of what is erased together."""
 BASE_ADDRESS = 0xF9000000
+"""Address of the first byte in the controller's memory."""
 TABLE = 0x20000
+"""Offset of the table of blocks."""
 SPLASH_ADDRESS = TABLE + 176
+"""Offset of the address of the splash area, in the table."""
 NONE = 0xFFFFFFFF
+"""Entry of a table that is not used."""
 _HEADER = struct.Struct("<4sHHIIIIBBBB4x")
 
 

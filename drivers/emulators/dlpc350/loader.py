@@ -21,7 +21,9 @@ ENTER = 0x3001
 """Number of the command by which the application enters the boot loader."""
 _READ_STATUS, _EXIT = 0x0015, 0x0030
 _MANUFACTURER, _PART = 0x0020, 0x227E
+"""Identity of the evaluation module's flash."""
 _BUSY = 0x08
+"""Bit of the status."""
 
 
 class BootLoader:

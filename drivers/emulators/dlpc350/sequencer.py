@@ -9,11 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from drivers.clock import ROUNDING_S
 from drivers.dlp4500.layout import Values
-from drivers.dlp4500.protocol import DELAY_STEP_US, ZERO_DELAY, PatternTrigger, Run, TriggerMode
-
-ROUNDING_S = 1e-9
-"""Tolerance in s for rounding, where a time is compared with that of a video frame or of a loaded image."""
+from drivers.dlp4500.protocol import DELAY_STEP_US, ZERO_DELAY_CODE, PatternTrigger, Run, TriggerMode
 
 
 @dataclass(frozen=True)
@@ -54,7 +52,7 @@ class DisplayedPattern:
 
 def delay_s(code: int) -> float:
     """Convert a trigger delay from its code on the wire."""
-    return (code - ZERO_DELAY) * DELAY_STEP_US * 1e-6
+    return (code - ZERO_DELAY_CODE) * DELAY_STEP_US * 1e-6
 
 
 def per_pattern_times(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TypeVar
 
 from drivers.dlp4500.layout import Values
-from drivers.dlp4500.protocol import ENTRY, MOST_ENTRIES
+from drivers.dlp4500.protocol import ENTRY, MAX_ENTRIES
 
 Content = TypeVar("Content")
 RegisterContents = dict[int, Content]
@@ -32,7 +32,7 @@ class PatternTables:
 
     def fill_patterns(self, address: int, data: bytes) -> None:
         """Write entries of the pattern table."""
-        if len(data) % 3 or address + len(data) // 3 > MOST_ENTRIES:
+        if len(data) % 3 or address + len(data) // 3 > MAX_ENTRIES:
             raise ValueError("the entries do not fit in the pattern table")
         entries = [ENTRY.unpack(data[i : i + 3]) for i in range(0, len(data), 3)]
         _write_entries(self.patterns, address, entries)
@@ -60,7 +60,7 @@ class PatternTables:
     def pattern_bytes(self, count: int) -> bytes:
         """Return the pattern table as it is read back."""
         zero = ENTRY.unpack(bytes(3))
-        return b"".join(ENTRY.pack(self.patterns.get(i, zero)) for i in range(min(count, MOST_ENTRIES)))
+        return b"".join(ENTRY.pack(self.patterns.get(i, zero)) for i in range(min(count, MAX_ENTRIES)))
 
     def image_bytes(self, count: int) -> bytes:
         """Return the image table as it is read back."""

@@ -31,8 +31,6 @@ from fpplab.patterns.plan import Plan
 
 DEFAULT_PLAN = "plan_paper.yaml"
 """Plan whose patterns are in flash when no firmware file is given."""
-STATE_POLL_S = 0.1
-"""Interval in s at which the projector's state is looked at."""
 
 
 @contextmanager
@@ -69,7 +67,7 @@ def _state_messages(attachment: UsbIpAttachment) -> Iterator[None]:
 
     def report() -> None:
         said = ""
-        while not ended.wait(STATE_POLL_S):
+        while not ended.wait(0.1):
             with attachment.lock:
                 now = (
                     describe_state(attachment.hid.controller) if attachment.hid.is_plugged else "off the bus"

@@ -25,7 +25,6 @@ from typing import Self
 
 from drivers.dlp4500.transport import INTERFACE, PRODUCT, VENDOR
 from drivers.emulators.dlpc350.descriptors import (
-    FULL_SPEED,
     INWARDS,
     ControlEndpoint,
     endpoint_in,
@@ -39,13 +38,9 @@ HUB = Path("/sys/devices/platform/vhci_hcd.0")
 NAME = "emulator"
 """Name of the device in error messages."""
 POLL_S = 0.002
-"""Longest time in s between two looks at the emulated device."""
+"""Longest time in s between two queries of the emulated device (chosen: two reports at full speed)."""
 _SUBMIT, _UNLINK, _SUBMITTED, _UNLINKED = 1, 2, 3, 4
-_HEADER_BYTES = 48
-_DEVICE_ID = 1 << 16 | 2
-"""Bus and device number at the remote end, which have no meaning here."""
-_FREE = "004"
-"""State of a free port of the hub."""
+"""Numbers of the commands (usbip_protocol.rst)."""
 
 
 class UsbIpConnection:
@@ -65,7 +60,7 @@ class UsbIpConnection:
 
     def handle_request(self) -> bool:
         """Handle the kernel's next request."""
-        head = self._received(_HEADER_BYTES)
+        head = self._received(48)  # the size of every header
         if not head:
             return False
         command, number, _, inwards, endpoint = struct.unpack(">5I", head[:20])
@@ -178,8 +173,8 @@ class UsbIpAttachment:
                 self._connection.deliver_reports()
 
 
-def attach(cable: socket.socket, speed: int = FULL_SPEED) -> None:
-    """Attach one end of a socket pair to the kernel's hub."""
+def attach(cable: socket.socket, speed: int = 2) -> None:
+    """Attach one end of a socket pair to the kernel's hub; 2 is its number for full speed, 12 Mbit/s."""
     if not HUB.is_dir():
         raise DeviceError(
             NAME,
@@ -187,7 +182,8 @@ def attach(cable: socket.socket, speed: int = FULL_SPEED) -> None:
             f"the kernel has no USB/IP hub ({HUB} is missing)",
             "on Linux: sudo modprobe vhci-hcd; other systems have none",
         )
-    order = f"{free_port()} {cable.fileno()} {_DEVICE_ID} {speed}"
+    remote_device = 1 << 16 | 2  # bus and number at the other end, which have no meaning here
+    order = f"{free_port()} {cable.fileno()} {remote_device} {speed}"
     try:
         with open(HUB / "attach", "w", encoding="ascii") as file:
             file.write(order)
@@ -203,7 +199,7 @@ def free_port() -> int:
     """Find a free port of the hub for a device of full or high speed."""
     for line in (HUB / "status").read_text("ascii").splitlines()[1:]:
         hub, port, state, *_ = line.split()
-        if hub == "hs" and state == _FREE:
+        if hub == "hs" and state == "004":  # VDEV_ST_NULL: free
             return int(port)
     raise DeviceError(
         NAME, "plug in", "every port of the kernel's USB/IP hub is taken", "detach a device from it"

@@ -7,10 +7,10 @@ from itertools import pairwise
 
 from drivers.dlp4500.layout import Values
 from drivers.dlp4500.protocol import PatternTrigger
-from drivers.dlp4500.sequence import LEAST_EXPOSURE_US, bit_planes
+from drivers.dlp4500.sequence import MIN_EXPOSURE_US, bit_planes
 
-LEAST_GAP_US = 230
-"""Shortest dark time in µs between an exposure and the next pattern, unless it is none at all."""
+MIN_GAP_US = 230
+"""Shortest dark time in µs between an exposure and the next pattern, unless it is none at all (TI's GUI)."""
 
 
 def validate_sequence(
@@ -49,7 +49,7 @@ def validate_sequence(
 
 
 def _gap_too_short(gap_us: int, accepts_gap: bool) -> bool:
-    return 0 < gap_us < LEAST_GAP_US or (gap_us == LEAST_GAP_US and not accepts_gap)
+    return 0 < gap_us < MIN_GAP_US or (gap_us == MIN_GAP_US and not accepts_gap)
 
 
 def _exists(entry: Values) -> bool:
@@ -73,7 +73,7 @@ def _groups(entries: Sequence[Values], field: str) -> list[range]:
 
 def _too_short(entries: Sequence[Values], times_us: Sequence[tuple[int, int]]) -> bool:
     return any(
-        times_us[group[0]][0] < len(group) * max(LEAST_EXPOSURE_US.get(entries[i]["depth"], 0) for i in group)
+        times_us[group[0]][0] < len(group) * max(MIN_EXPOSURE_US.get(entries[i]["depth"], 0) for i in group)
         for group in _groups(entries, "share_trigger")
         if len(group)
     )

@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from drivers.clock import Clock
+from drivers.clock import ROUNDING_S, Clock
 from drivers.display.window import VideoFrame
 from drivers.dlp4500.sequence import SIZE
 from drivers.emulators.dlpc350.light import FlashImage
@@ -16,10 +16,6 @@ CHANNEL_ORDERS = ("ABC", "CAB", "BCA", "ACB", "BAC", "CBA")
 """Settings of the channel swap by number: inside the controller, A is green, B red and C blue."""
 PORT_CHANNELS = "ABC"
 """The port's own channels, on which this board feeds red, green and blue."""
-ROUNDING_S = 1e-9
-"""A VSYNC that comes this much too early in s, by rounding alone, counts as that VSYNC."""
-DESKTOP_GREY = 128
-"""Grey level of the desktop that is on the port while the display is not open."""
 
 
 class Video:
@@ -77,7 +73,7 @@ class EmulatedDisplay:
     def __init__(self, controller: VideoReceiver, vsync_s: float = 1 / 60) -> None:
         self.vsync_s = vsync_s
         width, height = SIZE
-        self._desktop = np.full((height, width, 3), DESKTOP_GREY, np.uint8)
+        self._desktop = np.full((height, width, 3), 128, np.uint8)  # a grey desktop
         self._controller = controller
         self._video = controller.video = Video(self._desktop, vsync_s)
 

@@ -11,8 +11,6 @@ from enum import StrEnum
 
 from drivers.emulators.grbl.drive import Drive, Rail
 from drivers.emulators.grbl.gcode import (
-    AXES,
-    MM_PER_INCH,
     AxisPositions,
     GcodeError,
     Modes,
@@ -21,6 +19,7 @@ from drivers.emulators.grbl.gcode import (
     read_block,
 )
 from drivers.emulators.grbl.settings import DEFAULTS, GrblSettings
+from drivers.stage_grbl.lines import AXES, MM_PER_INCH
 
 VERSION, BUILD = "1.1f", "1.1f.20170801"
 RX_BYTES, LINE_CHARACTERS, PLANNED_MOVES = 128, 80, 15

@@ -10,8 +10,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-MM_PER_INCH = 25.4
-AXES = "XYZ"
+from drivers.stage_grbl.lines import AXES, MM_PER_INCH
 
 AxisPositions = tuple[float, float, float]
 """X, Y and Z in mm."""

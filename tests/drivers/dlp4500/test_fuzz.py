@@ -9,7 +9,7 @@ import pytest
 
 from drivers.clock import SteppedClock
 from drivers.dlp4500 import protocol
-from drivers.dlp4500.framing import MOST_PAYLOAD, continuation_reports
+from drivers.dlp4500.framing import MAX_PAYLOAD_BYTES, continuation_reports
 from drivers.dlp4500.layout import Command, RawBytes, RegisterLayout
 from drivers.dlp4500.protocol import COMMANDS
 from drivers.dlp4500.transport import Link
@@ -36,7 +36,7 @@ def data_for(layout: RegisterLayout | RawBytes | None, chance: random.Random) ->
     if layout is None:
         return b""
     if isinstance(layout, RawBytes):
-        return chance.randbytes(chance.randint(layout.least, min(layout.most, 200)))
+        return chance.randbytes(chance.randint(layout.min_bytes, min(layout.max_bytes, 200)))
     return layout.pack(
         {f.name: chance.choice((f.values()[0], chance.choice(f.values()))) for f in layout.named}
     )
@@ -69,7 +69,7 @@ class Expected:
             self.left -= 1
         else:
             length = int.from_bytes(report[2:4], "little")
-            if length > MOST_PAYLOAD:
+            if length > MAX_PAYLOAD_BYTES:
                 return None
             self.head, self.left = report[:6], max(0, -(-(length - 60) // 64))
         return None if self.left else self.head

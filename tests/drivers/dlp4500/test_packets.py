@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from drivers.dlp4500 import protocol
 from drivers.dlp4500.framing import (
     ERROR,
-    MOST_PAYLOAD,
+    MAX_PAYLOAD_BYTES,
     READ,
     REPLY_WANTED,
     UsbMessage,
@@ -330,7 +330,9 @@ def test_what_follows_the_first_report_has_no_header() -> None:
     assert third == data[122:].ljust(64, b"\0")
 
 
-messages = st.builds(UsbMessage, st.integers(0, 255), st.integers(0, 255), st.binary(max_size=MOST_PAYLOAD))
+messages = st.builds(
+    UsbMessage, st.integers(0, 255), st.integers(0, 255), st.binary(max_size=MAX_PAYLOAD_BYTES)
+)
 
 
 @given(messages, st.binary(min_size=64, max_size=64))

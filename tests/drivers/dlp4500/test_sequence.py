@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from drivers.dlp4500.protocol import ENTRY, PatternTrigger, Source, TriggerMode
 from drivers.dlp4500.sequence import (
-    LEAST_EXPOSURE_US,
+    MIN_EXPOSURE_US,
     Entry,
     Program,
     Slot,
@@ -45,7 +45,7 @@ def test_planes_of_each_depth(depth: int) -> None:
     for number in (-1, 25, *([count] if depth > 1 else [])):
         with pytest.raises(ValueError, match=f"number is {number}: 0 to {count - 1} with {depth} bits"):
             bit_planes(depth, number)
-    assert LEAST_EXPOSURE_US[depth] == least_us
+    assert MIN_EXPOSURE_US[depth] == least_us
 
 
 def test_solid_black_has_no_planes_and_depths_end_at_8() -> None:
@@ -113,7 +113,7 @@ def test_repeated_sequences_load_their_first_image_again() -> None:
 
 @pytest.mark.parametrize("depth", ROWS)
 def test_the_least_exposure_is_of_the_deepest(depth: int) -> None:
-    least = LEAST_EXPOSURE_US[depth]
+    least = MIN_EXPOSURE_US[depth]
     mixed = [Slot(0, 0, 1), Slot(0, 1, depth)]
     assert flash_program(mixed, least).exposure_us == least
     with pytest.raises(ValueError, match=f"the exposure is {least - 1} µs: {least} to 200000000 µs"):
@@ -207,7 +207,7 @@ def test_frames_from_the_video_port() -> None:
 def test_what_fits_into_a_frame_at_60_hz(count: int, bits: int, fits: bool) -> None:
     frame = [Slot(0, k, bits) for k in range(count)]
     if fits:
-        assert video_program(frame, LEAST_EXPOSURE_US[bits], 16_667)
+        assert video_program(frame, MIN_EXPOSURE_US[bits], 16_667)
     else:
         with pytest.raises(ValueError, match="3 exposures of 8333 µs in a frame: at most 16667 µs together"):
-            video_program(frame, LEAST_EXPOSURE_US[bits], 16_667)
+            video_program(frame, MIN_EXPOSURE_US[bits], 16_667)

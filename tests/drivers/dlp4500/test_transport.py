@@ -11,7 +11,7 @@ from drivers.clock import SteppedClock
 from drivers.dlp4500 import protocol
 from drivers.dlp4500.flash.loader import READ_STATUS
 from drivers.dlp4500.framing import READ, UsbMessage
-from drivers.dlp4500.transport import MOST_STALE, Link, connect
+from drivers.dlp4500.transport import MAX_STALE_REPORTS, Link, connect
 from fpplab.core.errors import (
     DeviceError,
     DeviceTimeoutError,
@@ -262,7 +262,7 @@ def test_without_echo_what_waits_is_thrown_away_first() -> None:
 
 def test_draining_takes_a_bounded_number() -> None:
     link, wire = link_to(lambda r: [])
-    wire.waiting += [bytes(64)] * (MOST_STALE - 1)
+    wire.waiting += [bytes(64)] * (MAX_STALE_REPORTS - 1)
     link.drain()
     assert wire.waiting == []
 

@@ -16,7 +16,7 @@ from drivers.dlp4500 import Dlp4500, protocol
 from drivers.dlp4500.index import shown_image
 from drivers.dlp4500.packing import assign_slots, pack_images
 from drivers.dlp4500.protocol import Run
-from drivers.dlp4500.sequence import LEAST_EXPOSURE_US
+from drivers.dlp4500.sequence import MIN_EXPOSURE_US
 from drivers.emulators.dlpc350 import STRICT, Dlpc350Policy, EmulatedDisplay, UsbFault
 from drivers.emulators.dlpc350.light import grey_levels
 from fpplab.core.errors import (
@@ -124,7 +124,7 @@ def test_depths_do_not_share_a_frame() -> None:
 def test_it_opens_dark_and_follows_the_display(bench: VideoBench, projector: Dlp4500) -> None:
     assert bench.is_dark()
     assert bench.controller._registers[protocol.CHANNEL_SWAP.number] == {"swap": 4, "port": 0}
-    assert projector.caps.bit_depths == {bits: us * 1e-6 for bits, us in LEAST_EXPOSURE_US.items()}
+    assert projector.caps.bit_depths == {bits: us * 1e-6 for bits, us in MIN_EXPOSURE_US.items()}
 
 
 def test_a_display_of_the_computer_is_opened_through_sdl(
