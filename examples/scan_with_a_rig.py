@@ -6,5 +6,5 @@ from fpplab import Calibration, Plan, Rig, scan
 
 rig_file, calibration, item, out = sys.argv[1:]
 with Rig.load(rig_file) as rig:
-    cloud = scan(rig, Plan.load("plan_paper"), Calibration.load(calibration), out, (item, 0))
-print(f"{len(cloud.points)} points in {out}/cloud.ply")
+    result = scan(rig, Plan.load("plan_paper"), Calibration.load(calibration), out, (item, 0))
+print(f"{len(result.cloud.points)} points in {out}/cloud.ply; {result.diagnosis.sentence}")

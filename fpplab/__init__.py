@@ -6,13 +6,14 @@ With these names a researcher loads a session, decodes, reconstructs, compares a
 
     session = Session.open("scan")
     decoded = decode(session.recording())
-    _, cloud = reconstruct(session, Calibration.load("calibration.yaml"))
-    print(compare(cloud, load_mesh("part.stl"), align=True).surface_smcd_um)
+    result = reconstruct(session, Calibration.load("calibration.yaml"))
+    print(result.diagnosis.sentence)
+    print(compare(result.cloud, load_mesh("part.stl"), align=True).surface_smcd_um)
 
 The packages read in the order of a measurement: `patterns` says what to project, `devices` what to project it
 with, `acquisition` and `sessions` turn patterns into frames on disk, `phase` frames into projector
 coordinates, `characterisation` and `reconstruction` those into points, and `comparison` points into an error
-against the true shape. `pipeline` has the steps together.
+against the true shape. `pipeline` has the steps, and `workflows` what each command does with them.
 """
 
 from __future__ import annotations
@@ -32,9 +33,12 @@ if TYPE_CHECKING:
     from fpplab.patterns.plan import Plan
     from fpplab.patterns.recording import Recording
     from fpplab.phase import Decoded, decode
-    from fpplab.pipeline import characterise_sessions, reconstruct, scan
+    from fpplab.pipeline import characterise_sessions
+    from fpplab.results.scan import ScanResult
     from fpplab.sessions.session import Session
     from fpplab.targets import Target
+    from fpplab.workflows.reconstruct import reconstruct
+    from fpplab.workflows.scan import scan
 
 _PLACES = {
     "Calibration": "calibration.model",
@@ -44,6 +48,7 @@ _PLACES = {
     "Plan": "patterns.plan",
     "Recording": "patterns.recording",
     "Rig": "devices.rig",
+    "ScanResult": "results.scan",
     "Session": "sessions.session",
     "Target": "targets",
     "characterise_sessions": "pipeline",
@@ -51,9 +56,9 @@ _PLACES = {
     "decode": "phase",
     "load_cloud": "clouds",
     "load_mesh": "clouds",
-    "reconstruct": "pipeline",
+    "reconstruct": "workflows.reconstruct",
     "save_cloud": "clouds",
-    "scan": "pipeline",
+    "scan": "workflows.scan",
 }
 """The public names, and where each is defined; imported when first used, so that the command line stays
 quick."""
@@ -66,6 +71,7 @@ __all__ = [
     "Plan",
     "Recording",
     "Rig",
+    "ScanResult",
     "Session",
     "Target",
     "__version__",

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from fpplab.calibration.model import Calibration
-from fpplab.clouds import Cloud
 from fpplab.core.progress import Progress, no_progress
 from fpplab.devices.rig import Rig
-from fpplab.pipeline import scan
+from fpplab.results.scan import ScanResult
+from fpplab.workflows.scan import scan
 from sim.preview import Arrangement, arranged_setup, bench_of_rig
 
 
@@ -20,8 +20,8 @@ def record_scan(
     calibration: Calibration | None = None,
     force: bool = False,
     progress: Progress = no_progress,
-) -> Cloud:
-    """Measure on a simulated rig, and leave the session with its cloud."""
+) -> ScanResult:
+    """Measure on a simulated rig, and leave the session with its cloud and no report."""
     bench = bench_of_rig(rig)
     setup = arranged_setup(bench.world, wanted)
     plan = wanted.plan()
@@ -29,4 +29,4 @@ def record_scan(
         plan = plan.model_copy(update={"stage_mm": setup.stage_mm})
     known = calibration or bench.studio().calibration(setup.stage_mm)
     mount = (setup.item, setup.pose)
-    return scan(rig, plan, known, out, mount, force=force, progress=progress)
+    return scan(rig, plan, known, out, mount, force=force, report=False, progress=progress)

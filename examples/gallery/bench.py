@@ -73,7 +73,7 @@ def show(
         truth = truth_of(folder, changed, item)
         save(folder, merged(changed, moved or {}))
         with Rig.load(folder / "rig.yaml") as rig, suppress(UselessScanError):
-            scan(rig, plan or plan_of(), truth.calibration, folder / "scan", (item, 0))
+            scan(rig, plan or plan_of(), truth.calibration, folder / "scan", (item, 0), report=False)
         draw(folder, trace_labels(truth).depth, limit_um)
 
 

@@ -1,7 +1,6 @@
-"""The steps of a measurement, each from open devices or recorded sessions to a result.
+"""The steps of a measurement, each from open devices or recorded sessions to a value.
 
-One code for the command line, the demonstration, programs and tests; nothing here knows what kind of rig it
-runs on.
+`fpplab.workflows` puts them together. Nothing here knows what kind of rig it runs on.
 """
 
 from fpplab.core.session_names import CALIBRATION, CLOUD, DECODED, REPORT
@@ -14,7 +13,13 @@ from fpplab.pipeline.characterising import (
 from fpplab.pipeline.checking import doubts
 from fpplab.pipeline.decoding import decode_session
 from fpplab.pipeline.depth import check_plan, depth_range_of, plan_with_depth
-from fpplab.pipeline.measuring import diagnose, finish_scan, reconstruct, scan
+from fpplab.pipeline.measuring import (
+    Reconstruction,
+    diagnose,
+    finish_scan,
+    reconstruct_points,
+    reconstruct_session,
+)
 from fpplab.pipeline.response import measure_response
 from fpplab.pipeline.taking import check_space, plan_stage_moves, take, take_poses
 
@@ -23,6 +28,7 @@ __all__ = [
     "CLOUD",
     "DECODED",
     "REPORT",
+    "Reconstruction",
     "characterise_sessions",
     "check_plan",
     "check_space",
@@ -36,9 +42,9 @@ __all__ = [
     "observe_session",
     "plan_stage_moves",
     "plan_with_depth",
-    "reconstruct",
+    "reconstruct_points",
+    "reconstruct_session",
     "require_plan_fits",
-    "scan",
     "take",
     "take_poses",
 ]

@@ -60,7 +60,7 @@ def take(
 
 
 def plan_stage_moves(rig: Rig, plan: Plan, out: Path, force: bool) -> dict[str, Any]:
-    """Tell what `take` would do; nothing moves, nothing is projected, and nothing is written."""
+    """Say what `take` would do, without moving, projecting or writing anything."""
     check_space(rig, plan, [out], force)
     move = None if plan.stage_mm is None else asdict(rig.foresee_stage(plan.stage_mm))
     replaces = force and (out / JOURNAL).is_file()

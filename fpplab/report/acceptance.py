@@ -27,8 +27,8 @@ from fpplab.diagnosis import Diagnosis
 from fpplab.report.figures import error_map
 from fpplab.report.page import PageBasis, write_page
 from fpplab.report.parts import PageVerdict, ReportFigure, ReportSection, ReportTable
-from fpplab.report.provenance import Provenance
 from fpplab.report.raster import raster_of, rasterise
+from fpplab.results.provenance import Provenance
 
 JUDGED = (
     "Quantity",

@@ -13,9 +13,9 @@ from fpplab.report import figures
 from fpplab.report.evidence import Evidence, evidence_report
 from fpplab.report.page import PageBasis, write_page
 from fpplab.report.parts import PageVerdict, ReportFigure, ReportSection, ReportTable, listed
-from fpplab.report.provenance import Provenance
 from fpplab.report.response_figures import marker_levels
 from fpplab.report.wording import NOT_KNOWN, percent_words
+from fpplab.results.provenance import Provenance
 from fpplab.setup.rig_check.check import RigCheck
 
 

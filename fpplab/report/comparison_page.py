@@ -12,9 +12,9 @@ from fpplab.diagnosis import Diagnosis
 from fpplab.report.cloud_view import cloud_view
 from fpplab.report.page import PageBasis, write_page
 from fpplab.report.parts import PageVerdict, ReportSection, ReportTable
-from fpplab.report.provenance import Provenance
 from fpplab.report.scan_section import FLOOR, error_figure, lengths_tables, relief_figure, sigma_figures
 from fpplab.report.wording import NOT_KNOWN, count_words, number_words, percent_words
+from fpplab.results.provenance import Provenance
 
 
 def write_comparison_report(

@@ -12,8 +12,8 @@ from fpplab.patterns.phase_error import ResponseJudgement
 from fpplab.patterns.response import Response
 from fpplab.report.page import PageBasis, write_page
 from fpplab.report.parts import PageVerdict, ReportTable
-from fpplab.report.provenance import Provenance
 from fpplab.report.response_section import response_section
+from fpplab.results.provenance import Provenance
 
 
 def write_gamma_report(

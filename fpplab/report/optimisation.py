@@ -27,7 +27,7 @@ from fpplab.optimisation.verdict import diagnose_search
 from fpplab.report.figures import error_map
 from fpplab.report.page import PageBasis, write_page
 from fpplab.report.parts import PageVerdict, ReportFigure, ReportSection, ReportTable
-from fpplab.report.provenance import Provenance, rig_provenance
+from fpplab.results.provenance import Provenance, rig_provenance
 
 DISTANCE = "mean distance to the surface, µm"
 """Label of the axes."""

@@ -27,9 +27,9 @@ from fpplab.report import devices
 from fpplab.report.cloud_view import MOST_POINTS
 from fpplab.report.guidance import guided_section
 from fpplab.report.parts import PageVerdict, ReportSection, ReportTable, data_link
-from fpplab.report.provenance import LABELS, NOT_RECORDED, Provenance
 from fpplab.report.response_section import response_section
 from fpplab.report.scan_section import ScanSection, scan_tables, section_of
+from fpplab.results.provenance import LABELS, NOT_RECORDED, Provenance
 from fpplab.setup.guide import GuidedRun
 
 IN_THE_HEAD = ("rig", "item", "plan", "taken", "calibration", "calibration_age")

@@ -18,8 +18,8 @@ from fpplab.reconstruction.filtering import removal
 from fpplab.report import figures, uncertainty
 from fpplab.report.cloud_view import MOST_POINTS, cloud_view
 from fpplab.report.parts import ReportFigure, ReportSection, ReportTable
-from fpplab.report.provenance import Provenance
 from fpplab.report.wording import NOT_KNOWN, count_words, number_words, percent_words
+from fpplab.results.provenance import Provenance
 
 COMPARED = (
     "Artefact",

@@ -24,9 +24,9 @@ from fpplab.report import figures
 from fpplab.report.cloud_view import MOST_POINTS, cloud_view
 from fpplab.report.page import PageBasis, write_page
 from fpplab.report.parts import PageVerdict, ReportFigure, ReportSection, ReportTable
-from fpplab.report.provenance import Provenance, cloud_provenance, local_time, session_provenance
 from fpplab.report.scan_section import ROUGHNESS, noise_um, roughness_um
 from fpplab.report.wording import NOT_KNOWN, count_words, number_words
+from fpplab.results.provenance import Provenance, cloud_provenance, local_time, session_provenance
 from fpplab.sessions.session import JOURNAL, Session
 
 MOST_SCANS = 8

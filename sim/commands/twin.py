@@ -171,8 +171,9 @@ def record_on_twin(
 
         told = arrangement_summary(bench, wanted)
         with console.progress("Scanning") as report:
-            cloud = record_scan(bench, wanted, out, calibration=known, force=force, progress=report)
-    results = {"points": len(cloud), "images": wanted.plan().images, "seconds": seconds()}
+            scan = record_scan(bench, wanted, out, calibration=known, force=force, progress=report)
+    figures = scan.figures()
+    results = {"points": figures["points"], "images": wanted.plan().images, "seconds": seconds()}
     console.print_result({"session": str(out), "cloud": str(out / CLOUD), **results, **told}, json)
 
 

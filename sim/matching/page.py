@@ -24,7 +24,7 @@ from fpplab.core.drawing import (
 from fpplab.report.figures import error_map
 from fpplab.report.page import PageBasis, write_page
 from fpplab.report.parts import PageVerdict, ReportFigure, ReportSection, ReportTable
-from fpplab.report.provenance import Provenance, poses_provenance, session_provenance
+from fpplab.results.provenance import Provenance, poses_provenance, session_provenance
 from fpplab.sessions.session import Session
 from sim.appearance import Appearance
 from sim.matching.light.gamma import GammaMatch

@@ -12,14 +12,19 @@ from tests.support.commands import Command, Outcome
 from tests.support.faulty_bench import Bench, faulty, healthy
 
 
-def reconstructed(fpplab: Command, bench: Bench, folder: Path) -> Outcome:
-    """Record a bench, and reconstruct it by command."""
+def recorded(bench: Bench, folder: Path) -> None:
+    """Leave the frames of a bench as a session, and its calibration beside it."""
     recording = bench.recording()
     rig = {"resolved": {"projector": {"size": list(recording.projector_size), "lattice": "square"}}}
     session = Session.create(folder / "session", bench.plan, rig)
     for index, ((_, _, pattern), image) in enumerate(zip(bench.plan.steps(), recording.frames, strict=True)):
         session.write(Frame(image, index, CameraSettings(0.02, 0.0, bench.bits), 0.0, pattern_id=pattern))
     bench.calibration.save(folder / "calibration.yaml")
+
+
+def reconstructed(fpplab: Command, bench: Bench, folder: Path) -> Outcome:
+    """Record a bench, and reconstruct it by command."""
+    recorded(bench, folder)
     words = "--calibration", folder / "calibration.yaml", "--out", folder / "cloud.ply"
     return fpplab("reconstruct", folder / "session", *words, "--json")
 

@@ -16,7 +16,7 @@ from PIL import Image as Pixels
 
 from fpplab.diagnosis import Diagnosis, FaultCause, Finding, Verdict
 from fpplab.report import PageBasis, write_report
-from fpplab.report.provenance import Provenance
+from fpplab.results.provenance import Provenance
 from tests.report.test_report import Page, scan
 from tests.support.browser import NO_WEBGL, SOFTWARE_WEBGL, Browser, chromium
 

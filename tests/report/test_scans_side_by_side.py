@@ -16,8 +16,8 @@ from fpplab.diagnosis import Diagnosis, FaultCause, Finding, Verdict
 from fpplab.diagnosis.record import load_diagnosis, save_diagnosis
 from fpplab.report.cloud_view import CloudQuantity, cloud_view, decimate
 from fpplab.report.parts import ReportTable
-from fpplab.report.provenance import Provenance, duration_words
 from fpplab.report.several_scans import ScanRecord, difference, short_names, write_scans_report
+from fpplab.results.provenance import Provenance, duration_words
 from tests.comparison.test_comparison import CALIBRATION
 from tests.report.test_report import Page, cloud
 

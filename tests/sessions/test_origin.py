@@ -11,7 +11,7 @@ from fpplab.calibration.model import Calibration, CalibrationOrigin
 from fpplab.core.errors import ConfigError
 from fpplab.core.origin import DeviceIdentity
 from fpplab.core.version import __version__
-from fpplab.report.provenance import poses_provenance, session_provenance
+from fpplab.results.provenance import poses_provenance, session_provenance
 from fpplab.sessions.origin import (
     ORIGIN,
     SessionOrigin,

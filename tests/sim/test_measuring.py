@@ -21,7 +21,7 @@ from fpplab.optimisation.measuring import RigEvaluator, candidate_from_plan
 from fpplab.optimisation.study import Study
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
-from fpplab.pipeline import reconstruct, take
+from fpplab.pipeline import reconstruct_points, take
 from sim.items import item_poses
 from sim.world import World
 from tests.sim.conftest import RIG, plain, write_world
@@ -113,7 +113,7 @@ def test_score_agrees_with_a_scan_and_its_comparison(folder: Path, tmp_path: Pat
         true = artefacts.make("pillars")
         true.apply_transform(rig.fixture.pose("pillars").matrix)  # type: ignore[union-attr]
     calibration = Calibration.load(folder / "at_0.yaml")
-    _, cloud = reconstruct(session, calibration)
+    _, cloud = reconstruct_points(session, calibration)
     wanted = compare(cloud, true, calibration, align=True)
     assert score.surface_smcd_um == pytest.approx(wanted.surface_smcd_um, rel=0.03)
     assert score.surface_rms_um == pytest.approx(wanted.surface_rms_um, rel=0.05)

@@ -130,7 +130,7 @@ def characterise_command(
     from fpplab.pipeline import characterise_sessions, take_poses
     from fpplab.report import PageBasis, is_report, write_report
     from fpplab.report.parts import PageVerdict
-    from fpplab.report.provenance import poses_provenance
+    from fpplab.results.provenance import poses_provenance
     from fpplab.sessions.session import recorded_sessions
     from fpplab.targets import Target
     from fpplab.viewer.characterisation import CharacterisationView
@@ -225,7 +225,7 @@ def _judge(
     from fpplab.pipeline import judge_sessions
     from fpplab.report import PageBasis, write_report
     from fpplab.report.devices import judgement_verdict
-    from fpplab.report.provenance import poses_provenance
+    from fpplab.results.provenance import poses_provenance
     from fpplab.sessions.session import recorded_sessions
 
     for option, value in unused.items():

@@ -61,7 +61,7 @@ def check_command(
     from fpplab.core.files import need_suffix, refuse_existing
     from fpplab.devices.rig import Rig
     from fpplab.patterns.plan import Plan
-    from fpplab.report.provenance import rig_provenance
+    from fpplab.results.provenance import rig_provenance
     from fpplab.setup.rig_check.check import check_rig
 
     for path in (out, page):

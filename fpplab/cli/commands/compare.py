@@ -68,7 +68,7 @@ def compare_command(
     from fpplab.diagnosis.record import load_diagnosis
     from fpplab.pipeline import CALIBRATION, CLOUD
     from fpplab.report.comparison_page import write_comparison_report
-    from fpplab.report.provenance import cloud_provenance
+    from fpplab.results.provenance import cloud_provenance
     from fpplab.sessions.session import JOURNAL
     from fpplab.viewer.measurement import MeasurementView
 

@@ -9,6 +9,7 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import START, Force, Json, Out, app
+from fpplab.cli.viewing import ConsoleObserver
 
 
 @app.command("demo", rich_help_panel=START)
@@ -25,18 +26,18 @@ def demo_command(
 
     Example: `fpplab demo --quick --out first-look`
     """
-    from fpplab.cli.demonstration import run_demo
+    from fpplab.workflows.demo import DemoRequest, run_demo
 
-    result = run_demo(out, quick, force)
+    result = run_demo(DemoRequest(out, quick, force), ConsoleObserver()).summary()
     console.print_result(result, json, lambda: _show_demo(result))
 
 
 def _show_demo(result: dict[str, Any]) -> None:
     scans = [[s[k] for k in DEMO_COLUMNS] for s in result["scans"]]
     console.table("Scans", list(DEMO_COLUMNS.values()), scans)
-    found = result["characterisation"]
+    rms = result["characterisation"]
     console.stdout.print(
-        f"camera {found['camera']['rms_px']:.3f} px, projector {found['projector']['rms_px']:.3f} px, "
+        f"camera {rms['camera']['rms_px']:.3f} px, projector {rms['projector']['rms_px']:.3f} px, "
         f"mean surface SMCD {result['mean_surface_smcd_um']:.1f} µm, {result['seconds']:.0f} s"
     )
     console.stdout.print(f"report: {result['report']}")

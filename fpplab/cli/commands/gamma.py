@@ -47,7 +47,7 @@ def gamma_command(
     from fpplab.patterns.plan import GreyLevels, Plan
     from fpplab.pipeline import measure_response
     from fpplab.report import is_report
-    from fpplab.report.provenance import described_rig, rig_provenance
+    from fpplab.results.provenance import described_rig, rig_provenance
     from fpplab.viewer.measurement import ShownFrame
     from fpplab.viewer.response import ResponseView
 

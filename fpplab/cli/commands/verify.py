@@ -100,7 +100,7 @@ def verify_command(
         from fpplab.acceptance import verify as judge
         from fpplab.diagnosis.acceptance import diagnose_acceptance
         from fpplab.report.acceptance import write_acceptance_report
-        from fpplab.report.provenance import source_provenance
+        from fpplab.results.provenance import source_provenance
 
         with console.progress("Verifying"):
             again = None if rig else model
@@ -138,13 +138,13 @@ def _clouds(sources: Mapping[str, Path], calibration: Calibration | None) -> Ite
 def _cloud(path: Path, calibration: Calibration | None) -> Cloud:
     """A cloud from its file; or from a session: reconstructed anew if a calibration is given."""
     from fpplab.clouds import load_cloud
-    from fpplab.pipeline import CLOUD, reconstruct
+    from fpplab.pipeline import CLOUD, reconstruct_points
     from fpplab.sessions.session import Session
 
     if not path.is_dir():
         return load_cloud(path)
     if calibration:
-        return reconstruct(Session.open(path), calibration)[1]
+        return reconstruct_points(Session.open(path), calibration)[1]
     if not (path / CLOUD).is_file():
         raise DataError(f"{path}: holds no {CLOUD}; give --calibration to reconstruct it")
     return load_cloud(path / CLOUD)
@@ -194,8 +194,10 @@ def _measured(
                     progress=report,
                     observe_frame=frame_observer(viewer),
                 )
-                decoded, cloud = finish_scan(session, calibration)
-                viewer.show(AcceptanceView.position, item, decoded, cloud)
+                found = finish_scan(session, calibration)
+                found.diagnosis.require_usable(str(session.path))
+                if found.decoded is not None and found.cloud is not None:
+                    viewer.show(AcceptanceView.position, item, found.decoded, found.cloud)
     return {name: folder / name for name in items.ball_bar}, {name: folder / name for name in items.plane}
 
 

@@ -9,7 +9,7 @@ from fpplab.core.conventions import Floats
 from fpplab.core.errors import DataError
 from fpplab.core.geometry import RigidTransform
 from fpplab.core.robust import huber_weights, robust_spread
-from fpplab.pipeline import reconstruct
+from fpplab.pipeline import reconstruct_points
 from fpplab.sessions.session import Session
 
 ROUNDS = 10
@@ -23,7 +23,7 @@ def card_pose(session: Session, calibration: Calibration, nominal: RigidTransfor
     A plane tells three of six numbers; the card is turned and moved from its nominal pose no further than
     these ask for.
     """
-    _, cloud = reconstruct(session, calibration)
+    _, cloud = reconstruct_points(session, calibration)
     points = cloud.points.astype(np.float64)
     if len(points) < 100:
         raise DataError(f"{session.path}: {len(points)} points tell no pose of a card; it takes 100")

@@ -17,7 +17,7 @@ from fpplab.core.conventions import Mask
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode
-from fpplab.pipeline import depth_range_of, reconstruct
+from fpplab.pipeline import depth_range_of, reconstruct_points
 from fpplab.reconstruction.depth_range import DepthRange, depth_bounds
 from fpplab.reconstruction.points import points_of
 from fpplab.reconstruction.uncertainty import coordinate_noise
@@ -28,7 +28,7 @@ from sim.prediction.form import distance_factors
 
 def measured_figures(session: Session, calibration: Calibration, mesh: trimesh.Trimesh) -> MeasuredFigures:
     """Compute the figures of a scan."""
-    found = reconstruct(session, calibration)
+    found = reconstruct_points(session, calibration)
     return _figures(found, calibration, mesh, session.plan, depth_range_of(session))[0]
 
 

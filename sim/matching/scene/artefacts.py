@@ -29,7 +29,7 @@ from fpplab.diagnosis import FaultCause
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
-from fpplab.pipeline import depth_range_of, reconstruct
+from fpplab.pipeline import depth_range_of, reconstruct_points
 from fpplab.reconstruction.depth_range import depth_bounds
 from fpplab.reconstruction.points import points_of
 from fpplab.reconstruction.triangulation import camera_rays
@@ -142,7 +142,7 @@ def fit_scan(
     The distance of three quarters of the points then decides.
     """
     mesh = twin.mesh(item)
-    _, cloud = reconstruct(session, calibration)
+    _, cloud = reconstruct_points(session, calibration)
     try:
         T_camera_item = _aligned(cloud, mesh, twin.pose_of(item))
     except DataError as error:

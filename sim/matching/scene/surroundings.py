@@ -25,7 +25,7 @@ from fpplab.core.conventions import Floats, Mask
 from fpplab.core.errors import FppError
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.core.progress import Progress, no_progress
-from fpplab.pipeline import reconstruct
+from fpplab.pipeline import reconstruct_points
 from fpplab.targets import Target
 from sim.appearance import Appearance, BenchSurroundings, BoardSheet
 from sim.matching.loss import rectangle_mask
@@ -93,7 +93,7 @@ def _depths(
     parameters = twin.parameters
     for done, pose in enumerate(poses):
         try:
-            _, cloud = reconstruct(reference.sessions[pose], parameters.calibration, as_recorded=True)
+            _, cloud = reconstruct_points(reference.sessions[pose], parameters.calibration, as_recorded=True)
         except FppError:  # a pose that shows too little to be triangulated
             continue
         found.append(_cells(cloud, _is_beside(cloud, parameters.poses[pose], reference.target, sheet)))

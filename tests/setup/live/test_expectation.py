@@ -13,7 +13,7 @@ from fpplab.core.errors import ConfigError
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.devices.rig import Rig
 from fpplab.patterns.plan import Plan
-from fpplab.pipeline import reconstruct, take
+from fpplab.pipeline import reconstruct_points, take
 from fpplab.reconstruction.depth_range import DepthRange
 from fpplab.setup.live.expectation import RigGeometry, WorkingPoint
 from fpplab.setup.live.orders import Order
@@ -114,7 +114,7 @@ def test_the_expected_noise_is_that_of_a_scan(exposure_s: float, axes: str, tmp_
             {},
         )
         session = take(world, plan, tmp_path / "scan")
-    _, cloud = reconstruct(session, known)
+    _, cloud = reconstruct_points(session, known)
     assert cloud.sigma_noise_mm is not None
     found = 1e3 * float(np.median(cloud.sigma_noise_mm))
     operator = Operator(Order.QUIT, after=17)

@@ -1,0 +1,20 @@
+"""The page of `fpplab demo`: response, characterisation, and every artefact with its errors."""
+
+from __future__ import annotations
+
+from fpplab.report.page import PageBasis, write_report
+from fpplab.report.scans import scan_section
+from fpplab.results.demo import DemoResult
+
+
+def write_demo_report(result: DemoResult) -> None:
+    """Write the demonstration as one HTML file."""
+    write_report(
+        result.report_file,
+        "Demonstration on the virtual bench",
+        facts=result.characterisation.facts(),
+        response=(result.response, result.levels),
+        characterisation=result.characterisation,
+        scans=[scan_section(one.scan, one.comparison) for one in result.scans],
+        basis=PageBasis(answer=result.summary()),
+    )

@@ -1,0 +1,1 @@
+"""What workflows give: values that reports draw, commands print, and Python programs use."""

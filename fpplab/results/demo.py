@@ -1,0 +1,66 @@
+"""The result of the demonstration: a whole measurement on the virtual bench."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fpplab.characterisation import Characterisation
+from fpplab.comparison import Comparison
+from fpplab.core.conventions import Floats
+from fpplab.patterns.response import Response
+from fpplab.reconstruction.filtering import removal
+from fpplab.results.scan import ScanResult
+
+UNFILTERED = ("points", "surface_smcd_um", "surface_rms_um", "surface_p95_um", "completeness", "outliers")
+"""Figures that are also given without the plan's filter, so that its effect can be seen."""
+
+
+@dataclass(frozen=True, eq=False)
+class DemoScan:
+    """One artefact of the demonstration, measured and compared with its true shape."""
+
+    artefact: str
+    scan: ScanResult
+    comparison: Comparison  # of the cloud
+    unfiltered: Comparison  # of the points without the plan's filter
+
+    def summary(self) -> dict[str, Any]:
+        """Give the keys of one scan in `fpplab demo --json`."""
+        return {
+            "artefact": self.artefact,
+            "images": self.scan.session.plan.images,
+            **self.comparison.summary(),
+            "points": len(self.scan.cloud) if self.scan.cloud else 0,
+            "removed": removal(self.scan.decoded) if self.scan.decoded else None,
+            "unfiltered": {name: getattr(self.unfiltered, name) for name in UNFILTERED},
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class DemoResult:
+    """Response, characterisation and scans of the virtual bench."""
+
+    response: Response
+    levels: Floats  # (K, 2) shown and seen, as shares of full scale
+    characterisation: Characterisation
+    scans: tuple[DemoScan, ...]
+    seconds: float
+    report_file: Path
+
+    def summary(self) -> dict[str, Any]:
+        """Collect what `fpplab demo --json` prints."""
+        distances = [scan.comparison.surface_smcd_um for scan in self.scans]
+        left_out = list(self.characterisation.left_out)
+        return {
+            "gamma": self.response.summary(),
+            "characterisation": {**self.characterisation.summary(), "left_out": left_out},
+            "scans": [scan.summary() for scan in self.scans],
+            # Every cloud of the demonstration lies on a pixel grid, so that every distance is known.
+            "mean_surface_smcd_um": float(np.mean([one for one in distances if one is not None])),
+            "seconds": self.seconds,
+            "report": str(self.report_file),
+        }

@@ -1,0 +1,174 @@
+"""The result of a scan, whether measured now or reconstructed from a recorded session."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from fpplab.calibration.model import Calibration
+from fpplab.clouds import Cloud
+from fpplab.diagnosis import Diagnosis
+from fpplab.phase import Decoded
+from fpplab.phase.precision import uncertain_orders
+from fpplab.pipeline import Reconstruction
+from fpplab.reconstruction.depth_range import DepthRange
+from fpplab.reconstruction.filtering import removal
+from fpplab.results.provenance import Provenance
+from fpplab.sessions.session import Session
+
+
+@dataclass(frozen=True, eq=False)
+class ScanResult:
+    """Points of a scan, whether to believe them, and where they come from.
+
+    It unpacks: `decoded, cloud = reconstruct(session, calibration)`.
+
+    Attributes
+    ----------
+    session : Session
+        The recorded frames.
+    calibration : Calibration
+        That the points were triangulated with.
+    decoded : Decoded or None
+        Maps (height, width) of projector coordinates, which know what was removed; None without points.
+    cloud : Cloud or None
+        Points in mm in the camera's frame, with their sigmas; None where no pixel gives one.
+    depth : DepthRange or None
+        Range of depths that counted; None where none is stated.
+    diagnosis : Diagnosis
+        Verdict and findings.
+    provenance : Provenance
+        Devices, settings, times and calibration as recorded.
+    seconds : float
+        Time that the work took, without the report.
+    images : int or None
+        Images of the plan, where they were taken now; None for a recorded session.
+    cloud_file : Path or None
+        Where the cloud is written if it is usable; None where it is not written.
+    report_file : Path or None
+        Where the report is written; None where none is.
+    """
+
+    session: Session
+    calibration: Calibration
+    decoded: Decoded | None
+    cloud: Cloud | None
+    depth: DepthRange | None
+    diagnosis: Diagnosis
+    provenance: Provenance
+    seconds: float
+    images: int | None = None
+    cloud_file: Path | None = None
+    report_file: Path | None = None
+
+    @classmethod
+    def of(
+        cls,
+        found: Reconstruction,
+        provenance: Provenance,
+        seconds: float,
+        *,
+        images: int | None = None,
+        cloud_file: Path | None = None,
+        report_file: Path | None = None,
+    ) -> ScanResult:
+        """Complete a reconstruction by where it comes from and goes to.
+
+        Parameters
+        ----------
+        found : Reconstruction
+            Points and verdict.
+        provenance : Provenance
+            Of the session.
+        seconds : float
+            Time that the work took.
+        images : int, optional
+            Images that were taken for it.
+        cloud_file : Path, optional
+            Where the cloud is written.
+        report_file : Path, optional
+            Where the report is written.
+
+        Returns
+        -------
+        ScanResult
+            The result.
+        """
+        return cls(
+            session=found.session,
+            calibration=found.calibration,
+            decoded=found.decoded,
+            cloud=found.cloud,
+            depth=found.depth,
+            diagnosis=found.diagnosis,
+            provenance=provenance,
+            seconds=seconds,
+            images=images,
+            cloud_file=cloud_file,
+            report_file=report_file,
+        )
+
+    def __iter__(self) -> Iterator[Any]:
+        """Unpack into maps and points, which is what `reconstruct` gave in version 0.1."""
+        return iter((self.decoded, self.cloud))
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            """Give attributes of the cloud, which is what `scan` gave in version 0.1.
+
+            Programs that were written for it keep working; type checkers know `cloud` alone.
+            """
+            if name.startswith("_") or self.cloud is None:
+                raise AttributeError(f"'{type(self).__name__}' object has no attribute '{name}'")
+            return getattr(self.cloud, name)
+
+    def require_usable(self) -> None:
+        """Refuse a result that nobody should use.
+
+        Raises
+        ------
+        UselessScanError
+            The verdict is `useless`; it says why.
+        """
+        self.diagnosis.require_usable(str(self.session.path))
+
+    def figures(self) -> dict[str, Any]:
+        """Collect verdict and figures.
+
+        Returns
+        -------
+        dict
+            What the report holds as data: as `summary`, without provenance and files.
+        """
+        verdict: dict[str, Any] = self.diagnosis.summary()
+        if self.decoded is None or self.cloud is None:
+            return verdict
+        images = {} if self.images is None else {"images": self.images}
+        return {
+            **verdict,
+            "points": len(self.cloud),
+            **images,
+            "removed": removal(self.decoded),
+            "depth_range": asdict(self.depth) if self.depth else None,
+            "warnings": list(self.decoded.outside.warnings()) if self.decoded.outside else [],
+            "uncertain_orders": uncertain_orders(self.decoded, self.session.plan),
+            "seconds": self.seconds,
+        }
+
+    def summary(self) -> dict[str, Any]:
+        """Collect what `fpplab scan --json` and `fpplab reconstruct --json` print.
+
+        Returns
+        -------
+        dict
+            Verdict, figures, provenance and files.
+        """
+        return {
+            **self.figures(),
+            "provenance": self.provenance.summary(),
+            "cloud": None if self.cloud_file is None else str(self.cloud_file),
+            "report": None if self.report_file is None else str(self.report_file),
+        }

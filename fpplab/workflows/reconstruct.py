@@ -1,0 +1,196 @@
+"""Reconstruct: the points of a recorded session, with their verdict, as a file with a report beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from fpplab.core.progress import Progress, ignore, no_progress
+from fpplab.results.observer import Observer
+from fpplab.workflows.stopwatch import Stopwatch
+
+if TYPE_CHECKING:
+    from fpplab.calibration.model import Calibration
+    from fpplab.core.depth import DepthInterval
+    from fpplab.phase import Decoded
+    from fpplab.results.scan import ScanResult
+    from fpplab.sessions.session import Session
+
+
+@dataclass(frozen=True, eq=False)
+class ReconstructionRequest:
+    """What to reconstruct, how, and where the points go."""
+
+    session: Session
+    calibration: Calibration
+    out: Path | None = None  # the cloud; a report goes beside it. Without, nothing is written
+    depth_mm: DepthInterval | None = None  # instead of the range that plan or rig state
+    filtering: bool | None = None  # instead of what the plan says of its filter
+    as_recorded: bool = False  # whether frames that are out of step with the plan are taken as they are
+    force: bool = False  # whether files that are there are replaced
+    calibration_file: Path | None = None  # as messages and provenance call it
+
+    @property
+    def page(self) -> Path | None:
+        """Where the report goes."""
+        return None if self.out is None else self.out.with_suffix(".html")
+
+
+def run_reconstruction(request: ReconstructionRequest, observer: Observer | None = None) -> ScanResult:
+    """Reconstruct a session and judge the points; write cloud and report where an output is asked for.
+
+    Parameters
+    ----------
+    request : ReconstructionRequest
+        With a complete session.
+    observer : Observer, optional
+        Shown progress, maps and the result.
+
+    Returns
+    -------
+    ScanResult
+        Which may be useless; see `ScanResult.require_usable`. Its cloud is then not written.
+
+    Raises
+    ------
+    CalibrationError
+        The calibration is of another rig.
+    ConfigError
+        The output exists, or the plan cannot be unwrapped in this range of depths.
+    DataError
+        Frames are missing, damaged or out of step with the plan, or a file cannot be written.
+    """
+    check_output(request)
+    observer = observer or Observer()
+    observer.plan(request.session.plan, *request.session.projector())
+    observer.calibration(request.calibration)
+
+    from fpplab.clouds import save_cloud
+    from fpplab.pipeline import reconstruct_session
+    from fpplab.report import write_scan_report
+    from fpplab.results.provenance import session_provenance
+    from fpplab.results.scan import ScanResult
+
+    stopwatch = Stopwatch()
+    with observer.stage("Reconstructing") as progress:
+        provenance = session_provenance(request.session, request.calibration, request.calibration_file)
+        found = reconstruct_session(
+            request.session,
+            request.calibration,
+            progress,
+            filtering=request.filtering,
+            depth_mm=request.depth_mm,
+            as_recorded=request.as_recorded,
+            observe_maps=observer.maps,
+        )
+        result = ScanResult.of(
+            found, provenance, stopwatch.seconds, cloud_file=request.out, report_file=request.page
+        )
+        observer.result(result)
+        if request.page is not None:
+            write_scan_report(request.page, result)
+        if request.out is not None and result.cloud is not None and not result.diagnosis.is_useless:
+            save_cloud(result.cloud, request.out)
+    return result
+
+
+def check_output(request: ReconstructionRequest) -> None:
+    """Refuse an output that cannot be written, or is there already."""
+    from fpplab.clouds import CLOUD_SUFFIXES
+    from fpplab.core.files import need_suffix, refuse_existing
+
+    if request.out is None or request.page is None:
+        return
+    from fpplab.report import is_report
+
+    need_suffix(request.out, *CLOUD_SUFFIXES)
+    refuse_existing(request.out, request.force)
+    # A report alone is of a run that ended before its result.
+    refuse_existing(request.page, request.force or is_report(request.page))
+
+
+def reconstruct(
+    session: Session,
+    calibration: Calibration,
+    progress: Progress = no_progress,
+    *,
+    filtering: bool | None = None,
+    depth_mm: tuple[float, float] | None = None,
+    as_recorded: bool = False,
+    out: Path | str | None = None,
+    force: bool = False,
+    maps_ready: Callable[[Decoded], object] = ignore,
+) -> ScanResult:
+    """Decode, triangulate, filter, say how well each point is known, and whether to believe the result.
+
+    Parameters
+    ----------
+    session : Session
+        A complete one.
+    calibration : Calibration
+        Of the rig that took it.
+    progress : callable
+        Told the share done, 0 … 1.
+    filtering : bool, optional
+        Whether points that lie on no surface are removed; by default as the session's plan says. A plan
+        without rules means the usual ones.
+    depth_mm : tuple of float, optional
+        Least and greatest distance from the camera in mm, in which the object lies; by default as the
+        session's plan or rig state.
+    as_recorded : bool
+        Whether frames that are out of step with the plan are taken as they are.
+    out : path or str, optional
+        Cloud to write (.ply, .xyz or .npz), with a report beside it, as `fpplab reconstruct` does. Without,
+        nothing is written.
+    force : bool
+        Whether files that are there already are replaced.
+    maps_ready : callable
+        Given the decoded maps as soon as they are, before the points' uncertainty is computed.
+
+    Returns
+    -------
+    ScanResult
+        Points with their verdict. It unpacks: `decoded, cloud = reconstruct(session, calibration)`.
+
+    Raises
+    ------
+    CalibrationError
+        The calibration is of another rig.
+    ConfigError
+        The plan cannot be unwrapped in this range of depths, or needs one and has none; or the output exists.
+    DataError
+        Frames are missing, damaged or out of step with the plan.
+    UselessScanError
+        There is not a single point, or the points are useless and were to be written; it says why.
+    """
+    request = ReconstructionRequest(
+        session=session,
+        calibration=calibration,
+        out=None if out is None else Path(out),
+        depth_mm=depth_mm,
+        filtering=filtering,
+        as_recorded=as_recorded,
+        force=force,
+    )
+    result = run_reconstruction(request, _Callbacks(progress, maps_ready))
+    if result.cloud is None or request.out is not None:
+        result.require_usable()
+    return result
+
+
+class _Callbacks(Observer):
+    """Passes progress and maps on to functions."""
+
+    def __init__(self, progress: Progress, maps_ready: Callable[[Decoded], object]) -> None:
+        self._progress, self._maps_ready = progress, maps_ready
+
+    def stage(self, name: str) -> AbstractContextManager[Progress]:
+        """Enter a stage."""
+        return nullcontext(self._progress)
+
+    def maps(self, decoded: Decoded) -> None:
+        """Pass maps on."""
+        self._maps_ready(decoded)

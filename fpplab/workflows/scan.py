@@ -1,0 +1,262 @@
+"""Measure: project a plan, reconstruct, and leave the session with its cloud and report."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from fpplab.core.progress import Progress, no_progress
+from fpplab.core.session_names import CLOUD, REPORT
+from fpplab.results.observer import Observer
+from fpplab.workflows.stopwatch import Stopwatch
+
+if TYPE_CHECKING:
+    from fpplab.calibration.model import Calibration
+    from fpplab.core.depth import DepthInterval
+    from fpplab.devices.rig import Mounted, Rig
+    from fpplab.patterns.plan import Plan
+    from fpplab.results.scan import ScanResult
+    from fpplab.sessions.session import Session
+
+
+@dataclass(frozen=True, eq=False)
+class ScanRequest:
+    """What to measure, with what, and where the session goes."""
+
+    rig: Rig
+    plan: Plan
+    calibration: Calibration
+    out: Path  # folder of the session; an interrupted one is completed
+    mount: Mounted | None = None  # item and pose that the rig's fixture puts up first
+    depth_mm: DepthInterval | None = None  # instead of the range that plan or rig state
+    force: bool = False  # whether a session that is there is replaced
+    report: bool = True  # whether a page is written into the session
+    plan_name: str = "plan"  # as messages call it
+    calibration_file: Path | None = None  # as messages and provenance call it
+
+    @property
+    def wanted(self) -> Plan:
+        """The plan with the range of depths that is asked for."""
+        from fpplab.pipeline import plan_with_depth
+
+        return plan_with_depth(self.plan, self.depth_mm)
+
+    @property
+    def has_report(self) -> bool:
+        """Whether a finished scan is there; its report was written last."""
+        return (self.out / REPORT).is_file()
+
+
+def run_scan(request: ScanRequest, observer: Observer | None = None) -> ScanResult:
+    """Open the rig, measure, reconstruct, and leave every result in the session.
+
+    Parameters
+    ----------
+    request : ScanRequest
+        With a rig that is not open.
+    observer : Observer, optional
+        Shown progress, frames and the result.
+
+    Returns
+    -------
+    ScanResult
+        Which may be useless; see `ScanResult.require_usable`. Its cloud is then not written.
+
+    Raises
+    ------
+    ConfigError, DeviceError
+        The plan does not fit the rig, the output exists, or a device fails.
+    CalibrationError
+        The calibration is of another rig.
+    DataError
+        Frames are damaged or out of step with the plan, or cannot be written.
+    """
+    stopwatch = Stopwatch()
+    check_scan_input(request)
+    with request.rig:
+        return _scan_on_open_rig(request, observer or Observer(), stopwatch)
+
+
+def preview_scan(request: ScanRequest) -> dict[str, Any]:
+    """Open the rig and say what a scan would do; nothing moves, and nothing is projected or written.
+
+    Parameters
+    ----------
+    request : ScanRequest
+        With a rig that is not open.
+
+    Returns
+    -------
+    dict
+        Images, where the stage would go, and whether a session would be replaced.
+    """
+    from fpplab.pipeline import plan_stage_moves
+
+    _check_plan_and_folder(request)
+    with request.rig:
+        _check_devices(request)
+        return plan_stage_moves(request.rig, request.wanted, request.out, request.force)
+
+
+def scan(
+    rig: Rig,
+    plan: Plan,
+    calibration: Calibration,
+    out: Path | str,
+    mount: Mounted | None = None,
+    *,
+    depth_mm: DepthInterval | None = None,
+    force: bool = False,
+    report: bool = True,
+    progress: Progress = no_progress,
+) -> ScanResult:
+    """Measure on an open rig, as `fpplab scan` does, and leave the same files in the session.
+
+    Parameters
+    ----------
+    rig : Rig
+        Open.
+    plan : Plan
+        What to project and capture.
+    calibration : Calibration
+        Of the rig.
+    out : path or str
+        Folder of the session; an interrupted one is completed.
+    mount : tuple of str and int, optional
+        Item and pose that the rig's fixture puts up first.
+    depth_mm : tuple of float, optional
+        Least and greatest distance from the camera in mm, in which the object lies; by default as plan or rig
+        file state.
+    force : bool
+        Whether a session that is there already is replaced.
+    report : bool
+        Whether `report.html` is written into the session.
+    progress : callable
+        Told the share done, 0 … 1.
+
+    Returns
+    -------
+    ScanResult
+        Points with their verdict. Attributes of the cloud are also found at the result itself.
+
+    Raises
+    ------
+    ConfigError, DeviceError
+        The plan does not fit the rig, the output exists, or a device fails.
+    CalibrationError
+        The calibration is of another rig.
+    DataError
+        Frames are damaged or out of step with the plan, or cannot be written.
+    UselessScanError
+        Nobody should use the points, which are not written; it says why.
+    """
+    stopwatch = Stopwatch()
+    request = ScanRequest(rig, plan, calibration, Path(out), mount, depth_mm, force, report)
+    check_scan_input(request)
+    shares = {"Scanning": (0.0, 0.8), "Reconstructing": (0.8, 1.0)}
+    result = _scan_on_open_rig(request, ProgressObserver(progress, shares), stopwatch)
+    result.require_usable()
+    return result
+
+
+class ProgressObserver(Observer):
+    """Reports one share of the whole work, from those of its stages."""
+
+    def __init__(self, progress: Progress, shares: dict[str, tuple[float, float]]) -> None:
+        self._progress, self._shares = progress, shares  # where each stage begins and ends
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[Progress]:
+        """Enter a stage."""
+        begin, end = self._shares.get(name, (1.0, 1.0))
+        yield lambda share: self._progress(begin + (end - begin) * share)
+
+
+def check_scan_input(request: ScanRequest) -> None:
+    """Refuse what can be refused before the rig is opened."""
+    from fpplab.core.files import refuse_existing
+    from fpplab.sessions.session import Session
+
+    _check_plan_and_folder(request)
+    # The report is written last: without it, all that is left may be to finish.
+    if request.has_report and not Session.open(request.out).missing():
+        refuse_existing(request.out, request.force)
+
+
+def _check_plan_and_folder(request: ScanRequest) -> None:
+    from fpplab.pipeline import check_plan
+    from fpplab.sessions.session import require_session_folder
+
+    check_plan(request.wanted, request.plan_name, request.calibration, request.rig, request.depth_mm)
+    require_session_folder(request.out)
+
+
+def _check_devices(request: ScanRequest) -> None:
+    """Refuse what does not fit the devices, before anything is projected."""
+    rig, source = request.rig, request.calibration_file or "calibration"
+    caps = rig.projector.caps
+    request.wanted.check_projector(caps.size, request.plan_name)
+    request.calibration.check_camera(rig.camera.caps.size, source)
+    request.calibration.check_projector(caps.size, caps.lattice, source)
+    if request.mount:
+        rig.need_fixture(f"--item {request.mount[0]}").check(*request.mount)
+
+
+def _scan_on_open_rig(request: ScanRequest, observer: Observer, stopwatch: Stopwatch) -> ScanResult:
+    _check_devices(request)
+    caps = request.rig.projector.caps
+    observer.plan(request.wanted, caps.size, caps.lattice)
+    observer.calibration(request.calibration)
+
+    # Only now the heavy modules: wrong input is told at once. A viewer loads its own meanwhile.
+    from fpplab.sessions.lock import exclusive_write
+
+    with exclusive_write(request.out):
+        session = _acquire(request, observer)
+        result = _finish(request, session, observer, stopwatch)
+        observer.result(result)
+        if request.report:
+            from fpplab.report import write_scan_report
+
+            with observer.stage("Drawing the report"):
+                write_scan_report(request.out / REPORT, result)
+        if not result.diagnosis.is_useless:
+            session.check_kept()
+    return result
+
+
+def _acquire(request: ScanRequest, observer: Observer) -> Session:
+    from fpplab.pipeline import take
+
+    with observer.stage("Scanning") as progress:
+        return take(
+            request.rig,
+            request.wanted,
+            request.out,
+            request.mount,
+            force=request.force,
+            complete_too=request.report and not request.has_report,
+            progress=progress,
+            observe_frame=observer.frame,
+        )
+
+
+def _finish(request: ScanRequest, session: Session, observer: Observer, stopwatch: Stopwatch) -> ScanResult:
+    from fpplab.pipeline import finish_scan
+    from fpplab.results.provenance import session_provenance
+    from fpplab.results.scan import ScanResult
+
+    with observer.stage("Reconstructing") as progress:
+        provenance = session_provenance(session, request.calibration, request.calibration_file)
+        found = finish_scan(session, request.calibration, progress, depth_mm=request.depth_mm)
+    return ScanResult.of(
+        found,
+        provenance,
+        stopwatch.seconds,
+        images=session.plan.images,
+        cloud_file=request.out / CLOUD,
+        report_file=request.out / REPORT if request.report else None,
+    )
