@@ -232,7 +232,8 @@ def plane_face(
     places, ahead = _on_plane(points, plane)
     near = ahead & (np.abs(plane.distances(points)) <= PLANE_REACH * max(size))
     cell = PER_CELL * _spacing(places[near])
-    low = places[near].min(axis=0) - 3 * cell
+    # Half a cell more: were it on the edge of a cell, the last bit of the first point would decide the size.
+    low = places[near].min(axis=0) - 3.5 * cell
     shape = np.ceil((places[near].max(axis=0) + 3 * cell - low) / cell).astype(int)
     filled = _outline(places[near], low, cell, shape)
     _refuse_larger(filled, cell, size, source)
