@@ -31,7 +31,7 @@ def follow(cause: str, seed: int) -> Followed:
         findings = scanned(bench).findings
         if not findings or step == MOST_STEPS:
             break
-        bench = REMEDIES_APPLIED.get(findings[0].cause.value, _as_is)(bench, best)
+        bench = REMEDIES_APPLIED.get(findings[0].cause.key, _as_is)(bench, best)
         if findings[0].factor:
             white = bench.parameters.white * findings[0].factor
             bench = replace(bench, parameters=replace(bench.parameters, white=white))

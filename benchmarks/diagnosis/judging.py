@@ -158,7 +158,7 @@ def _flash() -> Path:
 
 
 def _named(findings: Sequence[Finding]) -> tuple[str, ...]:
-    return tuple(finding.cause.value for finding in findings)
+    return tuple(finding.cause.key for finding in findings)
 
 
 def scanned(bench: Bench) -> Diagnosis:

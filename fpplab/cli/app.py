@@ -204,6 +204,12 @@ PlanName = Annotated[
     typer.Option("--plan", help="Plan file: what to project and capture.", autocompletion=names_of("plan")),
 ]
 CalibrationOption = Annotated[Path, typer.Option("--calibration", help="Written by `fpplab characterise`.")]
+LimitsOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--limits", help="File of an expert with limits of the verdict that are not the usual ones."
+    ),
+]
 DepthOption = Annotated[
     tuple[float, float] | None,
     typer.Option(

@@ -1,6 +1,8 @@
 """What is wrong with a scan, by its own frames and points, and whether to believe the result."""
 
-from fpplab.diagnosis.catalogue import REMEDIES, FaultCause, Finding
+from fpplab.diagnosis.catalogue import cause_named, known_causes, load_limits
+from fpplab.diagnosis.finding import FaultCause, Finding
+from fpplab.diagnosis.limits import DiagnosisLimits
 from fpplab.diagnosis.verdict import (
     Diagnosis,
     UselessScanError,
@@ -12,14 +14,17 @@ from fpplab.diagnosis.verdict import (
 )
 
 __all__ = [
-    "REMEDIES",
     "Diagnosis",
+    "DiagnosisLimits",
     "FaultCause",
     "Finding",
     "UselessScanError",
     "Verdict",
+    "cause_named",
     "diagnose_frames",
     "diagnose_poses",
     "diagnose_scan",
     "diagnosis_of",
+    "known_causes",
+    "load_limits",
 ]

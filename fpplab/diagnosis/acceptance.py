@@ -7,45 +7,38 @@ from collections.abc import Sequence
 import numpy as np
 
 from fpplab.acceptance import QUANTITIES, Acceptance, MeasuredFeature, shared_variance
-from fpplab.diagnosis.catalogue import FaultCause, Finding
+from fpplab.diagnosis.causes.of_acceptance import (
+    FEW_POSITIONS,
+    FORM,
+    NO_LIMITS,
+    NOISE,
+    SCALE,
+    SPHERE_SIZE,
+    UNEVEN_LENGTHS,
+    USELESS_ERROR,
+    AcceptanceTestLimits,
+)
+from fpplab.diagnosis.finding import Finding
+from fpplab.diagnosis.limits import USUAL_LIMITS, DiagnosisLimits
 from fpplab.diagnosis.verdict import Diagnosis, diagnosis_of
 
-SHARED = 0.5
-"""Share of the variance that neighbouring pixels have in common, from which an error of form is no noise."""
-SIGNIFICANT = 3.0
-"""Standard uncertainties by which the mean error of the lengths must differ from zero to be one of scale."""
-GROSS_SCALE = 0.01
-"""Relative error of all lengths that counts like an error of ten times what is permitted."""
-OF_NO_USE = 10.0
-"""Error, as a multiple of the permissible one, from which on nobody should use the system."""
-RUINOUS = dict.fromkeys(
-    (
-        FaultCause.FORM,
-        FaultCause.NOISE,
-        FaultCause.SCALE,
-        FaultCause.UNEVEN_LENGTHS,
-        FaultCause.SPHERE_SIZE,
-    ),
-    OF_NO_USE,
-)
 
-
-def diagnose_acceptance(found: Acceptance) -> Diagnosis:
+def diagnose_acceptance(found: Acceptance, limits: DiagnosisLimits = USUAL_LIMITS) -> Diagnosis:
     """Judge a measuring system by its acceptance test.
 
     An error that is not permitted, and too few positions, make it doubtful. An error of ten times what is
     permitted, or lengths that are wrong by 1 % throughout, make it useless.
     """
-    judged = found.judgements()
-    findings = [*_of_form(found), *_of_lengths(found), *_of_size(found), *_of_positions(found)]
+    judged, own = found.judgements(), limits.of(AcceptanceTestLimits)
+    findings = [*_of_form(found, own), *_of_lengths(found, own), *_of_size(found, own), *_of_positions(found)]
     unjudged = [name for name, one in judged.items() if one.passed is None]
     unknown = [f"{name}: no maximum permissible error is stated" for name in unjudged]
     unknown += [f"{name}: was not measured" for name in QUANTITIES if name not in judged]
     if len(unjudged) == len(judged):
-        findings.append(Finding(FaultCause.NO_LIMITS, f"none is stated for {', '.join(judged)}", 1.0))
+        findings.append(Finding(NO_LIMITS, f"none is stated for {', '.join(judged)}", 1.0))
     passed = [name for name in judged if name not in unjudged]
     good = f"{', '.join(passed)} are within what is permitted, in enough positions"
-    return diagnosis_of(findings, good, unknown, RUINOUS)
+    return diagnosis_of(findings, good, unknown, {one.cause: one.cause.useless_from for one in findings})
 
 
 def mean_scale(found: Acceptance) -> tuple[float, float] | None:
@@ -58,7 +51,7 @@ def mean_scale(found: Acceptance) -> tuple[float, float] | None:
     return float(errors.mean()), float(np.hypot(scatter, own))
 
 
-def _over(found: Acceptance, quantity: str) -> float:
+def _error_ratio(found: Acceptance, quantity: str) -> float:
     """The greatest error, with the standard's uncertainty, over what is permitted; 0 without a limit."""
     one = found.judgements().get(quantity)
     if one is None or one.mpe_um is None:
@@ -66,67 +59,69 @@ def _over(found: Acceptance, quantity: str) -> float:
     return (abs(one.worst_um) + one.reference_uncertainty_um) / one.mpe_um
 
 
-def _beside(found: Acceptance, quantity: str) -> str:
+def _described(found: Acceptance, quantity: str) -> str:
     one = found.judgements()[quantity]
     permitted = "" if one.mpe_um is None else f" (permitted {one.mpe_um:g})"
     return f"{quantity} is {one.worst_um:.1f} µm{permitted}"
 
 
-def _of_form(found: Acceptance) -> list[Finding]:
+def _of_form(found: Acceptance, limits: AcceptanceTestLimits) -> list[Finding]:
     features: dict[str, Sequence[MeasuredFeature]] = {
         "PF": [test.measured for bar in found.bars for test in bar.spheres],
         "F": [plane.measured for plane in found.planes],
     }
     findings = []
     for name, measured in features.items():
-        if (excess := _over(found, name)) <= 1.0:
+        if (excess := _error_ratio(found, name)) <= 1.0:
             continue
-        worst = max(measured, key=lambda one: one.span_um)
+        worst = max(measured, key=lambda feature: feature.span_um)
         share = shared_variance(worst)
-        words = _beside(found, name)
+        evidence = _described(found, name)
         if share is None:
-            findings.append(Finding(FaultCause.FORM, words, excess))
+            findings.append(Finding(FORM, evidence, excess))
         else:
-            cause = FaultCause.FORM if share > SHARED else FaultCause.NOISE
-            words += f"; neighbouring pixels share {100 * max(share, 0.0):.0f} % of the variance"
-            findings.append(Finding(cause, words, excess))
+            cause = FORM if share > limits.min_shared_variance else NOISE
+            evidence += f"; neighbouring pixels share {100 * max(share, 0.0):.0f} % of the variance"
+            findings.append(Finding(cause, evidence, excess))
     return findings
 
 
-def _of_lengths(found: Acceptance) -> list[Finding]:
+def _of_lengths(found: Acceptance, limits: AcceptanceTestLimits) -> list[Finding]:
     scale = mean_scale(found)
     if scale is None:
         return []
     mean, sigma = scale
-    permitted = _over(found, "SD")
-    excess = max(permitted, OF_NO_USE * abs(mean) / GROSS_SCALE if abs(mean) >= GROSS_SCALE else 0.0)
+    permitted = _error_ratio(found, "SD")
+    excess = permitted
+    if abs(mean) >= limits.useless_scale:
+        excess = max(permitted, USELESS_ERROR * abs(mean) / limits.useless_scale)
     if excess <= 1.0:
         return []
-    words = f"lengths are wrong by {100 * mean:+.3f} % on average over {len(found.bars)} positions"
+    evidence = f"lengths are wrong by {100 * mean:+.3f} % on average over {len(found.bars)} positions"
     if permitted > 1.0:
-        words = f"{_beside(found, 'SD')}; {words}"
+        evidence = f"{_described(found, 'SD')}; {evidence}"
     # One position cannot tell a scale from what depends on the place; the simpler one is named.
-    cause = FaultCause.SCALE if abs(mean) > SIGNIFICANT * sigma else FaultCause.UNEVEN_LENGTHS
-    return [Finding(cause, words, excess)]
+    cause = SCALE if abs(mean) > limits.min_scale_sigmas * sigma else UNEVEN_LENGTHS
+    return [Finding(cause, evidence, excess)]
 
 
-def _of_size(found: Acceptance) -> list[Finding]:
+def _of_size(found: Acceptance, limits: AcceptanceTestLimits) -> list[Finding]:
     """Spheres of a wrong size, unless an error of scale explains it."""
-    if (excess := _over(found, "PS")) <= 1.0:
+    if (excess := _error_ratio(found, "PS")) <= 1.0:
         return []
     mean, _ = mean_scale(found) or (0.0, 0.0)
     sizes = [test for bar in found.bars for test in bar.spheres]
-    left = max(abs(one.size_um - 1e3 * mean * one.calibrated_mm) for one in sizes)
-    words = f"{_beside(found, 'PS')}; {left:.1f} µm are left when the scale is taken out"
-    if left > (found.standard.permitted_um("PS") or 0.0):
-        return [Finding(FaultCause.SPHERE_SIZE, words, excess)]
-    return [] if _of_lengths(found) else [Finding(FaultCause.SCALE, words, excess)]
+    remaining = max(abs(one.size_um - 1e3 * mean * one.calibrated_mm) for one in sizes)
+    evidence = f"{_described(found, 'PS')}; {remaining:.1f} µm are left when the scale is taken out"
+    if remaining > (found.standard.permitted_um("PS") or 0.0):
+        return [Finding(SPHERE_SIZE, evidence, excess)]
+    return [] if _of_lengths(found, limits) else [Finding(SCALE, evidence, excess)]
 
 
 def _of_positions(found: Acceptance) -> list[Finding]:
     short = {n: one for n, one in found.judgements().items() if one.positions < one.least_positions}
     if not short:
         return []
-    words = ", ".join(f"{n} in {one.positions} of {one.least_positions}" for n, one in short.items())
-    # Few positions weaken a test; they are told after whatever fails in it.
-    return [Finding(FaultCause.FEW_POSITIONS, f"measured in too few positions: {words}", 1.0)]
+    evidence = ", ".join(f"{n} in {one.positions} of {one.least_positions}" for n, one in short.items())
+    # Few positions weaken a test; they are named after whatever fails in it.
+    return [Finding(FEW_POSITIONS, f"measured in too few positions: {evidence}", 1.0)]

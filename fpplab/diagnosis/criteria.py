@@ -5,28 +5,37 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from fpplab.clouds import Cloud
-from fpplab.diagnosis.fringe_shape import ripples
-from fpplab.diagnosis.geometry import MOST_EPIPOLAR_PX, systematic_epipolar_px
-from fpplab.diagnosis.light import BEST_PEAK, LEAST_HARMONIC_RAD
+from fpplab.core.config import Positive
+from fpplab.diagnosis.causes.stale_calibration import StaleCalibrationLimits
+from fpplab.diagnosis.exposure import GreyLevelLimits
+from fpplab.diagnosis.fringe_shape import FringeShapeLimits, harmonics_of_power_law_rad, ripples
+from fpplab.diagnosis.limits import LimitsSection, ShareLimit
+from fpplab.diagnosis.points import systematic_epipolar_px
 from fpplab.diagnosis.sample import FrameSample
 from fpplab.phase import Decoded
 from fpplab.phase.precision import coordinate_spread, uncertain_orders
 
-LEAST_POINTS = 0.5
-"""Share of the pixels that see the fringes which become points."""
 
-LEAST_CONTRAST = 0.1
-"""Modulation of the finest fringes as a share of the mean level."""
+class CriteriaLimits(LimitsSection):
+    """What the figures of a good scan are."""
 
-MOST_UNCERTAIN = 0.2
-"""Share of the pixels that see the fringes whose fringe order is too uncertain."""
+    section: ClassVar[str] = "criteria"
 
-MOST_NOISE = 15.0
-"""Noise of the coordinate beside a white surface, exposed as well as it can be: dark parts have more."""
+    min_points_share: ShareLimit = 0.5
+    """Share of the pixels that see the fringes which become points. Chosen."""
+    min_contrast: Positive = 0.1
+    """Modulation of the finest fringes as a share of the mean level. Chosen: rooms are brighter than that
+    only where `ambient` is found."""
+    max_uncertain_share: Positive = 0.2
+    """Share of the pixels that see the fringes whose fringe order is too uncertain. Chosen."""
+    max_noise_ratio: Positive = 15.0
+    """Noise of the coordinate beside that on a white surface, exposed as well as it can be. Derived: dark
+    parts reflect some 4 % of the light and the exposure may be a quarter of the best."""
 
 
 @dataclass(frozen=True)
@@ -60,49 +69,47 @@ class Criterion:
 
 def criteria_of(sample: FrameSample, decoded: Decoded, cloud: Cloud) -> tuple[Criterion, ...]:
     """Measure what a verdict is given by."""
-    found = (*_of_points(sample, decoded, cloud), *_of_fringes(sample, decoded))
-    return tuple(one for one in found if math.isfinite(one.value))
+    criteria = (*_of_points(sample, decoded, cloud), *_of_fringes(sample, decoded))
+    return tuple(one for one in criteria if math.isfinite(one.value))
 
 
 def _of_points(sample: FrameSample, decoded: Decoded, cloud: Cloud) -> Iterator[Criterion]:
+    limits = sample.limits.of(CriteriaLimits)
     seeing = sample.pixels_seeing_fringes(cloud)
     share = len(cloud) / seeing
-    yield Criterion(
-        "points", "the share of the pixels that see the fringes which became points", share, LEAST_POINTS,
-        at_least=True,
-    )  # fmt: skip
+    meaning = "the share of the pixels that see the fringes which became points"
+    yield Criterion("points", meaning, share, limits.min_points_share, at_least=True)
     lost = uncertain_orders(decoded, sample.recording.plan)
     if lost is not None:
         share = min(sum(lost.values()) / seeing, 1.0)
-        yield Criterion(
-            "wrong_order_risk", "the share of pixels left out for their uncertain fringe order", share,
-            MOST_UNCERTAIN,
-        )  # fmt: skip
+        meaning = "the share of pixels left out for their uncertain fringe order"
+        yield Criterion("wrong_order_risk", meaning, share, limits.max_uncertain_share)
     if (off := systematic_epipolar_px(cloud)) is not None:
         meaning = "the distance of points from their epipolar lines"
-        yield Criterion("epipolar_residual", meaning, off, MOST_EPIPOLAR_PX, "px")
+        max_px = sample.limits.of(StaleCalibrationLimits).max_epipolar_px
+        yield Criterion("epipolar_residual", meaning, off, max_px, "px")
 
 
 def _of_fringes(sample: FrameSample, decoded: Decoded) -> Iterator[Criterion]:
     if not sample.measured.any():
         return
+    limits = sample.limits.of(CriteriaLimits)
     plan, used = sample.recording.plan, sample.measured
     finest = plan.finest_set()
     fit = sample.fits[finest]
     contrast = float(np.median(fit.modulation[used] / np.maximum(fit.offset[used], 1.0)))
     yield Criterion(
-        "contrast", "the contrast of the finest fringes", contrast, LEAST_CONTRAST, at_least=True
-    )  # fmt: skip
-    phase_noise = sample.phase_noise(finest)
-    bent = [float(np.nan_to_num(sample.errors.sets[finest].harmonic_rad)), *ripples(sample)]
-    limit = max(LEAST_HARMONIC_RAD, phase_noise)
-    yield Criterion("waves", "the phase error of harmonics of the fringes", max(bent), limit, "rad")
-    axis = plan.axes[0]
-    best = 0.5 * BEST_PEAK * 255.0
+        "contrast", "the contrast of the finest fringes", contrast, limits.min_contrast, at_least=True
+    )
+    harmonic_rad = max(harmonics_of_power_law_rad(sample), *ripples(sample), 0.0)
+    limit = max(sample.limits.of(FringeShapeLimits).min_harmonic_rad, sample.phase_noise(finest))
+    yield Criterion("waves", "the phase error of harmonics of the fringes", harmonic_rad, limit, "rad")
+    best = 0.5 * sample.limits.of(GreyLevelLimits).best_peak_share * 255.0
     noise = math.sqrt(float(sample.errors.noise.variance(best))) / best
-    planned = noise * coordinate_spread(plan, axis, sample.recording.projector_size)
+    planned = noise * coordinate_spread(plan, plan.axes[0], sample.recording.projector_size)
     sigma = decoded.sigma[:: sample.step, :: sample.step]
     known = sigma[np.isfinite(sigma)]
     if known.size and planned > 0.0:
         meaning = "the noise of the coordinate beside that which the plan has on a white surface"
-        yield Criterion("uncertainty", meaning, float(np.median(known)) / planned, MOST_NOISE)
+        ratio = float(np.median(known)) / planned
+        yield Criterion("uncertainty", meaning, ratio, limits.max_noise_ratio)

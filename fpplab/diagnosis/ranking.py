@@ -2,47 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import replace
 
-from fpplab.diagnosis.catalogue import FaultCause, Finding
+from fpplab.diagnosis.causes.stale_calibration import STALE_CALIBRATION, USELESS_EXCESS
+from fpplab.diagnosis.finding import FaultCause, Finding
 
-_ROUGH = frozenset({FaultCause.INTERREFLECTION, FaultCause.WRONG_RESOLUTION})
-"""What errors of the phase from place to place look like."""
-
-SIDE_EFFECTS: Mapping[FaultCause, frozenset[FaultCause]] = {
-    FaultCause.PROJECTOR_DARK: frozenset({FaultCause.NO_OVERLAP}),
-    FaultCause.WRONG_PLAN: frozenset({FaultCause.STALE_CALIBRATION}),
-    FaultCause.MISSING_COLOUR: frozenset({FaultCause.STALE_CALIBRATION}),
-    FaultCause.VIBRATION: _ROUGH | {FaultCause.FLICKER, FaultCause.STALE_CALIBRATION},
-    FaultCause.SATURATED: _ROUGH | {FaultCause.BANDS, FaultCause.STALE_CALIBRATION},
-    FaultCause.UNDEREXPOSED: frozenset({FaultCause.BANDS}),
-    FaultCause.AMBIENT: frozenset({FaultCause.BANDS}),
-    FaultCause.RESPONSE: frozenset({FaultCause.WRONG_RESOLUTION, FaultCause.STALE_CALIBRATION}),
-    FaultCause.HARMONICS: frozenset({FaultCause.WRONG_RESOLUTION}),
-    FaultCause.BANDS: _ROUGH,
-    FaultCause.FLICKER: _ROUGH | {FaultCause.STALE_CALIBRATION},
-    FaultCause.CAMERA_FOCUS: frozenset({FaultCause.WRONG_RESOLUTION, FaultCause.STALE_CALIBRATION}),
-    FaultCause.WRONG_RESOLUTION: frozenset({FaultCause.STALE_CALIBRATION}),
-}
-"""Causes, and what else the frames or points show because of each."""
-
-MUTUAL: Mapping[tuple[FaultCause, FaultCause], float] = {
-    (FaultCause.VIBRATION, FaultCause.BANDS): 0.25,
-    (FaultCause.BANDS, FaultCause.FLICKER): 0.25,
-    (FaultCause.BANDS, FaultCause.RESPONSE): 0.5,
-    (FaultCause.BANDS, FaultCause.HARMONICS): 0.5,
-    (FaultCause.INTERREFLECTION, FaultCause.HARMONICS): 1.0,
-    (FaultCause.INTERREFLECTION, FaultCause.RESPONSE): 1.0,
-}
-"""Pairs of which each leaves something of itself in the other's figure, and the excess of the first beside
-that of the second from which on the first is the cause."""
-
-BEHIND = 0.9
-"""Excess of a side effect beside that of its cause, at most."""
-
-RUINOUS_OFFSET = 10.0
-"""Excess of a calibration that is so far off that nothing else explains it."""
+MAX_SIDE_EFFECT = 0.9
+"""Excess of a side effect beside that of its cause, at most. Chosen: it ranks behind the cause."""
 
 
 def ranked(findings: Iterable[Finding]) -> tuple[Finding, ...]:
@@ -54,20 +21,20 @@ def ranked(findings: Iterable[Finding]) -> tuple[Finding, ...]:
 
 def _with_rig_first(findings: list[Finding]) -> list[Finding]:
     """A calibration that is not the rig's comes first where nothing else puts points off their lines."""
-    stale = FaultCause.STALE_CALIBRATION
-    if any(stale in SIDE_EFFECTS.get(one.cause, ()) for one in findings):
+    if any(STALE_CALIBRATION.key in one.cause.side_effects for one in findings):
         return findings
     most = max((one.excess for one in findings), default=0.0)
     return [
-        replace(one, excess=max(one.excess, 1.1 * most)) if one.cause is stale else one for one in findings
+        replace(one, excess=max(one.excess, 1.1 * most)) if one.cause == STALE_CALIBRATION else one
+        for one in findings
     ]
 
 
 def _weight(finding: Finding, findings: list[Finding]) -> float:
     """Excess of a finding, below those of all that may have brought it about."""
     rest = [one for one in findings if one is not finding]
-    least = min((_weight(one, rest) for one in _causes(finding, findings)), default=float("inf"))
-    return min(finding.excess, BEHIND * least)
+    lowest = min((_weight(one, rest) for one in _causes(finding, findings)), default=float("inf"))
+    return min(finding.excess, MAX_SIDE_EFFECT * lowest)
 
 
 def _source(finding: Finding, findings: list[Finding]) -> FaultCause | None:
@@ -78,17 +45,21 @@ def _source(finding: Finding, findings: list[Finding]) -> FaultCause | None:
 
 def _causes(finding: Finding, findings: list[Finding]) -> list[Finding]:
     """Which of these may have brought a finding about."""
-    if finding.cause is FaultCause.STALE_CALIBRATION and finding.excess >= RUINOUS_OFFSET:
+    if finding.cause == STALE_CALIBRATION and finding.excess >= USELESS_EXCESS:
         return []
-    return [one for one in findings if one is not finding and finding.cause in _effects(one, findings)]
+    return [one for one in findings if one is not finding and finding.cause.key in _effects(one, findings)]
 
 
-def _effects(finding: Finding, findings: list[Finding]) -> set[FaultCause]:
+def _effects(finding: Finding, findings: list[Finding]) -> set[str]:
     """What a finding may have brought about, among these."""
-    effects = set(SIDE_EFFECTS.get(finding.cause, ()))
-    excess = {one.cause: one.excess for one in findings}
-    for (one, other), share in MUTUAL.items():
-        if one in excess and other in excess:
-            cause, effect = (one, other) if excess[one] >= share * excess[other] else (other, one)
-            effects |= {effect} if finding.cause is cause else set()
+    effects = set(finding.cause.side_effects)
+    excess = {one.cause.key: one.excess for one in findings}
+    for first in {one.cause for one in findings}:
+        for second, ratio in first.outweighs_from.items():
+            if second not in excess:
+                continue
+            is_first = excess[first.key] >= ratio * excess[second]
+            cause, effect = (first.key, second) if is_first else (second, first.key)
+            if finding.cause.key == cause:
+                effects.add(effect)
     return effects

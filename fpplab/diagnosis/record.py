@@ -4,30 +4,43 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
+
+from pydantic import field_validator
 
 from fpplab.core import config
 from fpplab.core.config import Document
+from fpplab.core.errors import ConfigError
 from fpplab.core.files import write_text
 from fpplab.core.origin import Origin
 from fpplab.core.session_names import VERDICT
-from fpplab.diagnosis.catalogue import FaultCause, Finding
+from fpplab.diagnosis.catalogue import cause_named
 from fpplab.diagnosis.criteria import Criterion
+from fpplab.diagnosis.finding import Finding
 from fpplab.diagnosis.verdict import Diagnosis, Verdict
 
-GREATEST_EXCESS = 1e9
+MAX_EXCESS = 1e9  # stands for an infinite excess, which a file does not hold
 
 
 class FindingFile(Document):
     """A finding in a file."""
 
-    cause: FaultCause
-    """What is wrong."""
+    cause: str
+    """What is wrong: the key of a cause."""
     evidence: str
     """How it shows."""
     remedy: str
     """What to do."""
     excess: float
     """Measured value over its limit."""
+
+    @field_validator("cause")
+    @classmethod
+    def _known(cls, cause: str) -> str:
+        try:
+            return cause_named(cause).key
+        except ConfigError as error:
+            raise ValueError(str(error)) from error
 
 
 class CriterionFile(Document):
@@ -60,18 +73,22 @@ class DiagnosisFile(Origin):
     """What could not be checked, and why."""
     criteria: tuple[CriterionFile, ...] = ()
     """What the verdict was given by; older files have none."""
+    limits: dict[str, dict[str, Any]] | None = None
+    """Limits of an expert that are not the usual ones, by section and name."""
 
     def diagnosis(self) -> Diagnosis:
         """Convert to a diagnosis."""
-        findings = tuple(Finding(one.cause, one.evidence, one.excess, one.remedy) for one in self.findings)
+        findings = tuple(
+            Finding(cause_named(one.cause), one.evidence, one.excess, one.remedy) for one in self.findings
+        )
         criteria = tuple(Criterion(**one.model_dump()) for one in self.criteria)
-        return Diagnosis(self.verdict, self.reason, findings, self.not_checked, criteria)
+        return Diagnosis(self.verdict, self.reason, findings, self.not_checked, criteria, self.limits or {})
 
 
 def save_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
     """Write the verdict into a session."""
     findings = tuple(
-        FindingFile(cause=one.cause, evidence=one.evidence, remedy=one.remedy, excess=_finite(one.excess))
+        FindingFile(cause=one.cause.key, evidence=one.evidence, remedy=one.remedy, excess=_finite(one.excess))
         for one in diagnosis.findings
     )
     given = DiagnosisFile.now(
@@ -80,6 +97,7 @@ def save_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
         findings=findings,
         not_checked=tuple(diagnosis.unknown),
         criteria=tuple(CriterionFile(**asdict(one)) for one in diagnosis.criteria),
+        limits={name: dict(values) for name, values in diagnosis.changed_limits.items()} or None,
     )
     write_text(folder / VERDICT, config.dump(given))
 
@@ -92,4 +110,4 @@ def load_diagnosis(folder: Path) -> DiagnosisFile | None:
 
 def _finite(excess: float) -> float:
     """A file holds no infinite number."""
-    return min(float(excess), GREATEST_EXCESS)
+    return min(float(excess), MAX_EXCESS)

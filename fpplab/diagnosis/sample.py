@@ -6,34 +6,43 @@ import math
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
 from fpplab.clouds import Cloud
+from fpplab.core.config import Positive
 from fpplab.core.conventions import Axis, Floats, Map, Mask
 from fpplab.core.robust import robust_spread
+from fpplab.diagnosis.limits import USUAL_LIMITS, CountLimit, DiagnosisLimits, LimitsSection
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded
 from fpplab.phase.common_errors import fit_sinusoids
 from fpplab.phase.error_model import ErrorModel, error_model_of
 from fpplab.phase.quality import phase_uncertainty
 
-SPREAD_PIXELS = 40_000
-"""Pixels of the sample that is spread over the image, about."""
-
-TILE_PX, TILES = 64, 20
-"""Side of a tile in px, and how many there are at most."""
-
-LIT_SHARE = 0.15
-"""A pixel is lit where its fringes are at least this share of the strongest ones."""
-
-LIT_SIGMAS = 8.0
-"""And at least so many times their own noise."""
-
 MEDIAN = 0.6745
-"""Median size of a normal variable beside its standard deviation."""
+"""Median absolute value of a normal variable of unit standard deviation."""
+
+
+class SampleLimits(LimitsSection):
+    """Which pixels are looked at, and which of them see the fringes."""
+
+    section: ClassVar[str] = "sample"
+
+    pixels: CountLimit = 40_000
+    """Pixels spread over the image, about. Chosen: a tenth of a second for all figures."""
+    tile_px: CountLimit = 64
+    """Side of a whole tile in px. Chosen."""
+    max_tiles: CountLimit = 20
+    """Number of tiles, those with most contrast. Chosen."""
+    min_lit_share: Positive = 0.15
+    """Modulation of a pixel that sees the fringes, as a share of the strongest. Measured on benches of the
+    limits: boards of 4 % to 90 % reflectance."""
+    min_lit_sigmas: Positive = 8.0
+    """The same as a multiple of its own noise. Chosen: noise does not reach it in any of 40 000 pixels."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,18 +60,25 @@ class FrameSample:
 
     recording: Recording  # whose they are
     coordinates: dict[Axis, Map] = field(default_factory=dict)  # projector coordinates in px by axis
+    limits: DiagnosisLimits = USUAL_LIMITS  # that the recording is judged by
 
     @classmethod
-    def of(cls, recording: Recording, decoded: Decoded | None) -> FrameSample:
+    def of(
+        cls, recording: Recording, decoded: Decoded | None, limits: DiagnosisLimits = USUAL_LIMITS
+    ) -> FrameSample:
         """Take the pixels of a recording, with their coordinates where it is decoded."""
         known = {axis: decoded.coordinate(axis) for axis in recording.plan.axes} if decoded else {}
-        return cls(recording, known)
+        return cls(recording, known, limits)
+
+    @cached_property
+    def _limits(self) -> SampleLimits:
+        return self.limits.of(SampleLimits)
 
     @cached_property
     def step(self) -> int:
         """Distance in px between neighbours of the pixels that are spread over the image."""
         height, width = self.recording.frames[0].shape
-        return max(1, int(np.sqrt(height * width / SPREAD_PIXELS)))
+        return max(1, int(np.sqrt(height * width / self._limits.pixels)))
 
     @cached_property
     def spread(self) -> Floats:
@@ -79,12 +95,12 @@ class FrameSample:
     def tiles(self) -> Floats:
         """(K, T, side, side) grey levels of every frame in whole tiles, those with most contrast."""
         height, width = self.recording.frames[0].shape
-        side = min(TILE_PX, height, width)
+        side = min(self._limits.tile_px, height, width)
         tops, lefts = np.meshgrid(
             np.arange(0, height - side + 1, side), np.arange(0, width - side + 1, side), indexing="ij"
         )
         corners = np.stack([tops.ravel(), lefts.ravel()], axis=1)
-        chosen = corners[np.argsort(self._contrasts(corners, side))[::-1][:TILES]]
+        chosen = corners[np.argsort(self._contrasts(corners, side))[::-1][: self._limits.max_tiles]]
         cut = [[f[t : t + side, x : x + side] for t, x in chosen] for f in self.recording.frames]
         return self.recording.grey * np.array(cut, np.float64)
 
@@ -110,12 +126,13 @@ class FrameSample:
         return np.stack([fit.offset for fit in self.tile_fits])
 
     def _fitted(self, frames: Floats) -> list[SetFit]:
-        plan, found = self.recording.plan, []
+        plan = self.recording.plan
+        fits = []
         for (a, b), fringe in zip(pairwise(plan.set_starts), plan.fringes, strict=True):
             fitted = fit_sinusoids(frames[a:b].reshape(b - a, -1), fringe)
             offset, c, s = fitted.reshape(3, *frames.shape[1:])
-            found.append(SetFit(offset, np.hypot(c, s), np.arctan2(s, c)))
-        return found
+            fits.append(SetFit(offset, np.hypot(c, s), np.arctan2(s, c)))
+        return fits
 
     @cached_property
     def errors(self) -> ErrorModel:
@@ -178,8 +195,10 @@ class FrameSample:
     @cached_property
     def lit(self) -> Mask:
         """(rows, columns) which of the pixels spread over the image see the projector's fringes."""
-        least = np.maximum(LIT_SHARE * self.strongest, LIT_SIGMAS * self.noise(self.widest.offset))
-        return np.asarray((self.widest.modulation >= least) | (self.saturated & (self.widest.offset > 128.0)))
+        of_strongest = self._limits.min_lit_share * self.strongest
+        of_noise = self._limits.min_lit_sigmas * self.noise(self.widest.offset)
+        is_lit = self.widest.modulation >= np.maximum(of_strongest, of_noise)
+        return np.asarray(is_lit | (self.saturated & (self.widest.offset > 128.0)))
 
     def pixels_seeing_fringes(self, cloud: Cloud) -> float:
         """Count the pixels of the whole image that see the projector's fringes."""

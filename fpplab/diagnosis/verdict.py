@@ -2,46 +2,36 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from typing import Any, ClassVar
 
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
 from fpplab.core.errors import DataError
-from fpplab.diagnosis.catalogue import FaultCause, Finding
 from fpplab.diagnosis.criteria import Criterion, criteria_of
-from fpplab.diagnosis.focus import focus_finding
-from fpplab.diagnosis.geometry import PointSample, geometry_findings
-from fpplab.diagnosis.light import light_findings
-from fpplab.diagnosis.mirrored import with_mirrors
-from fpplab.diagnosis.ranking import RUINOUS_OFFSET, ranked
+from fpplab.diagnosis.detection import FRAME_STAGES, find_causes
+from fpplab.diagnosis.evidence import Evidence
+from fpplab.diagnosis.finding import FaultCause, Finding
+from fpplab.diagnosis.limits import USUAL_LIMITS, DiagnosisLimits, LimitsSection, ShareLimit
+from fpplab.diagnosis.ranking import ranked
 from fpplab.diagnosis.sample import FrameSample
-from fpplab.diagnosis.wrong_plan import plan_finding
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded
 
-USELESS_SHARE = 0.1
-"""Least share of the lit pixels that become points, in a result that is of use."""
 
-USELESS_POINTS = 0.001
-"""Least share of the image that points must cover."""
+class VerdictLimits(LimitsSection):
+    """How few points make a result useless."""
 
-USELESS_EXCESS = {
-    FaultCause.STALE_CALIBRATION: RUINOUS_OFFSET,
-    FaultCause.WRONG_PLAN: 1.0,
-    FaultCause.CAMERA_FOCUS: 2.0,
-    FaultCause.MISSING_COLOUR: 30.0,
-}
-"""Excess of a finding from which on it makes a result useless however many points there are."""
+    section: ClassVar[str] = "verdict"
 
-USELESS_IF_FIRST = {FaultCause.WRONG_RESOLUTION: 1.6}
-"""The same where no finding before it may have brought it about."""
-
-
-FOREIGN_EXCESS = 5.0
-"""Excess of a calibration that was made with other devices: points may be far off, or right by chance."""
+    min_points_of_lit: ShareLimit = 0.1
+    """Share of the lit pixels that become points. Chosen."""
+    min_points_of_image: ShareLimit = 0.001
+    """Points as a share of the image's pixels. Chosen."""
 
 
 class Verdict(StrEnum):
@@ -64,6 +54,8 @@ class Diagnosis:
     findings: tuple[Finding, ...]  # what is wrong, the worst first
     unknown: tuple[str, ...] = ()  # what could not be checked, and why
     criteria: tuple[Criterion, ...] = ()  # what the verdict on points was given by
+    # limits of an expert that are not the usual ones, by section and name
+    changed_limits: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     @property
     def sentence(self) -> str:
@@ -83,12 +75,14 @@ class Diagnosis:
     def summary(self) -> dict[str, object]:
         """Collect what is printed."""
         criteria = {"criteria": [one.summary() for one in self.criteria]} if self.criteria else {}
+        limits = {"limits": self.changed_limits} if self.changed_limits else {}
         return {
             "verdict": self.verdict.value,
             "reason": self.reason,
             "findings": [finding.summary() for finding in self.findings],
             "not_checked": list(self.unknown),
             **criteria,
+            **limits,
         }
 
 
@@ -119,20 +113,24 @@ def diagnosis_of(
     unknown: Sequence[str] = (),
     useless: Mapping[FaultCause, float] | None = None,
 ) -> Diagnosis:
-    """Judge a result by what was found alone."""
-    ruins = useless or {}
-    ranked = sorted(findings, key=lambda one: (one.excess < ruins.get(one.cause, float("inf")), -one.excess))
-    if not ranked:
+    """Judge a result by what was found alone; `useless` is the excess by cause that makes it useless."""
+    useless_from = useless or {}
+
+    def is_useless(finding: Finding) -> bool:
+        return finding.excess >= useless_from.get(finding.cause, math.inf)
+
+    in_order = sorted(findings, key=lambda one: (not is_useless(one), -one.excess))
+    if not in_order:
         return Diagnosis(Verdict.GOOD, good, (), tuple(unknown))
-    first = ranked[0]
-    ruinous = first.excess >= ruins.get(first.cause, float("inf"))
-    verdict = Verdict.USELESS if ruinous else Verdict.DOUBTFUL
-    return Diagnosis(verdict, first.sentence, tuple(ranked), tuple(unknown))
+    verdict = Verdict.USELESS if is_useless(in_order[0]) else Verdict.DOUBTFUL
+    return Diagnosis(verdict, in_order[0].sentence, tuple(in_order), tuple(unknown))
 
 
-def diagnose_frames(recording: Recording, decoded: Decoded | None = None) -> tuple[Finding, ...]:
+def diagnose_frames(
+    recording: Recording, decoded: Decoded | None = None, limits: DiagnosisLimits = USUAL_LIMITS
+) -> tuple[Finding, ...]:
     """Look for what is wrong with the frames of a recording alone."""
-    return ranked(_of_frames(FrameSample.of(recording, decoded), None))
+    return ranked(find_causes(Evidence(recording, decoded, limits=limits), FRAME_STAGES))
 
 
 def diagnose_scan(
@@ -142,35 +140,21 @@ def diagnose_scan(
     calibration: Calibration,
     intended: Plan | None = None,
     foreign: str | None = None,
+    limits: DiagnosisLimits = USUAL_LIMITS,
 ) -> Diagnosis:
     """Judge a scan."""
-    plan, sample = intended or recording.plan, FrameSample.of(recording, decoded)
-    points = PointSample(cloud, calibration) if cloud is not None else None
-    scale = float(points.projector_px_per_px["xy".index(plan.axes[0])]) if points else None
-    of_frames = _of_frames(sample, scale)
-    seen = {finding.cause for finding in of_frames}
-    flickers = FaultCause.FLICKER in seen
-    bent = bool(seen & {FaultCause.RESPONSE, FaultCause.HARMONICS})
-    wrong = (
-        []
-        if FaultCause.MISSING_COLOUR in seen
-        else plan_finding(recording, decoded, sample, cloud, calibration, flickers, bent)
+    evidence = Evidence(
+        recording, decoded, cloud, calibration, intended=intended, foreign=foreign, limits=limits
     )
-    if cloud is None or points is None:
-        return Diagnosis(Verdict.USELESS, "there are no points", ranked([*wrong, *of_frames]))
-    if not wrong:
-        of_frames = with_mirrors(of_frames, sample, calibration)
-    of_devices = [_of_other_devices(foreign)] if foreign else []
-    findings = ranked([*of_devices, *wrong, *of_frames, *geometry_findings(points, plan)])
-    one_axis = "stale_calibration: fringes along one axis alone do not show it"
-    unknown = (one_axis,) if cloud.epipolar_px is None else ()
-    judged = _judged(sample, cloud, findings, unknown)
-    return _by_criteria(judged, criteria_of(sample, decoded, cloud))
-
-
-def _of_other_devices(how: str) -> Finding:
-    advice = "give the calibration of these devices, or characterise them"
-    return Finding(FaultCause.STALE_CALIBRATION, how, FOREIGN_EXCESS, advice)
+    findings = ranked(find_causes(evidence))
+    if cloud is None:
+        judged = Diagnosis(Verdict.USELESS, "there are no points", findings)
+    else:
+        one_axis = "stale_calibration: fringes along one axis alone do not show it"
+        unknown = (one_axis,) if cloud.epipolar_px is None else ()
+        judged = _judged(evidence.frames, cloud, findings, unknown)
+        judged = _by_criteria(judged, criteria_of(evidence.frames, decoded, cloud))
+    return replace(judged, changed_limits=limits.changes())
 
 
 def diagnose_poses(
@@ -180,40 +164,42 @@ def diagnose_poses(
     of_fit: Sequence[Finding] = (),
 ) -> Diagnosis:
     """Judge a characterisation by the frames of its poses, and by what the fit said."""
-    found: dict[FaultCause, list[tuple[str, Finding]]] = {}
+    by_cause: dict[FaultCause, list[tuple[str, Finding]]] = {}
     poses = 0
     for name, recording in recordings:
         poses += 1
         for finding in diagnose_frames(recording):
-            found.setdefault(finding.cause, []).append((name, finding))
-    findings = ranked([*of_fit, *(_worst(seen, poses) for seen in found.values())])
+            by_cause.setdefault(finding.cause, []).append((name, finding))
+    findings = ranked([*of_fit, *(_worst(of_poses, poses) for of_poses in by_cause.values())])
     if findings:
         return Diagnosis(Verdict.DOUBTFUL, findings[0].sentence, findings)
-    said = [*warnings, *left_out.values()]
-    if said:
-        return Diagnosis(Verdict.DOUBTFUL, said[0], ())
+    sentences = [*warnings, *left_out.values()]
+    if sentences:
+        return Diagnosis(Verdict.DOUBTFUL, sentences[0], ())
     return Diagnosis(Verdict.GOOD, f"nothing is wrong with the frames of {poses} poses", ())
 
 
-def _worst(seen: Sequence[tuple[str, Finding]], poses: int) -> Finding:
-    name, worst = max(seen, key=lambda one: one[1].excess)
-    return replace(worst, evidence=f"{name}: {worst.evidence}; in {len(seen)} of {poses} poses")
+def _worst(of_poses: Sequence[tuple[str, Finding]], poses: int) -> Finding:
+    name, worst = max(of_poses, key=lambda one: one[1].excess)
+    return replace(worst, evidence=f"{name}: {worst.evidence}; in {len(of_poses)} of {poses} poses")
 
 
 def _judged(
     sample: FrameSample, cloud: Cloud, findings: tuple[Finding, ...], unknown: tuple[str, ...]
 ) -> Diagnosis:
+    limits = sample.limits.of(VerdictLimits)
     pixels = sample.recording.frames[0].size
     seeing = sample.pixels_seeing_fringes(cloud)
     share = len(cloud) / seeing
     counted = f"{len(cloud)} points of {seeing:.0f} pixels that see the fringes"
-    ruinous = [f for f in findings if f.excess >= USELESS_EXCESS.get(f.cause, float("inf"))]
-    first = findings[:1]
-    ruinous += [f for f in first if f.ruins_points or f.excess >= USELESS_IF_FIRST.get(f.cause, float("inf"))]
-    if share < USELESS_SHARE or len(cloud) < USELESS_POINTS * pixels:
+    if share < limits.min_points_of_lit or len(cloud) < limits.min_points_of_image * pixels:
         return Diagnosis(Verdict.USELESS, counted, findings, unknown)
-    if ruinous:
-        return Diagnosis(Verdict.USELESS, ruinous[0].evidence, findings, unknown)
+    useless = [one for one in findings if one.excess >= one.cause.useless_from]
+    useless += [
+        one for one in findings[:1] if one.ruins_points or one.excess >= one.cause.useless_if_first_from
+    ]
+    if useless:
+        return Diagnosis(Verdict.USELESS, useless[0].evidence, findings, unknown)
     if findings:
         return Diagnosis(Verdict.DOUBTFUL, findings[0].sentence, findings, unknown)
     return Diagnosis(Verdict.GOOD, counted, findings, unknown)
@@ -226,12 +212,3 @@ def _by_criteria(judged: Diagnosis, criteria: tuple[Criterion, ...]) -> Diagnosi
     if judged.verdict is not Verdict.GOOD or not unmet:
         return judged
     return replace(judged, verdict=Verdict.DOUBTFUL, reason=unmet[0].sentence)
-
-
-def _of_frames(sample: FrameSample, scale: float | None) -> list[Finding]:
-    findings = list(light_findings(sample))
-    dark = {FaultCause.PROJECTOR_DARK, FaultCause.NO_OVERLAP}
-    if not any(finding.cause in dark for finding in findings):
-        focus = focus_finding(sample, scale)
-        findings += [focus] if focus else []
-    return findings

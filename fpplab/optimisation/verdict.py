@@ -7,7 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from fpplab.diagnosis import Diagnosis, FaultCause, Finding, diagnosis_of
+from fpplab.diagnosis import Diagnosis, Finding, diagnosis_of
+from fpplab.diagnosis.causes.of_matching_and_search import (
+    AT_BORDER,
+    ENDED_EARLY,
+    FAILED_CANDIDATES,
+    FLAT_OPTIMUM,
+    LIMITS_BROKEN,
+    NO_GAIN,
+    NOT_CONFIRMED,
+)
 from fpplab.optimisation.candidate import Point
 from fpplab.optimisation.confirm_result import ConfirmedPlan
 from fpplab.optimisation.figures import MeasuredCandidate, seed_means
@@ -26,7 +35,7 @@ FEWEST_STEPS = 3
 BEYOND = 0.05
 """How far beyond a border a rig is asked for, as a share of the range."""
 DISTANCE = "surface_smcd_um"
-RUINOUS = {FaultCause.NO_GAIN: 1.0 + 1e-9, FaultCause.NOT_CONFIRMED: 1.0 + 1e-9}
+RUINOUS = {NO_GAIN: 1.0 + 1e-9, NOT_CONFIRMED: 1.0 + 1e-9}
 """What is worse than the start beyond its uncertainty has an excess of more than 1 and is of no use."""
 
 
@@ -70,11 +79,11 @@ def _gain(found: SearchResult) -> Iterator[Finding]:
     )
     if _seeks_distance(found):
         if worse > 1.0:
-            yield Finding(FaultCause.NO_GAIN, words, worse)
+            yield Finding(NO_GAIN, words, worse)
         elif worse > -1.0:
-            yield Finding(FaultCause.NO_GAIN, words, 1.0)
+            yield Finding(NO_GAIN, words, 1.0)
     elif found.optimum.candidate == found.start.candidate:
-        yield Finding(FaultCause.NO_GAIN, "no plan is better than the start's", 1.0)
+        yield Finding(NO_GAIN, "no plan is better than the start's", 1.0)
 
 
 def _neighbours(found: SearchResult) -> Iterator[Finding]:
@@ -100,7 +109,7 @@ def _neighbours(found: SearchResult) -> Iterator[Finding]:
             f"{len(alike)} of {len(nearest)} neighbours cannot be told from it; "
             f"{_differing(parameters, trial.point, best.point)} is worse by {by:.2f} ± {sigma:.2g} µm"
         )
-        yield Finding(FaultCause.FLAT_OPTIMUM, words, 1.0)
+        yield Finding(FLAT_OPTIMUM, words, 1.0)
 
 
 def _distance(parameters: Sequence[Parameter], one: Point, other: Point) -> float:
@@ -143,14 +152,14 @@ def _borders(found: SearchResult) -> Iterator[Finding]:
                     f"{parameter.upper:g}"
                 )
                 advice = f"widen 'space.{parameter.name}' of the study, and search again"
-                yield Finding(FaultCause.AT_BORDER, words, 1.0, advice)
+                yield Finding(AT_BORDER, words, 1.0, advice)
 
 
 def _end(found: SearchResult) -> Iterator[Finding]:
     if found.ended_early:
         words = f"the search ended because {found.ended}"
         advice = "give the study a greater 'budget', and name another --out"
-        yield Finding(FaultCause.ENDED_EARLY, words, 1.0, advice)
+        yield Finding(ENDED_EARLY, words, 1.0, advice)
 
 
 def _limits(found: SearchResult) -> Iterator[Finding]:
@@ -164,7 +173,7 @@ def _limits(found: SearchResult) -> Iterator[Finding]:
     over = {name: by for name, by in broken.items() if by > 0}
     if over:
         words = ", ".join(f"{name} by {by:.3g}" for name, by in over.items())
-        yield Finding(FaultCause.LIMITS_BROKEN, f"measured with other seeds it exceeds {words}", 1.0)
+        yield Finding(LIMITS_BROKEN, f"measured with other seeds it exceeds {words}", 1.0)
 
 
 def _failed(found: SearchResult) -> Iterator[Finding]:
@@ -172,7 +181,7 @@ def _failed(found: SearchResult) -> Iterator[Finding]:
     share = len(failed) / max(len(found.trials), 1)
     if share > FAILED_SHARE:
         words = f"{len(failed)} of {len(found.trials)} candidates could not be measured: {failed[-1].failed}"
-        yield Finding(FaultCause.FAILED_CANDIDATES, words, share / FAILED_SHARE)
+        yield Finding(FAILED_CANDIDATES, words, share / FAILED_SHARE)
 
 
 def _confirmed(found: SearchResult, confirmed: Sequence[ConfirmedPlan]) -> Iterator[Finding]:
@@ -184,6 +193,6 @@ def _confirmed(found: SearchResult, confirmed: Sequence[ConfirmedPlan]) -> Itera
         if not _seeks_distance(found):
             continue  # its aim is fewer images, which is sure; the study's limits say what they may cost
         if worse > 1.0:
-            yield Finding(FaultCause.NOT_CONFIRMED, words, worse)
+            yield Finding(NOT_CONFIRMED, words, worse)
         elif worse > -1.0:
-            yield Finding(FaultCause.NOT_CONFIRMED, words, 1.0)
+            yield Finding(NOT_CONFIRMED, words, 1.0)

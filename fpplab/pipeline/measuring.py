@@ -14,6 +14,7 @@ from fpplab.core.errors import DataError
 from fpplab.core.progress import Progress, ignore, no_progress
 from fpplab.core.session_names import CALIBRATION, CLOUD, DECODED
 from fpplab.diagnosis import Diagnosis, UselessScanError, diagnose_scan
+from fpplab.diagnosis.limits import USUAL_LIMITS, DiagnosisLimits
 from fpplab.diagnosis.record import save_diagnosis
 from fpplab.patterns.plan import FilterRules
 from fpplab.patterns.recording import Recording
@@ -79,16 +80,17 @@ def reconstruct_session(
     depth_mm: DepthInterval | None = None,
     as_recorded: bool = False,
     observe_maps: Callable[[Decoded], object] = ignore,
+    limits: DiagnosisLimits = USUAL_LIMITS,
 ) -> Reconstruction:
     """Reconstruct a session and judge the result; nothing is written."""
     depth = depth_range_of(session, depth_mm)
     recording = _checked_recording(session, calibration, progress, as_recorded=as_recorded)
-    found = _triangulate(recording, calibration, depth, filtering, progress)
+    found = _triangulate(recording, calibration, depth, filtering, progress, limits)
     observe_maps(found.decoded)
     if isinstance(found.points, Diagnosis):
         return Reconstruction(session, calibration, depth, None, None, found.points)
     cloud = _with_sigmas(found.decoded, found.points, calibration, progress)
-    diagnosis = diagnose(session, found.decoded, cloud, calibration)
+    diagnosis = diagnose(session, found.decoded, cloud, calibration, limits)
     return Reconstruction(session, calibration, depth, found.decoded, cloud, diagnosis)
 
 
@@ -98,6 +100,7 @@ def finish_scan(
     progress: Progress = no_progress,
     *,
     depth_mm: DepthInterval | None = None,
+    limits: DiagnosisLimits = USUAL_LIMITS,
 ) -> Reconstruction:
     """Reconstruct a complete session and leave every result in it; a useless cloud is not written."""
     depth = depth_range_of(session, depth_mm)
@@ -107,7 +110,7 @@ def finish_scan(
         ThreadPoolExecutor(1) as writer,
     ):  # the disk has time until the cloud is known
         begin_session_log(session.path)
-        found = _triangulate(recording, calibration, depth, None, progress)
+        found = _triangulate(recording, calibration, depth, None, progress, limits)
         saved_maps = writer.submit(found.decoded.save, session.path / DECODED)
         if isinstance(found.points, Diagnosis):
             saved_maps.result()
@@ -123,7 +126,7 @@ def finish_scan(
             lambda: verdict.result().require_usable(str(session.path)),
         )
         try:
-            diagnosis = diagnose(session, found.decoded, cloud, calibration)
+            diagnosis = diagnose(session, found.decoded, cloud, calibration, limits)
             save_diagnosis(diagnosis, session.path)
         except BaseException as error:
             verdict.set_exception(error)  # the writer waits for it
@@ -139,10 +142,17 @@ def finish_scan(
     return Reconstruction(session, calibration, depth, found.decoded, cloud, diagnosis)
 
 
-def diagnose(session: Session, decoded: Decoded, cloud: Cloud, calibration: Calibration) -> Diagnosis:
+def diagnose(
+    session: Session,
+    decoded: Decoded,
+    cloud: Cloud,
+    calibration: Calibration,
+    limits: DiagnosisLimits = USUAL_LIMITS,
+) -> Diagnosis:
     """Judge whether to believe a reconstruction."""
     foreign = foreign_calibration(calibration, session)
-    return diagnose_scan(session.recording(verify=False), decoded, cloud, calibration, foreign=foreign)
+    recording = session.recording(verify=False)
+    return diagnose_scan(recording, decoded, cloud, calibration, foreign=foreign, limits=limits)
 
 
 def _checked_recording(
@@ -163,6 +173,7 @@ def _triangulate(
     depth: DepthRange | None,
     filtering: bool | None,
     progress: Progress,
+    limits: DiagnosisLimits = USUAL_LIMITS,
 ) -> _Triangulation:
     """Decode and triangulate; `filtering` replaces what the plan says of its filter."""
     plan = recording.plan
@@ -171,11 +182,11 @@ def _triangulate(
     if filtering is not None:
         plan = plan.model_copy(update={"filter": (plan.filter or FilterRules()) if filtering else None})
     if not decoded.valid.any():
-        return _Triangulation(decoded, diagnose_scan(recording, decoded, None, calibration))
+        return _Triangulation(decoded, diagnose_scan(recording, decoded, None, calibration, limits=limits))
     try:
         return _Triangulation(*points_of(decoded, calibration, plan, recording.mean_image()))
     except DataError:
-        diagnosis = diagnose_scan(recording, decoded, None, calibration)
+        diagnosis = diagnose_scan(recording, decoded, None, calibration, limits=limits)
         if not diagnosis.findings:
             raise
         return _Triangulation(decoded, diagnosis)

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from fpplab.calibration.model import Calibration
+from fpplab.diagnosis.evidence import Evidence
 from fpplab.report import figures
-from fpplab.report.evidence import Evidence, evidence_report
+from fpplab.report.evidence import evidence_report
 from fpplab.report.page import PageBasis, write_page
 from fpplab.report.parts import PageVerdict, ReportFigure, ReportSection, ReportTable, listed
 from fpplab.report.response_figures import marker_levels

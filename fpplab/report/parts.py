@@ -38,7 +38,7 @@ class PageVerdict:
 
 def listed(findings: Sequence[Finding]) -> tuple[tuple[str, str, str], ...]:
     """Put findings into words."""
-    return tuple((one.cause.value.replace("_", " "), one.evidence, one.remedy) for one in findings)
+    return tuple((one.cause.key.replace("_", " "), one.evidence, one.remedy) for one in findings)
 
 
 @dataclass(frozen=True)

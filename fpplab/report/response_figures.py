@@ -12,8 +12,9 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from fpplab.core.conventions import Floats
-from fpplab.core.drawing import ACCENT, ALARM, FULL, SECOND, as_png, new_figure, side_by_side
+from fpplab.core.drawing import ACCENT, FULL, SECOND, as_png, new_figure, side_by_side
 from fpplab.core.errors import DataError
+from fpplab.diagnosis.causes.of_rig_check import draw_marker_levels
 from fpplab.patterns.response import Response
 
 
@@ -150,28 +151,9 @@ def _region_exponents(axes: Axes, response: Response) -> None:
 
 @as_png
 def marker_levels(shown: NDArray[np.integer[Any]], seen: Mapping[str, Floats]) -> Figure:
-    """Draw the levels seen of a marker frame by frame, and those expected of synchronous frames.
-
-    The levels seen are expected to rise with the levels shown: expected are the levels seen of a run, sorted
-    in the order of the levels shown.
-    """
-    # shown (K,); seen (K,)
-    figure = new_figure(FULL, 2.6)
-    sheets = np.atleast_1d(figure.subplots(1, len(seen), sharey=True))
-    for axes, (how, levels) in zip(sheets, seen.items(), strict=True):
-        known = np.flatnonzero(np.isfinite(levels))
-        expected = np.sort(levels[known])[np.argsort(np.argsort(shown[known]))]
-        axes.plot(known, expected, color=SECOND, linewidth=1.2, label="expected")
-        axes.plot(known, levels[known], "o", color=ACCENT, markersize=4, label="seen")
-        mismatched = known[np.abs(levels[known] - expected) > 0.05 * np.ptp(levels[known])]
-        axes.plot(
-            mismatched, levels[mismatched], "o", color=ALARM, markersize=4, label="seen, of another image"
-        )
-        axes.set(xlabel="frame", xlim=(-0.5, len(shown) - 0.5))
-        axes.set_title(how, fontsize=8.5)
-    sheets[0].set(ylabel="level, of full scale")
-    sheets[0].legend(loc="upper left", bbox_to_anchor=(0.0, -0.2), ncols=3)
-    return figure
+    """Draw the levels seen of a marker frame by frame, and those expected of synchronous frames."""
+    # shown (K,); seen of (K,)
+    return draw_marker_levels(shown, seen)
 
 
 def _formula(response: ResponseLike) -> str:

@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from fpplab.comparison import Comparison
+from fpplab.diagnosis.evidence import Evidence
 from fpplab.phase import wrapped_phase
 from fpplab.phase.precision import uncertain_orders
-from fpplab.report.evidence import Evidence, evidence_report
+from fpplab.report.evidence import evidence_report
 from fpplab.report.page import PageBasis, write_report
 from fpplab.report.scan_section import ScanSection
 from fpplab.results.scan import ScanResult

@@ -15,6 +15,7 @@ from fpplab.workflows.stopwatch import Stopwatch
 if TYPE_CHECKING:
     from fpplab.calibration.model import Calibration
     from fpplab.core.depth import DepthInterval
+    from fpplab.diagnosis import DiagnosisLimits
     from fpplab.phase import Decoded
     from fpplab.results.scan import ScanResult
     from fpplab.sessions.session import Session
@@ -31,6 +32,7 @@ class ReconstructionRequest:
     filtering: bool | None = None  # instead of what the plan says of its filter
     as_recorded: bool = False  # whether frames that are out of step with the plan are taken as they are
     force: bool = False  # whether files that are there are replaced
+    limits: DiagnosisLimits | None = None  # of an expert, by which the result is judged
     calibration_file: Path | None = None  # as messages and provenance call it
 
     @property
@@ -69,6 +71,7 @@ def run_reconstruction(request: ReconstructionRequest, observer: Observer | None
     observer.calibration(request.calibration)
 
     from fpplab.clouds import save_cloud
+    from fpplab.diagnosis.limits import USUAL_LIMITS
     from fpplab.pipeline import reconstruct_session
     from fpplab.report import write_scan_report
     from fpplab.results.provenance import session_provenance
@@ -85,6 +88,7 @@ def run_reconstruction(request: ReconstructionRequest, observer: Observer | None
             depth_mm=request.depth_mm,
             as_recorded=request.as_recorded,
             observe_maps=observer.maps,
+            limits=request.limits or USUAL_LIMITS,
         )
         result = ScanResult.of(
             found, provenance, stopwatch.seconds, cloud_file=request.out, report_file=request.page

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from fpplab.calibration.model import Calibration
     from fpplab.core.depth import DepthInterval
     from fpplab.devices.rig import Mounted, Rig
+    from fpplab.diagnosis import DiagnosisLimits
     from fpplab.patterns.plan import Plan
     from fpplab.results.scan import ScanResult
     from fpplab.sessions.session import Session
@@ -34,6 +35,7 @@ class ScanRequest:
     depth_mm: DepthInterval | None = None  # instead of the range that plan or rig state
     force: bool = False  # whether a session that is there is replaced
     report: bool = True  # whether a page is written into the session
+    limits: DiagnosisLimits | None = None  # of an expert, by which the result is judged
     plan_name: str = "plan"  # as messages call it
     calibration_file: Path | None = None  # as messages and provenance call it
 
@@ -245,13 +247,20 @@ def _acquire(request: ScanRequest, observer: Observer) -> Session:
 
 
 def _finish(request: ScanRequest, session: Session, observer: Observer, stopwatch: Stopwatch) -> ScanResult:
+    from fpplab.diagnosis.limits import USUAL_LIMITS
     from fpplab.pipeline import finish_scan
     from fpplab.results.provenance import session_provenance
     from fpplab.results.scan import ScanResult
 
     with observer.stage("Reconstructing") as progress:
         provenance = session_provenance(session, request.calibration, request.calibration_file)
-        found = finish_scan(session, request.calibration, progress, depth_mm=request.depth_mm)
+        found = finish_scan(
+            session,
+            request.calibration,
+            progress,
+            depth_mm=request.depth_mm,
+            limits=request.limits or USUAL_LIMITS,
+        )
     return ScanResult.of(
         found,
         provenance,

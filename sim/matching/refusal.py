@@ -10,21 +10,25 @@ from collections.abc import Iterable
 
 from fpplab.core.errors import CalibrationError, ConfigError
 from fpplab.diagnosis import FaultCause
+from fpplab.diagnosis.causes.of_characterisation import LENS_NOT_LOCKED
+from fpplab.diagnosis.causes.of_matching_and_search import ARTEFACT_MISFIT, NO_GAIN, UNLIKE_IMAGES
+from fpplab.diagnosis.causes.response import RESPONSE
+from fpplab.diagnosis.causes.stale_calibration import STALE_CALIBRATION
 
 ACCEPTABLE = (
-    FaultCause.STALE_CALIBRATION,
-    FaultCause.RESPONSE,
-    FaultCause.ARTEFACT_MISFIT,
-    FaultCause.LENS_NOT_LOCKED,
-    FaultCause.UNLIKE_IMAGES,
-    FaultCause.NO_GAIN,
+    STALE_CALIBRATION,
+    RESPONSE,
+    ARTEFACT_MISFIT,
+    LENS_NOT_LOCKED,
+    UNLIKE_IMAGES,
+    NO_GAIN,
 )
 """Causes for which a matching is refused unless they are accepted."""
 
 
 def acceptable_causes(words: Iterable[str]) -> frozenset[FaultCause]:
     """Read causes as an operator names them."""
-    known = {cause.value: cause for cause in ACCEPTABLE}
+    known = {cause.key: cause for cause in ACCEPTABLE}
     for word in words:
         if word not in known:
             raise ConfigError(

@@ -63,7 +63,7 @@ def plane() -> Cloud:
 
 
 def causes(found: Diagnosis) -> list[str]:
-    return [one.cause.value for one in found.findings]
+    return [one.cause.key for one in found.findings]
 
 
 def test_within_the_limits_in_enough_positions_is_good(plane: Cloud) -> None:

@@ -5,7 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from fpplab.diagnosis import Diagnosis, Verdict, diagnose_scan
+from fpplab.diagnosis import Diagnosis, DiagnosisLimits, Verdict, diagnose_scan
+from fpplab.diagnosis.criteria import CriteriaLimits
+from fpplab.diagnosis.limits import USUAL_LIMITS
 from fpplab.diagnosis.record import load_diagnosis, save_diagnosis
 from fpplab.phase import decode
 from fpplab.reconstruction.points import points_of
@@ -14,12 +16,12 @@ from tests.support.faulty_bench import Bench, faulty, healthy
 EVERY = {"points", "wrong_order_risk", "contrast", "waves", "uncertainty"}
 
 
-def judged(bench: Bench) -> Diagnosis:
+def judged(bench: Bench, limits: DiagnosisLimits = USUAL_LIMITS) -> Diagnosis:
     recording = bench.recording()
     decoded, cloud = points_of(
         decode(recording), bench.calibration, recording.plan, recording.mean_image()
     )  # fmt: skip
-    return diagnose_scan(recording, decoded, cloud, bench.calibration)
+    return diagnose_scan(recording, decoded, cloud, bench.calibration, limits=limits)
 
 
 @pytest.mark.whole
@@ -53,9 +55,8 @@ def test_a_calibration_of_another_time_misses_the_criterion_of_epipolar_lines() 
 
 
 @pytest.mark.whole
-def test_a_scan_without_findings_that_misses_a_criterion_is_doubtful(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fpplab.diagnosis.criteria.MOST_NOISE", 0.1)
-    found = judged(healthy(703))
+def test_a_scan_without_findings_that_misses_a_criterion_is_doubtful() -> None:
+    found = judged(healthy(703), DiagnosisLimits((CriteriaLimits(max_noise_ratio=0.1),)))
     assert not found.findings
     assert found.verdict is Verdict.DOUBTFUL
     assert found.reason.startswith("the noise of the coordinate")

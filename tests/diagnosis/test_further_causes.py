@@ -13,11 +13,14 @@ import pytest
 from fpplab.calibration.model import Calibration
 from fpplab.core.conventions import Lattice, axis_length
 from fpplab.core.geometry import Pinhole
-from fpplab.diagnosis import FaultCause, diagnose_frames
-from fpplab.diagnosis.brightness import colour_finding
-from fpplab.diagnosis.focus import focus_finding
-from fpplab.diagnosis.geometry import PointSample, geometry_findings
-from fpplab.diagnosis.sample import FrameSample
+from fpplab.diagnosis import FaultCause, diagnose_frames, known_causes
+from fpplab.diagnosis.causes.camera_focus import CAMERA_FOCUS
+from fpplab.diagnosis.causes.interreflection import INTERREFLECTION
+from fpplab.diagnosis.causes.missing_colour import MISSING_COLOUR, colour_finding
+from fpplab.diagnosis.causes.wrong_resolution import WRONG_RESOLUTION
+from fpplab.diagnosis.detection import find_causes
+from fpplab.diagnosis.evidence import Evidence
+from fpplab.diagnosis.finding import DetectionStage
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
@@ -30,7 +33,7 @@ VERDICTS = Path(__file__).parents[2] / "docs" / "verdicts.md"
 
 def test_the_table_of_causes_is_the_catalogue() -> None:
     listed = re.findall(r"^\| `(\w+)` \|", VERDICTS.read_text(), re.MULTILINE)
-    assert sorted(listed) == sorted(cause.value for cause in FaultCause)
+    assert sorted(listed) == sorted(known_causes())
 
 
 @pytest.mark.whole_after(1)
@@ -38,14 +41,14 @@ def test_the_table_of_causes_is_the_catalogue() -> None:
     "cause", ["harmonics", "interreflection", "wrong_resolution", "missing_colour", "bands"]
 )
 def test_it_is_named_first(cause: str) -> None:
-    assert of_other(faulty(cause, 202)).findings[0].cause == cause
+    assert of_other(faulty(cause, 202)).findings[0].cause.key == cause
 
 
 @pytest.mark.whole
 def test_points_that_a_mirroring_face_makes_are_useless() -> None:
     """A third of them stands where there is nothing, and all fringe sets agree on them."""
     found = of_other(faulty("interreflection", 1001))
-    assert found.findings[0].cause is FaultCause.INTERREFLECTION
+    assert found.findings[0].cause == INTERREFLECTION
     assert "runs backwards" in found.findings[0].evidence
     assert found.is_useless
 
@@ -53,9 +56,8 @@ def test_points_that_a_mirroring_face_makes_are_useless() -> None:
 @pytest.mark.nightly
 @pytest.mark.parametrize(("seed", "ruined"), [(200, True), (202, False)])
 def test_blur_makes_points_useless_where_it_costs_far_more_than_noise(seed: int, ruined: bool) -> None:
-    found = focus_finding(FrameSample.of(faulty("camera_focus", seed).recording(), None), None)
-    assert found is not None
-    assert found.cause is FaultCause.CAMERA_FOCUS
+    (found,) = find_causes(Evidence(faulty("camera_focus", seed).recording()), (DetectionStage.BLUR,))
+    assert found.cause == CAMERA_FOCUS
     assert found.ruins_points is ruined
 
 
@@ -68,7 +70,7 @@ def test_a_colour_is_missing_only_where_every_third_frame_is_dark() -> None:
     assert colour_finding(one_dark, places) is None
     found = colour_finding(np.where(places % 3 == 1, 0.5, 1.0) * even, places)
     assert found is not None
-    assert found.cause is FaultCause.MISSING_COLOUR
+    assert found.cause == MISSING_COLOUR
     assert found.evidence.startswith("frames 2, 5, 8")
 
 
@@ -80,13 +82,14 @@ def test_a_lattice_that_is_another_shows_in_the_focal_lengths() -> None:
     rig = scene.rig()
 
     def causes(known: Calibration) -> list[FaultCause]:
-        return [one.cause for one in geometry_findings(PointSample(cloud, known), scene.plan)]
+        evidence = Evidence(cloud=cloud, calibration=known, intended=scene.plan)
+        return [one.cause for one in find_causes(evidence, (DetectionStage.POINTS,))]
 
     def lattice(projector: Pinhole) -> Calibration:
         return replace(rig, projector=replace(projector, lattice=Lattice.DIAMOND))
 
     assert causes(rig) == []
-    assert causes(lattice(rig.projector)) == [FaultCause.WRONG_RESOLUTION]
+    assert causes(lattice(rig.projector)) == [WRONG_RESOLUTION]
 
 
 def real(captures: Path, name: str) -> Recording:
@@ -96,7 +99,7 @@ def real(captures: Path, name: str) -> Recording:
 
 
 def named(recording: Recording) -> list[str]:
-    return [one.cause.value for one in diagnose_frames(recording, decode(recording))]
+    return [one.cause.key for one in diagnose_frames(recording, decode(recording))]
 
 
 @pytest.mark.parametrize("name", ["calseq1", "calseq5", "skull_2x3"])

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from fpplab.diagnosis import FaultCause, Finding
-from fpplab.diagnosis.catalogue import REMEDIES
-from fpplab.diagnosis.ranking import MUTUAL, SIDE_EFFECTS, ranked
+from fpplab.diagnosis import Finding, cause_named, known_causes
+from fpplab.diagnosis.causes.saturated import SATURATED
+from fpplab.diagnosis.causes.wrong_resolution import WRONG_RESOLUTION
+from fpplab.diagnosis.ranking import ranked
 
 
 def order(**excess: float) -> list[str]:
-    found = [Finding(FaultCause(name), "", value) for name, value in excess.items()]
-    return [one.cause.value for one in ranked(found)]
+    found = [Finding(cause_named(name), "", value) for name, value in excess.items()]
+    return [one.cause.key for one in ranked(found)]
 
 
 def test_a_side_effect_ranks_behind_its_cause_however_much_it_exceeds_its_limit() -> None:
@@ -52,17 +53,25 @@ def test_another_rigs_calibration_is_first_unless_something_else_shifts_points()
 
 
 def test_a_side_effect_names_its_cause_in_the_remedy() -> None:
-    found = [Finding(FaultCause.WRONG_RESOLUTION, "", 3.0), Finding(FaultCause.SATURATED, "", 2.0)]
+    found = [Finding(WRONG_RESOLUTION, "", 3.0), Finding(SATURATED, "", 2.0)]
     first, second = ranked(ranked(found))
-    assert first.remedy == REMEDIES[FaultCause.SATURATED]
+    assert first.remedy == SATURATED.remedy
     assert second.remedy.startswith(
         "see to saturated first, which may be all that shows here; if this remains,"
     )
-    assert second.remedy.endswith(REMEDIES[second.cause])
+    assert second.remedy.endswith(second.cause.remedy)
     assert second.remedy.count("saturated") == 1
 
 
 def test_every_cause_leaves_its_effects_ways_out() -> None:
-    """No cause is its own effect, and mutual pairs are not decided by the table as well."""
-    assert all(cause not in effects for cause, effects in SIDE_EFFECTS.items())
-    assert all(b not in SIDE_EFFECTS.get(a, ()) or a not in SIDE_EFFECTS.get(b, ()) for a, b in MUTUAL)
+    """No cause is its own effect, and mutual pairs are not decided by side effects as well."""
+    known = known_causes()
+    assert all(cause.key not in cause.side_effects for cause in known.values())
+    pairs = [(cause, known[other]) for cause in known.values() for other in cause.outweighs_from]
+    assert pairs
+    assert all(b.key not in a.side_effects and a.key not in b.side_effects for a, b in pairs)
+
+
+def test_side_effects_and_rivals_are_causes() -> None:
+    for cause in known_causes().values():
+        assert {*cause.side_effects, *cause.outweighs_from} <= set(known_causes()), cause

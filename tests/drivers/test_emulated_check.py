@@ -15,7 +15,13 @@ from fpplab.acquisition import acquire
 from fpplab.acquisition.synchronisation import Cause, SyncFault
 from fpplab.core.progress import ignore
 from fpplab.devices.rig import Rig
-from fpplab.diagnosis import FaultCause
+from fpplab.diagnosis.causes.of_rig_check import (
+    CAMERA_NOT_READY,
+    NO_TRIGGER,
+    OUT_OF_STEP,
+    TRIGGER_EDGE,
+    TRIGGER_SHIFTED,
+)
 from fpplab.patterns.fringes import uniform_patterns
 from fpplab.patterns.plan import Plan
 from fpplab.setup.rig_check import marker_check
@@ -63,13 +69,13 @@ def test_a_sound_bench(folder: Path, rig_on: Callable[..., Rig]) -> None:
 )
 def test_pulses_that_slip(folder: Path, faults: dict[str, Any], fault: SyncFault) -> None:
     (finding,) = checked(rig_file(folder, {"faults": faults})).findings
-    assert finding.cause is FaultCause.OUT_OF_STEP
+    assert finding.cause == OUT_OF_STEP
     assert finding.evidence.startswith(f"triggered: {fault.describe()}")
 
 
 def test_no_pulse(folder: Path) -> None:
     (finding,) = checked(rig_file(folder, {"faults": {"cut": True}})).findings
-    assert finding.cause is FaultCause.NO_TRIGGER
+    assert finding.cause == NO_TRIGGER
     assert finding.evidence == "none of 12 frames came"
     assert "trigger cable" in finding.remedy
 
@@ -81,7 +87,7 @@ def test_no_pulse(folder: Path) -> None:
 )
 def test_the_wrong_edge(folder: Path, sections: dict[str, Any]) -> None:
     (finding,) = checked(rig_file(folder, **sections)).findings
-    assert finding.cause is FaultCause.TRIGGER_EDGE
+    assert finding.cause == TRIGGER_EDGE
     assert "`edge`" in finding.remedy
 
 
@@ -89,7 +95,7 @@ def test_the_wrong_edge(folder: Path, sections: dict[str, Any]) -> None:
 def test_exposures_that_begin_late(folder: Path, delay_ms: float) -> None:
     trigger = {"trigger": {"delay_us": 1e3 * delay_ms}}
     (finding,) = checked(rig_file(folder, camera=trigger)).findings
-    assert finding.cause is FaultCause.TRIGGER_SHIFTED
+    assert finding.cause == TRIGGER_SHIFTED
     found = re.search(r"about ([\d.]+) ms too late", finding.evidence)
     assert found is not None
     assert float(found[1]) == pytest.approx(delay_ms, abs=0.35)  # the gap of 0.231 ms is dark
@@ -111,7 +117,7 @@ def test_a_camera_that_is_not_ready_yet(folder: Path, untold_us: float, dead_s: 
     """It needs more time than it tells; with the time that the check finds it is ready."""
     sensor = {"sensor": {"untold_us": untold_us}}
     (finding,) = checked(rig_file(folder, sensor)).findings
-    assert finding.cause is FaultCause.CAMERA_NOT_READY
+    assert finding.cause == CAMERA_NOT_READY
     assert finding.evidence.startswith("6 of 12 frames came")
     assert finding.remedy == f"put `dead_time_s: {dead_s:g}` into the rig file's section of the camera"
     assert checked(rig_file(folder, sensor, {"dead_time_s": dead_s})).findings == ()
@@ -128,5 +134,5 @@ def test_a_slip_that_does_not_happen_again(folder: Path, monkeypatch: pytest.Mon
     missed: list[tuple[int, ...]] = [(), (), (3,)]
     monkeypatch.setattr(marker_check, "_run", once)
     (finding,) = checked(rig_file(folder)).findings
-    assert (finding.cause, missed) == (FaultCause.OUT_OF_STEP, [])
+    assert (finding.cause, missed) == (OUT_OF_STEP, [])
     assert finding.evidence.endswith("when it was repeated, all frames were in step")

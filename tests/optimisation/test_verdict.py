@@ -55,7 +55,7 @@ def searched(folder: Path, formula: Formula, **changes: Any) -> SearchResult:
 
 
 def causes(found: Diagnosis) -> list[str]:
-    return [one.cause.value for one in found.findings]
+    return [one.cause.key for one in found.findings]
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +90,7 @@ def test_an_optimum_in_noise_cannot_be_told_from_its_neighbours(tmp_path: Path) 
     found = diagnose_search(searched(tmp_path, Formula(scatter_um=20.0)))
     assert found.verdict is not Verdict.GOOD
     assert "flat_optimum" in causes(found)
-    flat = next(one for one in found.findings if one.cause == "flat_optimum")
+    flat = next(one for one in found.findings if one.cause.key == "flat_optimum")
     assert "neighbours cannot be told from it; stripes[2]" in flat.evidence
 
 
@@ -99,7 +99,7 @@ def test_an_early_end_is_doubtful(tmp_path: Path) -> None:
     found = diagnose_search(result)
     assert result.ended_early
     assert "ended_early" in causes(found)
-    assert "'budget'" in next(one for one in found.findings if one.cause == "ended_early").remedy
+    assert "'budget'" in next(one for one in found.findings if one.cause.key == "ended_early").remedy
 
 
 def with_rescored(result: SearchResult, of: MeasuredCandidate, by: float, **changes: Any) -> SearchResult:
@@ -178,6 +178,6 @@ def test_the_command_leaves_no_plan_that_is_worse_than_the_start(
     assert isinstance(done.exception, UselessScanError)
     assert done.exception.exit_code == 4
     assert done.exception.details["verdict"] == "useless"
-    assert done.exception.diagnosis.findings[0].cause == "no_gain"
+    assert done.exception.diagnosis.findings[0].cause.key == "no_gain"
     assert not (tmp_path / "plan.yaml").exists()
     assert "Useless" in (tmp_path / "plan.html").read_text()

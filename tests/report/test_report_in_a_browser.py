@@ -14,7 +14,8 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image as Pixels
 
-from fpplab.diagnosis import Diagnosis, FaultCause, Finding, Verdict
+from fpplab.diagnosis import Diagnosis, Finding, Verdict
+from fpplab.diagnosis.causes.ambient import AMBIENT
 from fpplab.report import PageBasis, write_report
 from fpplab.results.provenance import Provenance
 from tests.report.test_report import Page, scan
@@ -28,7 +29,7 @@ STAGE = "document.querySelector('figure.live canvas')"
 def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """A page of one scan with a true shape and hostile words in every place, and one of two scans."""
     folder = tmp_path_factory.mktemp("pages")
-    finding = Finding(FaultCause.AMBIENT, HOSTILE, 2.0, HOSTILE)
+    finding = Finding(AMBIENT, HOSTILE, 2.0, HOSTILE)
     doubtful = Diagnosis(Verdict.DOUBTFUL, HOSTILE, (finding,), (HOSTILE,))
     source = Provenance({"rig": HOSTILE, "camera": None, "session": "/a/very/long/path" * 20})
     one = replace(scan(HOSTILE), diagnosis=doubtful, provenance=source)

@@ -12,7 +12,9 @@ import pytest
 from fpplab.clouds import Cloud
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.geometry import RigidTransform
-from fpplab.diagnosis import Diagnosis, FaultCause, Finding, Verdict
+from fpplab.diagnosis import Diagnosis, Finding, Verdict
+from fpplab.diagnosis.causes.flicker import FLICKER
+from fpplab.diagnosis.causes.wrong_plan import WRONG_PLAN
 from fpplab.diagnosis.record import load_diagnosis, save_diagnosis
 from fpplab.report.cloud_view import CloudQuantity, cloud_view, decimate
 from fpplab.report.parts import ReportTable
@@ -23,7 +25,7 @@ from tests.report.test_report import Page, cloud
 
 
 def record(name: str, points: Cloud | None, rig: str = "one") -> ScanRecord:
-    found = Diagnosis(Verdict.DOUBTFUL, "noisy", (Finding(FaultCause.FLICKER, "5 %", 2.0),))
+    found = Diagnosis(Verdict.DOUBTFUL, "noisy", (Finding(FLICKER, "5 %", 2.0),))
     return ScanRecord(name, Provenance({"rig": rig, "camera": None}), points, CALIBRATION, found, None)
 
 
@@ -78,7 +80,7 @@ def test_names_are_as_short_as_they_may(tmp_path: Path) -> None:
 
 
 def test_a_verdict_is_read_back_as_it_was_given(tmp_path: Path) -> None:
-    finding = Finding(FaultCause.WRONG_PLAN, "all: 'wrong'\n…", float("inf"), "mend it")
+    finding = Finding(WRONG_PLAN, "all: 'wrong'\n…", float("inf"), "mend it")
     given = Diagnosis(Verdict.USELESS, "9 points", (finding,), ("focus",))
     assert load_diagnosis(tmp_path) is None
     save_diagnosis(given, tmp_path)

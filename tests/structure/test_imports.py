@@ -23,6 +23,7 @@ LOADERS = {
     "fpplab/artefacts/catalogue.py",  # the files of `fpplab.artefacts.shapes`
     "fpplab/cli/__init__.py",  # the files of `fpplab.cli.commands`
     "fpplab/core/tagged_union.py",  # the files of a package of kinds
+    "fpplab/diagnosis/catalogue.py",  # the files of `fpplab.diagnosis.causes`
     "fpplab/devices/backends.py",  # what a rig file names
     "fpplab/targets/kinds/__init__.py",  # the files of that package
 }

@@ -110,4 +110,4 @@ def test_a_session_without_points_is_useless_in_python_too(tmp_path: Path) -> No
     calibration = Calibration.load(tmp_path / "calibration.yaml")
     with pytest.raises(UselessScanError) as refused:
         reconstruct(Session.open(tmp_path / "session"), calibration)
-    assert refused.value.diagnosis.findings[0].cause == "projector_focus"
+    assert refused.value.diagnosis.findings[0].cause.key == "projector_focus"

@@ -201,7 +201,8 @@ def characterise_command(
 def _of_lens(result: Characterisation) -> list[Finding]:
     """Whether the camera's lens was locked while the poses were taken."""
     from fpplab.characterisation import lens
-    from fpplab.diagnosis import FaultCause, Finding
+    from fpplab.diagnosis import Finding
+    from fpplab.diagnosis.causes.of_characterisation import LENS_NOT_LOCKED
 
     if result.solution is None or result.sizes is None:
         return []
@@ -213,7 +214,7 @@ def _of_lens(result: Characterisation) -> list[Finding]:
         f"the scale of the camera's image differs between poses by {100 * scatter:.3f} % RMS "
         f"(at most {100 * lens.MOST_BREATHING:g} %, and what noise explains)"
     )
-    return [Finding(FaultCause.LENS_NOT_LOCKED, words, scatter / lens.MOST_BREATHING)]
+    return [Finding(LENS_NOT_LOCKED, words, scatter / lens.MOST_BREATHING)]
 
 
 def _judge(

@@ -124,7 +124,7 @@ def _keep_pictures(out: Path, found: RigCheck, calibration: Calibration | None) 
         drawn = {out: levels} if levels else {}
     else:
         drawn = {
-            out / f"{1 + found.findings.index(one):02d}_{one.cause.value}.png": picture
+            out / f"{1 + found.findings.index(one):02d}_{one.cause.key}.png": picture
             for one, picture in evidence_pictures(found.findings, given)
         }
         drawn |= {out / "levels.png": levels} if levels else {}

@@ -8,7 +8,17 @@ from typing import Annotated
 import typer
 
 from fpplab.cli import console
-from fpplab.cli.app import MEASURE, AsRecorded, CalibrationOption, DepthOption, Force, Json, Out, app
+from fpplab.cli.app import (
+    MEASURE,
+    AsRecorded,
+    CalibrationOption,
+    DepthOption,
+    Force,
+    Json,
+    LimitsOption,
+    Out,
+    app,
+)
 from fpplab.cli.viewing import KeepOpen, ViewOption, observe_measurement
 
 
@@ -24,6 +34,7 @@ def reconstruct_command(
     ] = None,
     depth: DepthOption = None,
     as_recorded: AsRecorded = False,
+    limits: LimitsOption = None,
     view: ViewOption = False,
     keep_open: KeepOpen = False,
     force: Force = False,
@@ -36,6 +47,7 @@ def reconstruct_command(
     filter took out, by rule.
     """
     from fpplab.calibration.model import Calibration
+    from fpplab.diagnosis import load_limits
     from fpplab.sessions.session import Session
     from fpplab.workflows.reconstruct import ReconstructionRequest, run_reconstruction
 
@@ -47,6 +59,7 @@ def reconstruct_command(
         filtering=filtering,
         as_recorded=as_recorded,
         force=force,
+        limits=load_limits(limits) if limits else None,
         calibration_file=calibration,
     )
     observer = observe_measurement(context, view, keep_open, out.with_suffix(".rrd"))

@@ -7,7 +7,18 @@ from typing import Annotated
 import typer
 
 from fpplab.cli import console
-from fpplab.cli.app import MEASURE, CalibrationOption, DepthOption, Force, Json, Out, PlanName, RigName, app
+from fpplab.cli.app import (
+    MEASURE,
+    CalibrationOption,
+    DepthOption,
+    Force,
+    Json,
+    LimitsOption,
+    Out,
+    PlanName,
+    RigName,
+    app,
+)
 from fpplab.cli.viewing import KeepOpen, ViewOption, observe_measurement
 
 
@@ -25,6 +36,7 @@ def scan_command(
     view: ViewOption = False,
     keep_open: KeepOpen = False,
     depth: DepthOption = None,
+    limits: LimitsOption = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Say where the stage would go, and move and project nothing.")
     ] = False,
@@ -43,6 +55,7 @@ def scan_command(
     from fpplab.calibration.model import Calibration
     from fpplab.core.session_names import RECORDING
     from fpplab.devices.rig import Rig
+    from fpplab.diagnosis import load_limits
     from fpplab.patterns.plan import Plan
     from fpplab.workflows.scan import ScanRequest, preview_scan, run_scan
 
@@ -54,6 +67,7 @@ def scan_command(
         mount=(item, pose) if item else None,
         depth_mm=depth,
         force=force,
+        limits=load_limits(limits) if limits else None,
         plan_name=plan,
         calibration_file=calibration,
     )

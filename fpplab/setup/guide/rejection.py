@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 from fpplab.characterisation.guide import PoseFit
-from fpplab.diagnosis import FaultCause, Finding, diagnose_frames
+from fpplab.diagnosis import Finding, diagnose_frames
+from fpplab.diagnosis.causes.camera_focus import CAMERA_FOCUS
+from fpplab.diagnosis.causes.no_overlap import NO_OVERLAP
+from fpplab.diagnosis.causes.of_characterisation import BOARD_MOVED, BOARD_NOT_FOUND, POSE_MISFIT
+from fpplab.diagnosis.causes.projector_dark import PROJECTOR_DARK
+from fpplab.diagnosis.causes.projector_focus import PROJECTOR_FOCUS
+from fpplab.diagnosis.causes.saturated import SATURATED
+from fpplab.diagnosis.causes.underexposed import UNDEREXPOSED
+from fpplab.diagnosis.causes.vibration import VIBRATION
 from fpplab.patterns.recording import Recording
 
 SPOILING = {
-    FaultCause.PROJECTOR_DARK,
-    FaultCause.NO_OVERLAP,
-    FaultCause.SATURATED,
-    FaultCause.UNDEREXPOSED,
-    FaultCause.CAMERA_FOCUS,
-    FaultCause.PROJECTOR_FOCUS,
-    FaultCause.VIBRATION,
+    PROJECTOR_DARK,
+    NO_OVERLAP,
+    SATURATED,
+    UNDEREXPOSED,
+    CAMERA_FOCUS,
+    PROJECTOR_FOCUS,
+    VIBRATION,
 }
 """Causes in the frames of a pose that are most often of this pose alone, and gone when it is taken again."""
 
@@ -28,15 +36,15 @@ def unseen_board(reason: str, findings: tuple[Finding, ...]) -> tuple[Finding, .
 
     Where there is no board there are no fringes to be seen either, so darkness comes after it.
     """
-    dark = {FaultCause.PROJECTOR_DARK, FaultCause.NO_OVERLAP}
-    unseen = Finding(FaultCause.BOARD_NOT_FOUND, reason, 1.0)
+    dark = {PROJECTOR_DARK, NO_OVERLAP}
+    unseen = Finding(BOARD_NOT_FOUND, reason, 1.0)
     causes = tuple(one for one in findings if one.cause not in dark)
     return (*causes, unseen, *(one for one in findings if one.cause in dark))
 
 
 def inconsistent_pose(reason: str) -> Finding:
     """Name a pose that turned out inconsistent with the others."""
-    return Finding(FaultCause.POSE_MISFIT, reason, 1.0)
+    return Finding(POSE_MISFIT, reason, 1.0)
 
 
 def residual_finding(fit: PoseFit | None) -> Finding | None:
@@ -52,5 +60,5 @@ def residual_finding(fit: PoseFit | None) -> Finding | None:
         for name, errors in (("camera", fit.camera), ("projector", fit.projector))
     ]
     excess = max(e.rms_px / e.predicted_px for e in (fit.camera, fit.projector))
-    cause = FaultCause.BOARD_MOVED if fit.far == ("projector",) else FaultCause.POSE_MISFIT
+    cause = BOARD_MOVED if fit.far == ("projector",) else POSE_MISFIT
     return Finding(cause, "; ".join(told), excess)

@@ -18,7 +18,7 @@ from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
 from fpplab.core.conventions import AXES, Floats, Mask, axis_length
 from fpplab.core.errors import ConfigError
-from fpplab.diagnosis.geometry import triangulation_angles_deg
+from fpplab.diagnosis.points import triangulation_angles_deg
 from fpplab.diagnosis.sample import FrameSample
 from fpplab.patterns.plan import Plan
 from fpplab.phase.quality import coordinate_uncertainty

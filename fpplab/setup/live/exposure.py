@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from fpplab.core.conventions import Image, full_scale
 from fpplab.devices import CameraCaps, CameraSettings, ProjectorCaps
-from fpplab.diagnosis.sample import LIT_SHARE, FrameSample
+from fpplab.diagnosis.sample import FrameSample, SampleLimits
 from fpplab.patterns.plan import Plan
 
 TARGET = 0.88
@@ -131,7 +131,8 @@ def levels_of_image(image: Image, bits: int, black: float = 0.0) -> LightLevels:
     """Measure the light of one image of a bright pattern."""
     # image (height, width)
     levels: NDArray[np.floating[Any]] = image[::2, ::2].astype(np.float32) / full_scale(bits)
-    lit = levels[levels >= LIT_SHARE * np.percentile(levels, 99.9)]
+    least = SampleLimits().min_lit_share
+    lit = levels[levels >= least * np.percentile(levels, 99.9)]
     return LightLevels(float(np.percentile(lit, BRIGHTEST)), float((lit >= 1.0).mean()), None, black)
 
 

@@ -23,6 +23,10 @@ from fpplab.core.errors import CapabilityError, ConfigError, DataError, DeviceEr
 from fpplab.core.progress import Progress
 from fpplab.devices.rig import Rig
 from fpplab.diagnosis import Diagnosis, FaultCause, Finding, Verdict, diagnose_frames, diagnose_scan
+from fpplab.diagnosis.causes.missing_colour import MISSING_COLOUR
+from fpplab.diagnosis.causes.of_rig_check import OUT_OF_STEP
+from fpplab.diagnosis.causes.projector_dark import PROJECTOR_DARK
+from fpplab.diagnosis.causes.underexposed import UNDEREXPOSED
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
@@ -132,7 +136,7 @@ def check_rig(
 
 def _untold(seen: Sequence[Finding]) -> tuple[str, ...]:
     """What frames of a dark projector do not tell."""
-    dark = {FaultCause.PROJECTOR_DARK, FaultCause.UNDEREXPOSED, FaultCause.MISSING_COLOUR}
+    dark = {PROJECTOR_DARK, UNDEREXPOSED, MISSING_COLOUR}
     return (NEVER_SEEN,) if any(one.cause in dark for one in seen) else ()
 
 
@@ -214,7 +218,7 @@ class _FringeInspection:
         if in_step.in_step:
             return self._of_frames(recording, rig)
         excess = RUINOUS if in_step.causes else UNCERTAIN
-        slipped = Finding(FaultCause.OUT_OF_STEP, in_step.describe(), excess, remedy(recording.plan))
+        slipped = Finding(OUT_OF_STEP, in_step.describe(), excess, remedy(recording.plan))
         # Light that flickers and parts that move look like frames out of step which no slip explains.
         others = () if in_step.causes else diagnose_frames(recording)
         return Diagnosis(Verdict.DOUBTFUL, slipped.sentence, others or (slipped,))

@@ -19,7 +19,10 @@ from fpplab.core.errors import CapabilityError, DeviceError
 from fpplab.core.robust import robust_spread
 from fpplab.devices import CameraSettings, DeviceInfo, Frame
 from fpplab.devices.rig import Rig
-from fpplab.diagnosis import FaultCause, Finding
+from fpplab.diagnosis import Finding
+from fpplab.diagnosis.causes.bands import BANDS
+from fpplab.diagnosis.causes.flicker import FLICKER
+from fpplab.diagnosis.causes.of_rig_check import DEVICE, MAINS_FLICKER, NO_PERMISSION, SLOW_DISK, SLOW_LINK
 from fpplab.patterns.fringes import uniform_patterns
 from fpplab.patterns.plan import Plan
 from fpplab.sessions.session import Session
@@ -60,8 +63,8 @@ def device_finding(error: DeviceError) -> Finding:
     """Say what a device's error means."""
     seen = f"{error.device}: {error.operation}: {error.found} ({type(error).__name__})"
     if isinstance(error.__cause__, PermissionError) or REFUSED.search(error.found):
-        return Finding(FaultCause.NO_PERMISSION, seen, RUINOUS)
-    return Finding(FaultCause.DEVICE, seen, RUINOUS, error.remedy)
+        return Finding(NO_PERMISSION, seen, RUINOUS)
+    return Finding(DEVICE, seen, RUINOUS, error.remedy)
 
 
 def link_finding(info: DeviceInfo, frame_bytes: float, period_s: float) -> Finding | None:
@@ -77,7 +80,7 @@ def link_finding(info: DeviceInfo, frame_bytes: float, period_s: float) -> Findi
         f"the camera is connected by {info.link}, which carries {carried:.1f} frames of "
         f"{frame_bytes / 1e6:.1f} MB per s; the plan takes {wanted:.1f} (at most {carried:.1f})"
     )
-    return Finding(FaultCause.SLOW_LINK, words, wanted / carried)
+    return Finding(SLOW_LINK, words, wanted / carried)
 
 
 def disk_finding(
@@ -99,7 +102,7 @@ def disk_finding(
     if written >= wanted:
         return None
     words = f"{folder} takes {written:.1f} frames per s; the plan takes {wanted:.1f} (at most {written:.1f})"
-    return Finding(FaultCause.SLOW_DISK, words, wanted / written)
+    return Finding(SLOW_DISK, words, wanted / written)
 
 
 def mains_finding(rig: Rig, plan: Plan) -> Finding | None:
@@ -121,7 +124,7 @@ def mains_finding(rig: Rig, plan: Plan) -> Finding | None:
         f"{100 * LEAST_MAINS:g} %)"
     )
     return Finding(
-        FaultCause.MAINS_FLICKER,
+        MAINS_FLICKER,
         words,
         restless / LEAST_MAINS,
         f"write `exposure_s: {exposure_s:.5g}` into the plan, or run the lamp from direct current",
@@ -141,7 +144,7 @@ def with_mains(findings: Sequence[Finding], mains: Finding | None) -> tuple[Find
     """Put the mains before the flicker that they cause."""
     if mains is None:
         return tuple(findings)
-    flickering = [one.excess for one in findings if one.cause in (FaultCause.FLICKER, FaultCause.BANDS)]
+    flickering = [one.excess for one in findings if one.cause in (FLICKER, BANDS)]
     own = replace(mains, excess=max([1.01 * one for one in flickering], default=mains.excess))
     return tuple(sorted([own, *findings], key=lambda one: -one.excess))
 

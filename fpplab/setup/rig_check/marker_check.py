@@ -26,8 +26,19 @@ from fpplab.core.errors import DeviceTimeoutError
 from fpplab.core.progress import Progress
 from fpplab.devices import State
 from fpplab.devices.rig import Rig
-from fpplab.diagnosis import FaultCause, Finding
-from fpplab.diagnosis.brightness import COLOURS, colour_finding, light_elsewhere
+from fpplab.diagnosis import Finding
+from fpplab.diagnosis.causes.missing_colour import COLOURS, MISSING_COLOUR, colour_finding
+from fpplab.diagnosis.causes.no_overlap import light_elsewhere
+from fpplab.diagnosis.causes.of_rig_check import (
+    CAMERA_NOT_READY,
+    NO_TRIGGER,
+    OUT_OF_STEP,
+    SLOW_DISPLAY,
+    TRIGGER_EDGE,
+    TRIGGER_SHIFTED,
+)
+from fpplab.diagnosis.causes.projector_dark import PROJECTOR_DARK
+from fpplab.diagnosis.causes.saturated import SATURATED
 from fpplab.patterns.fringes import uniform_patterns
 from fpplab.patterns.plan import Plan
 from fpplab.setup.rig_check.devices import flickers
@@ -36,7 +47,7 @@ from fpplab.setup.rig_check.marker import marker
 
 LEAST_RISE = 0.05
 """Share of full scale by which white must be brighter than black."""
-SATURATED = 0.01
+MAX_SATURATED_SHARE = 0.01
 """Share of the illuminated pixels at full scale beyond which the exposure is too long."""
 MOST_DEPARTURE = 0.015
 """Greatest RMS departure of the levels from a rising curve, as a share of their range, of frames in step."""
@@ -54,7 +65,7 @@ RUINOUS = 1e4
 """Excess of frames that are out of step: everything else follows from it."""
 UNCERTAIN = 1.0
 """Excess of frames that look out of step where another cause may be behind it."""
-SLIPS = (FaultCause.OUT_OF_STEP, FaultCause.SLOW_DISPLAY, FaultCause.CAMERA_NOT_READY)
+SLIPS = (OUT_OF_STEP, SLOW_DISPLAY, CAMERA_NOT_READY)
 """What is told by levels that do not rise with the grey levels shown."""
 
 
@@ -157,10 +168,10 @@ class MarkerInspection:
     @property
     def fringe_plan(self) -> Plan | None:
         """The plan as it is in step: triggered, or stepped and slowly enough; None where neither is."""
-        if any(finding.cause is FaultCause.MISSING_COLOUR for finding in self.light):
+        if any(finding.cause == MISSING_COLOUR for finding in self.light):
             return None
         known = [one for one in self._of_stepped if one.excess > UNCERTAIN]
-        if any(finding.cause is FaultCause.OUT_OF_STEP for finding in known):
+        if any(finding.cause == OUT_OF_STEP for finding in known):
             return None
         is_triggered = self.runs[-1].how == "triggered" and self._of_stepped == self.findings
         how = self._plan.trigger if is_triggered else "stepped"
@@ -255,14 +266,14 @@ def _settling(rig: Rig, plan: Plan, shown: NDArray[np.int64]) -> float | None:
 
 
 def _of_light(run: MarkerRun) -> list[Finding]:
-    if run.saturated > SATURATED:
+    if run.saturated > MAX_SATURATED_SHARE:
         share = f"{100 * run.saturated:.2g} % of the illuminated pixels are at full scale"
-        return [Finding(FaultCause.SATURATED, share, run.saturated / SATURATED)]
+        return [Finding(SATURATED, share, run.saturated / MAX_SATURATED_SHARE)]
     if run.rise < LEAST_RISE:
         seen = f"white is brighter than black by {100 * run.rise:.2g} % of full scale"
         advice = "check the lens caps, the projector's light, where both look, and the plan's exposure_s"
         excess = LEAST_RISE / max(run.rise, 1e-4)
-        return [Finding(FaultCause.PROJECTOR_DARK, seen, excess, advice), light_elsewhere(excess)]
+        return [Finding(PROJECTOR_DARK, seen, excess, advice), light_elsewhere(excess)]
     return []
 
 
@@ -273,9 +284,9 @@ def _of_display(
     excess = RUINOUS if recurs else UNCERTAIN
     if needed is not None:
         seen = f"with settle_s {settle_s:g} s {_words(slipped)}"
-        return Finding(FaultCause.SLOW_DISPLAY, seen, excess, f"put `settle_s: {needed:g}` into the plan")
+        return Finding(SLOW_DISPLAY, seen, excess, f"put `settle_s: {needed:g}` into the plan")
     advice = f"no settle_s up to {SETTLE_S[-1]:g} s helps: make sure that nothing else drives the projector"
-    return Finding(FaultCause.OUT_OF_STEP, f"stepped: {_words(slipped)}", excess, advice)
+    return Finding(OUT_OF_STEP, f"stepped: {_words(slipped)}", excess, advice)
 
 
 def _is_in_step(shown: NDArray[np.int64], run: MarkerRun) -> bool:
@@ -308,16 +319,16 @@ def _slipped(
     if more:
         words.append(more)
     excess = RUINOUS if happens_again or lost else UNCERTAIN
-    return Finding(FaultCause.OUT_OF_STEP, f"triggered: {'; '.join(words)}", excess, advice)
+    return Finding(OUT_OF_STEP, f"triggered: {'; '.join(words)}", excess, advice)
 
 
 def _no_pulse(count: int) -> Finding:
-    return Finding(FaultCause.NO_TRIGGER, f"none of {count} frames came", RUINOUS)
+    return Finding(NO_TRIGGER, f"none of {count} frames came", RUINOUS)
 
 
 def _wrong_edge() -> Finding:
     seen = "with darkness between the patterns, the frames show the darkness"
-    return Finding(FaultCause.TRIGGER_EDGE, seen, RUINOUS)
+    return Finding(TRIGGER_EDGE, seen, RUINOUS)
 
 
 def _shifted(shift: ExposureShift, exposure_s: float) -> Finding:
@@ -326,13 +337,13 @@ def _shifted(shift: ExposureShift, exposure_s: float) -> Finding:
         f"{100 * shift.share:.0f} % of each exposure show the {neighbour} pattern: exposures begin about "
         f"{1e3 * shift.share * exposure_s:.3g} ms too {how}"
     )
-    return Finding(FaultCause.TRIGGER_SHIFTED, seen, shift.share / LEAST_SHARE)
+    return Finding(TRIGGER_SHIFTED, seen, shift.share / LEAST_SHARE)
 
 
 def _not_ready(run: MarkerRun, gap_s: float, dead_s: float) -> Finding:
     """The camera is not ready. Where no frame is lost, light that flickers may be behind it."""
     return Finding(
-        FaultCause.CAMERA_NOT_READY,
+        CAMERA_NOT_READY,
         f"{run.frames} of {len(run.levels)} frames came; with {1e3 * gap_s:g} ms more between triggers all "
         "come",
         RUINOUS if run.frames < len(run.levels) else UNCERTAIN,

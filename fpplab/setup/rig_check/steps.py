@@ -16,12 +16,15 @@ from fpplab.core.conventions import Floats, full_scale
 from fpplab.core.errors import DeviceError, DeviceTimeoutError, FrameLossError
 from fpplab.core.progress import Progress
 from fpplab.devices.rig import Rig
-from fpplab.diagnosis import REMEDIES, FaultCause
+from fpplab.diagnosis.causes.of_rig_check import NO_TRIGGER
+from fpplab.diagnosis.causes.projector_dark import PROJECTOR_DARK
+from fpplab.diagnosis.causes.saturated import SATURATED
+from fpplab.diagnosis.causes.underexposed import UNDEREXPOSED
 from fpplab.patterns.fringes import Pattern, make_patterns, uniform_patterns
 from fpplab.patterns.plan import Plan
 from fpplab.setup.rig_check.devices import device_finding
 from fpplab.setup.rig_check.marker import marker
-from fpplab.setup.rig_check.marker_check import LEAST_RISE, SATURATED, recover_camera
+from fpplab.setup.rig_check.marker_check import LEAST_RISE, MAX_SATURATED_SHARE, recover_camera
 
 STEPS = 7
 """How many steps there are at most."""
@@ -80,7 +83,7 @@ class _Steps:
         rise = float(np.quantile(self._change, 0.95))
         seen = f"white is brighter than black by {100 * rise:.3g} % of full scale"
         ok = rise >= LEAST_RISE
-        remedy = "" if ok else f"{REMEDIES[FaultCause.PROJECTOR_DARK]}; at least {100 * LEAST_RISE:g} %"
+        remedy = "" if ok else f"{PROJECTOR_DARK.remedy}; at least {100 * LEAST_RISE:g} %"
         return CheckedStep("lamp", ok, seen, remedy, {"rise": rise})
 
     def one_pulse(self) -> CheckedStep:
@@ -117,10 +120,10 @@ class _Steps:
             f"white is at {100 * level:.3g} % of full scale, {100 * saturated:.2g} % of its pixels are full"
         )
         values = {"level": level, "saturated": saturated}
-        if saturated > SATURATED or level > LEVELS[1]:
-            return CheckedStep("exposure", False, seen, REMEDIES[FaultCause.SATURATED], values)
+        if saturated > MAX_SATURATED_SHARE or level > LEVELS[1]:
+            return CheckedStep("exposure", False, seen, SATURATED.remedy, values)
         if level < LEVELS[0]:
-            advice = f"{REMEDIES[FaultCause.UNDEREXPOSED]}; by the factor {GOOD_LEVEL / level:.2g}"
+            advice = f"{UNDEREXPOSED.remedy}; by the factor {GOOD_LEVEL / level:.2g}"
             return CheckedStep("exposure", False, seen, advice, values)
         return CheckedStep("exposure", True, seen, "", values)
 
@@ -143,7 +146,7 @@ class _Steps:
         came = len(self._taken(self._uniform(greys), "triggered", APART_S))
         seen = f"{came} of {len(greys)} frames came"
         ok = came == len(greys)
-        remedy = REMEDIES[FaultCause.NO_TRIGGER] if not came else LOST_PULSES
+        remedy = NO_TRIGGER.remedy if not came else LOST_PULSES
         return CheckedStep(name, ok, seen, "" if ok else remedy, {"frames": came, "pulses": len(greys)})
 
     def _uniform(self, greys: Sequence[int]) -> list[Pattern]:

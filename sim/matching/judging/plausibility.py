@@ -15,7 +15,11 @@ from numpy.typing import NDArray
 from fpplab.calibration.model import Calibration
 from fpplab.core.conventions import Floats, Mask
 from fpplab.core.errors import ConfigError
-from fpplab.diagnosis import FaultCause, Finding
+from fpplab.diagnosis import Finding
+from fpplab.diagnosis.causes.of_characterisation import LENS_NOT_LOCKED
+from fpplab.diagnosis.causes.of_matching_and_search import UNLIKE_IMAGES
+from fpplab.diagnosis.causes.response import RESPONSE
+from fpplab.diagnosis.causes.stale_calibration import STALE_CALIBRATION
 from fpplab.patterns.phase_error import relative_harmonics
 from fpplab.patterns.response import Response
 from fpplab.phase.error_model import error_model_of
@@ -92,12 +96,12 @@ def check_geometry(found: Calibration, nominal: Calibration, refusals: Refusals)
                 else "another lens, or another binning"
             )
             words = f"the {name} is {is_:.4g} {unit} on the bench and {should:.4g} {unit} in the twin: {why}"
-            refusals.refuse(FaultCause.STALE_CALIBRATION, words)
+            refusals.refuse(STALE_CALIBRATION, words)
     turn = found.T_projector_camera.rotation @ nominal.T_projector_camera.rotation.T
     angle = float(np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1))))
     if angle > MAX_ROTATION_DEG:
         refusals.refuse(
-            FaultCause.STALE_CALIBRATION,
+            STALE_CALIBRATION,
             f"the projector is turned by {angle:.1f}° against the twin's: its pose in the twin's file is "
             "wrong, or one of the pictures is mirrored or turned",
         )
@@ -119,7 +123,7 @@ def check_response(response: Response, sessions: Sequence[Session], refusals: Re
     should = float(relative_harmonics(response, plan.response, 2)[2])
     if not abs(seen - should) <= MAX_HARMONIC_DIFFERENCE:
         refusals.refuse(
-            FaultCause.RESPONSE,
+            RESPONSE,
             f"the second harmonic of the fringes on the board is {100 * seen:.1f} % of the fringe, but "
             f"{100 * should:.1f} % by the response file: it is another rig's, or the projector's gamma was "
             "changed; measure it again with `fpplab gamma`",
@@ -144,7 +148,7 @@ def sharpness_finding(reference: Reference, twin: Twin) -> Finding | None:
         f"matched twin's, than those of the other poses (at most {100 * MAX_CONTRAST_DIFFERENCE:.0f} %): the "
         "bench's focus moved, or the board moved"
     )
-    return Finding(FaultCause.LENS_NOT_LOCKED, words, abs(off) / MAX_CONTRAST_DIFFERENCE)
+    return Finding(LENS_NOT_LOCKED, words, abs(off) / MAX_CONTRAST_DIFFERENCE)
 
 
 def edge_contrast(reference: Reference, twin: Twin) -> Floats:
@@ -198,4 +202,4 @@ def similarity_finding(alike: float, unexplained: float) -> Finding | None:
         f"SSIM over the board is {alike:.3f} at best, but at least {MIN_SSIM:g} is needed; {unexplained:.1f} "
         "levels of difference are left"
     )
-    return Finding(FaultCause.UNLIKE_IMAGES, words, RUINOUS_UNLIKE * (1.0 - alike) / (1.0 - MIN_SSIM))
+    return Finding(UNLIKE_IMAGES, words, RUINOUS_UNLIKE * (1.0 - alike) / (1.0 - MIN_SSIM))

@@ -7,7 +7,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fpplab.diagnosis import Diagnosis, FaultCause, Finding, diagnose_poses, diagnosis_of
+from fpplab.diagnosis import Diagnosis, Finding, diagnose_poses, diagnosis_of
+from fpplab.diagnosis.causes.of_characterisation import LENS_NOT_LOCKED, POSE_MISFIT
+from fpplab.diagnosis.causes.of_matching_and_search import (
+    ARTEFACT_MISFIT,
+    AT_BORDER,
+    ENDED_EARLY,
+    NO_GAIN,
+    POINTS_MISFIT,
+    UNLIKE_IMAGES,
+)
 from fpplab.patterns.recording import Recording
 from fpplab.sessions.session import Session
 from sim.matching.judging.plausibility import RUINOUS_UNLIKE
@@ -41,9 +50,9 @@ NATURAL = frozenset(
 """Parameters whose least value a device may well have: no ambient light, a sharp projector, a lamp
 far away."""
 RUINOUS = {
-    FaultCause.NO_GAIN: 1.0,
-    FaultCause.UNLIKE_IMAGES: RUINOUS_UNLIKE,
-    FaultCause.LENS_NOT_LOCKED: 1.0,
+    NO_GAIN: 1.0,
+    UNLIKE_IMAGES: RUINOUS_UNLIKE,
+    LENS_NOT_LOCKED: 1.0,
 }
 """Excess from which on nobody should use the twin, unless the cause is accepted."""
 
@@ -91,11 +100,11 @@ def _of_fit(found: MatchingResult) -> Iterator[Finding]:
     final, before = found.final.loss, found.before.loss
     if final.board - before.board > EQUAL_LOSS:
         words = f"the loss over the board is {final.board:.4f}, and was {before.board:.4f} before"
-        yield Finding(FaultCause.NO_GAIN, words, final.board / before.board)
+        yield Finding(NO_GAIN, words, final.board / before.board)
     if matched.ended != CONVERGED:
         words = f"the matching ended {matched.ended}, before its loss had converged"
         advice = "name another --out, and give more --epochs or --seconds"
-        yield Finding(FaultCause.ENDED_EARLY, words, 1.0, advice)
+        yield Finding(ENDED_EARLY, words, 1.0, advice)
     noise = min(max(sum(matched.explained.get(name, 0.0) for name in ("vibration", "noise")), 0.0), 1.0)
     left = matched.unexplained * float(np.sqrt(1.0 - noise))
     most = MOST_UNLIKE * found.reference.full_scale
@@ -103,13 +112,13 @@ def _of_fit(found: MatchingResult) -> Iterator[Finding]:
         words = (
             f"the images differ over the board by {left:.1f} levels RMS without noise (at most {most:.1f})"
         )
-        yield Finding(FaultCause.UNLIKE_IMAGES, words, left / most)
+        yield Finding(UNLIKE_IMAGES, words, left / most)
     if abs(final.epsilon_d) > MOST_POINTS_PX:
         words = (
             f"the reprojection errors of bench and twin differ by {abs(final.epsilon_d):.3f} px "
             f"(at most {MOST_POINTS_PX:g})"
         )
-        yield Finding(FaultCause.POINTS_MISFIT, words, abs(final.epsilon_d) / MOST_POINTS_PX)
+        yield Finding(POINTS_MISFIT, words, abs(final.epsilon_d) / MOST_POINTS_PX)
 
 
 def _of_poses(found: MatchingResult) -> Iterator[Finding]:
@@ -118,7 +127,7 @@ def _of_poses(found: MatchingResult) -> Iterator[Finding]:
     worst = min(alike, key=lambda name: alike[name])
     if usual - alike[worst] > POSE_UNLIKE:
         words = f"{worst}: SSIM over the board {alike[worst]:.3f}, of all poses {usual:.3f} in the median"
-        yield Finding(FaultCause.POSE_MISFIT, words, (usual - alike[worst]) / POSE_UNLIKE)
+        yield Finding(POSE_MISFIT, words, (usual - alike[worst]) / POSE_UNLIKE)
 
 
 def _at_borders(found: MatchingResult) -> Iterator[Finding]:
@@ -133,7 +142,7 @@ def _at_borders(found: MatchingResult) -> Iterator[Finding]:
         if moved and (below or parameter.upper - value <= span):
             words = f"{name} is {value:.4g}, and may be from {parameter.lower:g} to {parameter.upper:g}"
             advice = "correct what the twin's file says of lamp, lens or board, and match again"
-            yield Finding(FaultCause.AT_BORDER, words, 1.0, advice)
+            yield Finding(AT_BORDER, words, 1.0, advice)
 
 
 def _of_artefacts(found: MatchingResult) -> Iterator[Finding]:
@@ -141,4 +150,4 @@ def _of_artefacts(found: MatchingResult) -> Iterator[Finding]:
         share = abs(one.delta_um) / max(one.reference_um, 1e-9)
         if share > ARTEFACT_SHARE and abs(one.delta_um) > ARTEFACT_UM:
             words = f"{one.item}: {one.twin_um:.1f} µm in the twin, {one.reference_um:.1f} µm on the bench"
-            yield Finding(FaultCause.ARTEFACT_MISFIT, words, share / ARTEFACT_SHARE)
+            yield Finding(ARTEFACT_MISFIT, words, share / ARTEFACT_SHARE)

@@ -25,7 +25,7 @@ from fpplab.core.conventions import Floats, Mask, PixelIndices
 from fpplab.core.errors import DataError
 from fpplab.core.geometry import RigidTransform
 from fpplab.core.progress import Progress, no_progress
-from fpplab.diagnosis import FaultCause
+from fpplab.diagnosis.causes.of_matching_and_search import ARTEFACT_MISFIT
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
@@ -153,7 +153,7 @@ def fit_scan(
     off = min(_surface(judged), 1e3 * float(np.nanquantile(np.abs(judged.distances_mm), USUAL_SHARE)))
     if off > limit:
         refusals.refuse(
-            FaultCause.ARTEFACT_MISFIT,
+            ARTEFACT_MISFIT,
             f"{session.path}: its points are {off:.0f} µm off the {item}'s surface (at most {limit:.0f}): "
             "it is a scan of something else or of another bench",
         )

@@ -10,7 +10,11 @@ import pytest
 
 from fpplab.core.errors import CalibrationError
 from fpplab.core.progress import Progress, no_progress
-from fpplab.diagnosis import REMEDIES, FaultCause
+from fpplab.diagnosis import FaultCause
+from fpplab.diagnosis.causes.camera_focus import CAMERA_FOCUS
+from fpplab.diagnosis.causes.of_characterisation import BOARD_MOVED, BOARD_NOT_FOUND
+from fpplab.diagnosis.causes.saturated import SATURATED
+from fpplab.diagnosis.causes.vibration import VIBRATION
 from fpplab.setup.guide import GuidedRun, GuidedSettings, guided_characterisation
 from tests.support.hand_held import PLAN, hand_held_rig
 from tests.support.plane_twin import TARGET
@@ -47,9 +51,9 @@ def test_bad_poses_are_rejected_with_their_cause_and_the_loop_goes_on(
     found, said, folder = run
     assert [k for k, one in enumerate(found.attempts) if not one.accepted] == [4, 6]
     moved, blurred = found.attempts[4], found.attempts[6]
-    assert moved.findings[0].cause in (FaultCause.VIBRATION, FaultCause.BOARD_MOVED)
-    assert blurred.findings[0].cause is FaultCause.CAMERA_FOCUS
-    assert [line for line in said if "rejected" in line and REMEDIES[FaultCause.CAMERA_FOCUS] in line]
+    assert moved.findings[0].cause in (VIBRATION, BOARD_MOVED)
+    assert blurred.findings[0].cause == CAMERA_FOCUS
+    assert [line for line in said if "rejected" in line and CAMERA_FOCUS.remedy in line]
     assert len(found.sessions) == len(found.result.observations) == 7
     assert sorted(p.name for p in (folder / "rejected").iterdir()) == ["pose_04_1", "pose_05_1"]
     assert not [w for w in found.result.warnings if "moved" in w]
@@ -101,7 +105,7 @@ def test_the_loop_ends_when_enough_is_known(tmp_path: Path) -> None:
 @pytest.mark.nightly
 @pytest.mark.parametrize(
     ("fault", "cause"),
-    [("hidden", FaultCause.BOARD_NOT_FOUND), ("saturated", FaultCause.SATURATED)],
+    [("hidden", BOARD_NOT_FOUND), ("saturated", SATURATED)],
 )
 def test_other_bad_poses_are_named(tmp_path: Path, fault: str, cause: FaultCause) -> None:
     found, _ = guided(tmp_path, GuidedSettings(poses=5), {1: fault, 4: fault}, seed=5)

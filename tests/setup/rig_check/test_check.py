@@ -26,7 +26,7 @@ HAVE_EFFECTS = {"bands", "interreflection"}
 
 
 def causes(found: RigCheck) -> list[str]:
-    return [finding.cause.value for finding in found.findings]
+    return [finding.cause.key for finding in found.findings]
 
 
 def with_plan(plan: Plan, calibration: Calibration | None, cause: str | None = None) -> RigCheck:

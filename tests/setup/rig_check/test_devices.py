@@ -10,7 +10,7 @@ import pytest
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import DeviceError
 from fpplab.devices import CameraSettings, DeviceInfo
-from fpplab.diagnosis import FaultCause
+from fpplab.diagnosis.causes.of_rig_check import DEVICE, MAINS_FLICKER, NO_PERMISSION, SLOW_DISK, SLOW_LINK
 from fpplab.patterns.plan import Plan
 from fpplab.setup.rig_check import devices
 from fpplab.setup.rig_check.check import check_rig
@@ -26,7 +26,7 @@ def link(how: str) -> DeviceInfo:
 def test_usb_2_carries_eight_frames_of_five_megabytes_per_second() -> None:
     found = link_finding(link("BaslerUsb, USB 2, 480 Mbit/s"), 5e6, 0.03)
     assert found is not None
-    assert found.cause is FaultCause.SLOW_LINK
+    assert found.cause == SLOW_LINK
     assert "8.0 frames" in found.evidence
     assert link_finding(link("BaslerUsb, USB 2, 480 Mbit/s"), 5e6, 0.2) is None
     assert link_finding(link("BaslerUsb, USB 3, 5 Gbit/s"), 5e6, 0.03) is None
@@ -37,8 +37,8 @@ def test_usb_2_carries_eight_frames_of_five_megabytes_per_second() -> None:
     "found", ["no permission to use /dev/ttyUSB0", "[Errno 13] Permission denied", "Access denied"]
 )
 def test_a_refusal_is_a_lack_of_permission(found: str) -> None:
-    assert device_finding(DeviceError("stage", "open", found)).cause is FaultCause.NO_PERMISSION
-    assert device_finding(DeviceError("stage", "open", "no answer")).cause is FaultCause.DEVICE
+    assert device_finding(DeviceError("stage", "open", found)).cause == NO_PERMISSION
+    assert device_finding(DeviceError("stage", "open", "no answer")).cause == DEVICE
 
 
 def test_a_disk_is_slow_where_frames_come_faster_than_it_takes_them(
@@ -53,14 +53,14 @@ def test_a_disk_is_slow_where_frames_come_faster_than_it_takes_them(
     assert found(PLAN, 1e-6) is None
     slow = disk_finding(tmp_path, triggered, image_of(0), settings, 1e-6)
     assert slow is not None
-    assert slow.cause is FaultCause.SLOW_DISK
+    assert slow.cause == SLOW_DISK
     assert list(tmp_path.iterdir()) == []
 
 
 def causes(cause: str, seed: int) -> list[str]:
     bench = drawn(cause, seed)
     found = check_rig(formula_rig(cause, seed), bench.plan, "card", lambda _: None, bench.calibration)
-    return [one.cause.value for one in found.findings]
+    return [one.cause.key for one in found.findings]
 
 
 def test_a_missing_colour_is_no_slip() -> None:
@@ -84,7 +84,7 @@ def test_the_mains_are_named_by_how_much_whole_periods_calm_them(monkeypatch: py
     with formula_rig(None, 3) as rig:
         found = devices.mains_finding(rig, PLAN.model_copy(update={"exposure_s": 0.013}))
     assert found is not None
-    assert found.cause is FaultCause.MAINS_FLICKER
+    assert found.cause == MAINS_FLICKER
     assert "`exposure_s: 0.01`" in found.remedy
     restless = 0.3 * abs(np.sinc(1.3)) / np.sqrt(2.0)
     assert found.excess == pytest.approx(restless / devices.LEAST_MAINS, rel=0.05)

@@ -17,7 +17,8 @@ from fpplab.characterisation import DistortionModel
 from fpplab.core import config
 from fpplab.core.errors import CalibrationError, ConfigError, DataError
 from fpplab.core.geometry import RigidTransform
-from fpplab.diagnosis import FaultCause
+from fpplab.diagnosis.causes.of_characterisation import LENS_NOT_LOCKED
+from fpplab.diagnosis.causes.of_matching_and_search import UNLIKE_IMAGES
 from fpplab.patterns.curve import Curve
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
@@ -404,7 +405,7 @@ def test_what_is_accepted_is_noted(truth: TwinParameters) -> None:
     (note,) = refusals.notes
     assert note.startswith("stale_calibration accepted: the baseline is")
     with pytest.raises(CalibrationError, match="unlike"):
-        refusals.refuse(FaultCause.UNLIKE_IMAGES, "unlike")
+        refusals.refuse(UNLIKE_IMAGES, "unlike")
     with pytest.raises(ConfigError, match="--accept: 'vibration' is no cause that can be accepted"):
         acceptable_causes(["vibration"])
 
@@ -415,7 +416,7 @@ def test_a_focus_that_moved_is_found(truth: TwinParameters, reference: Reference
     sessions = (*reference.sessions[:3], cast(Any, Remembered.of(blurred, PLAN, 3)))
     found = plausibility.sharpness_finding(replace(reference, sessions=sessions), PlaneTwin(truth))
     assert found is not None
-    assert found.cause is FaultCause.LENS_NOT_LOCKED
+    assert found.cause == LENS_NOT_LOCKED
     assert re.search(r"pose_03: at the same brightness its edges are .* softer", found.evidence)
 
 

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fpplab.diagnosis import FaultCause, Finding, Verdict
+from fpplab.diagnosis import Finding, Verdict
+from fpplab.diagnosis.causes.of_characterisation import LENS_NOT_LOCKED
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.pipeline import characterise_sessions
@@ -259,11 +260,11 @@ def test_verdicts_on_a_matching(matching: Matching) -> None:
     assert (unlike.verdict, unlike.findings[0].cause) == (Verdict.USELESS, "unlike_images")
     worse = replace(whole, final=found.before, before=found.final)
     assert diagnose_matching(worse).verdict is Verdict.USELESS
-    assert diagnose_matching(worse).findings[0].cause == "no_gain"
-    focus = Finding(FaultCause.LENS_NOT_LOCKED, "pose_02: its edges are softer", 1.5)
+    assert diagnose_matching(worse).findings[0].cause.key == "no_gain"
+    focus = Finding(LENS_NOT_LOCKED, "pose_02: its edges are softer", 1.5)
     moved_focus = replace(whole, late=(focus,))
     assert diagnose_matching(moved_focus).verdict is Verdict.USELESS
-    accepted = replace(moved_focus, accepted=frozenset({FaultCause.LENS_NOT_LOCKED}))
+    accepted = replace(moved_focus, accepted=frozenset({LENS_NOT_LOCKED}))
     assert diagnose_matching(accepted).verdict is Verdict.DOUBTFUL
     assert accepted.notes == ("lens_not_locked accepted: pose_02: its edges are softer",)
     assert whole.notes == ()

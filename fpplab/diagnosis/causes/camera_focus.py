@@ -1,0 +1,43 @@
+"""Edges and fringes are blurred alike."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+from fpplab.diagnosis.blur import BlurLimits, phase_error_of_blur
+from fpplab.diagnosis.evidence import Evidence, Needs
+from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding, Picture
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
+    blur = evidence.blur
+    if blur is None or blur.edges_px is None or not blur.is_out_of_focus or not blur.is_camera:
+        return
+    of_noise_in_focus = blur.sharp_contrast / max(blur.contrast, 1e-3)
+    error = phase_error_of_blur(evidence.frames, blur.edges_px) * of_noise_in_focus
+    useless = error >= evidence.limits.of(BlurLimits).useless_phase_error
+    yield Finding(CAMERA_FOCUS, blur.evidence, blur.excess, ruins_points=useless)
+
+
+def _draw(evidence: Evidence, _: Finding) -> Figure:
+    from fpplab.diagnosis.pictures import draw_focus
+
+    return draw_focus(evidence.frames)
+
+
+CAMERA_FOCUS = FaultCause(
+    key="camera_focus",
+    meaning="The camera is out of focus: edges are as blurred as fringes.",
+    remedy="focus the camera at the part's distance, or close its aperture; then characterise again",
+    measured="contrast of the finest fringes beside the widest, where edges in the image are blurred as much",
+    limit="half of that in focus",
+    seen_in="frames",
+    detectors=(Detector(DetectionStage.BLUR, _find),),
+    picture=Picture(Needs.FRAMES, _draw),
+    side_effects=frozenset({"wrong_resolution", "stale_calibration"}),
+    useless_from=2.0,  # a quarter of the contrast in focus: errors some twenty times those of a good scan
+)

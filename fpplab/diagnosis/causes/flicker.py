@@ -1,0 +1,151 @@
+"""Frames differ in brightness."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from fpplab.core.config import Positive
+from fpplab.core.conventions import Floats
+from fpplab.diagnosis.brightness import BrightnessLimits, harmonic_waves
+from fpplab.diagnosis.evidence import Evidence, Needs
+from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding, Picture
+from fpplab.diagnosis.fringe_shape import FringeShapeLimits, phase_error_finding, unevenness
+from fpplab.diagnosis.limits import CountLimit, LimitsSection
+from fpplab.diagnosis.sample import FrameSample
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+GAIN_PIXELS = 10_000  # that tell the brightness of a frame: their noise changes it by less than 0.1 %
+
+
+class FlickerLimits(LimitsSection):
+    """How much the brightness of frames may scatter."""
+
+    section: ClassVar[str] = "flicker"
+
+    max_scatter: Positive = 0.01
+    """Standard deviation of the frames' brightness, as a share. Measured on benches of the limits."""
+    min_phase_error_rad: Positive = 0.02
+    """RMS phase error by flicker in rad that is reported. Chosen."""
+    min_gains: CountLimit = 3
+    """Gains of frames, beyond those that a phase takes with it, whose scatter is taken for flicker.
+    Measured on benches of the limits: of sets of three images one lamp in ten was missed."""
+    max_faint_contrast: Positive = 0.15
+    """Contrast of fringes below which the mean of a frame hardly depends on where they lie. Measured on
+    benches of the limits."""
+
+
+def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
+    sample, limits = evidence.frames, evidence.limits.of(FlickerLimits)
+    if not sample.measured.any():
+        return
+    fit, errors = sample.widest, sample.errors.sets[sample.recording.plan.finest_set()]
+    scatter = _scatter_of_gains(sample)
+    # Where a scene is even, all its pixels are rounded alike.
+    rounding = float(sample.recording.grey) / math.sqrt(12.0) / float(np.median(fit.offset[sample.measured]))
+    limit = max(limits.max_scatter, rounding)
+    if scatter > limit:
+        words = f"frames differ in brightness by {100 * scatter:.1f} % RMS (at most {100 * limit:.2g} %)"
+        yield Finding(FLICKER, words, scatter / limit)
+        return
+    if math.isnan(errors.gain_first):
+        return
+    offset = float(np.median(fit.offset[sample.measured] / fit.modulation[sample.measured]))
+    power = max(float(errors.variance(offset)) - np.nan_to_num(errors.harmonic_rad) ** 2, 0.0)
+    what = "frames of unequal brightness"
+    found = phase_error_finding(sample, FLICKER, math.sqrt(power), limits.min_phase_error_rad, what)
+    if found is not None:
+        yield found
+
+
+def _scatter_of_gains(sample: FrameSample) -> float:
+    """Standard deviation of the frames' brightness, as a share.
+
+    A sinusoid fitted to the N images of a set takes three of their N gains with it; N - 3 are left in the
+    residuals, and two are seen where pixels of all phases are compared. Sets of three are compared together.
+    """
+    total, freedom = 0.0, 0
+    for k, fringe in enumerate(sample.recording.plan.fringes):
+        gains = _gains_left(sample, k) if fringe.images > 3 else None
+        if gains is None:
+            continue
+        total, freedom = total + float(gains @ gains), freedom + fringe.images - 3
+        first = sample.errors.sets[k].gain_first
+        if not math.isnan(first):
+            total, freedom = total + 2.0 * first**2 / fringe.images, freedom + 2
+    if freedom >= sample.limits.of(FlickerLimits).min_gains:
+        return math.sqrt(total / freedom)
+    # Gains ε_n of N frames that are independent: the mean of |Σ ε_n exp(iδ_n)|² is N times their variance.
+    known = [one.gain_first**2 / one.images for one in sample.errors.sets if not math.isnan(one.gain_first)]
+    return math.sqrt(np.mean(known)) if known else _scatter_without_fringes(sample)
+
+
+def _scatter_without_fringes(sample: FrameSample) -> float:
+    """The same by the means of frames whose fringes are so weak that these hardly depend on them."""
+    plan, used = sample.recording.plan, sample.measured
+    finest = plan.finest_set()
+    fit = sample.fits[finest]
+    if (
+        plan.fringes[finest].stripes < sample.limits.of(BrightnessLimits).min_stripes_in_part
+        or not used.any()
+    ):
+        return 0.0
+    contrast = np.median(fit.modulation[used] / np.maximum(fit.offset[used], 1.0))
+    if contrast > sample.limits.of(FlickerLimits).max_faint_contrast:
+        return 0.0
+    levels = sample.spread[plan.set_starts[finest] : plan.set_starts[finest + 1], used].mean(axis=1)
+    return float(levels.std(ddof=1) / levels.mean())
+
+
+def _gains_left(sample: FrameSample, k: int) -> Floats | None:
+    """Gain (N,) of each frame of a set that the fit of a sinusoid leaves, beside harmonics of the response.
+
+    None where the pixels' phases are few or unevenly spread, so that harmonics look like gains.
+    """
+    fit, plan, shape = sample.fits[k], sample.recording.plan, sample.limits.of(FringeShapeLimits)
+    used = np.flatnonzero(sample.measured)
+    used = used[:: max(1, len(used) // GAIN_PIXELS)]
+    offset, modulation, phase = (part.ravel()[used] for part in (fit.offset, fit.modulation, fit.phase))
+    if len(phase) < shape.min_pixels or (
+        unevenness(phase, np.full(phase.shape, True)) > shape.max_unevenness
+    ):
+        return None
+    frames = sample.spread[plan.set_starts[k] : plan.set_starts[k + 1]]
+    images = frames.reshape(len(frames), -1)[:, used]
+    angles = phase - plan.fringes[k].phase_shifts()[:, None]
+    residuals = images - offset - modulation * np.cos(angles)
+    waves = [modulation * wave for wave in harmonic_waves(angles)]
+    per_offset = offset / (offset @ offset)
+    gains, shares = residuals @ per_offset, [wave @ per_offset for wave in waves]
+    without_gains = np.stack(
+        [(wave - share[:, None] * offset).ravel() for wave, share in zip(waves, shares, strict=True)]
+    )
+    normal, right = without_gains @ without_gains.T, without_gains @ residuals.ravel()
+    strengths = np.linalg.lstsq(normal, right, rcond=1e-6)[0]
+    return np.asarray(gains - strengths @ np.asarray(shares))
+
+
+def _draw(evidence: Evidence, _: Finding) -> Figure:
+    from fpplab.diagnosis.pictures import draw_brightness_by_frame
+
+    return draw_brightness_by_frame(evidence.frames, evidence.limits.of(FlickerLimits).max_scatter)
+
+
+FLICKER = FaultCause(
+    key="flicker",
+    meaning="Frames differ in brightness.",
+    remedy="expose for whole periods of the lamp and of the mains, and let the lamp warm up",
+    measured="scatter of the frames' brightness, by what sinusoids and harmonics leave; phase error that it "
+    "causes",
+    limit=f"{100 * FlickerLimits().max_scatter:g} %, and the rounding of grey levels; "
+    f"{FlickerLimits().min_phase_error_rad:g} rad, and the noise",
+    seen_in="frames",
+    detectors=(Detector(DetectionStage.FRAMES, _find),),
+    picture=Picture(Needs.FRAMES, _draw),
+    side_effects=frozenset({"interreflection", "wrong_resolution", "stale_calibration"}),
+)

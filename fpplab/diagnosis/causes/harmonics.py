@@ -1,0 +1,48 @@
+"""The fringes are bent as no power law bends them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+from fpplab.diagnosis.causes.response import ResponseLimits, harmonics_share, unexplained_harmonics_rad
+from fpplab.diagnosis.evidence import Evidence, Needs
+from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding, Picture
+from fpplab.diagnosis.fringe_shape import FringeShapeLimits, harmonics_of_power_law_rad, phase_error_finding
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
+    sample = evidence.frames
+    if harmonics_share(sample) > evidence.limits.of(ResponseLimits).max_harmonics_share:
+        return  # far from sinusoids, whatever bends them
+    rad = unexplained_harmonics_rad(sample)
+    if rad is None:
+        return
+    what = f"harmonics that no power law explains ({harmonics_of_power_law_rad(sample):.3f} rad)"
+    min_rad = evidence.limits.of(FringeShapeLimits).min_harmonic_rad
+    if (found := phase_error_finding(sample, HARMONICS, rad, min_rad, what)) is not None:
+        yield found
+
+
+def _draw(evidence: Evidence, _: Finding) -> Figure:
+    from fpplab.diagnosis.pictures import draw_errors_by_phase
+
+    return draw_errors_by_phase(evidence.frames)
+
+
+HARMONICS = FaultCause(
+    key="harmonics",
+    meaning="The fringes are bent as no power law bends them.",
+    remedy="switch off the projector's picture enhancement and tone curves, or use a plan of five steps or "
+    "more; 'fpplab gamma' fits a power law, which does not correct this",
+    measured="phase error N times in a period of fringes of N images, N > 3, beside what the second harmonic "
+    "explains by a power law",
+    limit=f"{FringeShapeLimits().min_harmonic_rad:g} rad, the noise, and twice that",
+    seen_in="coordinates",
+    detectors=(Detector(DetectionStage.FRAMES, _find),),
+    picture=Picture(Needs.FRAMES, _draw),
+    side_effects=frozenset({"wrong_resolution"}),
+)

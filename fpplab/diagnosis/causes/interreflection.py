@@ -1,0 +1,196 @@
+"""Parts of the scene light each other."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+from scipy.ndimage import uniform_filter
+
+from fpplab.calibration.model import Calibration
+from fpplab.core.config import Positive
+from fpplab.core.conventions import Axis, Floats, Mask
+from fpplab.diagnosis.direction import DirectionLimits, changes_along_image
+from fpplab.diagnosis.evidence import Evidence, Needs
+from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding, Picture
+from fpplab.diagnosis.fringe_shape import harmonics_of_power_law_rad, phase_deviations
+from fpplab.diagnosis.limits import CountLimit, LimitsSection, ShareLimit
+from fpplab.diagnosis.sample import MEDIAN, FrameSample
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+PHASE_BLOCK = 8  # side in pixels of the sample of blocks over which phase errors are averaged
+DIRECTION_BLOCK = 24  # the same in which a direction is judged: harmonics average out
+SMOOTHED = 17  # pixels of the sample over which contrasts are averaged
+
+
+class InterreflectionLimits(LimitsSection):
+    """How much light may come by way of other surfaces."""
+
+    section: ClassVar[str] = "interreflection"
+
+    max_phase_error_rad: Positive = 0.055
+    """RMS phase error of wide fringes in rad that neighbours share and no phase explains. Measured: two
+    captures of a real rig without such light reach 0.046."""
+    min_known_share: ShareLimit = 0.5
+    """Share of a block's pixels whose phase error is known. Chosen."""
+    max_mirrored_share: Positive = 0.03
+    """Share of the image with fringes in which the coordinate runs backwards. Measured on benches of the
+    limits."""
+    min_directed_share: Positive = 0.25
+    """Share of a block's pixels whose coordinate is known. Chosen."""
+    min_directed_blocks: CountLimit = 8
+    """Such blocks. Chosen."""
+    min_backward_sigmas: Positive = 3.0
+    """Standard uncertainties by which the change in a block is below zero. Chosen."""
+    useless_mirrored_share: Positive = 0.3
+    """Share that runs backwards from which on points are of no use. Chosen: a third of them stands where
+    nothing is."""
+    useless_phase_error: Positive = 13.0
+    """Error of the phase as a multiple of its noise from which on points are of no use. Measured: on 33
+    benches the estimate was nearly always within a factor of two of the true error."""
+
+
+def _find_stray_light(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
+    """Light that arrives by way of other surfaces, with the phase of those."""
+    sample = evidence.frames
+    worst = max((_stray_rad(sample, k, e, d) for k, e, d in phase_deviations(sample)), default=0.0)
+    # Flicker and harmonics of the finest set look alike.
+    explained_rad = harmonics_of_power_law_rad(sample)
+    limit = max(evidence.limits.of(InterreflectionLimits).max_phase_error_rad, 1.5 * explained_rad)
+    if worst > limit:
+        words = (
+            f"the phase of wide fringes differs from that of fine ones by {worst:.2f} rad RMS from place to "
+            f"place (at most {limit:.2f}): part of the light comes by way of other surfaces"
+        )
+        yield Finding(INTERREFLECTION, words, worst / limit)
+
+
+def _stray_rad(sample: FrameSample, k: int, expected: Floats, deviation: Floats) -> float:
+    """RMS that neighbours share, without what a phase alone explains as harmonics and gains do."""
+    known = np.isfinite(deviation)
+    orders = (0, 1, sample.recording.plan.fringes[k].images)
+    waves = np.concatenate([[np.cos(m * expected[known]), np.sin(m * expected[known])] for m in orders])
+    residuals = np.full(deviation.shape, np.nan)
+    strengths = np.linalg.lstsq(waves.T, deviation[known], rcond=1e-6)[0]
+    residuals[known] = deviation[known] - strengths @ waves
+    side = PHASE_BLOCK
+    rows, columns = (n // side * side for n in residuals.shape)
+    blocks = residuals[:rows, :columns].reshape(rows // side, side, columns // side, side)
+    blocks = blocks.transpose(0, 2, 1, 3).reshape(-1, side * side)
+    halves = blocks[:, ::2], blocks[:, 1::2]
+    # Where light of two surfaces is mixed, many pixels are masked.
+    least = sample.limits.of(InterreflectionLimits).min_known_share
+    whole = np.logical_and(*(np.isfinite(half).mean(axis=1) >= least for half in halves))
+    if whole.sum() < 2 * side:
+        return 0.0
+    # Noise is independent in the medians of two halves, and edges are few.
+    halves = np.nanmedian(halves[0][whole], axis=1), np.nanmedian(halves[1][whole], axis=1)
+    return math.sqrt(max(float(np.mean(halves[0] * halves[1])), 0.0))
+
+
+def _find_mirrors(evidence: Evidence, found: Sequence[Finding]) -> Iterator[Finding]:
+    """Mirrored light, and whether light by way of other surfaces makes the points useless."""
+    sample, limits = evidence.frames, evidence.limits.of(InterreflectionLimits)
+    calibration = evidence.points.calibration
+    backward = {axis: _runs_backward(sample, calibration, axis) for axis in sample.coordinates}
+    share = max((part for _, part in backward.values()), default=0.0)
+    candidates = [one for one in found if one.cause == INTERREFLECTION]
+    if share > limits.max_mirrored_share:
+        words = (
+            f"in {100 * share:.0f} % of the image with fringes the coordinate runs backwards (at most "
+            f"{100 * limits.max_mirrored_share:g} %), as where light comes by way of a face that mirrors"
+        )
+        candidates.append(Finding(INTERREFLECTION, words, share / limits.max_mirrored_share))
+    if not candidates:
+        return
+    worst = max(candidates, key=lambda one: one.excess)
+    error = max((_phase_error(sample, axis, where) for axis, (where, _) in backward.items()), default=0.0)
+    ruins = share >= limits.useless_mirrored_share or error >= limits.useless_phase_error
+    more = f"; it makes errors some {error:.0f} times those of noise" if np.isfinite(error) and ruins else ""
+    yield replace(worst, evidence=worst.evidence + more, ruins_points=ruins)
+
+
+def _runs_backward(sample: FrameSample, calibration: Calibration, axis: Axis) -> tuple[Mask, float]:
+    """Find where the coordinate runs against the calibration, and the share of the image where it does.
+
+    No surface that both devices see shows that, but its image in another surface does.
+    """
+    limits, side = sample.limits.of(InterreflectionLimits), DIRECTION_BLOCK
+    shares = changes_along_image(sample.coordinates[axis], calibration, axis, sample.step)
+    height, width = sample.spread.shape[1:]
+    rows, columns = (-(-n // side) for n in (height, width))
+    whole = np.full((rows * side, columns * side), np.nan)
+    whole[: shares.shape[0], : shares.shape[1]] = shares
+    blocks = whole.reshape(rows, side, columns, side).transpose(0, 2, 1, 3).reshape(rows, columns, -1)
+    used = np.isfinite(blocks).mean(axis=2) >= limits.min_directed_share
+    back = np.zeros(used.shape, bool)
+    if used.sum() >= limits.min_directed_blocks:
+        min_change = sample.limits.of(DirectionLimits).min_change
+        back[used] = _is_backward(blocks[used], min_change, limits.min_backward_sigmas)
+    where = np.repeat(np.repeat(back, side, axis=0), side, axis=1)[:height, :width]
+    return where, float(back.sum() / max(used.sum(), 1))
+
+
+def _is_backward(blocks: Floats, min_change: float, min_sigmas: float) -> Mask:
+    """Whether the typical change in each block (B, N) is clearly below zero."""
+    middle = np.nanmedian(blocks, axis=1)
+    scatter = np.nanmedian(np.abs(blocks - middle[:, None]), axis=1) / MEDIAN
+    # The uncertainty of a median is 1.25 times that of a mean.
+    uncertainty = 1.25 * scatter / np.sqrt(np.isfinite(blocks).sum(axis=1))
+    return np.asarray(middle < -np.maximum(min_change, min_sigmas * uncertainty))
+
+
+def _phase_error(sample: FrameSample, axis: Axis, backward: Mask) -> float:
+    """Typical error of the phase of the finest fringes beside its noise.
+
+    Other light of the same fringes with another phase adds to them here and takes from them there, and
+    shifts their phase by as much. Points that mirrored light has made are wrong altogether.
+    """
+    plan, used = sample.recording.plan, sample.measured
+    sets = [k for k, fringe in enumerate(plan.fringes) if fringe.axis == axis]
+    wide, finest = min(sets, key=lambda k: plan.fringes[k].stripes), plan.finest_set(axis)
+    if wide == finest or not used.any():
+        return 0.0
+    fine, coarse = sample.fits[finest], sample.fits[wide]
+    contrast = np.where(used, fine.modulation / np.where(used, coarse.modulation, 1.0), 0.0)
+    known = np.maximum(uniform_filter(used.astype(np.float64), SMOOTHED), 1e-9)
+    off = np.abs(contrast * known / np.maximum(uniform_filter(contrast, SMOOTHED), 1e-9) - 1.0)
+    return float(np.median(np.where(backward, np.inf, off)[used])) / MEDIAN / sample.phase_noise(finest)
+
+
+def _draw(evidence: Evidence, _: Finding) -> Figure | None:
+    """Where the phase of the wide fringes departs most from that of the finest."""
+    from fpplab.diagnosis.pictures import draw_sample_map
+
+    sample = evidence.frames
+    deviations = [deviation for _, _, deviation in phase_deviations(sample)]
+    if not deviations:
+        return None
+    worst = max(deviations, key=lambda one: float(np.nanstd(one)))
+    most = max(float(np.nanpercentile(np.abs(worst), 98)), 0.05)
+    return draw_sample_map(worst, sample, "RdBu", (-most, most), "phase of wide − fine fringes in rad")
+
+
+INTERREFLECTION = FaultCause(
+    key="interreflection",
+    meaning="Parts of the scene light each other.",
+    remedy="coat or turn the part so that its faces do not light each other, cover what stands beside it, "
+    "or use a plan of many fine stripes alone",
+    measured="phase of wide fringes beside that of fine ones, as far as neighbours share it and no phase "
+    "explains it; share of the image in which the coordinate runs against the calibration, as the image of "
+    "a surface in a mirror does",
+    limit=f"{InterreflectionLimits().max_phase_error_rad:g} rad RMS; "
+    f"{100 * InterreflectionLimits().max_mirrored_share:g} %",
+    seen_in="coordinates",
+    detectors=(
+        Detector(DetectionStage.FRAMES, _find_stray_light),
+        Detector(DetectionStage.REFLECTIONS, _find_mirrors, replaces=True),
+    ),
+    picture=Picture(Needs.FRAMES, _draw),
+    outweighs_from={"harmonics": 1.0, "response": 1.0},
+)

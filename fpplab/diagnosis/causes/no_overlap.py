@@ -1,0 +1,77 @@
+"""The projector lights next to nothing of what the camera sees."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fpplab.diagnosis.causes.projector_dark import darkness_excess
+from fpplab.diagnosis.evidence import Evidence, Needs
+from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding, Picture
+from fpplab.diagnosis.visibility import VisibilityLimits
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def light_elsewhere(excess: float) -> Finding:
+    """Say what else than a dark projector shows no light anywhere in the image."""
+    words = (
+        "no light of the projector anywhere: it may be dark, or light another place, which images do not "
+        "tell apart"
+    )
+    return Finding(NO_OVERLAP, words, excess)
+
+
+def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
+    seen = evidence.visibility
+    limit, share = seen.limits.min_lit_share, seen.lit_share
+    if seen.tiny_part_share is not None:
+        advice = (
+            "check whether the part is as large as it should be (a mesh is in mm), near enough, and where "
+            "camera and projector both look"
+        )
+        yield Finding(NO_OVERLAP, _words(seen.tiny_part_share, limit), limit / seen.tiny_part_share, advice)
+    elif seen.is_dark:
+        yield light_elsewhere(darkness_excess(seen))
+    elif not seen.is_weak and share < limit:
+        yield Finding(NO_OVERLAP, _words(share, limit), limit / max(share, 1e-4))
+
+
+def _words(share: float, limit: float) -> str:
+    return f"the fringes light {100 * share:.2g} % of the image (at least {100 * limit:g} %)"
+
+
+def _draw(evidence: Evidence, _: Finding) -> Figure:
+    """Which part of the image sees the fringes."""
+    from fpplab.core.drawing import ALARM, colour_bar, draw_map, map_axes
+    from fpplab.diagnosis.pictures import sample_extent
+
+    sample = evidence.frames
+    figure, axes = map_axes(sample.lit.shape)
+    mean = sample.spread.mean(axis=0)
+    levels = (0.0, max(float(np.percentile(mean, 99.8)), 1.0))
+    shown = draw_map(axes, mean, "gray", levels, sample_extent(sample))
+    colour_bar(figure, axes, shown, "mean grey level of 255")
+    height, width = sample.lit.shape
+    places = [np.arange(n) * sample.step for n in (width, height)]
+    if sample.lit.any() and not sample.lit.all():
+        axes.contour(*places, sample.lit, levels=[0.5], colors=[ALARM], linewidths=1.2)
+    limit = evidence.limits.of(VisibilityLimits).min_lit_share
+    axes.set_title(f"{100 * sample.lit.mean():.2g} % see fringes (at least {100 * limit:g} %)")
+    return figure
+
+
+NO_OVERLAP = FaultCause(
+    key="no_overlap",
+    meaning="The projector lights next to nothing of what the camera sees.",
+    remedy="turn camera and projector to the same place, at the distance of the part",
+    measured="share of the image in which there are fringes; behind `projector_dark` where there are none",
+    limit=f"{100 * VisibilityLimits().min_lit_share:g} %",
+    seen_in="frames",
+    detectors=(Detector(DetectionStage.VISIBILITY, _find),),
+    picture=Picture(Needs.FRAMES, _draw),
+    invalidates=frozenset({DetectionStage.COLOUR, DetectionStage.FRAMES, DetectionStage.BLUR}),
+)

@@ -1,0 +1,54 @@
+"""No fringes in the image."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+from fpplab.diagnosis.evidence import Evidence, Needs
+from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding, Picture
+from fpplab.diagnosis.visibility import Visibility, VisibilityLimits
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def darkness_excess(seen: Visibility) -> float:
+    """Compute how far the strongest modulation is below that of fringes."""
+    return seen.limits.min_fringe_sigmas / max(seen.strength, 0.01)
+
+
+def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
+    seen = evidence.visibility
+    if seen.is_dark and seen.tiny_part_share is None:
+        words = (
+            f"the fringes' modulation is {evidence.frames.strongest:.2g} of 255 grey levels, "
+            f"{seen.strength:.1f} times its noise (at least {seen.limits.min_fringe_sigmas:g})"
+        )
+        yield Finding(PROJECTOR_DARK, words, darkness_excess(seen))
+
+
+def _draw(evidence: Evidence, _: Finding) -> Figure:
+    """The modulation of the widest fringes."""
+    from fpplab.diagnosis.pictures import draw_sample_map
+
+    sample = evidence.frames
+    limits = (0.0, max(sample.strongest, 1.0))
+    return draw_sample_map(
+        sample.widest.modulation, sample, "viridis", limits, "modulation in grey levels of 255"
+    )
+
+
+PROJECTOR_DARK = FaultCause(
+    key="projector_dark",
+    meaning="There are no fringes in the image.",
+    remedy="switch the lamp and its LEDs on, and take off the lens cap; try 'fpplab check'",
+    measured="modulation of the widest fringes beside its noise, and whether neighbouring pixels agree",
+    limit=f"{VisibilityLimits().min_fringe_sigmas:g} times the noise, "
+    f"{VisibilityLimits().min_modulation:g} grey levels",
+    seen_in="frames",
+    detectors=(Detector(DetectionStage.VISIBILITY, _find),),
+    picture=Picture(Needs.FRAMES, _draw),
+    side_effects=frozenset({"no_overlap"}),
+    invalidates=frozenset({DetectionStage.COLOUR, DetectionStage.FRAMES, DetectionStage.BLUR}),
+)

@@ -1,0 +1,37 @@
+"""Fringes are blurred, edges are not."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+from fpplab.diagnosis.evidence import Evidence, Needs
+from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding, Picture
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
+    blur = evidence.blur
+    if blur is not None and blur.is_out_of_focus and not blur.is_camera:
+        yield Finding(PROJECTOR_FOCUS, blur.evidence, blur.excess)
+
+
+def _draw(evidence: Evidence, _: Finding) -> Figure:
+    from fpplab.diagnosis.pictures import draw_focus
+
+    return draw_focus(evidence.frames)
+
+
+PROJECTOR_FOCUS = FaultCause(
+    key="projector_focus",
+    meaning="The projector is out of focus: fringes are blurred, edges are not.",
+    remedy="focus the projector at the part's distance, then characterise again; or use a plan with fewer "
+    "stripes",
+    measured="contrast of the finest fringes beside the widest, where edges are sharper than that",
+    limit="half of that in focus",
+    seen_in="frames",
+    detectors=(Detector(DetectionStage.BLUR, _find),),
+    picture=Picture(Needs.FRAMES, _draw),
+)

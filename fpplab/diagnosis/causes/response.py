@@ -1,0 +1,92 @@
+"""The fringes are no sinusoids."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from fpplab.core.config import Positive
+from fpplab.diagnosis.evidence import Evidence, Needs
+from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding, Picture
+from fpplab.diagnosis.fringe_shape import (
+    FringeShapeLimits,
+    harmonics_of_power_law_rad,
+    phase_error_finding,
+    ripples,
+)
+from fpplab.diagnosis.limits import LimitsSection
+from fpplab.diagnosis.sample import FrameSample
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+class ResponseLimits(LimitsSection):
+    """How far fringes may depart from sinusoids, and by what."""
+
+    section: ClassVar[str] = "response"
+
+    max_harmonics_share: Positive = 0.15
+    """Harmonics as a share of the fringes. Derived: beyond it pixels are masked as no sinusoids."""
+    unexplained_harmonics_ratio: Positive = 2.0
+    """Phase error by harmonics beside what a power law explains, from which on 'fpplab gamma' does not
+    correct it. Measured on benches of the limits."""
+
+
+def harmonics_share(sample: FrameSample) -> float:
+    """Measure the greatest second and third harmonics of a set, as a share of the fringes."""
+    shares = [float(np.nan_to_num(np.hypot(*e.harmonics[:2]))) for e in sample.errors.sets if e.images > 3]
+    return max(shares, default=0.0)
+
+
+def unexplained_harmonics_rad(sample: FrameSample) -> float | None:
+    """Measure the phase error of harmonics where these are not those of a power law."""
+    limits = sample.limits.of(ResponseLimits)
+    plan, error = sample.recording.plan, max(ripples(sample), default=0.0)
+    # Three images do not tell a second harmonic, as of a power law, from others.
+    if plan.fringes[plan.finest_set()].images <= 3:
+        return None
+    explained = limits.unexplained_harmonics_ratio * harmonics_of_power_law_rad(sample)
+    return error if error > explained else None
+
+
+def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
+    sample, limits = evidence.frames, evidence.limits.of(ResponseLimits)
+    share = harmonics_share(sample)
+    if share > limits.max_harmonics_share:
+        words = (
+            f"harmonics of the response are {100 * share:.0f} % of the fringes (at most "
+            f"{100 * limits.max_harmonics_share:g} %)"
+        )
+        yield Finding(RESPONSE, words, share / limits.max_harmonics_share)
+        return
+    if unexplained_harmonics_rad(sample) is not None:
+        return
+    rad = max(harmonics_of_power_law_rad(sample), max(ripples(sample), default=0.0))
+    min_rad = evidence.limits.of(FringeShapeLimits).min_harmonic_rad
+    if (
+        found := phase_error_finding(sample, RESPONSE, rad, min_rad, "harmonics of the response")
+    ) is not None:
+        yield found
+
+
+def _draw(evidence: Evidence, _: Finding) -> Figure:
+    from fpplab.diagnosis.pictures import draw_errors_by_phase
+
+    return draw_errors_by_phase(evidence.frames)
+
+
+RESPONSE = FaultCause(
+    key="response",
+    meaning="The fringes are no sinusoids: the response is not linear.",
+    remedy="measure the response with 'fpplab gamma' and name it in the plan, or take more steps",
+    measured="harmonics of the fringes; phase error that they cause",
+    limit=f"{100 * ResponseLimits().max_harmonics_share:g} %; "
+    f"{FringeShapeLimits().min_harmonic_rad:g} rad, and the noise",
+    seen_in="frames, coordinates",
+    detectors=(Detector(DetectionStage.FRAMES, _find),),
+    picture=Picture(Needs.FRAMES, _draw),
+    side_effects=frozenset({"wrong_resolution", "stale_calibration"}),
+)

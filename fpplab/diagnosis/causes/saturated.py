@@ -1,0 +1,44 @@
+"""The image is at its full scale."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fpplab.diagnosis.evidence import Evidence, Needs
+from fpplab.diagnosis.exposure import GreyLevelLimits, dimming_factor
+from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding, Picture
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
+    sample, limit = evidence.frames, evidence.limits.of(GreyLevelLimits).max_saturated_share
+    share = float(sample.saturated[sample.lit].mean())
+    if share > limit:
+        words = f"{100 * share:.0f} % of the lit pixels are saturated (at most {100 * limit:g} %)"
+        yield Finding(SATURATED, words, share / limit, factor=dimming_factor(sample))
+
+
+def _draw(evidence: Evidence, _: Finding) -> Figure:
+    """The brightest grey level of every pixel, saturated ones marked."""
+    from fpplab.core.drawing import draw_frame
+
+    recording = evidence.frames.recording
+    return draw_frame(np.max(np.stack(recording.frames), axis=0), recording.bits)
+
+
+SATURATED = FaultCause(
+    key="saturated",
+    meaning="The image is at its full scale.",
+    remedy="shorten exposure_s, dim the lamp, or coat shiny parts",
+    measured="share of the lit pixels that are saturated in a frame",
+    limit=f"{100 * GreyLevelLimits().max_saturated_share:g} %",
+    seen_in="frames",
+    detectors=(Detector(DetectionStage.FRAMES, _find),),
+    picture=Picture(Needs.FRAMES, _draw),
+    side_effects=frozenset({"interreflection", "wrong_resolution", "bands", "stale_calibration"}),
+)

@@ -1,0 +1,60 @@
+"""Camera and projector look from nearly the same direction."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from fpplab.core.config import Positive
+from fpplab.diagnosis.evidence import Evidence, Needs
+from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding, Picture
+from fpplab.diagnosis.limits import LimitsSection
+from fpplab.diagnosis.points import triangulation_angles_deg
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+class SmallAngleLimits(LimitsSection):
+    """At which angle rays should meet."""
+
+    section: ClassVar[str] = "small_angle"
+
+    min_angle_deg: Positive = 5.0
+    """Angle between the rays in degrees. Derived: noise in depth is then four times that at 20 degrees."""
+
+
+def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
+    sample, limit = evidence.points, evidence.limits.of(SmallAngleLimits).min_angle_deg
+    angle = float(np.median(triangulation_angles_deg(sample.points, sample.calibration)))
+    if angle < limit:
+        words = f"the rays of camera and projector meet at {angle:.1f} degrees (at least {limit:g})"
+        yield Finding(SMALL_ANGLE, words, limit / max(angle, 0.1))
+
+
+def _draw(evidence: Evidence, _: Finding) -> Figure:
+    """The angles between the rays of camera and projector."""
+    from fpplab.core.drawing import ACCENT, HALF, single_axes
+    from fpplab.diagnosis.pictures import CURVE_HEIGHT, draw_limit
+
+    points = evidence.points
+    figure, axes = single_axes(HALF, CURVE_HEIGHT)
+    axes.hist(triangulation_angles_deg(points.points, points.calibration), bins=60, color=ACCENT)
+    draw_limit(axes, evidence.limits.of(SmallAngleLimits).min_angle_deg, "least")
+    axes.set(xlabel="angle between the rays in degrees", ylabel="points")
+    axes.set_xlim(left=0.0)
+    return figure
+
+
+SMALL_ANGLE = FaultCause(
+    key="small_angle",
+    meaning="Camera and projector look from nearly the same direction.",
+    remedy="move the projector away from the camera, to 15 to 30 degrees, and characterise again",
+    measured="angle between the rays of camera and projector",
+    limit=f"{SmallAngleLimits().min_angle_deg:g} degrees",
+    seen_in="points",
+    detectors=(Detector(DetectionStage.POINTS, _find),),
+    picture=Picture(Needs.POINTS, _draw),
+)

@@ -1,0 +1,86 @@
+"""The rig is no longer the one that was calibrated."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from fpplab.core.config import Positive
+from fpplab.diagnosis.evidence import Evidence, Needs
+from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding, Picture
+from fpplab.diagnosis.limits import LimitsSection
+from fpplab.diagnosis.points import systematic_epipolar_px
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FOREIGN_EXCESS = 5.0
+"""Excess of a calibration that was made with other devices: points may be far off, or right by chance."""
+
+USELESS_EXCESS = 10.0
+"""Excess of a calibration that is so far off that nothing else explains it."""
+
+
+class StaleCalibrationLimits(LimitsSection):
+    """How far points may be off their epipolar lines."""
+
+    section: ClassVar[str] = "stale_calibration"
+
+    max_epipolar_px: Positive = 0.3
+    """Systematic distance in projector px. Measured on benches of the limits."""
+
+
+def _find_other_devices(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
+    if evidence.foreign:
+        advice = "give the calibration of these devices, or characterise them"
+        yield Finding(STALE_CALIBRATION, evidence.foreign, FOREIGN_EXCESS, advice)
+
+
+def _find_moved_rig(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
+    off, limit = systematic_epipolar_px(evidence.points.cloud), _max_epipolar_px(evidence)
+    if off is not None and off > limit:
+        words = (
+            f"points lie {off:.2f} projector px off their epipolar lines, systematically (at most {limit:g})"
+        )
+        yield Finding(STALE_CALIBRATION, words, off / limit)
+
+
+def _max_epipolar_px(evidence: Evidence) -> float:
+    return evidence.limits.of(StaleCalibrationLimits).max_epipolar_px
+
+
+def _draw(evidence: Evidence, _: Finding) -> Figure | None:
+    """How far points are off their epipolar lines."""
+    from fpplab.core.drawing import colour_bar, draw_map, map_axes
+
+    points, limit = evidence.points, _max_epipolar_px(evidence)
+    off = points.cloud.epipolar_px
+    if off is None or points.cloud.pixels is None:
+        return None
+    width, height = points.calibration.camera.size
+    values = np.full((height, width), np.nan)
+    u, v = points.cloud.pixels.T
+    values[v, u] = off
+    most = max(float(np.nanpercentile(np.abs(values), 98)), 2.0 * limit)
+    figure, axes = map_axes(values.shape)
+    label = f"distance in projector px (limit {limit:g})"
+    colour_bar(figure, axes, draw_map(axes, values, "RdBu", (-most, most)), label)
+    return figure
+
+
+STALE_CALIBRATION = FaultCause(
+    key="stale_calibration",
+    meaning="The rig is no longer the one that was calibrated.",
+    remedy="characterise the rig again; something was moved, refocused or exchanged",
+    measured="distance of points from their epipolar lines, over groups of neighbours",
+    limit=f"{StaleCalibrationLimits().max_epipolar_px:g} projector px",
+    seen_in="points, two axes",
+    detectors=(
+        Detector(DetectionStage.POINTS, _find_other_devices),
+        Detector(DetectionStage.POINTS, _find_moved_rig),
+    ),
+    picture=Picture(Needs.POINTS, _draw),
+    useless_from=USELESS_EXCESS,
+)

@@ -1,0 +1,77 @@
+"""The image uses a small part of its range."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fpplab.diagnosis.evidence import Evidence, Needs
+from fpplab.diagnosis.exposure import GreyLevelLimits
+from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding, Picture
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def _find_weak_fringes(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
+    """Fringes that can hardly be told from the dark."""
+    seen, sample = evidence.visibility, evidence.frames
+    if seen.is_dark or not seen.is_weak or seen.tiny_part_share is not None:
+        return
+    words = (
+        f"the fringes' modulation is {sample.strongest:.2g} of 255 grey levels, {seen.strength:.1f} times "
+        f"its noise (at least {seen.limits.min_clear_sigmas:g})"
+    )
+    best = evidence.limits.of(GreyLevelLimits).best_peak_share
+    factor = best * 255.0 / max(2.0 * sample.strongest, 1.0)
+    yield Finding(UNDEREXPOSED, words, seen.limits.min_clear_sigmas / seen.strength, factor=factor)
+
+
+def _find_low_peaks(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
+    sample, limits = evidence.frames, evidence.limits.of(GreyLevelLimits)
+    peak = float(np.percentile(sample.spread.max(axis=0)[sample.lit], 98)) / 255.0
+    if peak >= limits.min_peak_share:
+        return
+    words = (
+        f"the brightest parts reach {100 * peak:.1f} % of full scale (at least "
+        f"{100 * limits.min_peak_share:g} %)"
+    )
+    # Without black level and the noise of single frames, which peaks contain.
+    fringes = 2.0 * float(np.percentile(sample.widest.modulation[sample.lit], 98)) / 255.0
+    factor = limits.best_peak_share / max(fringes, 1e-3)
+    yield Finding(UNDEREXPOSED, words, limits.min_peak_share / max(peak, 1e-3), factor=factor)
+
+
+def _draw(evidence: Evidence, _: Finding) -> Figure:
+    """How bright lit pixels become, and what the brightest should reach."""
+    from fpplab.core.drawing import ACCENT, HALF, single_axes
+    from fpplab.diagnosis.pictures import CURVE_HEIGHT, draw_limit
+
+    sample = evidence.frames
+    brightest = sample.spread.max(axis=0)
+    shown = brightest[sample.lit] if sample.lit.any() else brightest.ravel()
+    figure, axes = single_axes(HALF, CURVE_HEIGHT)
+    axes.hist(100.0 * shown / 255.0, bins=list(range(101)), color=ACCENT)
+    limit = 100.0 * evidence.limits.of(GreyLevelLimits).min_peak_share
+    draw_limit(axes, limit, "least that the brightest should reach")
+    axes.set(xlabel="brightest grey level of a pixel, in % of full scale", ylabel="pixels", xlim=(0, 100))
+    return figure
+
+
+UNDEREXPOSED = FaultCause(
+    key="underexposed",
+    meaning="The image uses a small part of its range.",
+    remedy="lengthen exposure_s, open the camera's aperture, or brighten the lamp",
+    measured="what the brightest lit pixels reach",
+    limit=f"{100 * GreyLevelLimits().min_peak_share:g} % of full scale",
+    seen_in="frames",
+    detectors=(
+        Detector(DetectionStage.VISIBILITY, _find_weak_fringes),
+        Detector(DetectionStage.FRAMES, _find_low_peaks),
+    ),
+    picture=Picture(Needs.FRAMES, _draw),
+    side_effects=frozenset({"bands"}),
+    invalidates=frozenset({DetectionStage.COLOUR, DetectionStage.FRAMES}),
+)

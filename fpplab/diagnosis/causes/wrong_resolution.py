@@ -1,0 +1,219 @@
+"""The picture is scaled before it is shown, or the lattice of mirrors is another."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, ClassVar
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.core.config import Positive
+from fpplab.core.conventions import TWO_PI, Axis, Floats, Image, Lattice, Map, Mask, axis_length
+from fpplab.diagnosis.evidence import Evidence, Needs
+from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding, Picture
+from fpplab.diagnosis.fringe_shape import FringeShapeLimits
+from fpplab.diagnosis.limits import CountLimit, LimitsSection
+from fpplab.diagnosis.sample import FrameSample
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+ASPECTS = {Lattice.SQUARE: 1.0, Lattice.DIAMOND: 2.0}
+"""Distance of columns beside that of rows, by lattice."""
+
+MOIRE_POINTS = 60_000  # coordinates at most that a moiré is looked for in
+SMOOTHED_PX = 24  # camera px over which a surface is taken as straight
+
+
+class WrongResolutionLimits(LimitsSection):
+    """What an error of the coordinate may be that repeats with the projector's pixels."""
+
+    section: ClassVar[str] = "wrong_resolution"
+
+    max_moire_px: Positive = 0.04
+    """Amplitude in projector px. Measured: a real rig reaches 0.04 px; pictures that are scaled 0.1 px and
+    more."""
+    min_cycles: Positive = 0.06
+    """Least frequency of a moiré in cycles per projector px. Chosen."""
+    max_cycles: Positive = 0.55
+    """Greatest frequency in cycles per projector px. Derived: that of pixels doubled, 0.5."""
+    min_distance_cycles: Positive = 0.006
+    """Distance from the frequencies of the fringes and their harmonics, in cycles per px. Measured on
+    benches of the limits."""
+    fringe_harmonics: CountLimit = 6
+    """Harmonics of the fringes that are taken out of the coordinate's roughness before. Measured on benches
+    of the limits."""
+    max_even_change: Positive = 0.03
+    """Change of brightness from pixel to pixel, as a share, of an even scene. Measured on benches of the
+    limits."""
+    min_fringes: Positive = 4.0
+    """Periods of a set that have to be seen for its harmonics to be told from a moiré. Chosen."""
+    max_stretch: Positive = 0.05
+    """Share by which a projector's picture may be stretched. Chosen: lenses differ by less."""
+    max_aspect_severity: Positive = 1.5
+    """Excess of a stretched picture at most: points are right if the calibration was made with it. Chosen."""
+
+
+def _find_moire(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
+    """Errors of the coordinate that repeat along the projector's pixels, but not with the fringes.
+
+    A picture that is scaled before it is shown has places where it is off by up to half a pixel.
+    """
+    spectrum, limit = (
+        _strongest_moire(evidence.frames),
+        evidence.limits.of(WrongResolutionLimits).max_moire_px,
+    )
+    if spectrum is None:
+        return
+    cycles, amplitudes = spectrum
+    k = int(amplitudes.argmax())
+    if amplitudes[k] > limit:
+        words = (
+            f"the coordinate is off by {amplitudes[k]:.2f} px once in {1.0 / cycles[k]:.1f} projector px (at "
+            f"most {limit:g} px): the picture is scaled before it is shown"
+        )
+        yield Finding(WRONG_RESOLUTION, words, float(amplitudes[k]) / limit)
+
+
+def _find_other_lattice(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
+    """A projector whose focal lengths do not belong to the lattice of mirrors that is stated."""
+    projector, limits = evidence.points.calibration.projector, evidence.limits.of(WrongResolutionLimits)
+    aspect, wanted = float(projector.matrix[1, 1] / projector.matrix[0, 0]), ASPECTS[projector.lattice]
+    off = abs(aspect / wanted - 1.0)
+    if off > limits.max_stretch:
+        words = (
+            f"by the calibration a column of the projector's picture is {aspect:.2f} times as wide as a row "
+            f"is high, but {wanted:g} times with the lattice '{projector.lattice.value}' (at most "
+            f"{100 * limits.max_stretch:g} % off)"
+        )
+        yield Finding(WRONG_RESOLUTION, words, min(off / limits.max_stretch, limits.max_aspect_severity))
+
+
+def _strongest_moire(sample: FrameSample) -> tuple[Floats, Floats] | None:
+    spectra = [one for axis in sample.coordinates if (one := moire_spectrum(sample, axis)) is not None]
+    return max(spectra, key=lambda one: float(one[1].max())) if spectra else None
+
+
+def moire_spectrum(sample: FrameSample, axis: Axis) -> tuple[Floats, Floats] | None:
+    """Measure what of the coordinate's roughness repeats with a frequency along the projector's pixels."""
+    # returns cycles (F,), amplitudes (F,)
+    limits = sample.limits.of(WrongResolutionLimits)
+    even = _even(sample.recording.mean_image(), limits.max_even_change)
+    position, rough = _roughness(sample.coordinates[axis], even, sample.step)
+    if len(position) < sample.limits.of(FringeShapeLimits).min_pixels:
+        return None
+    span = float(np.ptp(np.percentile(position, (1, 99))))
+    cycles = np.arange(limits.min_cycles, limits.max_cycles, 0.5 / max(span, 100.0))
+    size = axis_length(sample.recording.projector_size, axis)
+    sets = [one.stripes / size for one in sample.recording.plan.fringes if one.axis == axis]
+    fine = [own for own in sets if own >= 0.02]
+    for own in fine:
+        cycles = cycles[np.abs(cycles / own - np.rint(cycles / own)) * own > limits.min_distance_cycles]
+    if len(cycles) == 0:
+        return None
+    bins = np.rint(4.0 * (position - position.min())).astype(np.intp)
+    count = np.bincount(bins)
+    total = np.asarray(np.bincount(bins, rough), np.float64)
+    places = np.arange(len(total)) / 4.0
+    total = total - count * _explained_by_fringes(
+        places, total, count, _fringe_harmonics(sets, fine, span, limits)
+    )
+    sums = np.exp(-1j * TWO_PI * np.outer(cycles, places)) @ total
+    return cycles, np.asarray(2.0 * np.abs(sums) / count.sum())
+
+
+def _fringe_harmonics(
+    sets: list[float], fine: list[float], span: float, limits: WrongResolutionLimits
+) -> list[float]:
+    """Cycles per px of harmonics that are told from a moiré by a fit.
+
+    All those of coarse fringes lie among its frequencies, too close together to be left out.
+    """
+    cycles = [m * own for own in fine for m in range(1, limits.fringe_harmonics + 1)]
+    if not fine and (finest := max(sets)) * span >= limits.min_fringes:
+        cycles = [m * finest for m in range(1, int(limits.max_cycles / finest) + 1)]
+    return [one for one in cycles if one < limits.max_cycles]
+
+
+def _explained_by_fringes(
+    places: Floats, total: Floats, count: NDArray[np.intp], cycles: list[float]
+) -> Floats:
+    """What harmonics of the fringes explain: of a short span they leak into other frequencies."""
+    if not cycles:
+        return np.zeros(len(places))
+    angles = TWO_PI * np.outer(places, cycles)
+    waves = np.concatenate([np.cos(angles), np.sin(angles), np.ones((len(places), 1))], axis=1)
+    weights = np.sqrt(count)
+    means = total / np.maximum(count, 1)
+    best = np.linalg.lstsq(weights[:, None] * waves, weights * means, rcond=1e-6)[0]
+    return np.asarray(waves @ best)
+
+
+def _roughness(coordinate: Map, even: Mask, step: int) -> tuple[Floats, Floats]:
+    """Coordinates of some pixels in a direction in which they change, and how far they are off a line there.
+
+    A blurred edge shifts the coordinate, and so would a regular print; only pixels of an even scene are used.
+    """
+    right, down = (np.abs(np.diff(coordinate[::step, ::step], axis=k)) for k in (1, 0))
+    steep = np.nanmedian(right) if np.isfinite(right).any() else 0.0
+    turned = steep < (np.nanmedian(down) if np.isfinite(down).any() else 0.0)
+    along, smooth = (coordinate.T, even.T) if turned else (coordinate, even)
+    every = slice(None, None, max(1, along.size // MOIRE_POINTS))
+    rows, smooth = along[every].astype(np.float64), smooth[every]
+    half = SMOOTHED_PX // 2
+    if rows.shape[1] <= 2 * SMOOTHED_PX:
+        return np.empty(0), np.empty(0)
+    sums = np.cumsum(np.pad(np.nan_to_num(rows), ((0, 0), (1, 0))), axis=1)
+    known = np.cumsum(np.pad(np.isfinite(rows).astype(np.float64), ((0, 0), (1, 0))), axis=1)
+    window = 2 * half + 1
+    mean = (sums[:, window:] - sums[:, :-window]) / window
+    whole = known[:, window:] - known[:, :-window] == window
+    middle = rows[:, half : half + mean.shape[1]]
+    rough = middle - mean
+    whole &= (np.abs(rough) < 1.0) & smooth[:, half : half + mean.shape[1]]
+    return middle[whole], rough[whole]
+
+
+def _even(image: Image, max_change: float) -> Mask:
+    """Which pixels have neighbours of nearly their own brightness."""
+    level = cv2.GaussianBlur(image, (0, 0), 1.0).astype(np.float32)
+    change = np.hypot(cv2.Sobel(level, -1, 1, 0, scale=0.125), cv2.Sobel(level, -1, 0, 1, scale=0.125))
+    return np.asarray(change < max_change * level)
+
+
+def _draw(evidence: Evidence, _: Finding) -> Figure | None:
+    """How often along the projector's pixels errors of the coordinate repeat."""
+    from fpplab.core.drawing import ACCENT, ALARM, HALF, single_axes
+    from fpplab.diagnosis.pictures import CURVE_HEIGHT
+
+    spectrum = _strongest_moire(evidence.frames)
+    if spectrum is None:
+        return None
+    limit = evidence.limits.of(WrongResolutionLimits).max_moire_px
+    figure, axes = single_axes(HALF, CURVE_HEIGHT)
+    axes.plot(*spectrum, color=ACCENT, linewidth=1.0)
+    axes.axhline(limit, color=ALARM, linewidth=1.2, label=f"limit {limit:g} px")
+    axes.set(xlabel="cycles per projector px", ylabel="error of the coordinate\nin projector px")
+    axes.legend(loc="best")
+    return figure
+
+
+WRONG_RESOLUTION = FaultCause(
+    key="wrong_resolution",
+    meaning="The picture is scaled before it is shown, or the lattice of mirrors is another.",
+    remedy="set the display to the projector's native resolution, without scaling, keystone or overscan, "
+    "and state the projector's lattice as it is",
+    measured="error of the coordinate that repeats along the projector's pixels, but not with the fringes; "
+    "the calibration's ratio of focal lengths beside that of the lattice",
+    limit=f"{WrongResolutionLimits().max_moire_px:g} px; {100 * WrongResolutionLimits().max_stretch:g} %",
+    seen_in="coordinates, points",
+    detectors=(
+        Detector(DetectionStage.FRAMES, _find_moire),
+        Detector(DetectionStage.POINTS, _find_other_lattice),
+    ),
+    picture=Picture(Needs.FRAMES, _draw),
+    side_effects=frozenset({"stale_calibration"}),
+    useless_if_first_from=1.6,  # 0.064 px: on benches of the limits frames without scaling reach 0.06 px
+)

@@ -1,0 +1,40 @@
+"""Looking for all causes in what is known of a scan."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from fpplab.diagnosis.catalogue import known_causes
+from fpplab.diagnosis.evidence import Evidence
+from fpplab.diagnosis.finding import DetectionStage, Finding
+
+FRAME_STAGES = (DetectionStage.VISIBILITY, DetectionStage.COLOUR, DetectionStage.FRAMES, DetectionStage.BLUR)
+"""Stages that need frames alone."""
+
+
+def find_causes(
+    evidence: Evidence, stages: Iterable[DetectionStage] = tuple(DetectionStage)
+) -> list[Finding]:
+    """Look for causes stage by stage, but for stages that a finding makes meaningless."""
+    found: list[Finding] = []
+    for stage in sorted(stages):
+        if not _is_possible(stage, evidence) or any(stage in one.cause.invalidates for one in found):
+            continue
+        before = tuple(found)
+        for cause in known_causes().values():
+            for detector in cause.detectors:
+                if detector.stage is not stage:
+                    continue
+                new = list(detector.find(evidence, before))
+                if detector.replaces and new:
+                    found = [one for one in found if one.cause != cause]
+                found += new
+    return found
+
+
+def _is_possible(stage: DetectionStage, evidence: Evidence) -> bool:
+    if stage in (DetectionStage.REFLECTIONS, DetectionStage.POINTS):
+        return evidence.has_points
+    if stage is DetectionStage.PLAN:
+        return evidence.calibration is not None and evidence.decoded is not None
+    return True

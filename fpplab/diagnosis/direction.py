@@ -1,0 +1,49 @@
+"""The direction in which a coordinate changes along the image, beside that which the calibration tells."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from fpplab.calibration.model import Calibration
+from fpplab.core.config import Positive
+from fpplab.core.conventions import Axis, Floats, Map
+from fpplab.diagnosis.limits import LimitsSection
+
+DISTANCE_BASELINES = 3.0
+"""Distance in baselines of the surface on which the change is computed; the direction hardly depends on
+it."""
+
+
+class DirectionLimits(LimitsSection):
+    """From when on a coordinate runs backwards."""
+
+    section: ClassVar[str] = "direction"
+
+    min_change: Positive = 0.1
+    """Typical change along the image, as a share of that on a surface at constant depth. Derived: a slope
+    of the surface changes it, but never its sign; a tenth is left for noise."""
+
+
+def changes_along_image(coordinate: Map, calibration: Calibration, axis: Axis, stride: int) -> Floats:
+    """Compare the change of the coordinate along the image with that which the calibration tells.
+
+    On a surface at constant depth the calibration tells how the coordinate changes along the image. A slope
+    of the surface makes it change faster or slower, but never backwards: both devices see its front.
+    """
+    # coordinate (height, width) px; returns (rows, columns)
+    here = coordinate[:-1:stride, :-1:stride].astype(np.float64)
+    right = coordinate[:-1:stride, 1::stride][:, : here.shape[1]] - here
+    down = coordinate[1::stride, :-1:stride][: here.shape[0]] - here
+    wanted = _change_along_image(calibration)["xy".index(axis)]
+    return np.asarray((right * wanted[0] + down * wanted[1]) / (wanted @ wanted))
+
+
+def _change_along_image(calibration: Calibration) -> Floats:
+    """Change of the projector's coordinates (u, v) by a pixel to the right and down, (2, 2)."""
+    camera, pose = calibration.camera, calibration.T_projector_camera
+    pixels = np.array(camera.size) / 2.0 + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    rays = np.concatenate([camera.normalise(pixels), np.ones((3, 1))], axis=1)
+    seen = calibration.projector.project(DISTANCE_BASELINES * calibration.baseline_mm * rays, pose)
+    return np.stack([seen[1] - seen[0], seen[2] - seen[0]], axis=1)

@@ -1,0 +1,96 @@
+"""What a diagnosis is made of: frames, points, and what further frames of a check have shown."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.calibration.model import Calibration
+from fpplab.clouds import Cloud
+from fpplab.core.conventions import Floats
+from fpplab.diagnosis.blur import Blur, measured_blur
+from fpplab.diagnosis.limits import USUAL_LIMITS, DiagnosisLimits
+from fpplab.diagnosis.points import PointSample
+from fpplab.diagnosis.sample import FrameSample
+from fpplab.diagnosis.visibility import Visibility, visibility
+from fpplab.patterns.plan import Plan
+from fpplab.patterns.recording import Recording
+from fpplab.phase import Decoded
+
+
+class Needs(Enum):
+    """What has to be known to draw a finding."""
+
+    FINDING = "finding"
+    FRAMES = "frames"
+    POINTS = "points"
+    MARKER = "marker"
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What findings are made of."""
+
+    recording: Recording | None = None  # frames with fringes; None where none were taken
+    decoded: Decoded | None = None  # their projector coordinates
+    cloud: Cloud | None = None  # their points
+    calibration: Calibration | None = None  # that the points were triangulated with
+    marker: NDArray[np.int64] | None = None  # grey levels of the synchronisation marker in the order shown
+    runs: Mapping[str, Floats] = field(default_factory=dict)  # levels (K,) seen of it in each run
+    intended: Plan | None = None  # the plan that the points are judged by; by default that of the recording
+    foreign: str | None = None  # how these devices are not those of the calibration
+    limits: DiagnosisLimits = USUAL_LIMITS
+
+    def has(self, needed: Needs) -> bool:
+        """Tell whether there is what a picture needs."""
+        known = {
+            Needs.FINDING: True,
+            Needs.FRAMES: self.recording is not None,
+            Needs.POINTS: self.recording is not None and self.has_points,
+            Needs.MARKER: self.marker is not None and bool(self.runs),
+        }
+        return known[needed]
+
+    @property
+    def has_points(self) -> bool:
+        """Whether there are points, and the calibration that they were triangulated with."""
+        return self.cloud is not None and self.calibration is not None and len(self.cloud) > 0
+
+    @cached_property
+    def frames(self) -> FrameSample:
+        """Pixels of the recording, with their coordinates where these are known."""
+        assert self.recording is not None
+        return FrameSample.of(self.recording, self.decoded, self.limits)
+
+    @cached_property
+    def points(self) -> PointSample:
+        """Points of the scan."""
+        assert self.cloud is not None
+        assert self.calibration is not None
+        return PointSample(self.cloud, self.calibration)
+
+    @property
+    def plan(self) -> Plan:
+        """The plan that the points are judged by."""
+        if self.intended is not None:
+            return self.intended
+        assert self.recording is not None
+        return self.recording.plan
+
+    @cached_property
+    def visibility(self) -> Visibility:
+        """How clearly the frames show fringes."""
+        return visibility(self.frames)
+
+    @cached_property
+    def blur(self) -> Blur | None:
+        """How blurred fringes and edges are; None where the sets do not tell."""
+        scale = None
+        if self.has_points:
+            scale = float(self.points.projector_px_per_px["xy".index(self.plan.axes[0])])
+        return measured_blur(self.frames, scale)

@@ -1,0 +1,56 @@
+"""Limits of the diagnosis as one value, which is passed to whatever judges.
+
+Each cause, and each measurement that several causes share, states its limits beside its code as a
+`LimitsSection`. The sentence beneath a limit ends in where its value comes from: derived (from what),
+measured (on what) or chosen. "Benches of the limits" are the simulated benches of the seeds that are listed
+in `benchmarks.diagnosis`; on others, 100 scans without a fault had no finding.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, TypeVar
+
+from pydantic import Field
+
+from fpplab.core.config import Document
+
+ShareLimit = Annotated[float, Field(gt=0.0, le=1.0)]
+"""A part of a whole."""
+PercentileLimit = Annotated[float, Field(ge=0.0, le=100.0)]
+"""A percentile."""
+CountLimit = Annotated[int, Field(ge=1)]
+"""A number of things."""
+
+
+class LimitsSection(Document):
+    """Limits of one cause or measurement: a section of a file of limits."""
+
+    section: ClassVar[str]
+
+
+L = TypeVar("L", bound=LimitsSection)
+
+
+@dataclass(frozen=True)
+class DiagnosisLimits:
+    """All limits of a diagnosis: the usual ones, and those that an expert has changed."""
+
+    changed: tuple[LimitsSection, ...] = ()
+
+    def of(self, kind: type[L]) -> L:
+        """Look up the limits of one section."""
+        return next((one for one in self.changed if isinstance(one, kind)), None) or kind()
+
+    def changes(self) -> dict[str, dict[str, Any]]:
+        """List the limits that are not the usual ones, by section and name."""
+        found = {}
+        for one in self.changed:
+            usual = type(one)()
+            values = {n: v for n, v in one.model_dump().items() if v != getattr(usual, n)}
+            if values:
+                found[one.section] = values
+        return found
+
+
+USUAL_LIMITS = DiagnosisLimits()

@@ -1,0 +1,123 @@
+"""Figures that several causes share, and what they draw with. Imported only where a picture is drawn."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from fpplab.core.conventions import Floats
+from fpplab.core.drawing import (
+    ALARM,
+    HALF,
+    SECOND,
+    colour_bar,
+    draw_map,
+    map_axes,
+    side_by_side,
+    single_axes,
+)
+from fpplab.diagnosis.brightness import BrightnessLimits, frame_levels
+from fpplab.diagnosis.fringe_shape import FringeShapeLimits, phase_deviations
+from fpplab.diagnosis.sample import FrameSample
+
+CURVE_HEIGHT = 2.4  # in inches
+BINS = 48  # of a period
+MIN_BIN_VALUES = 50  # of a bin that is drawn
+
+
+def sample_extent(sample: FrameSample) -> tuple[float, float, float, float]:
+    """Give the edges of the camera's image: left, right, bottom, top in px."""
+    height, width = sample.recording.frames[0].shape
+    return (-0.5, width - 0.5, height - 0.5, -0.5)
+
+
+def draw_sample_map(
+    values: Floats, sample: FrameSample, colours: str, limits: tuple[float, float], label: str
+) -> Figure:
+    """Draw values of the pixels spread over the image."""
+    figure, axes = map_axes(values.shape)
+    colour_bar(figure, axes, draw_map(axes, values, colours, limits, sample_extent(sample)), label)
+    return figure
+
+
+def draw_limit(axes: Any, value: float, what: str) -> None:
+    """Draw a limit as a line across axes."""
+    axes.axvline(value, color=ALARM, linewidth=1.2, label=f"limit {value:.3g}: {what}")
+    axes.legend(loc="best")
+
+
+def draw_rate(excess: float) -> Figure:
+    """Draw how many frames per second a plan takes beside what is possible."""
+    figure, axes = single_axes(HALF, 1.5)
+    axes.barh(["possible", "needed"], [1.0, excess], color=[SECOND, ALARM], height=0.6)
+    axes.axvline(1.0, color=SECOND, linewidth=1.2)
+    axes.set(xlabel="frames per second, as a multiple of those possible")
+    return figure
+
+
+def draw_focus(sample: FrameSample) -> Figure:
+    """Draw the part of the image with the sharpest edges, and the contrast of the finest fringes."""
+    figure, (left, right) = side_by_side(3.0, (1.0, 1.4))
+    tile = sample.offsets_in_tiles.mean(axis=0)[0]
+    left.imshow(tile, cmap="gray")
+    left.set(xlabel="px", ylabel="px", title="part of the image with most contrast")
+    finest = sample.fits[sample.recording.plan.finest_set()].modulation
+    share = np.where(sample.measured, finest / np.maximum(sample.widest.modulation, 1e-3), np.nan)
+    shown = draw_map(right, share, "viridis", (0.0, 1.0), sample_extent(sample))
+    colour_bar(figure, right, shown, "contrast of the finest fringes\nover that of the widest")
+    return figure
+
+
+def draw_errors_by_phase(sample: FrameSample) -> Figure:
+    """Draw, by phase, how fringes depart from sinusoids and the phase from the coordinate's."""
+    figure, (left, right) = side_by_side(2.8, (1.0, 1.0))
+    for k, fringe in enumerate(sample.recording.plan.fringes):
+        fit, used = sample.fits[k], sample.measured
+        if fringe.images > 3 and used.any():
+            a, b = sample.recording.plan.set_starts[k : k + 2]
+            angles = fit.phase[used] - fringe.phase_shifts()[:, None]
+            seen = (sample.spread[a:b, used] - fit.offset[used]) / fit.modulation[used]
+            left.plot(*_binned(angles, seen - np.cos(angles)), linewidth=1.2, label=f"set {k + 1}")
+    for k, expected, deviation in phase_deviations(sample):
+        known = np.isfinite(deviation)
+        right.plot(*_binned(expected[known], deviation[known]), linewidth=1.2, label=f"set {k + 1}")
+    limit = sample.limits.of(FringeShapeLimits).min_harmonic_rad
+    right.axhspan(-limit, limit, color=SECOND, alpha=0.2, linewidth=0)
+    left.set(xlabel="phase in rad", ylabel="image − sinusoid, of the modulation")
+    right.set(xlabel="phase in rad", ylabel="phase error in rad (band: RMS limit)")
+    for axes in (left, right):
+        if axes.lines:
+            axes.legend(loc="best")
+        else:
+            axes.set_title("cannot be measured with these sets", fontsize=8.5)
+    return figure
+
+
+def _binned(angles: Floats, values: Floats) -> tuple[Floats, Floats]:
+    """Mean of values over one period."""
+    place = np.floor((angles % (2 * np.pi)) / (2 * np.pi) * BINS).astype(np.intp).ravel() % BINS
+    total, count = np.bincount(place, values.ravel(), BINS), np.bincount(place, minlength=BINS)
+    with np.errstate(invalid="ignore"):
+        mean = np.where(count >= MIN_BIN_VALUES, total / count, np.nan)
+    return (np.arange(BINS) + 0.5) / BINS * 2 * np.pi, mean
+
+
+def draw_brightness_by_frame(sample: FrameSample, max_scatter: float) -> Figure:
+    """Draw the brightness of each frame beside the mean of its fringe set, and the limit of its scatter."""
+    levels, starts = frame_levels(sample), sample.recording.plan.set_starts
+    figure, axes = single_axes(HALF, CURVE_HEIGHT)
+    sets = sample.recording.plan.fringes
+    # The mean of a frame of few stripes depends on their phase.
+    least = min(sample.limits.of(BrightnessLimits).min_stripes, max(fringe.stripes for fringe in sets))
+    for k, fringe in enumerate(sets):
+        if fringe.stripes < least:
+            continue
+        own = np.arange(starts[k], starts[k + 1])
+        off = 100.0 * (levels[own] / levels[own].mean() - 1.0)
+        axes.plot(own + 1, off, "o-", markersize=3, linewidth=0.8, label=f"{fringe.stripes:g} stripes")
+    axes.axhspan(-100 * max_scatter, 100 * max_scatter, color=SECOND, alpha=0.2, linewidth=0)
+    axes.set(xlabel="frame", ylabel="brightness beside that\nof the set, in % (band: limit)")
+    axes.legend(loc="best", ncols=3)
+    return figure

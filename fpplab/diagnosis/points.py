@@ -1,0 +1,63 @@
+"""Points of a scan, and what the calibration says of the place where they are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from fpplab.calibration.model import Calibration
+from fpplab.clouds import Cloud
+from fpplab.core.conventions import Floats
+
+POINTS = 4000  # that are evaluated, at least where there are as many
+NEIGHBOURS = 64  # over which epipolar distances are averaged: noise then falls to an eighth
+
+
+@dataclass(frozen=True, eq=False)
+class PointSample:
+    """Points of a scan."""
+
+    cloud: Cloud  # in mm in the camera's frame
+    calibration: Calibration  # that they were triangulated with
+
+    @cached_property
+    def points(self) -> Floats:
+        """(N, 3) some of the points in mm."""
+        return self.cloud.points[:: max(1, len(self.cloud) // POINTS)].astype(np.float64)
+
+    @cached_property
+    def projector_px_per_px(self) -> Floats:
+        """(2,) how many projector px along u and v one camera px covers, on a surface facing the camera."""
+        mm_per_px = float(np.median(self.points[:, 2])) / self.calibration.camera.matrix[0, 0]
+        here = self._projected(self.points)
+        moved = [self._projected(self.points + step) - here for step in mm_per_px * np.eye(3)[:2]]
+        return np.asarray(np.median(np.hypot(*moved), axis=0))
+
+    @cached_property
+    def px_per_mm_of_depth(self) -> Floats:
+        """(2,) change of the projector's u and v in px for 1 mm of depth along the camera's rays."""
+        near, far = (self.points * (1.0 + s / self.points[:, 2:]) for s in (-0.5, 0.5))
+        return np.asarray(np.median(np.abs(self._projected(far) - self._projected(near)), axis=0))
+
+    def _projected(self, points: Floats) -> Floats:
+        return self.calibration.projector.project(points, self.calibration.T_projector_camera)
+
+
+def triangulation_angles_deg(points: Floats, calibration: Calibration) -> Floats:
+    """Compute the angle between the rays of camera and projector."""
+    # points (N, 3) mm; returns (N,) degrees
+    pose = calibration.T_projector_camera
+    light = points + pose.rotation.T @ pose.translation
+    cosine = np.sum(points * light, axis=1) / np.linalg.norm(points, axis=1) / np.linalg.norm(light, axis=1)
+    return np.asarray(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+
+
+def systematic_epipolar_px(cloud: Cloud) -> float | None:
+    """Compute how far points are off their epipolar lines, where noise averages out over neighbours."""
+    if cloud.epipolar_px is None or len(cloud) < 2 * NEIGHBOURS:
+        return None
+    usable = len(cloud) // NEIGHBOURS * NEIGHBOURS
+    groups = cloud.epipolar_px[:usable].astype(np.float64).reshape(-1, NEIGHBOURS)
+    return float(np.median(np.abs(np.median(groups, axis=1))))
