@@ -27,6 +27,9 @@ class Bench:
     answer: dict[str, Any]
 
 
+pytestmark = pytest.mark.whole
+
+
 @pytest.fixture(scope="module")
 def bench(fpplab: Command, tmp_path_factory: pytest.TempPathFactory) -> Bench:
     """`fpplab verify --rig` in three positions, with the true calibration."""
@@ -46,7 +49,6 @@ def bench(fpplab: Command, tmp_path_factory: pytest.TempPathFactory) -> Bench:
     return Bench(folder, standard, calibration, done.json)
 
 
-@pytest.mark.whole
 def test_positions_and_the_fits_errors_were_shown(bench: Bench) -> None:
     shown = Recording(bench.folder / "verify.rrd")
     assert shown.frames("world/camera/image")
@@ -88,7 +90,6 @@ def test_the_report_shows_every_position(bench: Bench) -> None:
     assert "://" not in page
 
 
-@pytest.mark.whole
 def test_recorded_sessions_and_clouds_give_the_same(fpplab: Command, bench: Bench) -> None:
     scans = bench.folder / "verify_scans"
     bars = [scans / BARS[0], scans / BARS[1] / "cloud.ply"]
