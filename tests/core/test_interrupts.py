@@ -13,6 +13,7 @@ import pytest
 BEGIN = """
 import os, signal, sys, time, weakref
 from fpplab.core import interrupts
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # of tests under nohup it is ignored
 interrupts.watch_signals()
 class Thing: pass
 def hit(number=signal.SIGINT):
