@@ -34,12 +34,12 @@ def ask_apart(answer: Callable[..., None], *arguments: Any, timeout_s: float) ->
 def libraries_silent() -> Iterator[None]:
     """Keep what libraries print off the terminal; what Python writes to `sys.stderr` still appears."""
     sys.stderr.flush()
-    own, python = os.dup(2), sys.stderr
-    with os.fdopen(own, "w", buffering=1) as kept, open(os.devnull, "w") as nowhere:
-        os.dup2(nowhere.fileno(), 2)
-        sys.stderr = kept
+    descriptor, stream = os.dup(2), sys.stderr
+    with os.fdopen(descriptor, "w", buffering=1) as terminal, open(os.devnull, "w") as null:
+        os.dup2(null.fileno(), 2)
+        sys.stderr = terminal
         try:
             yield
         finally:
-            sys.stderr = python
-            os.dup2(own, 2)
+            sys.stderr = stream
+            os.dup2(descriptor, 2)

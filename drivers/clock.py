@@ -15,7 +15,7 @@ class Polling:
     """How a change of a device's state is awaited."""
 
     step_s: float  # from one query to the next
-    limit_s: float  # after which the change is given up
+    limit_s: float  # after which the device is taken not to change
 
 
 class Clock(Protocol):

@@ -72,7 +72,7 @@ def find_devices() -> FoundDevices:
     A library that does not load is reported as missing; the other kinds of device are listed nevertheless.
     """
     usb, missing = usb_devices()
-    found = FoundDevices([], missing)
+    result = FoundDevices([], missing)
     searches: dict[str, Callable[[], FoundDevices]] = {
         "cameras": lambda: cameras(usb),
         "V4L2 cameras": computer_discovery.video_cameras,
@@ -85,12 +85,12 @@ def find_devices() -> FoundDevices:
         try:
             part = search()
         except (ImportError, MissingExtraError) as error:
-            found.missing.append(f"{kind} are not looked for: {_why_not(error)}")
+            result.missing.append(f"{kind} are not looked for: {_why_not(error)}")
             continue
-        found.devices.extend(part.devices)
-        found.missing.extend(part.missing)
-    listed = [one for one in found.devices if not _is_again(one, found.devices)]
-    return FoundDevices([_with_video_port(one, listed) for one in listed], found.missing)
+        result.devices.extend(part.devices)
+        result.missing.extend(part.missing)
+    listed = [device for device in result.devices if not _is_again(device, result.devices)]
+    return FoundDevices([_with_video_port(device, listed) for device in listed], result.missing)
 
 
 def _why_not(error: ImportError | MissingExtraError) -> str:
@@ -114,8 +114,8 @@ def _with_video_port(device: FoundDevice, all_found: Iterable[FoundDevice]) -> F
     ports = [d.section["display"] for d in all_found if d.is_certain and d.section.get("size") == size]
     if len(ports) != 1:
         return device
-    named = {key: value for key, value in device.section.items() if key != "flash"}
-    return replace(device, section={**named, "video": {"display": ports[0]}})
+    kept_keys = {key: value for key, value in device.section.items() if key != "flash"}
+    return replace(device, section={**kept_keys, "video": {"display": ports[0]}})
 
 
 def usb_devices() -> tuple[list[UsbDevice], list[str]]:
@@ -161,27 +161,29 @@ def cameras(usb: Iterable[UsbDevice]) -> FoundDevices:
     """List Basler cameras, including pylon's emulated ones."""
     from pypylon import pylon
 
-    seen = pylon.TlFactory.GetInstance().EnumerateDevices()
+    listed = pylon.TlFactory.GetInstance().EnumerateDevices()
     plugged = [device for device in usb if device.vendor == BASLER_VENDOR]
     speeds = {device.serial: device.speed for device in plugged if device.serial}
-    found = FoundDevices([], [])
-    for camera in seen:
+    result = FoundDevices([], [])
+    for camera in listed:
         link = _link(camera.GetDeviceClass(), speeds.get(camera.GetSerialNumber()))
         model, serial = camera.GetModelName(), camera.GetSerialNumber()
         section = {"backend": "basler", "serial": serial}
-        found.devices.append(FoundDevice("camera", model, serial, link, section, BENCH))
-    serials = {device.serial for device in found.devices}
+        result.devices.append(FoundDevice("camera", model, serial, link, section, BENCH))
+    serials = {device.serial for device in result.devices}
     for device in plugged:
         if not device.is_accessible:
-            found.missing.append(f"camera {device.label}: this user may not open it; {RULES}")
+            result.missing.append(f"camera {device.label}: this user may not open it; {RULES}")
         elif device.serial not in serials:
-            found.missing.append(f"camera {device.label}: pylon does not show it; install pylon's USB driver")
+            result.missing.append(
+                f"camera {device.label}: pylon does not show it; install pylon's USB driver"
+            )
         if device.speed is not None and device.speed < 4:  # slower than USB 3
-            found.missing.append(
+            result.missing.append(
                 f"camera {device.label}: connected by {SPEEDS.get(device.speed, 'an unknown speed')}; "
                 "use a USB 3 port and cable, or frames will be lost"
             )
-    return found
+    return result
 
 
 def projectors(usb: Iterable[UsbDevice]) -> FoundDevices:
@@ -193,24 +195,24 @@ def projectors(usb: Iterable[UsbDevice]) -> FoundDevices:
     import hid
 
     plugged = [device for device in usb if device.ids == (VENDOR, PRODUCT)]
-    found = FoundDevices([], [])
-    for one in hid.enumerate(VENDOR, PRODUCT):
-        if one["interface_number"] in (-1, 0):
-            serial = one["serial_number"] or ""
+    result = FoundDevices([], [])
+    for interface in hid.enumerate(VENDOR, PRODUCT):
+        if interface["interface_number"] in (-1, 0):
+            serial = interface["serial_number"] or ""
             speed = next((d.speed for d in plugged if d.serial == serial or len(plugged) == 1), None)
-            link = _link(f"USB {one['path'].decode()}", speed)
-            named = {"serial": serial} if serial else {}
-            section = {"backend": LIGHTCRAFTER_DRIVER, "flash": "patterns.yaml", **named}
-            model = one["product_string"] or "DLPC350"
-            found.devices.append(FoundDevice("projector", model, serial, link, section, BENCH))
+            link = _link(f"USB {interface['path'].decode()}", speed)
+            serial_key = {"serial": serial} if serial else {}
+            section = {"backend": LIGHTCRAFTER_DRIVER, "flash": "patterns.yaml", **serial_key}
+            model = interface["product_string"] or "DLPC350"
+            result.devices.append(FoundDevice("projector", model, serial, link, section, BENCH))
     for device in plugged:
         if not device.is_accessible:
-            found.missing.append(f"projector {device.label}: this user may not open it; {RULES}")
-    if len(plugged) > len(found.devices):
-        found.missing.append(
+            result.missing.append(f"projector {device.label}: this user may not open it; {RULES}")
+    if len(plugged) > len(result.devices):
+        result.missing.append(
             "a projector is on USB, but without its HID interface: unplug it and plug it in again"
         )
-    return found
+    return result
 
 
 def stages(usb: Iterable[UsbDevice]) -> FoundDevices:
@@ -222,16 +224,16 @@ def stages(usb: Iterable[UsbDevice]) -> FoundDevices:
 
     # "n/a" is a port of the mainboard without hardware behind it
     ports = [port for port in list_ports.comports() if port.hwid != "n/a"]
-    found = FoundDevices([], [])
+    result = FoundDevices([], [])
     for port in ports:
         ids = "" if port.vid is None else f" (USB {port.vid:04x}:{port.pid:04x})"
         link = f"serial {port.device}{ids}"
         section = {"backend": "grbl", "port": port.device}
-        found.devices.append(
+        result.devices.append(
             FoundDevice("stage", port.description, port.serial_number or "", link, section, BENCH, False)
         )
         if not _may_use(Path(port.device)):
-            found.missing.append(
+            result.missing.append(
                 f"stage on {port.device}: this user may not open it; add yourself to its group "
                 "(sudo usermod -aG dialout $USER), and log in again"
             )
@@ -239,10 +241,10 @@ def stages(usb: Iterable[UsbDevice]) -> FoundDevices:
     for device in usb:
         if device.ids in SERIAL_ADAPTERS and device.ids not in served:
             name = SERIAL_ADAPTERS[device.ids]
-            found.missing.append(
+            result.missing.append(
                 f"stage {device.label}: {name} is on USB without a serial port; install its driver"
             )
-    return found
+    return result
 
 
 def _link(how: str, speed: int | None) -> str:

@@ -40,7 +40,7 @@ from fpplab.devices import DeviceInfo, Frame, State, Trigger
 
 _log = logging.getLogger(__name__)
 
-GENTLER = "use a better cable or network card, or a larger packet_delay_ticks"
+LINK_REMEDY = "use a better cable or network card, or a larger packet_delay_ticks"
 """Remedy for packets that are lost again and again."""
 READY_TIMEOUT_S = 5.0
 """Longest wait in s for a camera to become ready for its first trigger (chosen)."""
@@ -117,7 +117,7 @@ class BaslerCamera(GenicamCamera):
         self._first_block = FIRST_BLOCK.get(info.GetDeviceClass(), 0)
         self._ticks_per_s = float(
             self._features.read(named.TICKS_PER_S) or 1e9
-        )  # ns, unless the camera tells another unit
+        )  # ns, unless the camera reports another unit
         if self._options.features is not None:
             path = Path(self._options.features)
             self._load(config.read_text(path), path)
@@ -136,8 +136,8 @@ class BaslerCamera(GenicamCamera):
         finally:
             camera.DestroyDevice()
         if removed:
-            # The error that told of it holds the camera in cycles of frames, and pylon frees the camera's
-            # thread and pipes with the object alone.
+            # The error that reported it keeps the camera in reference cycles of stack frames, and pylon frees
+            # the camera's thread and pipes only when the object is deleted.
             del camera
             gc.collect()
 
@@ -167,11 +167,11 @@ class BaslerCamera(GenicamCamera):
         host_time_s = time.time()
         if not result.GrabSucceeded():
             self._check_connected("read")
-            said = f"{result.GetErrorDescription()} ({result.GetErrorCode():#x}){self._lost()}"
+            description = f"{result.GetErrorDescription()} ({result.GetErrorCode():#x}){self._lost()}"
             raise FrameLossError(
                 self.name,
                 "read",
-                f"frame {self._taken} is damaged: {said}",
+                f"frame {self._taken} is damaged: {description}",
                 "check the cable, and the USB controller or network; take the frames again",
             )
         index, ticks = self._index(result.GetBlockID()), result.GetTimeStamp()
@@ -181,7 +181,7 @@ class BaslerCamera(GenicamCamera):
 
     def _stop(self) -> None:
         if self._camera.IsGrabbing() and (lost := self._lost()):
-            _log.warning("%s: frames arrived, but not without repeats%s; %s", self.name, lost, GENTLER)
+            _log.warning("%s: frames arrived, but not without repeats%s; %s", self.name, lost, LINK_REMEDY)
         self._camera.StopGrabbing()
 
     def _lost(self) -> str:
@@ -206,19 +206,21 @@ class BaslerCamera(GenicamCamera):
                 raise self._described(operation, error) from error
 
     def _described(self, operation: str, error: genicam.GenericException) -> DeviceError:
-        said = str(error)
-        if any(phrase in said for phrase in IN_USE):
+        message = str(error)
+        if any(phrase in message for phrase in IN_USE):
             return StateError(self.name, operation, "another program has the camera open", "close it there")
         if self._camera is not None and self._is_gone():
             return self._disconnected(operation)
-        return DeviceError(self.name, operation, f"pylon says: {_words(error)}", "close it and open it again")
+        return DeviceError(
+            self.name, operation, f"pylon says: {_message(error)}", "close it and open it again"
+        )
 
     def _load(self, text: str, path: Path) -> None:
         try:
             pylon.FeaturePersistence.LoadFromString(text, self._camera.GetNodeMap(), True)
         except genicam.GenericException as error:
             self._check_connected("load_features")
-            raise ConfigError(f"{path}: does not fit the camera '{self.name}': {_words(error)}") from error
+            raise ConfigError(f"{path}: does not fit the camera '{self.name}': {_message(error)}") from error
 
     def _apply_options(self) -> None:
         super()._apply_options()
@@ -298,7 +300,7 @@ class CameraAsLeft(BaslerCamera):
         """Leave the region of interest as it is."""
 
 
-def _words(error: genicam.GenericException) -> str:
+def _message(error: genicam.GenericException) -> str:
     """Return pylon's message without the exception's type and source location."""
     return str(error).split(" : ")[0].strip()
 

@@ -46,9 +46,9 @@ def save_settings(
 
     need_suffix(file, ".pfs")
     refuse_existing(file, force)
-    with _connected(serial) as found:
-        found.save_features(file)
-        info = found.info()
+    with _connected(serial) as device:
+        device.save_features(file)
+        info = device.info()
     console.print_result({"settings": str(file), "model": info.model, "serial": info.serial}, json)
 
 
@@ -60,9 +60,9 @@ def load_settings(file: SettingsFile, serial: CameraSerialOption = None, json: J
 
     Example: `fpplab camera load camera.pfs`
     """
-    with _connected(serial) as found:
-        found.load_features(file)
-        info = found.info()
+    with _connected(serial) as device:
+        device.load_features(file)
+        info = device.info()
     console.print_result({"settings": str(file), "model": info.model, "serial": info.serial}, json)
 
 

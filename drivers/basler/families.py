@@ -1,9 +1,9 @@
 """What is known of Basler's camera families beyond the names that `drivers.genicam.names` lists.
 
-A camera tells its features itself. What it does not tell stands here: which nodes belong to its family, so
-that one that is missing is noticed, and how the integer `GainRaw` of some models is meant. 0.0359 dB for each
-step is the manual's formula for the models with CCD sensors; the same sensors have ranges of so many dB over
-USB. For CMOSIS sensors it is 20 log10(GainRaw / 32). What GainRaw means in other models, the rig file states.
+A camera lists its own features. What it does not report is here: which nodes belong to its family, so that
+a missing one is noticed, and what the integer `GainRaw` of some models means. 0.0359 dB per step is the
+manual's formula for models with CCD sensors; over USB the same sensors have their range in dB. For CMOSIS
+sensors the gain is 20 log10(GainRaw / 32). For other models the rig file states what GainRaw means.
 
 References
 ----------
@@ -55,7 +55,7 @@ FAMILIES = (
         (*_ALL, *_SFNC_2, "TestPattern", "BslResultingAcquisitionFrameRate"),
     ),
 )
-"""Families whose nodes are known; any other camera is used by what it tells."""
+"""Families whose nodes are known; any other camera is used by the features that it lists."""
 
 RAW_GAINS = (
     (r"acA(2000-50|2040-25)g", RawGain(unity=32.0)),

@@ -19,10 +19,10 @@ LOST = {
 
 def lost_on_link(nodes: Any) -> dict[str, int]:
     """Read what the link has lost."""
-    found: dict[str, int] = {}
+    counts: dict[str, int] = {}
     with suppress(genicam.GenericException):  # an unplugged camera; that is reported by its own error
         for what, name in LOST.items():
             node = nodes.GetNode(name)
             if node.IsValid() and node.IsReadable() and (count := node.GetValue()) > 0:
-                found[what] = count
-    return found
+                counts[what] = count
+    return counts

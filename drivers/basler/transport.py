@@ -12,7 +12,7 @@ class Pylon:
 
     def cameras(self) -> dict[str, Any]:
         """List the cameras that are connected now, opened or not."""
-        return {found.GetSerialNumber(): found for found in self._layer().EnumerateDevices()}
+        return {info.GetSerialNumber(): info for info in self._layer().EnumerateDevices()}
 
     def attach(self, info: Any) -> Any:
         """Create pylon's handle of a camera."""

@@ -37,19 +37,19 @@ HINTS = {
     b"SDL_RENDER_SCALE_QUALITY": b"nearest",
 }
 """SDL's hints, set before it starts."""
-UNSEEN = (b"offscreen", b"dummy")
-"""Video drivers that SDL falls back to where there is no display: nobody sees what they show."""
+INVISIBLE_DRIVERS = (b"offscreen", b"dummy")
+"""Video drivers that SDL falls back to where there is no display; what they show is not visible."""
 REMEDY = "check the display's cable and settings"
 
 
 @dataclass(frozen=True)
 class DisplayInfo:
-    """A display of this computer, as SDL tells it."""
+    """A display of this computer, as SDL reports it."""
 
     index: int  # its number, from 0
     name: str  # its name, such as that of its connector or model
     size: tuple[int, int]  # width and height in px, as it is set
-    refresh_hz: int  # refresh rate in Hz, television rates as the whole number below; 0 where it is not told
+    refresh_hz: int  # refresh rate in Hz, television rates as the whole number below; 0 if not reported
     is_main: bool  # whether its upper left corner is the desktop's origin
 
     def __str__(self) -> str:
@@ -121,15 +121,15 @@ def serve_displays(connection: Connection) -> None:
 
 
 def _displays(sdl: Any) -> list[DisplayInfo]:
-    found = []
+    displays = []
     for index in range(sdl.SDL_GetNumVideoDisplays()):
         mode, bounds = sdl.SDL_DisplayMode(), sdl.SDL_Rect()
         sdl.SDL_GetCurrentDisplayMode(index, byref(mode))
         sdl.SDL_GetDisplayBounds(index, byref(bounds))
         name = (sdl.SDL_GetDisplayName(index) or b"").decode()
         is_main = (bounds.x, bounds.y) == (0, 0)
-        found.append(DisplayInfo(index, name, (mode.w, mode.h), mode.refresh_rate, is_main))
-    return found
+        displays.append(DisplayInfo(index, name, (mode.w, mode.h), mode.refresh_rate, is_main))
+    return displays
 
 
 @contextmanager
@@ -145,7 +145,7 @@ def _video() -> Iterator[Any]:
             f"SDL finds no displays ({sdl2.SDL_GetError().decode()})", "start a graphical session"
         )
     try:
-        if sdl2.SDL_GetCurrentVideoDriver() in UNSEEN and "SDL_VIDEODRIVER" not in os.environ:
+        if sdl2.SDL_GetCurrentVideoDriver() in INVISIBLE_DRIVERS and "SDL_VIDEODRIVER" not in os.environ:
             raise ScreenError("there is no graphical session", "start one, and run this in it")
         yield sdl2
     finally:
@@ -164,7 +164,7 @@ class Screen:
 
     def __init__(self, sdl: Any, wanted: int | str, size: tuple[int, int] | None) -> None:
         self._sdl = sdl
-        self.display = _chosen(_displays(sdl), wanted, size)
+        self.display = _choose_display(_displays(sdl), wanted, size)
         self._size = self.display.size
         self.frame_bytes = 3 * self._size[0] * self._size[1]
         self._renderer, self._window = self._create_window(self.display.index)
@@ -223,9 +223,9 @@ class Screen:
             raise ScreenError("its window is on another display", "leave the projector's display alone")
         width, height = c_int(), c_int()
         self._sdl.SDL_GetRendererOutputSize(self._renderer, byref(width), byref(height))
-        found = (width.value, height.value)
-        if found != self._size:
-            raise ScreenError("its window has {} x {} pixels, not {} x {}".format(*found, *self._size))
+        size = (width.value, height.value)
+        if size != self._size:
+            raise ScreenError("its window has {} x {} pixels, not {} x {}".format(*size, *self._size))
 
     def _upload(self, frame: bytes) -> None:
         if self._sdl.SDL_UpdateTexture(self._texture, None, frame, 3 * self._size[0]):
@@ -264,19 +264,21 @@ class Screen:
         return vsync_period_s(reported_hz)
 
 
-def _chosen(displays: list[DisplayInfo], wanted: int | str, size: tuple[int, int] | None) -> DisplayInfo:
+def _choose_display(
+    displays: list[DisplayInfo], wanted: int | str, size: tuple[int, int] | None
+) -> DisplayInfo:
     """The display that is wanted, or `ScreenError` unless exactly one of the right size matches."""
     listed = ", ".join(map(str, displays))
-    found = [display for display in displays if wanted in (display.index, display.name)]
-    if not found:
+    matching = [display for display in displays if wanted in (display.index, display.name)]
+    if not matching:
         raise ScreenError(f"there is no display {wanted!r}", f"there are {listed}")
-    if len(found) > 1:
+    if len(matching) > 1:
         raise ScreenError(f"several displays are called {wanted!r}", f"name one by its number: {listed}")
-    if size is not None and found[0].size != size:
+    if size is not None and matching[0].size != size:
         raise ScreenError(
             "display {!r} is not set to {} x {}".format(wanted, *size), f"set it so; there are {listed}"
         )
-    return found[0]
+    return matching[0]
 
 
 def vsync_period_s(reported_hz: int) -> float:

@@ -163,10 +163,10 @@ class SdlDisplay:
 def connected_displays() -> list[DisplayInfo]:
     """List the displays of this computer, from a process of its own."""
     need_extra("sdl2")
-    found = ask_apart(screen.serve_displays, timeout_s=START_S)
-    if isinstance(found, screen.ScreenFailure):
-        raise DeviceError("displays", "list", found.found, found.remedy)
-    if found is None:
-        raise DeviceError("displays", "list", "SDL does not answer", "see that the graphical session runs")
-    listed: list[DisplayInfo] = found
+    answer = ask_apart(screen.serve_displays, timeout_s=START_S)
+    if isinstance(answer, screen.ScreenFailure):
+        raise DeviceError("displays", "list", answer.found, answer.remedy)
+    if answer is None:
+        raise DeviceError("displays", "list", "SDL does not answer", "check that the graphical session runs")
+    listed: list[DisplayInfo] = answer
     return listed

@@ -60,7 +60,7 @@ def status(
             "tag": board.firmware_tag(),
             "standby": board.is_standby(),
             "images": board.images_in_flash() if not board.is_standby() else None,
-            "state": found.words,
+            "state": found.descriptions,
             "faults": found.faults,
         }
     console.print_result(result, json)

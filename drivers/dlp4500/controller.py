@@ -65,22 +65,22 @@ class Controller(ProjectorBoard):
         """Have the controller validate the configured sequence.
 
         Warnings do not keep a sequence from running: patterns from the video port always have that of missing
-        black. They are kept, for the case that it does not run.
+        black. They are stored, to be reported if it does not run.
         """
         self.link.write(protocol.VALIDATE)
-        found = self.link.read(protocol.VALIDATE)
+        result = self.link.read(protocol.VALIDATE)
 
         def done() -> bool:
-            nonlocal found
-            found = self.link.read(protocol.VALIDATE)
-            return not found["busy"]
+            nonlocal result
+            result = self.link.read(protocol.VALIDATE)
+            return not result["busy"]
 
-        if found["busy"]:
+        if result["busy"]:
             self._clock.sleep(VALIDATION.step_s)
             self._until(done, "validation", "does not end", VALIDATION)
-        self._warnings = validation_messages(found, VALIDATION_WARNINGS)
-        if words := validation_messages(found, VALIDATION_ERRORS):
-            raise ProtocolError(self._name, "validation", "; ".join(words), "change the plan's exposure")
+        self._warnings = validation_messages(result, VALIDATION_WARNINGS)
+        if messages := validation_messages(result, VALIDATION_ERRORS):
+            raise ProtocolError(self._name, "validation", "; ".join(messages), "change the plan's exposure")
 
     def start(self, program: Program) -> None:
         """Switch the LEDs on, start the prepared sequence and check that it runs.
@@ -101,8 +101,8 @@ class Controller(ProjectorBoard):
             faults = self._faults_until_running(standing)
         if faults is None or (is_short and not faults):
             return
-        found = ["the sequence does not run", *faults, *self._warnings]
-        raise ProtocolError(self._name, "start", "; ".join(found), "try it again")
+        reasons = ["the sequence does not run", *faults, *self._warnings]
+        raise ProtocolError(self._name, "start", "; ".join(reasons), "try it again")
 
     def _order_start(self) -> float:
         """Order the start, and give the s until it was acknowledged."""

@@ -136,7 +136,7 @@ class Storage(Protocol):
 
     @property
     def still_us(self) -> int:
-        """Time in µs after which a pattern that is shown begins anew; known once open."""
+        """Time in µs after which a pattern that is shown repeats; known once open."""
 
     @property
     def dark_between(self) -> bool:
@@ -170,7 +170,7 @@ class Storage(Protocol):
         """
 
     def show(self, board: Controller, i: int) -> None:
-        """Show one pattern until told otherwise.
+        """Show one pattern until the next command.
 
         Parameters
         ----------

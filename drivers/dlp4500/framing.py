@@ -72,10 +72,10 @@ def parse_header(report: bytes) -> Header:
     """Parse the header in the first report of a message."""
     if len(report) != REPORT_BYTES:
         raise ValueError(f"a report of {len(report)} bytes: {REPORT_BYTES}")
-    found = Header(*struct.unpack_from("<BBH", report))
-    if found.length > MAX_PAYLOAD_BYTES:
-        raise ValueError(f"a payload of {found.length} bytes: at most {MAX_PAYLOAD_BYTES}")
-    return found
+    header = Header(*struct.unpack_from("<BBH", report))
+    if header.length > MAX_PAYLOAD_BYTES:
+        raise ValueError(f"a payload of {header.length} bytes: at most {MAX_PAYLOAD_BYTES}")
+    return header
 
 
 def continuation_reports(length: int) -> int:

@@ -89,7 +89,7 @@ class InFlash:
         self._slots = slots
 
     def show(self, board: Controller, i: int) -> None:
-        """Show one pattern until told otherwise."""
+        """Show one pattern until the next command."""
         slot = self._slots[i]
         with board.dark_on_failure():
             board.run(still_program(slot, MIN_EXPOSURE_US[slot.bits], self._leds))
@@ -129,15 +129,15 @@ class InFlash:
             raise SettingError(self._name, "load", str(error), "change the plan") from error
 
     def _find(self, pattern: Pattern) -> Slot:
-        found = self._index.find(pattern.id, pattern.bit_depth, index_checksum(pattern.image))
-        if found is None:
+        stored = self._index.find(pattern.id, pattern.bit_depth, index_checksum(pattern.image))
+        if stored is None:
             raise CapabilityError(
                 self._name,
                 "load",
                 f"the flash does not contain pattern {pattern.id}, {pattern.bit_depth} bits, of this plan",
                 "build the plan's firmware file and upload it",
             )
-        return found.slot
+        return stored.slot
 
 
 def _changes(slots: Sequence[Slot]) -> int:

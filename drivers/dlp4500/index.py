@@ -86,5 +86,5 @@ class FlashIndex(Document):
 
     def find(self, name: str, bits: int, sha256: str) -> FlashPattern | None:
         """Find a pattern by its contents."""
-        alike = [p for p in self.patterns if (p.bits, p.sha256) == (bits, sha256)]
-        return next((p for p in alike if p.id == name), alike[0] if alike else None)
+        matching = [p for p in self.patterns if (p.bits, p.sha256) == (bits, sha256)]
+        return next((p for p in matching if p.id == name), matching[0] if matching else None)

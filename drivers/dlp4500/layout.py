@@ -30,8 +30,8 @@ class RegisterField:
         """Check that a value is allowed."""
         allowed = self.values()
         if value not in allowed:
-            words = f"{allowed[0]} to {allowed[-1]}" if isinstance(allowed, range) else f"one of {allowed}"
-            raise ValueError(f"{self.name} is {value}: {words}")
+            expected = f"{allowed[0]} to {allowed[-1]}" if isinstance(allowed, range) else f"one of {allowed}"
+            raise ValueError(f"{self.name} is {value}: {expected}")
 
 
 @dataclass(frozen=True)
@@ -67,13 +67,13 @@ class RegisterLayout:
         """Decode values."""
         if len(data) != self.size:
             raise ValueError(f"{len(data)} bytes of data: {self.size}")
-        word, found = int.from_bytes(data, "little"), {}
+        word, values = int.from_bytes(data, "little"), {}
         for field in self.fields:
             if field.name:
-                found[field.name] = (word & ((1 << field.bits) - 1)) + field.offset
-                field.check(found[field.name])
+                values[field.name] = (word & ((1 << field.bits) - 1)) + field.offset
+                field.check(values[field.name])
             word >>= field.bits
-        return found
+        return values
 
 
 @dataclass(frozen=True)

@@ -16,14 +16,14 @@ Planes = NDArray[np.uint8]
 """uint8 (1140, 912, 3): the bit planes of green, red and blue, in the order of their numbers."""
 
 
-def assign_slots(patterns: Sequence[Pattern], most: int) -> list[Slot]:
+def assign_slots(patterns: Sequence[Pattern], max_patterns: int) -> list[Slot]:
     """Assign patterns to frames in their order, as many of equal bit depth to a frame as it holds."""
     slots: list[Slot] = []
     for pattern in patterns:
         image, number, bits = -1, 0, pattern.bit_depth
         if slots:
             image, number = slots[-1].image, slots[-1].number + 1
-        if not slots or bits != slots[-1].bits or number == min(most, len(pattern_numbers(bits))):
+        if not slots or bits != slots[-1].bits or number == min(max_patterns, len(pattern_numbers(bits))):
             image, number = image + 1, 0
         slots.append(Slot(image, number, bits))
     return slots

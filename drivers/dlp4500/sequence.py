@@ -171,13 +171,13 @@ def flash_program(
         if swap:
             images.append(slot.image)
         entries.append(Entry(slot.number, slot.bits, leds, swap=swap))
-    least = max(exposure_us + dark_us, period_us, least_period_us(slots, load_us or {}, repeat))
+    minimum = max(exposure_us + dark_us, period_us, least_period_us(slots, load_us or {}, repeat))
     program = Program(
         Source.FLASH,
         tuple(entries),
         tuple(images),
         exposure_us,
-        shortest_period_us(exposure_us, least),
+        shortest_period_us(exposure_us, minimum),
         repeat,
     )
     check_sequence(program)
@@ -225,9 +225,9 @@ def check_sequence(program: Program) -> None:
         raise ValueError(f"{len(program.images)} changes of image: at most {MAX_VARIABLE_IMAGES}")
     if entries[0].trigger is PatternTrigger.NONE or not entries[0].swap:
         raise ValueError("the first pattern needs a trigger and a new image")
-    least = max(MIN_EXPOSURE_US[entry.depth] for entry in entries)
-    if not least <= exposure <= MAX_EXPOSURE_US:
-        raise ValueError(f"the exposure is {exposure} µs: {least} to {MAX_EXPOSURE_US} µs")
+    minimum = max(MIN_EXPOSURE_US[entry.depth] for entry in entries)
+    if not minimum <= exposure <= MAX_EXPOSURE_US:
+        raise ValueError(f"the exposure is {exposure} µs: {minimum} to {MAX_EXPOSURE_US} µs")
     if period != exposure and period < exposure + MIN_GAP_US:
         raise ValueError(
             f"the period is {period} µs: {exposure}, the exposure, or at least {exposure + MIN_GAP_US} µs"
@@ -243,10 +243,10 @@ def _check_shared(entries: Sequence[Entry], exposure_us: int) -> None:
     starts = [i for i, entry in enumerate(entries) if not entry.share_trigger]
     for start, end in zip(starts, [*starts[1:], len(entries)], strict=True):
         group = entries[start:end]
-        least = max(MIN_EXPOSURE_US[entry.depth] for entry in group)
-        if exposure_us < least * len(group):
+        minimum = max(MIN_EXPOSURE_US[entry.depth] for entry in group)
+        if exposure_us < minimum * len(group):
             raise ValueError(
-                f"{len(group)} patterns share {exposure_us} µs: at least {least * len(group)} µs"
+                f"{len(group)} patterns share {exposure_us} µs: at least {minimum * len(group)} µs"
             )
 
 

@@ -14,7 +14,7 @@ HARDWARE_FAULTS = {
     "sequencer_error": "an error of the sequencer",
 }
 """Faults by field of the hardware status."""
-MAIN_WORDS = {
+MAIN_STATES = {
     "parked": ("mirrors parked", "mirrors not parked"),
     "running": ("sequence running", "sequence stopped"),
     "frozen": ("frame buffer frozen", "frame buffer free"),
@@ -45,21 +45,22 @@ class Status:
     @property
     def faults(self) -> list[str]:
         """Descriptions of all faults; empty for a healthy projector."""
-        found = [] if self.hardware["initialised"] else ["the controller did not initialise"]
-        found += hardware_faults(self.hardware)
-        return found if self.system["memory_test_passed"] else [*found, "the memory test failed"]
+        faults = [] if self.hardware["initialised"] else ["the controller did not initialise"]
+        faults += hardware_faults(self.hardware)
+        return faults if self.system["memory_test_passed"] else [*faults, "the memory test failed"]
 
     @property
-    def words(self) -> list[str]:
+    def descriptions(self) -> list[str]:
         """Descriptions of what the projector is doing, followed by its faults."""
-        return [words[0 if self.main[name] else 1] for name, words in MAIN_WORDS.items()] + self.faults
+        states = [texts[0 if self.main[name] else 1] for name, texts in MAIN_STATES.items()]
+        return states + self.faults
 
 
 def hardware_faults(hardware: Values) -> list[str]:
     """Describe the faults of a hardware status."""
-    return [words for name, words in HARDWARE_FAULTS.items() if hardware[name]]
+    return [description for name, description in HARDWARE_FAULTS.items() if hardware[name]]
 
 
 def validation_messages(validation: Values, known: Mapping[str, str]) -> list[str]:
     """Describe what a finished validation found."""
-    return [words for name, words in known.items() if validation[name]]
+    return [description for name, description in known.items() if validation[name]]

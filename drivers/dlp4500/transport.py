@@ -106,32 +106,32 @@ def load_hidapi(name: str) -> HidModule:
         raise DeviceError(
             name, "open", f"hidapi does not load ({error})", "install the package libusb-1.0-0"
         ) from error
-    found: HidModule = hid
-    return found
+    module: HidModule = hid
+    return module
 
 
 def connect(hid: HidModule, name: str, serial: str | None) -> tuple[HidDevice, str]:
     """Open a LightCrafter 4500."""
-    found = [
+    interfaces = [
         (d["path"], d["serial_number"] or "")
         for d in hid.enumerate(VENDOR, PRODUCT)
         if d["interface_number"] in (-1, INTERFACE) and serial in (None, d["serial_number"])
     ]
-    if not found:
-        wanted = f" with serial number {serial}" if serial is not None else ""
+    if not interfaces:
+        with_serial = f" with serial number {serial}" if serial is not None else ""
         raise DisconnectedError(
-            name, "open", f"no LightCrafter 4500{wanted} is connected", "check its power and USB cable"
+            name, "open", f"no LightCrafter 4500{with_serial} is connected", "check its power and USB cable"
         )
-    if len(found) > 1:
+    if len(interfaces) > 1:
         raise DeviceError(
             name,
             "open",
-            f"{len(found)} LightCrafters 4500 are connected",
-            f"name one of {sorted(number for _, number in found)} as 'serial' in the rig file",
+            f"{len(interfaces)} LightCrafters 4500 are connected",
+            f"name one of {sorted(number for _, number in interfaces)} as 'serial' in the rig file",
         )
     wire = hid.device()
     try:
-        wire.open_path(found[0][0])
+        wire.open_path(interfaces[0][0])
     except OSError as error:
         raise DeviceError(
             name,
@@ -139,7 +139,7 @@ def connect(hid: HidModule, name: str, serial: str | None) -> tuple[HidDevice, s
             f"the USB device cannot be opened ({error})",
             "close other programs that use it",
         ) from error
-    return wire, found[0][1]
+    return wire, interfaces[0][1]
 
 
 class Link:
@@ -263,7 +263,7 @@ class Link:
         raise self._protocol_error(operation, "only replies to other requests arrived")
 
     def _unmatched(self, operation: str, other: Header, flags: int, sequence: int) -> ProtocolError:
-        """Tell of replies that came, but do not belong to the request."""
+        """Describe replies that arrived but do not belong to the request."""
         return ProtocolError(
             self.name,
             operation,
@@ -294,8 +294,8 @@ class Link:
 
     def _next_report(self, operation: str, deadline: float) -> bytes:
         """Return the next report, or raise `DeviceTimeoutError` at the deadline."""
-        left_ms = max(1, round(1e3 * (deadline - self._clock.now())))  # 0 would wait without a limit
-        report = self._report(operation, left_ms)
+        remaining_ms = max(1, round(1e3 * (deadline - self._clock.now())))  # 0 would wait without a limit
+        report = self._report(operation, remaining_ms)
         if not report:
             raise DeviceTimeoutError(
                 self.name,

@@ -215,10 +215,10 @@ class EmulatedBench:
         stored = any(light.content is image for image in self.controller.images)
         for content in self.controller.images if stored else [light.content]:
             for number in pattern_numbers(light.depth):
-                alike = ProjectedLight(
+                related = ProjectedLight(
                     content, light.depth, number, light.inverted, light.levels, light.image
                 )
-                greys = mean_grey_levels([(alike, 1.0)])
+                greys = mean_grey_levels([(related, 1.0)])
                 assert greys is not None
                 yield greys
 

@@ -112,9 +112,9 @@ class BenchCamera(EmulatedCamera):
             self._frame_coming = False
         return result
 
-    def _expose(self, patience_s: float) -> bool:
+    def _expose(self, timeout_s: float) -> bool:
         """Let the bench's time pass until the shutter has closed, and hand the image to pylon."""
-        exposed = self._emulator.shutter.wait_next(patience_s)
+        exposed = self._emulator.shutter.wait_next(timeout_s)
         if exposed is None:
             return False
         self.instant.WaitForFrameTriggerReady(READY_MS, pylon.TimeoutHandling_ThrowException)

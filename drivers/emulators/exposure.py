@@ -98,11 +98,11 @@ class EmulatedShutter:
         self._ready_s = begin_s + self._timing.period_s(settings.exposure_s)
         self._exposures.extend([Exposure(settings, begin_s, begin_s + settings.exposure_s)] * times)
 
-    def wait_next(self, patience_s: float) -> tuple[CameraSettings, CollectedLight] | None:
+    def wait_next(self, timeout_s: float) -> tuple[CameraSettings, CollectedLight] | None:
         """Let time pass until an exposure is over, and read it out."""
         clock = self._clock
         with clock.lock:
-            deadline_s = clock.now() + patience_s
+            deadline_s = clock.now() + timeout_s
             while True:
                 next_change_s = clock.next_change_s()
                 if self._exposures:
@@ -134,16 +134,16 @@ class EmulatedShutter:
             past.popleft()
 
     def _collect(self, exposure: Exposure) -> CollectedLight:
-        found = []
+        collected = []
         for interval in self._past:
             open_s = min(interval.end_s, exposure.end_s) - max(interval.begin_s, exposure.begin_s)
             if interval.light is not None and open_s > 0:
-                found.append((interval.light, open_s / (exposure.end_s - exposure.begin_s)))
-        return found
+                collected.append((interval.light, open_s / (exposure.end_s - exposure.begin_s)))
+        return collected
 
 
 def _same_light(a: ProjectedLight | None, b: ProjectedLight | None) -> bool:
-    """Return whether both illuminate the scene alike; frames of a video port are new arrays each time."""
+    """Return whether both illuminate the scene equally; frames of a video port are new arrays each time."""
     if a is None or b is None:
         return a is b
     kinds = [(light.depth, light.number, light.inverted, light.levels) for light in (a, b)]

@@ -196,8 +196,8 @@ class EmulatedCamera:
         """Return pylon's node map, with the resulting frame rate that a camera of this timing has."""
         rate, timing = self.instant.AcquisitionFrameRateAbs, self._emulator.policy.timing
         exposure_s = self.instant.GetNodeMap().GetNode(EXPOSURE_US[0]).GetValue() / US_PER_S
-        if rate.IsWritable() and rate.GetValue() != timing.told_rate_hz(exposure_s):
-            rate.SetValue(timing.told_rate_hz(exposure_s))
+        if rate.IsWritable() and rate.GetValue() != timing.reported_rate_hz(exposure_s):
+            rate.SetValue(timing.reported_rate_hz(exposure_s))
         return self.instant.GetNodeMap()
 
     def StartGrabbing(self, strategy: Any) -> None:
@@ -252,9 +252,9 @@ class EmulatedCamera:
         self.instant.ForceFailedBufferCount.SetValue(frames)
         self.instant.ForceFailedBuffer.Execute()
 
-    def fail_grabbing(self, words: str) -> None:
+    def fail_grabbing(self, message: str) -> None:
         """Let pylon's grab engine fail."""
-        self.instant.GetStreamGrabberNodeMap().GetNode("ImposedError").SetValue(words)
+        self.instant.GetStreamGrabberNodeMap().GetNode("ImposedError").SetValue(message)
 
     def set_exposure_duration(self, exposure_s: float) -> None:
         """Set how long emulated exposures take."""

@@ -26,12 +26,12 @@ class SensorTiming(Document):
     untold_us: Microseconds = 0.0
     """Further dead time in µs, which the camera's resulting frame rate leaves out."""
     clock_ppm: Annotated[float, Field(ge=0, le=1000)] = 100.0
-    """By how many millionths the camera's times are longer than it tells."""
+    """By how many millionths the camera's times are longer than it reports."""
 
-    def told_rate_hz(self, exposure_s: float) -> float:
-        """Compute the resulting frame rate that the camera tells."""
+    def reported_rate_hz(self, exposure_s: float) -> float:
+        """Compute the resulting frame rate that the camera reports."""
         rate_hz = 1.0 / (max(exposure_s, self.readout_us * 1e-6) + self.dead_us * 1e-6)
-        steps_per_hz = 100  # of the frame rate that pylon's emulator can tell
+        steps_per_hz = 100  # of the frame rate that pylon's emulator can report
         return max(int(rate_hz * steps_per_hz), 1) / steps_per_hz
 
     def period_s(self, exposure_s: float) -> float:
@@ -41,6 +41,6 @@ class SensorTiming(Document):
 
 
 STRICT = SensorTiming()
-"""A sensor that needs time for readout and between exposures, more by a slow clock than it tells."""
+"""A sensor that needs time for readout and between exposures, by its slow clock more than it reports."""
 ALWAYS_READY = SensorTiming(readout_us=0.0, dead_us=0.0, clock_ppm=0.0)
 """A sensor that takes the next pulse as soon as an exposure has ended; no camera does."""

@@ -58,7 +58,7 @@ class PseudoTerminal:
         import tty
 
         self._near, self._far = os.openpty()
-        tty.setraw(self._far)  # or the system would echo what the device says back to it
+        tty.setraw(self._far)  # or the system would echo the device's output back to it
         os.set_blocking(self._near, False)
         self.port, self._plugged = os.ttyname(self._far), True
         self._served.start()
@@ -80,11 +80,11 @@ class PseudoTerminal:
             with self.lock:
                 if ready:
                     self.device.receive(os.read(self._near, 4096))
-                self._say(self.device.poll())
+                self._send(self.device.poll())
         os.close(self._near)
         os.close(self._far)
 
-    def _say(self, data: bytes) -> None:
+    def _send(self, data: bytes) -> None:
         while data and self._plugged:
             try:
                 data = data[os.write(self._near, data) :]

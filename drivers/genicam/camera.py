@@ -73,11 +73,11 @@ class GenicamCamera(Camera):
         write(named.OFFSET_X, 0, "open")
         write(named.OFFSET_Y, 0, "open")
         whole = (int(self._features.limits(named.WIDTH)[1]), int(self._features.limits(named.HEIGHT)[1]))
-        left, top, width, height = roi or (0, 0, *whole)
+        x, y, width, height = roi or (0, 0, *whole)
         write(named.WIDTH, width, "open")
         write(named.HEIGHT, height, "open")
-        write(named.OFFSET_X, left, "open")
-        write(named.OFFSET_Y, top, "open")
+        write(named.OFFSET_X, x, "open")
+        write(named.OFFSET_Y, y, "open")
 
     def _read_caps(self) -> CameraCaps:
         features = self._features

@@ -3,7 +3,8 @@
 Cameras differ by model and by the version of the Standard Features Naming Convention (SFNC). A feature is
 therefore a tuple of names, see `drivers.genicam.names`; the first that the camera has is used. Which library
 the node map comes from does not matter here: a node is anything with the methods of pylon's parameters. An
-enumeration has `GetSettableValues`, a switch has no `GetMin`, and integers are told by the type of theirs.
+enumeration has `GetSettableValues`, a switch has no `GetMin`, and integers are recognised by the type of
+their minimum.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ FeatureNames = tuple[str, ...]
 class Features:
     """The GenICam features of one open camera.
 
-    The node map is fetched anew for each access: an unplugged camera has none, whereas a stored node map goes
+    The node map is fetched for each access: an unplugged camera has none, whereas a stored node map goes
     on answering.
     """
 
@@ -80,12 +81,12 @@ class Features:
     def ensure(self, feature: FeatureNames, value: Any, operation: str) -> None:
         """Set a feature where the camera has it, and verify it."""
         self.write_if_possible(feature, value)
-        name, found = self._found(feature)[0], self.read(feature)
-        if found is not None and found != value:
+        name, read_back = self._found(feature)[0], self.read(feature)
+        if read_back is not None and read_back != value:
             raise SettingError(
                 self._device,
                 operation,
-                f"{name} is {_shown(found)} and cannot be set to {_shown(value)}",
+                f"{name} is {_shown(read_back)} and cannot be set to {_shown(value)}",
                 "frames would not be the sensor's own values; correct it in pylon Viewer",
             )
 
@@ -129,13 +130,13 @@ def _refusal(node: Any, value: Any) -> str:
         return "" if value in choices else f"one of {', '.join(choices)}"
     if not hasattr(node, "GetMin"):
         return ""
-    least, most = node.GetMin(), node.GetMax()
+    minimum, maximum = node.GetMin(), node.GetMax()
     step = node.GetInc() if _is_integer(node) else 0
     if step and value != int(value):
-        return f"whole numbers from {least:g} to {most:g}"
-    if least <= value <= most and not (step and (value - least) % step):
+        return f"whole numbers from {minimum:g} to {maximum:g}"
+    if minimum <= value <= maximum and not (step and (value - minimum) % step):
         return ""
-    return f"{least:g} to {most:g}" + (f" in steps of {step}" if step > 1 else "")
+    return f"{minimum:g} to {maximum:g}" + (f" in steps of {step}" if step > 1 else "")
 
 
 def _shown(value: Any) -> str:

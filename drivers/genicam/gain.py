@@ -1,8 +1,8 @@
 """The gain of a camera in dB, also where the camera knows only the integer `GainRaw`.
 
-How `GainRaw` relates to dB depends on the model, and the camera does not tell: a driver knows it for some
-models, and the rig file states it for others. Without either only the least gain can be used, and it counts
-as 0 dB.
+How `GainRaw` relates to dB depends on the model, and the camera does not report it: a driver knows it for
+some models, and the rig file states it for others. Without either only the lowest gain can be used, and it
+counts as 0 dB.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ class CameraGain:
             return self._features.limits(GAIN_DB)
         if self._conversion is None or not self._features.has(self._own):
             return 0.0, 0.0
-        least, most = self._features.limits(self._own)
+        minimum, maximum = self._features.limits(self._own)
         if self._own == GAIN_RAW:
-            least = max(least, 1.0)  # where a factor is proportional to it, 0 would be no gain in dB
-        return to_db(least, self._conversion), to_db(most, self._conversion)
+            minimum = max(minimum, 1.0)  # where a factor is proportional to it, 0 would be no gain in dB
+        return to_db(minimum, self._conversion), to_db(maximum, self._conversion)
 
     def set_db(self, gain_db: float) -> float:
         """Set the gain."""

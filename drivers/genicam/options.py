@@ -56,9 +56,9 @@ class GenicamOptions(Document):
         tuple[NotNegativeCount, NotNegativeCount, Annotated[int, Field(ge=1)], Annotated[int, Field(ge=1)]]
         | None
     ) = None
-    """Region of interest: offset x, offset y, width and height in px; the whole sensor without it."""
+    """Region of interest: offset x, offset y, width and height in px; by default the whole sensor."""
     black_level: float | None = None
-    """Black level in the camera's own units; left as it is without it."""
+    """Black level in the camera's own units; by default unchanged."""
     raw_gain: RawGain | None = None
     """Conversion of GainRaw, for a camera that has no gain in dB; without it such a camera has its least gain
     only, which counts as 0 dB, unless the driver knows the conversion of its model.

@@ -36,7 +36,7 @@ READY_S = 0.1
 READY_TIMEOUT_S = 5.0
 """Longest wait in s for a camera that reports readiness (chosen)."""
 WAITING = "FrameTriggerWait"
-"""What `AcquisitionStatus` is asked for."""
+"""Value of the selector of `AcquisitionStatus` by which a camera reports that it waits for a trigger."""
 GENICAM_ERRORS = (genapi.GenericException, gentl.GenericException)
 
 
@@ -74,7 +74,7 @@ class GentlCamera(GenicamCamera):
         self._set_up()
 
     def _need_exposure(self) -> None:
-        """Refuse a camera whose exposure is its own affair."""
+        """Refuse a camera whose exposure cannot be set."""
         if not self._features.has(named.EXPOSURE_US):
             raise CapabilityError(
                 self.name,
@@ -150,7 +150,7 @@ class GentlCamera(GenicamCamera):
                 self._end.stop()
 
     def _await_ready(self, operation: str) -> None:
-        """Wait until the camera takes a trigger, by its own word or for as long as it may need."""
+        """Wait until the camera takes a trigger: until it reports so, or for as long as it may need."""
         features = self._features
         if WAITING not in features.choices(named.STATUS_SELECTOR):
             time.sleep(max(0.0, self._ready_s - time.monotonic()))
@@ -181,8 +181,8 @@ class GentlCamera(GenicamCamera):
             return StateError(self.name, operation, "another program has the camera open", "close it there")
         if self._end is not None and self._is_gone():
             return self._disconnected(operation)
-        said = str(error).split(" : ")[0].strip()
-        return DeviceError(self.name, operation, f"GenICam says: {said}", "close it and open it again")
+        message = str(error).split(" : ")[0].strip()
+        return DeviceError(self.name, operation, f"GenICam says: {message}", "close it and open it again")
 
     def _check_connected(self, operation: str) -> None:
         if self._is_gone():

@@ -12,7 +12,7 @@ from fpplab.core.extras import how_to_install
 
 @dataclass(frozen=True)
 class ListedCamera:
-    """A camera, as its producer tells it."""
+    """A camera, as its producer reports it."""
 
     serial: str  # serial number, or the producer's own name for it
     vendor: str
@@ -21,15 +21,15 @@ class ListedCamera:
 
 
 def listed_cameras(path: Path) -> list[ListedCamera] | str:
-    """Ask a producer for its cameras, in a process of its own: it is a library of somebody else."""
+    """Ask a producer for its cameras, in a process of its own: as a library of another maker it may crash."""
     answer: list[ListedCamera] | str | None = ask_apart(send_cameras, path, timeout_s=20.0)
     return "it crashes, or does not answer" if answer is None else answer
 
 
 def send_cameras(connection: Connection, path: Path) -> None:
-    """Send the list of cameras, or why it cannot be told."""
+    """Send the list of cameras, or the reason why there is none."""
     try:
-        from drivers.gentl.producer import GentlProducer, told_of
+        from drivers.gentl.producer import GentlProducer, reported
     except ImportError as error:
         connection.send(how_to_install(error.name or str(error)))
         return
@@ -41,7 +41,7 @@ def send_cameras(connection: Connection, path: Path) -> None:
         return
     connection.send(
         [
-            ListedCamera(serial, *(told_of(info, key) for key in ("vendor", "model", "tl_type")))
+            ListedCamera(serial, *(reported(info, key) for key in ("vendor", "model", "tl_type")))
             for serial, info in cameras.items()
         ]
     )

@@ -1,7 +1,7 @@
 """GenTL producers and their cameras through `harvesters`; an emulated bench substitutes its own.
 
-Producers differ in what they tell: a serial number, a time stamp, when a camera is unplugged. What is not
-told is None here.
+Producers differ in what they report: a serial number, a time stamp, when a camera is unplugged. What is not
+reported is None here.
 """
 
 from __future__ import annotations
@@ -53,11 +53,13 @@ class GentlProducer:
     def cameras(self) -> dict[str, Any]:
         """List the cameras that the producer sees now."""
         self._harvester.update()
-        return {told_of(info, "serial_number") or info.id_: info for info in self._harvester.device_info_list}
+        return {
+            reported(info, "serial_number") or info.id_: info for info in self._harvester.device_info_list
+        }
 
     def attach(self, info: Any) -> GentlEnd:
         """Open a camera."""
-        with _own_ctrl_c():
+        with _ctrl_c_restored():
             return GentlEnd(self._harvester.create({"id_": info.id_}), info)
 
     def close(self) -> None:
@@ -70,9 +72,9 @@ class GentlEnd:
 
     def __init__(self, acquirer: Any, info: Any) -> None:
         self._acquirer = acquirer
-        self.model = " ".join(filter(None, (told_of(info, "vendor"), told_of(info, "model"))))
-        self.link = f"GenTL {told_of(info, 'tl_type')}"
-        self.first_number = FIRST_FRAME.get(told_of(info, "tl_type"))
+        self.model = " ".join(filter(None, (reported(info, "vendor"), reported(info, "model"))))
+        self.link = f"GenTL {reported(info, 'tl_type')}"
+        self.first_number = FIRST_FRAME.get(reported(info, "tl_type"))
 
     def GetNodeMap(self) -> GentlNodeMap:
         """Return the camera's node map."""
@@ -101,11 +103,11 @@ class GentlEnd:
     def _image(self, buffer: Any) -> Image:
         """Decode a buffer here: harvesters keeps the padding of rows, and unpacks across it."""
         nodes = self._acquirer.remote_device.node_map
-        height = _asked(lambda: buffer.height, lambda: nodes.Height.value)
-        width = _asked(lambda: buffer.width, lambda: nodes.Width.value)
-        number = _asked(lambda: buffer.pixel_format, lambda: int(nodes.PixelFormat.get_int_value()))
-        padding = _asked(lambda: buffer.padding_x, lambda: 0)
-        offset = _asked(lambda: buffer.image_offset, lambda: 0)
+        height = _from_buffer(lambda: buffer.height, lambda: nodes.Height.value)
+        width = _from_buffer(lambda: buffer.width, lambda: nodes.Width.value)
+        number = _from_buffer(lambda: buffer.pixel_format, lambda: int(nodes.PixelFormat.get_int_value()))
+        padding = _from_buffer(lambda: buffer.padding_x, lambda: 0)
+        offset = _from_buffer(lambda: buffer.image_offset, lambda: 0)
         raw = np.frombuffer(buffer.raw_buffer, np.uint8)[offset:]
         return image_from(raw, dict_by_ints.get(number, f"{number:#x}"), height, width, padding)
 
@@ -119,7 +121,7 @@ class GentlEnd:
 
 
 def _try_to_load(path: Path) -> None:
-    """Raise `ConfigError` where a file is no producer, which harvesters only notes in the log."""
+    """Raise `ConfigError` for a file that is no producer; harvesters would only log it."""
     producer = gentl.GenTLProducer.create_producer()
     try:
         producer.open(str(path))
@@ -129,8 +131,8 @@ def _try_to_load(path: Path) -> None:
 
 
 @contextmanager
-def _own_ctrl_c() -> Iterator[None]:
-    """Take back what happens on Ctrl-C, which harvesters makes its own when it opens a camera."""
+def _ctrl_c_restored() -> Iterator[None]:
+    """Restore the handler of Ctrl-C, which harvesters replaces when it opens a camera."""
     own = signal.getsignal(signal.SIGINT)
     try:
         yield
@@ -153,16 +155,16 @@ def _time_s(buffer: Any) -> float | None:
     return None
 
 
-def _asked(of_buffer: Callable[[], int], otherwise: Callable[[], int]) -> int:
-    """What the producer tells of a buffer, or else the camera's own word."""
+def _from_buffer(of_buffer: Callable[[], int], otherwise: Callable[[], int]) -> int:
+    """Read a property of a buffer from the producer, or else from the camera."""
     try:
         return int(of_buffer())
     except gentl.GenericException:
         return int(otherwise())
 
 
-def told_of(info: Any, name: str) -> str:
-    """Return what a producer tells of a camera."""
+def reported(info: Any, name: str) -> str:
+    """Return a property of a camera as its producer reports it; empty where it does not."""
     with suppress(gentl.GenericException, AttributeError):
         return str(getattr(info, name) or "")
     return ""

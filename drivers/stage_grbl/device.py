@@ -7,7 +7,7 @@ whichever way the controller's own axis points. Moves use machine coordinates (G
 left by another program has no effect.
 
 GRBL counts the steps that it sends and has no position encoder: it cannot know that a motor has stalled or
-slipped. What it can detect is reported: alarms and restarts, a move that ends elsewhere than asked, a stage
+slipped. What it can detect is reported: alarms and restarts, a move that ends at another position, a stage
 that was moved by something else, and a home switch that is pressed where it should be free. For the rest,
 home again and check whether the measurement repeats.
 
@@ -188,7 +188,7 @@ class GrblStage(Stage):
         self._home_mm = self._rest_mm = self._machine_mm("home", report)
 
     def _check_homed(self, here_mm: float) -> None:
-        """Refuse an axis that homing has left where it was: the cycle is compiled for other axes."""
+        """Refuse an axis that homing has not moved: the cycle is compiled for other axes."""
         options, mechanics = self._open_wire.build_options("home"), self._open_mechanics
         forced = options is None or FORCES_ORIGIN in options
         ends_mm = [0.0] if forced else []
@@ -275,7 +275,7 @@ class GrblStage(Stage):
         return report
 
     def _at_rest(self, operation: str) -> StatusReport:
-        """Return a report of a stage that stands where it was left, or raise `DeviceError`."""
+        """Return the report of a stage at rest where the last move ended, or raise `DeviceError`."""
         report = self._status(self._open_wire, operation)
         if report.state != "Idle":
             raise DeviceError(
@@ -286,11 +286,11 @@ class GrblStage(Stage):
             )
         here = self._machine_mm(operation, report)
         if self._rest_mm is not None and abs(here - self._rest_mm) > self._open_mechanics.rounding_mm:
-            left, found = self._stage_mm(self._rest_mm), self._stage_mm(here)
+            left_mm, here_mm = self._stage_mm(self._rest_mm), self._stage_mm(here)
             raise DeviceError(
                 self.name,
                 operation,
-                f"was left at {left:.3f} mm and is at {found:.3f} mm",
+                f"was left at {left_mm:.3f} mm and is at {here_mm:.3f} mm",
                 OTHER_PROGRAM_REMEDY,
             )
         return report

@@ -148,10 +148,10 @@ def parse_line(line: str) -> GrblMessage:
     for beginning, kind in (("error:", GrblError), ("ALARM:", Alarm)):
         if line.startswith(beginning) and line.removeprefix(beginning).isdecimal():
             return kind(int(line.removeprefix(beginning)))
-    if found := _WELCOME.fullmatch(line):
-        return Welcome(found[1])
-    if found := _SETTING.fullmatch(line):
-        return Setting(int(found[1]), float(found[2]))
+    if match := _WELCOME.fullmatch(line):
+        return Welcome(match[1])
+    if match := _SETTING.fullmatch(line):
+        return Setting(int(match[1]), float(match[2]))
     if line.startswith("<") and line.endswith(">"):
         return _report(line[1:-1])
     if _OTHER.fullmatch(line):

@@ -1,8 +1,8 @@
 """A video camera behind the interface of `fpplab.devices`.
 
-`drivers.video_camera.options` describes its section in a rig file. Such a camera runs freely: a frame is one
-that began to be exposed after it was asked for, whatever the camera had under way is dropped. It is refused
-where its frames would not be the sensor's own integers, or where it chooses the exposure itself.
+`drivers.video_camera.options` describes its section in a rig file. Such a camera runs freely: only a frame
+whose exposure began after the call is delivered, and earlier ones are dropped. A camera is refused where its
+frames would not be the sensor's own integers, or where it chooses the exposure itself.
 """
 
 from __future__ import annotations
@@ -88,8 +88,8 @@ class VideoCamera(Camera):
     def _configure(self, settings: CameraSettings) -> CameraSettings:
         self._forget()  # settings that are refused may have been applied in part
         self._set_format(self._bits[settings.bits])
-        wanted = round(settings.exposure_s / UNIT_S)
-        exposure_s = self._set(EXPOSURE_100_US, wanted, self._exposure) * UNIT_S
+        units = round(settings.exposure_s / UNIT_S)
+        exposure_s = self._set(EXPOSURE_100_US, units, self._exposure) * UNIT_S
         gain_db = self._set_gain(settings.gain_db)
         self._known = self._read_caps()
         return CameraSettings(exposure_s, gain_db, settings.bits)
@@ -174,10 +174,14 @@ class VideoCamera(Camera):
         if error.errno in (errno.EACCES, errno.EPERM):
             remedy = "add yourself to the group video (sudo usermod -aG video $USER), and log in again"
             return DeviceError(self.name, operation, f"this user may not open {self._options.device}", remedy)
-        said = error.strerror or str(error)
+        message = error.strerror or str(error)
         if error.errno == errno.ENOSYS:
-            return CapabilityError(self.name, operation, said, "use the GenTL producer of the camera's maker")
-        return DeviceError(self.name, operation, f"the kernel says: {said}", "unplug it and plug it in again")
+            return CapabilityError(
+                self.name, operation, message, "use the GenTL producer of the camera's maker"
+            )
+        return DeviceError(
+            self.name, operation, f"the kernel says: {message}", "unplug it and plug it in again"
+        )
 
     def _make_raw(self) -> None:
         for number, raw in RAW.items():
@@ -187,11 +191,11 @@ class VideoCamera(Camera):
             value = control.default if raw is None else raw
             if self._device.get(number) != value:
                 self._set_if_possible(number, value, control)
-            if (found := self._device.get(number)) != value:
+            if (read_back := self._device.get(number)) != value:
                 raise SettingError(
                     self.name,
                     "open",
-                    f"{control.name} is {found} and cannot be set to {value}",
+                    f"{control.name} is {read_back} and cannot be set to {value}",
                     "frames would not be the sensor's own values at a known exposure; use another camera",
                 )
 
@@ -236,19 +240,19 @@ class VideoCamera(Camera):
         conversion = self._options.raw_gain
         if self._gain is None or conversion is None:
             return 0.0, 0.0
-        least = self._gain.minimum if conversion.unity is None else max(self._gain.minimum, 1)
-        return to_db(least, conversion), to_db(self._gain.maximum, conversion)
+        minimum = self._gain.minimum if conversion.unity is None else max(self._gain.minimum, 1)
+        return to_db(minimum, conversion), to_db(self._gain.maximum, conversion)
 
     def _set_format(self, letters: str) -> None:
         size = self._options.size or self._device.format()[1:3]
         self._device.set_format(letters, *size)
-        found, width, height, _ = self._device.format()
-        if (found, width, height) != (letters, *size):
+        read_back, width, height, _ = self._device.format()
+        if (read_back, width, height) != (letters, *size):
             raise SettingError(
                 self.name,
                 "configure",
                 f"{letters.strip()} of {size[0]} x {size[1]} px was asked for",
-                f"the camera has {found.strip()} of {width} x {height} px",
+                f"the camera has {read_back.strip()} of {width} x {height} px",
             )
 
     def _read_caps(self) -> CameraCaps:

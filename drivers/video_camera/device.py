@@ -46,7 +46,7 @@ class StampedFrame:
 
     pixels: NDArray[np.uint8]  # the bytes of all rows, a copy
     time_s: float | None  # by the computer's monotonic clock; None where the driver stamps frames otherwise
-    is_damaged: bool  # whether the kernel says that it may not be whole
+    is_damaged: bool  # whether the kernel reports that it may be incomplete
 
 
 class VideoDevice:
@@ -65,13 +65,12 @@ class VideoDevice:
 
     def identity(self) -> tuple[str, str, bool]:
         """Return the camera's name, where it is connected, and whether it captures frames into buffers."""
-        # returns (str, str, bool)
-        found = v4l2.Capability()
-        fcntl.ioctl(self._file, v4l2.QUERY_CAPABILITY, found)
-        own = found.capabilities & v4l2.HAS_OWN_CAPS
-        caps = found.device_caps if own else found.capabilities
-        wanted = v4l2.IS_CAPTURE | v4l2.CAN_STREAM
-        return found.card.decode(), found.bus.decode(), caps & wanted == wanted
+        capability = v4l2.Capability()
+        fcntl.ioctl(self._file, v4l2.QUERY_CAPABILITY, capability)
+        has_own = capability.capabilities & v4l2.HAS_OWN_CAPS
+        caps = capability.device_caps if has_own else capability.capabilities
+        needed = v4l2.IS_CAPTURE | v4l2.CAN_STREAM
+        return capability.card.decode(), capability.bus.decode(), caps & needed == needed
 
     def formats(self) -> tuple[str, ...]:
         """Return the four letters of each pixel format."""
@@ -79,7 +78,6 @@ class VideoDevice:
 
     def format(self) -> tuple[str, int, int, int]:
         """Return the present pixel format, width and height in px, and bytes from row to row."""
-        # returns (str, int, int, int)
         now = v4l2.PixelLayout(kind=v4l2.CAPTURE)
         fcntl.ioctl(self._file, v4l2.GET_FORMAT, now)
         letters = now.pixel_format.to_bytes(4, "little").decode("ascii")
@@ -87,13 +85,13 @@ class VideoDevice:
 
     def set_format(self, letters: str, width: int, height: int) -> None:
         """Set the format; the kernel takes the nearest one that the camera has."""
-        wanted = v4l2.PixelLayout(
+        layout = v4l2.PixelLayout(
             kind=v4l2.CAPTURE, width=width, height=height, pixel_format=v4l2.fourcc(letters), field=1
         )
-        fcntl.ioctl(self._file, v4l2.SET_FORMAT, wanted)
+        fcntl.ioctl(self._file, v4l2.SET_FORMAT, layout)
 
     def period_s(self) -> float | None:
-        """Return the time in s from frame to frame; None where the driver does not tell."""
+        """Return the time in s from frame to frame; None where the driver does not report it."""
         now = v4l2.Period(kind=v4l2.CAPTURE)
         with suppress(OSError):
             fcntl.ioctl(self._file, v4l2.GET_PERIOD, now)
@@ -101,23 +99,30 @@ class VideoDevice:
 
     def control(self, number: int) -> Control | None:
         """Look a control up."""
-        found = v4l2.ControlDescription(id=number)
+        description = v4l2.ControlDescription(id=number)
         try:
-            fcntl.ioctl(self._file, v4l2.QUERY_CONTROL, found)
+            fcntl.ioctl(self._file, v4l2.QUERY_CONTROL, description)
         except OSError as error:
             if error.errno in (errno.EINVAL, errno.ENOTTY):
                 return None
             raise
-        if found.flags & v4l2.DISABLED:
+        if description.flags & v4l2.DISABLED:
             return None
-        settable = not found.flags & (v4l2.READ_ONLY | v4l2.INACTIVE)
-        return Control(found.name.decode(), found.minimum, found.maximum, found.step, found.default, settable)
+        settable = not description.flags & (v4l2.READ_ONLY | v4l2.INACTIVE)
+        return Control(
+            description.name.decode(),
+            description.minimum,
+            description.maximum,
+            description.step,
+            description.default,
+            settable,
+        )
 
     def get(self, number: int) -> int:
         """Read a control."""
-        found = v4l2.ControlValue(id=number)
-        fcntl.ioctl(self._file, v4l2.GET_CONTROL, found)
-        return int(found.value)
+        control = v4l2.ControlValue(id=number)
+        fcntl.ioctl(self._file, v4l2.GET_CONTROL, control)
+        return int(control.value)
 
     def set(self, number: int, value: int) -> None:
         """Set a control; the kernel may take the nearest value."""
@@ -166,11 +171,11 @@ class VideoDevice:
 
     def _formats(self) -> Iterator[str]:
         for index in range(64):
-            found: Any = v4l2.FormatDescription(index=index, kind=v4l2.CAPTURE)
+            description: Any = v4l2.FormatDescription(index=index, kind=v4l2.CAPTURE)
             try:
-                fcntl.ioctl(self._file, v4l2.ENUMERATE_FORMATS, found)
+                fcntl.ioctl(self._file, v4l2.ENUMERATE_FORMATS, description)
             except OSError as error:
                 if error.errno == errno.EINVAL:
                     return
                 raise
-            yield found.pixel_format.to_bytes(4, "little").decode("ascii", "replace")
+            yield description.pixel_format.to_bytes(4, "little").decode("ascii", "replace")

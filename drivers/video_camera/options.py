@@ -4,10 +4,10 @@ camera:
   backend: video_camera
   device: /dev/v4l/by-id/usb-Maker_Camera-video-index0
   bits: 12
-  size: [1920, 1080]                                # as it was left without it
-  shutter: global                                   # rolling without it
-  raw_gain: {db_per_step: 0.1}                      # how its gain is meant, see its manual
-  latency_s: 0.0                                    # for which it holds frames back
+  size: [1920, 1080]                                # by default as it is
+  shutter: global                                   # default: rolling
+  raw_gain: {db_per_step: 0.1}                      # unit of its gain, see its manual
+  latency_s: 0.0                                    # delay of its frames
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ class VideoOptions(Document):
     device: str
     """Device file; a link of /dev/v4l/by-id does not change when other cameras are plugged in."""
     size: tuple[PositiveCount, PositiveCount] | None = None
-    """Width and height of frames in px; as the camera was left without it."""
+    """Width and height of frames in px; by default as the camera is set."""
     shutter: Literal["rolling", "global"] = "rolling"
-    """The shutter that the camera has; the device does not tell."""
+    """The shutter that the camera has; the device does not report it."""
     raw_gain: RawGain | None = None
     """What the numbers of its gain mean; without it only the least gain is used, which counts as 0 dB."""
     latency_s: Annotated[float, Field(ge=0)] = 0.0

@@ -24,7 +24,7 @@ from fpplab.core.plugins import BACKENDS
 _log = logging.getLogger(__name__)
 
 IN_WHEELS = {"drivers": "fpplab_drivers", "sim": "fpplab_sim"}
-"""Packages beside fpplab by their names in a checkout, and what they are called in a wheel."""
+"""Names of the sibling packages in a checkout, and their names in a wheel."""
 ALLOWED = "FPPLAB_ALLOW_BACKEND"
 """The environment variable that names further modules or packages, with commas between them."""
 
@@ -51,7 +51,7 @@ class SharedBackend(Protocol):
         Raises
         ------
         ConfigError, DeviceError
-            It cannot be had; nothing is left open then.
+            It cannot be opened; nothing stays open then.
         """
         ...
 
@@ -132,10 +132,12 @@ def load_backend(name: str, source: Path | str, device: str) -> type[Any]:
 
 def _why_not(module: str, attribute: str) -> str:
     """Why a module may not be imported, and how it may."""
-    told = [one.value.partition(":")[2] for one in _announced() if one.value.startswith(f"{module}:")]
+    announced = [
+        entry.value.partition(":")[2] for entry in _announced() if entry.value.startswith(f"{module}:")
+    ]
     known = "is not part of fpplab, and no installed package announces it as a backend"
-    if told:
-        known = f"announces {', '.join(told)} as a backend, not {attribute}"
+    if announced:
+        known = f"announces {', '.join(announced)} as a backend, not {attribute}"
     return f"{module} {known}; if you trust it, add --allow-backend {module}, or set {ALLOWED}={module}"
 
 
@@ -178,6 +180,6 @@ def _as_installed(place: str) -> str:
 
 def _is_allowed(module: str, place: str) -> bool:
     allowed = (*_own_packages(), *os.environ.get(ALLOWED, "").split(","))
-    if any(one and (module == one or module.startswith(f"{one}.")) for one in allowed):
+    if any(package and (module == package or module.startswith(f"{package}.")) for package in allowed):
         return True
     return any(entry.value == place for entry in entry_points(group=BACKENDS))

@@ -15,7 +15,7 @@ Trigger = Literal["software", "hardware"]
 
 @dataclass(frozen=True)
 class CameraSettings:
-    """What a camera can be told.
+    """Settings of a camera.
 
     Attributes
     ----------
@@ -34,7 +34,7 @@ class CameraSettings:
 
 @dataclass(frozen=True)
 class CameraCaps:
-    """What a camera can do; ranges are (least, most).
+    """What a camera can do; ranges are (minimum, maximum).
 
     Attributes
     ----------
@@ -55,8 +55,8 @@ class CameraCaps:
         The same, where rows begin together and only end one after another (global reset): no light may fall
         for so long after the exposure, or the later rows have more of it.
     period_s : float or None
-        Least s from one hardware trigger to the next at the present settings: a camera ignores one that comes
-        earlier. 0 where it is always ready; None where the camera does not tell.
+        Shortest time in s from one hardware trigger to the next at the present settings: a camera ignores one
+        that comes earlier. 0 where it is always ready; None where the camera does not report it.
     """
 
     size: tuple[int, int]
@@ -154,7 +154,7 @@ class Camera(Device):
         Parameters
         ----------
         settings : CameraSettings
-            What is wanted.
+            The requested settings.
 
         Returns
         -------
@@ -177,7 +177,7 @@ class Camera(Device):
         with self._guard("configure"):
             back = self._of_kind(CameraSettings, self._configure(settings), "_configure")
         if not _honoured(settings, back):
-            self._settings = None  # what it does now is what nobody asked for
+            self._settings = None  # the device now has settings that were not requested
             raise SettingError(
                 self.name,
                 "configure",
@@ -225,7 +225,7 @@ class Camera(Device):
         Parameters
         ----------
         timeout_s : float
-            s to wait at most.
+            Longest time in s to wait.
 
         Returns
         -------
@@ -250,7 +250,7 @@ class Camera(Device):
 
     @final
     def stop(self) -> None:
-        """Give up waiting; legal whenever the camera is open."""
+        """Stop waiting for frames; legal whenever the camera is open."""
         self._need(State.IDLE, State.ARMED, doing="stop")
         with self._guard("stop"):
             self._stop()
@@ -263,7 +263,7 @@ class Camera(Device):
         Parameters
         ----------
         timeout_s : float
-            s to wait at most.
+            Longest time in s to wait.
 
         Returns
         -------
@@ -409,9 +409,9 @@ class Camera(Device):
         """
 
 
-def _honoured(asked: CameraSettings, back: CameraSettings) -> bool:
-    """Whether a device did what it was asked, but for rounding to its grid."""
+def _honoured(requested: CameraSettings, back: CameraSettings) -> bool:
+    """Whether a device has the requested settings, but for rounding to its grid."""
     # Chosen: wide enough for exposures in steps of a sensor row and for gains in steps of 0.5 dB, and too
     # narrow for a setting that the device has ignored.
-    exposure_is_near = abs(back.exposure_s - asked.exposure_s) <= 0.1 * asked.exposure_s
-    return exposure_is_near and abs(back.gain_db - asked.gain_db) <= 0.5 and back.bits == asked.bits
+    exposure_is_near = abs(back.exposure_s - requested.exposure_s) <= 0.1 * requested.exposure_s
+    return exposure_is_near and abs(back.gain_db - requested.gain_db) <= 0.5 and back.bits == requested.bits

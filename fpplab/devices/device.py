@@ -40,14 +40,14 @@ class State(StrEnum):
 
 @dataclass(frozen=True)
 class DeviceInfo:
-    """What a device says it is.
+    """Identity of a device.
 
     Attributes
     ----------
     kind : str
         camera, projector, stage or fixture.
     model, serial : str
-        As the device tells them.
+        As the device reports them.
     link : str
         How it is connected.
     """
@@ -97,7 +97,7 @@ class Device(ABC):
         StateError
             It is open already.
         DeviceError
-            It cannot be had; it is CLOSED then.
+            It cannot be opened; it is CLOSED then.
         """
         if self._state is not State.CLOSED:
             raise StateError(self.name, "open", f"is {self._state} already", "close it first")
@@ -112,7 +112,7 @@ class Device(ABC):
 
     @final
     def close(self) -> None:
-        """Leave the bench safe and let go of the device; legal from any state, any number of times.
+        """Leave the bench safe and release the device; legal from any state, any number of times.
 
         Raises
         ------
@@ -140,12 +140,12 @@ class Device(ABC):
 
     @final
     def info(self) -> DeviceInfo:
-        """Tell model, serial number and connection of an open device.
+        """Return model, serial number and connection of an open device.
 
         Returns
         -------
         DeviceInfo
-            As the device tells them.
+            As the device reports them.
         """
         self._need(State.IDLE, State.ARMED, doing="info")
         with self._guard("info"):
@@ -183,7 +183,7 @@ class Device(ABC):
         return f" ({Path(source).name}, line {lines[-1]})" if source and lines else ""
 
     def _of_kind(self, kind: type[V], value: V, hook: str) -> V:
-        """Refuse what a hook of a driver gives where it is of another kind."""
+        """Refuse what a hook returns where it is of another type."""
         if not isinstance(value, kind):
             found = f"{type(self).__name__}.{hook} gives {type(value).__name__}"
             raise TypeError(f"{found}, not {kind.__name__}; fix the driver")

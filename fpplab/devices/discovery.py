@@ -1,4 +1,4 @@
-"""What looking for connected devices finds; drivers bring the looking by entry points."""
+"""Results of looking for connected devices; drivers provide the search by entry points."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ class FoundDevice(DeviceInfo):
     Attributes
     ----------
     section : dict of str to Any
-        Its section in a rig file, as far as it can be told; empty where no driver opens it.
+        Its section in a rig file, as far as it is known; empty where no driver opens it.
     example : str
         Rig file that comes with fpplab and has such a device; empty where there is none.
     is_certain : bool
         Whether it certainly is a device of that kind. A serial port may lead to anything, and the main
-        display is the operator's: such are taken only if they are named.
+        display is the operator's: these are used only if they are named.
     """
 
     section: Mapping[str, Any] = field(default_factory=dict)
@@ -66,12 +66,12 @@ class FoundDevices:
     missing: list[str]
 
     @classmethod
-    def together(cls, found: Iterable[FoundDevices]) -> FoundDevices:
-        """Join what several drivers have found.
+    def together(cls, results: Iterable[FoundDevices]) -> FoundDevices:
+        """Join the results of several drivers.
 
         Parameters
         ----------
-        found : iterable of FoundDevices
+        results : iterable of FoundDevices
             In the order in which it is to be listed.
 
         Returns
@@ -79,5 +79,5 @@ class FoundDevices:
         FoundDevices
             All of it.
         """
-        parts = list(found)
+        parts = list(results)
         return cls([d for part in parts for d in part.devices], [m for part in parts for m in part.missing])

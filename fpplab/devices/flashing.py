@@ -19,7 +19,7 @@ class FlashingProjector(Projector):
     @property
     @final
     def refresh_s(self) -> float:
-        """Period of the refreshes in s, as the display tells it; known once open."""
+        """Period of the refreshes in s, as the display reports it; known once open."""
         self._need(State.IDLE, State.ARMED, doing="refresh_s")
         with self._guard("refresh_s"):
             return self._refresh_period_s()

@@ -27,18 +27,18 @@ class ProjectorCaps:
     lattice : Lattice
         How the mirrors lie.
     bit_depths : dict of int to float
-        Depths that it can show, with the least exposure in s of each.
+        Depths that it can show, with the shortest exposure in s of each.
     trigger_outputs : int
         How many outputs give a pulse with each pattern; 0 where it cannot play.
     max_patterns : int
         How many it holds at once.
     longest_s : float
-        Longest s for which a played pattern can be shown.
+        Longest time in s for which a played pattern can be shown.
     gap_s : float
-        Where the next played pattern does not follow at once: least s until it does.
+        Shortest time in s to the next played pattern, where that does not follow at once.
     period_s : float
         s in which a pattern that is shown repeats, its bit planes one after another: an exposure sees them
-        alike if it lasts a whole number of these. 0 where light is steady, or nothing is known.
+        completely if it lasts a whole number of these. 0 where light is steady, or where this is not known.
     dark_between : bool
         Whether it can be dark between played patterns.
     """
@@ -63,8 +63,8 @@ class PatternLoads:
     images : int
         How often a run changes to another image, the first included; 0 where patterns are not kept in images.
     period_s : float
-        Least s from one pattern to the next, so that each image is there when it is due; 0 where none is
-        waited for.
+        Shortest time in s from one pattern to the next, so that each image is loaded when it is due; 0 where
+        no loading is waited for.
     """
 
     images: int = 0
@@ -131,7 +131,7 @@ class Projector(Device):
 
     @final
     def show(self, i: int) -> None:
-        """Show one loaded pattern until told otherwise.
+        """Show one loaded pattern until the next command.
 
         Parameters
         ----------
@@ -158,11 +158,11 @@ class Projector(Device):
         Parameters
         ----------
         exposure_s : float
-            s that each is shown.
+            Time in s that each is shown.
         dark_s : float
-            s of darkness that follow each, at least.
+            Shortest darkness in s after each.
         period_s : float
-            s from one pulse to the next, at least; the projector need not be dark in what is left of it.
+            Shortest time in s from one pulse to the next; the projector need not be dark for the rest of it.
 
         Raises
         ------
@@ -179,9 +179,11 @@ class Projector(Device):
             raise CapabilityError(self.name, "play", "has no trigger output", "use a stepped plan")
         if not self._loaded:
             raise StateError(self.name, "play", "has no patterns", "load some first")
-        least = max(caps.bit_depths[p.bit_depth] for p in self._loaded)
-        if not exposure_s >= least:
-            raise SettingError(self.name, "play", f"exposure_s is {exposure_s:g} s", f"at least {least:g} s")
+        shortest_s = max(caps.bit_depths[p.bit_depth] for p in self._loaded)
+        if not exposure_s >= shortest_s:
+            raise SettingError(
+                self.name, "play", f"exposure_s is {exposure_s:g} s", f"at least {shortest_s:g} s"
+            )
         if not dark_s >= 0:
             raise SettingError(self.name, "play", f"dark_s is {dark_s:g} s", "at least 0 s")
         if not period_s >= 0:

@@ -40,7 +40,7 @@ Dev = TypeVar("Dev", bound=Device)
 _log = logging.getLogger(__name__)
 
 Mounted = tuple[str, int]
-"""An item and its pose, in a fixture's words."""
+"""An item and its pose, as a fixture names them."""
 
 
 def _named(backend: str) -> str:
@@ -74,7 +74,7 @@ class CameraSection(DeviceSection):
 
     dead_time_s: Annotated[float, Field(ge=0, le=10)] | None = None
     """Time in s after each exposure in which the camera ignores a trigger, where it is longer than the camera
-    tells; for a camera that tells nothing it is 1 ms by default. For triggered plans.
+    reports; for a camera that reports nothing it is 1 ms by default. For triggered plans.
     """
 
 
@@ -107,7 +107,7 @@ class RigFile(DepthSection):
     """What the rig is called in reports and messages."""
 
     notes: tuple[str, ...] | None = None
-    """What whoever uses the rig should know, told each time it is opened: reasons for which a matched twin
+    """What the user of the rig should know, logged each time it is opened: reasons for which a matched twin
     would have been refused, had they not been accepted.
     """
 
@@ -175,9 +175,9 @@ class Rig:
         ConfigError
             There is no such file, or it is wrong.
         """
-        found = config.find_config(path, "rig")
-        data = config.parse_yaml(config.read_text(found), found)
-        return cls(config.validate(with_named_response(data, found), RigFile, found), found.parent, found)
+        file = config.find_config(path, "rig")
+        data = config.parse_yaml(config.read_text(file), file)
+        return cls(config.validate(with_named_response(data, file), RigFile, file), file.parent, file)
 
     def __enter__(self) -> Self:
         with ExitStack() as stack:
@@ -314,7 +314,7 @@ class Rig:
         return stage
 
     def foresee_stage(self, mm: float) -> StageMove:
-        """Tell what moving the stage to a position would be; nothing moves, and nobody is asked.
+        """Describe a move of the stage to a position; nothing moves, and nobody is asked.
 
         Parameters
         ----------

@@ -75,7 +75,7 @@ class RigTurn:
 
 @contextmanager
 def watching_rig(source: Path | str) -> Iterator[RigTurn]:
-    """Watch a rig, beside commands that measure with it."""
+    """Watch a rig, in turn with commands that measure with it."""
     files = _files_of(source)
     handle = _if_locked(files, "watched")
     if handle is None:

@@ -19,7 +19,7 @@ class StageCaps:
     Attributes
     ----------
     travel_mm : tuple of float
-        (least, most) position in mm.
+        (minimum, maximum) position in mm.
     """
 
     travel_mm: tuple[float, float]
@@ -36,9 +36,9 @@ class StageMove:
     target_mm : float
         Where it would go, in mm.
     travel_mm : tuple of float
-        (least, most) position in mm that it can reach.
+        (minimum, maximum) position in mm that it can reach.
     soft_limits_mm : tuple of float or None
-        (least, most) position in mm that the rig file allows without consent.
+        (minimum, maximum) position in mm that the rig file allows without consent.
     needs_consent : bool
         Whether the target lies beyond the soft limits.
     """
@@ -94,12 +94,12 @@ class Stage(Device):
         mm : float
             Where to, in mm.
         timeout_s : float
-            s that it may take at most.
+            Longest time in s that it may take.
 
         Returns
         -------
         float
-            Where it is, in mm, as the device tells.
+            Where it is, in mm, as the device reports.
 
         Raises
         ------
@@ -137,7 +137,7 @@ class Stage(Device):
 
     @final
     def foresee(self, mm: float) -> StageMove:
-        """Tell what moving to a position would be; nothing moves, and nobody is asked.
+        """Describe a move to a position; nothing moves, and nobody is asked.
 
         Parameters
         ----------

@@ -191,10 +191,10 @@ def test_any_size_will_do_where_none_is_stated() -> None:
 
 
 def test_a_name_that_two_displays_have_is_refused() -> None:
-    alike = [screen.DisplayInfo(i, "HDMI", DUMMY, 60, i == 0) for i in range(2)]
+    same_name = [screen.DisplayInfo(i, "HDMI", DUMMY, 60, i == 0) for i in range(2)]
     with pytest.raises(screen.ScreenError, match="several displays are called 'HDMI'"):
-        screen._chosen(alike, "HDMI", None)
-    assert screen._chosen(alike, 1, DUMMY).index == 1
+        screen._choose_display(same_name, "HDMI", None)
+    assert screen._choose_display(same_name, 1, DUMMY).index == 1
 
 
 def test_displays_are_listed_without_being_opened(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -74,12 +74,12 @@ class BootLoaderLink:
     def identify(self) -> None:
         """Check the type of the flash and select the algorithm that writes it."""
         self._wait("identify")  # an interrupted upload may have left it busy
-        found = self._number(_MANUFACTURER), self._number(_DEVICE)
-        if found != EVM_FLASH:
+        identity = self._number(_MANUFACTURER), self._number(_DEVICE)
+        if identity != EVM_FLASH:
             raise DeviceError(
                 self.name,
                 "identify",
-                f"the flash is {_words(found)}, not {_words(EVM_FLASH)}",
+                f"the flash is {_described(identity)}, not {_described(EVM_FLASH)}",
                 "only the evaluation module's flash can be written",
             )
         self.link.write(FLASH_TYPE, algorithm=0)  # that of the evaluation module's flash
@@ -99,12 +99,12 @@ class BootLoaderLink:
         for start in range(0, len(data), MAX_DATA_BYTES):
             self.link.write_bytes(DATA, data[start : start + MAX_DATA_BYTES])
         self._wait("flash data")
-        found, wanted = self.checksum(offset, len(data)), memory.flash_checksum(data)
-        if found != wanted:
+        checksum, expected = self.checksum(offset, len(data)), memory.flash_checksum(data)
+        if checksum != expected:
             raise DeviceError(
                 self.name,
                 "flash data",
-                f"the checksum of {len(data)} bytes at {offset:#x} is {found:#x}, not {wanted:#x}",
+                f"the checksum of {len(data)} bytes at {offset:#x} is {checksum:#x}, not {expected:#x}",
                 "give the same command again; it continues from there",
             )
 
@@ -155,7 +155,7 @@ class BootLoaderLink:
             self._clock.sleep(FLASH_BUSY.step_s)
 
 
-def _words(part: tuple[int, int]) -> str:
+def _described(part: tuple[int, int]) -> str:
     return "maker {:#06x} part {:#06x}".format(*part)
 
 

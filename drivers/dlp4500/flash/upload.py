@@ -96,12 +96,12 @@ def perform_upload(firmware: Firmware, loader: BootLoaderLink, work: UploadPlan,
 
 def verify_image_count(firmware: Firmware, link: Link) -> None:
     """Compare the number of images that the projector finds in its flash with that of the file."""
-    found, wanted = link.read(IMAGES_IN_FLASH)["count"], firmware.images
-    if found != wanted % MAX_IMAGES:  # the count is one byte, in which 256 is 0
+    count, expected = link.read(IMAGES_IN_FLASH)["count"], firmware.images
+    if count != expected % MAX_IMAGES:  # the count is one byte, in which 256 is 0
         raise DeviceError(
             link.name,
             "upload",
-            f"the projector finds {found} images in its flash, not {wanted}",
+            f"the projector finds {count} images in its flash, not {expected}",
             "give the same command again",
         )
 
@@ -165,8 +165,8 @@ def _table_differs(firmware: Firmware, loader: BootLoaderLink) -> bool:
 
 def _is_same(firmware: Firmware, loader: BootLoaderLink, part: FlashBlock) -> bool:
     """Tell whether the checksum of the projector's flash is that of the file."""
-    wanted = memory.flash_checksum(firmware.content[part.offset : part.end])
-    return loader.checksum(part.offset, part.size) == wanted
+    expected = memory.flash_checksum(firmware.content[part.offset : part.end])
+    return loader.checksum(part.offset, part.size) == expected
 
 
 def _part(firmware: Firmware, sector: int) -> FlashBlock:

@@ -82,13 +82,13 @@ def stored_images(flash: bytes | bytearray) -> list[StoredImage]:
     table = [struct.unpack_from("<II", flash, start + 12 + 8 * i) for i in range(256)]
     if any(entry != (NONE, NONE) for entry in table[count:]):
         raise ValueError(f"the table of {count} images has entries beyond its end")
-    found, end = [], start + 2060
+    images, end = [], start + 2060
     for address, size in table[:count]:
         if address - BASE_ADDRESS != end:
             raise ValueError(f"an image begins at {address:#x}, but the one before it ends at {end:#x}")
         end += size
-        found.append(_image(bytes(flash[end - size : end])))
-    return found
+        images.append(_image(bytes(flash[end - size : end])))
+    return images
 
 
 def _image(blob: bytes) -> StoredImage:

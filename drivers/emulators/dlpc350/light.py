@@ -47,12 +47,12 @@ def grey_levels(image: FlashImage, depth: int, number: int, inverted: bool) -> N
     return np.asarray((scale[::-1] if inverted else scale)[values], np.uint8)
 
 
-def _values(image: FlashImage, wanted: range, full: int) -> NDArray[np.uint8]:
+def _values(image: FlashImage, planes: range, full: int) -> NDArray[np.uint8]:
     """Read the values of neighbouring bit planes, which lie in one colour or in two."""
-    if not wanted:
+    if not planes:
         return np.zeros(image.shape[:2], np.uint8)
-    first, shift = divmod(wanted.start, 8)
+    first, shift = divmod(planes.start, 8)
     low = image[..., first] >> shift
-    if wanted.stop <= 8 * (first + 1):
+    if planes.stop <= 8 * (first + 1):
         return np.asarray(low & full, np.uint8)
     return np.asarray((low | image[..., first + 1] << (8 - shift)) & full, np.uint8)

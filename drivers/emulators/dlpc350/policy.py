@@ -40,7 +40,7 @@ class Dlpc350Policy:
 
 
 STRICT = Dlpc350Policy(ignored_starts=1, running_shown_late_s=0.1, turnaround_s=0.002)
-"""The harsher case wherever no source tells which one is right: tests and the emulated bench use it.
+"""The stricter case wherever no source says which one is right: tests and the emulated bench use it.
 
 The first start after each change of a sequence has no effect, "running" is shown late, and every request
 takes the time of two reports at full speed USB.

@@ -63,6 +63,6 @@ def power_on() -> dict[int, Values]:
     registers = {}
     for command in COMMANDS.values():
         if isinstance(command.written, RegisterLayout) and command.written == command.returned:
-            least = {field.name: field.values()[0] for field in command.written.named}
-            registers[command.number] = POWER_ON.get(command, least)
+            lowest = {field.name: field.values()[0] for field in command.written.named}
+            registers[command.number] = POWER_ON.get(command, lowest)
     return registers

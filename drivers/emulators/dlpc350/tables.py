@@ -37,9 +37,9 @@ class PatternTables:
         entries = [ENTRY.unpack(data[i : i + 3]) for i in range(0, len(data), 3)]
         _write_entries(self.patterns, address, entries)
 
-    def fill_images(self, address: int, data: bytes, most: int) -> None:
+    def fill_images(self, address: int, data: bytes, size: int) -> None:
         """Write entries of the image table."""
-        if address + len(data) > most:
+        if address + len(data) > size:
             raise ValueError("the images do not fit in the image table")
         _write_entries(self.images, address, list(data))
 

@@ -66,15 +66,15 @@ def _state_messages(attachment: UsbIpAttachment) -> Iterator[None]:
     ended = threading.Event()
 
     def report() -> None:
-        said = ""
+        reported = ""
         while not ended.wait(0.1):
             with attachment.lock:
-                now = (
+                state = (
                     describe_state(attachment.hid.controller) if attachment.hid.is_plugged else "off the bus"
                 )
-            if now != said:
-                console.log_status(now)
-                said = now
+            if state != reported:
+                console.log_status(state)
+                reported = state
 
     reporter = threading.Thread(target=report, daemon=True)
     reporter.start()

@@ -51,8 +51,10 @@ class UsbIpConnection:
 
     def __init__(self, hid: EmulatedHid, device_end: socket.socket) -> None:
         self._socket = device_end
-        found = hid.enumerate(VENDOR, PRODUCT)
-        (path,) = (one["path"] for one in found if one["interface_number"] == INTERFACE)
+        interfaces = hid.enumerate(VENDOR, PRODUCT)
+        (path,) = (
+            interface["path"] for interface in interfaces if interface["interface_number"] == INTERFACE
+        )
         self._device = hid.device()
         self._device.open_path(path)
         self._control_endpoint = ControlEndpoint(hid.serial)
@@ -104,12 +106,12 @@ class UsbIpConnection:
             self._complete(number, len(data) if inwards else length, data)
 
     def _unlink(self, number: int, unwanted: int) -> None:
-        found = False
+        was_pending = False
         for pending in self._pending.values():
             for request in [r for r in pending if r[0] == unwanted]:
                 pending.remove(request)
-                found = True
-        status = -errno.ECONNRESET if found else 0
+                was_pending = True
+        status = -errno.ECONNRESET if was_pending else 0
         self._send(struct.pack(">IIIIIi24x", _UNLINKED, number, 0, 0, 0, status))
 
     def _complete(self, number: int, actual: int, data: bytes = b"", status: int = 0) -> None:
@@ -165,10 +167,10 @@ class UsbIpAttachment:
     def _serve_connection(self) -> None:
         """Serve the kernel until the cable is unplugged at either end."""
         while not self._ended.is_set() and self.hid.plugs == self._plug:
-            asked, _, _ = select.select([self._socket], [], [], POLL_S)
+            readable, _, _ = select.select([self._socket], [], [], POLL_S)
             with self.lock:
                 self.hid.controller.advance()
-                if asked and not self._connection.handle_request():
+                if readable and not self._connection.handle_request():
                     self.hid.unplug()
                 self._connection.deliver_reports()
 

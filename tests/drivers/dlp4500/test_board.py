@@ -28,12 +28,12 @@ def test_a_board_without_numbers_in_its_answers(tmp_path: Path) -> None:
 
 def test_status_in_words(bench: Bench, projector: Dlp4500) -> None:
     board = projector._board
-    assert board.status().words == [
+    assert board.status().descriptions == [
         "mirrors not parked", "sequence stopped", "frame buffer free", "gamma correction off",
     ]  # fmt: skip
     projector.load(bench.patterns)
     projector.show(0)
-    assert "sequence running" in board.status().words
+    assert "sequence running" in board.status().descriptions
 
 
 def test_standby_and_back(bench: Bench, projector: Dlp4500) -> None:
