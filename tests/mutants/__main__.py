@@ -46,26 +46,26 @@ def explained() -> dict[str, str]:
 def main(words: list[str]) -> int:
     """Draw faults, judge them, and print what became of each."""
     parser = _parser()
-    asked = parser.parse_args(words)
-    if unknown := set(asked.kinds) - set(KINDS):
+    options = parser.parse_args(words)
+    if unknown := set(options.kinds) - set(KINDS):
         parser.error(f"{', '.join(sorted(unknown))} is no kind of faults: {', '.join(KINDS)}")
-    if asked.remake:
-        shutil.rmtree(asked.map, ignore_errors=True)
-    kinds = asked.kinds or KINDS
-    if asked.record or ("drawn" in kinds and not (asked.map / "map.json").exists()):
-        coverage_map.make(asked.map, asked.record or ["tests"], asked.workers)
+    if options.remake:
+        shutil.rmtree(options.map, ignore_errors=True)
+    kinds = options.kinds or KINDS
+    if options.record or ("drawn" in kinds and not (options.map / "map.json").exists()):
+        coverage_map.make(options.map, options.record or ["tests"], options.workers)
     by_list = listed(ROOT) if "listed" in kinds else []
-    drawn = draw(ROOT, asked.each, asked.seed, tuple(asked.area or AREAS)) if "drawn" in kinds else []
-    faults: list[Fault] = [f for f in (*by_list, *drawn) if all(part in f.name for part in asked.name)]
+    drawn = draw(ROOT, options.each, options.seed, tuple(options.area or AREAS)) if "drawn" in kinds else []
+    faults: list[Fault] = [f for f in (*by_list, *drawn) if all(part in f.name for part in options.name)]
     killers = {fault.name: [fault.killed_by] for fault in by_list}
-    there = coverage_map.collected(["tests"]) if drawn else set()
-    known = coverage_map.without_gone(coverage_map.load(asked.map), there)
+    existing = coverage_map.collected(["tests"]) if drawn else set()
+    known = coverage_map.without_gone(coverage_map.load(options.map), existing)
     chooser = Chooser(ROOT, known, first=killers)
-    there |= {fault.killed_by for fault in by_list}
-    record = TrialRecord(asked.map / "trials.jsonl", there, 60 * asked.minutes)
+    existing |= {fault.killed_by for fault in by_list}
+    record = TrialRecord(options.map / "trials.jsonl", existing, 60 * options.minutes)
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
         free: queue.Queue[Bench] = queue.Queue()
-        for k in range(asked.workers):
+        for k in range(options.workers):
             free.put(Bench(copy_tree(Path(folder) / str(k)), chooser))
 
         def judge(fault: Fault) -> Trial | None:
@@ -81,12 +81,12 @@ def main(words: list[str]) -> int:
             print(f"{trial.verdict:9}  {trial.name}\n{'':11}{trial.evidence}", flush=True)
             return trial
 
-        with ThreadPoolExecutor(asked.workers) as pool:
+        with ThreadPoolExecutor(options.workers) as pool:
             judged = [(f, t) for f, t in zip(faults, pool.map(judge, faults), strict=True) if t]
-        trials = _without_false_kills(judged, record, free.get())
+        trials = _confirmed(judged, record, free.get())
     if len(trials) < len(faults):
         print(f"{len(trials)} of {len(faults)} are judged: the time is over, and the same command goes on.")
-    return _summed_up(trials) or int(len(trials) < len(faults))
+    return _summary(trials) or int(len(trials) < len(faults))
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -108,42 +108,42 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _without_false_kills(judged: list[tuple[Fault, Trial]], record: TrialRecord, bench: Bench) -> list[Trial]:
+def _confirmed(judged: list[tuple[Fault, Trial]], record: TrialRecord, bench: Bench) -> list[Trial]:
     """Run the tests that killed once more on the unharmed sources: one that fails there proves nothing."""
     killing = sorted({test_of(trial) for _, trial in judged} - {""} - record.passing)
     failing: set[str] = set()
     while killing and (failed := bench.run(killing, 3600)):
         test = failed.partition(" ")[2]
         # A whole file is what killed where it could not be collected.
-        asked = next((one for one in killing if test == one or test.startswith(f"{one}::")), None)
-        if asked is None:
+        killer = next((k for k in killing if test == k or test.startswith(f"{k}::")), None)
+        if killer is None:
             raise SystemExit(f"the tests that killed do not run on the unharmed sources: {failed}")
-        failing.add(asked)
-        killing = killing[killing.index(asked) + 1 :]
+        failing.add(killer)
+        killing = killing[killing.index(killer) + 1 :]
     trials = []
-    for fault, found in judged:
-        test = test_of(found)
-        why = f"{found.evidence} fails without the fault too"
-        trial = Trial(found.name, Verdict.UNDECIDED, why) if test in failing else found
+    for fault, judgement in judged:
+        test, why = test_of(judgement), f"{judgement.evidence} fails without the fault too"
+        trial = Trial(judgement.name, Verdict.UNDECIDED, why) if test in failing else judgement
         if test and test not in record.passing:
             record.confirm(fault, trial)
         trials.append(trial)
     return trials
 
 
-def _summed_up(trials: list[Trial]) -> int:
+def _summary(trials: list[Trial]) -> int:
     """Print the figures, and what nobody has explained; the exit code."""
-    why = explained()
+    reasons = explained()
     count = Counter(trial.verdict for trial in trials)
-    equal = [t for t in trials if t.verdict not in KILLED and t.name in why]
-    left = [t for t in trials if t.verdict not in KILLED and t.name not in why]
+    survivors = [trial.name for trial in trials if trial.verdict not in KILLED]
+    unexplained = [name for name in survivors if name not in reasons]
     killed = sum(count[verdict] for verdict in KILLED)
-    judged = len(trials) - len(equal)
+    equivalent = len(survivors) - len(unexplained)
+    judged = len(trials) - equivalent
     print(", ".join(f"{count[verdict]} {verdict}" for verdict in Verdict))
-    print(f"{killed} of {judged} killed ({killed / max(judged, 1):.1%}), {len(equal)} equivalent")
-    for trial in left:
-        print(f"not explained: {trial.name}")
-    return 0 if trials and killed >= MIN_KILLED * judged and not left else 1
+    print(f"{killed} of {judged} killed ({killed / max(judged, 1):.1%}), {equivalent} equivalent")
+    for name in unexplained:
+        print(f"not explained: {name}")
+    return 0 if trials and killed >= MIN_KILLED * judged and not unexplained else 1
 
 
 if __name__ == "__main__":

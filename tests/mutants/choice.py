@@ -10,14 +10,14 @@ from pathlib import Path
 from tests.mutants.coverage_map import CoverageMap
 from tests.mutants.fault import Fault
 
-SECONDS = 30.0
-"""Tests are added as long as they take no longer than this together."""
-INDIRECT = 4
-"""So many times longer where it is not recorded which tests execute the fault, as with machine code."""
+MAX_TESTS_S = 30.0
+"""Longest time of all tests of a fault together."""
+INDIRECT_FACTOR = 4
+"""How many times longer where it is not recorded which tests execute the fault, as with machine code."""
 UNKNOWN_S = 1.0
-"""What a test takes of which nothing is recorded."""
-DEEPEST = 3
-"""Machine code is called by machine code of other modules, so many times over."""
+"""Assumed time of a test of which nothing is recorded."""
+MAX_IMPORTS = 3
+"""How many modules of machine code may call each other in turn."""
 
 
 class Chooser:
@@ -27,7 +27,7 @@ class Chooser:
         self,
         root: Path,
         known: CoverageMap,
-        seconds: float = SECONDS,
+        seconds: float = MAX_TESTS_S,
         first: Mapping[str, list[str]] | None = None,
     ) -> None:
         """`first` names tests that come before all others, by the name of a fault."""
@@ -39,16 +39,16 @@ class Chooser:
         direct = recorded or self._indirect(fault)
         files = {test.partition("::")[0] for test in direct}
         # What a fixture of a module executes is recorded for the first test that asks for it alone.
-        beside = {t for t in self._known.seconds if t.partition("::")[0] in files} - direct
+        same_files = {t for t in self._known.seconds if t.partition("::")[0] in files} - direct
         chosen = list(self._first.get(fault.name, ()))
-        beside -= set(chosen)
+        same_files -= set(chosen)
         direct -= set(chosen)
-        left = self._seconds if recorded else INDIRECT * self._seconds
-        for tests in (direct, beside):
+        remaining_s = self._seconds if recorded else INDIRECT_FACTOR * self._seconds
+        for tests in (direct, same_files):
             for test in sorted(tests, key=lambda test: (self._distance(test, fault), self._time(test))):
-                if not chosen or self._time(test) <= left:
+                if not chosen or self._time(test) <= remaining_s:
                     chosen.append(test)
-                    left -= self._time(test)
+                    remaining_s -= self._time(test)
         return chosen
 
     def seconds_of(self, tests: list[str]) -> float:
@@ -76,10 +76,10 @@ class Chooser:
     def _indirect(self, fault: Fault) -> set[str]:
         """Tests of a line that none is known to execute; of machine code what calls it is recorded alone."""
         files = {fault.file}
-        for _ in range(DEEPEST):
+        for _ in range(MAX_IMPORTS):
             files |= {importer for file in files for importer in importers(self._root, file)}
-            if found := {test for file in files for test in self._callers(file)}:
-                return found
+            if tests := {test for file in files for test in self._callers(file)}:
+                return tests
         return set()
 
     def _callers(self, file: str) -> set[str]:

@@ -46,8 +46,8 @@ class Trial:
 
 def failed_test(ended: str) -> str:
     """The test, or the file of tests, that ended a run; empty where something else did, such as a crash."""
-    found = re.match(r"(?:FAILED|ERROR) (tests/\S.*)", ended)
-    return found[1] if found else ""
+    match = re.match(r"(?:FAILED|ERROR) (tests/\S.*)", ended)
+    return match[1] if match else ""
 
 
 class Bench:

@@ -17,13 +17,13 @@ class TrialRecord:
     """Trials of earlier runs and of this one, in a file of JSON lines.
 
     A fault that was killed is not tried again as long as its source is the same and the test that killed it
-    is among those that are `there`; one that survived is, for a test may have come that notices it. After
+    is among those that exist; one that survived is, for a test may have come that notices it. After
     `seconds` no further fault is tried.
     """
 
-    def __init__(self, path: Path, there: set[str], seconds: float = float("inf")) -> None:
+    def __init__(self, path: Path, existing: set[str], seconds: float = float("inf")) -> None:
         self._path, self._end = path, time.monotonic() + seconds
-        self._there = there | {test.partition("::")[0] for test in there}
+        self._existing = existing | {test.partition("::")[0] for test in existing}
         path.parent.mkdir(parents=True, exist_ok=True)
         path.touch()
         cut_torn_line(path)
@@ -37,7 +37,7 @@ class TrialRecord:
     def known(self, fault: Fault) -> Trial | None:
         """The trial of a fault that was killed in the source as it is now, by a test that is still there."""
         trial = self._killed.get((fault.name, _sum(fault.file)))
-        gone = trial is not None and test_of(trial) not in {"", *self._there}
+        gone = trial is not None and test_of(trial) not in {"", *self._existing}
         return None if gone else trial
 
     def add(self, fault: Fault, trial: Trial) -> None:

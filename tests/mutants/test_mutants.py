@@ -11,7 +11,7 @@ from typing import cast
 import pytest
 import yaml
 
-from tests.mutants.__main__ import EQUIVALENT, _without_false_kills, explained
+from tests.mutants.__main__ import EQUIVALENT, _confirmed, explained
 from tests.mutants.areas import AREAS, draw, files_of
 from tests.mutants.choice import Chooser, importers
 from tests.mutants.coverage_map import CoverageMap, collected, without_gone
@@ -171,7 +171,7 @@ def test_a_kill_by_what_fails_anyway_proves_nothing(tmp_path: Path) -> None:
     }
     judged = [(mutant, Trial(mutant.name, Verdict.KILLED, words)) for mutant, words in killers.items()]
     bench = SoundBench(["tests/a.py::test_a", "tests/b.py::test_of_it"])
-    trials = _without_false_kills(judged, TrialRecord(tmp_path / "trials.jsonl", set()), cast(Bench, bench))
+    trials = _confirmed(judged, TrialRecord(tmp_path / "trials.jsonl", set()), cast(Bench, bench))
     assert [t.verdict for t in trials] == [Verdict.UNDECIDED, Verdict.UNDECIDED, Verdict.KILLED]
 
 
@@ -180,7 +180,7 @@ def test_tests_that_do_not_run_are_no_verdict(tmp_path: Path) -> None:
     bench = EmptyBench([])
     judged = [(mutant, Trial(mutant.name, Verdict.KILLED, "FAILED tests/a.py::test_a"))]
     with pytest.raises(SystemExit, match="no tests ran"):
-        _without_false_kills(judged, TrialRecord(tmp_path / "trials.jsonl", set()), cast(Bench, bench))
+        _confirmed(judged, TrialRecord(tmp_path / "trials.jsonl", set()), cast(Bench, bench))
 
 
 def test_explanations_are_of_faults_that_exist() -> None:
