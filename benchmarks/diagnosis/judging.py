@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory, mkdtemp
 import numpy as np
 
 from fpplab.calibration.model import Calibration
-from fpplab.characterisation.lens import breathes
+from fpplab.characterisation.lens import has_focus_breathing
 from fpplab.clouds import Cloud
 from fpplab.core import config
 from fpplab.core.errors import CalibrationError, DataError
@@ -145,7 +145,7 @@ def of_lens(cause: str, seed: int) -> Judged:
     """Characterise a rig whose camera's lens was turned between poses."""
     scatter = float(np.random.default_rng([seed, 6]).uniform(3e-4, 1e-3))
     try:
-        named = breathes(*scales(fitted(breathing(scatter, seed))))
+        named = has_focus_breathing(*scales(fitted(breathing(scatter, seed))))
     except CalibrationError:  # its message names no lens
         named = False
     return Judged(cause, seed, (cause,) if named else ())

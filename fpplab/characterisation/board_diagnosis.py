@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fpplab.characterisation.descriptions import described_otherwise
+from fpplab.characterisation.descriptions import similar_descriptions
+from fpplab.characterisation.limits import USUAL_LIMITS, CharacterisationLimits
 from fpplab.characterisation.observation import Observation
 from fpplab.characterisation.parameters import ImageSize
 from fpplab.characterisation.zhang import rms, zhang
@@ -14,19 +15,17 @@ from fpplab.core.errors import CalibrationError
 from fpplab.targets import Target
 from fpplab.targets.views import Detection, apply_homography, homography
 
-BETTER = 4.0
-"""How many times better another description must fit to be the right one."""
-
-LIKELY_PX = 3.0
-"""A description under which the camera fits worse than this is wrong as well."""
-
 
 def find_description_error(
-    observations: Sequence[Observation], target: Target, size: ImageSize, rms_px: float = np.inf
+    observations: Sequence[Observation],
+    target: Target,
+    size: ImageSize,
+    rms_px: float = np.inf,
+    limits: CharacterisationLimits = USUAL_LIMITS,
 ) -> str | None:
     """Find what is wrong with a board's description, if another makes the camera fit far better."""
     # size (width, height) px
-    flat = {words: (_off_plane(observations, other), other) for words, other in described_otherwise(target)}
+    flat = {words: (_off_plane(observations, other), other) for words, other in similar_descriptions(target)}
     flattest = min(off for off, _ in flat.values()) if flat else np.inf
     # A single plane does not determine the ratio of the pitches; a camera in several poses does.
     fits = {
@@ -35,8 +34,10 @@ def find_description_error(
         if off <= 1.5 * flattest
     }
     words = min(fits, key=lambda one: fits[one], default="")
-    clearly_flatter = flattest < _off_plane(observations, target) / BETTER
-    if fits and fits[words] < LIKELY_PX and (clearly_flatter or fits[words] < rms_px / BETTER < np.inf):
+    clearly_flatter = flattest < _off_plane(observations, target) / limits.min_description_gain
+    fits_far_better = fits and fits[words] < rms_px / limits.min_description_gain < np.inf
+    is_likely = fits and fits[words] < limits.max_description_rms_px
+    if is_likely and (clearly_flatter or fits_far_better):
         return f"the points found do not form the board described but fit one {words}"
     return None
 

@@ -18,7 +18,7 @@ from fpplab.calibration.model import INTRINSICS, Uncertainty
 from fpplab.characterisation.observation import Observation
 from fpplab.characterisation.parameters import ErrorSizes, Model, Solution, parameter_names
 from fpplab.characterisation.pose_effects import (
-    KINDS,
+    ERROR_KINDS,
     PoseEffects,
     PoseShift,
     pose_effects,
@@ -30,46 +30,46 @@ from fpplab.core.conventions import Floats
 from fpplab.core.errors import UndeterminedError
 from fpplab.core.robust import robust_spread
 
-SOFT = 3.0
+HUBER_LIMIT = 3.0
 """Residuals beyond this many robust standard deviations enter linearly, not squared (Huber)."""
 
-CLIPPED = 0.99501
-"""Mean square of a normal variable that is cut off at `SOFT` standard deviations."""
+CLIPPED_MEAN_SQUARE = 0.99501
+"""Mean square of a normal variable that is cut off at `HUBER_LIMIT` standard deviations."""
 
-LEAST_EIGENVALUE = 1e-13
+MIN_EIGENVALUE_RATIO = 1e-13
 """Least significant eigenvalue of normal equations scaled to a diagonal of ones, relative to the greatest."""
 
 UNDETERMINED = "the poses do not determine all parameters; add some that are tilted by 20° or more"
 """Message for poses that leave a parameter undetermined."""
 
-FIRST_DAMPING = 1e-6
+INITIAL_DAMPING = 1e-6
 """Damping at which the fit starts, relative to the diagonal of the normal equations."""
 
-MOST_DAMPING = 1e8
+MAX_DAMPING = 1e8
 """Damping at which the fit ends: no step reduces the residuals."""
 
-LEAST_GAIN = 1e-7
+MIN_RELATIVE_GAIN = 1e-7
 """Relative reduction of the loss at which the fit ends: a thirtieth of a standard deviation
 for 10 000 residuals."""
 
 ROUNDS = 20
 """Most iterations of the estimate of the errors' sizes."""
 
-SETTLED = 0.01
+MAX_SETTLED_CHANGE = 0.01
 """Relative change of the errors' sizes at which their iteration ends."""
 
-FIRST_MM = 0.03
+INITIAL_BOARD_ERROR_MM = 0.03
 """Size of the errors of the board's points in mm from which the estimate starts, without a tolerance."""
 
-LEAST_PX = 1e-6
+MIN_ERROR_PX = 1e-6
 """Least standard deviation in px that is estimated."""
 
-LEAST_SHARE = 0.02
+MIN_BOARD_ERROR_RATIO = 0.02
 """Least size of the errors of the board that is estimated, relative to the noise of the camera's
 points: smaller ones have no effect."""
 
 
-LEAST_OWN = 0.05
+MIN_INDEPENDENT_SHARE = 0.05
 """Least share of the residuals' squares that is ascribed to independent errors."""
 
 
@@ -88,9 +88,11 @@ def adjust_bundle(
     for _ in range(0 if sizes else ROUNDS):
         near = problem.unpack(vector)
         found = variance_components(replace(problem, near=near), vector)
-        change = np.log(np.array(astuple(found)[:KINDS]) / np.array(astuple(problem.sizes)[:KINDS]))
+        change = np.log(
+            np.array(astuple(found)[:ERROR_KINDS]) / np.array(astuple(problem.sizes)[:ERROR_KINDS])
+        )
         problem = replace(problem, near=near, sizes=found)
-        if np.abs(change).max() < SETTLED:
+        if np.abs(change).max() < MAX_SETTLED_CHANGE:
             break
         vector = _descend(problem, vector)
     return problem.unpack(vector), problem.sizes
@@ -99,8 +101,8 @@ def adjust_bundle(
 def _first_sizes(observations: Sequence[Observation], start: Solution, model: Model) -> ErrorSizes:
     """Sizes from the residuals of the start, robustly."""
     pairs = [start.residuals(i, o) for i, o in enumerate(observations)]
-    noise = [robust_spread(np.concatenate(device), LEAST_PX) for device in zip(*pairs, strict=True)]
-    board = (model.tolerance_mm or FIRST_MM,) * 2
+    noise = [robust_spread(np.concatenate(device), MIN_ERROR_PX) for device in zip(*pairs, strict=True)]
+    board = (model.tolerance_mm or INITIAL_BOARD_ERROR_MM,) * 2
     return ErrorSizes(noise[0], noise[1], *board)
 
 
@@ -112,18 +114,18 @@ def variance_components(problem: Problem, vector: Floats) -> ErrorSizes:
     effects the fixed point is the estimate of restricted maximum likelihood.
     """
     # vector (n,)
-    inverse = inverse_of(problem, problem.normal_equations(vector, SOFT)[0])
-    of_camera, _ = problem.normal_equations(vector, SOFT, camera_alone=True)
+    inverse = inverse_of(problem, problem.normal_equations(vector, HUBER_LIMIT)[0])
+    of_camera, _ = problem.normal_equations(vector, HUBER_LIMIT, camera_alone=True)
     known, _, sigmas = problem.priors
     held = np.diag(inverse)[known] / sigmas**2
     used_by_camera = float(np.sum(inverse * of_camera))
     used_by_projector = len(vector) - used_by_camera - float(held.sum())
-    effects = pose_effects(problem, vector, inverse, SOFT)
-    variances, doubts = effects.variances()
+    effects = pose_effects(problem, vector, inverse, HUBER_LIMIT)
+    variances, uncertainties = effects.variances()
     leaked = effects.leaked @ variances[effects.device]
-    errors, pulls = problem.errors(vector), problem.pulls(vector)
+    errors, prior_residuals = problem.errors(vector), problem.prior_residuals(vector)
     noise = [
-        max(size * _ratio(residuals, len(residuals) - used, leak), LEAST_PX)
+        max(size * _ratio(residuals, len(residuals) - used, leak), MIN_ERROR_PX)
         for size, residuals, used, leak in zip(
             astuple(problem.sizes), errors, (used_by_camera, used_by_projector), leaked, strict=False
         )
@@ -133,12 +135,12 @@ def variance_components(problem: Problem, vector: Floats) -> ErrorSizes:
         pitch = float(np.median(problem.near.poses[:, 5])) / problem.near.camera[0]
         board = [
             max(
-                size * _ratio(pulls[row], float((1.0 - held[row]).sum()), leak),
-                LEAST_SHARE * noise[0] * pitch,
+                size * _ratio(prior_residuals[row], float((1.0 - held[row]).sum()), leak),
+                MIN_BOARD_ERROR_RATIO * noise[0] * pitch,
             )
             for size, row, leak in zip(board, problem.board_rows, leaked[2:], strict=True)
         ]
-    return ErrorSizes(*noise, *board, *np.sqrt(widened(variances, doubts)).tolist())
+    return ErrorSizes(*noise, *board, *np.sqrt(widened(variances, uncertainties)).tolist())
 
 
 def _ratio(residuals: Floats, redundancy: float, leaked: float) -> float:
@@ -148,10 +150,10 @@ def _ratio(residuals: Floats, redundancy: float, leaked: float) -> float:
     """
     if redundancy < 1e-3 * len(residuals):
         return 1.0
-    squares = float(np.sum(np.minimum(residuals**2, SOFT**2))) / CLIPPED
+    squares = float(np.sum(np.minimum(residuals**2, HUBER_LIMIT**2))) / CLIPPED_MEAN_SQUARE
     # Residuals far beyond the clip must still tell that their size was taken too small.
     unclipped = max(squares, robust_spread(residuals, 0.0) ** 2 * residuals.size)
-    return float(np.sqrt(max(squares - leaked, LEAST_OWN * unclipped) / redundancy))
+    return float(np.sqrt(max(squares - leaked, MIN_INDEPENDENT_SHARE * unclipped) / redundancy))
 
 
 def uncertainty(
@@ -163,7 +165,7 @@ def uncertainty(
     one pose share, of the board's shape and of its scale.
     """
     problem = Problem(tuple(observations), model, sizes, best)
-    shared = slice(problem.heads[2])
+    shared = slice(problem.vector_offsets[2])
     inverse, effects = _effects(problem, best)
     passed = (
         effects.passed[shared] * np.array([sizes.camera_shared_px, sizes.projector_shared_px])[effects.device]
@@ -186,8 +188,8 @@ def motions_in_poses(
 def _effects(problem: Problem, best: Solution) -> tuple[Floats, PoseEffects]:
     """Inverse (n, n) of the normal equations, and the effects of the poses."""
     vector = problem.pack(best)
-    inverse = inverse_of(problem, problem.normal_equations(vector, SOFT)[0])
-    return inverse, pose_effects(problem, vector, inverse, SOFT)
+    inverse = inverse_of(problem, problem.normal_equations(vector, HUBER_LIMIT)[0])
+    return inverse, pose_effects(problem, vector, inverse, HUBER_LIMIT)
 
 
 def fits_without_each_pose(
@@ -198,16 +200,16 @@ def fits_without_each_pose(
     That is one step of Gauss and Newton from the joint fit.
     """
     problem = Problem(tuple(observations), model, sizes, best)
-    vector, (_, _, carried, first, _) = problem.pack(best), problem.heads
-    parts = [problem.pose_equations(index, vector, SOFT) for index in range(len(observations))]
-    normal, gradient = problem.normal_equations(vector, SOFT)
+    vector, (_, _, carried, first, _) = problem.pack(best), problem.vector_offsets
+    parts = [problem.pose_equations(index, vector, HUBER_LIMIT) for index in range(len(observations))]
+    normal, gradient = problem.normal_equations(vector, HUBER_LIMIT)
     found = []
     for index, (own, pull) in enumerate(parts):
         others = np.delete(np.arange(len(vector)), np.arange(first + 6 * index, first + 6 * index + 6))
         left = (normal - own)[np.ix_(others, others)]
         scale = 1.0 / np.sqrt(np.diag(left))
         try:
-            scaled = left * np.outer(scale, scale) + FIRST_DAMPING**2 * np.eye(len(left))
+            scaled = left * np.outer(scale, scale) + INITIAL_DAMPING**2 * np.eye(len(left))
             factor = np.linalg.cholesky(scaled)
         except np.linalg.LinAlgError as error:
             raise UndeterminedError(UNDETERMINED) from error
@@ -231,18 +233,18 @@ def inverse_of(problem: Problem, normal: Floats) -> Floats:
     others = np.delete(np.arange(len(normal)), rational)
     values, vectors = np.linalg.eigh(scaled)
     judged = np.linalg.eigvalsh(scaled[np.ix_(others, others)]) if len(rational) else values
-    if judged[0] < LEAST_EIGENVALUE * judged[-1]:
+    if judged[0] < MIN_EIGENVALUE_RATIO * judged[-1]:
         raise UndeterminedError(UNDETERMINED)
-    inverse = (vectors / np.maximum(values, LEAST_EIGENVALUE * values[-1])) @ vectors.T
+    inverse = (vectors / np.maximum(values, MIN_EIGENVALUE_RATIO * values[-1])) @ vectors.T
     return np.asarray(inverse / np.outer(scale, scale))
 
 
 def _descend(problem: Problem, vector: Floats) -> Floats:
     """Minimise Huber's loss by reweighted Levenberg-Marquardt, the share carried within 0 to 1."""
-    damping, carried = FIRST_DAMPING, problem.heads[2]
+    damping, carried = INITIAL_DAMPING, problem.vector_offsets[2]
     cost = _huber(problem.misfit(vector))
     for _ in range(200):
-        normal, gradient = problem.normal_equations(vector, SOFT)
+        normal, gradient = problem.normal_equations(vector, HUBER_LIMIT)
         _hold_at_bound(normal, gradient, carried, vector[carried])
         normal[np.diag_indices_from(normal)] *= 1.0 + damping
         try:
@@ -250,7 +252,7 @@ def _descend(problem: Problem, vector: Floats) -> Floats:
             trial = vector - cho_solve((np.linalg.cholesky(normal), True), gradient)
         except (np.linalg.LinAlgError, ValueError) as error:
             damping *= 10.0
-            if damping > MOST_DAMPING:
+            if damping > MAX_DAMPING:
                 raise UndeterminedError(UNDETERMINED) from error
             continue
         trial[carried] = np.clip(trial[carried], 0.0, 1.0)
@@ -259,7 +261,7 @@ def _descend(problem: Problem, vector: Floats) -> Floats:
             vector, cost, damping = trial, cost - gain, 0.1 * damping
         else:
             damping *= 10.0
-        if abs(gain) <= LEAST_GAIN * cost or damping > MOST_DAMPING:
+        if abs(gain) <= MIN_RELATIVE_GAIN * cost or damping > MAX_DAMPING:
             break
     return vector
 
@@ -273,7 +275,7 @@ def _hold_at_bound(normal: Floats, gradient: Floats, at: int, value: float) -> N
 
 def _huber(residuals: Floats) -> float:
     size = np.abs(residuals)
-    return float(np.sum(np.where(size <= SOFT, size**2, SOFT * (2 * size - SOFT))))
+    return float(np.sum(np.where(size <= HUBER_LIMIT, size**2, HUBER_LIMIT * (2 * size - HUBER_LIMIT))))
 
 
 def fit_pose(observation: Observation, solution: Solution, start: Floats) -> Floats:

@@ -19,19 +19,19 @@ TILT_DEG = 35.0
 DIRECTIONS = tuple((x, y) for y, x in product((-1, 0, 1), repeat=2) if x or y)
 """To the right and down: towards which part of the image the board is moved, or which edge is tilted away."""
 
-MOST_SLANT_DEG = 50.0
+MAX_SLANT_DEG = 50.0
 """Greatest angle between the board's normal and the line to the projector; the light is grazing beyond."""
 
-HAND_MM = 5.0
+RIM_MM = 5.0
 """Rim around the board that has to be seen too: a hand does not hold it exactly where it should."""
 
 STEPS = 12
 """Steps from the middle of the field to the edge of the image, in which the board is moved."""
 
-LEAST_SEEN = 0.6
+MIN_VISIBLE_SHARE = 0.6
 """Share of the board that has to be seen where it is too large to be seen whole."""
 
-DEPTH_LEVELS = 3
+DEPTH_LEVELS = 3  # near, middle, far
 
 
 def tilted_away(direction: tuple[float, float], tilt_deg: float) -> Floats:
@@ -68,8 +68,8 @@ def candidate_poses(
     there as it is still seen, towards each edge and corner of the camera's image.
     """
     # size_mm (width, height) mm
-    grid = board_grid(size_mm, HAND_MM)
-    for least in (1.0, LEAST_SEEN):
+    grid = board_grid(size_mm, RIM_MM)
+    for least in (1.0, MIN_VISIBLE_SHARE):
         if found := list(_seen_poses(calibration, grid, depth_mm, least)):
             return found
     raise CalibrationError(
@@ -119,4 +119,4 @@ def _faces_projector(calibration: Calibration, rotation: Floats, places: Floats)
     """Whether the board's front is lit from not too far aside."""
     away = places - calibration.projector_centre
     cosine = away @ rotation[:, 2] / np.linalg.norm(away, axis=-1)
-    return np.asarray(cosine > np.cos(np.radians(MOST_SLANT_DEG)))
+    return np.asarray(cosine > np.cos(np.radians(MAX_SLANT_DEG)))

@@ -8,23 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.calibration.model import Calibration
+from fpplab.characterisation.limits import USUAL_LIMITS, CharacterisationLimits
 from fpplab.characterisation.observation import Observation
 from fpplab.core.conventions import Floats
 from fpplab.core.geometry import Pinhole, RigidTransform
 
-SMALL_TILT_DEG = 15.0
-"""With all tilts below this, focal length and distance are strongly correlated."""
-
-ALIKE_DEG = 20.0
-"""With all differences of tilt below this, the poses give nearly the same information."""
-
-PARALLEL_DEG = 4.0
-"""With all differences of tilt below this, the poses are parallel and do not determine the focal lengths."""
-
-ALIKE_DISTANCE = 0.05
-"""Range of distances, relative to their mean, below which they are alike."""
-
-PARTS = (
+REGION_NAMES = (
     ("upper left", "top", "upper right"),
     ("left", "middle", "right"),
     ("lower left", "bottom", "lower right"),
@@ -40,11 +29,12 @@ def warnings(
     poses: Sequence[RigidTransform],
     calibration: Calibration,
     board: Floats,
+    limits: CharacterisationLimits = USUAL_LIMITS,
 ) -> tuple[str, ...]:
     """Warn of what the poses leave undetermined."""
     # board (P, 3) mm
     centres = [T.apply(board[o.ids].mean(axis=0)) for o, T in zip(observations, poses, strict=True)]
-    return (*_about_tilts(poses), *_about_distances(np.array(centres)[:, 2]),
+    return (*_about_tilts(poses, limits), *_about_distances(np.array(centres)[:, 2], limits),
             *_about_parts(observations, np.array(centres), calibration))  # fmt: skip
 
 
@@ -54,23 +44,23 @@ def spread_of_tilts(poses: Sequence[RigidTransform]) -> float:
     return float(np.degrees(np.arccos(np.clip(normals @ normals.T, -1, 1).min())))
 
 
-def _about_tilts(poses: Sequence[RigidTransform]) -> Iterator[str]:
+def _about_tilts(poses: Sequence[RigidTransform], limits: CharacterisationLimits) -> Iterator[str]:
     most = max(float(np.degrees(np.arccos(min(abs(T.rotation[2, 2]), 1.0)))) for T in poses)
-    if most < SMALL_TILT_DEG:
+    if most < limits.min_tilt_deg:
         yield (
             f"no board is tilted by more than {most:.0f}°, which leaves focal lengths and principal points "
             "uncertain; add poses tilted by 20 to 35°"
         )
-    elif (apart := spread_of_tilts(poses)) < ALIKE_DEG:
+    elif (apart := spread_of_tilts(poses)) < limits.min_tilt_spread_deg:
         yield (
             f"all boards are tilted alike, to within {apart:.0f}°; tilt the board to the other side as well, "
             "and about its other axis"
         )
 
 
-def _about_distances(distances: Floats) -> Iterator[str]:
+def _about_distances(distances: Floats, limits: CharacterisationLimits) -> Iterator[str]:
     nearest, farthest = float(distances.min()), float(distances.max())
-    if farthest - nearest < ALIKE_DISTANCE * float(distances.mean()):
+    if farthest - nearest < limits.min_distance_range * float(distances.mean()):
         yield (
             f"all boards stand at nearly the same distance, {nearest:.0f} to {farthest:.0f} mm; "
             "add poses nearer and farther, over the depth that will be measured"
@@ -80,16 +70,16 @@ def _about_distances(distances: Floats) -> Iterator[str]:
 def _about_parts(
     observations: Sequence[Observation], centres: Floats, calibration: Calibration
 ) -> Iterator[str]:
-    for name, bare in bare_parts(observations, centres, calibration).items():
+    for name, bare in uncovered_regions(observations, centres, calibration).items():
         if bare.any():
-            where = ", ".join(PARTS[row][column] for row, column in np.argwhere(bare))
+            where = ", ".join(REGION_NAMES[row][column] for row, column in np.argwhere(bare))
             yield (
                 f"no point of a board lay in this part of the {name}'s image: {where}; its distortion is "
                 "not known there, so hold the board there too"
             )
 
 
-def bare_parts(
+def uncovered_regions(
     observations: Sequence[Observation], centres: Floats, calibration: Calibration
 ) -> dict[str, Ninths]:
     """Find the parts of both images in which no point of a board lay."""
@@ -102,18 +92,18 @@ def bare_parts(
     )
     return {
         name: _seen_by_both(device, other, T_other_device, float(np.median(places[:, 2])))
-        & ~filled_parts(observations, name, device.size)
+        & ~covered_regions(observations, name, device.size)
         for name, device, other, T_other_device, places in sides
     }
 
 
-def filled_parts(observations: Sequence[Observation], device: str, size: tuple[int, int]) -> Ninths:
+def covered_regions(observations: Sequence[Observation], device: str, size: tuple[int, int]) -> Ninths:
     """Tell which ninths of an image contain points of a board."""
     # size (width, height) px; returns (3, 3)
-    return parts_with_points(np.concatenate([getattr(o, f"{device}_px") for o in observations]), size)
+    return regions_with_points(np.concatenate([getattr(o, f"{device}_px") for o in observations]), size)
 
 
-def parts_with_points(pixels: Floats, size: tuple[int, int]) -> Ninths:
+def regions_with_points(pixels: Floats, size: tuple[int, int]) -> Ninths:
     """Tell which ninths of an image contain points."""
     # pixels (K, 2) px; size (width, height) px; returns (3, 3)
     held = np.zeros((3, 3), np.bool_)

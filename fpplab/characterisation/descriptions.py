@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from fpplab.targets import Target
 
 
-def why_not_found(image: NDArray[Any], target: Target) -> str | None:
+def explain_missing_board(image: NDArray[Any], target: Target) -> str | None:
     """Find the mistake in a board's description by detecting it under another."""
     # image (height, width)
-    for words, other in described_otherwise(target):
+    for words, other in similar_descriptions(target):
         if other.detect(image) is not None:
             return f"but it is there {words}"
     if target.layout.shows_mirroring and target.detect(np.ascontiguousarray(image[:, ::-1])) is not None:
@@ -22,7 +22,7 @@ def why_not_found(image: NDArray[Any], target: Target) -> str | None:
     return None
 
 
-def described_otherwise(target: Target) -> Iterator[tuple[str, Target]]:
+def similar_descriptions(target: Target) -> Iterator[tuple[str, Target]]:
     """List descriptions that are easily confused with this one."""
     (columns, rows), (x, y) = target.counts, target.spacing_mm
 

@@ -14,6 +14,7 @@ from fpplab.calibration.model import Calibration
 from fpplab.characterisation.assembly import calibration_of
 from fpplab.characterisation.bundle import adjust_bundle, fit_pose, uncertainty
 from fpplab.characterisation.fitting import DEFAULT_LEVEL, model_of, settled
+from fpplab.characterisation.limits import USUAL_LIMITS, CharacterisationLimits
 from fpplab.characterisation.observation import Observation
 from fpplab.characterisation.parameters import DistortionModel, ErrorSizes, ImageSize, Model, Solution
 from fpplab.characterisation.problem import without_poses
@@ -89,11 +90,12 @@ def first_estimate(
     lattice: Lattice,
     level: DistortionModel = DEFAULT_LEVEL,
     refined: bool = True,
+    limits: CharacterisationLimits = USUAL_LIMITS,
 ) -> tuple[JointEstimate, dict[str, str]]:
-    """JointEstimate the devices from the first poses."""
+    """Estimate the devices from the first poses."""
     # image_sizes (width, height) px
     odd: dict[str, str] = {}
-    model = model_of(target, image_sizes, level, refined)
+    model = model_of(target, image_sizes, level, refined, limits)
     with threadpool_limits(limits=1, user_api="blas"):
-        kept, (solution, sizes), _ = settled(observations, target, model, image_sizes, odd)
+        kept, (solution, sizes), _ = settled(observations, target, model, odd)
     return JointEstimate(target, lattice, model, tuple(kept), solution, sizes), odd

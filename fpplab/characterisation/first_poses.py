@@ -31,7 +31,7 @@ FIRST_POSES = (
 DEPTH_SHARE = 0.055
 """Half the range of depths, as a share of the first board's distance, where none is stated."""
 
-FOCAL_GUESS, LEAST_FOCAL, MOST_FOCAL = 2.0, 0.5, 20.0
+FOCAL_GUESS, MIN_FOCAL, MAX_FOCAL = 2.0, 0.5, 20.0
 """Focal length in sizes of the image that is taken where a view does not tell it, and the range believed."""
 
 EDGE_SHARE = 0.06
@@ -58,7 +58,7 @@ class RoughView:
         middle = (0.5 * (sizes[0][0] - 1), 0.5 * (sizes[0][1] - 1))
         centred = [(target.points()[o.ids], o.camera_px - middle) for o in observations]
         focal = _focal(centred) if known is None else _focal_of_known(known.apply(points), centred[0][1])
-        focal = focal if LEAST_FOCAL * max(sizes[0]) < focal < MOST_FOCAL * max(sizes[0]) else (
+        focal = focal if MIN_FOCAL * max(sizes[0]) < focal < MAX_FOCAL * max(sizes[0]) else (
             FOCAL_GUESS * max(sizes[0])
         )  # fmt: skip
         camera = Pinhole.from_focal(sizes[0], (focal, focal), middle)

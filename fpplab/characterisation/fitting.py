@@ -23,6 +23,7 @@ from fpplab.characterisation.bundle import (
     motions_in_poses,
     uncertainty,
 )
+from fpplab.characterisation.limits import USUAL_LIMITS, CharacterisationLimits
 from fpplab.characterisation.observation import Observation
 from fpplab.characterisation.parameters import (
     DEFAULT_SCALE_TOLERANCE,
@@ -46,23 +47,15 @@ from fpplab.core.conventions import Floats, Lattice
 from fpplab.core.errors import CalibrationError, UndeterminedError
 from fpplab.targets import Target
 
-LEAST_POSES = 3
+MIN_POSES = 3
 """Zhang's method needs this many tilted poses when nothing of the device is known."""
 
 DEFAULT_LEVEL = DistortionModel.K3
 """The level taken unless one is named: weak priors limit what the points do not determine of it."""
 
-WORST_FOCAL = 0.03
-"""Greatest relative uncertainty of a focal length that is accepted."""
-
-SUSPECT_PX = 1.0
-"""RMS in px of the camera alone above which other descriptions of the board are tried."""
-
-MOVED_CHANCE = 1e-4
-"""Probability at which noise alone explains a board's motion so badly that it is named."""
 
 UNJUDGED = (
-    f"{LEAST_POSES} poses leave none to judge the distortion by, so {DEFAULT_LEVEL} was taken, unchecked; "
+    f"{MIN_POSES} poses leave none to judge the distortion by, so {DEFAULT_LEVEL} was taken, unchecked; "
     "take more poses"
 )
 """Warning when there are too few poses to compare the levels by."""
@@ -84,6 +77,7 @@ def characterise(
     left_out: Mapping[str, str] | None = None,
     level: DistortionModel | Literal["auto"] = "auto",
     refine_board: bool | None = None,
+    limits: CharacterisationLimits = USUAL_LIMITS,
 ) -> Characterisation:
     """Calibrate both devices and the pose between them, from what `observe` measured in each pose.
 
@@ -97,26 +91,28 @@ def characterise(
     # camera_size (width, height) px; projector_size (width, height) px
     with threadpool_limits(limits=1, user_api="blas"):
         sizes = (camera_size, projector_size)
-        return _characterised(observations, target, sizes, lattice, dict(left_out or {}), level, refine_board)
+        chosen = DEFAULT_LEVEL if level == "auto" else level
+        model = model_of(target, sizes, chosen, refine_board is not False, limits)
+        return _characterised(observations, target, model, lattice, dict(left_out or {}), level == "auto")
 
 
 def _characterised(
-    observations: Sequence[Observation], target: Target, image_sizes: tuple[ImageSize, ImageSize],
-    lattice: Lattice, missing: dict[str, str], level: DistortionModel | Literal["auto"],
-    refine_board: bool | None,
+    observations: Sequence[Observation], target: Target, model: Model, lattice: Lattice,
+    missing: dict[str, str], compares_levels: bool,
 ) -> Characterisation:  # fmt: skip
-    chosen = DEFAULT_LEVEL if level == "auto" else level
-    refined = refine_board is not False
-    model = model_of(target, image_sizes, chosen, refined)
-    kept, fit, separate_px = settled(observations, target, model, image_sizes, missing)
+    chosen = model.level
+    kept, fit, separate_px = settled(observations, target, model, missing)
     kept, fit, rejected = _without_outliers(kept, fit, model)
     solution, sizes = fit
     # A model with few coefficients would hide that tilts are missing, so k1 to k3 are estimated here.
     most = model if len(chosen.terms) > len(DEFAULT_LEVEL.terms) else replace(model, level=DEFAULT_LEVEL)
-    _determined(solution, uncertainty(kept, solution, most, sizes).sigma)
-    few = level == "auto" and len(kept) <= LEAST_POSES
+    _determined(solution, uncertainty(kept, solution, most, sizes).sigma, model.limits)
+    few = compares_levels and len(kept) <= MIN_POSES
     without = _without_each_pose(kept, fit, model)
-    tried = {one: _tried(kept, fit, model, one, without) for one in _candidates(level, few)}
+    tried = {
+        one: _tried(kept, fit, model, one, without)
+        for one in _candidates(chosen, compares_levels and not few)
+    }
     known = uncertainty(kept, solution, model, sizes)
     proof = compare_with_fewer_poses(kept, solution, model, sizes, without) if without else None
     cameras, projectors = zip(*(solution.residuals(i, o) for i, o in enumerate(kept)), strict=True)
@@ -140,7 +136,7 @@ def _characterised(
             *(UNJUDGED,) * few,
             *_motion(kept, fit, model),
             *(proof.warnings if proof else ()),
-            *coverage.warnings(kept, poses, calibration, solution.board),
+            *coverage.warnings(kept, poses, calibration, solution.board, model.limits),
         ),
         model.drawn if model.refined else None,
         solution,
@@ -151,64 +147,70 @@ def _characterised(
 
 
 def model_of(
-    target: Target, image_sizes: tuple[ImageSize, ImageSize], level: DistortionModel, refined: bool = True
+    target: Target,
+    image_sizes: tuple[ImageSize, ImageSize],
+    level: DistortionModel,
+    refined: bool = True,
+    limits: CharacterisationLimits = USUAL_LIMITS,
 ) -> Model:
     """State what is fitted to poses of a board."""
     # image_sizes (width, height) px
     given = target.scale_tolerance
     scale = DEFAULT_SCALE_TOLERANCE if given is None else given
-    return Model(level, target.points(), refined, target.tolerance_mm, scale, image_sizes)
+    return Model(level, target.points(), refined, target.tolerance_mm, scale, image_sizes, limits)
 
 
 def _motion(observations: Sequence[Observation], fit: Fit, model: Model) -> tuple[str, ...]:
     """Name the poses in which the board moved, by more than noise and the other poses explain."""
-    if not model.refined or len(observations) <= LEAST_POSES:
+    if not model.refined or len(observations) <= MIN_POSES:
         return ()
     found = motions_in_poses(observations, fit[0], model, fit[1])
     return tuple(
         f"{o.name}: the projector's coordinates of the whole board are off by {one.shift_px:.2f} px, as if "
         "the board had moved while this pose was taken; hold it still, and take the pose again"
         for o, one in zip(observations, found, strict=True)
-        if one.chance < MOVED_CHANCE / len(observations)
+        if one.chance < model.limits.max_chance / len(observations)
     )
 
 
 def settled(
-    observations: Sequence[Observation], target: Target, model: Model, sizes: tuple[ImageSize, ImageSize],
-    missing: dict[str, str],
+    observations: Sequence[Observation], target: Target, model: Model, missing: dict[str, str]
 ) -> tuple[list[Observation], Fit, dict[str, float]]:  # fmt: skip
     """Select the poses that are consistent, and fit them."""
-    # sizes (width, height) px
-    kept = list(observations)
+    assert model.image_sizes is not None
+    kept, limits = list(observations), model.limits
     while True:
         _enough(kept, missing)
-        start, separate_px = _started(kept, target, sizes)
-        odd = outliers.find_moved_pose(kept, start, 5.0)
+        start, separate_px = _started(kept, target, model.image_sizes, limits)
+        odd = outliers.find_moved_pose(kept, start, 5.0, limits)
         if odd is None:
-            pair, separate_px["stereo"] = stereo(kept, start, sizes[0])
+            pair, separate_px["stereo"] = stereo(kept, start, model.image_sizes[0])
             fit = adjust_bundle(kept, replace(start, T_projector_camera=pair), model)
-            odd = outliers.find_moved_pose(kept, fit[0], 1.0)
+            odd = outliers.find_moved_pose(kept, fit[0], 1.0, limits)
         if odd is None:
             return kept, fit, separate_px
         missing[kept[odd].name] = (
-            f"{kept[odd].name}: fits {outliers.MOVED_POSE:g} times worse than the other poses; "
+            f"{kept[odd].name}: fits {limits.max_pose_rms_ratio:g} times worse than the other poses; "
             "the board or the rig moved during the capture"
         )
         del kept[odd]
 
 
 def _started(
-    observations: Sequence[Observation], target: Target, sizes: tuple[ImageSize, ImageSize]
+    observations: Sequence[Observation],
+    target: Target,
+    sizes: tuple[ImageSize, ImageSize],
+    limits: CharacterisationLimits,
 ) -> tuple[Solution, dict[str, float]]:
     """Calibrate both devices separately; refuse a poor fit that another description of the board explains."""
     try:
         start, projector_poses, separate_px = calibrate_separately(observations, target.points(), *sizes)
     except CalibrationError as error:
-        if mistake := find_description_error(observations, target, sizes[0]):
+        if mistake := find_description_error(observations, target, sizes[0], limits=limits):
             raise CalibrationError(mistake) from error
         raise
-    if separate_px["camera"] > SUSPECT_PX:
-        mistake = find_description_error(observations, target, sizes[0], separate_px["camera"])
+    if separate_px["camera"] > limits.max_camera_rms_px:
+        mistake = find_description_error(observations, target, sizes[0], separate_px["camera"], limits)
         if mistake:
             raise CalibrationError(mistake)
     check_not_mirrored(start.poses, projector_poses)
@@ -219,20 +221,19 @@ def _without_outliers(
     observations: list[Observation], fit: Fit, model: Model
 ) -> tuple[list[Observation], Fit, list[Rejected]]:
     """Repeat the fit without outlying points until there are none."""
-    left, rejected = outliers.rejection_limits(observations), list[Rejected]()
+    limits, rejected = model.limits, list[Rejected]()
+    rejectable = outliers.rejectable_points(observations, limits)
     while True:
-        observations, found = outliers.reject_points(observations, fit[0], left)
+        observations, found = outliers.reject_points(observations, fit[0], rejectable, limits)
         if not found:
             return observations, fit, rejected
         rejected += found
         fit = adjust_bundle(observations, fit[0], model, first=fit[1])
 
 
-def _candidates(level: DistortionModel | Literal["auto"], few: bool) -> tuple[DistortionModel, ...]:
-    """List the levels to try, the simplest first; `auto` compares none when the poses are few."""
-    if level == "auto":
-        return (DEFAULT_LEVEL,) if few else tuple(DistortionModel)
-    return (level,)
+def _candidates(level: DistortionModel, compares_levels: bool) -> tuple[DistortionModel, ...]:
+    """List the levels to try, the simplest first."""
+    return tuple(DistortionModel) if compares_levels else (level,)
 
 
 def _tried(
@@ -257,7 +258,7 @@ def _tried(
 
 def _without_each_pose(observations: Sequence[Observation], fit: Fit, model: Model) -> list[Solution]:
     """Fit all poses but one, for each in turn; nothing where too few would remain."""
-    if len(observations) <= LEAST_POSES:
+    if len(observations) <= MIN_POSES:
         return []
     found = []
     for held, first in enumerate(fits_without_each_pose(observations, fit[0], model, fit[1])):
@@ -278,12 +279,12 @@ def _rms_px(residuals: Sequence[Residuals]) -> dict[str, float]:
 
 
 def _enough(observations: Sequence[Observation], left_out: dict[str, str]) -> None:
-    if len(observations) >= LEAST_POSES:
+    if len(observations) >= MIN_POSES:
         return
     why = f" ({_reasons(left_out)})" if left_out else ""
     raise UndeterminedError(
         f"only {len(observations)} of {len(observations) + len(left_out)} poses can be used, "
-        f"at least {LEAST_POSES} are needed{why}; capture more poses, each tilted differently"
+        f"at least {MIN_POSES} are needed{why}; capture more poses, each tilted differently"
     )
 
 
@@ -298,18 +299,18 @@ def _reasons(left_out: Mapping[str, str]) -> str:
     )
 
 
-def _determined(solution: Solution, sigma: dict[str, float]) -> None:
+def _determined(solution: Solution, sigma: dict[str, float], limits: CharacterisationLimits) -> None:
     """Raise `CalibrationError` for focal lengths that the poses do not determine."""
     apart_deg = coverage.spread_of_tilts([transform(p) for p in solution.poses])
     parallel = f"all poses are parallel, to within {apart_deg:.1f}°, and do not determine "
     advice = "add some that are tilted by 20° or more, each time differently"
-    why = f"{parallel}it" if apart_deg < coverage.PARALLEL_DEG else "the poses do not determine it"
+    why = f"{parallel}it" if apart_deg < limits.parallel_deg else "the poses do not determine it"
     for device in ("camera", "projector"):
         for index, term in enumerate(("fx", "fy")):
             focal, doubt = getattr(solution, device)[index], sigma[f"{device}.{term}"]
-            if doubt > WORST_FOCAL * focal:
+            if doubt > limits.max_focal_uncertainty * focal:
                 raise CalibrationError(
                     f"the {device}'s focal length is {focal:.0f} ± {doubt:.0f} px: {why}; {advice}"
                 )
-    if apart_deg < coverage.PARALLEL_DEG:  # the doubt is small only if the distortion is as assumed
+    if apart_deg < limits.parallel_deg:  # the doubt is small only if the distortion is as assumed
         raise CalibrationError(f"{parallel}the focal lengths; {advice}")

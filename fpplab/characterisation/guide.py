@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fpplab.characterisation.candidate_poses import candidate_poses
-from fpplab.characterisation.coverage import bare_parts, filled_parts
+from fpplab.characterisation.coverage import covered_regions, uncovered_regions
 from fpplab.characterisation.estimate import JointEstimate, first_estimate
 from fpplab.characterisation.first_poses import FIRST_POSES, RoughView, first_pose, working_depth
 from fpplab.characterisation.fitting import DEFAULT_LEVEL
@@ -18,7 +18,7 @@ from fpplab.characterisation.judging import Errors, judge
 from fpplab.characterisation.next_pose import Design, best_pose, expected_observation
 from fpplab.characterisation.observation import Observation
 from fpplab.characterisation.parameters import DistortionModel, ImageSize
-from fpplab.characterisation.pose_words import FIRST_WORDS, described_pose, outline_px
+from fpplab.characterisation.pose_description import FIRST_POSE, describe_pose, outline_px
 from fpplab.characterisation.working_volume import WorkingVolume
 from fpplab.characterisation.zhang import rms
 from fpplab.core.conventions import Floats, Lattice
@@ -27,17 +27,17 @@ from fpplab.core.errors import CalibrationError, UndeterminedError
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.targets import Target
 
-FAR = 2.0
-"""Residuals beyond those predicted by this factor are far, if chance does not explain them either."""
+MAX_RESIDUAL_RATIO = 2.0
+"""Residuals of a pose beside those predicted, above which it is rejected if chance does not explain them
+either. Chosen."""
 
-SURE = 6
-"""Poses from which on a pose that contradicts them is the one that is wrong."""
+CERTAIN_POSES = 6
+"""Poses by which the devices have to be determined, and from which on a pose that contradicts them is the one
+that is wrong. Chosen: twice as many as are needed."""
 
-MOST_FIRST = 6
-"""Poses by which the devices have to be determined."""
-
-ALIKE_MM, ALIKE_DEG = 15.0, 12.0
-"""Candidates that differ by less from a pose that was given up are given up, too."""
+SIMILAR_MM = 15.0
+SIMILAR_DEG = 12.0
+"""Candidates that differ by less from an excluded pose are excluded too. Chosen: what a hand holds apart."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +62,7 @@ class PoseFit:
     def far(self) -> tuple[str, ...]:
         """Devices in which the residuals are far beyond those predicted."""
         pairs = (("camera", self.camera), ("projector", self.projector))
-        return tuple(n for n, e in pairs if e.contradicts and e.rms_px > FAR * e.predicted_px)
+        return tuple(n for n, e in pairs if e.contradicts and e.rms_px > MAX_RESIDUAL_RATIO * e.predicted_px)
 
 
 class Guide:
@@ -78,7 +78,7 @@ class Guide:
         self.estimate: JointEstimate | None = None
         self.first_known: RigidTransform | None = None
         self._stated_mm = depth_mm
-        self._given_up: list[RigidTransform] = []
+        self._excluded: list[RigidTransform] = []
 
     @property
     def depth_mm(self) -> DepthInterval | None:
@@ -105,10 +105,10 @@ class Guide:
     def wanted(self, fill: bool = False) -> WantedPose:
         """Choose the next pose."""
         if not self.observations:
-            return WantedPose(FIRST_WORDS)
+            return WantedPose(FIRST_POSE)
         if self.estimate is None:
             view = self._view()
-            number = len(self.observations) + len(self._given_up)
+            number = len(self.observations) + len(self._excluded)
             pose = first_pose(number, view, self.target, self._stated_mm)
             return self._asked(pose, view.camera, float(view.first.translation[2]))
         volume, calibration = self.volume, self.estimate.calibration
@@ -116,7 +116,7 @@ class Guide:
         candidates = self._candidates()
         if not candidates:
             raise CalibrationError(
-                "every pose that both devices see was rejected; see to the rig, and begin anew"
+                "every pose that both devices see was rejected; check the rig, and start again"
             )
         candidates = (self._filling(candidates) if fill else []) or candidates
         chosen, form_mm = best_pose(Design.of(self.estimate, volume), candidates)
@@ -124,7 +124,7 @@ class Guide:
         return self._asked(candidates[chosen], calibration.camera, first_mm, form_mm)
 
     @property
-    def lacks_part(self) -> bool:
+    def has_uncovered_region(self) -> bool:
         """Whether a part of an image has no points yet, and some pose would bring points there."""
         return self.estimate is not None and bool(self._filling(self._candidates()))
 
@@ -132,26 +132,26 @@ class Guide:
         assert self.estimate is not None
         assert self.depth_mm is not None
         found = candidate_poses(self.estimate.calibration, self.target.size_mm, self.depth_mm)
-        return [one for one in found if not any(_alike(one, other) for other in self._given_up)]
+        return [one for one in found if not any(_similar(one, other) for other in self._excluded)]
 
     def _filling(self, candidates: list[RigidTransform]) -> list[RigidTransform]:
         """Those that bring points into a part of an image that has none."""
         assert self.estimate is not None
         centres = np.array([pose.translation for pose in self.estimate.poses])
-        bare = bare_parts(self.observations, centres, self.estimate.calibration)
+        bare = uncovered_regions(self.observations, centres, self.estimate.calibration)
         if not any(part.any() for part in bare.values()):
             return []
         sizes, found = dict(zip(bare, self.sizes, strict=True)), []
         for pose in candidates:
             seen = expected_observation(self.estimate, pose)
-            if any((bare[d] & filled_parts([seen], d, sizes[d])).any() for d in bare):
+            if any((bare[d] & covered_regions([seen], d, sizes[d])).any() for d in bare):
                 found.append(pose)
         return found
 
-    def give_up(self, wanted: WantedPose) -> None:
-        """Ask for this pose and those like it no more."""
+    def exclude(self, wanted: WantedPose) -> None:
+        """Never ask for this pose or similar ones again."""
         if wanted.T_camera_target is not None:
-            self._given_up.append(wanted.T_camera_target)
+            self._excluded.append(wanted.T_camera_target)
 
     def judged(self, observation: Observation) -> PoseFit | None:
         """Compare the residuals of a pose with those that the poses before predict."""
@@ -175,7 +175,7 @@ class Guide:
                 self.observations, self.target, self.sizes, self.lattice, self.level, self.refined
             )
         except UndeterminedError:
-            if len(self.observations) >= MOST_FIRST:
+            if len(self.observations) >= CERTAIN_POSES:
                 raise
             return {}
         self.estimate, self.observations = found, list(found.observations)
@@ -201,7 +201,7 @@ class Guide:
     def _odd(self, observation: Observation) -> str | None:
         """Which of a few poses is in the wrong, if it is not the new one."""
         assert self.estimate is not None
-        if len(self.observations) >= SURE:
+        if len(self.observations) >= CERTAIN_POSES:
             return None
         try:
             joint = self.estimate.with_pose(observation)
@@ -218,9 +218,9 @@ class Guide:
         self, pose: RigidTransform, camera: Pinhole, first_mm: float, form_mm: float | None = None
     ) -> WantedPose:
         outline = outline_px(pose, camera, self.target.size_mm)
-        return WantedPose(described_pose(pose, camera, first_mm), pose, outline, form_mm)
+        return WantedPose(describe_pose(pose, camera, first_mm), pose, outline, form_mm)
 
 
-def _alike(one: RigidTransform, other: RigidTransform) -> bool:
+def _similar(one: RigidTransform, other: RigidTransform) -> bool:
     turn = np.degrees(np.linalg.norm((one @ other.inverse()).rotation_vector))
-    return bool(np.linalg.norm(one.translation - other.translation) < ALIKE_MM and turn < ALIKE_DEG)
+    return bool(np.linalg.norm(one.translation - other.translation) < SIMILAR_MM and turn < SIMILAR_DEG)

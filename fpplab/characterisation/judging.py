@@ -24,7 +24,7 @@ from scipy.stats import chi2
 from fpplab.calibration.board import FittedBoard, FittedErrors
 from fpplab.calibration.model import INTRINSICS, Calibration
 from fpplab.characterisation.observation import Observation
-from fpplab.characterisation.outliers import reject_points, rejection_limits
+from fpplab.characterisation.outliers import reject_points, rejectable_points
 from fpplab.characterisation.parameters import (
     DistortionModel,
     ErrorSizes,
@@ -42,7 +42,7 @@ from fpplab.core.errors import CalibrationError
 
 DEVICES = ("camera", "projector")
 
-CONTRADICTED = 1e-3
+MAX_CONTRADICTION_CHANCE = 1e-3
 """Probability of errors as great as those seen below which they contradict the calibration."""
 
 
@@ -57,7 +57,7 @@ class Errors:
     @property
     def contradicts(self) -> bool:
         """Whether the errors are greater than chance makes them."""
-        return self.chance < CONTRADICTED
+        return self.chance < MAX_CONTRADICTION_CHANCE
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,18 +93,20 @@ class Judgement:
     @property
     def verdict(self) -> str:
         """The verdict in one sentence, with what to do."""
-        told = "; ".join(
+        figures = "; ".join(
             f"{name} {errors.rms_px:.3f} px where {errors.predicted_px:.3f} px were predicted"
             for name, errors in ((d, getattr(self, d)) for d in DEVICES)
         )
         if self.contradicted:
             return (
-                f"these poses contradict the calibration: {told}; camera, projector or a lens have moved "
-                "since, or the calibration is surer than it should be: characterise again, with more poses"
+                f"these poses contradict the calibration: {figures}; camera, projector or a lens have moved "
+                "since, or its stated uncertainty is too small: characterise again, with more poses"
             )
         if odd := [pose.name for pose in self.poses if pose.contradicts]:
-            return f"the calibration holds: {told}; but not in {', '.join(odd)}: look for motion there"
-        return f"the calibration holds: {told}"
+            return (
+                f"the calibration holds: {figures}; but not in {', '.join(odd)}: check these poses for motion"
+            )
+        return f"the calibration holds: {figures}"
 
     def summary(self) -> dict[str, Any]:
         """Return the figures that the command line prints as JSON."""
@@ -133,8 +135,8 @@ def judge(
             f"{source}: there is no pose to judge by ({'; '.join((left_out or {}).values())})"
         )
     poses = np.array([judged.pose(o) for o in observations])
-    limits = rejection_limits(observations)
-    kept, rejected = reject_points(observations, replace(judged.devices, poses=poses), limits)
+    rejectable = rejectable_points(observations)
+    kept, rejected = reject_points(observations, replace(judged.devices, poses=poses), rejectable)
     predictions = [_prediction(judged, o) for o in kept]
     camera, projector = (_errors(predictions, d) for d in (0, 1))
     return Judgement(

@@ -8,18 +8,10 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import chi2
 
+from fpplab.characterisation.limits import USUAL_LIMITS, CharacterisationLimits
 from fpplab.characterisation.observation import Observation
 from fpplab.characterisation.parameters import ErrorSizes, Solution
 from fpplab.core.conventions import Floats
-
-LENS_CHANCE = 1e-4
-"""Probability at which noise alone explains the scatter of the scales so badly that it is told."""
-
-FEWEST_SCALES = 5
-"""Fewest poses from which anything is concluded."""
-
-MOST_BREATHING = 1e-4
-"""Scatter of the image's scale between poses that is told: 0.1 px at 1000 px from the centre."""
 
 
 def scales_of_poses(
@@ -35,7 +27,7 @@ def scales_of_poses(
     return scales, sigmas
 
 
-def breathing(scales: Floats, sigmas: Floats) -> tuple[float, float]:
+def scale_scatter(scales: Floats, sigmas: Floats) -> tuple[float, float]:
     """Compute the scatter of the scales beyond their uncertainty."""
     weights = 1.0 / sigmas**2
     off = scales - float((weights * scales).sum() / weights.sum())
@@ -44,16 +36,18 @@ def breathing(scales: Floats, sigmas: Floats) -> tuple[float, float]:
     return float(np.sqrt(max(beyond, 0.0))), float(chi2.sf((weights * off**2).sum(), freedom))
 
 
-def breathes(scales: Floats, sigmas: Floats) -> bool:
+def has_focus_breathing(
+    scales: Floats, sigmas: Floats, limits: CharacterisationLimits = USUAL_LIMITS
+) -> bool:
     """Tell whether the scale differs between poses, even without the one in which it differs most.
 
     A board that moved in one pose looks like another scale there.
     """
-    if len(scales) < FEWEST_SCALES:
+    if len(scales) < limits.min_focus_poses:
         return False
     odd = int(np.argmax(np.abs(scales - np.median(scales)) / sigmas))
-    scatter, chance = breathing(np.delete(scales, odd), np.delete(sigmas, odd))
-    return chance < LENS_CHANCE and scatter > MOST_BREATHING
+    scatter, chance = scale_scatter(np.delete(scales, odd), np.delete(sigmas, odd))
+    return chance < limits.max_chance and scatter > limits.max_focus_breathing
 
 
 def _scale(

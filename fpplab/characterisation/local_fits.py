@@ -11,13 +11,13 @@ from fpplab.core.conventions import Floats, Map
 from fpplab.targets import Target
 from fpplab.targets.views import Detection, homography, local_frames, window_pixels
 
-WINDOW = 0.8
+WINDOW_PITCHES = 0.8
 """Half the side of the local fit's window, in pitches of the board."""
 
-LEAST_PIXELS = 40
+MIN_FIT_PIXELS = 40
 """Pixels that a local fit of six coefficients needs to reject outliers."""
 
-OFF_CENTRE = 0.35
+MAX_OFF_CENTRE = 0.35
 """How far the middle of the valid pixels may be from the point, in half sides of the square."""
 
 OUTLIER = 4 * 1.4826
@@ -34,7 +34,7 @@ def coordinates_at_points(maps: Floats, modulation: Map, target: Target, detecti
     frames = local_frames(homography(target, detection), board)
     found = np.full((len(board), 2), np.nan)
     inverses = np.ascontiguousarray(np.linalg.inv(frames))
-    half_mm = WINDOW * min(target.spacing_mm)
+    half_mm = WINDOW_PITCHES * min(target.spacing_mm)
     reaches = half_mm * np.abs(frames).sum(axis=2).max(axis=1)
     _fit_all(maps, modulation, np.ascontiguousarray(detection.pixels), inverses, half_mm, reaches, found)
     return found
@@ -72,8 +72,8 @@ def _value_at_centre(basis: Floats, seen: Floats, weight: Floats, found: Floats)
     for _ in range(ROUNDS):
         middle = np.hypot(basis[used, 1].mean(), basis[used, 2].mean()) if used.any() else np.inf
         if (
-            used.sum() < LEAST_PIXELS
-            or middle > OFF_CENTRE
+            used.sum() < MIN_FIT_PIXELS
+            or middle > MAX_OFF_CENTRE
             or not _fit(basis, seen, weight, used, coefficients)
         ):
             found[:] = np.nan

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from threadpoolctl import threadpool_limits
 
-from fpplab.characterisation.bundle import SOFT
+from fpplab.characterisation.bundle import HUBER_LIMIT
 from fpplab.characterisation.estimate import JointEstimate
 from fpplab.characterisation.observation import Observation
 from fpplab.characterisation.parameters import ErrorSizes, Solution, chain, vectors_of, view
@@ -31,7 +31,7 @@ from fpplab.core.conventions import Floats
 from fpplab.core.geometry import RigidTransform
 from fpplab.targets.views import LEAST_POINTS
 
-MOST_POINTS = 80
+MAX_POINTS = 80
 """Boards of more points are thinned for the choice, and the points that remain count for the others."""
 
 
@@ -63,11 +63,11 @@ class Design:
         thin = _thinned(estimate)
         problem = Problem(thin.observations, thin.model, thin.sizes, thin.solution)
         vector, best = problem.pack(thin.solution), thin.solution
-        matrix, _ = problem.normal_equations(vector, SOFT)
+        matrix, _ = problem.normal_equations(vector, HUBER_LIMIT)
         through = []
         for index in range(len(thin.observations)):
             basis = effects_of_pose(problem, index, best)
-            _, weight = problem.weighted_residuals(index, best, SOFT)
+            _, weight = problem.weighted_residuals(index, best, HUBER_LIMIT)
             through.append(problem.transposed(index, best, weight[:, None] * basis) * _shared_px(thin.sizes))
         information, shared = _eliminated(problem, matrix, np.hstack(through))
         # Of the devices alone, and of no higher rank than they have parameters.
@@ -116,7 +116,7 @@ def best_pose(design: Design, candidates: Sequence[RigidTransform]) -> tuple[int
 
 def _eliminated(problem: Problem, matrix: Floats, through: Floats) -> tuple[Floats, Floats]:
     """Eliminate the poses: normal equations (y, y), and covariance (y, y) of the right-hand side."""
-    _, _, _, first, board = problem.heads
+    _, _, _, first, board = problem.vector_offsets
     poses = slice(first, board)
     others = np.delete(np.arange(len(matrix)), np.arange(first, board))
     carried = np.linalg.solve(matrix[poses, poses], np.hstack([matrix[poses][:, others], through[poses]]))
@@ -134,7 +134,7 @@ def _shared_px(sizes: ErrorSizes) -> Floats:
 def _thinned(estimate: JointEstimate) -> JointEstimate:
     """Keep so many points of the board that the choice is quick, each in place of several."""
     count = len(estimate.solution.board)
-    kept = np.arange(0, count, -(-count // MOST_POINTS))
+    kept = np.arange(0, count, -(-count // MAX_POINTS))
     if len(kept) == count:
         return estimate
     share = float(np.sqrt(len(kept) / count))

@@ -13,8 +13,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.characterisation.descriptions import why_not_found
-from fpplab.characterisation.local_fits import LEAST_PIXELS, WINDOW, coordinates_at_points
+from fpplab.characterisation.descriptions import explain_missing_board
+from fpplab.characterisation.limits import USUAL_LIMITS, CharacterisationLimits
+from fpplab.characterisation.local_fits import MIN_FIT_PIXELS, WINDOW_PITCHES, coordinates_at_points
 from fpplab.core.conventions import Floats, Map
 from fpplab.core.errors import CalibrationError
 from fpplab.patterns.plan import Plan
@@ -24,12 +25,6 @@ from fpplab.targets.views import LEAST_POINTS, Detection, homography
 
 if TYPE_CHECKING:
     from fpplab.phase import Decoded
-
-MOST_SLOPE = 0.12
-"""Greatest relative gradient of the modulation in 1/px; steeper pixels mix the phases of two surfaces."""
-
-PLANE_SHARE = 0.5
-"""Least share of the pixels whose fringe orders must fit one plane."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +53,7 @@ def observe(
     decoded: Decoded,
     target: Target,
     periods_px: tuple[float, float] | None = None,
+    limits: CharacterisationLimits = USUAL_LIMITS,
 ) -> Observation:
     """Find a board in one capture, and its points in the camera and in the projector."""
     # image (height, width)
@@ -67,10 +63,10 @@ def observe(
         )
     detection = target.detect(image) or _part(name, image, target)
     maps = np.stack([decoded.u, decoded.v], axis=-1).astype(np.float64)
-    maps[_steep(decoded.modulation)] = np.nan
+    maps[_steep(decoded.modulation, limits.max_modulation_gradient)] = np.nan
     repaired = 0.0
     if periods_px is not None:
-        maps, repaired = _with_corrected_orders(name, maps, target, detection, np.array(periods_px))
+        maps, repaired = _with_corrected_orders(name, maps, target, detection, np.array(periods_px), limits)
     found = coordinates_at_points(maps, decoded.modulation, target, detection)
     kept = np.isfinite(found).all(axis=1)
     if kept.sum() < LEAST_POINTS:
@@ -81,7 +77,7 @@ def observe(
 def _part(name: str, image: NDArray[Any], target: Target) -> Detection:
     """Find part of a board that was not found whole, or raise `CalibrationError` with the reason."""
     missing = f"{name}: the board was not found in the image"
-    if cause := why_not_found(image, target):
+    if cause := explain_missing_board(image, target):
         raise CalibrationError(f"{missing}, {cause}")
     try:
         found = detect_part(target.layout, image)
@@ -92,32 +88,37 @@ def _part(name: str, image: NDArray[Any], target: Target) -> Detection:
     return found
 
 
-def _steep(modulation: Map) -> NDArray[np.bool_]:
+def _steep(modulation: Map, max_gradient: float) -> NDArray[np.bool_]:
     """Tell which pixels lie on an edge: blur shifts the phase by its square times the relative gradient."""
     smooth = cv2.GaussianBlur(np.nan_to_num(modulation), (0, 0), 1.0)
     slope = np.hypot(cv2.Sobel(smooth, -1, 1, 0, scale=0.125), cv2.Sobel(smooth, -1, 0, 1, scale=0.125))
-    return np.asarray(slope > MOST_SLOPE * smooth)
+    return np.asarray(slope > max_gradient * smooth)
 
 
 def _with_corrected_orders(
-    name: str, maps: Floats, target: Target, detection: Detection, periods: Floats
+    name: str,
+    maps: Floats,
+    target: Target,
+    detection: Detection,
+    periods: Floats,
+    limits: CharacterisationLimits,
 ) -> tuple[Floats, float]:
     """Correct the fringe orders on the board by the whole periods that bring every pixel onto its plane.
 
     The corrected maps are returned, and the share of the board's pixels that had to be corrected. A plane
     maps camera to projector pixels by a homography, up to distortion, which is far less than half a period.
     Ambiguous pixels become NaN; so does everything off the board.
-    Raises `CalibrationError` when fewer than `PLANE_SHARE` of the pixels agree on a plane.
+    Raises `CalibrationError` when too few of the pixels agree on a plane.
     """
     corrected = np.full_like(maps, np.nan)
     lit = np.isfinite(maps[..., 0]) & np.isfinite(maps[..., 1])
     v, u = np.nonzero(lit & _board_area(maps.shape[:2], target, detection))
-    if len(u) < LEAST_PIXELS * LEAST_POINTS:
+    if len(u) < MIN_FIT_PIXELS * LEAST_POINTS:
         raise CalibrationError(f"{name}: too little of the board is illuminated by the projector")
     pixels, seen = np.stack([u, v], axis=-1).astype(np.float64), maps[v, u] / periods
     step = max(len(u) // 4000, 1)
     plane, inliers = cv2.findHomography(pixels[::step], seen[::step], cv2.RANSAC, 0.25)
-    if plane is None or inliers.mean() < PLANE_SHARE:
+    if plane is None or inliers.mean() < limits.min_plane_share:
         raise CalibrationError(f"{name}: the projector's coordinates on the board do not fit a plane")
     expected = cv2.perspectiveTransform(pixels[None], plane)[0]
     orders = np.rint(seen - expected)
@@ -130,7 +131,7 @@ def _with_corrected_orders(
 def _board_area(shape: tuple[int, ...], target: Target, detection: Detection) -> NDArray[np.bool_]:
     """Tell which pixels are within the windows of the points found."""
     area = np.zeros(shape, np.uint8)
-    half = WINDOW * np.array(target.spacing_mm)
+    half = WINDOW_PITCHES * np.array(target.spacing_mm)
     low, high = (f(target.points()[detection.ids, :2], axis=0) for f in (np.min, np.max))
     (left, top), (right, bottom) = low - half, high + half
     corners = np.array([[[left, top], [right, top], [right, bottom], [left, bottom]]])

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fpplab.characterisation.limits import USUAL_LIMITS, CharacterisationLimits
 from fpplab.characterisation.observation import Observation
 from fpplab.characterisation.parameters import Solution
 from fpplab.characterisation.result import Rejected
@@ -15,33 +16,31 @@ from fpplab.characterisation.zhang import rms_of_poses
 from fpplab.core.conventions import Floats
 from fpplab.core.robust import robust_spread
 
-MOVED_POSE = 4.0
-"""A pose whose RMS is this many times the median is excluded: the board, the rig or the focus changed."""
 
-OUTLIER = 5.0
-"""Standard deviations beyond which a point is rejected; noise alone exceeds them once in 270 000."""
-
-LEAST_ERROR_PX = 0.02
-"""Least error in px of a point that is rejected, however small the others' scatter."""
-
-MOST_REJECTED = 0.1
-"""Greatest share of a pose's points that may be rejected; if more are wrong, the pose itself is."""
-
-
-def find_moved_pose(observations: Sequence[Observation], solution: Solution, least_px: float) -> int | None:
+def find_moved_pose(
+    observations: Sequence[Observation],
+    solution: Solution,
+    least_px: float,
+    limits: CharacterisationLimits = USUAL_LIMITS,
+) -> int | None:
     """Find the pose that fits so much worse than the others that something moved while it was captured."""
     rms = rms_of_poses(observations, solution)
     worst = int(np.argmax(rms))
-    return worst if rms[worst] > max(MOVED_POSE * float(np.median(rms)), least_px) else None
+    return worst if rms[worst] > max(limits.max_pose_rms_ratio * float(np.median(rms)), least_px) else None
 
 
-def rejection_limits(observations: Sequence[Observation]) -> list[int]:
+def rejectable_points(
+    observations: Sequence[Observation], limits: CharacterisationLimits = USUAL_LIMITS
+) -> list[int]:
     """Compute how many points of each pose may be rejected."""
-    return [int(MOST_REJECTED * len(o.ids)) for o in observations]
+    return [int(limits.max_rejected_share * len(o.ids)) for o in observations]
 
 
 def reject_points(
-    observations: Sequence[Observation], solution: Solution, left: list[int]
+    observations: Sequence[Observation],
+    solution: Solution,
+    rejectable: list[int],
+    limits: CharacterisationLimits = USUAL_LIMITS,
 ) -> tuple[list[Observation], list[Rejected]]:
     """Reject points that lie wrong in either device.
 
@@ -49,14 +48,14 @@ def reject_points(
     """
     residuals = [solution.residuals(i, o) for i, o in enumerate(observations)]
     spreads = [_spread([pair[device] for pair in residuals]) for device in (0, 1)]
-    limits = np.maximum(OUTLIER * np.array(spreads), LEAST_ERROR_PX)
+    max_px = np.maximum(limits.max_residual_sigmas * np.array(spreads), limits.min_rejected_px)
     kept, rejected = [], []
     for index, (observation, pair) in enumerate(zip(observations, residuals, strict=True)):
         lengths = np.stack([np.linalg.norm(r, axis=1) for r in pair])
-        excess = lengths / limits[:, None]
-        order = np.argsort(-excess.max(axis=0), kind="stable")[: left[index]]
+        excess = lengths / max_px[:, None]
+        order = np.argsort(-excess.max(axis=0), kind="stable")[: rejectable[index]]
         wrong = order[excess.max(axis=0)[order] > 1]
-        left[index] -= len(wrong)
+        rejectable[index] -= len(wrong)
         rejected += [
             _rejected(observation, row, int(np.argmax(excess[:, row])), lengths, spreads) for row in wrong
         ]

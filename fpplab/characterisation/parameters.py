@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from fpplab.calibration.model import INTRINSICS, POSE
+from fpplab.characterisation.limits import USUAL_LIMITS, CharacterisationLimits
 from fpplab.characterisation.observation import Observation
 from fpplab.core.conventions import Floats
 from fpplab.core.geometry import RigidTransform
@@ -84,6 +85,7 @@ class Model:
     tolerance_mm: float | None = None  # from which the estimate of the errors of the board's points starts
     scale_tolerance: float = 0.0  # relative standard uncertainty of the board's scale, which no image tells
     image_sizes: tuple[ImageSize, ImageSize] | None = None  # (width, height) px
+    limits: CharacterisationLimits = USUAL_LIMITS  # by which the fit is judged
 
 
 def vectors_of(transform: RigidTransform) -> Floats:

@@ -25,7 +25,7 @@ from fpplab.core.conventions import Floats
 FUNCTIONS = 6
 """Number of smooth functions over the board, by which an effect of one pose changes one coordinate."""
 
-KINDS = 4
+ERROR_KINDS = 4
 """Kinds of independent errors: camera, projector, board within its plane, board out of its plane."""
 
 
@@ -66,7 +66,7 @@ class PoseEffects:
 
     def variances(self) -> tuple[Floats, Floats]:
         """Estimate the variance of the effects in each device by the method of moments."""
-        # returns variances (2,), doubts (2,)
+        # returns variances (2,), uncertainties (2,)
         groups = self.groups
         squares = np.array([np.sum(self.scores[g] ** 2) - np.trace(self.seen[np.ix_(g, g)]) for g in groups])
         design = np.array([[np.sum(self.seen[np.ix_(g, h)] ** 2) for h in groups] for g in groups])
@@ -143,7 +143,7 @@ def effects_of_pose(problem: Problem, index: int, solution: Solution) -> Floats:
 def _leaked(problem: Problem, vector: Floats, bases: list[Floats], passed: Floats) -> Floats:
     """Sums of squares (4, E) of the whitened residuals of each kind of errors by effect."""
     solution, known = problem.unpack(vector), problem.priors
-    total = np.zeros((KINDS, passed.shape[1]))
+    total = np.zeros((ERROR_KINDS, passed.shape[1]))
     for index, basis in enumerate(bases):
         left = problem.applied(index, solution, passed)
         own = slice(index * basis.shape[1], (index + 1) * basis.shape[1])
@@ -154,7 +154,7 @@ def _leaked(problem: Problem, vector: Floats, bases: list[Floats], passed: Float
     return total
 
 
-def widened(variances: Floats, doubts: Floats) -> Floats:
+def widened(variances: Floats, uncertainties: Floats) -> Floats:
     """Compute the expected variances, given uncertain estimates of them."""
-    at = variances / doubts
-    return np.asarray(variances + doubts * np.exp(norm.logpdf(at) - norm.logcdf(at)))
+    at = variances / uncertainties
+    return np.asarray(variances + uncertainties * np.exp(norm.logpdf(at) - norm.logcdf(at)))

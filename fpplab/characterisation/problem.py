@@ -55,7 +55,7 @@ class Problem:
         return len(self.model.level.terms)
 
     @property
-    def heads(self) -> tuple[int, int, int, int, int]:
+    def vector_offsets(self) -> tuple[int, int, int, int, int]:
         """Where projector, T_projector_camera, share carried, poses and board begin in the vector."""
         n = self._free
         return n, 2 * n, 2 * n + 6, 2 * n + 7, 2 * n + 7 + 6 * len(self.observations)
@@ -63,7 +63,7 @@ class Problem:
     @property
     def priors(self) -> tuple[NDArray[np.intp], Floats, Floats]:
         """Indices (Q,) of the parameters that have a prior, its means and its standard deviations."""
-        n, (_, _, carried, _, board) = self._free, self.heads
+        n, (_, _, carried, _, board) = self._free, self.vector_offsets
         lenses = np.concatenate([np.arange(4, n), n + np.arange(4, n)])
         sigmas = [*self._lens_priors, CARRIED_SIGMA]
         index = np.append(lenses, carried)
@@ -108,7 +108,7 @@ class Problem:
     @property
     def board_rows(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Which rows (Q,) of `priors` are of the board's points within its plane, and out of it."""
-        place, board = self.priors[0], self.heads[-1]
+        place, board = self.priors[0], self.vector_offsets[-1]
         axis = (place - board) % 3
         return (place >= board) & (axis < 2), (place >= board) & (axis == 2)
 
@@ -130,7 +130,7 @@ class Problem:
     def unpack(self, vector: Floats) -> Solution:
         """Unpack a vector of estimated parameters."""
         # vector (n,)
-        projector, pair, carried, poses, board = self.heads
+        projector, pair, carried, poses, board = self.vector_offsets
         held = np.zeros(len(INTRINSICS) - self._free)
         return Solution(
             np.append(vector[:projector], held),
@@ -155,7 +155,9 @@ class Problem:
         """Multiply rows of one pose by the transposed derivatives of its whitened residuals."""
         # rows (4 K, E); returns (n, E)
         columns, slopes, by_point = self.slopes(index, solution)
-        found = np.zeros((self.heads[-1] + self.model.refined * self.model.drawn.size, rows.shape[1]))
+        found = np.zeros(
+            (self.vector_offsets[-1] + self.model.refined * self.model.drawn.size, rows.shape[1])
+        )
         found[columns] = slopes.T @ rows
         if self.model.refined:
             shape = (2, len(by_point) // 4, 2)
@@ -177,7 +179,7 @@ class Problem:
 
     def _own(self, index: int) -> NDArray[np.intp]:
         """Where the points (K, 3) of a pose are in the vector."""
-        return np.asarray(self.heads[-1] + 3 * self.observations[index].ids[:, None] + np.arange(3))
+        return np.asarray(self.vector_offsets[-1] + 3 * self.observations[index].ids[:, None] + np.arange(3))
 
     def whitened(self, index: int, rows: Floats, carried: float) -> Floats:
         """Make residuals of one pose independent of one another and of unit variance."""
@@ -209,9 +211,9 @@ class Problem:
     def misfit(self, vector: Floats) -> Floats:
         """Compute all residuals."""
         # vector (n,); returns (R,)
-        return np.concatenate([*self.errors(vector), self.pulls(vector)])
+        return np.concatenate([*self.errors(vector), self.prior_residuals(vector)])
 
-    def pulls(self, vector: Floats) -> Floats:
+    def prior_residuals(self, vector: Floats) -> Floats:
         """Compute the deviations from prior knowledge."""
         # vector (n,); returns (Q,)
         index, means, sigmas = self.priors
@@ -228,10 +230,10 @@ class Problem:
             self._add_pose(matrix, gradient, index, solution, limit, camera_alone)
         if not camera_alone:
             known, _, sigmas = self.priors
-            pulls = self.pulls(vector)
-            weight = huber_weights(pulls, 1.0, limit) / sigmas
+            prior_residuals = self.prior_residuals(vector)
+            weight = huber_weights(prior_residuals, 1.0, limit) / sigmas
             matrix[known, known] += weight / sigmas
-            gradient[known] += weight * pulls
+            gradient[known] += weight * prior_residuals
         return matrix, gradient
 
     def pose_equations(self, index: int, vector: Floats, limit: float = np.inf) -> tuple[Floats, Floats]:
@@ -264,7 +266,7 @@ class Problem:
 
     def _linearised(self, index: int, solution: Solution) -> tuple[Floats, NDArray[np.intp], Floats, Floats]:
         """Residuals (4 K,) of one pose in px, and what `slopes` returns."""
-        _, _, carried, poses, _ = self.heads
+        _, _, carried, poses, _ = self.vector_offsets
         raw, pose, shared, by_point = pose_slopes(solution, index, self.observations[index], self._free)
         through = self._carry[index]
         by_carried = np.zeros((len(raw), 1))

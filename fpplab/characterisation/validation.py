@@ -20,6 +20,7 @@ from scipy.stats import chi2
 from fpplab.calibration.model import INTRINSICS, Calibration
 from fpplab.characterisation.bundle import adjust_bundle, uncertainty
 from fpplab.characterisation.displacement import moved_points, without_motion
+from fpplab.characterisation.limits import USUAL_LIMITS
 from fpplab.characterisation.observation import Observation
 from fpplab.characterisation.parameters import ErrorSizes, Model, Solution, view
 from fpplab.characterisation.problem import without_poses
@@ -27,11 +28,9 @@ from fpplab.core.conventions import Floats
 from fpplab.core.errors import CalibrationError
 from fpplab.core.geometry import RigidTransform
 
-LEAST_OF_HALF = 4
+MIN_POSES_OF_HALF = 4
 """Fewest poses of each half."""
 
-TOO_SMALL = 1e-4
-"""Probability of changes as great as those seen below which the stated uncertainty is too small."""
 
 PROBES = 9
 """Points of each pose at which place and form are compared, about."""
@@ -62,6 +61,7 @@ class Validation:
 
     jackknife: tuple[Repeat, ...]  # each pose left out in turn
     halves: tuple[Repeat, ...] = ()  # every other pose beside the rest; empty with fewer than 8 poses
+    max_chance: float = USUAL_LIMITS.max_chance  # probability below which an uncertainty is too small
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -71,7 +71,7 @@ class Validation:
             "uncertainty is greater than stated; look for a pose in which something moved, or take more poses"
             for how, repeats in (("leaving poses out", self.jackknife), ("halving the poses", self.halves))
             for one in repeats
-            if one.chance < TOO_SMALL
+            if one.chance < self.max_chance
         )
 
 
@@ -103,7 +103,7 @@ def compare_with_fewer_poses(
         _repeat(one, covariance, share * around.T @ around, share * np.sum(spreads, axis=0), count - 1)
         for one in quantities
     )
-    return Validation(jackknife, _halves(whole, quantities, covariance))
+    return Validation(jackknife, _halves(whole, quantities, covariance), model.limits.max_chance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +135,7 @@ def _repeat(one: _Quantity, covariance: Floats, changed: Floats, predicted: Floa
 
 def _halves(whole: _Fit, quantities: Sequence[_Quantity], covariance: Floats) -> tuple[Repeat, ...]:
     observations, best, model, sizes = whole
-    if len(observations) < 2 * LEAST_OF_HALF:
+    if len(observations) < 2 * MIN_POSES_OF_HALF:
         return ()
     found, spread = [], []
     for first in (0, 1):

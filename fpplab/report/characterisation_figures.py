@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation import Characterisation, Judgement, Observation
-from fpplab.characterisation.lens import MOST_BREATHING, scales_of_poses
+from fpplab.characterisation.lens import scales_of_poses
+from fpplab.characterisation.limits import USUAL_LIMITS
 from fpplab.characterisation.validation import projected_uncertainty
 from fpplab.core.conventions import Floats
 from fpplab.core.drawing import (
@@ -124,7 +125,8 @@ def scales_by_pose(found: Characterisation) -> Figure:
     scales, sigmas = scales_of_poses(found.observations, found.solution, found.sizes)
     names, places = [o.name for o in found.observations], np.arange(len(scales))
     figure, axes = single_axes(HALF, 2.9)
-    axes.axhspan(-100 * MOST_BREATHING, 100 * MOST_BREATHING, color=SECOND, alpha=0.2, linewidth=0)
+    limit = 100 * USUAL_LIMITS.max_focus_breathing
+    axes.axhspan(-limit, limit, color=SECOND, alpha=0.2, linewidth=0)
     axes.errorbar(
         places, 100 * (scales - np.median(scales)), 100 * sigmas, fmt="o", color=ACCENT, markersize=4
     )

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from fpplab.characterisation import Characterisation, Judgement
-from fpplab.characterisation.validation import TOO_SMALL, Repeat
+from fpplab.characterisation.limits import USUAL_LIMITS
+from fpplab.characterisation.validation import Repeat
 from fpplab.report import characterisation_figures as drawn
 from fpplab.report import figures
 from fpplab.report.parts import PageVerdict, ReportFigure, ReportSection, ReportTable
@@ -138,7 +139,7 @@ def _repeat_row(one: Repeat) -> tuple[str, ...]:
         f"{one.quantity} in {one.unit}",
         *(f"{x:.3g}" for x in figures_of),
         f"{one.ratio:.2f}",
-        "greater than chance" if one.chance < TOO_SMALL else "",
+        "greater than chance" if one.chance < USUAL_LIMITS.max_chance else "",
     )
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from fpplab.characterisation import DistortionModel, Observation, characterise, observe
 from fpplab.characterisation.board_diagnosis import find_description_error
-from fpplab.characterisation.outliers import MOST_REJECTED
+from fpplab.characterisation.limits import USUAL_LIMITS
 from fpplab.core.errors import CalibrationError
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.targets import Target
@@ -132,7 +132,7 @@ def test_no_more_than_a_share_of_a_pose_is_rejected_and_the_worst_first() -> Non
     spoiled(seen, 3, "camera", slice(8, 10), (2.0, 0.0))
     found = characterise(seen, BOARD, CAMERA.size, SQUARE.size)
     assert {r.pose for r in found.rejected} == {"pose_3"}
-    assert len(found.rejected) == int(MOST_REJECTED * 52)
+    assert len(found.rejected) == int(USUAL_LIMITS.max_rejected_share * 52)
     assert {8, 9} < {r.point for r in found.rejected}
 
 

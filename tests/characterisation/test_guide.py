@@ -12,7 +12,7 @@ from fpplab.characterisation import Observation
 from fpplab.characterisation.candidate_poses import tilted_away
 from fpplab.characterisation.first_poses import RoughView
 from fpplab.characterisation.guide import Guide
-from fpplab.characterisation.pose_words import described_pose, outline_px
+from fpplab.characterisation.pose_description import describe_pose, outline_px
 from fpplab.core.geometry import RigidTransform
 from tests.support.plane_twin import CAMERA, PAIR, PROJECTOR, TARGET
 
@@ -132,7 +132,7 @@ def test_a_pose_that_was_given_up_is_not_asked_for_again(five: Guide) -> None:
     guide = deepcopy(five)
     first = guide.wanted()
     assert first.T_camera_target is not None
-    guide.give_up(first)
+    guide.exclude(first)
     second = guide.wanted().T_camera_target
     assert second is not None
     apart = np.linalg.norm(second.translation - first.T_camera_target.translation)
@@ -143,12 +143,12 @@ def test_a_pose_that_was_given_up_is_not_asked_for_again(five: Guide) -> None:
 def test_parts_of_the_image_without_points_are_filled(five: Guide) -> None:
     guide = deepcopy(five)
     for k in range(5, 12):
-        if not guide.lacks_part:
+        if not guide.has_uncovered_region:
             break
         before = guide.wanted(fill=True)
         assert before.T_camera_target is not None
         guide.add(seen(before.T_camera_target, f"pose_{k}"))
-    assert not guide.lacks_part
+    assert not guide.has_uncovered_region
 
 
 @pytest.mark.parametrize(
@@ -172,7 +172,7 @@ def test_parts_of_the_image_without_points_are_filled(five: Guide) -> None:
     ],
 )
 def test_a_pose_in_words(pose: RigidTransform, words: str) -> None:
-    assert described_pose(pose, CAMERA, 450.0) == words
+    assert describe_pose(pose, CAMERA, 450.0) == words
 
 
 def test_the_outline_is_where_the_camera_sees_the_board() -> None:

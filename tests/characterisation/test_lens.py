@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fpplab.characterisation.bundle import _ratio
-from fpplab.characterisation.lens import breathes
+from fpplab.characterisation.lens import has_focus_breathing
 from tests.support.breathing_lens import breathing, fitted, scales
 
 
@@ -14,10 +14,10 @@ from tests.support.breathing_lens import breathing, fitted, scales
 def test_a_lens_that_breathes_is_named_and_a_locked_one_is_not() -> None:
     grown = 5e-4 * np.random.default_rng(21).standard_normal(9)
     found, sigmas = scales(fitted(breathing(5e-4, 21)))
-    assert breathes(found, sigmas)
+    assert has_focus_breathing(found, sigmas)
     assert np.corrcoef(found, grown)[0, 1] > 0.5, "larger images are told as larger"
     still, sigmas = scales(fitted(breathing(0.0, 22)))
-    assert not breathes(still, sigmas)
+    assert not has_focus_breathing(still, sigmas)
     assert np.abs(still / sigmas).max() < 4.0
 
 
@@ -25,7 +25,7 @@ def test_a_lens_that_breathes_is_named_and_a_locked_one_is_not() -> None:
 @pytest.mark.parametrize("seed", [1002, 1006])
 def test_much_breathing_is_named_although_it_looks_like_motion_of_the_poses(seed: int) -> None:
     """What the points of a pose share is so great here that the own noise was taken for nothing."""
-    assert breathes(*scales(fitted(breathing(8.5e-4, seed))))
+    assert has_focus_breathing(*scales(fitted(breathing(8.5e-4, seed))))
 
 
 def test_noise_that_was_taken_too_small_grows_again() -> None:
@@ -37,4 +37,4 @@ def test_noise_that_was_taken_too_small_grows_again() -> None:
 def test_one_pose_alone_is_no_lens() -> None:
     off = np.zeros(9)
     off[4] = 1e-3
-    assert not breathes(off, np.full(9, 3e-5))
+    assert not has_focus_breathing(off, np.full(9, 3e-5))

@@ -13,7 +13,7 @@ from fpplab.characterisation import Observation
 from fpplab.characterisation.bundle import uncertainty
 from fpplab.characterisation.candidate_poses import (
     DIRECTIONS,
-    MOST_SLANT_DEG,
+    MAX_SLANT_DEG,
     _paths,
     board_grid,
     candidate_poses,
@@ -138,7 +138,7 @@ def test_candidates_are_seen_and_lit(estimate: JointEstimate, candidates: list[R
         assert share_seen(known, pose.apply(board_grid(TARGET.size_mm))) == 1.0
         away = pose.translation - known.projector_centre
         slant = np.degrees(np.arccos(away @ pose.rotation[:, 2] / np.linalg.norm(away)))
-        assert slant < MOST_SLANT_DEG + 2.0
+        assert slant < MAX_SLANT_DEG + 2.0
     places = np.array([pose.translation for pose in candidates])
     assert np.ptp(places[:, 2]) == pytest.approx(50.0)
     assert np.ptp(places[:, 0]) > 60.0

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from fpplab.characterisation import finest_periods, observe
-from fpplab.characterisation.observation import MOST_SLOPE, _steep
+from fpplab.characterisation.limits import USUAL_LIMITS
+from fpplab.characterisation.observation import _steep
 from fpplab.core.errors import CalibrationError
 from fpplab.core.geometry import Pinhole
 from fpplab.patterns.plan import Plan
@@ -93,9 +94,10 @@ def test_pixels_count_by_their_modulation() -> None:
 @pytest.mark.parametrize("axis", [0, 1])
 @pytest.mark.parametrize("share", [0.5, 0.9, 1.1, 2.0])
 def test_an_edge_is_where_the_modulation_changes_by_too_great_a_share(share: float, axis: int) -> None:
-    ramp = np.exp(share * MOST_SLOPE * np.arange(40.0))
+    limit = USUAL_LIMITS.max_modulation_gradient
+    ramp = np.exp(share * limit * np.arange(40.0))
     modulation = np.broadcast_to(ramp, (40, 40)).astype(np.float32)
-    edges = _steep(modulation if axis else modulation.T)[8:-8, 8:-8]
+    edges = _steep(modulation if axis else modulation.T, limit)[8:-8, 8:-8]
     assert edges.all() == edges.any() == (share > 1.0)
 
 

@@ -201,20 +201,21 @@ def characterise_command(
 def _of_lens(result: Characterisation) -> list[Finding]:
     """Whether the camera's lens was locked while the poses were taken."""
     from fpplab.characterisation import lens
+    from fpplab.characterisation.limits import USUAL_LIMITS
     from fpplab.diagnosis import Finding
     from fpplab.diagnosis.causes.of_characterisation import LENS_NOT_LOCKED
 
     if result.solution is None or result.sizes is None:
         return []
     scales, sigmas = lens.scales_of_poses(result.observations, result.solution, result.sizes)
-    if not lens.breathes(scales, sigmas):
+    if not lens.has_focus_breathing(scales, sigmas):
         return []
-    scatter, _ = lens.breathing(scales, sigmas)
+    scatter, _ = lens.scale_scatter(scales, sigmas)
     words = (
         f"the scale of the camera's image differs between poses by {100 * scatter:.3f} % RMS "
-        f"(at most {100 * lens.MOST_BREATHING:g} %, and what noise explains)"
+        f"(at most {100 * USUAL_LIMITS.max_focus_breathing:g} %, and what noise explains)"
     )
-    return [Finding(LENS_NOT_LOCKED, words, scatter / lens.MOST_BREATHING)]
+    return [Finding(LENS_NOT_LOCKED, words, scatter / USUAL_LIMITS.max_focus_breathing)]
 
 
 def _judge(

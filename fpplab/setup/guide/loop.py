@@ -122,7 +122,7 @@ class _Loop:
         if count >= self._settings.poses:
             return True
         reached = form is not None and until is not None and form <= until
-        return reached and count >= LEAST_TO_STOP and not self._guide.lacks_part
+        return reached and count >= LEAST_TO_STOP and not self._guide.has_uncovered_region
 
     def _must_fill(self) -> bool:
         """Whether parts of the images without points come first: little else is left to do."""
@@ -165,7 +165,7 @@ class _Loop:
             return
         self._tried += 1
         if self._tried == TRIES:
-            guide.give_up(wanted)
+            guide.exclude(wanted)
             self._wanted, self._tried = None, 0
 
     def _judge(self, session: Session, words: str) -> bool:

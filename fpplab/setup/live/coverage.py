@@ -10,7 +10,7 @@ import numpy as np
 
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation import Observation, finest_periods, observe
-from fpplab.characterisation.coverage import PARTS, parts_with_points, warnings
+from fpplab.characterisation.coverage import REGION_NAMES, regions_with_points, warnings
 from fpplab.characterisation.guide import Guide
 from fpplab.characterisation.parameters import Solution
 from fpplab.characterisation.zhang import calibrate_separately, stereo, transform
@@ -86,7 +86,7 @@ class BoardCoverage:
 
 
 def _ninths(pixels: list[Floats], size: tuple[int, int]) -> list[list[bool]]:
-    held = parts_with_points(np.concatenate([np.empty((0, 2)), *pixels]), size)
+    held = regions_with_points(np.concatenate([np.empty((0, 2)), *pixels]), size)
     return [[bool(one) for one in row] for row in held]
 
 
@@ -115,8 +115,8 @@ def advise_by_coverage(
 
 
 def _bare_parts(observations: Sequence[Observation], camera_size: tuple[int, int]) -> list[str]:
-    bare = ~parts_with_points(np.concatenate([o.camera_px for o in observations]), camera_size)
-    where = ", ".join(PARTS[row][column] for row, column in np.argwhere(bare))
+    bare = ~regions_with_points(np.concatenate([o.camera_px for o in observations]), camera_size)
+    where = ", ".join(REGION_NAMES[row][column] for row, column in np.argwhere(bare))
     return [f"hold it also in these parts of the image: {where}"] if where else []
 
 

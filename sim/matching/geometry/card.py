@@ -26,7 +26,7 @@ def card_pose(session: Session, calibration: Calibration, nominal: RigidTransfor
     _, cloud = reconstruct_points(session, calibration)
     points = cloud.points.astype(np.float64)
     if len(points) < 100:
-        raise DataError(f"{session.path}: {len(points)} points tell no pose of a card; it takes 100")
+        raise DataError(f"{session.path}: the card's pose needs at least 100 points, found {len(points)}")
     centre, normal, spread = fitted_plane(points)
     if spread > MOST_BENT_MM:
         raise DataError(

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from fpplab.characterisation.candidate_poses import TILT_DEG
-from fpplab.characterisation.coverage import PARTS
+from fpplab.characterisation.coverage import REGION_NAMES
 from fpplab.core.conventions import Floats
 from fpplab.core.geometry import Pinhole, RigidTransform
 
 FACING_DEG, TURNED_DEG, SAME_MM = 5.0, 20.0, 3.0
-"""Tilt, turn and change of distance below which none is told."""
+"""Tilt, turn and change of distance below which none is stated. Chosen: a hand does not hold it better."""
 
 EDGES = (
     "right edge", "lower right corner", "lower edge", "lower left corner",
@@ -18,18 +18,21 @@ EDGES = (
 )  # fmt: skip
 """As the camera sees the board, clockwise."""
 
-FIRST_WORDS = (
+FIRST_POSE = (
     "in the middle of the image, where parts will be measured, upper edge tilted away by about "
     f"{TILT_DEG:.0f} degrees"
 )
 """The first pose, before anything is known."""
 
 
-def described_pose(pose: RigidTransform, camera: Pinhole, first_mm: float) -> str:
+def describe_pose(pose: RigidTransform, camera: Pinhole, first_mm: float) -> str:
     """Describe a pose."""
     u, v = camera.project(pose.translation)
     column, row = (int(np.clip(3 * (x + 0.5) / n, 0, 2)) for x, n in zip((u, v), camera.size, strict=True))
-    parts = [f"in the {PARTS[row][column]} of the image", _distance(float(pose.translation[2]), first_mm)]
+    parts = [
+        f"in the {REGION_NAMES[row][column]} of the image",
+        _distance(float(pose.translation[2]), first_mm),
+    ]
     return ", ".join([*parts, _tilt(pose), *_turn(pose)])
 
 

@@ -1,0 +1,66 @@
+"""Limits by which a characterisation accepts, rejects and warns, as one value."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from fpplab.core.config import Document, Positive
+
+Chance = Annotated[float, Field(gt=0.0, lt=1.0)]
+"""A probability."""
+PartOfOne = Annotated[float, Field(gt=0.0, le=1.0)]
+"""A part of a whole."""
+
+
+class CharacterisationLimits(Document):
+    """Limits of a characterisation; each one says where its value comes from."""
+
+    max_focal_uncertainty: PartOfOne = 0.03
+    """Relative standard uncertainty of a focal length that is accepted. Chosen: far beyond that of four
+    tilted poses, far below that of parallel ones."""
+    max_camera_rms_px: Positive = 1.0
+    """RMS in px of the camera calibrated alone, above which other descriptions of the board are tried.
+    Chosen: boards as described fit ten times better."""
+    min_description_gain: Positive = 4.0
+    """How many times better another description of the board must fit to be the right one. Chosen."""
+    max_description_rms_px: Positive = 3.0
+    """RMS in px of the camera above which another description of the board is wrong as well. Chosen."""
+    max_pose_rms_ratio: Positive = 4.0
+    """RMS of a pose beside the median of all, above which it is left out. Chosen: the board, the rig or the
+    focus changed."""
+    max_residual_sigmas: Positive = 5.0
+    """Standard deviations beyond which a point is rejected. Derived: noise alone exceeds them once in 270
+    000."""
+    min_rejected_px: Positive = 0.02
+    """Error in px of a point that is rejected, however small the others' scatter. Chosen."""
+    max_rejected_share: PartOfOne = 0.1
+    """PartOfOne of a pose's points that may be rejected. Chosen: if more are wrong, the pose itself is."""
+    max_modulation_gradient: Positive = 0.12
+    """Relative gradient of the modulation in 1/px. Derived: blur shifts the phase by its square times the
+    gradient, and steeper pixels mix the phases of two surfaces."""
+    min_plane_share: PartOfOne = 0.5
+    """PartOfOne of the board's pixels whose fringe orders must fit one plane. Chosen."""
+    max_chance: Chance = 1e-4
+    """Probability below which chance does not explain what was seen: the motion of a board, another scale
+    in some poses, an uncertainty that is too small. Chosen: one warning in hundreds of sound
+    characterisations."""
+    min_focus_poses: Annotated[int, Field(ge=3)] = 5
+    """Poses from which it is concluded that the focus of the lens changed. Derived: one is left out."""
+    max_focus_breathing: Positive = 1e-4
+    """Scatter of the image's scale between poses that is reported. Chosen: 0.1 px at 1000 px from the
+    centre."""
+    min_tilt_deg: Positive = 15.0
+    """Greatest tilt of a board, below which a warning is given. Derived: focal length and distance are
+    strongly correlated."""
+    min_tilt_spread_deg: Positive = 20.0
+    """Greatest difference of tilt between boards, below which a warning is given. Chosen: all poses then tell
+    nearly the same."""
+    parallel_deg: Positive = 4.0
+    """Difference of tilt below which poses are parallel and do not determine the focal lengths. Chosen."""
+    min_distance_range: PartOfOne = 0.05
+    """Range of distances, as a share of their mean, below which a warning is given. Chosen."""
+
+
+USUAL_LIMITS = CharacterisationLimits()
