@@ -9,8 +9,8 @@ from fpplab.acceptance.results import (
     MeasuredFeature,
     PlaneTest,
     SphereTest,
+    shared_variance,
 )
-from fpplab.acceptance.shares import shared_variance
 from fpplab.acceptance.standard import QUANTITIES, Standard
 from fpplab.acceptance.verification import verify, verify_ball_bar, verify_plane
 

@@ -13,10 +13,6 @@ from fpplab.core.errors import DataError
 
 DISCARDED_SHARE = 0.003
 """Share of the points farthest from the fit, 3 ‰, that a test after VDI/VDE 2634 part 2 may discard."""
-MAX_ITERATIONS = 50
-"""Of a fit."""
-CONVERGED_STEP = 1e-12
-"""Relative step at which the fit of a sphere has converged."""
 
 
 class FittedFeature(Protocol):
@@ -83,13 +79,14 @@ def fit_sphere(points: Floats) -> Sphere:
     if rank < 4:
         raise DataError("the points lie on a plane or a line, which is no sphere; check what was measured")
     centre, radius = solution[:3], float(np.sqrt(max(solution[3] + solution[:3] @ solution[:3], 0.0)))
-    for _ in range(MAX_ITERATIONS):
+    smallest = 1e-12  # relative step at which the fit has converged, chosen near rounding
+    for _ in range(50):
         away = local - centre
         length = np.linalg.norm(away, axis=1)
-        jacobian = np.column_stack([away / np.maximum(length, CONVERGED_STEP)[:, None], np.ones(len(local))])
+        jacobian = np.column_stack([away / np.maximum(length, smallest)[:, None], np.ones(len(local))])
         step = np.linalg.lstsq(jacobian, length - radius, rcond=None)[0]
         centre, radius = centre + step[:3], radius + float(step[3])
-        if np.linalg.norm(step) <= CONVERGED_STEP * (1.0 + abs(radius)):
+        if np.linalg.norm(step) <= smallest * (1.0 + abs(radius)):
             break
     if not (np.isfinite(radius) and radius > 0.0):
         raise DataError("the fit of a sphere does not converge; check what was measured")
@@ -118,7 +115,7 @@ def fit_without_worst(
     """Fit a shape to all points but those farthest from it.
 
     Exactly `floor(share * N)` points are discarded: those farthest from the fit. They are chosen again
-    after each fit, from all points, until the choice no longer changes (`MAX_ITERATIONS` at most).
+    after each fit, from all points, until the choice no longer changes (50 times at most).
     """
     # points (N, 3) mm; fit (M, 3); returns kept (N,)
     keep = np.ones(len(points), bool)
@@ -126,7 +123,7 @@ def fit_without_worst(
     discarded = int(np.floor(share * len(points)))
     if discarded == 0:
         return feature, keep
-    for _ in range(MAX_ITERATIONS):
+    for _ in range(50):
         order = np.argsort(np.abs(feature.distances(points)), kind="stable")
         chosen = np.zeros(len(points), bool)
         chosen[order[: len(points) - discarded]] = True

@@ -263,3 +263,20 @@ class Acceptance:
             "planes": [plane.summary() for plane in self.planes],
             "notices": self.notices(),
         }
+
+
+def shared_variance(measured: MeasuredFeature) -> float | None:
+    """Estimate which share of the variance of a feature's errors neighbouring pixels have in common.
+
+    Errors of bent surfaces are shared, noise is not.
+    """
+    if measured.pixels is None:
+        return None
+    pixels, distances = measured.pixels[measured.kept], measured.distances[measured.kept]
+    order = np.lexsort((pixels[:, 0], pixels[:, 1]))
+    pixels, distances = pixels[order], distances[order]
+    adjacent = (np.diff(pixels[:, 0]) == 1) & (np.diff(pixels[:, 1]) == 0)
+    if np.count_nonzero(adjacent) < 100:  # chosen: fewer pairs show nothing
+        return None
+    product = distances[:-1][adjacent] * distances[1:][adjacent]
+    return float(np.mean(product) / max(float(np.mean(distances**2)), 1e-30))

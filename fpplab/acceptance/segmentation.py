@@ -22,28 +22,44 @@ from fpplab.clouds import Cloud
 from fpplab.core.conventions import TWO_PI, Floats, Mask
 from fpplab.core.errors import DataError
 
-MAX_VOTES = 20_000
-"""Points, drawn at random, that vote for a sphere's centre or a plane."""
-VOTE_REACH = 0.1
-"""Distance in radii within which votes for a sphere's centre agree."""
-SPHERE_REACH = 0.05
-"""Distance in radii within which a point counts as near the sphere while the sphere is searched."""
-INNER_RADIUS, LEAST_NEAR_SHARE = 0.7, 0.6
-"""For a sphere to be accepted: of the points whose rays pass the centre within `INNER_RADIUS` radii, at least
-the share `LEAST_NEAR_SHARE` must lie near the sphere. Of a plane that touches the sphere, 0.4 at most do."""
-MEAN_SHIFT_STEPS = 30
-"""Limit of the iteration to the densest place of the votes."""
-RINGS, SECTORS = 8, 24
-"""Parts of equal solid angle that a cap is divided into, to determine how much of it was measured."""
 
-PLANE_REACH = 0.01
-"""Distance in lengths of the standard within which a point counts as near the plane."""
-RANSAC_TRIALS = 400
-"""Random samples of three points that a plane is searched with."""
-PER_CELL = 2.0
-"""Side of a cell of the plane's raster, in point spacings."""
-LARGEST_EXCESS = 1.05
-"""Ratio of a found plane's side to the standard's from which it is another plane."""
+@dataclass(frozen=True)
+class SegmentationLimits:
+    """Limits by which spheres and planes are recognised."""
+
+    max_votes: int = 20_000
+    """Points, drawn at random, that vote for a sphere's centre or a plane. Chosen."""
+    vote_reach: float = 0.1
+    """Distance in radii within which votes for a sphere's centre agree. Chosen."""
+    sphere_reach: float = 0.05
+    """Distance in radii within which a point counts as near the sphere while the sphere is searched.
+    Chosen."""
+    inner_radius: float = 0.7
+    """Distance in radii from the centre within which rays must meet the sphere for it to be accepted.
+    Chosen."""
+    min_near_share: float = 0.6
+    """Share of these rays' points that must lie near the sphere. Derived: of a plane that touches the sphere,
+    0.4 at most do."""
+    mean_shift_steps: int = 30
+    """Iterations to the densest place of the votes. Chosen."""
+    cap_rings: int = 8
+    """Rings of equal solid angle that a cap is divided into, to determine how much of it was measured.
+    Chosen."""
+    cap_sectors: int = 24
+    """Sectors of such a ring. Chosen."""
+    plane_reach: float = 0.01
+    """Distance in lengths of the standard within which a point counts as near the plane. Chosen."""
+    plane_trials: int = 400
+    """Random samples of three points that a plane is searched with. Derived: a plane with a fifth of all
+    points is missed in 4 % of clouds."""
+    spacings_per_cell: float = 2.0
+    """Side of a cell of the plane's raster, in point spacings. Chosen."""
+    max_side_ratio: float = 1.05
+    """Ratio of the side of the plane that was found to the standard's, from which it is another plane.
+    Chosen."""
+
+
+LIMITS = SegmentationLimits()
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,13 +99,13 @@ def find_spheres(points: Floats, normals: Floats, radius: float, count: int, sou
     free = np.ones(len(votes), bool)
     centres: list[Floats] = []
     while len(centres) < count:
-        centre = _densest(votes[free], VOTE_REACH * radius)
+        centre = _densest(votes[free], LIMITS.vote_reach * radius)
         if centre is None:
             raise DataError(_not_found(source, radius, len(centres), count))
         centre = _fit_centre(points, centre, radius)
-        seen = np.abs(_ray_distance(points, centre)) <= INNER_RADIUS * radius
-        near = np.abs(np.linalg.norm(points[seen] - centre, axis=1) - radius) <= SPHERE_REACH * radius
-        if not seen.any() or near.mean() < LEAST_NEAR_SHARE:
+        seen = np.abs(_ray_distance(points, centre)) <= LIMITS.inner_radius * radius
+        near = np.abs(np.linalg.norm(points[seen] - centre, axis=1) - radius) <= LIMITS.sphere_reach * radius
+        if not seen.any() or near.mean() < LIMITS.min_near_share:
             raise DataError(_not_found(source, radius, len(centres), count))
         centres.append(centre)
         free &= np.linalg.norm(votes - centre, axis=1) > radius
@@ -137,10 +153,14 @@ def _densest(votes: Floats, reach: float) -> Floats | None:
     if len(votes) == 0:
         return None
     random = np.random.default_rng(0)
-    sample = votes if len(votes) <= MAX_VOTES else votes[random.choice(len(votes), MAX_VOTES, replace=False)]
+    sample = (
+        votes
+        if len(votes) <= LIMITS.max_votes
+        else votes[random.choice(len(votes), LIMITS.max_votes, replace=False)]
+    )
     counts = cKDTree(sample).query_ball_point(sample, reach, return_length=True)
     centre = sample[int(np.argmax(counts))]
-    for _ in range(MEAN_SHIFT_STEPS):
+    for _ in range(LIMITS.mean_shift_steps):
         around = votes[np.linalg.norm(votes - centre, axis=1) <= reach]
         moved = around.mean(axis=0) if len(around) else centre
         if np.linalg.norm(moved - centre) <= 1e-3 * reach:
@@ -149,10 +169,16 @@ def _densest(votes: Floats, reach: float) -> Floats | None:
     return np.asarray(centre)
 
 
+def _random_subset(points: Floats, random: np.random.Generator) -> Floats:
+    if len(points) <= LIMITS.max_votes:
+        return points
+    return np.asarray(points[random.choice(len(points), LIMITS.max_votes, replace=False)])
+
+
 def _fit_centre(points: Floats, centre: Floats, radius: float) -> Floats:
     """Fit the centre of a sphere of known radius to the points near it, robustly (soft L1 loss)."""
     for _ in range(3):
-        near = np.abs(np.linalg.norm(points - centre, axis=1) - radius) <= SPHERE_REACH * radius
+        near = np.abs(np.linalg.norm(points - centre, axis=1) - radius) <= LIMITS.sphere_reach * radius
         near &= _ray_distance(points, centre) <= 0.95 * radius
         around = points[near]
         if len(around) < 4:
@@ -182,9 +208,9 @@ def _solid_angle(points: Floats, centre: Floats, radius: float, reach: float) ->
     side /= np.linalg.norm(side)
     up = met @ axis / np.linalg.norm(met, axis=1)
     turn = np.arctan2(met @ np.cross(axis, side), met @ side) / TWO_PI % 1.0
-    ring = np.clip(((1.0 - up) / (1.0 - edge) * RINGS).astype(int), 0, RINGS - 1)
-    sector = np.minimum((turn * SECTORS).astype(int), SECTORS - 1)
-    covered = len(np.unique(ring * SECTORS + sector)) / (RINGS * SECTORS)
+    ring = np.clip(((1.0 - up) / (1.0 - edge) * LIMITS.cap_rings).astype(int), 0, LIMITS.cap_rings - 1)
+    sector = np.minimum((turn * LIMITS.cap_sectors).astype(int), LIMITS.cap_sectors - 1)
+    covered = len(np.unique(ring * LIMITS.cap_sectors + sector)) / (LIMITS.cap_rings * LIMITS.cap_sectors)
     return float(covered * TWO_PI * (1.0 - edge))
 
 
@@ -203,10 +229,12 @@ def find_plane(points: Floats, length: float, source: str) -> Plane:
     # points (N, 3) mm
     random = np.random.default_rng(0)
     sample = (
-        points if len(points) <= MAX_VOTES else points[random.choice(len(points), MAX_VOTES, replace=False)]
+        points
+        if len(points) <= LIMITS.max_votes
+        else points[random.choice(len(points), LIMITS.max_votes, replace=False)]
     )
-    near, best, most = PLANE_REACH * length, None, 0
-    for _ in range(RANSAC_TRIALS):
+    near, best, most = LIMITS.plane_reach * length, None, 0
+    for _ in range(LIMITS.plane_trials):
         corners = sample[random.choice(len(sample), 3, replace=False)] if len(sample) >= 3 else sample[:0]
         if len(corners) < 3:
             break
@@ -230,8 +258,8 @@ def plane_face(
     """Select the points whose camera ray meets the plane well inside the edge of what was measured."""
     # points (N, 3) mm
     places, ahead = _on_plane(points, plane)
-    near = ahead & (np.abs(plane.distances(points)) <= PLANE_REACH * max(size))
-    cell = PER_CELL * _spacing(places[near])
+    near = ahead & (np.abs(plane.distances(points)) <= LIMITS.plane_reach * max(size))
+    cell = LIMITS.spacings_per_cell * _spacing(places[near])
     # Half a cell more: were it on the edge of a cell, the last bit of the first point would decide the size.
     low = places[near].min(axis=0) - 3.5 * cell
     shape = np.ceil((places[near].max(axis=0) + 3 * cell - low) / cell).astype(int)
@@ -289,7 +317,7 @@ def _refuse_larger(filled: Mask, cell: float, size: tuple[float, float], source:
     corners = np.argwhere(filled).astype(np.float32)
     sides = sorted((float((side + 1) * cell) for side in cv2.minAreaRect(corners)[1]), reverse=True)
     for side, given in zip(sides, sorted(size, reverse=True), strict=True):
-        if side > LARGEST_EXCESS * given + 2 * cell:
+        if side > LIMITS.max_side_ratio * given + 2 * cell:
             raise DataError(
                 f"{source}: the plane found measures {sides[0]:.0f} x {sides[1]:.0f} mm, but the standard is "
                 f"{size[0]:g} x {size[1]:g} mm; check the standard's file, and for other flat areas"

@@ -38,8 +38,6 @@ from fpplab.clouds import Cloud
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import ConfigError, DataError
 
-OTHER_STANDARD = 0.1
-"""Relative deviation of a diameter or spacing from which another standard must have been measured."""
 Clouds = Iterable[tuple[str, Cloud]]
 """Clouds in mm in the camera's frame, each after the name of its source."""
 
@@ -108,7 +106,7 @@ def _described(standard: S | None, what: str, of: Standard) -> S:
 
 
 def _refuse_other(what: str, found: float, calibrated: float, source: str) -> None:
-    if abs(found - calibrated) > OTHER_STANDARD * calibrated:
+    if abs(found - calibrated) > 0.1 * calibrated:  # chosen: no error of measurement is as large
         raise DataError(
             f"{source}: {what} measures {found:.3g} mm, but the standard's is {calibrated:.3g} mm; "
             "check that this is the standard that its file describes"

@@ -21,29 +21,49 @@ from fpplab.core.errors import DataError
 from fpplab.core.geometry import RigidTransform
 from fpplab.core.robust import huber_weights, robust_spread
 
-COARSE_POINTS = 2_000
-FINE_POINTS = 20_000
-"""Points that the pose is searched with, and that the result is refined with."""
-COARSE_ROUNDS = 20
-FINE_ROUNDS = 60
-"""Greatest number of iterations of the search, and of the final refinement."""
-SEARCH_DISTANCE, SEARCH_DECAY = 0.05, 0.7
-"""Of a search from principal axes: distance, in sizes of the mesh, up to which points have full weight in the
-first iteration, and its factor from one iteration to the next."""
-START_OFFSET = 0.05
-"""How far in front of the mesh, as the camera sees it, a cloud is first placed, in sizes of the mesh."""
-CONVERGED_STEP = 1e-7
-"""Motion, in rad and in sizes of the mesh, below which the iteration has converged."""
-LARGEST_MISFIT, GOOD_MISFIT = 0.01, 3e-4
-"""Mean distance, in sizes of the mesh, from which a pose is rejected, and up to which no better one is
-searched. The second is small, since wrong poses of a nearly symmetric part are not far off."""
-DETAIL_SIZE, DIRECTION_POINTS = 0.004, 400_000
-"""Size of features, in sizes of the mesh, that are ignored when the direction that the surface faces is
-determined, and number of surface samples that determine it."""
-JUDGED_SHARE, GOOD_SHARE = 0.8, 0.97
-"""Share of the cloud, its nearest points, by which a pose is judged; the rest may belong to other objects. To
-count as good without a further search, a pose must fit nearly all points but outliers, since small features
-of a part distinguish its poses."""
+
+@dataclass(frozen=True)
+class AlignmentLimits:
+    """Limits of the alignment. Sizes of the mesh are the diagonal of its bounding box."""
+
+    coarse_points: int = 2_000
+    """Points that a pose is searched with. Chosen."""
+    fine_points: int = 20_000
+    """Points that the result is refined with. Chosen."""
+    coarse_rounds: int = 20
+    """Iterations of the search. Chosen."""
+    fine_rounds: int = 60
+    """Iterations of the refinement. Chosen."""
+    search_distance: float = 0.05
+    """Distance, in sizes of the mesh, up to which points have full weight in the first iteration of a search
+    from principal axes. Chosen."""
+    search_decay: float = 0.7
+    """Factor of that distance from one iteration to the next. Chosen."""
+    start_offset: float = 0.05
+    """How far in front of the mesh, as the camera sees it, a cloud is first placed, in sizes of the mesh.
+    Chosen."""
+    converged_step: float = 1e-7
+    """Motion, in rad and in sizes of the mesh, below which the iteration has converged. Chosen: a hundredth
+    of a micrometre on a part of 100 mm."""
+    max_misfit: float = 0.01
+    """Mean distance, in sizes of the mesh, from which a pose is rejected. Chosen."""
+    good_misfit: float = 3e-4
+    """Mean distance, in sizes of the mesh, up to which no better pose is searched. Chosen small, since wrong
+    poses of a nearly symmetric part are not far off."""
+    detail_size: float = 0.004
+    """Size of features, in sizes of the mesh, that are ignored when the direction that the surface faces is
+    determined. Chosen above the grooves between printed layers."""
+    direction_points: int = 400_000
+    """Samples of the surface that determine this direction. Chosen: several in every such feature."""
+    judged_share: float = 0.8
+    """Share of the cloud, its nearest points, by which a pose is judged; the rest may belong to other
+    objects. Chosen."""
+    good_share: float = 0.97
+    """Share of the cloud that a pose must fit to count as good without a further search: nearly all points
+    but outliers, since small features of a part distinguish its poses. Chosen."""
+
+
+LIMITS = AlignmentLimits()
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +71,7 @@ class Alignment:
     """The result of an alignment."""
 
     transform: RigidTransform  # T_camera_mesh, in mm
-    rms_um: float  # root mean square distance in µm of the nearest `JUDGED_SHARE` of the points
+    rms_um: float  # root mean square distance in µm of the nearest `LIMITS.judged_share` of the points
     iterations: int  # number of iterations
 
     def summary(self) -> dict[str, object]:
@@ -71,21 +91,24 @@ def align_mesh(points: Floats, mesh: trimesh.Trimesh, seed: int = 0) -> Alignmen
     """
     # points (N, 3) mm
     random = np.random.default_rng(seed)
-    fine, coarse = (_subsample(points, n, random) for n in (FINE_POINTS, COARSE_POINTS))
+    fine, coarse = (_subsample(points, n, random) for n in (LIMITS.fine_points, LIMITS.coarse_points))
     target = AlignmentMesh(mesh)
-    best = refine_pose(coarse, target, RigidTransform.identity(), COARSE_ROUNDS)
-    if target.misfit(coarse, best[0], GOOD_SHARE) > GOOD_MISFIT * target.size:
+    best = refine_pose(coarse, target, RigidTransform.identity(), LIMITS.coarse_rounds)
+    if target.misfit(coarse, best[0], LIMITS.good_share) > LIMITS.good_misfit * target.size:
         starts = _axis_poses(coarse, mesh, random)
-        ends = [refine_pose(coarse, target, start, COARSE_ROUNDS, SEARCH_DISTANCE) for start in starts]
+        ends = [
+            refine_pose(coarse, target, start, LIMITS.coarse_rounds, LIMITS.search_distance)
+            for start in starts
+        ]
         best = min([best, *ends], key=lambda end: target.misfit(coarse, end[0]))
-    pose, rounds = refine_pose(fine, target, best[0], FINE_ROUNDS)
-    if target.misfit(fine, pose) >= LARGEST_MISFIT * target.size:
+    pose, rounds = refine_pose(fine, target, best[0], LIMITS.fine_rounds)
+    if target.misfit(fine, pose) >= LIMITS.max_misfit * target.size:
         raise DataError(
             "alignment: no pose brings the mesh onto the cloud; crop the cloud to the part, check that both "
             "are in mm, or place the mesh roughly by hand"
         )
     residuals = np.abs(target.residuals(fine, pose)[0])
-    kept = residuals <= np.quantile(residuals, JUDGED_SHARE)
+    kept = residuals <= np.quantile(residuals, LIMITS.judged_share)
     rms_um = float(np.sqrt(np.mean(residuals[kept] ** 2)) * 1e3)
     return Alignment(pose.inverse(), rms_um, best[1] + rounds)
 
@@ -102,8 +125,8 @@ class AlignmentMesh:
 
     @cached_property
     def directions(self) -> _SurfaceDirections:
-        """Directions that the surface faces, ignoring features below `DETAIL_SIZE`."""
-        return _SurfaceDirections(self._mesh, DETAIL_SIZE * self.size)
+        """Directions that the surface faces, ignoring features below `LIMITS.detail_size`."""
+        return _SurfaceDirections(self._mesh, LIMITS.detail_size * self.size)
 
     def residuals(self, points: Floats, pose: RigidTransform) -> tuple[Floats, Floats, Floats]:
         """Compute the distances of points from the planes of their nearest faces."""
@@ -113,7 +136,7 @@ class AlignmentMesh:
         normals = self.normals[face]
         return np.einsum("ij,ij->i", placed - foot, normals), placed, normals
 
-    def misfit(self, points: Floats, pose: RigidTransform, share: float = JUDGED_SHARE) -> float:
+    def misfit(self, points: Floats, pose: RigidTransform, share: float = LIMITS.judged_share) -> float:
         """Judge a pose by the mean distance of the points that are nearest to the mesh.
 
         A point on a face that is seen from behind counts with the size of the mesh as its distance.
@@ -132,7 +155,7 @@ class _SurfaceDirections:
 
     def __init__(self, mesh: trimesh.Trimesh, detail_mm: float) -> None:
         self._detail = detail_mm
-        points, faces = trimesh.sample.sample_surface(mesh, DIRECTION_POINTS, seed=0)
+        points, faces = trimesh.sample.sample_surface(mesh, LIMITS.direction_points, seed=0)
         cells, cell = np.unique(self._cells(points), return_inverse=True)
         self._known = cells
         self._facing = np.zeros((len(cells), 3))
@@ -168,7 +191,7 @@ def refine_pose(
     # points (N, 3) mm
     for done in range(rounds):
         distance, placed, normals = target.residuals(points, pose)
-        spread = max(robust_spread(distance), full_weight_distance * SEARCH_DECAY**done * target.size)
+        spread = max(robust_spread(distance), full_weight_distance * LIMITS.search_decay**done * target.size)
         weight = huber_weights(distance, spread)
         centre = placed.mean(axis=0)
         rows = np.hstack([np.cross(placed - centre, normals) / target.size, normals])
@@ -177,7 +200,7 @@ def refine_pose(
         step = np.linalg.lstsq(matrix, right, rcond=1e-9)[0]
         turn = RigidTransform.from_vectors(step[:3] / target.size, np.zeros(3))
         pose = RigidTransform(turn.rotation, centre + step[3:] - turn.rotation @ centre) @ pose
-        if np.linalg.norm(step) < CONVERGED_STEP * target.size:
+        if np.linalg.norm(step) < LIMITS.converged_step * target.size:
             return pose, done + 1
     return pose, rounds
 
@@ -188,12 +211,14 @@ def _axis_poses(points: Floats, mesh: trimesh.Trimesh, random: np.random.Generat
     The mesh's centre is that of its surface facing the camera, and the cloud is placed slightly in front of
     it: from inside a plate, its wrong side would be as near as the right one.
     """
-    surface, faces = trimesh.sample.sample_surface(mesh, COARSE_POINTS, seed=int(random.integers(1 << 31)))
+    surface, faces = trimesh.sample.sample_surface(
+        mesh, LIMITS.coarse_points, seed=int(random.integers(1 << 31))
+    )
     surface, normals = np.asarray(surface), np.asarray(mesh.face_normals[faces])
     from_axes, to_axes = _axes(points), _axes(surface)
     from_middle = _middle(points, from_axes)
     view = from_middle / np.linalg.norm(from_middle)
-    before = START_OFFSET * float(np.linalg.norm(mesh.extents)) * view
+    before = LIMITS.start_offset * float(np.linalg.norm(mesh.extents)) * view
     poses = []
     for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
         rotation = (to_axes[:, list(order)] * np.array(signs)) @ from_axes.T

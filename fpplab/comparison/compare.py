@@ -40,17 +40,27 @@ from fpplab.core.notebook import axes_or_new, html_table
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-DENSITY_PER_MM2 = 200.0
-"""Samples of the true surface."""
-OUTLIER_MM = 1.0
-"""Distance beyond which a point is an outlier."""
-NEAR_MM = 0.5
-"""Distance of the reconstructed surface up to which a place of the true surface counts as measured."""
-MOST_OUT_OF_VIEW = 0.01
-"""Share of the surface turned to the devices that may lie outside of their images without a word."""
-LARGEST_RATIO = 50.0
-"""Ratio of the sizes of cloud and mesh beyond which they cannot be in the same unit."""
-_UM = 1e3
+
+@dataclass(frozen=True)
+class ComparisonLimits:
+    """Limits of a comparison, where its caller states no others."""
+
+    density_per_mm2: float = 200.0
+    """Samples of the true surface. Chosen: their mean spacing is 0.07 mm."""
+    outlier_mm: float = 1.0
+    """Distance beyond which a point is an outlier. Chosen."""
+    near_mm: float = 0.5
+    """Distance of the reconstructed surface up to which a place of the true surface counts as measured.
+    Chosen."""
+    max_out_of_view: float = 0.01
+    """Share of the surface turned to the devices that may lie outside of their images without a warning.
+    Chosen."""
+    max_size_ratio: float = 50.0
+    """Ratio of the sizes of cloud and mesh beyond which they cannot be in the same unit. Chosen: m and mm
+    differ by 1000."""
+
+
+LIMITS = ComparisonLimits()
 
 
 class UnseenMeshError(DataError):
@@ -183,8 +193,9 @@ class Comparison:
     def warnings(self) -> list[str]:
         """List what the distances do not show: scale and shear, and shape that was not seen or is missing.
 
-        A scale or length contradicts them if it deviates by more than `COVERAGE` standard uncertainties, and
-        by more than the root mean square distance: a rigid alignment makes them blind to both.
+        A scale or length contradicts them if it deviates by more than `ScaleLimits.coverage` standard
+        uncertainties, and by more than the root mean square distance: a rigid alignment makes them blind to
+        both.
 
         Returns
         -------
@@ -192,7 +203,7 @@ class Comparison:
             Sentences for the operator.
         """
         said, scale = [], self.scale
-        if self.out_of_view > MOST_OUT_OF_VIEW:
+        if self.out_of_view > LIMITS.max_out_of_view:
             said.append(
                 f"field of view: {100 * self.out_of_view:.0f} % of the surface that is turned to camera and "
                 "projector lies outside of their images; no figure counts it, completeness included"
@@ -253,11 +264,11 @@ def compare(
     cloud: Cloud,
     mesh: trimesh.Trimesh,
     calibration: Calibration | None = None,
-    density: float = DENSITY_PER_MM2,
+    density: float = LIMITS.density_per_mm2,
     seed: int = 0,
     align: bool = False,
-    outlier_mm: float = OUTLIER_MM,
-    near_mm: float = NEAR_MM,
+    outlier_mm: float = LIMITS.outlier_mm,
+    near_mm: float = LIMITS.near_mm,
     artefact: PlacedArtefact | None = None,
 ) -> Comparison:
     """Compare a cloud with the true mesh.
@@ -325,11 +336,11 @@ def compare(
     scale = None if alignment is None else fit_scale(measured, AlignmentMesh(mesh), seed)
     to_surface = None if cloud.pixels is None else _to_surface(samples, cloud, counted)
     return Comparison(
-        smcd_um=_UM * (mcd(measured, samples) + float(to_cloud.mean())) / 2.0,
-        smcd_floor_um=_UM * smcd(feet[counted], samples),
-        surface_smcd_um=None if to_surface is None else _UM * float(error.mean() + to_surface.mean()) / 2.0,
-        surface_rms_um=_UM * float(np.sqrt(np.mean(error**2))),
-        surface_p95_um=_UM * float(np.quantile(error, 0.95)),
+        smcd_um=1e3 * (mcd(measured, samples) + float(to_cloud.mean())) / 2.0,
+        smcd_floor_um=1e3 * smcd(feet[counted], samples),
+        surface_smcd_um=None if to_surface is None else 1e3 * float(error.mean() + to_surface.mean()) / 2.0,
+        surface_rms_um=1e3 * float(np.sqrt(np.mean(error**2))),
+        surface_p95_um=1e3 * float(np.quantile(error, 0.95)),
         completeness=float(np.mean((to_cloud if to_surface is None else to_surface) <= near_mm)),
         outliers=int(np.count_nonzero(error > outlier_mm)),
         visible_share=visible.share,
@@ -363,7 +374,7 @@ def _check_units(points: Floats, mesh: trimesh.Trimesh) -> None:
     """Raise `DataError` for a mesh that cannot be in the cloud's unit."""
     low, high = np.quantile(points, (0.01, 0.99), axis=0)
     cloud_mm, mesh_mm = float(np.linalg.norm(high - low)), float(np.linalg.norm(mesh.extents))
-    if not 1 / LARGEST_RATIO < cloud_mm / max(mesh_mm, 1e-12) < LARGEST_RATIO:
+    if not 1 / LIMITS.max_size_ratio < cloud_mm / max(mesh_mm, 1e-12) < LIMITS.max_size_ratio:
         raise DataError(
             f"true mesh: is {mesh_mm:.3g} mm across, but the cloud {cloud_mm:.3g} mm; both must be in mm"
         )

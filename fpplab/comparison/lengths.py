@@ -14,22 +14,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.artefacts import Corner, FeatureLength, FlatFace, SphereFace
-from fpplab.comparison.scale import COVERAGE
+from fpplab.comparison.scale import LIMITS as SCALE
 from fpplab.core.conventions import Floats, Mask
 from fpplab.core.robust import cell_numbers, clustered_covariance, huber_weights, robust_spread
 
-EDGE_MM = 1.0
-"""Width left out inside the outline of a face, where pixels see two surfaces."""
-REACH_MM = 1.0
-"""Distance from the true feature up to which a point is taken as measured on it."""
-LEAST_POINTS = 50
-"""Least number of points on a feature."""
-CELLS_PER_FACE = 6
-"""Cells along a face, within which points err alike."""
-FIT_ROUNDS = 20
-"""Iterations of a robust fit."""
-CAP_COSINE = 0.5
-"""Of the greatest angle between a sphere's normal and the direction to the camera: 60 degrees."""
+
+@dataclass(frozen=True)
+class LengthLimits:
+    """Limits of what is measured on the features of an artefact."""
+
+    edge_mm: float = 1.0
+    """Width left out inside the outline of a face, where pixels see two surfaces. Chosen: several pixels."""
+    reach_mm: float = 1.0
+    """Distance from the true feature up to which a point is taken as measured on it. Chosen as the distance
+    of an outlier."""
+    min_points: int = 50
+    """Number of points on a feature. Chosen."""
+    cells_per_face: int = 6
+    """Cells along a face, within which points err alike. Chosen."""
+    fit_rounds: int = 20
+    """Iterations of a robust fit. Chosen."""
+    min_cap_cosine: float = 0.5
+    """Cosine of the angle between a sphere's normal and the direction to the camera: 60 degrees. Chosen."""
+
+
+LIMITS = LengthLimits()
 
 
 @dataclass(frozen=True)
@@ -48,11 +57,11 @@ class MeasuredLength:
 
     @property
     def significant(self) -> bool:
-        """Whether measured and true value differ by more than `COVERAGE` standard uncertainties."""
+        """Whether they differ by more than `ScaleLimits.coverage` standard uncertainties."""
         return (
             self.error_um is not None
             and self.sigma_um is not None
-            and abs(self.error_um) > COVERAGE * self.sigma_um
+            and abs(self.error_um) > SCALE.coverage * self.sigma_um
         )
 
     def texts(self) -> tuple[str, str, str, str]:
@@ -106,7 +115,7 @@ Estimate = tuple[Floats, Floats]
 def _distance_of_planes(points: Floats, first: FlatFace, second: FlatFace) -> tuple[float, float] | None:
     """Fit two planes with a common normal: their distance, and its standard uncertainty, in mm."""
     on = [points[_on_face(points, face)] for face in (first, second)]
-    if min(map(len, on)) < LEAST_POINTS:
+    if min(map(len, on)) < LIMITS.min_points:
         return None
     along = [(q - first.origin) @ first.axes.T for q in on]
     rows = np.concatenate(
@@ -164,7 +173,7 @@ def _corner(planes: list[tuple[FlatFace, Floats]]) -> Floats:
 def _fit_plane(points: Floats, face: FlatFace) -> Estimate | None:
     """Fit the slopes along a face's two axes and the offset along its normal."""
     along = (points[_on_face(points, face)] - face.origin) @ face.axes.T
-    if len(along) < LEAST_POINTS:
+    if len(along) < LIMITS.min_points:
         return None
     rows = np.column_stack([along[:, :2], np.ones(len(along))])
     return _robust_fit(rows, along[:, 2], _cells(along))
@@ -175,13 +184,13 @@ def _fit_centre(points: Floats, camera: Floats, sphere: SphereFace) -> Estimate 
     away = points - sphere.centre
     reach = np.linalg.norm(away, axis=1)
     view = (camera - sphere.centre) / np.linalg.norm(camera - sphere.centre)
-    cap = (np.abs(reach - sphere.radius) <= REACH_MM) & (away @ view >= CAP_COSINE * reach)
+    cap = (np.abs(reach - sphere.radius) <= LIMITS.reach_mm) & (away @ view >= LIMITS.min_cap_cosine * reach)
     away = away[cap]
-    if len(away) < LEAST_POINTS:
+    if len(away) < LIMITS.min_points:
         return None
     cell = _cells(away)
     moved, covariance = np.zeros(4), np.zeros((4, 4))
-    for _ in range(FIT_ROUNDS):
+    for _ in range(LIMITS.fit_rounds):
         local = away - moved[:3]
         length = np.linalg.norm(local, axis=1)
         rows = np.column_stack([local / length[:, None], np.ones(len(local))])
@@ -207,20 +216,20 @@ def _distance_of_places(ends: list[Estimate | None]) -> tuple[float, float] | No
 
 
 def _on_face(points: Floats, face: FlatFace) -> Mask:
-    """Find the points (N,) that lie on a face, at least `EDGE_MM` inside its outlines."""
-    near = np.flatnonzero(np.abs((points - face.origin) @ face.axes[2]) <= REACH_MM)
+    """Find the points (N,) that lie on a face, at least `LIMITS.edge_mm` inside its outlines."""
+    near = np.flatnonzero(np.abs((points - face.origin) @ face.axes[2]) <= LIMITS.reach_mm)
     on = np.zeros(len(points), np.bool_)
     for outline in face.outlines:
         edges = np.roll(outline, -1, axis=0) - outline
         inwards = np.cross(face.axes[2], edges) / np.linalg.norm(edges, axis=1)[:, None]
         inside = points[near] @ inwards.T - np.einsum("ij,ij->i", outline, inwards)
-        on[near] |= inside.min(axis=1) >= EDGE_MM
+        on[near] |= inside.min(axis=1) >= LIMITS.edge_mm
     return on
 
 
 def _cells(points: Floats) -> NDArray[np.int64]:
     """Number the cells of a face, across its first two axes, that points (N, 3) of it lie in, (N,)."""
-    side = max(float(np.ptp(points, axis=0).max()) / CELLS_PER_FACE, 1e-6)
+    side = max(float(np.ptp(points, axis=0).max()) / LIMITS.cells_per_face, 1e-6)
     return cell_numbers(points[:, :2], side)
 
 
@@ -229,7 +238,7 @@ def _robust_fit(rows: Floats, values: Floats, cell: NDArray[np.int64]) -> Estima
     if cell.max() + 1 <= rows.shape[1] + 1:
         return None
     weight = np.ones(len(values))
-    for _ in range(FIT_ROUNDS):
+    for _ in range(LIMITS.fit_rounds):
         found = np.linalg.lstsq(rows * np.sqrt(weight)[:, None], values * np.sqrt(weight), rcond=None)[0]
         rest = values - rows @ found
         weight = huber_weights(rest, robust_spread(rest))

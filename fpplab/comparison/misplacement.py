@@ -9,21 +9,30 @@ import numpy as np
 import trimesh
 
 from fpplab.clouds import Cloud
-from fpplab.comparison.alignment import COARSE_POINTS, JUDGED_SHARE, align_mesh
+from fpplab.comparison.alignment import LIMITS as ALIGNMENT
+from fpplab.comparison.alignment import align_mesh
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import DataError
 
-FAR = 2e-3
-"""Distance between cloud and mesh, in sizes of the mesh, beyond which an alignment is tried."""
-EXPLAINED = 0.2
-"""The most of that distance that may remain after the alignment, for it to be the explanation."""
+
+@dataclass(frozen=True)
+class MisplacementLimits:
+    """Limits by which a mesh counts as misplaced."""
+
+    min_distance: float = 2e-3
+    """Distance between cloud and mesh, in sizes of the mesh, beyond which an alignment is tried. Chosen."""
+    max_remaining_share: float = 0.2
+    """Share of that distance that may remain after the alignment, for it to be the explanation. Chosen."""
+
+
+LIMITS = MisplacementLimits()
 
 
 @dataclass(frozen=True)
 class Misplacement:
     """A mesh that fits the cloud, but stands elsewhere."""
 
-    before_mm: float  # root mean square distance in mm of the nearest `JUDGED_SHARE` of the points
+    before_mm: float  # root mean square distance of the nearest points, `AlignmentLimits.judged_share`
     after_mm: float  # the same after a rigid alignment
 
     def describe(self) -> str:
@@ -38,22 +47,22 @@ def find_misplacement(cloud: Cloud, mesh: trimesh.Trimesh, seed: int = 0) -> Mis
     """Find out whether a rigid alignment explains a large distance between a cloud and a mesh."""
     points = cloud.points.astype(np.float64)
     before = _distance_mm(points, mesh, seed)
-    if before <= FAR * float(np.linalg.norm(mesh.extents)):
+    if before <= LIMITS.min_distance * float(np.linalg.norm(mesh.extents)):
         return None
     try:
         alignment = align_mesh(points, mesh, seed)
     except DataError:
         return None
     after = alignment.rms_um / 1e3
-    return Misplacement(before, after) if after <= EXPLAINED * before else None
+    return Misplacement(before, after) if after <= LIMITS.max_remaining_share * before else None
 
 
 def _distance_mm(points: Floats, mesh: trimesh.Trimesh, seed: int) -> float:
-    """Root mean square distance in mm of the nearest `JUDGED_SHARE` of some of the points."""
-    chosen = np.random.default_rng(seed).permutation(len(points))[:COARSE_POINTS]
+    """Root mean square distance in mm of the nearest `AlignmentLimits.judged_share` of some of the points."""
+    chosen = np.random.default_rng(seed).permutation(len(points))[: ALIGNMENT.coarse_points]
     square = igl.point_mesh_squared_distance(
         points[chosen],
         np.ascontiguousarray(mesh.vertices, np.float64),
         np.ascontiguousarray(mesh.faces, np.int64),
     )[0]
-    return float(np.sqrt(np.sort(square)[: int(np.ceil(JUDGED_SHARE * len(square)))].mean()))
+    return float(np.sqrt(np.sort(square)[: int(np.ceil(ALIGNMENT.judged_share * len(square)))].mean()))

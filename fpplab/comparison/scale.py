@@ -23,23 +23,35 @@ from fpplab.core.conventions import Floats
 from fpplab.core.geometry import RigidTransform
 from fpplab.core.robust import cell_numbers, clustered_covariance, huber_weights, robust_spread
 
-SCALE_POINTS = 40_000
-"""Points that the scale is fitted to, drawn at random."""
-SCALE_ROUNDS = 20
-"""Most iterations of the fit."""
-CONVERGED_SCALE = 1e-9
-"""Change of the scale at which the fit has converged."""
-CELLS_ACROSS = 12
-"""Cells of space across the diagonal of the mesh's bounding box, within which points err alike."""
-LEAST_CELLS = 15
-"""Least number of cells with points for an uncertainty of the seven parameters."""
-EDGE_SPREADS, SAME_FACE = 6.0, 0.95
-"""Distance from an edge, in standard deviations of the residuals, within which points are left out; and the
-cosine between two normals up to which their faces do not form an edge."""
-LEAST_SHARE = 1e-6
-"""Least share of the scale's effect on the residuals that no rigid motion has too; 0 on a plane."""
-COVERAGE = 3.0
-"""Standard uncertainties beyond which a deviation is taken as real."""
+
+@dataclass(frozen=True)
+class ScaleLimits:
+    """Limits of the fit of a scale."""
+
+    points: int = 40_000
+    """Points that the scale is fitted to, drawn at random. Chosen."""
+    rounds: int = 20
+    """Iterations of the fit. Chosen."""
+    converged_scale: float = 1e-9
+    """Change of the scale at which the fit has converged. Chosen: a thousandth of a ppm."""
+    cells_across: int = 12
+    """Cells of space across the diagonal of the mesh's bounding box, within which points err alike.
+    Chosen."""
+    min_cells: int = 15
+    """Cells with points, for an uncertainty of the seven parameters. Chosen: about two for each."""
+    edge_spreads: float = 6.0
+    """Distance from an edge, in standard deviations of the residuals, within which points are left out.
+    Chosen."""
+    min_same_face_cosine: float = 0.95
+    """Cosine between two normals up to which their faces do not form an edge: 18 degrees. Chosen."""
+    min_own_share: float = 1e-6
+    """Share of the scale's effect on the residuals that no rigid motion has too; 0 on a plane. Chosen above
+    rounding."""
+    coverage: float = 3.0
+    """Standard uncertainties beyond which a deviation is taken as real. Chosen: 0.3 % by chance."""
+
+
+LIMITS = ScaleLimits()
 
 
 @dataclass(frozen=True)
@@ -57,8 +69,8 @@ class FittedScale:
 
     @property
     def significant(self) -> bool:
-        """Whether the scale differs from one by more than `COVERAGE` standard uncertainties."""
-        return abs(self.ppm) > COVERAGE * self.sigma_ppm
+        """Whether the scale differs from one by more than `LIMITS.coverage` standard uncertainties."""
+        return abs(self.ppm) > LIMITS.coverage * self.sigma_ppm
 
     def summary(self) -> dict[str, object]:
         """Collect plain values for JSON."""
@@ -68,14 +80,14 @@ class FittedScale:
 def fit_scale(points: Floats, target: AlignmentMesh, seed: int = 0) -> FittedScale | None:
     """Fit a similarity to points that are already aligned rigidly."""
     # points (N, 3) mm
-    if len(points) > SCALE_POINTS:
-        points = points[np.random.default_rng(seed).choice(len(points), SCALE_POINTS, replace=False)]
+    if len(points) > LIMITS.points:
+        points = points[np.random.default_rng(seed).choice(len(points), LIMITS.points, replace=False)]
     points = points[_clear_of_edges(points, target)]
-    if len(points) < LEAST_CELLS:
+    if len(points) < LIMITS.min_cells:
         return None
     centre = points.mean(axis=0)
     pose, scale = RigidTransform.identity(), 1.0
-    for _ in range(SCALE_ROUNDS):
+    for _ in range(LIMITS.rounds):
         smaller = centre + (points - centre) / scale
         distance, placed, normals = target.residuals(smaller, pose)
         weight = huber_weights(distance, robust_spread(distance))
@@ -88,10 +100,10 @@ def fit_scale(points: Floats, target: AlignmentMesh, seed: int = 0) -> FittedSca
         scale *= 1.0 + float(step[6]) / target.size
         turn = RigidTransform.from_vectors(-step[:3] / target.size, np.zeros(3))
         pose = RigidTransform(turn.rotation, centre - step[3:6] - turn.rotation @ centre) @ pose
-        if np.abs(step).max() < CONVERGED_SCALE * target.size:
+        if np.abs(step).max() < LIMITS.converged_scale * target.size:
             break
-    cell = cell_numbers(placed, target.size / CELLS_ACROSS)
-    if cell.max() + 1 < LEAST_CELLS:
+    cell = cell_numbers(placed, target.size / LIMITS.cells_across)
+    if cell.max() + 1 < LIMITS.min_cells:
         return None
     covariance = clustered_covariance(rows, weight * distance, weight == 1.0, cell)
     sigma = float(np.sqrt(covariance[6, 6]))
@@ -106,10 +118,10 @@ def _clear_of_edges(points: Floats, target: AlignmentMesh) -> NDArray[np.bool_]:
     convex edges of a part that makes it look larger.
     """
     distance, placed, normals = target.residuals(points, RigidTransform.identity())
-    reach, kept = EDGE_SPREADS * robust_spread(distance), np.ones(len(points), np.bool_)
+    reach, kept = LIMITS.edge_spreads * robust_spread(distance), np.ones(len(points), np.bool_)
     for side in (-reach, reach):
         moved = target.residuals(placed + side * normals, RigidTransform.identity())[2]
-        kept &= np.einsum("ij,ij->i", moved, normals) > SAME_FACE
+        kept &= np.einsum("ij,ij->i", moved, normals) > LIMITS.min_same_face_cosine
     return kept
 
 
@@ -122,4 +134,4 @@ def _rows(local: Floats, normals: Floats, size: float) -> Floats:
 def _determines_scale(matrix: Floats) -> bool:
     """Tell whether the scale's column is not a combination of those of the rigid motion."""
     rigid = np.linalg.lstsq(matrix[:6, :6], matrix[:6, 6], rcond=1e-12)[0]
-    return bool(matrix[6, 6] - matrix[:6, 6] @ rigid > LEAST_SHARE * matrix[6, 6])
+    return bool(matrix[6, 6] - matrix[:6, 6] @ rigid > LIMITS.min_own_share * matrix[6, 6])

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -29,8 +29,18 @@ from fpplab.patterns.plan import Plan
 from fpplab.pipeline import CALIBRATION, characterise_sessions, take_poses
 from fpplab.targets import Target
 
-TRAVEL_TOLERANCE, TRAVEL_TOLERANCE_MM = 0.05, 1.0
-"""Allowed deviation of the projector's measured travel from the stage's: a share of it, plus mm."""
+
+@dataclass(frozen=True)
+class TravelLimits:
+    """Allowed deviation of the projector's measured travel from the stage's."""
+
+    max_share: float = 0.05
+    """As a share of the travel. Chosen."""
+    max_mm: float = 1.0
+    """In mm, added to the share. Chosen."""
+
+
+TRAVEL_LIMITS = TravelLimits()
 
 
 P = TypeVar("P", bound=SearchProblem)
@@ -122,7 +132,7 @@ class StageCalibrations:
         origin, start = self._known[0].projector_centre, next(iter(self._positions), 0.0)
         for mm, known in zip(self._positions[1:], self._known[1:], strict=True):
             moved = float(np.linalg.norm(known.projector_centre - origin))
-            if abs(moved - (mm - start)) > TRAVEL_TOLERANCE * (mm - start) + TRAVEL_TOLERANCE_MM:
+            if abs(moved - (mm - start)) > TRAVEL_LIMITS.max_share * (mm - start) + TRAVEL_LIMITS.max_mm:
                 raise CalibrationError(
                     f"the calibrations at {start:g} and {mm:g} mm put the projector {moved:.1f} mm apart, "
                     f"not {mm - start:g}; check that they are of this rig and of these positions"

@@ -23,14 +23,23 @@ from fpplab.optimisation.problem import SearchProblem
 from fpplab.optimisation.scoring import ArtefactFigures
 from fpplab.patterns.plan import Plan
 
-REPEATS = 5
-"""Measurements of each artefact with each plan, by default."""
-SAMPLES = 100_000
-"""Pixels, and points of the true surface, that are compared."""
-DRAWS = 8
-"""Calibrations drawn from the covariance: enough for its part of the uncertainty to be known to a quarter."""
-FIRST_SEED = 1_000_000
-"""Seed of the first repeat, beyond all seeds that a search uses."""
+
+@dataclass(frozen=True)
+class ConfirmationLimits:
+    """Numbers of measurements, samples and draws of a confirmation."""
+
+    repeats: int = 5
+    """Measurements of each artefact with each plan, by default. Chosen."""
+    samples: int = 100_000
+    """Pixels, and points of the true surface, that are compared. Chosen."""
+    calibration_draws: int = 8
+    """Calibrations drawn from the covariance. Derived: its part of the uncertainty is then known to a
+    quarter."""
+    first_seed: int = 1_000_000
+    """Seed of the first repeat. Chosen beyond all seeds that a search uses."""
+
+
+LIMITS = ConfirmationLimits()
 
 
 RepeatedFigures = dict[str, tuple[ArtefactFigures, ...]]
@@ -105,14 +114,14 @@ def compare_plans(
     problem: SearchProblem,
     before: Plan,
     after: Plan,
-    repeats: int = REPEATS,
+    repeats: int = LIMITS.repeats,
     progress: Progress = no_progress,
 ) -> Confirmation:
     """Measure the artefacts of a study on a rig with two plans, alternately."""
     if repeats < 2:
         raise ConfigError(f"--repeats: {repeats}: at least 2, or nothing is known of the uncertainty")
     _check_comparable(before, after)
-    evaluator = RigEvaluator(rig, problem.model_copy(update={"start": before}), SAMPLES)
+    evaluator = RigEvaluator(rig, problem.model_copy(update={"start": before}), LIMITS.samples)
     plans = candidate_from_plan(before), candidate_from_plan(after)
     found: dict[tuple[int, str], list[ArtefactFigures]] = defaultdict(list)
     varied: dict[int, list[list[float]]] = defaultdict(list)
@@ -120,7 +129,7 @@ def compare_plans(
         others = _sampled_calibrations(evaluator.calibrations)
         turns = list(product(problem.artefacts, range(repeats), (0, 1)))
         for done, (name, repeat, which) in enumerate(turns):
-            asked = name, plans[which], FIRST_SEED + repeat
+            asked = name, plans[which], LIMITS.first_seed + repeat
             found[which, name].append(evaluator.figures(*asked))
             if repeat == 0:  # while its frames are in memory
                 again = (evaluator.figures(*asked, other) for other in others)
@@ -136,7 +145,7 @@ def compare_plans(
 def _sampled_calibrations(known: StageCalibrations) -> list[StageCalibrations]:
     """Calibrations that could as well have been found."""
     random = np.random.default_rng(0)
-    return [] if known.is_exact else [known.sample(random) for _ in range(DRAWS)]
+    return [] if known.is_exact else [known.sample(random) for _ in range(LIMITS.calibration_draws)]
 
 
 def _check_comparable(before: Plan, after: Plan) -> None:

@@ -26,9 +26,6 @@ from fpplab.optimisation.candidate import Fringes
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
 
-CACHE_BYTES = 3 << 28
-"""Memory for frames, by default."""
-
 
 @dataclass(frozen=True)
 class MeasuringSetup:
@@ -59,7 +56,7 @@ class FringeSetCache:
         rig: Rig,
         template: Plan,
         arrange: Callable[[MeasuringSetup], None],
-        keep_bytes: int = CACHE_BYTES,
+        keep_bytes: int = 3 << 28,  # chosen: 0.8 GB of frames
     ) -> None:
         self._rig, self._template, self._arrange, self._limit = rig, template, arrange, keep_bytes
         self._seeded = rig.simulation if isinstance(rig.simulation, Seeded) else None

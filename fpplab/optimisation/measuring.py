@@ -26,7 +26,7 @@ from fpplab.optimisation.candidate import Candidate, Fringes, Score
 from fpplab.optimisation.fringe_cache import FringeSetCache, MeasuringSetup
 from fpplab.optimisation.limits import RigLimits
 from fpplab.optimisation.problem import SearchProblem
-from fpplab.optimisation.scoring import SAMPLES, ArtefactFigures, TrueShape
+from fpplab.optimisation.scoring import LIMITS, ArtefactFigures, TrueShape
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, check_unwrapping, decode
@@ -34,9 +34,6 @@ from fpplab.phase.bounds import PossibleCoordinates, widest
 from fpplab.reconstruction.depth_range import depth_bounds, first_stated
 from fpplab.reconstruction.points import points_of
 from fpplab.sessions.origin import SessionOrigin
-
-KEPT_SHAPES = 6
-"""True shapes, with what is precomputed for them, that are kept in memory."""
 
 
 def candidate_from_plan(plan: Plan) -> Candidate:
@@ -53,7 +50,7 @@ class RigEvaluator:
     otherwise it is what is also illuminated.
     """
 
-    def __init__(self, rig: str, problem: SearchProblem, samples: int | None = SAMPLES) -> None:
+    def __init__(self, rig: str, problem: SearchProblem, samples: int | None = LIMITS.samples) -> None:
         self._file, self._problem, self._samples = rig, problem, samples
         self._first, self._stack = candidate_from_plan(problem.start), ExitStack()
         self._true_shapes: OrderedDict[tuple[str, float | None, float | None], TrueShape] = OrderedDict()
@@ -148,7 +145,7 @@ class RigEvaluator:
             calibration = self.calibrations.at(of.stage_mm, of.convergence_deg)
             self._true_shapes[key] = TrueShape(self._mesh(name), calibration, illuminated, self._samples)
         self._true_shapes.move_to_end(key)
-        while len(self._true_shapes) > KEPT_SHAPES:
+        while len(self._true_shapes) > 6:  # chosen, for the memory they take
             self._true_shapes.popitem(last=False)
         return self._true_shapes[key]
 

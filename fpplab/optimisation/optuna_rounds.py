@@ -16,9 +16,6 @@ from fpplab.optimisation.candidate_runner import CandidateRunner
 from fpplab.optimisation.figures import MeasuredCandidate
 from fpplab.optimisation.space import Parameter
 
-MAX_REFUSED_PER_POINT = 50
-"""Proposals for each point of a round after which the sampler counts as exhausted."""
-
 
 @contextmanager
 def quiet_optuna() -> Iterator[None]:
@@ -53,7 +50,7 @@ def measure_round(study: Any, runner: CandidateRunner, size: int) -> list[Measur
     A point that the rig or the study does not allow is told as failed, and another one is asked for.
     """
     asked: list[tuple[Any, Point]] = []
-    for _ in range(MAX_REFUSED_PER_POINT * size):
+    for _ in range(50 * size):  # chosen: then the sampler counts as exhausted
         trial = study.ask()
         point = tuple(_suggested(trial, parameter) for parameter in runner.space.parameters)
         if runner.is_feasible(point):

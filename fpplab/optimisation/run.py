@@ -34,8 +34,6 @@ from fpplab.optimisation.study import Study
 from fpplab.optimisation.verdict import diagnose_search
 from fpplab.pipeline import CALIBRATION, REPORT
 
-WORKER_BYTES = 4 << 30
-"""Memory of a process that measures on a simulation: light tables, and the frames of fringe sets."""
 JOURNAL = "study.jsonl"
 """Name of the journal in the folder of a front; that of a single plan is named as the plan."""
 
@@ -113,7 +111,8 @@ def run_search(
 def worker_count(limits: RigLimits, wanted: int | None) -> int:
     """Decide how many processes measure."""
     if wanted is None:
-        fit = psutil.virtual_memory().available // WORKER_BYTES
+        # 4 GiB for each process, chosen: light tables, and the frames of fringe sets.
+        fit = psutil.virtual_memory().available // (4 << 30)
         return max(1, min(os.cpu_count() or 1, fit)) if limits.allows_copies else 1
     if wanted > 1 and not limits.allows_copies:
         raise ConfigError(

@@ -11,17 +11,26 @@ import os
 import socket
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import astuple
+from dataclasses import astuple, dataclass
 from typing import Any, Protocol
 
 from fpplab.core.errors import CalibrationError, DataError, DeviceError
 from fpplab.optimisation.candidate import Candidate, Evaluator, Score
 from fpplab.optimisation.storage import ScoresOrReason
 
-CONNECT_TIMEOUT_S = 10.0
-"""Seconds that a scheduler may take to answer, and to have a worker."""
-MAX_WORKER_DEATHS = 10
-"""Workers that may die of one measurement before it is given up."""
+
+@dataclass(frozen=True)
+class SchedulingLimits:
+    """Limits of a scheduler and of its workers."""
+
+    connect_timeout_s: float = 10.0
+    """Time that a scheduler may take to answer, and to have a worker. Chosen."""
+    max_worker_deaths: int = 10
+    """Workers that may die of one measurement before it is given up. Chosen."""
+
+
+LIMITS = SchedulingLimits()
+
 WORKER_ENVIRONMENT = {
     "MALLOC_ARENA_MAX": 1,
     "MALLOC_MMAP_THRESHOLD_": 32 << 20,
@@ -139,7 +148,7 @@ class DaskWorkers:
         with ExitStack() as opening:
             spawned = "distributed.nanny.pre-spawn-environ"  # must be set before the process starts
             settings = {f"{spawned}.{name}": value for name, value in WORKER_ENVIRONMENT.items()}
-            settings["distributed.scheduler.allowed-failures"] = MAX_WORKER_DEATHS
+            settings["distributed.scheduler.allowed-failures"] = LIMITS.max_worker_deaths
             opening.enter_context(dask.config.set(settings))
             where: Any = address or opening.enter_context(_start_processes(library, workers))
             self._client: Any = opening.enter_context(_connect(library, where))
@@ -152,7 +161,7 @@ class DaskWorkers:
         from distributed import TimeoutError as DaskTimeoutError
 
         try:
-            self._client.wait_for_workers(1, timeout=CONNECT_TIMEOUT_S)
+            self._client.wait_for_workers(1, timeout=LIMITS.connect_timeout_s)
         except DaskTimeoutError as error:
             raise DeviceError(
                 "scheduler",
@@ -183,7 +192,7 @@ class DaskWorkers:
             raise DeviceError(
                 "scheduler",
                 "measure",
-                f"{MAX_WORKER_DEATHS} workers died of one measurement",
+                f"{LIMITS.max_worker_deaths} workers died of one measurement",
                 "check their memory and their logs, and run the same command again",
             ) from error
         return found
@@ -201,7 +210,7 @@ def _connect(library: Any, where: Any) -> Any:
     try:
         if isinstance(where, str):
             _await_greeting(library.comm, where)
-        return library.Client(where, timeout=CONNECT_TIMEOUT_S)
+        return library.Client(where, timeout=LIMITS.connect_timeout_s)
     except (OSError, ValueError, ImportError) as error:
         raise DeviceError(
             "scheduler",
@@ -213,7 +222,7 @@ def _connect(library: Any, where: Any) -> Any:
 
 def _await_greeting(addresses: Any, where: str) -> None:
     """Wait until a scheduler greets: the library's client waits for ever where something else listens."""
-    with socket.create_connection(addresses.get_address_host_port(where), CONNECT_TIMEOUT_S) as asked:
+    with socket.create_connection(addresses.get_address_host_port(where), LIMITS.connect_timeout_s) as asked:
         encrypted = addresses.parse_address(where)[0] != "tcp"  # then the client speaks first
         if not encrypted and not asked.recv(1):
             raise OSError("what listens there is no scheduler")

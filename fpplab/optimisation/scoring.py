@@ -22,8 +22,10 @@ from scipy.spatial import cKDTree
 
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
-from fpplab.comparison.alignment import FINE_ROUNDS, AlignmentMesh, refine_pose
-from fpplab.comparison.compare import DENSITY_PER_MM2, NEAR_MM, visible_samples
+from fpplab.comparison.alignment import LIMITS as ALIGNMENT
+from fpplab.comparison.alignment import AlignmentMesh, refine_pose
+from fpplab.comparison.compare import LIMITS as COMPARISON
+from fpplab.comparison.compare import visible_samples
 from fpplab.comparison.neighbours import nearest
 from fpplab.comparison.surfaces import distance_to_surface
 from fpplab.comparison.visibility import RayTracedShape
@@ -37,13 +39,22 @@ from fpplab.reconstruction.filtering import removal
 from fpplab.reconstruction.points import points_of
 from fpplab.reconstruction.triangulation import camera_rays, camera_slopes
 
-SAMPLES = 12_000
-"""Approximate number of pixels, and of points of the true surface, that are compared."""
-ALIGNMENT_POINTS = 4_000
-"""Approximate number of points by which the shape is aligned: to about a thirtieth of one point's noise."""
-NEAR_SPACINGS = 2.0
-"""A point of the shape counts if a surface sample that counts lies within so many mean sample distances."""
-_UM = 1e3
+
+@dataclass(frozen=True)
+class ScoringLimits:
+    """Sizes of the samples that a measurement is scored with."""
+
+    samples: int = 12_000
+    """Approximate number of pixels, and of points of the true surface, that are compared. Chosen."""
+    alignment_points: int = 4_000
+    """Approximate number of points by which the shape is aligned. Derived: its pose has about a thirtieth of
+    one point's noise."""
+    near_spacings: float = 2.0
+    """A point of the shape counts if a surface sample that counts lies within so many mean sample distances.
+    Chosen."""
+
+
+LIMITS = ScoringLimits()
 
 
 CoordinateBounds = dict[Axis, tuple[Map, Map]]
@@ -68,13 +79,13 @@ class TrueShape:
         mesh: trimesh.Trimesh,
         calibration: Calibration,
         illuminated: bool = True,
-        samples: int | None = SAMPLES,
-        density: float = DENSITY_PER_MM2,
+        samples: int | None = LIMITS.samples,
+        density: float = COMPARISON.density_per_mm2,
     ) -> None:
         shape, random = RayTracedShape(mesh), np.random.default_rng(0)
         self._shape, self._target = shape, AlignmentMesh(mesh)
         self._surface = visible_samples(mesh, shape, calibration, density, 0, illuminated).samples
-        self._near_mm = NEAR_SPACINGS / np.sqrt(density)
+        self._near_mm = LIMITS.near_spacings / np.sqrt(density)
         self._hits = _hits(shape, calibration)
         self._on_shape: Mask = np.isfinite(self._hits[..., 2])
         self._compared: Mask = self._on_shape & _random_subset(self._on_shape, samples, random)
@@ -124,8 +135,8 @@ class TrueShape:
         hits = self._hits[self._on_shape]
         perfect = hits[nearest(hits, self._surface)[0] < self._near_mm]
         back = nearest(self._sampled, perfect)[0]
-        few = perfect[:: max(1, len(perfect) // SAMPLES)]
-        return _UM * float(self._tree.query(few)[0].mean() + back.mean()) / 2.0
+        few = perfect[:: max(1, len(perfect) // LIMITS.samples)]
+        return 1e3 * float(self._tree.query(few)[0].mean() + back.mean()) / 2.0
 
     def score(
         self, decoded: Decoded, plan: Plan, calibration: Calibration, align: bool = True
@@ -165,20 +176,20 @@ class TrueShape:
         spread = np.sqrt(error.var() / len(error) + back.var() / len(back)) / 2.0
         return ArtefactFigures(
             points=int(np.count_nonzero(counted)),
-            surface_smcd_um=_UM * float(error.mean() + back.mean()) / 2.0,
-            smcd_um=_UM * float(self._tree.query(measured)[0].mean() + to_points.mean()) / 2.0,
+            surface_smcd_um=1e3 * float(error.mean() + back.mean()) / 2.0,
+            smcd_um=1e3 * float(self._tree.query(measured)[0].mean() + to_points.mean()) / 2.0,
             smcd_floor_um=self.floor_um,
-            surface_rms_um=_UM * float(np.sqrt(np.mean(error**2))),
-            completeness=float(np.mean(back <= NEAR_MM)),
+            surface_rms_um=1e3 * float(np.sqrt(np.mean(error**2))),
+            completeness=float(np.mean(back <= COMPARISON.near_mm)),
             wrong_orders=self._wrong_orders(decoded, plan, calibration, cloud.pixels[counted], T_true_camera),
             outliers=outliers,
-            surface_spread_um=_UM * float(spread),
+            surface_spread_um=1e3 * float(spread),
         )
 
     def _align(self, points: Floats) -> RigidTransform:
         """Find the transformation that brings the points onto the shape."""
-        few = points[:: max(1, len(points) // ALIGNMENT_POINTS)]
-        return refine_pose(few, self._target, RigidTransform.identity(), FINE_ROUNDS)[0]
+        few = points[:: max(1, len(points) // LIMITS.alignment_points)]
+        return refine_pose(few, self._target, RigidTransform.identity(), ALIGNMENT.fine_rounds)[0]
 
     def _wrong_orders(
         self,

@@ -33,12 +33,26 @@ from fpplab.patterns.fringes import Pattern, make_patterns
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
 
-BANDS, ROWS, BORDER = 2, 14, 3
-"""Parts of the image for each artefact, their rows, and how many at each edge serve as neighbours alone."""
-DENSITY_PER_MM2 = 60.0
-"""Samples of the true surface: some thousands in each part."""
-MOST_SETS, KEPT_SETS = 8, 32
-"""Fringe sets of a candidate at most, by which their noise is numbered, and sets whose patterns are kept."""
+
+@dataclass(frozen=True)
+class ScreeningLimits:
+    """Sizes of what a screening simulates."""
+
+    bands: int = 2
+    """Parts of the image for each artefact. Chosen."""
+    rows: int = 14
+    """Rows of such a part. Chosen."""
+    border: int = 3
+    """Rows and columns at each edge of a part that serve as neighbours alone. Chosen."""
+    density_per_mm2: float = 60.0
+    """Samples of the true surface. Chosen: some thousands in each part."""
+    max_sets: int = 8
+    """Fringe sets of a candidate, by which their noise is numbered: the greatest number in study files."""
+    kept_sets: int = 32
+    """Fringe sets whose patterns are kept in memory. Chosen."""
+
+
+LIMITS = ScreeningLimits()
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +127,7 @@ class SampledEvaluator:
 
     def _recorded(self, name: str, candidate: Candidate, seed: int, part: _ImagePart) -> Recording:
         plan, sampler = candidate.plan(self._problem.start), self._sampler(seed)
-        settings, first = self._rig.camera_settings(plan.exposure_s, plan.bits), MOST_SETS * (seed + 1)
+        settings, first = self._rig.camera_settings(plan.exposure_s, plan.bits), LIMITS.max_sets * (seed + 1)
         frames = [
             frame
             for number, fringes in enumerate(candidate.fringes, first)
@@ -131,14 +145,16 @@ class SampledEvaluator:
             plan = self._problem.start.model_copy(update={"fringes": (one,)})
             self._patterns[fringes] = tuple(make_patterns(plan, caps.size, caps.lattice))
         self._patterns.move_to_end(fringes)
-        while len(self._patterns) > KEPT_SETS:
+        while len(self._patterns) > LIMITS.kept_sets:
             self._patterns.popitem(last=False)
         return self._patterns[fringes]
 
     def _parts_of(self, name: str) -> list[_ImagePart]:
         if name not in self._parts:
             known = self._sampler(0).calibration
-            shape = TrueShape(self._sampler(0).mesh(name), known, samples=None, density=DENSITY_PER_MM2)
+            shape = TrueShape(
+                self._sampler(0).mesh(name), known, samples=None, density=LIMITS.density_per_mm2
+            )
             self._parts[name] = _image_parts(shape, known)
         return self._parts[name]
 
@@ -158,19 +174,19 @@ def _image_parts(shape: TrueShape, calibration: Calibration) -> list[_ImagePart]
     """Choose bands of rows, evenly spread over what is seen of a shape, as wide as it is."""
     height, width = shape.visible.shape
     seen_rows, seen_columns = (np.flatnonzero(shape.visible.any(axis=axis)) for axis in (1, 0))
-    left, right = max(0, seen_columns[0] - BORDER), min(width, seen_columns[-1] + 1 + BORDER)
-    share = (np.arange(BANDS) + 0.5) / BANDS
+    left, right = max(0, seen_columns[0] - LIMITS.border), min(width, seen_columns[-1] + 1 + LIMITS.border)
+    share = (np.arange(LIMITS.bands) + 0.5) / LIMITS.bands
     middles = seen_rows[0] + share * (seen_rows[-1] - seen_rows[0])
-    tops = np.clip(np.rint(middles - ROWS / 2), 0, height - ROWS).astype(int)
+    tops = np.clip(np.rint(middles - LIMITS.rows / 2), 0, height - LIMITS.rows).astype(int)
     parts = []
     for top in tops.tolist():
-        corner, size = (int(left), top), (int(right - left), ROWS)
+        corner, size = (int(left), top), (int(right - left), LIMITS.rows)
         cropped = replace(calibration, camera=calibration.camera.cropped(corner, size))
         with suppress(DataError):  # in the shadow
-            part = shape.part(cropped.camera, corner, BORDER)
-            parts.append(_ImagePart(np.arange(top, top + ROWS), np.arange(left, right), cropped, part))
+            part = shape.part(cropped.camera, corner, LIMITS.border)
+            parts.append(_ImagePart(np.arange(top, top + LIMITS.rows), np.arange(left, right), cropped, part))
     if not parts:
-        raise DataError(f"no band of {ROWS} rows of the image sees lit surface of the shape")
+        raise DataError(f"no band of {LIMITS.rows} rows of the image sees lit surface of the shape")
     return parts
 
 

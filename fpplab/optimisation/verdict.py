@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,17 +23,27 @@ from fpplab.optimisation.figures import MeasuredCandidate, seed_means
 from fpplab.optimisation.result import SearchResult
 from fpplab.optimisation.space import Parameter
 
-SURE = 2.0
-"""Standard uncertainties by which two figures must differ to be told apart."""
-NEIGHBOUR = 0.1
-"""Distance of neighbours, as a share of the ranges: a search itself takes finer steps, and they are alike.
-"""
-FAILED_SHARE = 0.5
-"""Share of candidates that may fail."""
-FEWEST_STEPS = 3
-"""Of a phase-shifted set: its bound is no border that could be widened."""
-BEYOND = 0.05
-"""How far beyond a border a rig is asked for, as a share of the range."""
+
+@dataclass(frozen=True)
+class VerdictLimits:
+    """Limits by which the result of a search is judged."""
+
+    significance: float = 2.0
+    """Standard uncertainties by which two figures must differ to count as different. Chosen: 5 % by
+    chance."""
+    min_neighbour_distance: float = 0.1
+    """Distance of neighbours, as a share of the ranges. Chosen: a search itself takes finer steps, whose
+    figures do not differ."""
+    max_failed_share: float = 0.5
+    """Share of candidates that may fail. Chosen."""
+    min_steps: int = 3
+    """Steps of a phase-shifted set. Derived: it has three unknowns, so that this bound cannot be widened."""
+    beyond_border: float = 0.05
+    """How far beyond a border the rig is asked whether it could go, as a share of the range. Chosen."""
+
+
+LIMITS = VerdictLimits()
+
 DISTANCE = "surface_smcd_um"
 RUINOUS = {NO_GAIN: 1.0 + 1e-9, NOT_CONFIRMED: 1.0 + 1e-9}
 """What is worse than the start beyond its uncertainty has an excess of more than 1 and is of no use."""
@@ -72,7 +82,7 @@ def _gain(found: SearchResult) -> Iterator[Finding]:
     gain = found.gain
     if gain is None or gain.uncertainty_um is None:
         return
-    worse = -gain.down_um / max(SURE * gain.uncertainty_um, 1e-9)
+    worse = -gain.down_um / max(LIMITS.significance * gain.uncertainty_um, 1e-9)
     words = (
         f"with other seeds the optimum is {gain.down_um:.2f} ± {gain.uncertainty_um:.2g} µm nearer to the "
         "surface than the start"
@@ -95,13 +105,13 @@ def _neighbours(found: SearchResult) -> Iterator[Finding]:
         trial: distance
         for trial in found.trials
         if found.ranking.is_acceptable(trial)
-        and (distance := _distance(parameters, trial.point, best.point)) >= NEIGHBOUR
+        and (distance := _distance(parameters, trial.point, best.point)) >= LIMITS.min_neighbour_distance
     }
     nearest = sorted(away, key=lambda trial: away[trial])[: 2 * len(parameters)]
     alike = []
     for trial in nearest:
         by, sigma = _difference(trial, best)
-        if by <= SURE * sigma:
+        if by <= LIMITS.significance * sigma:
             alike.append((trial, by, sigma))
     if alike:
         trial, by, sigma = alike[0]
@@ -139,11 +149,11 @@ def _borders(found: SearchResult) -> Iterator[Finding]:
         for border, outwards in ((parameter.lower, -1.0), (parameter.upper, 1.0)):
             if value != border or parameter.name == "axis":
                 continue
-            step = 1.0 if parameter.is_integer else BEYOND * (parameter.upper - parameter.lower)
+            step = 1.0 if parameter.is_integer else LIMITS.beyond_border * (parameter.upper - parameter.lower)
             beyond = value + outwards * step
             if beyond <= 0 and parameter.name != "stage_mm" and parameter.name != "convergence_deg":
                 continue
-            if parameter.name == "sets" or (parameter.name.startswith("steps") and beyond < FEWEST_STEPS):
+            if parameter.name == "sets" or (parameter.name.startswith("steps") and beyond < LIMITS.min_steps):
                 continue
             point = (*found.optimum.point[:i], beyond, *found.optimum.point[i + 1 :])
             if space.refusal(space.candidate(point)) is None:
@@ -179,15 +189,15 @@ def _limits(found: SearchResult) -> Iterator[Finding]:
 def _failed(found: SearchResult) -> Iterator[Finding]:
     failed = [trial for trial in found.trials if trial.failed]
     share = len(failed) / max(len(found.trials), 1)
-    if share > FAILED_SHARE:
+    if share > LIMITS.max_failed_share:
         words = f"{len(failed)} of {len(found.trials)} candidates could not be measured: {failed[-1].failed}"
-        yield Finding(FAILED_CANDIDATES, words, share / FAILED_SHARE)
+        yield Finding(FAILED_CANDIDATES, words, share / LIMITS.max_failed_share)
 
 
 def _confirmed(found: SearchResult, confirmed: Sequence[ConfirmedPlan]) -> Iterator[Finding]:
     for one in confirmed:
         known = one.confirmation
-        worse = -known.gain / max(SURE * known.uncertainty, 1e-9)
+        worse = -known.gain / max(LIMITS.significance * known.uncertainty, 1e-9)
         gain = f"{100 * known.gain:.1f} ± {100 * known.uncertainty:.1f} %"
         words = f"on {one.rig} {one.plan.name} is {gain} nearer to the surface than the start's plan"
         if not _seeks_distance(found):

@@ -18,7 +18,7 @@ from fpplab.clouds import Cloud, load_mesh, save_cloud
 from fpplab.comparison import compare
 from fpplab.comparison.alignment import AlignmentMesh
 from fpplab.comparison.lengths import measure_lengths
-from fpplab.comparison.scale import CELLS_ACROSS, fit_scale
+from fpplab.comparison.scale import LIMITS, fit_scale
 from fpplab.core.conventions import Floats
 from fpplab.core.geometry import RigidTransform
 from tests.comparison.test_comparison import BEFORE_CAMERA, CALIBRATION, perfect_cloud, placed
@@ -85,7 +85,7 @@ def test_a_plane_and_a_single_sphere_have_no_scale() -> None:
     assert fit_scale(noisy(perfect_cloud(plate).points.astype(np.float64), 0), AlignmentMesh(plate)) is None
     few = perfect_cloud(placed("pyramid")).points[:10].astype(np.float64)
     assert fit_scale(few, AlignmentMesh(placed("pyramid"))) is None
-    assert CELLS_ACROSS >= 8
+    assert LIMITS.cells_across >= 8
 
 
 @pytest.mark.nightly

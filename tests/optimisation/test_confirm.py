@@ -104,7 +104,9 @@ def test_calibration_uncertainty_is_common_to_both_plans(
     found = compare_plans("rig", study(), BEFORE, AFTER, repeats=2)
     # 2 µm per px on both, so the gain moves by 2 (0.4 - 1)/100 per px.
     expected = 2.0 * 0.6 / 100.0 * SIGMA_PX
-    assert found.by_calibration == pytest.approx(expected, rel=4.0 / np.sqrt(2 * module.DRAWS))
+    assert found.by_calibration == pytest.approx(
+        expected, rel=4.0 / np.sqrt(2 * module.LIMITS.calibration_draws)
+    )
     assert found.uncertainty >= found.by_calibration
 
 

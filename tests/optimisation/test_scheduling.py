@@ -21,6 +21,7 @@ from fpplab.optimisation.scheduling import (
     DaskWorkers,
     EvaluatorFactory,
     InProcessWorkers,
+    SchedulingLimits,
     Task,
     Workers,
     make_workers,
@@ -138,7 +139,7 @@ def test_rig_fault_is_raised_from_the_worker_process(pair: DaskWorkers) -> None:
 
 
 def test_missing_scheduler_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scheduling, "CONNECT_TIMEOUT_S", 0.5)
+    monkeypatch.setattr(scheduling, "LIMITS", SchedulingLimits(connect_timeout_s=0.5))
     with socket.create_server(("127.0.0.1", 0)) as closed:
         port = closed.getsockname()[1]
     with pytest.raises(DeviceError, match=f"nothing answers at 'tcp://127.0.0.1:{port}'"):
@@ -147,7 +148,7 @@ def test_missing_scheduler_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.whole
 def test_scheduler_without_workers_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scheduling, "CONNECT_TIMEOUT_S", 0.5)
+    monkeypatch.setattr(scheduling, "LIMITS", SchedulingLimits(connect_timeout_s=0.5))
     distributed: Any = pytest.importorskip("distributed")
     with distributed.LocalCluster(n_workers=0, dashboard_address="127.0.0.1:0") as empty:
         address = empty.scheduler_address
@@ -168,13 +169,13 @@ def test_workers_of_an_existing_scheduler_measure(pair: DaskWorkers) -> None:
     "address", ["nonsense", "http://127.0.0.1:1", "tcp://127.0.0.1", "tcp://127.0.0.1:1"]
 )
 def test_invalid_scheduler_address_is_reported(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scheduling, "CONNECT_TIMEOUT_S", 0.5)
+    monkeypatch.setattr(scheduling, "LIMITS", SchedulingLimits(connect_timeout_s=0.5))
     with pytest.raises(DeviceError, match="start one with `dask scheduler`"):
         DaskWorkers(Formula(), address=address)
 
 
 def test_listener_that_is_no_scheduler_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scheduling, "CONNECT_TIMEOUT_S", 0.5)
+    monkeypatch.setattr(scheduling, "LIMITS", SchedulingLimits(connect_timeout_s=0.5))
     with socket.create_server(("127.0.0.1", 0)) as silent:
         address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
         with pytest.raises(DeviceError, match=f"nothing answers at '{address}'"):

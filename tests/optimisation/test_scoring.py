@@ -14,7 +14,7 @@ from fpplab.clouds import Cloud
 from fpplab.comparison import compare
 from fpplab.core.errors import DataError
 from fpplab.core.geometry import RigidTransform
-from fpplab.optimisation.scoring import SAMPLES, TrueShape
+from fpplab.optimisation.scoring import LIMITS, TrueShape
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import FilterRules, Plan
 from fpplab.phase import Decoded
@@ -52,7 +52,7 @@ def plate() -> trimesh.Trimesh:
 
 
 @cache
-def truth_of(name: str, lit: bool = True, samples: int | None = SAMPLES) -> TrueShape:
+def truth_of(name: str, lit: bool = True, samples: int | None = LIMITS.samples) -> TrueShape:
     return TrueShape(mesh_of(name), CALIBRATION, lit, samples, DENSITY)
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from pydantic import Field
@@ -19,12 +20,23 @@ from fpplab.optimisation.figures import MeasuredCandidate
 from fpplab.optimisation.search_method import SearchMethod
 from fpplab.optimisation.space import Parameter
 
-PENALTY = 10.0
-"""Penalty for a violation of 1 (see `CandidateRanking.violation`), as a multiple of the start's objective."""
-MAX_STEP = 0.1
-"""Longest step, as a share of a parameter's range: the slope of the penalty is much steeper than others."""
-HALVINGS = 5
-"""Lengths of a step that are tried, each half of the one before, until a point can be measured."""
+
+@dataclass(frozen=True)
+class GradientLimits:
+    """What the paper does not state of its descent."""
+
+    penalty: float = 10.0
+    """Penalty for a violation of 1 (see `CandidateRanking.violation`), as a multiple of the start's
+    objective. Chosen."""
+    max_step: float = 0.1
+    """Longest step, as a share of a parameter's range. Chosen: the slope of the penalty is much steeper than
+    others."""
+    halvings: int = 5
+    """Lengths of a step that are tried, each half of the one before, until a point can be measured.
+    Chosen."""
+
+
+LIMITS = GradientLimits()
 
 
 class Gradient(SearchMethod):
@@ -70,7 +82,7 @@ class Gradient(SearchMethod):
 def _objective(runner: CandidateRunner, trial: MeasuredCandidate) -> float:
     """Compute the objective in its own unit, with a penalty where the plan exceeds a limit."""
     value, own = runner.ranking.values(trial)[0], abs(runner.ranking.values(runner.start)[0])
-    return value + PENALTY * own * runner.ranking.violation(trial)
+    return value + LIMITS.penalty * own * runner.ranking.violation(trial)
 
 
 def _around(runner: CandidateRunner, point: Point, settings: Gradient) -> list[tuple[Point, Point]]:
@@ -111,14 +123,14 @@ def _move(
         return 0.0
     own = abs(runner.ranking.values(runner.start)[0])
     slope = (_objective(runner, high) - _objective(runner, low)) / own / width
-    down = min(max(-settings.rate * slope, -MAX_STEP), MAX_STEP)
+    down = min(max(-settings.rate * slope, -LIMITS.max_step), LIMITS.max_step)
     share = parameter.fraction(here.point[i])
     return min(max(share + down, 0.0), 1.0) - share
 
 
 def _measure_step(runner: CandidateRunner, point: Point, moves: Sequence[float]) -> MeasuredCandidate | None:
     """Measure the whole step, half of it, and so on, until one can be measured; None if none can."""
-    for halving in range(HALVINGS):
+    for halving in range(LIMITS.halvings):
         moved = runner.measure([_stepped(runner, point, moves, 0.5**halving)])[0]
         if moved.measured:
             return moved

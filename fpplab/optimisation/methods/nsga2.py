@@ -23,8 +23,6 @@ SINGLE_SEARCH = Coordinate(first=0.25, finest=0.02)
 """Of the single-parameter searches at the beginning."""
 REFINEMENT = Coordinate(first=0.08, finest=0.02)
 """Of the continuous parameters of each plan of the front at the end."""
-MAX_UNCHANGED = 3
-"""Generations without a change of the front after which evolution ends."""
 
 
 class Nsga2(SearchMethod):
@@ -36,6 +34,8 @@ class Nsga2(SearchMethod):
     """Candidates of a generation."""
 
     several_objectives: ClassVar[bool] = True
+    max_unchanged: ClassVar[int] = 3
+    """Generations without a change of the front after which evolution ends. Chosen."""
 
     def search(self, runner: CandidateRunner) -> str:
         """Search until the Pareto front no longer changes, then refine it."""
@@ -57,12 +57,12 @@ class Nsga2(SearchMethod):
             enqueue_points(study, runner, first)
             runner.epoch("seeds", measure_round(study, runner, max(len(first), self.population)))
             unchanged, front = 0, runner.front
-            while unchanged < MAX_UNCHANGED:
+            while unchanged < self.max_unchanged:
                 runner.epoch("generation", measure_round(study, runner, self.population))
                 unchanged = unchanged + 1 if runner.front == front else 0
                 front = runner.front
         _refine(runner)
-        return f"the front did not change for {MAX_UNCHANGED} generations, and was refined"
+        return f"the front did not change for {self.max_unchanged} generations, and was refined"
 
 
 def _refine(runner: CandidateRunner) -> None:
