@@ -13,9 +13,9 @@ from pydantic import BaseModel
 
 import fpplab
 from docs.generate.pages import DOCS
-from fpplab.acceptance.standard import Standard
 from fpplab.calibration.model import CalibrationFile
 from fpplab.cli import app
+from fpplab.comparison.acceptance.standard import Standard
 from fpplab.devices.rig import RigFile
 from fpplab.optimisation.study import Study
 from fpplab.patterns.plan import Plan

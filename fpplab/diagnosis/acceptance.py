@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fpplab.acceptance import QUANTITIES, Acceptance, MeasuredFeature, shared_variance
+from fpplab.comparison.acceptance import QUANTITIES, Acceptance, MeasuredFeature, shared_variance
 from fpplab.diagnosis.causes.of_acceptance import (
     FEW_POSITIONS,
     FORM,

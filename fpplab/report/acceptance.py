@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure as Sheet
 from numpy.typing import NDArray
 
-from fpplab.acceptance import (
+from fpplab.comparison.acceptance import (
     CONVENTIONS,
     QUANTITIES,
     VERDICTS,

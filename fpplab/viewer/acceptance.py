@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from fpplab.acceptance import VERDICTS, Acceptance, MeasuredFeature
 from fpplab.clouds import Cloud
+from fpplab.comparison.acceptance import VERDICTS, Acceptance, MeasuredFeature
 from fpplab.core.robust import error_limit
 from fpplab.phase import Decoded
 from fpplab.viewer import layouts

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fpplab.acceptance import Acceptance, BallBarTest, Standard, verify_ball_bar, verify_plane
 from fpplab.clouds import Cloud, save_cloud
+from fpplab.comparison.acceptance import Acceptance, BallBarTest, Standard, verify_ball_bar, verify_plane
 from fpplab.core import config
 from fpplab.diagnosis import Diagnosis, UselessScanError, Verdict
 from fpplab.diagnosis.acceptance import diagnose_acceptance
-from tests.acceptance.test_acceptance import (
+from tests.comparison.acceptance.test_acceptance import (
     PITCH,
     SIGMA,
     run,

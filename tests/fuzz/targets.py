@@ -40,8 +40,8 @@ def write(folder: Path, name: str, content: bytes) -> Path:
 
 def yaml(data: bytes, folder: Path) -> None:
     """The first byte says as which of the eight kinds the rest is read."""
-    from fpplab.acceptance.standard import Standard
     from fpplab.calibration.model import Calibration
+    from fpplab.comparison.acceptance.standard import Standard
     from fpplab.devices.rig import Rig
     from fpplab.optimisation.study import Study
     from fpplab.patterns.plan import Plan

@@ -16,9 +16,9 @@ from fpplab.cli.viewing import KeepOpen, ViewOption, open_viewer
 from fpplab.core.errors import ConfigError, DataError
 
 if TYPE_CHECKING:
-    from fpplab.acceptance import Acceptance, Standard
     from fpplab.calibration.model import Calibration
     from fpplab.clouds import Cloud
+    from fpplab.comparison.acceptance import Acceptance, Standard
     from fpplab.patterns.plan import Plan
     from fpplab.viewer.acceptance import AcceptanceView
     from fpplab.viewer.viewer import Viewer
@@ -79,8 +79,8 @@ def verify_command(
     --planes plane1/cloud.ply --out verify.html`;
     `fpplab verify --standard standard_demo --rig rig_demo --calibration calibration.yaml --out verify.html`
     """
-    from fpplab.acceptance import Standard
     from fpplab.calibration.model import Calibration
+    from fpplab.comparison.acceptance import Standard
     from fpplab.core.files import need_suffix, refuse_existing
     from fpplab.patterns.plan import Plan
 
@@ -97,7 +97,7 @@ def verify_command(
         bars, flats = _named(spheres or []), _named(planes or [])
         if rig:
             bars, flats = _measured(rig, known, model, Plan.load(plan), out, force, viewer)
-        from fpplab.acceptance import verify as judge
+        from fpplab.comparison.acceptance import verify as judge
         from fpplab.diagnosis.acceptance import diagnose_acceptance
         from fpplab.report.acceptance import write_acceptance_report
         from fpplab.results.provenance import source_provenance
@@ -202,7 +202,7 @@ def _measured(
 
 
 def _show(result: Acceptance, out: Path) -> None:
-    from fpplab.acceptance import VERDICTS
+    from fpplab.comparison.acceptance import VERDICTS
 
     rows = [
         [

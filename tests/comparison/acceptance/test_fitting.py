@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fpplab.acceptance import fit_plane, fit_sphere, fit_without_worst
-from fpplab.acceptance.fitting import DISCARDED_SHARE, peak_to_peak
+from fpplab.comparison.acceptance import fit_plane, fit_sphere, fit_without_worst
+from fpplab.comparison.acceptance.fitting import DISCARDED_SHARE, peak_to_peak
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import DataError
 from fpplab.core.geometry import RigidTransform

@@ -1,7 +1,7 @@
 """The acceptance test of a measuring system on a ball bar and a plane, after VDI/VDE 2634 part 2."""
 
-from fpplab.acceptance.fitting import Plane, Sphere, fit_plane, fit_sphere, fit_without_worst
-from fpplab.acceptance.results import (
+from fpplab.comparison.acceptance.fitting import Plane, Sphere, fit_plane, fit_sphere, fit_without_worst
+from fpplab.comparison.acceptance.results import (
     CONVENTIONS,
     VERDICTS,
     Acceptance,
@@ -11,8 +11,8 @@ from fpplab.acceptance.results import (
     SphereTest,
     shared_variance,
 )
-from fpplab.acceptance.standard import QUANTITIES, Standard
-from fpplab.acceptance.verification import verify, verify_ball_bar, verify_plane
+from fpplab.comparison.acceptance.standard import QUANTITIES, Standard
+from fpplab.comparison.acceptance.verification import verify, verify_ball_bar, verify_plane
 
 __all__ = [
     "CONVENTIONS",

@@ -13,12 +13,12 @@ from scipy.stats import norm
 from typer.testing import CliRunner
 
 from fpplab import artefacts
-from fpplab.acceptance import Standard, verify, verify_ball_bar, verify_plane
-from fpplab.acceptance.fitting import DISCARDED_SHARE
 from fpplab.artefacts.shapes.ball_bar import BallBar
 from fpplab.cli import app
 from fpplab.cli.lists import spread
 from fpplab.clouds import Cloud, save_cloud
+from fpplab.comparison.acceptance import Standard, verify, verify_ball_bar, verify_plane
+from fpplab.comparison.acceptance.fitting import DISCARDED_SHARE
 from fpplab.core import config
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import ConfigError, DataError

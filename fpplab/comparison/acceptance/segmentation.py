@@ -16,9 +16,9 @@ from scipy import ndimage
 from scipy.optimize import least_squares
 from scipy.spatial import cKDTree
 
-from fpplab.acceptance.fitting import Plane, fit_plane
-from fpplab.acceptance.standard import EvaluationRules
 from fpplab.clouds import Cloud
+from fpplab.comparison.acceptance.fitting import Plane, fit_plane
+from fpplab.comparison.acceptance.standard import EvaluationRules
 from fpplab.core.conventions import TWO_PI, Floats, Mask
 from fpplab.core.errors import DataError
 

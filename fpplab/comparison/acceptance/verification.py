@@ -20,21 +20,27 @@ from typing import TypeVar
 
 import numpy as np
 
-from fpplab.acceptance.fitting import (
+from fpplab.clouds import Cloud
+from fpplab.comparison.acceptance.fitting import (
     Sphere,
     fit_plane,
     fit_sphere,
 )
-from fpplab.acceptance.results import (
+from fpplab.comparison.acceptance.results import (
     Acceptance,
     BallBarTest,
     MeasuredFeature,
     PlaneTest,
     SphereTest,
 )
-from fpplab.acceptance.segmentation import find_plane, find_spheres, normals_of, plane_face, sphere_cap
-from fpplab.acceptance.standard import Standard
-from fpplab.clouds import Cloud
+from fpplab.comparison.acceptance.segmentation import (
+    find_plane,
+    find_spheres,
+    normals_of,
+    plane_face,
+    sphere_cap,
+)
+from fpplab.comparison.acceptance.standard import Standard
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import ConfigError, DataError
 

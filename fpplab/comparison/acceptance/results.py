@@ -9,15 +9,15 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.acceptance.fitting import (
+from fpplab.clouds import Cloud
+from fpplab.comparison.acceptance.fitting import (
     FittedFeature,
     Plane,
     Sphere,
     fit_without_worst,
     peak_to_peak,
 )
-from fpplab.acceptance.standard import QUANTITIES, Standard
-from fpplab.clouds import Cloud
+from fpplab.comparison.acceptance.standard import QUANTITIES, Standard
 from fpplab.core.conventions import Floats, Mask
 
 CONVENTIONS = {
