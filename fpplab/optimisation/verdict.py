@@ -25,7 +25,7 @@ from fpplab.optimisation.space import Parameter
 
 
 @dataclass(frozen=True)
-class VerdictLimits:
+class SearchVerdictLimits:
     """Limits by which the result of a search is judged."""
 
     significance: float = 2.0
@@ -42,7 +42,7 @@ class VerdictLimits:
     """How far beyond a border the rig is asked whether it could go, as a share of the range. Chosen."""
 
 
-LIMITS = VerdictLimits()
+LIMITS = SearchVerdictLimits()
 
 DISTANCE = "surface_smcd_um"
 RUINOUS = {NO_GAIN: 1.0 + 1e-9, NOT_CONFIRMED: 1.0 + 1e-9}
