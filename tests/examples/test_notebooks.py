@@ -14,6 +14,7 @@ from tests.support.commands import ROOT, Demo
 NOTEBOOKS = sorted((ROOT / "examples").glob("*.ipynb"))
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_it_is_a_notebook_without_outputs(path: Path) -> None:
     import nbformat  # takes seconds

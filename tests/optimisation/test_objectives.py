@@ -73,6 +73,7 @@ except ConfigError as error:
 """
 
 
+@pytest.mark.whole
 def test_one_file_adds_an_objective(tmp_path: Path) -> None:
     ignored = shutil.ignore_patterns("__pycache__")
     package = shutil.copytree(Path(fpplab.__file__).parent, tmp_path / "fpplab", ignore=ignored)

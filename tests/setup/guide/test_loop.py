@@ -74,6 +74,7 @@ def test_every_pose_lessens_the_uncertainty_and_residuals_are_as_predicted(
     assert all(one.rms_px for one in accepted)
 
 
+@pytest.mark.whole
 def test_what_was_asked_for_and_not_reached_is_said(run: tuple[GuidedRun, list[str], Path]) -> None:
     found, said, _ = run
     assert not found.reached

@@ -79,6 +79,7 @@ def test_a_killed_command_is_completed_to_the_same_bytes(fpplab: Command, folder
     assert killed == direct
 
 
+@pytest.mark.whole_after(1)
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [

@@ -140,6 +140,7 @@ def test_a_surface_that_cannot_be_matched_is_told_before_the_work(
     assert not (tmp_path / "twin").exists()
 
 
+@pytest.mark.whole
 def test_what_cannot_be_predicted_is_told(fpplab: Command, folder: Path) -> None:
     call = ("predict", "--rig", folder / "rig.yaml", "--plan", folder / "plan.yaml", "--json")
     missing = fpplab(*call, "--item", "cup")

@@ -250,6 +250,7 @@ def test_scenes_are_drawn_within_their_ranges(seed: int, index: int) -> None:
     assert visible.mean() >= 0.5
 
 
+@pytest.mark.whole
 def test_draft_of_a_killed_process_is_started_again(boards: Dataset, tmp_path: Path) -> None:
     out = tmp_path / "set"
     copied(boards, out)
