@@ -19,6 +19,7 @@ from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Findi
 from fpplab.diagnosis.limits import CountLimit, LimitsSection, ShareLimit
 from fpplab.diagnosis.plan import PlanCheck, check_plan_fit
 from fpplab.diagnosis.plan.edits import Edit
+from fpplab.diagnosis.plan.limits import PlanCheckLimits
 from fpplab.patterns.plan import Plan
 from fpplab.phase import Decoded
 
@@ -61,7 +62,7 @@ def _find(evidence: Evidence, found: Sequence[Finding]) -> Iterator[Finding]:
     against = _runs_against(decoded, calibration, recording.plan.axes, evidence)
     if against is None and not _is_suspicious(evidence, decoded, limits):
         return
-    check = check_plan_fit(recording)
+    check = check_plan_fit(recording, evidence.limits)
     if FLICKER in named and check is not None and _moves_origins_alone(check.better, recording.plan):
         return
     is_bent = RESPONSE in named or HARMONICS in named
@@ -140,7 +141,7 @@ WRONG_PLAN = FaultCause(
     measured="disagreement of the fringe sets by the plan, beside that by the plans next to it; the "
     "direction of the fringes beside the calibration's. Looked at where less than half of the lit pixels "
     f"become points, or the sets disagree by {WrongPlanLimits().max_disagreement:g} times their noise",
-    limit="0.6 of it",
+    limit=f"{PlanCheckLimits().max_better_ratio:g} of it",
     seen_in="frames",
     detectors=(Detector(DetectionStage.PLAN, _find),),
     picture=Picture(Needs.FRAMES, _draw),

@@ -15,7 +15,9 @@ from typing import NamedTuple
 import numpy as np
 
 from fpplab.core.errors import ConfigError
+from fpplab.diagnosis.limits import USUAL_LIMITS, DiagnosisLimits
 from fpplab.diagnosis.plan.edits import Edit, Sets, edits, finest_of, is_mirrored, upright
+from fpplab.diagnosis.plan.limits import PlanCheckLimits
 from fpplab.diagnosis.plan.sample import PhaseSample, directions
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
@@ -23,23 +25,12 @@ from fpplab.patterns.recording import Recording
 from fpplab.patterns.unwrapping import unwrapping_methods
 from fpplab.phase import decode
 
-AGREES = 1.5
-"""Median disagreement of the sets, in units of what noise explains, up to which nothing else is tried."""
-MOST_AGREEING = 15.0
-"""Greatest disagreement of a plan that is proposed: right ones reach it where the response is bent."""
-MUCH_BETTER = 0.6
-"""A plan that fits better has at most this share of the disagreement."""
-LOWER = 0.3
-"""And by this quantile of the pixels: where masks leave about half of them, the median is no guide."""
-AS_GOOD = 1.5
-"""Of plans whose disagreement is within this factor of the least, the simplest is told."""
-
 
 class Disagreement(NamedTuple):
     """How much the sets disagree at the lit pixels, in units of what noise explains; infinite where lost."""
 
     lower: float
-    """At the `LOWER` quantile of the pixels."""
+    """At the lower quantile of the limits."""
     median: float
     """At half of them."""
 
@@ -81,34 +72,36 @@ class PlanCheck:
         )
 
 
-def check_plan_fit(recording: Recording) -> PlanCheck | None:
+def check_plan_fit(recording: Recording, limits: DiagnosisLimits = USUAL_LIMITS) -> PlanCheck | None:
     """Ask the images of a recording whether their plan describes them."""
     sets = tuple(s for s in recording.plan.fringes if isinstance(s, Sinusoid))
     if len(sets) < len(recording.plan.fringes):
         return None
-    sample = PhaseSample.of(recording.frames, [s.images for s in sets], recording.full_scale)
+    own = limits.of(PlanCheckLimits)
+    sample = PhaseSample.of(recording.frames, [s.images for s in sets], recording.full_scale, own)
     if sample is None:
         return None
     few = replace(recording, frames=[np.ascontiguousarray(f[sample.rows]) for f in recording.frames])
     given = disagreement(few, recording.plan, sample)
-    if given.median > AGREES and (found := _better(few, sets, sample, given)):
+    if given.median > own.max_agreeing and (found := _better(few, sets, sample, given)):
         return found
     return _orientation(sets, sample, given.median)
 
 
 def _better(few: Recording, sets: Sets, sample: PhaseSample, given: Disagreement) -> PlanCheck | None:
     """Find the simplest of the plans that fit much better."""
+    limits = sample.limits
     tried = [(edit, disagreement(few, edit.plan(few.plan), sample)) for edit in edits(sets, sample)]
     fitting = [
         (edit, found.median)
         for edit, found in tried
-        if found.median <= min(MUCH_BETTER * given.median, MOST_AGREEING)
-        and found.lower <= MUCH_BETTER * given.lower
+        if found.median <= min(limits.max_better_ratio * given.median, limits.max_proposed)
+        and found.lower <= limits.max_better_ratio * given.lower
     ]
     if not fitting:
         return None
     least = min(d for _, d in fitting)
-    good = [(edit, d) for edit, d in fitting if d <= AS_GOOD * max(least, 1.0)]
+    good = [(edit, d) for edit, d in fitting if d <= limits.max_equal_ratio * max(least, 1.0)]
     # Reversed and late steps differ in the direction of the fringes alone.
     standing = [one for one in good if _orientation(one[0].sets, sample, one[1]).unusual is None]
     return PlanCheck(given.median, *(standing or good)[0])
@@ -130,7 +123,7 @@ def disagreement(few: Recording, plan: Plan, sample: PhaseSample) -> Disagreemen
         return Disagreement(np.inf, np.inf)
     assert decoded.disagreement is not None
     found = np.nan_to_num(decoded.disagreement[sample.lit], nan=np.inf, posinf=np.inf)
-    return Disagreement(*np.quantile(found, (LOWER, 0.5), method="higher").tolist())
+    return Disagreement(*np.quantile(found, (sample.limits.lower_quantile, 0.5), method="higher").tolist())
 
 
 def _shown(value: float) -> str:

@@ -1,4 +1,4 @@
-"""Mistakes that people make in plans, each as the edit that mends it."""
+"""Mistakes that people make in plans, each as the edit that corrects it."""
 
 from __future__ import annotations
 
@@ -12,15 +12,6 @@ from fpplab.core.conventions import AXES, TWO_PI, Axis, Floats
 from fpplab.diagnosis.plan.sample import Direction, PhaseSample, directions, wrapped
 from fpplab.patterns.fringe_sets import Sinusoid, indices_along
 from fpplab.patterns.plan import Plan
-
-SAME_STRIPES = 0.005
-"""Relative difference of stripes from which on they are measured anew."""
-ORIGIN_RAD = 0.3
-"""Least phase origin that is told."""
-SEARCHED = 0.04
-"""Share of the stripes by which the search for better ones reaches to each side, at least one."""
-USUAL = 0.85
-"""Whole stripes without a phase origin are believed where they agree by this share of the best."""
 
 Sets = tuple[Sinusoid, ...]
 
@@ -132,7 +123,7 @@ def _other_stripes(sets: Sets, seen: list[Direction], sample: PhaseSample) -> It
         if not others:
             continue
         about = seen[k].speed / float(np.median([seen[j].speed / sets[j].stripes for j in others]))
-        if abs(about / one.stripes - 1.0) <= SAME_STRIPES:
+        if abs(about / one.stripes - 1.0) <= sample.limits.max_equal_stripes:
             continue
         for stripes in _stripes_near(sets, others, k, about, sample):
             if one.stripes > 1.0:
@@ -170,12 +161,12 @@ def refined_stripes(sets: Sets, along: Sequence[int], k: int, about: float, samp
     def agreement(stripes: float) -> complex:
         return complex(np.mean(np.exp(1j * (phase - stripes * position))))
 
-    reach = max(SEARCHED * about, 1.0)
+    reach = max(sample.limits.stripes_searched * about, 1.0)
     whole = np.arange(max(round(about - reach), 1), round(about + reach) + 1)
     usual = max(whole, key=lambda stripes: agreement(stripes).real)  # a whole number, and no origin
     tried = np.linspace(about - reach, about + reach, 401)
     best = max(tried, key=lambda stripes: abs(agreement(stripes)))
-    if agreement(usual).real >= USUAL * abs(agreement(best)):
+    if agreement(usual).real >= sample.limits.min_whole_agreement * abs(agreement(best)):
         return float(usual)
     return _nearly_whole(float(best))
 
@@ -215,7 +206,7 @@ def with_origins(sets: Sets, sample: PhaseSample) -> Sets:
             predicted = unwrapped(found, along[:last], sample) * sets[fine].stripes / sets[coarse].stripes
             left = phases_of(found, sample)[fine] - predicted
             origin = float(np.angle(np.mean(np.exp(1j * left))))
-            if abs(origin) > ORIGIN_RAD:
+            if abs(origin) > sample.limits.min_origin_rad:
                 found[fine] = _moved(found[fine], origin)
     return tuple(found)
 

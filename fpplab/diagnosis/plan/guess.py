@@ -14,7 +14,7 @@ import numpy as np
 
 from fpplab.core.conventions import AXES, Floats, Image, full_scale, phase_steps
 from fpplab.core.errors import DataError
-from fpplab.diagnosis.plan.check import AGREES, disagreement
+from fpplab.diagnosis.plan.check import disagreement
 from fpplab.diagnosis.plan.edits import Sets, refined_stripes, upright, with_origins
 from fpplab.diagnosis.plan.other_patterns import name_other_patterns
 from fpplab.diagnosis.plan.sample import PhaseSample, directions
@@ -24,20 +24,20 @@ from fpplab.patterns.recording import Recording
 from fpplab.patterns.unwrapping.heterodyne import Heterodyne
 from fpplab.patterns.unwrapping.hierarchical import Hierarchical
 
-PIXELS = 4_000
-"""About as many pixels decide which images form a set."""
-MISFIT = 0.04
-"""Misfit of a sinusoid, as a share of its modulation, that is usual."""
-PER_SET = 12.0
-"""By how many squares of the usual misfit another set must lessen what is left."""
-WORST_MISFIT = 0.2
-"""RMS misfit, as a share of the modulation, up to which images are taken for sets of sinusoids."""
-FEWEST_STEPS = 3
-WHOLE = 0.004
-"""Greatest relative difference from whole numbers of stripes."""
-MOST_STRIPES = 400
-VISIBLE_TURNS = 1.2
-"""Periods of the coarsest set that may be seen if it has one stripe: gradients are known to a tenth."""
+PIXELS = 4_000  # that decide which images form a set, about
+MIN_STEPS = 3  # of a set: three unknowns
+MAX_STRIPES = 400  # of a coarsest set that is tried
+USUAL_MISFIT = 0.04
+"""Misfit of a sinusoid, as a share of its modulation. Measured on captures of a real rig."""
+MIN_SQUARES_PER_SET = 12.0
+"""Squares of the usual misfit by which another set must reduce the misfit. Chosen."""
+MAX_MISFIT = 0.2
+"""RMS misfit, as a share of the modulation, up to which images are taken for sets of sinusoids. Chosen."""
+MAX_WHOLE_DIFFERENCE = 0.004
+"""Relative difference from whole numbers of stripes. Measured: gradients are known that well."""
+MAX_VISIBLE_PERIODS = 1.2
+"""Periods of the coarsest set that may be seen if it has one stripe. Derived: gradients are known to a
+tenth."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ def guess_plan(
         method = Hierarchical.name if coarsest <= 1.0 else Heterodyne.name
         plan = Plan(fringes=with_origins(sets, sample) if coarsest <= 1.0 else sets, unwrapping=method)
         found = disagreement(few, plan, sample).median
-        if not found > AGREES:
+        if not found > sample.limits.max_agreeing:
             return PlanGuess(plan, found, _assumed(coarsest, finest))
     raise DataError(
         f"the images show sets of {str(images)[1:-1]} steps, but how many stripes they have across the whole "
@@ -81,20 +81,20 @@ def _assumed(coarsest: float, finest: float | None) -> tuple[str, ...]:
         said.append("the coarsest set of each axis has one stripe across the whole projector")
     elif finest is None:
         said.append("stripes are the least whole numbers with the ratios that the images show")
-    return *said, "the phase of the coarsest set has no origin; a wrong one shifts all coordinates alike"
+    return *said, "the phase of the coarsest set has no origin; a wrong one shifts all coordinates equally"
 
 
 def set_sizes(frames: Sequence[Image], full: int) -> list[int]:
     """Find which runs of images are sets of phase-shifted sinusoids."""
     # frames (height, width)
     count = len(frames)
-    if count < FEWEST_STEPS:
-        raise DataError(f"{count} images are too few: a set has at least {FEWEST_STEPS}")
+    if count < MIN_STEPS:
+        raise DataError(f"{count} images are too few: a set has at least {MIN_STEPS}")
     moments = _moments(frames, full)
     cost, last = [0.0] + [np.inf] * count, [0] * (count + 1)
-    for end in range(FEWEST_STEPS, count + 1):
-        for start in range(end - FEWEST_STEPS + 1):
-            worth = cost[start] + _left(moments[start:end, start:end]) / MISFIT**2 + PER_SET
+    for end in range(MIN_STEPS, count + 1):
+        for start in range(end - MIN_STEPS + 1):
+            worth = cost[start] + _left(moments[start:end, start:end]) / USUAL_MISFIT**2 + MIN_SQUARES_PER_SET
             if worth < cost[end]:
                 cost[end], last[end] = worth, start
     sizes: list[int] = []
@@ -104,7 +104,7 @@ def set_sizes(frames: Sequence[Image], full: int) -> list[int]:
         end = last[end]
     starts = np.cumsum([0, *sizes])
     left = sum(_left(moments[a : a + n, a : a + n]) for a, n in zip(starts, sizes, strict=False))
-    if np.sqrt(left / max(count - 2 * len(sizes), 1)) > WORST_MISFIT:
+    if np.sqrt(left / max(count - 2 * len(sizes), 1)) > MAX_MISFIT:
         named = name_other_patterns(frames, full) or "leave out white, black and other images by --skip"
         raise DataError(
             f"the {count} images are not made up of sets of phase-shifted sinusoids with equal steps, one "
@@ -122,7 +122,7 @@ def _moments(frames: Sequence[Image], full: int) -> Floats:
     ripple = levels - levels.mean(axis=0)
     strength = np.sqrt(2.0 * np.mean(ripple * ripple, axis=0))
     lit = strength > 0.5 * np.quantile(strength, 0.95) if strength.size else np.zeros(0, np.bool_)
-    if lit.sum() < FEWEST_STEPS * 10:
+    if lit.sum() < MIN_STEPS * 10:
         raise DataError("too few pixels see fringes that are not saturated; look at the images")
     ripple = ripple[:, lit] / strength[lit]
     return np.asarray(ripple @ ripple.T / ripple.shape[1])
@@ -180,13 +180,15 @@ def _scaled(ratios: Floats, turns: float, finest: float | None) -> Iterator[Floa
     """Go through stripes of the sets of one axis, coarsest first."""
     if finest is not None:
         stripes = ratios * finest / ratios[-1]
-        yield np.where(np.abs(stripes - np.rint(stripes)) < WHOLE * stripes, np.rint(stripes), stripes)
+        yield np.where(
+            np.abs(stripes - np.rint(stripes)) < MAX_WHOLE_DIFFERENCE * stripes, np.rint(stripes), stripes
+        )
         yield stripes
         return
-    if turns <= VISIBLE_TURNS:
+    if turns <= MAX_VISIBLE_PERIODS:
         yield ratios
         return
-    for coarsest in range(max(int(turns / VISIBLE_TURNS), 2), MOST_STRIPES):
+    for coarsest in range(max(int(turns / MAX_VISIBLE_PERIODS), 2), MAX_STRIPES):
         stripes = ratios * coarsest
-        if len(ratios) > 1 and np.all(np.abs(stripes - np.rint(stripes)) < WHOLE * stripes):
+        if len(ratios) > 1 and np.all(np.abs(stripes - np.rint(stripes)) < MAX_WHOLE_DIFFERENCE * stripes):
             yield np.rint(stripes)

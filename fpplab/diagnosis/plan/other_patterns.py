@@ -9,24 +9,23 @@ import numpy as np
 
 from fpplab.core.conventions import Floats, Image, phase_steps
 
-PIXELS = 4_000
-"""About as many pixels decide."""
+PIXELS = 4_000  # that decide, about
 NEAR = 0.2
 """Distance from a pixel's darkest or brightest level, as a share of its range, within which it is either."""
 BINARY_SHARE = 0.85
 """Share of the pixels that are dark or bright in an image of two levels; of a sinusoid 59 % are."""
 UNIFORM_SHARE = 0.97
 """Share of the pixels that are bright in a white image, or dark in a black one."""
-LEAST_RANGE = 0.05
+MIN_RANGE = 0.05
 """Range of a pixel, as a share of full scale, that tells something."""
-RANK_MISFIT = 0.1
+MAX_RANK_MISFIT = 0.1
 """What two waves may leave of sinusoids of any steps, as a share of their mean square."""
-EQUAL_MISFIT, WORSE = 0.05, 3.0
-"""What equal steps leave of unequal ones, at least: as a share of all, and times what free steps leave."""
-WORST_STEP_DEG = 15.0
+MIN_EQUAL_MISFIT = 0.05
+MIN_MISFIT_RATIO = 3.0
+"""What equal steps leave of unequal ones: as a share of all, and times what free steps leave. Chosen."""
+MAX_STEP_ERROR_DEG = 15.0
 """Greatest error of steps that are taken for equal ones in another order."""
-FEWEST = 4
-"""Of sinusoids whose steps can be told: three images fit any steps."""
+MIN_IMAGES = 4  # of sinusoids whose steps can be measured: three images fit any steps
 
 
 def name_other_patterns(frames: Sequence[Image], full: int, sizes: Sequence[int] = ()) -> str | None:
@@ -54,7 +53,7 @@ def _lit_levels(frames: Sequence[Image], full: int) -> Floats | None:
     levels = np.stack([frame[::step, ::step].ravel() for frame in frames]).astype(np.float64)
     low, high = levels.min(axis=0), levels.max(axis=0)
     span = high - low
-    lit = (span > LEAST_RANGE * full) & (span > 0.3 * np.quantile(span, 0.95)) & (high < full)
+    lit = (span > MIN_RANGE * full) & (span > 0.3 * np.quantile(span, 0.95)) & (high < full)
     if lit.sum() < PIXELS // 50:
         return None
     return np.asarray((levels[:, lit] - low[lit]) / span[lit])
@@ -115,14 +114,14 @@ def _unequal(levels: Floats, sizes: Sequence[int]) -> str | None:
     """Sets of sinusoids whose steps are not equal."""
     said = []
     for k, (start, count) in enumerate(zip(np.cumsum([0, *sizes]), sizes, strict=False)):
-        shifts = phase_shifts_seen(levels[start : start + count]) if count >= FEWEST else None
+        shifts = phase_shifts_seen(levels[start : start + count]) if count >= MIN_IMAGES else None
         if shifts is None:
             continue
         if not _fits_badly(levels[start : start + count]):
             continue
         wanted = np.degrees(phase_steps(count))
         turned = min((shifts, -shifts % 360.0), key=lambda one: _worst(one, wanted))
-        if _worst(np.sort(turned), wanted) <= WORST_STEP_DEG:
+        if _worst(np.sort(turned), wanted) <= MAX_STEP_ERROR_DEG:
             continue  # equal steps in another order, of which others tell which images were exchanged
         degrees = ", ".join(f"{shift:.0f}" for shift in turned)
         said.append(f"the images of 'fringes[{k}]' have unequal phase steps, at {degrees} degrees")
@@ -130,7 +129,7 @@ def _unequal(levels: Floats, sizes: Sequence[int]) -> str | None:
         return None
     return (
         f"{'; '.join(said)}: only sets with equal steps are decoded; leave images out by '--skip', so that "
-        "equal steps remain, or record the set anew"
+        "equal steps remain, or record the set again"
     )
 
 
@@ -142,7 +141,7 @@ def _fits_badly(levels: Floats) -> bool:
     shift = phase_steps(len(levels))
     waves = np.stack([np.cos(shift), np.sin(shift)]) * np.sqrt(2.0 / len(levels))
     equal = total - float(np.sum((waves @ changes) ** 2))
-    return equal > max(EQUAL_MISFIT * total, WORSE * free)
+    return equal > max(MIN_EQUAL_MISFIT * total, MIN_MISFIT_RATIO * free)
 
 
 def _worst(shifts: Floats, wanted: Floats) -> float:
@@ -154,7 +153,7 @@ def phase_shifts_seen(levels: Floats) -> Floats | None:
     # levels (N, P); returns (N,)
     # Offset, cosine and sine span all levels of a pixel, whatever the steps are.
     directions, strength, _ = np.linalg.svd(levels - levels.mean(axis=0), full_matrices=False)
-    if np.sum(strength[2:] ** 2) > RANK_MISFIT * np.sum(strength**2):
+    if np.sum(strength[2:] ** 2) > MAX_RANK_MISFIT * np.sum(strength**2):
         return None
     basis = np.column_stack([np.ones(len(levels)), directions[:, :2] * strength[:2]])
     # The shifts lie on an ellipse in this plane; pixels of all phases tell its axes.

@@ -14,23 +14,11 @@ from typing import Literal
 import numpy as np
 
 from fpplab.core.conventions import TWO_PI, Floats, Image, Mask, phase_steps
+from fpplab.diagnosis.plan.limits import PlanCheckLimits
 
-ANCHORS = 12_000
-"""About as many pixels are looked at."""
+PIXELS = 12_000  # that are looked at, about
 LAGS = (1, 2, 4, 8, 16, 32, 64)
 """Distances in px over which phases are compared."""
-MOST_TURN = 1.2
-"""Greatest typical change of phase in rad over the distance chosen, so that it is unambiguous."""
-LIT_SHARE = 0.2
-"""A pixel is lit where each set's fringes are at least this share of their strongest."""
-LEAST_GREYS = 1.0
-"""And at least so strong, in 8-bit grey levels."""
-FEWEST = 200
-"""Fewest lit pixels from which anything is concluded."""
-LEAST_ALIGNED = 0.5
-"""Least mean of exp(i times the second difference of a set's phase) from pixel to pixel: it is near 1 for
-fringes, 0 for noise, and 0.5 where noise is 0.5 rad.
-"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,21 +29,32 @@ class PhaseSample:
     gradients: Floats  # change of phase in rad per px to the right and down
     rows: tuple[slice, slice]  # which pixels of a frame the sample was taken from
     lit: Mask  # of those, the P pixels
+    limits: PlanCheckLimits  # that the plan is checked by
 
     @classmethod
-    def of(cls, frames: Sequence[Image], images: Sequence[int], full_scale: int) -> PhaseSample | None:
+    def of(
+        cls,
+        frames: Sequence[Image],
+        images: Sequence[int],
+        full_scale: int,
+        limits: PlanCheckLimits | None = None,
+    ) -> PhaseSample | None:
         """Measure phases at pixels spread over the image."""
         # frames (height, width)
+        limits = limits or PlanCheckLimits()
         height, width = frames[0].shape
-        step = max(1, int(np.sqrt(height * width / ANCHORS)))
+        step = max(1, int(np.sqrt(height * width / PIXELS)))
         lags = [lag for lag in LAGS if 4 * lag < min(height, width)]
         rows = slice(0, height - lags[-1], step), slice(0, width - lags[-1], step)
         here = _phasors(frames, images, rows, (0, 0))
         strength = np.abs(here)
         strongest = np.quantile(strength, 0.95, axis=(1, 2), keepdims=True)
-        lit = np.all(strength >= np.maximum(LIT_SHARE * strongest, LEAST_GREYS * full_scale / 255), axis=0)
+        lowest = np.maximum(limits.min_lit_share * strongest, limits.min_lit_level * full_scale / 255)
+        lit = np.all(strength >= lowest, axis=0)
         lit &= np.max([frame[rows] for frame in frames], axis=0) < full_scale
-        if lit.sum() < FEWEST or np.any(_coherence(frames, images, rows, lit) < LEAST_ALIGNED):
+        if lit.sum() < limits.min_lit_pixels:
+            return None
+        if np.any(_coherence(frames, images, rows, lit) < limits.min_coherence):
             return None
         gradients = np.zeros((*here[:, lit].shape, 2))
         for axis in (0, 1):
@@ -63,9 +62,9 @@ class PhaseSample:
             for lag in lags:
                 there = _phasors(frames, images, rows, (0, lag) if axis == 0 else (lag, 0))
                 turn = np.angle(there[:, lit] * here[:, lit].conj())
-                known &= (np.median(np.abs(turn), axis=1) <= MOST_TURN) | (lag == lags[0])
+                known &= (np.median(np.abs(turn), axis=1) <= limits.max_turn_rad) | (lag == lags[0])
                 gradients[known, :, axis] = turn[known] / lag
-        return cls(np.angle(here)[:, lit], gradients, rows, lit)
+        return cls(np.angle(here)[:, lit], gradients, rows, lit, limits)
 
 
 def _phasors(
