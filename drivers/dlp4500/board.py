@@ -24,7 +24,7 @@ PARALLEL_24_BIT = {"source": 0, "width": 1}
 INTERNAL_TEST_PATTERN = {"source": 1, "width": 1}
 """Input source: the internal test pattern."""
 BOARD_CHANNEL_SWAP = {"swap": 4, "port": 0}
-"""Colour channels of the HDMI input of the evaluation module."""
+"""Colour channels of the HDMI input of the evaluation module; others permute the patterns of a frame."""
 
 MODE_CHANGE = Polling(step_s=0.1, limit_s=2.0)
 """Of the display mode. TI's GUI asks every 0.1 s and gives up after 0.7 s; the limit is chosen longer."""
@@ -118,6 +118,7 @@ class ProjectorBoard:
                 raise SettingError(
                     self._name, "LED current", f"{colour} is {levels[colour]}", f"0 to {LED_FULL}"
                 )
+        # TI documents 255 as full current, but on the evaluation module it is off, and 0 the brightest.
         self.link.write(
             protocol.LED_CURRENT,
             **{colour: LED_FULL - levels[colour] if inverted else levels[colour] for colour in COLOURS},
@@ -204,6 +205,7 @@ class ProjectorBoard:
         self.link.write(protocol.PORT_CLOCK, clock=0)
         self.link.write(protocol.PIXEL_FORMAT, format=0)
         self.link.write(protocol.CHANNEL_SWAP, **BOARD_CHANNEL_SWAP)
+        # TI's GUI wants the signal locked before it enters pattern mode.
         self._until(self.is_locked, "video", "no signal is locked on the video port", LOCKING)
 
     def show_test_pattern(self, name: str) -> None:

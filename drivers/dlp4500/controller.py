@@ -51,6 +51,8 @@ class Controller(ProjectorBoard):
 
     def prepare(self, program: Program) -> None:
         """Stop, configure a sequence and have the controller validate it."""
+        # The order of TI's GUI: a validation does not survive a change of mode, tables are only written while
+        # the sequence is stopped, and every change has to be validated again.
         self.set_display_mode(DisplayMode.PATTERN)
         self.stop()
         self.link.write(protocol.PATTERN_SOURCE, source=program.source)

@@ -64,7 +64,7 @@ class UsbMessage:
 
 
 def make_request(command: int, data: bytes, sequence: int, flags: int) -> UsbMessage:
-    """Build a request."""
+    """Build a request; TI's documents give the two bytes of a command in the opposite order."""
     return UsbMessage(flags, sequence, struct.pack("<H", command) + data)
 
 

@@ -147,6 +147,8 @@ class Program:
 
     def image_table(self) -> bytes:
         """Encode the image table."""
+        # The controller reads a table of exactly two entries in reverse: TI's client swaps them when it
+        # writes them, and TI's GUI swaps them back when it reads them.
         return bytes(reversed(self.images) if len(self.images) == 2 else self.images)
 
 
@@ -204,6 +206,7 @@ def video_program(
             )
         for k, slot in enumerate(frame):
             bit_planes(slot.bits, slot.number)
+            # As TI's GUI sets them: the frame starts the first pattern, which starts the others.
             trigger = PatternTrigger.NONE if k else PatternTrigger.RISING
             entries.append(Entry(slot.number, slot.bits, leds, trigger, swap=k == 0))
     program = Program(Source.VIDEO, tuple(entries), (), exposure_us, exposure_us, repeat)

@@ -221,6 +221,8 @@ class Link:
     def _exchange(self, command: Command, data: bytes, flags: int) -> UsbMessage | None:
         if not self._checks_echo:
             self.drain()
+        # TI's client numbers reads 0 and matches nothing: after one late reply each of its reads returns the
+        # data of the command before.
         sequence = self.requests % 256
         self.requests += 1
         for report in framing.make_request(command.number, data, sequence, flags).reports():

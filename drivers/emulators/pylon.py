@@ -240,7 +240,7 @@ class EmulatedCamera:
             if at_s is not None:
                 self._ready_s = at_s + self._emulator.policy.timing.period_s(self.settings().exposure_s)
             self._emulator.expose(self)
-            self.instant.TriggerSoftware.Execute()
+            self.instant.TriggerSoftware.Execute()  # which pylon's emulator obeys with any trigger source
 
     def settings(self) -> CameraSettings:
         """Return what the camera is set to."""

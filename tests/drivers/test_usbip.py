@@ -18,9 +18,9 @@ from drivers.dlp4500 import Dlp4500
 from drivers.dlp4500.framing import READ, REPLY_WANTED, join_reports, make_request
 from drivers.dlp4500.protocol import VERSION
 from drivers.dlp4500.sequence import SIZE
-from drivers.emulators.dlpc350 import Dlpc350, EmulatedHid, training, usbip
+from drivers.emulators.dlpc350 import Dlpc350, EmulatedHid, usb_service, usbip
 from drivers.emulators.dlpc350.descriptors import REPORTS
-from drivers.emulators.dlpc350.training import describe_state
+from drivers.emulators.dlpc350.usb_service import describe_state
 from drivers.emulators.dlpc350.usbip import UsbIpAttachment, UsbIpConnection
 from fpplab.core.conventions import Lattice
 from fpplab.core.errors import DeviceError
@@ -281,8 +281,8 @@ def test_firmware_is_for_the_projector_alone() -> None:
 
 
 def test_it_holds_the_default_plan(tmp_path: Path) -> None:
-    controller, index = training._from_default_plan(tmp_path)
-    patterns = make_patterns(Plan.load(training.DEFAULT_PLAN), SIZE, Lattice.DIAMOND)
+    controller, index = usb_service._from_default_plan(tmp_path)
+    patterns = make_patterns(Plan.load(usb_service.DEFAULT_PLAN), SIZE, Lattice.DIAMOND)
     wire = SimpleNamespace(hid=EmulatedHid(controller), clock=controller.clock)
     with Dlp4500("projector", {"flash": str(index)}, wire) as projector:
         projector.load(patterns)

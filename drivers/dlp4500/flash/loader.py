@@ -89,7 +89,7 @@ class BootLoaderLink:
         self._check(sector * memory.SECTOR, memory.SECTOR)
         self.link.write(ADDRESS, value=sector * memory.SECTOR)
         self.link.write(ERASE)
-        self._wait("erase sector")
+        self._wait("erase sector")  # TI's firmware update does not wait here, its image upload does
 
     def write(self, offset: int, data: bytes) -> None:
         """Write to erased flash and compare checksums."""
@@ -138,6 +138,7 @@ class BootLoaderLink:
             )
 
     def _number(self, what: int) -> int:
+        # The value is in bytes 6 to 9; the device id continues in bytes 12 to 15.
         answer = self.link.read_bytes(READ_STATUS, what=what)
         low, high = answer[6:10], answer[12:16] if what == _DEVICE else b""
         return int.from_bytes(low + high, "little")

@@ -61,12 +61,12 @@ def per_pattern_times(
     """Divide the exposure of each trigger pulse among the patterns that share it."""
     # times (float, float) s; returns (float, float) s
     starts = [i for i, entry in enumerate(entries) if not (entry["share_trigger"] and i)]
-    found: list[tuple[float, float]] = []
+    pattern_times: list[tuple[float, float]] = []
     for start, end in zip(starts, [*starts[1:], len(entries)], strict=True):
         count, (exposure, period) = end - start, times[start]
-        found += [(exposure / count, exposure / count)] * (count - 1)
-        found.append((exposure / count, period - exposure * (count - 1) / count))
-    return found
+        pattern_times += [(exposure / count, exposure / count)] * (count - 1)
+        pattern_times.append((exposure / count, period - exposure * (count - 1) / count))
+    return pattern_times
 
 
 class Sequencer:
