@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from fpplab.phase import Decoded
     from fpplab.viewer.canvas import CommandView
     from fpplab.viewer.measurement import MeasurementView
+    from fpplab.viewer.response import ResponseView
     from fpplab.viewer.server import Shown
     from fpplab.viewer.viewer import Viewer
 
@@ -101,12 +102,63 @@ class MeasurementObserver(ConsoleObserver):
         self._viewer.show(self._view.maps, decoded)
 
     def result(self, result: object) -> None:
-        """Show the points."""
+        """Show the points, by their errors where these are known."""
+        from fpplab.results.comparison import ComparisonResult
         from fpplab.results.scan import ScanResult
 
         if isinstance(result, ScanResult) and result.cloud is not None:
             decoded = None if self._has_maps else result.decoded
             self._viewer.show(self._view.results, decoded, result.cloud, result.depth, None)
+        elif isinstance(result, ComparisonResult):
+            errors_um = 1e3 * result.comparison.distances_mm
+            self._viewer.show(self._view.results, None, result.cloud, None, errors_um)
+
+
+class CharacterisationObserver(MeasurementObserver):
+    """Shows poses and the fit in the viewer, too."""
+
+    def result(self, result: object) -> None:
+        """Show boards, devices and residuals."""
+        from fpplab.characterisation import Characterisation
+        from fpplab.viewer.characterisation import CharacterisationView
+
+        if isinstance(result, Characterisation):
+            self._viewer.show(CharacterisationView.result, result)
+
+
+class AcceptanceObserver(MeasurementObserver):
+    """Shows the positions of a standard and the fits in the viewer, too."""
+
+    def result(self, result: object) -> None:
+        """Show a position's points, or all points by their distance from the fits."""
+        from fpplab.comparison.acceptance import Acceptance
+        from fpplab.pipeline import Reconstruction
+        from fpplab.viewer.acceptance import AcceptanceView
+
+        if isinstance(result, Reconstruction) and result.decoded and result.cloud:
+            item = result.session.path.name
+            self._viewer.show(AcceptanceView.position, item, result.decoded, result.cloud)
+        elif isinstance(result, Acceptance):
+            self._viewer.show(AcceptanceView.result, result)
+
+
+class ResponseObserver(ConsoleObserver):
+    """Shows grey levels and their fit in the viewer, too."""
+
+    def __init__(self, viewer: Viewer[ResponseView]) -> None:
+        self._viewer = viewer
+
+    def result(self, result: object) -> None:
+        """Show a uniform image, or the fit."""
+        from fpplab.results.response import GreyLevelFrame, ResponseResult
+        from fpplab.viewer.measurement import ShownFrame
+        from fpplab.viewer.response import ResponseView
+
+        if isinstance(result, GreyLevelFrame):
+            shown = ShownFrame.of(result.frame)
+            self._viewer.show_one_of_many(ResponseView.frame, result.level, shown)
+        elif isinstance(result, ResponseResult):
+            self._viewer.show(ResponseView.response, result.response)
 
 
 def observe_measurement(
@@ -120,3 +172,37 @@ def observe_measurement(
 
     viewer = open_viewer(context, MeasurementView, wanted, keep_open, recording)
     return MeasurementObserver(viewer, MeasurementView)
+
+
+def observe_characterisation(
+    context: typer.Context, wanted: bool, keep_open: bool, recording: Path
+) -> Observer:
+    """Make what follows a characterisation."""
+    if not (wanted or keep_open):
+        return ConsoleObserver()
+    need_extra("rerun")
+    from fpplab.viewer.characterisation import CharacterisationView
+
+    viewer = open_viewer(context, CharacterisationView, wanted, keep_open, recording)
+    return CharacterisationObserver(viewer, CharacterisationView)
+
+
+def observe_acceptance(context: typer.Context, wanted: bool, keep_open: bool, recording: Path) -> Observer:
+    """Make what follows an acceptance test."""
+    if not (wanted or keep_open):
+        return ConsoleObserver()
+    need_extra("rerun")
+    from fpplab.viewer.acceptance import AcceptanceView
+
+    viewer = open_viewer(context, AcceptanceView, wanted, keep_open, recording)
+    return AcceptanceObserver(viewer, AcceptanceView)
+
+
+def observe_response(context: typer.Context, wanted: bool, keep_open: bool, recording: Path) -> Observer:
+    """Make what follows a measurement of the response."""
+    if not (wanted or keep_open):
+        return ConsoleObserver()
+    need_extra("rerun")
+    from fpplab.viewer.response import ResponseView
+
+    return ResponseObserver(open_viewer(context, ResponseView, wanted, keep_open, recording))

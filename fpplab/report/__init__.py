@@ -1,6 +1,7 @@
 """Reports: figures as PNG, and HTML pages that hold them."""
 
-from fpplab.report.page import PageBasis, is_report, write_report
+from fpplab.report.measurements import write_report
+from fpplab.report.page import PageBasis, is_report
 from fpplab.report.scan_section import ScanSection
 from fpplab.report.scans import scan_section, write_scan_report
 

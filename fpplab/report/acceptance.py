@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure as Sheet
@@ -23,12 +21,11 @@ from fpplab.comparison.acceptance import (
 )
 from fpplab.core.drawing import FULL, as_png, colour_bar, draw_map, side_by_side
 from fpplab.core.robust import error_limit
-from fpplab.diagnosis import Diagnosis
 from fpplab.report.figures import error_map
 from fpplab.report.page import PageBasis, write_page
 from fpplab.report.parts import PageVerdict, ReportFigure, ReportSection, ReportTable
 from fpplab.report.raster import raster_of, rasterise
-from fpplab.results.provenance import Provenance
+from fpplab.results.acceptance import AcceptanceResult
 
 JUDGED = (
     "Quantity",
@@ -61,14 +58,9 @@ class _Drawn:
         return cls(found.points[found.kept], pixels), found.distances[found.kept].astype(np.float32)
 
 
-def write_acceptance_report(
-    path: Path,
-    found: Acceptance,
-    diagnosis: Diagnosis,
-    answer: Mapping[str, Any],
-    provenance: Mapping[str, Provenance],
-) -> None:
+def write_acceptance_report(path: Path, result: AcceptanceResult) -> None:
     """Write the acceptance test as one HTML file."""
+    found = result.acceptance
     rule = found.standard.evaluation
     facts = {
         "Standard": found.standard.name,
@@ -81,7 +73,7 @@ def write_acceptance_report(
     }
     sections = [_bar_section(bar, k + 1) for k, bar in enumerate(found.bars)]
     sections += [_plane_section(plane, k + 1) for k, plane in enumerate(found.planes)]
-    basis = PageBasis((PageVerdict.of(diagnosis),), provenance, answer)
+    basis = PageBasis((PageVerdict.of(result.diagnosis),), result.provenance, result.summary())
     write_page(path, "Acceptance test", _summary(found), sections, facts, basis=basis)
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from fpplab.report.page import PageBasis, write_report
+from fpplab.report.measurements import write_report
+from fpplab.report.page import PageBasis
 from fpplab.report.scans import scan_section
 from fpplab.results.demo import DemoResult
 

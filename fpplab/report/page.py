@@ -18,19 +18,10 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from fpplab.characterisation import Characterisation, Judgement
-from fpplab.core.conventions import Floats
 from fpplab.core.files import write_text
 from fpplab.core.version import __version__
-from fpplab.patterns.response import Response
-from fpplab.report import devices
-from fpplab.report.cloud_view import MOST_POINTS
-from fpplab.report.guidance import guided_section
 from fpplab.report.parts import PageVerdict, ReportSection, ReportTable, data_link
-from fpplab.report.response_section import response_section
-from fpplab.report.scan_section import ScanSection, scan_tables, section_of
 from fpplab.results.provenance import LABELS, NOT_RECORDED, Provenance
-from fpplab.setup.guide import GuidedRun
 
 IN_THE_HEAD = ("rig", "item", "plan", "taken", "calibration", "calibration_age")
 """Of a page's one provenance, what its head says too."""
@@ -45,41 +36,6 @@ class PageBasis:
     verdicts: tuple[PageVerdict, ...] = ()  # at the top of the page
     provenance: Mapping[str, Provenance] = field(default_factory=dict)  # by name of what was measured
     answer: Mapping[str, Any] = field(default_factory=dict)
-
-
-def write_report(
-    path: Path,
-    title: str,
-    *,
-    facts: Mapping[str, str] | None = None,
-    response: tuple[Response, Floats] | None = None,
-    characterisation: Characterisation | None = None,
-    judgement: Judgement | None = None,
-    guided: GuidedRun | None = None,
-    scans: Sequence[ScanSection] = (),
-    basis: PageBasis | None = None,
-    when: datetime | None = None,
-) -> None:
-    """Write the report of measurements as one HTML file. If it fails, an earlier file is unchanged."""
-    # facts (rig, plan, operator); response (K, 2)
-    given = basis or PageBasis()
-    alone = len(scans) == 1
-    verdicts = [PageVerdict.of(s.diagnosis, "" if alone else s.name) for s in scans if s.diagnosis]
-    sources = {s.name: s.provenance for s in scans if s.provenance}
-    sections = []
-    if guided:
-        sections.append(guided_section(guided))
-    if characterisation:
-        sections.append(devices.characterisation_section(characterisation))
-    if judgement:
-        sections.append(devices.judgement_section(judgement))
-    share = MOST_POINTS // max(len(scans), 1)
-    sections = [section_of(scan, share) for scan in scans] + sections
-    if response:
-        sections.append(response_section(*response))
-    summary = [devices.summary_table(characterisation)] if characterisation else []
-    whole = PageBasis((*given.verdicts, *verdicts), {**given.provenance, **sources}, given.answer)
-    write_page(path, title, [*scan_tables(scans), *summary], sections, facts, when, whole)
 
 
 def write_page(

@@ -9,7 +9,8 @@ from fpplab.diagnosis.evidence import Evidence
 from fpplab.phase import wrapped_phase
 from fpplab.phase.precision import uncertain_orders
 from fpplab.report.evidence import evidence_report
-from fpplab.report.page import PageBasis, write_report
+from fpplab.report.measurements import write_report
+from fpplab.report.page import PageBasis
 from fpplab.report.scan_section import ScanSection
 from fpplab.results.scan import ScanResult
 

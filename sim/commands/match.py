@@ -12,10 +12,10 @@ from fpplab.cli import console
 from fpplab.cli.app import TWIN, Force, Json, Out
 from fpplab.cli.completion import names_of
 from fpplab.cli.lists import VariadicOptionsCommand
-from fpplab.cli.pose_causes import with_causes
-from fpplab.cli.viewing import KeepOpen, ViewOption, open_viewer
+from fpplab.cli.viewing import ConsoleObserver, KeepOpen, ViewOption, open_viewer
 from fpplab.core.errors import CalibrationError, ConfigError
 from fpplab.core.extras import need_extra
+from fpplab.workflows.pose_causes import with_causes
 
 if TYPE_CHECKING:
     from fpplab.diagnosis import FaultCause
@@ -161,7 +161,7 @@ def match_command(
                     prepared=references.append,
                 )
         except CalibrationError as error:
-            raise with_causes(error, sessions) from error
+            raise with_causes(error, sessions, ConsoleObserver()) from error
         sources = matching_provenance(found, {**wanted.scans, **wanted.surfaces})
         result = {
             **found.summary(),

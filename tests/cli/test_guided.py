@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from fpplab.cli.guided import wanted_mm
+from fpplab.cli.commands.characterise import wanted_mm
 from fpplab.core.errors import ConfigError
 from tests.support.commands import NO_DISPLAY, Command
 from tests.support.recordings import Recording

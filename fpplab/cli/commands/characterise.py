@@ -4,21 +4,20 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import PREPARE, DepthOption, Force, Json, PlanName, app
 from fpplab.cli.completion import names_of
-from fpplab.cli.guided import run_guided, wanted_mm
-from fpplab.cli.pose_causes import diagnosed_poses, with_causes
-from fpplab.cli.viewing import KeepOpen, ViewOption, open_viewer
+from fpplab.cli.viewing import ConsoleObserver, KeepOpen, ViewOption, observe_characterisation
 from fpplab.core.errors import CalibrationError, ConfigError
+from fpplab.core.units import length_mm
 
 if TYPE_CHECKING:
-    from fpplab.characterisation import Characterisation, Judgement
-    from fpplab.diagnosis import Finding
+    from fpplab.characterisation import Judgement
+    from fpplab.core.depth import DepthInterval
 
 
 class ModelName(StrEnum):
@@ -123,112 +122,56 @@ def characterise_command(
         _judge(judged, sessions or [], out, force, json, unused={"--rig": rig, "--target": target})
         return
     from fpplab.characterisation import DistortionModel
-    from fpplab.core.files import refuse_existing
     from fpplab.devices.rig import Rig
     from fpplab.patterns.plan import Plan
-    from fpplab.phase import check_unwrapping
-    from fpplab.pipeline import characterise_sessions, take_poses
-    from fpplab.report import PageBasis, is_report, write_report
-    from fpplab.report.parts import PageVerdict
-    from fpplab.results.provenance import poses_provenance
-    from fpplab.sessions.session import recorded_sessions
     from fpplab.targets import Target
-    from fpplab.viewer.characterisation import CharacterisationView
-    from fpplab.viewer.measurement import frame_observer
+    from fpplab.workflows.characterise import CharacterisationRequest, run_characterisation
 
     until_mm = wanted_mm(guide, until, depth, rig)
     if target is None or out is None:
         raise ConfigError(f"{'--target' if target is None else '--out'} is missing")
-    if bool(sessions) == bool(rig):
-        raise ConfigError("give either sessions or --rig, to say where the poses come from")
-    page = out.with_suffix(".html")
-    folder = out.with_name(out.stem + "_poses")
-    goes_on = guide and folder.is_dir()  # its poses are kept, its result renewed
-    refuse_existing(out, force or goes_on)
-    refuse_existing(page, force or goes_on or is_report(page))  # of a run that ended before its result
-    board, guided = Target.load(target), None
-    level: DistortionModel | Literal["auto"] = "auto" if model is ModelName.AUTO else DistortionModel(model)
-    viewer = open_viewer(context, CharacterisationView, view, keep_open, out.with_suffix(".rrd"))
-    if rig:
-        chosen = Plan.load(plan)
-        check_unwrapping(chosen, plan)
-        if chosen.axes != ("x", "y"):
-            raise ConfigError(
-                f"{plan}: has fringes along {chosen.axes[0]} alone; characterisation needs x and y"
-            )
-        if folder.exists() and not force:
-            console.log_status(f"{folder}: complete poses there are kept; --force takes all anew")
-        with Rig.load(rig) as bench:
-            caps, observe = bench.projector.caps, frame_observer(viewer)
-            viewer.show(CharacterisationView.plan, chosen, caps.size, caps.lattice)
-            if guide:
-                guided = run_guided(
-                    *(bench, chosen, board, folder, level, refine_board, force),
-                    item=item, poses=poses, until_mm=until_mm, depth_mm=depth, observe_frame=observe,
-                )  # fmt: skip
-            else:
-                with console.progress("Taking poses") as report:
-                    recorded = take_poses(bench, chosen, item, poses, folder, force, report, observe)
-    else:
-        recorded = recorded_sessions(sessions or [])
-    if guided:
-        result, recorded = guided.result, list(guided.sessions)
-    else:
-        try:
-            with console.progress("Characterising") as report:
-                result = characterise_sessions(
-                    recorded, board, report, level=level, refine_board=refine_board
-                )
-        except CalibrationError as error:
-            raise with_causes(error, recorded) from error
-    diagnosis = diagnosed_poses(recorded, result.warnings, result.left_out, _of_lens(result))
-    for reason in result.left_out.values():
-        console.log_status(f"left out: {reason}")
-    for warning in result.warnings:
-        console.log_status(f"warning: {warning}")
-    console.log_status(diagnosis.sentence)
-    viewer.show(CharacterisationView.result, result)
-    source = poses_provenance(recorded, result.calibration, out)
-    answer = {**diagnosis.summary(), **result.summary(), "left_out": result.left_out}
-    answer |= {"guided": guided.summary()} if guided else {}
-    basis = PageBasis((PageVerdict.of(diagnosis),), {"poses": source}, answer)
-    title = f"Characterisation {out.stem}"
-    write_report(page, title, facts=result.facts(), characterisation=result, guided=guided, basis=basis)
-    result.calibration.save(out)  # last: where it is, all is done
-    console.print_result({**answer, "provenance": source.summary(), "report": str(page)}, json)
-
-
-def _of_lens(result: Characterisation) -> list[Finding]:
-    """Whether the camera's lens was locked while the poses were taken."""
-    from fpplab.characterisation import lens
-    from fpplab.characterisation.limits import USUAL_LIMITS
-    from fpplab.diagnosis import Finding
-    from fpplab.diagnosis.causes.of_characterisation import LENS_NOT_LOCKED
-
-    if result.solution is None or result.sizes is None:
-        return []
-    scales, sigmas = lens.scales_of_poses(result.observations, result.solution, result.sizes)
-    if not lens.has_focus_breathing(scales, sigmas):
-        return []
-    scatter, _ = lens.scale_scatter(scales, sigmas)
-    words = (
-        f"the scale of the camera's image differs between poses by {100 * scatter:.3f} % RMS "
-        f"(at most {100 * USUAL_LIMITS.max_focus_breathing:g} %, and what noise explains)"
+    request = CharacterisationRequest(
+        target=Target.load(target),
+        out=out,
+        sessions=tuple(sessions or ()),
+        rig=Rig.load(rig) if rig else None,
+        plan=Plan.load(plan) if rig else None,
+        plan_name=plan,
+        poses=poses,
+        item=item,
+        level="auto" if model is ModelName.AUTO else DistortionModel(model),
+        refine_board=refine_board,
+        guided=guide,
+        until_mm=until_mm,
+        depth_mm=depth,
+        force=force,
     )
-    return [Finding(LENS_NOT_LOCKED, words, scatter / USUAL_LIMITS.max_focus_breathing)]
+    observer = observe_characterisation(context, view, keep_open, out.with_suffix(".rrd"))
+    result = run_characterisation(request, observer)
+    console.print_result(result.summary(), json)
+
+
+def wanted_mm(
+    guide: bool, until: str | None, depth_mm: DepthInterval | None, rig: str | None
+) -> float | None:
+    """Check the options that go with one another, and give the uncertainty that is asked for."""
+    for option, value in (("--until", until), ("--depth", depth_mm)):
+        if value is not None and not guide:
+            raise ConfigError(f"{option} goes with --guide, which asks for poses; add --guide")
+    if guide and rig is None:
+        raise ConfigError("--guide takes poses one at a time, and needs --rig to take them on")
+    if depth_mm is not None and not 0 < depth_mm[0] < depth_mm[1]:
+        raise ConfigError(
+            f"--depth is {depth_mm[0]:g} {depth_mm[1]:g}: must be two rising positive distances in mm"
+        )
+    return None if until is None else length_mm(until, "--until")
 
 
 def _judge(
     path: Path, paths: list[Path], out: Path | None, force: bool, json: bool, unused: dict[str, str | None]
 ) -> None:
     """Judge a calibration by sessions of poses that it was not fitted to."""
-    from fpplab.calibration.model import Calibration
-    from fpplab.core.files import refuse_existing
-    from fpplab.pipeline import judge_sessions
-    from fpplab.report import PageBasis, write_report
-    from fpplab.report.devices import judgement_verdict
-    from fpplab.results.provenance import poses_provenance
-    from fpplab.sessions.session import recorded_sessions
+    from fpplab.workflows.judge import JudgementRequest, run_judgement
 
     for option, value in unused.items():
         if value is not None:
@@ -238,22 +181,9 @@ def _judge(
     if not paths:
         raise ConfigError("--judge needs sessions, one per pose, or the folder that holds them")
     page = out.with_suffix(".html") if out else None
-    if page:
-        refuse_existing(page, force)
-    calibration = Calibration.load(path)
-    with console.progress("Judging") as report:
-        sessions = recorded_sessions(paths)
-        found = judge_sessions(sessions, calibration, path, report)
-    for reason in found.left_out.values():
-        console.log_status(f"left out: {reason}")
-    source = poses_provenance(sessions, calibration, path)
-    answer = {**found.summary(), "left_out": found.left_out}
-    if page:
-        basis = PageBasis((judgement_verdict(found),), {"poses": source}, answer)
-        write_report(page, f"Judgement of {path.stem}", judgement=found, basis=basis)
-    answer = {**answer, "provenance": source.summary(), "report": str(page) if page else None}
-    console.print_result(answer, json, lambda: _show_judgement(found))
-    if found.contradicted:
+    result = run_judgement(JudgementRequest(path, tuple(paths), page, force), ConsoleObserver())
+    console.print_result(result.summary(), json, lambda: _show_judgement(result.judgement))
+    if result.judgement.contradicted:
         raise console.CommandExit(CalibrationError.exit_code)
 
 

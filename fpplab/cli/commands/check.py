@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, BinaryIO
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import PREPARE, Force, Json, PlanName, ReportOption, RigName, app
+from fpplab.cli.viewing import ConsoleObserver
 from fpplab.core.errors import ConfigError, DeviceError
 
 if TYPE_CHECKING:
-    from fpplab.calibration.model import Calibration
     from fpplab.devices.rig import Rig
     from fpplab.patterns.plan import Plan
     from fpplab.setup.rig_check.check import RigCheck
@@ -58,38 +57,28 @@ def check_command(
     Example: `fpplab check --rig rig_demo --plan plan_paper --calibration calibration.yaml`
     """
     from fpplab.calibration.model import Calibration
-    from fpplab.core.files import need_suffix, refuse_existing
     from fpplab.devices.rig import Rig
     from fpplab.patterns.plan import Plan
-    from fpplab.results.provenance import rig_provenance
-    from fpplab.setup.rig_check.check import check_rig
+    from fpplab.workflows.check import CheckRequest, run_check
 
-    for path in (out, page):
-        if path:
-            refuse_existing(path, force)
-    if page:
-        need_suffix(page, ".html")
-    wanted, bench = Plan.load(plan), Rig.load(rig)
     if steps:
         if calibration or out or page:
             raise ConfigError("--steps: goes without --calibration, --out and --report; leave them out")
-        _check_steps(bench, wanted, item, json)
+        _check_steps(Rig.load(rig), Plan.load(plan), item, json)
         return
-    known = Calibration.load(calibration) if calibration else None
-    with console.progress("Checking") as report:
-        found = check_rig(bench, wanted, item, report, known, out.absolute().parent if out else Path.cwd())
-    pictures = _keep_pictures(out, found, known) if out else []
-    source = rig_provenance(
-        *(found.rig, found.origin, wanted), calibration=known, file=calibration
-    ).with_values(item=item)
-    if page:
-        from fpplab.report.check_page import write_check_report
-
-        write_check_report(page, found, source, found.summary(), known)
-    answer = {**found.summary(), "provenance": source.summary(), "report": str(page) if page else None}
-    answer |= {"pictures": pictures}
-    console.print_result(answer, json, lambda: _show_check(found))
-    if found.findings:
+    request = CheckRequest(
+        rig=Rig.load(rig),
+        plan=Plan.load(plan),
+        item=item,
+        calibration=Calibration.load(calibration) if calibration else None,
+        pictures=out,
+        page=page,
+        force=force,
+        calibration_file=calibration,
+    )
+    result = run_check(request, ConsoleObserver())
+    console.print_result(result.summary(), json, lambda: _show_check(result.check))
+    if result.check.findings:
         raise console.CommandExit(DeviceError.exit_code)
 
 
@@ -108,37 +97,6 @@ def _check_steps(rig: Rig, plan: Plan, item: str, json: bool) -> None:
     console.print_result({"ok": ok, "steps": [asdict(step) for step in found]}, json, lambda: None)
     if not ok:
         raise console.CommandExit(DeviceError.exit_code)
-
-
-def _keep_pictures(out: Path, found: RigCheck, calibration: Calibration | None) -> list[str]:
-    """Write a picture of what shows each finding, numbered as they are ranked, and of the levels seen."""
-    from fpplab.core.errors import DataError
-    from fpplab.core.files import write_atomic
-    from fpplab.report.check_page import evidence_of
-    from fpplab.report.evidence import evidence_pictures
-    from fpplab.report.response_figures import marker_levels
-
-    given = evidence_of(found, calibration)
-    levels = marker_levels(found.shown, given.runs) if given.runs else None
-    if out.suffix == ".png":
-        drawn = {out: levels} if levels else {}
-    else:
-        drawn = {
-            out / f"{1 + found.findings.index(one):02d}_{one.cause.key}.png": picture
-            for one, picture in evidence_pictures(found.findings, given)
-        }
-        drawn |= {out / "levels.png": levels} if levels else {}
-        try:
-            out.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise DataError(f"{out}: cannot be made: {error}; choose another --out") from error
-    for path, picture in drawn.items():
-        write_atomic(path, partial(_write, picture))
-    return [str(path) for path in drawn]
-
-
-def _write(content: bytes, stream: BinaryIO) -> None:
-    stream.write(content)
 
 
 def _show_check(found: RigCheck) -> None:

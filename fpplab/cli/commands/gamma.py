@@ -8,8 +8,7 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import PREPARE, Force, Json, Out, PlanName, RigName, app
-from fpplab.cli.viewing import KeepOpen, ViewOption, open_viewer
-from fpplab.core.errors import ConfigError
+from fpplab.cli.viewing import KeepOpen, ViewOption, observe_response
 
 
 @app.command("gamma", rich_help_panel=PREPARE)
@@ -41,58 +40,23 @@ def gamma_command(
 
     Example: `fpplab gamma --rig rig_demo --plan plan_paper --levels 24 --repeats 4 --out response.yaml`
     """
-    from fpplab.core.files import refuse_existing, write_atomic
     from fpplab.devices.rig import Rig
-    from fpplab.patterns.phase_error import judge_response
-    from fpplab.patterns.plan import GreyLevels, Plan
-    from fpplab.pipeline import measure_response
-    from fpplab.report import is_report
-    from fpplab.results.provenance import described_rig, rig_provenance
-    from fpplab.viewer.measurement import ShownFrame
-    from fpplab.viewer.response import ResponseView
+    from fpplab.patterns.plan import Plan
+    from fpplab.workflows.gamma import GammaRequest, check_gamma_output, run_gamma
 
-    picture, page = out.with_suffix(".png"), out.with_suffix(".html")
-    if out in (picture, page):
-        what = "picture" if out == picture else "report"
-        raise ConfigError(f"{out}: is the name of the {what}; name it otherwise, such as .yaml")
-    refuse_existing(out, force)
-    for path in (picture, page):
-        refuse_existing(path, force or is_report(page))  # of a run that ended before its result
-    wanted = Plan.load(plan)
-    greys = GreyLevels(levels=levels or wanted.greys.levels, repeats=repeats or wanted.greys.repeats)
-    viewer = open_viewer(context, ResponseView, view, keep_open, out.with_suffix(".rrd"))
-    with Rig.load(rig) as bench, console.progress("Response") as report:
-        if bench.fixture:
-            bench.fixture.mount(item)
-        exposure = wanted.exposure_s if exposure_s is None else exposure_s
-        response, seen = measure_response(
-            *(bench, exposure, greys, report),
-            observe_frame=lambda level, frame: viewer.show_one_of_many(
-                ResponseView.frame, level, ShownFrame.of(frame)
-            ),
-        )
-        judgement = judge_response(response, wanted, bench.projector.caps.size)
-        described = described_rig(bench)
-
-    from fpplab.report.gamma_page import write_gamma_report
-    from fpplab.report.response_figures import response_fit
-
-    for reason in response.left_out:
-        console.log_status(f"left out: {reason}")
-    viewer.show(ResponseView.response, response)
-    drawn = response_fit(response)
-    source = rig_provenance(*described, wanted, exposure_s=exposure).with_values(item=item, response=out.name)
-    answer = {**response.summary(), "judgement": judgement.model_dump(mode="json")}
-    write_gamma_report(page, response, seen, judgement, source, answer)
-    write_atomic(picture, lambda stream: stream.write(drawn))
-    response.save(out)  # last: where it is, all is done
-    result = {
-        **answer,
-        "provenance": source.summary(),
-        "response": str(out),
-        "picture": str(picture),
-        "report": str(page),
-    }
+    request = GammaRequest(
+        rig=Rig.load(rig),
+        plan=Plan.load(plan),
+        out=out,
+        levels=levels,
+        repeats=repeats,
+        exposure_s=exposure_s,
+        item=item,
+        force=force,
+    )
+    check_gamma_output(request)
+    observer = observe_response(context, view, keep_open, out.with_suffix(".rrd"))
+    result = run_gamma(request, observer).summary()
     console.print_result(result, json, lambda: _show_response(result))
 
 

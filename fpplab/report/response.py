@@ -1,11 +1,39 @@
-"""The response of projector and camera: its section of a report."""
+"""The response of projector and camera: its section of a report, and the page of `fpplab gamma`."""
 
 from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
 
 from fpplab.core.conventions import Floats
 from fpplab.patterns.response import Response
 from fpplab.report import response_figures
-from fpplab.report.parts import ReportFigure, ReportSection, ReportTable
+from fpplab.report.page import PageBasis, write_page
+from fpplab.report.parts import PageVerdict, ReportFigure, ReportSection, ReportTable
+from fpplab.results.response import ResponseResult
+
+JUDGEMENT_CAPTION = (
+    "RMS error of the phase in mrad by the harmonics of this response and the rounding of patterns to "
+    "256 grey levels, which is the floor of what a correction reaches."
+)
+
+
+def write_response_report(path: Path, result: ResponseResult) -> None:
+    """Write a response as one HTML file."""
+    judgement = result.judgement
+    verdict = PageVerdict(
+        name="",
+        level="good" if judgement.good_enough else "doubtful",
+        label="Good enough for the plan" if judgement.good_enough else "Not good enough for the plan",
+        reason=judgement.sentence,
+    )
+    errors = (judgement.by_steps, judgement.corrected_by_steps, judgement.rounding_by_steps)
+    rows = tuple((steps, *(f"{1e3 * one[steps]:.3g}" for one in errors)) for steps in judgement.by_steps)
+    table = ReportTable(("Steps", "As they are", "Corrected", "Rounding alone"), rows, JUDGEMENT_CAPTION)
+    section = response_section(result.response, result.levels)
+    section = replace(section, tables=(*section.tables, table))
+    basis = PageBasis((verdict,), {"response": result.provenance}, result.figures())
+    write_page(path, f"Response {path.stem}", [], [section], basis=basis)
 
 
 def response_section(response: Response, levels: Floats) -> ReportSection:

@@ -2,34 +2,55 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from fpplab.calibration.model import Calibration
+from fpplab.core.errors import DataError
+from fpplab.core.files import write_parts
 from fpplab.diagnosis.evidence import Evidence
 from fpplab.report import figures
-from fpplab.report.evidence import evidence_report
+from fpplab.report.evidence import evidence_pictures, evidence_report
 from fpplab.report.page import PageBasis, write_page
 from fpplab.report.parts import PageVerdict, ReportFigure, ReportSection, ReportTable, listed
 from fpplab.report.response_figures import marker_levels
 from fpplab.report.wording import NOT_KNOWN, percent_words
-from fpplab.results.provenance import Provenance
+from fpplab.results.check import CheckResult
 from fpplab.setup.rig_check.check import RigCheck
 
 
-def write_check_report(
-    path: Path,
-    found: RigCheck,
-    provenance: Provenance,
-    answer: Mapping[str, Any],
-    calibration: Calibration | None = None,
-) -> None:
+def write_check_report(path: Path, result: CheckResult) -> None:
     """Write what a check found as one HTML file."""
-    basis = PageBasis((check_verdict(found),), {"rig": provenance}, answer)
-    write_page(path, "Check of a rig", [], _sections(found, calibration), basis=basis)
+    check = result.check
+    basis = PageBasis((check_verdict(check),), {"rig": result.provenance}, check.summary())
+    write_page(path, "Check of a rig", [], _sections(check, evidence_of(result)), basis=basis)
+
+
+def write_check_pictures(out: Path, result: CheckResult) -> tuple[Path, ...]:
+    """Write a picture of what shows each finding, numbered as they are ranked, and of the levels seen."""
+    evidence = evidence_of(result)
+    levels = marker_levels(result.check.shown, evidence.runs) if evidence.runs else None
+    if out.suffix == ".png":
+        pictures = {out: levels} if levels else {}
+    else:
+        _make_folder(out)
+        findings = result.check.findings
+        pictures = {
+            out / f"{1 + findings.index(finding):02d}_{finding.cause.key}.png": picture
+            for finding, picture in evidence_pictures(findings, evidence)
+        }
+        if levels:
+            pictures[out / "levels.png"] = levels
+    for path, picture in pictures.items():
+        write_parts(path, picture)
+    return tuple(pictures)
+
+
+def _make_folder(path: Path) -> None:
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DataError(f"{path}: cannot be made: {error}; choose another --out") from error
 
 
 def check_verdict(found: RigCheck) -> PageVerdict:
@@ -38,19 +59,20 @@ def check_verdict(found: RigCheck) -> PageVerdict:
         said = "Nothing is wrong with what was checked."
         return PageVerdict("", "good", "In order", said, unknown=found.unknown)
     label = "1 finding" if len(found.findings) == 1 else f"{len(found.findings)} findings"
-    reason = "Measure only after what follows is mended, the first finding first."
+    reason = "Measure only after what follows is fixed, the first finding first."
     return PageVerdict("", "doubtful", label, reason, listed(found.findings), found.unknown)
 
 
-def evidence_of(found: RigCheck, calibration: Calibration | None) -> Evidence:
+def evidence_of(result: CheckResult) -> Evidence:
     """Collect what the findings of a check were drawn from."""
-    runs = {run.how: run.levels for run in found.runs}
-    return Evidence(found.recording, found.decoded, found.cloud, calibration, found.shown, runs)
+    check = result.check
+    runs = {run.how: run.levels for run in check.runs}
+    return Evidence(check.recording, check.decoded, check.cloud, result.calibration, check.shown, runs)
 
 
-def _sections(found: RigCheck, calibration: Calibration | None) -> list[ReportSection]:
+def _sections(found: RigCheck, evidence: Evidence) -> list[ReportSection]:
     sections = []
-    if shown := evidence_report(found.findings, evidence_of(found, calibration)):
+    if shown := evidence_report(found.findings, evidence):
         sections.append(ReportSection("What shows it", figures=shown))
     if found.recording is not None:
         drawn = figures.camera_image(found.recording.mean_image())

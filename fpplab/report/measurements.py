@@ -1,0 +1,54 @@
+"""A page of several measurements: response, characterisation, scans."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from datetime import datetime
+from pathlib import Path
+
+from fpplab.characterisation import Characterisation, Judgement
+from fpplab.core.conventions import Floats
+from fpplab.patterns.response import Response
+from fpplab.report import devices
+from fpplab.report.cloud_view import MOST_POINTS
+from fpplab.report.guidance import guided_section
+from fpplab.report.page import PageBasis, write_page
+from fpplab.report.parts import PageVerdict
+from fpplab.report.response import response_section
+from fpplab.report.scan_section import ScanSection, scan_tables, section_of
+from fpplab.setup.guide import GuidedRun
+
+
+def write_report(
+    path: Path,
+    title: str,
+    *,
+    facts: Mapping[str, str] | None = None,
+    response: tuple[Response, Floats] | None = None,
+    characterisation: Characterisation | None = None,
+    judgement: Judgement | None = None,
+    guided: GuidedRun | None = None,
+    scans: Sequence[ScanSection] = (),
+    basis: PageBasis | None = None,
+    when: datetime | None = None,
+) -> None:
+    """Write the report of measurements as one HTML file. If it fails, an earlier file is unchanged."""
+    # facts (rig, plan, operator); response (K, 2)
+    given = basis or PageBasis()
+    alone = len(scans) == 1
+    verdicts = [PageVerdict.of(s.diagnosis, "" if alone else s.name) for s in scans if s.diagnosis]
+    sources = {s.name: s.provenance for s in scans if s.provenance}
+    sections = []
+    if guided:
+        sections.append(guided_section(guided))
+    if characterisation:
+        sections.append(devices.characterisation_section(characterisation))
+    if judgement:
+        sections.append(devices.judgement_section(judgement))
+    share = MOST_POINTS // max(len(scans), 1)
+    sections = [section_of(scan, share) for scan in scans] + sections
+    if response:
+        sections.append(response_section(*response))
+    summary = [devices.summary_table(characterisation)] if characterisation else []
+    whole = PageBasis((*given.verdicts, *verdicts), {**given.provenance, **sources}, given.answer)
+    write_page(path, title, [*scan_tables(scans), *summary], sections, facts, when, whole)

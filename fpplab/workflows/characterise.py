@@ -1,0 +1,250 @@
+"""Find the models of camera and projector from poses of a board, recorded or taken now."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from fpplab.core.errors import CalibrationError, ConfigError
+from fpplab.results.observer import Observer
+from fpplab.workflows.pose_causes import diagnosed_poses, with_causes
+
+if TYPE_CHECKING:
+    from fpplab.characterisation import Characterisation, DistortionModel
+    from fpplab.core.depth import DepthInterval
+    from fpplab.devices.rig import Rig
+    from fpplab.diagnosis import Finding
+    from fpplab.patterns.plan import Plan
+    from fpplab.results.characterisation import CharacterisationResult
+    from fpplab.sessions.session import Session
+    from fpplab.setup.guide import GuidedRun
+    from fpplab.targets import Target
+
+
+@dataclass(frozen=True, eq=False)
+class CharacterisationRequest:
+    """Which board to fit, and where its poses come from: from sessions, or from a rig."""
+
+    target: Target
+    out: Path  # the calibration; a report goes beside it, poses of a rig into a folder beside it
+    sessions: tuple[Path, ...] = ()  # one per pose, or the folder that holds them
+    rig: Rig | None = None  # not open
+    plan: Plan | None = None  # of the poses that are taken
+    plan_name: str = "plan"  # as messages call it
+    poses: int = 12  # how many are taken
+    item: str = "board"  # what the rig's fixture calls the board
+    level: DistortionModel | Literal["auto"] = "auto"  # of the distortion that is fitted
+    refine_board: bool | None = None  # whether the board's shape is fitted too; by default it is
+    guided: bool = False  # whether poses are asked for one at a time, by what is still uncertain
+    until_mm: float | None = None  # uncertainty of form at which guided poses end
+    depth_mm: DepthInterval | None = None  # working range of guided poses; by default of plan or rig
+    force: bool = False  # whether files that are there are replaced
+
+    @property
+    def page(self) -> Path:
+        """Where the report goes."""
+        return self.out.with_suffix(".html")
+
+    @property
+    def folder(self) -> Path:
+        """Where the sessions of poses go that are taken now."""
+        return self.out.with_name(self.out.stem + "_poses")
+
+
+def run_characterisation(
+    request: CharacterisationRequest, observer: Observer | None = None
+) -> CharacterisationResult:
+    """Take or read poses, fit both devices, judge the fit by the frames, and write calibration and report.
+
+    Parameters
+    ----------
+    request : CharacterisationRequest
+        The board and its poses.
+    observer : Observer, optional
+        Shown progress, frames and the characterisation, and told which poses were left out and why.
+
+    Returns
+    -------
+    CharacterisationResult
+        The calibration and its verdict.
+
+    Raises
+    ------
+    ConfigError, DeviceError, DataError
+        An output exists, the plan does not suit a board, or a pose cannot be taken or read.
+    CalibrationError
+        Too few poses remain, or the models do not fit; it says what is wrong with the frames.
+    """
+    check_characterisation_input(request)
+    observer = observer or Observer()
+    guided = None
+    if request.rig is None:
+        from fpplab.sessions.session import recorded_sessions
+
+        sessions: Sequence[Session] = recorded_sessions(list(request.sessions))
+        fitted = _fit(request, sessions, observer)
+    elif request.guided:
+        guided = _guide(request, request.rig, observer)
+        sessions, fitted = guided.sessions, guided.result
+    else:
+        sessions = _take(request, request.rig, observer)
+        fitted = _fit(request, sessions, observer)
+    return _conclude(request, fitted, sessions, guided, observer)
+
+
+def check_characterisation_input(request: CharacterisationRequest) -> None:
+    """Refuse outputs that are there, and a plan that does not suit a board."""
+    from fpplab.core.files import refuse_existing
+    from fpplab.report import is_report
+
+    if bool(request.sessions) == bool(request.rig):
+        raise ConfigError("give either sessions or --rig, to say where the poses come from")
+    continued = request.guided and request.folder.is_dir()  # its poses are kept, its result renewed
+    refuse_existing(request.out, request.force or continued)
+    # A report alone is of a run that ended before its result.
+    refuse_existing(request.page, request.force or continued or is_report(request.page))
+    if request.rig is not None:
+        _check_plan(_plan_of(request), request.plan_name)
+
+
+def _plan_of(request: CharacterisationRequest) -> Plan:
+    if request.plan is None:
+        raise ConfigError("a rig needs a plan, to say what is projected onto the board")
+    return request.plan
+
+
+def _check_plan(plan: Plan, name: str) -> None:
+    from fpplab.phase import check_unwrapping
+
+    check_unwrapping(plan, name)
+    if plan.axes != ("x", "y"):
+        raise ConfigError(f"{name}: has fringes along {plan.axes[0]} alone; characterisation needs x and y")
+
+
+def _take(request: CharacterisationRequest, rig: Rig, observer: Observer) -> list[Session]:
+    from fpplab.pipeline import take_poses
+
+    plan = _plan_of(request)
+    _announce_kept_poses(request, observer)
+    with rig:
+        caps = rig.projector.caps
+        observer.plan(plan, caps.size, caps.lattice)
+        with observer.stage("Taking poses") as progress:
+            return take_poses(
+                rig,
+                plan,
+                request.item,
+                request.poses,
+                request.folder,
+                request.force,
+                progress,
+                observer.frame,
+            )
+
+
+def _guide(request: CharacterisationRequest, rig: Rig, observer: Observer) -> GuidedRun:
+    """Ask for poses one at a time, each judged while the board is still there."""
+    from fpplab.setup.guide import GuidedSettings, guided_characterisation
+
+    plan = _plan_of(request)
+    _announce_kept_poses(request, observer)
+    with rig:
+        caps = rig.projector.caps
+        observer.plan(plan, caps.size, caps.lattice)
+        settings = GuidedSettings(
+            request.item,
+            request.poses,
+            request.until_mm,
+            request.depth_mm or plan.depth_mm or rig.file.depth_mm,
+            request.level,
+            request.refine_board is not False,
+            request.force,
+        )
+        return guided_characterisation(
+            rig,
+            plan,
+            request.target,
+            request.folder,
+            settings,
+            observer.message,
+            observer.stage,
+            observer.frame,
+        )
+
+
+def _announce_kept_poses(request: CharacterisationRequest, observer: Observer) -> None:
+    if request.folder.exists() and not request.force:
+        observer.message(f"{request.folder}: complete poses there are kept; --force takes all again")
+
+
+def _fit(
+    request: CharacterisationRequest, sessions: Sequence[Session], observer: Observer
+) -> Characterisation:
+    from fpplab.pipeline import characterise_sessions
+
+    try:
+        with observer.stage("Characterising") as progress:
+            return characterise_sessions(
+                sessions,
+                request.target,
+                progress,
+                level=request.level,
+                refine_board=request.refine_board,
+            )
+    except CalibrationError as error:
+        raise with_causes(error, sessions, observer) from error
+
+
+def _conclude(
+    request: CharacterisationRequest,
+    fitted: Characterisation,
+    sessions: Sequence[Session],
+    guided: GuidedRun | None,
+    observer: Observer,
+) -> CharacterisationResult:
+    """Judge a fit by the frames of its poses, and write report and calibration."""
+    from fpplab.report.characterisation import write_characterisation_report
+    from fpplab.results.characterisation import CharacterisationResult
+    from fpplab.results.provenance import poses_provenance
+
+    findings = _lens_findings(fitted)
+    diagnosis = diagnosed_poses(sessions, fitted.warnings, fitted.left_out, findings, observer)
+    for reason in fitted.left_out.values():
+        observer.message(f"left out: {reason}")
+    for warning in fitted.warnings:
+        observer.message(f"warning: {warning}")
+    observer.message(diagnosis.sentence)
+    observer.result(fitted)
+    result = CharacterisationResult(
+        characterisation=fitted,
+        guided=guided,
+        diagnosis=diagnosis,
+        provenance=poses_provenance(sessions, fitted.calibration, request.out),
+        calibration_file=request.out,
+        report_file=request.page,
+    )
+    write_characterisation_report(request.page, result)
+    fitted.calibration.save(request.out)  # last: where it is, all is done
+    return result
+
+
+def _lens_findings(fitted: Characterisation) -> list[Finding]:
+    """Whether the camera's lens was locked while the poses were taken."""
+    from fpplab.characterisation import lens
+    from fpplab.characterisation.limits import USUAL_LIMITS
+    from fpplab.diagnosis import Finding
+    from fpplab.diagnosis.causes.of_characterisation import LENS_NOT_LOCKED
+
+    if fitted.solution is None or fitted.sizes is None:
+        return []
+    scales, sigmas = lens.scales_of_poses(fitted.observations, fitted.solution, fitted.sizes)
+    if not lens.has_focus_breathing(scales, sigmas):
+        return []
+    scatter, _ = lens.scale_scatter(scales, sigmas)
+    evidence = (
+        f"the scale of the camera's image differs between poses by {100 * scatter:.3f} % RMS "
+        f"(at most {100 * USUAL_LIMITS.max_focus_breathing:g} %, and what noise explains)"
+    )
+    return [Finding(LENS_NOT_LOCKED, evidence, scatter / USUAL_LIMITS.max_focus_breathing)]

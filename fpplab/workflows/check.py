@@ -1,0 +1,90 @@
+"""Find out what is wrong with a rig, and keep what shows it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from fpplab.results.observer import Observer
+
+if TYPE_CHECKING:
+    from fpplab.calibration.model import Calibration
+    from fpplab.devices.rig import Rig
+    from fpplab.patterns.plan import Plan
+    from fpplab.results.check import CheckResult
+
+
+@dataclass(frozen=True, eq=False)
+class CheckRequest:
+    """Which rig to check, and what to keep of it."""
+
+    rig: Rig  # not open
+    plan: Plan  # that is going to be measured with
+    item: str = "grey_card"  # that the rig's fixture puts up
+    calibration: Calibration | None = None  # whether it is still the rig's is checked too
+    pictures: Path | None = None  # folder for a picture of each finding; a .png for one of the levels
+    page: Path | None = None  # report
+    force: bool = False  # whether files that are there are replaced
+    calibration_file: Path | None = None  # as provenance calls it
+
+
+def run_check(request: CheckRequest, observer: Observer | None = None) -> CheckResult:
+    """Open a rig, find out what is wrong with it, and write report and pictures where they are asked for.
+
+    Parameters
+    ----------
+    request : CheckRequest
+        With a rig that is not open.
+    observer : Observer, optional
+        Shown progress.
+
+    Returns
+    -------
+    CheckResult
+        The findings, and the files that were written.
+
+    Raises
+    ------
+    ConfigError
+        An output exists.
+    DataError
+        A file cannot be written.
+    """
+    from fpplab.core.files import need_suffix, refuse_existing
+
+    for path in (request.pictures, request.page):
+        if path:
+            refuse_existing(path, request.force)
+    if request.page:
+        need_suffix(request.page, ".html")
+    result = _check(request, observer or Observer())
+    if request.pictures:
+        from fpplab.report.check import write_check_pictures
+
+        result = replace(result, picture_files=write_check_pictures(request.pictures, result))
+    if request.page:
+        from fpplab.report.check import write_check_report
+
+        write_check_report(request.page, result)
+    return result
+
+
+def _check(request: CheckRequest, observer: Observer) -> CheckResult:
+    from fpplab.results.check import CheckResult
+    from fpplab.results.provenance import rig_provenance
+    from fpplab.setup.rig_check.check import check_rig
+
+    folder = request.pictures.absolute().parent if request.pictures else Path.cwd()
+    with observer.stage("Checking") as progress:
+        found = check_rig(request.rig, request.plan, request.item, progress, request.calibration, folder)
+    provenance = rig_provenance(
+        found.rig,
+        found.origin,
+        request.plan,
+        calibration=request.calibration,
+        file=request.calibration_file,
+    )
+    return CheckResult(
+        found, request.calibration, provenance.with_values(item=request.item), report_file=request.page
+    )

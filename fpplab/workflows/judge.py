@@ -1,0 +1,68 @@
+"""Judge a calibration by poses of its board that it was not fitted to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from fpplab.results.observer import Observer
+
+if TYPE_CHECKING:
+    from fpplab.results.characterisation import JudgementResult
+
+
+@dataclass(frozen=True)
+class JudgementRequest:
+    """Which calibration to judge, and by which sessions."""
+
+    calibration: Path
+    sessions: tuple[Path, ...]  # one per pose, or the folder that holds them
+    page: Path | None = None  # report
+    force: bool = False  # whether a file that is there is replaced
+
+
+def run_judgement(request: JudgementRequest, observer: Observer | None = None) -> JudgementResult:
+    """Compare the errors in other poses with those that the calibration predicts.
+
+    Parameters
+    ----------
+    request : JudgementRequest
+        The calibration and the poses.
+    observer : Observer, optional
+        Shown progress, and told which poses were left out and why.
+
+    Returns
+    -------
+    JudgementResult
+        Whether the poses contradict the calibration.
+
+    Raises
+    ------
+    ConfigError
+        The report exists.
+    CalibrationError, DataError
+        The calibration is of other devices or does not record its board, or poses cannot be read.
+    """
+    from fpplab.calibration.model import Calibration
+    from fpplab.core.files import refuse_existing
+    from fpplab.pipeline import judge_sessions
+    from fpplab.report.characterisation import write_judgement_report
+    from fpplab.results.characterisation import JudgementResult
+    from fpplab.results.provenance import poses_provenance
+    from fpplab.sessions.session import recorded_sessions
+
+    observer = observer or Observer()
+    if request.page:
+        refuse_existing(request.page, request.force)
+    calibration = Calibration.load(request.calibration)
+    with observer.stage("Judging") as progress:
+        sessions = recorded_sessions(list(request.sessions))
+        judgement = judge_sessions(sessions, calibration, request.calibration, progress)
+    for reason in judgement.left_out.values():
+        observer.message(f"left out: {reason}")
+    provenance = poses_provenance(sessions, calibration, request.calibration)
+    result = JudgementResult(judgement, provenance, request.page)
+    if request.page:
+        write_judgement_report(request.page, request.calibration.stem, result)
+    return result
