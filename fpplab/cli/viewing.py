@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from fpplab.viewer.canvas import CommandView
     from fpplab.viewer.measurement import MeasurementView
     from fpplab.viewer.response import ResponseView
+    from fpplab.viewer.search import SearchView
     from fpplab.viewer.server import Shown
     from fpplab.viewer.viewer import Viewer
 
@@ -161,6 +162,29 @@ class ResponseObserver(ConsoleObserver):
             self._viewer.show(ResponseView.response, result.response)
 
 
+class SearchObserver(ConsoleObserver):
+    """Prints the epochs of a search, and shows them in the viewer where there is one."""
+
+    def __init__(self, viewer: Viewer[SearchView] | None) -> None:
+        self._viewer = viewer
+
+    def result(self, result: object) -> None:
+        """Print and show an epoch."""
+        from fpplab.optimisation.candidate_runner import SearchEpoch
+
+        if not isinstance(result, SearchEpoch):
+            return
+        best = result.best.figures
+        self.message(
+            f"epoch {result.number}, {result.step}: {result.measured} candidates; best {best.images} images, "
+            f"{best.surface_smcd_um:.2f} µm"
+        )
+        if self._viewer is not None:
+            from fpplab.viewer.search import SearchView
+
+            self._viewer.show(SearchView.epoch, result)
+
+
 def observe_measurement(
     context: typer.Context, wanted: bool, keep_open: bool, recording: Path | None
 ) -> Observer:
@@ -206,3 +230,13 @@ def observe_response(context: typer.Context, wanted: bool, keep_open: bool, reco
     from fpplab.viewer.response import ResponseView
 
     return ResponseObserver(open_viewer(context, ResponseView, wanted, keep_open, recording))
+
+
+def observe_search(context: typer.Context, wanted: bool, keep_open: bool, recording: Path) -> Observer:
+    """Make what follows a search."""
+    if not (wanted or keep_open):
+        return SearchObserver(None)
+    need_extra("rerun")
+    from fpplab.viewer.search import SearchView
+
+    return SearchObserver(open_viewer(context, SearchView, wanted, keep_open, recording))

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,19 +13,16 @@ from matplotlib.figure import Figure as Sheet
 from matplotlib.ticker import LogFormatter, MaxNLocator
 
 from fpplab.core.drawing import ACCENT, ALARM, FULL, HALF, INK, SECOND, as_png, side_by_side, single_axes
-from fpplab.optimisation.candidate import Candidate
 from fpplab.optimisation.confirm_result import ConfirmedPlan
 from fpplab.optimisation.figures import CandidateFigures, MeasuredCandidate
-from fpplab.optimisation.measuring import RigEvaluator
 from fpplab.optimisation.objective import Objective, registered_objectives
 from fpplab.optimisation.result import SearchResult
 from fpplab.optimisation.scoring import ArtefactFigures
 from fpplab.optimisation.space import Parameter
-from fpplab.optimisation.verdict import diagnose_search
 from fpplab.report.figures import error_map
 from fpplab.report.page import PageBasis, write_page
 from fpplab.report.parts import PageVerdict, ReportFigure, ReportSection, ReportTable
-from fpplab.results.provenance import Provenance, rig_provenance
+from fpplab.results.search import MeasuredArtefact, OptimisationResult
 
 DISTANCE = "mean distance to the surface, µm"
 """Label of the axes."""
@@ -36,20 +31,6 @@ PLAN_COLUMNS = ("Plan", "Stripes", "Steps", "Stage in mm")
 """Columns of the summary before those of the objectives."""
 OTHER_COLUMNS = ("Surface SMCD in µm, other seeds", "SMCD (floor) in µm", "Wrong orders", "Filtered")
 """Columns of the summary after those of the objectives."""
-
-ErrorMaps = Mapping[str, tuple[bytes, bytes]]
-"""For each artefact its error maps as PNG files, with the start's plan and with the plan found."""
-
-
-@dataclass(frozen=True)
-class SearchMaps:
-    """What is measured on the rig of a search when it is over."""
-
-    error_maps: ErrorMaps  # of every artefact
-    angles: Mapping[float, float]  # angles of triangulation in degrees by the stage's position in mm
-    provenance: Mapping[str, Provenance] = field(default_factory=dict)  # of the rig, with the start's plan
-
-
 CONFIRMED = (
     "Plan",
     "Images",
@@ -63,53 +44,25 @@ CONFIRMED = (
 )
 
 
-def write_optimisation_report(
-    path: Path,
-    found: SearchResult,
-    confirmed: Sequence[ConfirmedPlan] = (),
-    maps: SearchMaps | None = None,
-    answer: Mapping[str, Any] | None = None,
-) -> None:
+def write_optimisation_report(path: Path, result: OptimisationResult) -> None:
     """Write a search as one HTML file."""
-    sections = [_confirmed_section(confirmed)] if confirmed else []
-    sections.append(_convergence_section(found))
-    if len(found.front) > 1:
-        sections.append(_front_section(found))
-    maps = maps or SearchMaps({}, {})
+    search, compared = result.search, result.compared
+    sections = [_confirmed_section(result.confirmed)] if result.confirmed else []
+    sections.append(_convergence_section(search))
+    if len(search.front) > 1:
+        sections.append(_front_section(search))
     sections += [
-        _parameter_section(found, maps.angles),
-        *(_map_section(name, *both) for name, both in maps.error_maps.items()),
+        _parameter_section(search, compared.angles_deg),
+        *(_map_section(name, *both) for name, both in compared.artefacts.items()),
     ]
-    verdict = PageVerdict.of(diagnose_search(found, confirmed))
-    basis = PageBasis((verdict,), maps.provenance, answer or {})
-    write_page(path, f"Search: {found.study.name}", _summary(found), sections, _facts(found), basis=basis)
+    basis = PageBasis((PageVerdict.of(result.diagnosis),), compared.provenance, result.summary())
+    write_page(path, f"Search: {search.study.name}", _summary(search), sections, _facts(search), basis=basis)
 
 
 def _how_scored(found: SearchResult) -> str:
     if not found.screened:
         return "measured whole"
     return "predicted from bands of rows; what has figures of other seeds was measured whole with these"
-
-
-def measure_search_maps(rig: str, found: SearchResult) -> SearchMaps:
-    """Measure every artefact once more on the search's rig, with the first and the best plan."""
-    seed, plans = found.study.seeds[0], (found.start.candidate, found.optimum.candidate)
-    candidates = {trial.candidate.stage_mm: trial.candidate for trial in found.trials}
-    with closing(RigEvaluator(rig, found.study)) as evaluator:
-        maps = {
-            name: (_errors(evaluator, name, plans[0], seed), _errors(evaluator, name, plans[1], seed))
-            for name in found.study.artefacts
-        }
-        angles = {
-            mm: evaluator.triangulation_angle_deg(one) for mm, one in candidates.items() if mm is not None
-        }
-        provenance = {"rig": rig_provenance(*evaluator.described(), found.study.start)}
-    return SearchMaps(maps, angles, provenance)
-
-
-def _errors(evaluator: RigEvaluator, name: str, candidate: Candidate, seed: int) -> bytes:
-    cloud, found = evaluator.compare(name, candidate, seed)
-    return error_map(cloud, found.distances_mm, found.counted)
 
 
 def _facts(found: SearchResult) -> dict[str, str]:
@@ -387,11 +340,13 @@ def distance_by_parameter(found: SearchResult, i: int, parameter: Parameter) -> 
     return figure
 
 
-def _map_section(name: str, before: bytes, after: bytes) -> ReportSection:
+def _map_section(name: str, before: MeasuredArtefact, after: MeasuredArtefact) -> ReportSection:
     figures = tuple(
         ReportFigure.of(
-            png, f"Errors of the {name}, {words}", f"{words.capitalize()}: signed distance from the surface."
+            error_map(one.cloud, one.comparison.distances_mm, one.comparison.counted),
+            f"Errors of the {name}, {plan}",
+            f"{plan.capitalize()}: signed distance from the surface.",
         )
-        for png, words in ((before, "with the start's plan"), (after, "with the plan found"))
+        for one, plan in ((before, "with the start's plan"), (after, "with the plan found"))
     )
     return ReportSection(f"Artefact {name}", figures=figures)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fpplab.clouds import Cloud, local_quadric_distance
+from fpplab.clouds import Cloud
 from fpplab.comparison import Comparison
 from fpplab.core.conventions import Axis, Image, Map
 from fpplab.diagnosis import Diagnosis
@@ -20,6 +20,7 @@ from fpplab.report.cloud_view import MOST_POINTS, cloud_view
 from fpplab.report.parts import ReportFigure, ReportSection, ReportTable
 from fpplab.report.wording import NOT_KNOWN, count_words, number_words, percent_words
 from fpplab.results.provenance import Provenance
+from fpplab.results.several_scans import noise_um, roughness_um
 
 COMPARED = (
     "Artefact",
@@ -100,20 +101,6 @@ def _compared_row(scan: ScanSection, cloud: Cloud, found: Comparison) -> tuple[s
     head = (scan.name, str(scan.images), count_words(len(cloud)))
     scale = NOT_KNOWN if found.scale is None else f"{found.scale.ppm:+.0f} ± {found.scale.sigma_ppm:.0f}"
     return (*head, *map(number_words, lengths), percent_words(found.completeness), outliers, scale)
-
-
-def roughness_um(cloud: Cloud) -> float | None:
-    """Measure how rough a cloud is."""
-    if cloud.pixels is None:
-        return None
-    distances = np.abs(local_quadric_distance(cloud))
-    known = distances[np.isfinite(distances)]
-    return 1e3 * float(np.median(known)) if len(known) else None
-
-
-def noise_um(cloud: Cloud) -> float | None:
-    """Give the median standard uncertainty of the points by noise."""
-    return None if cloud.sigma_noise_mm is None else 1e3 * float(np.median(cloud.sigma_noise_mm))
 
 
 def section_of(scan: ScanSection, points: int = MOST_POINTS) -> ReportSection:

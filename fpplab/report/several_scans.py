@@ -4,199 +4,49 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.calibration.model import Calibration, CalibrationFile
-from fpplab.clouds import Cloud, load_cloud
-from fpplab.core.conventions import Image
+from fpplab.clouds import Cloud
 from fpplab.core.drawing import value_range
-from fpplab.core.errors import ConfigError, DataError
-from fpplab.diagnosis import Diagnosis
-from fpplab.diagnosis.record import load_diagnosis
-from fpplab.phase import Decoded
-from fpplab.pipeline import CALIBRATION, CLOUD, DECODED, diagnose
+from fpplab.core.errors import DataError
 from fpplab.report import figures
 from fpplab.report.cloud_view import MOST_POINTS, cloud_view
 from fpplab.report.page import PageBasis, write_page
 from fpplab.report.parts import PageVerdict, ReportFigure, ReportSection, ReportTable
-from fpplab.report.scan_section import ROUGHNESS, noise_um, roughness_um
+from fpplab.report.scan_section import ROUGHNESS
 from fpplab.report.wording import NOT_KNOWN, count_words, number_words
-from fpplab.results.provenance import Provenance, cloud_provenance, local_time, session_provenance
-from fpplab.sessions.session import JOURNAL, Session
-
-MOST_SCANS = 8
-"""More would not fit into a page that can be mailed."""
+from fpplab.results.several_scans import CloudDifference, ScanRecord, ScansResult, noise_um, roughness_um
 
 
-@dataclass(frozen=True, eq=False)
-class ScanRecord:
-    """What is recorded of one scan."""
-
-    name: str  # on the page
-    provenance: Provenance  # where it comes from
-    cloud: Cloud | None  # its points; None where there are none
-    calibration: Calibration | None  # that it was reconstructed with, where it is recorded
-    diagnosis: Diagnosis | None  # whether to believe it, where that is recorded or can be found out
-    frame: tuple[Image, int] | None  # A frame of the finest fringes and its bit depth; None for a cloud alone
-
-    def verdict(self) -> PageVerdict:
-        """Say whether to believe the scan, with a small picture of it."""
-        picture = base64.b64encode(figures.thumbnail(self.cloud)).decode("ascii") if self.cloud else ""
-        if self.diagnosis is not None:
-            return replace(PageVerdict.of(self.diagnosis, self.name), thumbnail=picture)
-        if self.cloud is None:
-            return PageVerdict(self.name, "none", "Not reconstructed", "The session holds no cloud.")
-        said = "A cloud alone does not tell; give its session."
-        return PageVerdict(self.name, "none", "Not judged", said, thumbnail=picture)
-
-    def summary(self) -> dict[str, Any]:
-        """Collect the figures for JSON."""
-        judged = self.diagnosis.summary() if self.diagnosis else {"verdict": None}
-        cloud = self.cloud
-        return {
-            "name": self.name,
-            **judged,
-            "points": len(cloud) if cloud else 0,
-            "roughness_um": roughness_um(cloud) if cloud else None,
-            "noise_um": noise_um(cloud) if cloud else None,
-        }
-
-
-@dataclass(frozen=True, eq=False)
-class CloudDifference:
-    """How far two clouds of one calibration are apart, along the camera's rays."""
-
-    scan: str  # names of the two
-    reference: str  # names of the two
-    distances_mm: NDArray[np.float32] | None  # (N,) for every point of the scan
-    reason: str = ""  # why not
-
-    def summary(self) -> dict[str, Any]:
-        """Collect the figures for JSON."""
-        names = {"scan": self.scan, "reference": self.reference}
-        if self.distances_mm is None:
-            return {**names, "not_compared": self.reason}
-        known = 1e3 * self.distances_mm[np.isfinite(self.distances_mm)].astype(np.float64)
-        return {
-            **names,
-            "pixels": len(known),
-            "median_um": float(np.median(known)),
-            "rms_um": float(np.sqrt(np.mean(known**2))),
-            "p95_um": float(np.percentile(np.abs(known), 95)),
-        }
-
-
-def read_scan(path: Path, name: str) -> ScanRecord:
-    """Read what a session or a cloud tells of a scan.
-
-    Where a session records no verdict, it is given now.
-    """
-    folder = path if path.is_dir() else path.parent
-    if not path.exists():
-        raise ConfigError(f"{path}: there is no such session or cloud")
-    beside = folder / CALIBRATION
-    calibration = Calibration.load(beside) if beside.is_file() else None
-    if not path.is_dir():
-        own = path.name == CLOUD and (folder / JOURNAL).is_file()
-        judged = load_diagnosis(folder) if own else None
-        source = cloud_provenance(path, calibration)
-        return ScanRecord(
-            name, source, load_cloud(path), calibration, judged.diagnosis() if judged else None, None
-        )
-    session = Session.open(path)
-    if session.missing():
-        raise DataError(f"{path}: {len(session.missing())} frames are missing; complete the scan first")
-    cloud = load_cloud(path / CLOUD) if (path / CLOUD).is_file() else None
-    diagnosis, judged_at = _diagnosis(session, cloud, calibration)
-    source = session_provenance(session, calibration).with_values(judged=judged_at)
-    recording = session.recording(verify=False)
-    frame = recording.finest()[1][0], recording.bits
-    return ScanRecord(name, source, cloud, calibration, diagnosis, frame)
-
-
-def _diagnosis(
-    session: Session, cloud: Cloud | None, calibration: Calibration | None
-) -> tuple[Diagnosis | None, str | None]:
-    """The verdict as recorded, or given now; and when."""
-    if recorded := load_diagnosis(session.path):
-        return recorded.diagnosis(), f"{local_time(recorded.made)}, fpplab {recorded.version}"
-    if cloud is None or calibration is None or not (session.path / DECODED).is_file():
-        return None, None
-    found = diagnose(session, Decoded.load(session.path / DECODED), cloud, calibration)
-    return found, "for this report"
-
-
-def short_names(paths: Sequence[Path]) -> list[str]:
-    """Name scans by the last part of their paths, or by as many as tell them apart."""
-    # The cloud of a session is called as the session.
-    whole = [(path.parent if path.name == CLOUD else path).resolve() for path in paths]
-    for path in whole:
-        if whole.count(path) > 1:
-            raise ConfigError(f"{path}: is given twice; name each scan once")
-    for parts in range(1, max(len(path.parts) for path in whole) + 1):
-        names = ["/".join(path.parts[-parts:]) for path in whole]
-        if len(set(names)) == len(names):
-            break
-    return names
-
-
-def difference(scan: ScanRecord, reference: ScanRecord) -> CloudDifference:
-    """Subtract two clouds, where both were reconstructed with the same calibration."""
-    names = scan.name, reference.name
-    one, other = scan.cloud, reference.cloud
-    if one is None or other is None:
-        return CloudDifference(*names, None, "one of them has no points")
-    if scan.calibration is None or reference.calibration is None:
-        return CloudDifference(*names, None, "the calibration is not recorded")
-    if not _same_geometry(scan.calibration, reference.calibration):
-        return CloudDifference(*names, None, "they were reconstructed with different calibrations")
-    if one.pixels is None or other.pixels is None or one.size != other.size:
-        return CloudDifference(*names, None, "the points are not known by pixels of one camera")
-    here, there = (v.astype(np.int64) << 32 | u for u, v in (one.pixels.T, other.pixels.T))
-    _, rows, others = np.intersect1d(here, there, assume_unique=True, return_indices=True)
-    if not len(rows):
-        return CloudDifference(*names, None, "no pixel has a point in both")
-    distances = np.full(len(one), np.nan, np.float32)
-    far, near = (
-        np.linalg.norm(c.points[k].astype(np.float64), axis=1) for c, k in ((one, rows), (other, others))
-    )
-    distances[rows] = far - near
-    return CloudDifference(*names, distances)
-
-
-def _same_geometry(one: Calibration, other: Calibration) -> bool:
-    files = [CalibrationFile.of(calibration) for calibration in (one, other)]
-    first, second = ((f.camera, f.projector, f.T_projector_camera) for f in files)
-    return first == second
-
-
-def write_scans_report(
-    path: Path, scans: Sequence[ScanRecord], differences: Sequence[CloudDifference]
-) -> None:
+def write_scans_report(path: Path, result: ScansResult) -> None:
     """Write several scans side by side as one HTML file."""
+    scans = result.scans
     if not any(scan.cloud for scan in scans):
         raise DataError(f"none of {len(scans)} sessions holds a cloud; reconstruct them first")
     basis = PageBasis(
-        tuple(scan.verdict() for scan in scans),
+        tuple(scan_verdict(scan) for scan in scans),
         {scan.name: scan.provenance for scan in scans},
-        scans_answer(scans, differences),
+        result.figures(),
     )
     by_name = {scan.name: scan for scan in scans}
-    sections = [_surfaces(scans), *_maps(scans), *_differences(differences, by_name), *_images(scans)]
+    sections = [_surfaces(scans), *_maps(scans), *_differences(result.differences, by_name), *_images(scans)]
     write_page(path, f"{len(scans)} scans", [_figures(scans)], sections, basis=basis)
 
 
-def scans_answer(scans: Sequence[ScanRecord], differences: Sequence[CloudDifference]) -> dict[str, Any]:
-    """Give what `fpplab report --json` prints."""
-    return {
-        "scans": [scan.summary() for scan in scans],
-        "differences": [one.summary() for one in differences],
-    }
+def scan_verdict(scan: ScanRecord) -> PageVerdict:
+    """Say whether to believe a scan, with a small picture of it."""
+    picture = base64.b64encode(figures.thumbnail(scan.cloud)).decode("ascii") if scan.cloud else ""
+    if scan.diagnosis is not None:
+        return replace(PageVerdict.of(scan.diagnosis, scan.name), thumbnail=picture)
+    if scan.cloud is None:
+        return PageVerdict(scan.name, "none", "Not reconstructed", "The session holds no cloud.")
+    reason = "A cloud alone does not tell; give its session."
+    return PageVerdict(scan.name, "none", "Not judged", reason, thumbnail=picture)
 
 
 def _figures(scans: Sequence[ScanRecord]) -> ReportTable:

@@ -50,7 +50,9 @@ from docs.generate.reference import files_page
 from fpplab.core.errors import ConfigError
 from fpplab.optimisation.run import run_search
 from fpplab.optimisation.scope import SearchScope
+from fpplab.optimisation.verdict import diagnose_search
 from fpplab.report.optimisation import write_optimisation_report
+from fpplab.results.search import OptimisationResult
 from tests.support.searching import Formula, study
 
 ITEMS = ["pyramid", "steps"]
@@ -62,7 +64,8 @@ assert pickle.loads(pickle.dumps(wanted)) == wanted
 found = run_search(SearchScope.PARETO, "rig_demo", wanted, Path("front"), "study.yaml", factory=Formula())
 answer = found.summary()
 print(answer["initial"]["light_s"], max(trial["light_s"] for trial in answer["front"]))
-write_optimisation_report(Path("page.html"), found)
+page = Path("page.html")
+write_optimisation_report(page, OptimisationResult(found, diagnose_search(found), page))
 print("Light on the part, s" in Path("page.html").read_text())
 page = files_page()
 print("time for which the projector shines" in page, "Longest time of light." in page)

@@ -18,9 +18,11 @@ from fpplab.optimisation.result import SearchResult
 from fpplab.optimisation.run import run_search, worker_count
 from fpplab.optimisation.scope import SearchScope
 from fpplab.optimisation.study import Study
+from fpplab.optimisation.verdict import diagnose_search
 from fpplab.patterns.plan import Plan
 from fpplab.pipeline import take
 from fpplab.report.optimisation import write_optimisation_report
+from fpplab.results.search import OptimisationResult
 from fpplab.sessions.session import Session
 from fpplab.viewer.canvas import Canvas
 from fpplab.viewer.search import SearchView
@@ -54,7 +56,8 @@ def test_front_is_written_as_a_folder_of_plans(tmp_path: Path) -> None:
     summary = found.summary()
     assert summary["epochs"] == len(seen) == len(summary["convergence"])
     assert [one["images"] for one in summary["front"]] == list(range(19, 12, -1))
-    write_optimisation_report(tmp_path / "page.html", found)
+    page = tmp_path / "page.html"
+    write_optimisation_report(page, OptimisationResult(found, diagnose_search(found), page))
     page = (tmp_path / "page.html").read_text()
     for words in ("Pareto front", "Convergence", "Distance against steps[2]", "Shadow against stage_mm"):
         assert words in page

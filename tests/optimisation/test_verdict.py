@@ -20,7 +20,8 @@ from fpplab.optimisation.figures import MeasuredCandidate
 from fpplab.optimisation.result import SearchResult
 from fpplab.optimisation.study import Study
 from fpplab.optimisation.verdict import diagnose_search
-from fpplab.report import optimisation as report
+from fpplab.results.search import BeforeAndAfter
+from fpplab.workflows import optimise
 from tests.support.searching import PLAIN, Calculated, Formula, runner_of
 
 SEEDS = [1, 2, 3, 4, 5]
@@ -170,7 +171,7 @@ def test_the_command_leaves_no_plan_that_is_worse_than_the_start(
 
     really = run.run_search
     monkeypatch.setattr(run, "run_search", lambda *a, **more: really(*a, **{**more, "factory": Elsewhere()}))
-    monkeypatch.setattr(report, "measure_search_maps", lambda rig, found: report.SearchMaps({}, {}))
+    monkeypatch.setattr(optimise, "compare_before_and_after", lambda rig, search: BeforeAndAfter())
     wanted = {**PLAIN, "artefacts": ["pyramid", "steps"], "space": SPACE, "seeds": SEEDS}
     (tmp_path / "study.yaml").write_text(config.to_yaml(wanted))
     words = ["optimise", "stripes", "--rig", "rig_demo", "--study", tmp_path / "study.yaml", "--workers", 1]

@@ -18,8 +18,10 @@ from fpplab.diagnosis.causes.wrong_plan import WRONG_PLAN
 from fpplab.diagnosis.record import load_diagnosis, save_diagnosis
 from fpplab.report.cloud_view import CloudQuantity, cloud_view, decimate
 from fpplab.report.parts import ReportTable
-from fpplab.report.several_scans import ScanRecord, difference, short_names, write_scans_report
+from fpplab.report.several_scans import write_scans_report
 from fpplab.results.provenance import Provenance, duration_words
+from fpplab.results.several_scans import ScanRecord, ScansResult
+from fpplab.workflows.report import difference, short_names
 from tests.comparison.test_comparison import CALIBRATION
 from tests.report.test_report import Page, cloud
 
@@ -60,7 +62,8 @@ def test_other_calibrations_and_clouds_without_pixels_are_not_compared() -> None
 @pytest.mark.whole
 def test_the_page_marks_what_differs(tmp_path: Path) -> None:
     scans = [record("a", cloud()), record("b", farther(cloud(), 0.1), rig="two"), record("c", None)]
-    write_scans_report(tmp_path / "s.html", scans, [difference(one, scans[0]) for one in scans[1:]])
+    differences = tuple(difference(one, scans[0]) for one in scans[1:])
+    write_scans_report(tmp_path / "s.html", ScansResult(tuple(scans), differences, tmp_path / "s.html"))
     page = Page(tmp_path / "s.html")
     text = (tmp_path / "s.html").read_text(encoding="utf-8")
     assert text.count('<tr class="marked">') == 1  # the rig; the camera is recorded of none
@@ -69,7 +72,7 @@ def test_the_page_marks_what_differs(tmp_path: Path) -> None:
     assert "one of them has no points" in page.cells
     assert text.count('class="verdict doubtful"') == 3
     with pytest.raises(DataError, match="none of 1 sessions holds a cloud"):
-        write_scans_report(tmp_path / "t.html", scans[2:], [])
+        write_scans_report(tmp_path / "t.html", ScansResult(tuple(scans[2:]), (), tmp_path / "t.html"))
 
 
 def test_names_are_as_short_as_they_may(tmp_path: Path) -> None:

@@ -10,13 +10,11 @@ import typer
 from fpplab.cli import console
 from fpplab.cli.app import TWIN, Force, Json, RigName, app
 from fpplab.cli.completion import names_of
-from fpplab.cli.viewing import KeepOpen, ViewOption, open_viewer
+from fpplab.cli.viewing import KeepOpen, ViewOption, observe_search
 from fpplab.core.errors import ConfigError
-from fpplab.core.extras import need_extra
 from fpplab.optimisation.scope import SearchScope
 
 if TYPE_CHECKING:
-    from fpplab.optimisation.candidate_runner import SearchEpoch
     from fpplab.optimisation.study import Study
 
 
@@ -76,67 +74,28 @@ def optimise_command(
     Example: `fpplab optimise stripes --rig rig_demo --out stripes.yaml --confirm rig_hidden`
     """
     from fpplab.optimisation.study import Study
+    from fpplab.workflows.optimise import OptimisationRequest, run_optimisation
 
-    name = study or f"study_{what}.yaml"
-    wanted = _changed(Study.load(name), calibration, seeds)
     if scheduler and workers:
         raise ConfigError(
             "--workers counts processes of this computer, and a --scheduler has its own: give one"
         )
-    _make_way(what, out, force)
-    need_extra("optuna")
-    need_extra("distributed")
-
-    from fpplab.optimisation import confirm_result, run
-    from fpplab.optimisation.verdict import diagnose_search
-    from fpplab.report.optimisation import measure_search_maps, write_optimisation_report
-    from fpplab.viewer.search import SearchView
-
-    if confirm:
-        confirm_result.check_confirmable(confirm, wanted, name)
-    with console.stopwatch() as elapsed:
-        page = run.report_path(what, out)
-        viewer = open_viewer(context, SearchView, view, keep_open, page.with_suffix(".rrd"))
-
-        def observe(epoch: SearchEpoch) -> None:
-            console.log_status(_words(epoch))
-            viewer.show(SearchView.epoch, epoch)
-
-        with console.progress("Searching") as report:
-            found = run.run_search(
-                what,
-                rig,
-                wanted,
-                out,
-                name,
-                workers=workers,
-                scheduler=scheduler,
-                observe=observe,
-                progress=report,
-            )
-        confirmed: tuple[confirm_result.ConfirmedPlan, ...] = ()
-        if confirm and found.plans:
-            with console.progress("Confirming") as report:
-                confirmed = confirm_result.confirm_result(
-                    confirm, found, run.work_folder(out) / "confirm", report
-                )
-        diagnosis = diagnose_search(found, confirmed)
-        if diagnosis.is_useless:
-            for path in found.plans:
-                path.unlink()
-        result = {
-            **diagnosis.summary(),
-            **found.summary(),
-            "confirmed": [one.summary() for one in confirmed],
-            "seconds": elapsed(),
-            "plans": [] if diagnosis.is_useless else [str(path) for path in found.plans],
-            "report": str(page),
-        }
-        with console.progress("Comparing before and after"):
-            maps = measure_search_maps(rig, found)
-            result["provenance"] = {name: one.summary() for name, one in maps.provenance.items()}
-            write_optimisation_report(page, found, confirmed, maps, result)
-    console.conclude(diagnosis, str(out), result, json, lambda: _show(result))
+    name = study or f"study_{what}.yaml"
+    request = OptimisationRequest(
+        scope=what,
+        rig=rig,
+        study=_changed(Study.load(name), calibration, seeds),
+        study_name=name,
+        out=out,
+        workers=workers,
+        scheduler=scheduler,
+        confirm=confirm,
+        force=force,
+    )
+    observer = observe_search(context, view, keep_open, request.page.with_suffix(".rrd"))
+    result = run_optimisation(request, observer)
+    answer = result.summary()
+    console.conclude(result.diagnosis, str(out), answer, json, lambda: _show(answer))
 
 
 def _changed(study: Study, calibration: Path | None, seeds: int | None) -> Study:
@@ -152,33 +111,6 @@ def _changed(study: Study, calibration: Path | None, seeds: int | None) -> Study
     if seeds is not None:
         changed["seeds"] = tuple(range(1, seeds + 1))
     return study.model_copy(update=changed)
-
-
-def _make_way(what: SearchScope, out: Path, force: bool) -> None:
-    """Refuse to overwrite a finished search; an unfinished one is continued."""
-    from fpplab.core.files import need_suffix
-    from fpplab.optimisation.run import journal_paths, plan_paths, report_path
-
-    if what is not SearchScope.PARETO:
-        need_suffix(out, ".yaml")
-    elif out.exists() and not out.is_dir():
-        raise ConfigError(f"{out}: is a file; `pareto` leaves a folder of plans")
-    plans = plan_paths(what, out)
-    journals = journal_paths(what, out)
-    begun = any(path.is_file() for path in journals) and not report_path(what, out).is_file()  # which is last
-    if plans and not (force or begun):
-        raise ConfigError(f"{plans[0]}: exists already; name another output, or add --force to replace it")
-    if force:
-        for path in (*plans, *journals):
-            path.unlink(missing_ok=True)
-
-
-def _words(epoch: SearchEpoch) -> str:
-    best = epoch.best.figures
-    return (
-        f"epoch {epoch.number}, {epoch.step}: {epoch.measured} candidates; best {best.images} images, "
-        f"{best.surface_smcd_um:.2f} µm"
-    )
 
 
 def _show(result: dict[str, Any]) -> None:

@@ -9,7 +9,7 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import JUDGE, Force, Json, app
-from fpplab.core.errors import ConfigError
+from fpplab.cli.viewing import ConsoleObserver
 
 
 @app.command("report", rich_help_panel=JUDGE)
@@ -26,30 +26,9 @@ def report_command(
 
     Example: `fpplab report monday tuesday wednesday/cloud.ply --out week.html`
     """
-    from fpplab.core.files import need_suffix, refuse_existing
-    from fpplab.report.several_scans import (
-        MOST_SCANS,
-        difference,
-        read_scan,
-        scans_answer,
-        short_names,
-        write_scans_report,
-    )
+    from fpplab.workflows.report import ScansRequest, run_scans_report
 
-    need_suffix(out, ".html")
-    refuse_existing(out, force)
-    if not 2 <= len(scans) <= MOST_SCANS:
-        raise ConfigError(f"{len(scans)} scans are given; a page compares 2 to {MOST_SCANS}")
-    records = []
-    with console.progress("Reading the scans") as report:
-        for k, (path, name) in enumerate(zip(scans, short_names(scans), strict=True)):
-            records.append(read_scan(path, name))
-            report((k + 1) / len(scans))
-    with console.progress("Drawing"):
-        differences = [difference(one, records[0]) for one in records[1:]]
-        write_scans_report(out, records, differences)
-    provenance = {one.name: one.provenance.summary() for one in records}
-    answer = {**scans_answer(records, differences), "provenance": provenance, "report": str(out)}
+    answer = run_scans_report(ScansRequest(tuple(scans), out, force), ConsoleObserver()).summary()
     console.print_result(answer, json, lambda: _show(answer))
 
 

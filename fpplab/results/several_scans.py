@@ -1,0 +1,102 @@
+"""The result of `fpplab report`: several scans side by side, and how far they are apart."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.calibration.model import Calibration
+from fpplab.clouds import Cloud, local_quadric_distance
+from fpplab.core.conventions import Image
+from fpplab.diagnosis import Diagnosis
+from fpplab.results.provenance import Provenance
+
+
+def roughness_um(cloud: Cloud) -> float | None:
+    """Measure how rough a cloud is: median distance of its points from their neighbours' quadric."""
+    if cloud.pixels is None:
+        return None
+    distances = np.abs(local_quadric_distance(cloud))
+    known = distances[np.isfinite(distances)]
+    return 1e3 * float(np.median(known)) if len(known) else None
+
+
+def noise_um(cloud: Cloud) -> float | None:
+    """Give the median standard uncertainty of the points by noise."""
+    return None if cloud.sigma_noise_mm is None else 1e3 * float(np.median(cloud.sigma_noise_mm))
+
+
+@dataclass(frozen=True, eq=False)
+class ScanRecord:
+    """What is recorded of one scan."""
+
+    name: str  # on the page
+    provenance: Provenance  # where it comes from
+    cloud: Cloud | None  # its points; None where there are none
+    calibration: Calibration | None  # that it was reconstructed with, where it is recorded
+    diagnosis: Diagnosis | None  # whether to believe it, where that is recorded or can be found out
+    frame: tuple[Image, int] | None  # of the finest fringes, and its bit depth; None for a cloud alone
+
+    def summary(self) -> dict[str, Any]:
+        """Collect the figures for JSON."""
+        judged = self.diagnosis.summary() if self.diagnosis else {"verdict": None}
+        cloud = self.cloud
+        return {
+            "name": self.name,
+            **judged,
+            "points": len(cloud) if cloud else 0,
+            "roughness_um": roughness_um(cloud) if cloud else None,
+            "noise_um": noise_um(cloud) if cloud else None,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class CloudDifference:
+    """How far two clouds of one calibration are apart, along the camera's rays."""
+
+    scan: str  # name
+    reference: str  # name of what is subtracted
+    distances_mm: NDArray[np.float32] | None  # (N,) for every point of the scan; None where not compared
+    reason: str = ""  # why they are not compared
+
+    def summary(self) -> dict[str, Any]:
+        """Collect the figures for JSON."""
+        names = {"scan": self.scan, "reference": self.reference}
+        if self.distances_mm is None:
+            return {**names, "not_compared": self.reason}
+        known = 1e3 * self.distances_mm[np.isfinite(self.distances_mm)].astype(np.float64)
+        return {
+            **names,
+            "pixels": len(known),
+            "median_um": float(np.median(known)),
+            "rms_um": float(np.sqrt(np.mean(known**2))),
+            "p95_um": float(np.percentile(np.abs(known), 95)),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class ScansResult:
+    """Several scans, and the difference of each from the first."""
+
+    scans: tuple[ScanRecord, ...]
+    differences: tuple[CloudDifference, ...]
+    report_file: Path
+
+    def figures(self) -> dict[str, Any]:
+        """Collect verdicts and figures."""
+        return {
+            "scans": [scan.summary() for scan in self.scans],
+            "differences": [difference.summary() for difference in self.differences],
+        }
+
+    def summary(self) -> dict[str, Any]:
+        """Collect what `fpplab report --json` prints."""
+        return {
+            **self.figures(),
+            "provenance": {scan.name: scan.provenance.summary() for scan in self.scans},
+            "report": str(self.report_file),
+        }

@@ -1,0 +1,159 @@
+"""Compare several scans on one page."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from fpplab.calibration.model import Calibration, CalibrationFile
+from fpplab.clouds import Cloud, load_cloud
+from fpplab.core.errors import ConfigError, DataError
+from fpplab.core.files import need_suffix, refuse_existing
+from fpplab.core.session_names import CALIBRATION, CLOUD, DECODED, JOURNAL
+from fpplab.diagnosis import Diagnosis
+from fpplab.diagnosis.record import load_diagnosis
+from fpplab.phase import Decoded
+from fpplab.pipeline import diagnose
+from fpplab.report.several_scans import write_scans_report
+from fpplab.results.observer import Observer
+from fpplab.results.provenance import cloud_provenance, local_time, session_provenance
+from fpplab.results.several_scans import CloudDifference, ScanRecord, ScansResult
+from fpplab.sessions.session import Session
+
+MAX_SCANS = 8
+"""More would not fit into a page that can be mailed."""
+
+
+@dataclass(frozen=True)
+class ScansRequest:
+    """Which scans to compare, and where the page goes."""
+
+    scans: tuple[Path, ...]  # sessions or clouds, two or more
+    out: Path
+    force: bool = False  # whether a file that is there is replaced
+
+
+def run_scans_report(request: ScansRequest, observer: Observer | None = None) -> ScansResult:
+    """Read several scans, subtract the first from each other one, and write the page.
+
+    Parameters
+    ----------
+    request : ScansRequest
+        The scans.
+    observer : Observer, optional
+        Shown progress.
+
+    Returns
+    -------
+    ScansResult
+        Verdicts, figures and differences.
+
+    Raises
+    ------
+    ConfigError
+        The output exists, too few or too many scans are given, or one is given twice.
+    DataError
+        A scan is not complete, or none holds a cloud.
+    """
+    observer = observer or Observer()
+    need_suffix(request.out, ".html")
+    refuse_existing(request.out, request.force)
+    count = len(request.scans)
+    if not 2 <= count <= MAX_SCANS:
+        raise ConfigError(f"{count} scans are given; a page compares 2 to {MAX_SCANS}")
+    records = []
+    with observer.stage("Reading the scans") as progress:
+        for path, name in zip(request.scans, short_names(request.scans), strict=True):
+            records.append(read_scan(path, name))
+            progress(len(records) / count)
+    with observer.stage("Drawing"):
+        differences = tuple(difference(record, records[0]) for record in records[1:])
+        result = ScansResult(tuple(records), differences, request.out)
+        write_scans_report(request.out, result)
+    return result
+
+
+def read_scan(path: Path, name: str) -> ScanRecord:
+    """Read what a session or a cloud tells of a scan.
+
+    Where a session records no verdict, it is given now.
+    """
+    folder = path if path.is_dir() else path.parent
+    if not path.exists():
+        raise ConfigError(f"{path}: there is no such session or cloud")
+    beside = folder / CALIBRATION
+    calibration = Calibration.load(beside) if beside.is_file() else None
+    if not path.is_dir():
+        is_session = path.name == CLOUD and (folder / JOURNAL).is_file()
+        recorded = load_diagnosis(folder) if is_session else None
+        verdict = recorded.diagnosis() if recorded else None
+        provenance = cloud_provenance(path, calibration)
+        return ScanRecord(name, provenance, load_cloud(path), calibration, verdict, None)
+    session = Session.open(path)
+    if session.missing():
+        raise DataError(f"{path}: {len(session.missing())} frames are missing; complete the scan first")
+    cloud = load_cloud(path / CLOUD) if (path / CLOUD).is_file() else None
+    diagnosis, judged_at = _diagnosis(session, cloud, calibration)
+    source = session_provenance(session, calibration).with_values(judged=judged_at)
+    recording = session.recording(verify=False)
+    frame = recording.finest()[1][0], recording.bits
+    return ScanRecord(name, source, cloud, calibration, diagnosis, frame)
+
+
+def _diagnosis(
+    session: Session, cloud: Cloud | None, calibration: Calibration | None
+) -> tuple[Diagnosis | None, str | None]:
+    """The verdict as recorded, or given now; and when."""
+    if recorded := load_diagnosis(session.path):
+        return recorded.diagnosis(), f"{local_time(recorded.made)}, fpplab {recorded.version}"
+    if cloud is None or calibration is None or not (session.path / DECODED).is_file():
+        return None, None
+    found = diagnose(session, Decoded.load(session.path / DECODED), cloud, calibration)
+    return found, "for this report"
+
+
+def short_names(paths: Sequence[Path]) -> list[str]:
+    """Name scans by the last part of their paths, or by as many as tell them apart."""
+    # The cloud of a session is called as the session.
+    whole = [(path.parent if path.name == CLOUD else path).resolve() for path in paths]
+    for path in whole:
+        if whole.count(path) > 1:
+            raise ConfigError(f"{path}: is given twice; name each scan once")
+    for parts in range(1, max(len(path.parts) for path in whole) + 1):
+        names = ["/".join(path.parts[-parts:]) for path in whole]
+        if len(set(names)) == len(names):
+            break
+    return names
+
+
+def difference(scan: ScanRecord, reference: ScanRecord) -> CloudDifference:
+    """Subtract two clouds, where both were reconstructed with the same calibration."""
+    names = scan.name, reference.name
+    one, other = scan.cloud, reference.cloud
+    if one is None or other is None:
+        return CloudDifference(*names, None, "one of them has no points")
+    if scan.calibration is None or reference.calibration is None:
+        return CloudDifference(*names, None, "the calibration is not recorded")
+    if not _same_geometry(scan.calibration, reference.calibration):
+        return CloudDifference(*names, None, "they were reconstructed with different calibrations")
+    if one.pixels is None or other.pixels is None or one.size != other.size:
+        return CloudDifference(*names, None, "the points are not known by pixels of one camera")
+    here, there = (v.astype(np.int64) << 32 | u for u, v in (one.pixels.T, other.pixels.T))
+    _, rows, others = np.intersect1d(here, there, assume_unique=True, return_indices=True)
+    if not len(rows):
+        return CloudDifference(*names, None, "no pixel has a point in both")
+    distances = np.full(len(one), np.nan, np.float32)
+    far, near = (
+        np.linalg.norm(c.points[k].astype(np.float64), axis=1) for c, k in ((one, rows), (other, others))
+    )
+    distances[rows] = far - near
+    return CloudDifference(*names, distances)
+
+
+def _same_geometry(one: Calibration, other: Calibration) -> bool:
+    files = [CalibrationFile.of(calibration) for calibration in (one, other)]
+    first, second = ((f.camera, f.projector, f.T_projector_camera) for f in files)
+    return first == second
