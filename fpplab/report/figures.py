@@ -31,6 +31,7 @@ from fpplab.core.drawing import (
     draw_map,
     map_axes,
     map_height,
+    new_figure,
     sensor_axes,
     side_by_side,
     single_axes,
@@ -38,6 +39,7 @@ from fpplab.core.drawing import (
 )
 from fpplab.core.errors import DataError
 from fpplab.core.robust import error_limit
+from fpplab.patterns.fringes import Pattern
 from fpplab.report.raster import CloudLike, block_mean, raster_of, rasterise
 
 RELIEF_COLUMNS = 760
@@ -259,4 +261,22 @@ def pose_rms(names: Sequence[str], camera_px: Sequence[float], projector_px: Seq
     )
     axes.set(ylabel="RMS error in px", xlim=(-0.6, len(names) - 0.4))
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
+    return figure
+
+
+@as_png
+def pattern_sheet(patterns: Sequence[Pattern]) -> Figure:
+    """Draw patterns as they are loaded, in their order from the upper left, each with its id.
+
+    They are reduced by averaging: stripes that are too fine for the sheet appear grey.
+    """
+    columns = 6
+    rows = -(-len(patterns) // columns)
+    figure = new_figure(FULL, 1.25 * rows)  # inches
+    panels = np.atleast_1d(figure.subplots(rows, columns)).ravel()
+    for axes in panels:
+        axes.set_axis_off()
+    for axes, pattern in zip(panels, patterns, strict=False):
+        axes.imshow(pattern.image, cmap="gray", vmin=0, vmax=255, aspect="auto", interpolation="antialiased")
+        axes.set_title(pattern.id, fontsize=6.5)
     return figure

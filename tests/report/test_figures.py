@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from PIL import Image as Pixels
 
+from fpplab.core.drawing import ALARM
 from fpplab.core.errors import DataError
 from fpplab.core.robust import error_limit
 from fpplab.patterns.curve import Curve
@@ -103,7 +104,7 @@ def test_errors_that_cannot_be_drawn_are_refused(distances: NDArray[np.float64])
 @pytest.mark.parametrize(("bits", "full"), [(8, 255), (10, 1023), (12, 4095)])
 def test_saturated_pixels_are_marked_at_any_depth(bits: int, full: int) -> None:
     image: Any = np.full((48, 64), full - 1, np.uint16 if bits > 8 else np.uint8)
-    alarm = np.array([int(figures.ALARM[i : i + 2], 16) for i in (1, 3, 5)])
+    alarm = np.array([int(ALARM[i : i + 2], 16) for i in (1, 3, 5)])
 
     def marked() -> int:
         return int(np.sum(np.abs(rgb(figures.camera_image(image, bits)) - alarm).max(-1) < 12))
@@ -230,7 +231,7 @@ def test_scattered_pixels_need_no_contours() -> None:
 def test_mismatched_marker_levels_are_drawn_in_the_alarm_colour() -> None:
     shown = np.array([160, 0, 110, 255])
     in_step, late = shown / 300.0, np.array([0.0, 160, 0, 110]) / 300.0
-    alarm = np.array([int(figures.ALARM[i : i + 2], 16) for i in (1, 3, 5)])
+    alarm = np.array([int(ALARM[i : i + 2], 16) for i in (1, 3, 5)])
 
     def alarmed(levels: NDArray[np.float64]) -> int:
         picture = rgb(response_figures.marker_levels(shown, {"stepped": levels}))

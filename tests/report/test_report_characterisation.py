@@ -12,17 +12,12 @@ from hypothesis import strategies as st
 
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation import Characterisation, DistortionModel, characterise
+from fpplab.characterisation.deviations import align_similarity, board_deviation, epipolar_distances
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import DataError
 from fpplab.core.geometry import RigidTransform
 from fpplab.report import write_report
-from fpplab.report.characterisation_figures import (
-    align_similarity,
-    board_deviation,
-    board_shape,
-    epipolar_distances,
-    epipolar_figure,
-)
+from fpplab.report.characterisation_figures import board_shape, epipolar_figure
 from tests.support.rigs import BOARD, CAMERA, PAIR, SQUARE, observed, poses
 
 TRUE = Calibration(CAMERA, SQUARE, PAIR, {})

@@ -72,7 +72,7 @@ def show_command(
     with Rig.load(rig) as bench:
         found, patterns = preview_plan(bench, wanted, plan)
     if out:
-        from fpplab.report.pattern_sheet import pattern_sheet
+        from fpplab.report.figures import pattern_sheet
 
         drawn = pattern_sheet(patterns)
         write_atomic(out, lambda stream: stream.write(drawn))
