@@ -1,4 +1,4 @@
-"""Names that a shell completes: the configurations that come with fpplab, and files beside."""
+"""Names that a shell completes: the configurations that come with fpplab, and files of the current folder."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every command does alike: progress on stderr, results on stdout, faults in one sentence."""
+"""What all commands share: progress on stderr, results on stdout, faults in one sentence."""
 
 from __future__ import annotations
 
@@ -113,8 +113,8 @@ def conclude(
     """Print a verdict in the first line, and then the result; refuse one that nobody should use."""
     log_status(diagnosis.sentence)
     for finding in diagnosis.findings:
-        told = finding.sentence == diagnosis.reason
-        log_status(f"  {finding.remedy}" if told else f"  {finding.sentence}; {finding.remedy}")
+        is_reason = finding.sentence == diagnosis.reason  # which the first line has said
+        log_status(f"  {finding.remedy}" if is_reason else f"  {finding.sentence}; {finding.remedy}")
     if not (as_json and diagnosis.is_useless):
         print_result(result, as_json, words)
     diagnosis.require_usable(name, result)

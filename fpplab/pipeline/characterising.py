@@ -108,7 +108,7 @@ def judge_sessions(
 def _observe_sessions(
     sessions: Sequence[Session], target: Target, progress: Progress
 ) -> tuple[list[Observation], dict[str, str]]:
-    """What each pose tells, and by name why others tell nothing."""
+    """Observe the board in each pose, and say by name why the others are left out."""
     periods = finest_periods(sessions[0].plan, sessions[0].projector()[0])
     observations: list[Observation] = []
     left_out: dict[str, str] = {}

@@ -30,13 +30,15 @@ def require_in_step(session: Session, recording: Recording) -> None:
 
 def plan_fault(recording: Recording) -> str | None:
     """Say what is wrong with the plan of a recording, by its images."""
-    found = check_plan_fit(recording)
-    return found.fault if found else None
+    misfit = check_plan_fit(recording)
+    return misfit.fault if misfit else None
 
 
 def doubts(session: Session) -> list[str]:
     """Look for signs that the frames of a session are not what its plan says."""
     recording = session.recording(verify=False)
-    found = check_plan_fit(recording)
-    said = [fault_in_step(session, recording), *((found.fault, found.note) if found else ())]
-    return [f"{session.path}: {sentence}" for sentence in said if sentence]
+    misfit = check_plan_fit(recording)
+    signs = [fault_in_step(session, recording)]
+    if misfit:
+        signs += [misfit.fault, misfit.note]
+    return [f"{session.path}: {sign}" for sign in signs if sign]

@@ -31,22 +31,22 @@ def measure_response(
     pass for a response; before them one frame with the projector off.
     """
     # returns levels (K, 2)
-    wanted = greys or GreyLevels()
+    greys = greys or GreyLevels()
     settings = rig.camera_settings(exposure_s)
-    patterns = uniform_patterns(wanted.shown, rig.projector.caps.size)
+    patterns = uniform_patterns(greys.shown, rig.projector.caps.size)
     dark = _dark_frame(rig, exposure_s)
-    seen = np.empty((wanted.repeats, len(patterns), *statistics(dark.image, dark.settings.bits).shape))
-    for repeat in range(wanted.repeats):
+    levels_seen = np.empty((greys.repeats, len(patterns), *statistics(dark.image, dark.settings.bits).shape))
+    for repeat in range(greys.repeats):
         order = range(len(patterns))[:: 1 if repeat % 2 == 0 else -1]
         with closing(expose(rig, [patterns[i] for i in order], settings)) as shots:
             for done, (i, frame) in enumerate(zip(order, shots, strict=True), 1):
-                seen[repeat, i] = statistics(frame.image, frame.settings.bits)
-                observe_frame(wanted.shown[i], frame)
-                progress((repeat + done / len(patterns)) / wanted.repeats)
+                levels_seen[repeat, i] = statistics(frame.image, frame.settings.bits)
+                observe_frame(greys.shown[i], frame)
+                progress((repeat + done / len(patterns)) / greys.repeats)
     response = fit_greys(
         GreyLevelImages(
-            shown=np.array(wanted.shown) / 255.0,
-            seen=seen,
+            shown=np.array(greys.shown) / 255.0,
+            seen=levels_seen,
             dark=statistics(dark.image, dark.settings.bits),
             pixels=pixels_of_regions(dark.image),
             bits=dark.settings.bits,

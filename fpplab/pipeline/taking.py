@@ -50,11 +50,11 @@ def take(
             fixture = rig.need_fixture(f"mounting the {mount[0]}")
             bring() if bring else fixture.mount(*mount)
 
-        def seen(frame: Frame) -> None:
+        def report(frame: Frame) -> None:
             progress(1.0 - len(session.missing()) / plan.images)
             observe_frame(frame)
 
-        acquire(rig, plan, session, seen)
+        acquire(rig, plan, session, report)
         session.check_kept()
     return session
 
@@ -87,7 +87,7 @@ def take_poses(
     paths = [folder / f"pose_{pose:02d}" for pose in range(poses)]
     check_space(rig, plan, paths, force)
 
-    def one(pose: int) -> Session:
+    def take_pose(pose: int) -> Session:
         return take(
             rig,
             plan,
@@ -99,4 +99,4 @@ def take_poses(
             observe_frame=observe_frame,
         )
 
-    return [one(pose) for pose in range(poses)]
+    return [take_pose(pose) for pose in range(poses)]

@@ -46,9 +46,9 @@ MAPS = (
 )
 JUDGED = "RMS error of each pose (bars) and that which the calibration predicts (lines)."
 SCALES = (
-    "Scale of the camera's image in each pose beside that of all, with its standard uncertainty by the noise "
-    "of the points; band: what a locked lens keeps to. The projector tells where the board is, so that the "
-    "board's distance does not explain another scale. One pose alone may be a board that moved."
+    "Scale of the camera's image in each pose relative to that of all, with its standard uncertainty by the "
+    "noise of the points; band: what a locked lens keeps to. The projector determines where the board is, so "
+    "that the board's distance does not explain another scale. One pose alone may be a board that moved."
 )
 BOARD = (
     "Deviation of the refined board from the board as drawn, after removal of position, rotation and scale. "
@@ -103,7 +103,7 @@ def scales_by_pose(found: Characterisation) -> Figure:
     )
     rotated = len(names) > CROWDED
     axes.set_xticks(places, names, rotation=35 if rotated else 0, ha="right" if rotated else "center")
-    axes.set(ylabel="scale beside the median, in %")
+    axes.set(ylabel="scale relative to the median, in %")
     return figure
 
 
@@ -167,7 +167,7 @@ def uncertainty_maps(found: Characterisation) -> Figure:
 
 @as_png
 def judged_errors(found: Judgement) -> Figure:
-    """Draw the errors of poses that were not fitted beside those predicted."""
+    """Draw the errors of poses that were not fitted, with those predicted."""
     figure, both = side_by_side(2.6, (1.0, 1.0))
     places, names = np.arange(len(found.poses)), [pose.name for pose in found.poses]
     for axes, device in zip(both, ("camera", "projector"), strict=True):

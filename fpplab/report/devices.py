@@ -122,7 +122,7 @@ def characterisation_section(found: Characterisation) -> ReportSection:
 
 
 def _validation(found: Characterisation) -> tuple[ReportTable, ...]:
-    """Calibrations from fewer poses beside what is predicted."""
+    """Compare calibrations from fewer poses with what is predicted."""
     if found.validation is None:
         return ()
     both = ((JACKKNIFE, found.validation.jackknife), (HALVES, found.validation.halves))
@@ -152,7 +152,7 @@ def judgement_verdict(found: Judgement) -> PageVerdict:
 
 
 def judgement_section(found: Judgement) -> ReportSection:
-    """Show the errors of poses that were not fitted, beside those predicted."""
+    """Show the errors of poses that were not fitted, with those predicted."""
     rows = [(p.name, str(p.points), p.camera, p.projector) for p in found.poses]
     rows.append(("all", str(sum(p.points for p in found.poses)), found.camera, found.projector))
     cells = tuple(
@@ -162,7 +162,7 @@ def judgement_section(found: Judgement) -> ReportSection:
     )  # fmt: skip
     picture = ReportFigure.of(
         drawn.judged_errors(found),
-        "Bars: errors of each pose beside those predicted",
+        "Bars: errors of each pose, with those predicted",
         drawn.JUDGED,
         wide=True,
     )

@@ -70,7 +70,7 @@ def _surfaces(scans: Sequence[ScanRecord]) -> ReportSection:
 
 
 def _maps(scans: Sequence[ScanRecord]) -> list[ReportSection]:
-    """Maps of one quantity beside each other, on one scale of colours."""
+    """Maps of one quantity side by side, on one scale of colours."""
     depths = {scan.name: (scan.cloud, scan.cloud.points[:, 2]) for scan in scans if scan.cloud}
     sigmas = {
         scan.name: (scan.cloud, 1e3 * sigma)

@@ -62,7 +62,7 @@ def sigma_caption(cloud: Cloud, plan: Plan | None = None) -> str:
     else:
         noise += (
             " Phase error: harmonics of the response, flicker of the lamp and rounding of grey levels; "
-            "common to all points of one phase, so that averaging does not lessen it."
+            "common to all points of one phase, so that averaging does not reduce it."
         )
     if cloud.sigma_mm is None:
         return f"{noise} The calibration says nothing of its own uncertainty."

@@ -23,7 +23,7 @@ class Observer:
     """
 
     def stage(self, name: str) -> AbstractContextManager[Progress]:
-        """Enter a stage of the work; what is entered is told the share of it that is done.
+        """Enter a stage of the work, and report the share of it that is done to what is entered.
 
         Parameters
         ----------

@@ -78,7 +78,7 @@ class Provenance:
 def session_provenance(
     session: Session, calibration: Calibration | None = None, file: Path | None = None
 ) -> Provenance:
-    """Tell where a recorded scan comes from."""
+    """Describe where a recorded scan comes from."""
     rig, times = session.rig() or {}, taken_at(session)
     origin = session_origin(session.path)
     mounted = rig.get("resolved", {}).get("mounted")
@@ -104,7 +104,7 @@ def session_provenance(
 def poses_provenance(
     poses: Sequence[Session], calibration: Calibration, file: Path | None = None
 ) -> Provenance:
-    """Tell which poses of a board a calibration was made from, or is judged by."""
+    """Describe which poses of a board a calibration was made from, or is judged by."""
     first = session_provenance(poses[0], calibration, file)
     times = [taken_at(pose) for pose in poses]
     began, ended = ([one[k] for one in times if one] for k in (0, 1))
@@ -123,7 +123,7 @@ def rig_provenance(
     calibration: Calibration | None = None,
     file: Path | None = None,
 ) -> Provenance:
-    """Tell what a check or a response was measured with, without a session."""
+    """Describe what a check or a response was measured with, without a session."""
     camera = rig.get("camera")
     section = camera if isinstance(camera, Mapping) else {}
     exposure = plan.exposure_s if exposure_s is None else exposure_s
@@ -154,7 +154,7 @@ def described_rig(rig: Rig) -> tuple[dict[str, object], SessionOrigin]:
 
 
 def cloud_provenance(cloud: Path, calibration: Calibration | None = None) -> Provenance:
-    """Tell where a cloud comes from: of its session if it lies in one, else of the file alone."""
+    """Describe where a cloud comes from: by its session if it lies in one, else by the file alone."""
     size, changed = cloud.stat().st_size, datetime.fromtimestamp(cloud.stat().st_mtime).astimezone()
     own: dict[str, str | None] = {"cloud": f"{cloud}, {readable_bytes(size)}, written {local_time(changed)}"}
     if (cloud.parent / JOURNAL).is_file():
@@ -166,7 +166,7 @@ def cloud_provenance(cloud: Path, calibration: Calibration | None = None) -> Pro
 def source_provenance(
     source: Path, calibration: Calibration | None = None, file: Path | None = None
 ) -> Provenance:
-    """Tell where a cloud or a session comes from."""
+    """Describe where a cloud or a session comes from."""
     beside = (source if source.is_dir() else source.parent) / CALIBRATION
     used = calibration or (Calibration.load(beside) if beside.is_file() else None)
     if source.is_dir():
@@ -180,7 +180,7 @@ def calibration_values(
     used: datetime | None,
     devices: SessionOrigin | None = None,
 ) -> dict[str, str | None]:
-    """Tell which calibration it was, and how old."""
+    """Describe which calibration it was, and how old."""
     if calibration is None:
         return {"calibration": None}
     origin = calibration.origin
@@ -227,7 +227,7 @@ def duration_words(length: timedelta) -> str:
 
 
 def written_now() -> dict[str, str | None]:
-    """Tell when and where the report is written."""
+    """Say when and where the report is written."""
     now = Origin.now()
     return {"written": f"{local_time(now.made)}, fpplab {now.version}, on {now.host}"}
 

@@ -37,7 +37,7 @@ class BeforeAndAfter:
 
 @dataclass(frozen=True, eq=False)
 class OptimisationResult:
-    """A search, its verdict, and its optimum beside the start."""
+    """A search, its verdict, and its optimum compared with the start."""
 
     search: SearchResult
     diagnosis: Diagnosis

@@ -28,7 +28,7 @@ class CharacterisationRequest:
     """Which board to fit, and where its poses come from: from sessions, or from a rig."""
 
     target: Target
-    out: Path  # the calibration; a report goes beside it, poses of a rig into a folder beside it
+    out: Path  # the calibration; a report goes next to it, poses of a rig into a folder next to it
     sessions: tuple[Path, ...] = ()  # one per pose, or the folder that holds them
     rig: Rig | None = None  # not open
     plan: Plan | None = None  # of the poses that are taken
@@ -63,7 +63,7 @@ def run_characterisation(
     request : CharacterisationRequest
         The board and its poses.
     observer : Observer, optional
-        Shown progress, frames and the characterisation, and told which poses were left out and why.
+        Shown progress, frames, the characterisation, and which poses were left out and why.
 
     Returns
     -------

@@ -26,7 +26,7 @@ class ComparisonRequest:
     source: Path  # cloud, or session that holds one
     mesh: Path  # true shape, in mm
     align: bool = False  # whether the mesh is first moved onto the cloud, rigidly
-    calibration: Path | None = None  # of what both devices see; by default the one beside the cloud
+    calibration: Path | None = None  # of what both devices see; by default the one next to the cloud
     out: Path | None = None  # picture of the errors (.png), or points coloured by them (.ply)
     page: Path | None = None  # report
     force: bool = False  # whether files that are there are replaced

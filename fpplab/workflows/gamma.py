@@ -21,7 +21,7 @@ class GammaRequest:
 
     rig: Rig  # not open
     plan: Plan  # that it is judged for
-    out: Path  # the response; a picture and a report go beside it
+    out: Path  # the response; a picture and a report go next to it
     levels: int | None = None  # grey levels to show; the plan's by default
     repeats: int | None = None  # how often; the plan's by default
     exposure_s: float | None = None  # the plan's by default

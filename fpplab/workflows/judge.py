@@ -30,7 +30,7 @@ def run_judgement(request: JudgementRequest, observer: Observer | None = None) -
     request : JudgementRequest
         The calibration and the poses.
     observer : Observer, optional
-        Shown progress, and told which poses were left out and why.
+        Shown progress, and which poses were left out and why.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Reconstruct: the points of a recorded session, with their verdict, as a file with a report beside it."""
+"""Reconstruct: the points of a recorded session, with their verdict, as a file with a report next to it."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class ReconstructionRequest:
 
     session: Session
     calibration: Calibration
-    out: Path | None = None  # the cloud; a report goes beside it. Without, nothing is written
+    out: Path | None = None  # the cloud; a report goes next to it. Without, nothing is written
     depth_mm: DepthInterval | None = None  # instead of the range that plan or rig state
     filtering: bool | None = None  # instead of what the plan says of its filter
     as_recorded: bool = False  # whether frames that are out of step with the plan are taken as they are
@@ -147,7 +147,7 @@ def reconstruct(
     as_recorded : bool
         Whether frames that are out of step with the plan are taken as they are.
     out : path or str, optional
-        Cloud to write (.ply, .xyz or .npz), with a report beside it, as `fpplab reconstruct` does. Without,
+        Cloud to write (.ply, .xyz or .npz), with a report next to it, as `fpplab reconstruct` does. Without,
         nothing is written.
     force : bool
         Whether files that are there already are replaced.

@@ -77,7 +77,7 @@ def run_scans_report(request: ScansRequest, observer: Observer | None = None) ->
 
 
 def read_scan(path: Path, name: str) -> ScanRecord:
-    """Read what a session or a cloud tells of a scan.
+    """Read what a session or a cloud says about a scan.
 
     Where a session records no verdict, it is given now.
     """

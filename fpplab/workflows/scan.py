@@ -213,7 +213,7 @@ def _scan_on_open_rig(request: ScanRequest, observer: Observer, stopwatch: Stopw
     observer.plan(request.wanted, caps.size, caps.lattice)
     observer.calibration(request.calibration)
 
-    # Only now the heavy modules: wrong input is told at once. A viewer loads its own meanwhile.
+    # Only now the heavy modules: wrong input is refused at once. A viewer loads its own meanwhile.
     from fpplab.sessions.lock import exclusive_write
 
     with exclusive_write(request.out):

@@ -13,9 +13,9 @@ from fpplab.results.observer import Observer
 from fpplab.workflows.stopwatch import Stopwatch
 
 if TYPE_CHECKING:
-    from fpplab.comparison.acceptance import Standard
     from fpplab.calibration.model import Calibration
     from fpplab.clouds import Cloud
+    from fpplab.comparison.acceptance import Standard
     from fpplab.devices.rig import Rig
     from fpplab.patterns.plan import Plan
     from fpplab.results.acceptance import AcceptanceResult
@@ -26,10 +26,10 @@ class AcceptanceRequest:
     """Which standard to judge by, and where the points come from: from files, or from a rig."""
 
     standard: Standard
-    out: Path  # report; scans of a rig go into a folder beside it
+    out: Path  # report; scans of a rig go into a folder next to it
     spheres: tuple[Path, ...] = ()  # clouds or sessions of the ball bar
     planes: tuple[Path, ...] = ()  # clouds or sessions of the plane
-    calibration: Calibration | None = None  # of the rig, or of sessions that are reconstructed anew
+    calibration: Calibration | None = None  # of the rig, or of sessions that are reconstructed again
     rig: Rig | None = None  # not open; measures the standard's items
     plan: Plan | None = None  # of its scans
     force: bool = False  # whether files that are there are replaced
@@ -120,7 +120,7 @@ def _load_clouds(sources: Mapping[str, Path], calibration: Calibration | None) -
 
 
 def _load_cloud(path: Path, calibration: Calibration | None) -> Cloud:
-    """A cloud from its file; or from a session: reconstructed anew if a calibration is given."""
+    """A cloud from its file; or from a session: reconstructed again if a calibration is given."""
     from fpplab.clouds import load_cloud
     from fpplab.pipeline import reconstruct_points
     from fpplab.sessions.session import Session
@@ -137,7 +137,7 @@ def _load_cloud(path: Path, calibration: Calibration | None) -> Cloud:
 def _scan_standard(
     request: AcceptanceRequest, rig: Rig, observer: Observer
 ) -> tuple[dict[str, Path], dict[str, Path]]:
-    """Sessions of ball bars and planes by item, scanned into a folder beside the report."""
+    """Sessions of ball bars and planes by item, scanned into a folder next to the report."""
     from fpplab.pipeline import check_plan
 
     standard, calibration, plan = request.standard, request.calibration, request.plan

@@ -38,7 +38,7 @@ def _cache(context: typer.Context, json: Json = False) -> None:
 def clear_command(context: typer.Context, json: Json = False) -> None:
     """Delete all that is kept; results of measurements are not among it.
 
-    A simulated scene that is scanned next is rendered anew, which takes seconds to minutes.
+    A simulated scene that is scanned next is rendered again, which takes seconds to minutes.
     """
     from fpplab.core.caches import clear_caches
 

@@ -87,7 +87,7 @@ def characterise_command(
             metavar="LENGTH",
             help="With --guide: end at this standard uncertainty of form, such as 20um: root mean square "
             "over the volume that both devices see within --depth, by the calibration alone, after the best "
-            "rigid motion of all its points, without the board's scale, which no pose tells.",
+            "rigid motion of all its points, without the board's scale, which no pose can determine.",
         ),
     ] = None,
     depth: DepthOption = None,
@@ -100,17 +100,17 @@ def characterise_command(
 
     Either from recorded sessions, or with `--rig` by taking the poses now (their sessions stay in
     a folder beside the result). Ten poses or more, tilted up to 30 degrees, over the whole
-    field and depth, make a good characterisation. Writes OUT and a report beside it.
+    field and depth, make a good characterisation. Writes OUT and a report next to it.
 
     `verdict` says whether to believe the result; `findings` name what is wrong with the poses' frames, each
     with what to do about it.
 
-    With `--guide` each pose is chosen to lessen the uncertainty most, and judged at once: a bad one is
+    With `--guide` each pose is chosen to reduce the uncertainty most, and judged at once: a bad one is
     rejected, with its cause, while the board is still there. It ends at `--until`, or after `--poses`. A
-    person is asked in words and by a picture (`next_pose.png` beside the poses); give the same command
+    person is asked in words and by a picture (`next_pose.png` next to the poses); give the same command
     again to go on. `--depth` is the range of the board's distance, by default some percent about the first.
 
-    With `--judge` nothing is fitted but where the board stands: the errors in these poses are shown beside
+    With `--judge` only the position of the board is fitted: the errors in these poses are compared with
     those that the calibration predicts. The exit code is 5 where they contradict it.
 
     Examples: `fpplab characterise poses/ --target target_paper --out calibration.yaml`;

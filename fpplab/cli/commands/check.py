@@ -49,10 +49,10 @@ def check_command(
     Shows twelve uniform grey-level images, stepped and, where camera and projector can, triggered, with the
     plan's exposure and settling time; says which settling time the display needs. Then shows the plan's
     fringes, and names what is wrong with light, focus, response, and motion. With --calibration it takes
-    fringes along both axes and tells whether the calibration is still the rig's. With --steps it tries one
-    thing after another instead, as on the first day with a rig, and stops where it has to. The exit code is
-    0 when all is well, 3 with findings. --out keeps a picture of each finding: the frame, map or curve that
-    shows it.
+    fringes along both axes and checks whether the calibration is still the rig's. With --steps it tries one
+    thing after another instead, as on the first day with a rig, and stops where it cannot continue. The exit
+    code is 0 when all is well, 3 with findings. --out keeps a picture of each finding: the frame, map or
+    curve that shows it.
 
     Example: `fpplab check --rig rig_demo --plan plan_paper --calibration calibration.yaml`
     """

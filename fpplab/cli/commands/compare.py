@@ -26,7 +26,7 @@ def compare_command(
     calibration: Annotated[
         Path | None,
         typer.Option(
-            "--calibration", help="Count only what both devices see. Default: the one beside the cloud."
+            "--calibration", help="Count only what both devices see. Default: the one next to the cloud."
         ),
     ] = None,
     out: Annotated[
@@ -44,14 +44,14 @@ def compare_command(
     """How far a cloud is from the true shape.
 
     SMCD is the paper's point-set distance, given with its floor: what a perfect measurement
-    sampled alike would score. The surface figures have no floor.
+    with the same sampling would score. The surface figures have no floor.
 
     With --align, both are nearly blind to an error of scale or shear. So the scale of the cloud, as that of
-    the best-fit similarity in ppm with its standard uncertainty, is given beside them, and for meshes written
-    by `fpplab artefact` lengths such as step heights, measured and true. `warnings` tells where these
+    the best-fit similarity in ppm with its standard uncertainty, is given with them, and for meshes written
+    by `fpplab artefact` lengths such as step heights, measured and true. `warnings` says where these
     contradict the distances.
 
-    The first line tells how far the cloud is from the shape. Where that is far only because the mesh stands
+    The first line says how far the cloud is from the shape. Where that is far only because the mesh stands
     elsewhere, such as one of `fpplab artefact`, which stands on z = 0, it says so instead.
 
     Example: `fpplab compare pyramid/cloud.ply pyramid.stl --align --out errors.png`

@@ -37,7 +37,7 @@ def convert_command(
     """Exchange calibrations with programs that use OpenCV's files.
 
     A calibration of fpplab becomes OpenCV's FileStorage (M1 D1 M2 D2 R T; .xml or .yml);
-    OpenCV's files, lengths in mm, become a calibration of fpplab (.yaml). Pixels are counted alike.
+    OpenCV's files, lengths in mm, become a calibration of fpplab (.yaml). Both count pixels in the same way.
 
     Examples: `fpplab convert calibration.yaml --out stereo.xml`;
     `fpplab convert stereo.yml --out calibration.yaml --camera-size 1368 912 --projector-size 912 1140

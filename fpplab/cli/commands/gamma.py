@@ -36,7 +36,7 @@ def gamma_command(
     """Fit the response `I_out = a I_in^g + b` of projector and camera together.
 
     Shows uniform grey-level images, says whether the response is good enough for the plan, and writes OUT, a
-    picture and a report beside it. The line `response: OUT` in a plan has its patterns corrected with it.
+    picture and a report next to it. The line `response: OUT` in a plan has its patterns corrected with it.
 
     Example: `fpplab gamma --rig rig_demo --plan plan_paper --levels 24 --repeats 4 --out response.yaml`
     """

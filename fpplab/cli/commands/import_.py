@@ -48,7 +48,7 @@ def import_command(
     """Import image files that other programs recorded as a session.
 
     Every image is checked first: none missing, none left over, greyscale, of one size and depth. A plan that
-    does not seem to describe the images is told as a warning, with what to write instead; `fpplab plan guess`
+    does not seem to describe the images gives a warning, with what to write instead; `fpplab plan guess`
     writes one from the images. Images that --skip names, such as white and black ones, are not used.
 
     Examples: `fpplab import captures/pose1 --plan plan_slstudio_board --frames '{index:02d}.png' --out p`;

@@ -67,9 +67,9 @@ def optimise_command(
 
     `phases`: the fewest images that measure no worse than the start's plan. `stripes` and `baseline`: the
     least mean distance to the surface. `pareto`: that distance against images. OUT is what `fpplab scan
-    --plan` takes; beside it stay a report and the journal, from which an interrupted search goes on by the
-    same command. `verdict` says whether to believe the optimum, `findings` why not; where it is worse than
-    the start no plan is left, and the exit code is 4.
+    --plan` takes; a report and the journal stay next to it, from which the same command continues an
+    interrupted search. `verdict` says whether to believe the optimum, `findings` why not; where it is worse
+    than the start no plan is left, and the exit code is 4.
 
     Example: `fpplab optimise stripes --rig rig_demo --out stripes.yaml --confirm rig_hidden`
     """

@@ -42,9 +42,9 @@ def reconstruct_command(
 ) -> None:
     """The cloud of a recorded session: `.ply` (with normals and colour), `.xyz` or `.npz`.
 
-    A report with its pictures is left beside it. `verdict` says whether to believe the points, `findings` why
-    not; useless points are not written, and the exit code is 4. `removed` says how many points the plan's
-    filter took out, by rule.
+    A report with its pictures is written next to it. `verdict` says whether to believe the points,
+    `findings` why not; useless points are not written, and the exit code is 4. `removed` says how many points
+    the plan's filter took out, by rule.
     """
     from fpplab.calibration.model import Calibration
     from fpplab.diagnosis import load_limits

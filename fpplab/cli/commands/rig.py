@@ -84,7 +84,7 @@ def timing_command(rig: RigName, plan: PlanName = "plan_paper.yaml", json: Json 
     """Measure with the camera how late the projector shows a pattern, and how long it refreshes.
 
     Needs a white card or a bright part in the light. Tells the `settle_s` that a stepped plan needs. The exit
-    code is 3 where the refresh that the camera sees is not the one that the display tells.
+    code is 3 where the refresh that the camera sees is not the one that the display reports.
 
     Example: `fpplab rig timing --rig rig.yaml`
     """

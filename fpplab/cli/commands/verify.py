@@ -62,8 +62,8 @@ def verify_command(
     """Acceptance test in the manner of VDI/VDE 2634 part 2, on a ball bar and a plane.
 
     Probing error of form PF and of size PS, sphere-spacing error SD and flatness measurement error F,
-    each in µm beside its maximum permissible error. PF and F are the range of the points without the 3 ‰
-    farthest from the fit; PF_all and F_all, given beside them, that of all points. The angle of incidence up
+    each in µm with its maximum permissible error. PF and F are the range of the points without the 3 ‰
+    farthest from the fit; PF_all and F_all, given with them, that of all points. The angle of incidence up
     to which a sphere's points count, 60° by default, is part of the result. `verdict` says whether to believe
     the system, `findings` why not. A test that is not passed is a result and no fault: the exit code is 0,
     and `passed` is false; with errors of ten times what is permitted it is 4. Writes OUT, a report.
@@ -72,8 +72,8 @@ def verify_command(
     --planes plane1/cloud.ply --out verify.html`;
     `fpplab verify --standard standard_demo --rig rig_demo --calibration calibration.yaml --out verify.html`
     """
-    from fpplab.comparison.acceptance import Standard
     from fpplab.calibration.model import Calibration
+    from fpplab.comparison.acceptance import Standard
     from fpplab.devices.rig import Rig
     from fpplab.patterns.plan import Plan
     from fpplab.workflows.verify import AcceptanceRequest, check_acceptance_input, run_acceptance

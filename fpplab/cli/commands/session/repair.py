@@ -13,7 +13,7 @@ from fpplab.cli.commands.session.group import SessionPath, session_app
 def repair_command(session: SessionPath, json: Json = False) -> None:
     """Make a damaged session readable again: keep what is whole, and name what is lost.
 
-    Nothing is deleted: damaged files go to SESSION.damaged, beside it. Plan and rig are restored from their
+    Nothing is deleted: damaged files go to SESSION.damaged, next to it. Plan and rig are restored from their
     copies in the session. Frames that are lost are missing then: the scan's own command takes them again,
     which is right only where the part has not moved since.
 
