@@ -7,7 +7,6 @@ WORKERS ?= 2
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 PARALLEL := -n $(WORKERS) --dist worksteal
-QUICK := 'not whole and not nightly'
 
 .PHONY: help setup demo docs lint test test-whole test-nightly test-twin test-usb
 .PHONY: nightly crash fuzz soak mutants full-disk faults release bench clean
@@ -40,7 +39,7 @@ demo: setup
 	$(BIN)/python -m fpplab demo --out out/demo --force
 
 test: setup
-	$(BIN)/python -m pytest -m $(QUICK) $(PARALLEL)
+	$(BIN)/python -m pytest -m 'not slow' $(PARALLEL)
 
 # What a merge waits for beside the quick tests.
 test-whole: setup
@@ -52,7 +51,7 @@ test-nightly: setup
 
 # What depends on the versions of NumPy and Blender: all devices, the simulation, and the demonstration.
 test-twin: setup
-	$(BIN)/python -m pytest -m $(QUICK) $(PARALLEL) tests/conformance tests/sim
+	$(BIN)/python -m pytest -m 'not slow' $(PARALLEL) tests/conformance tests/sim
 	$(BIN)/python -m pytest -m 'not nightly' tests/cli/test_demo.py
 
 # All that takes hours; with -k, the others follow where one fails.

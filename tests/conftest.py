@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import json
 import os
+import random
 import signal
 from collections import Counter
 from collections.abc import Iterator
@@ -54,9 +55,15 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         action="store_true",
         help="with --rig: also run the conformance tests that bring devices of their own",
     )
+    parser.addoption(
+        "--shuffle",
+        type=int,
+        metavar="SEED",
+        help="run files, and the tests of each, in a random order: no test may depend on those before it",
+    )
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Mark as `whole` what asks for the demonstration, and all but the first cases of `whole_after(n)`."""
     cases = Counter[str]()
     for item in items:
@@ -67,6 +74,10 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.whole)
         if item.get_closest_marker("whole") or item.get_closest_marker("nightly"):
             item.add_marker(pytest.mark.slow)
+    if (seed := config.getoption("--shuffle")) is not None:
+        order = random.Random(seed)
+        files = {path: order.random() for path in sorted({item.path for item in items})}
+        items.sort(key=lambda item: (files[item.path], order.random()))
 
 
 @pytest.fixture(scope="session")

@@ -18,7 +18,6 @@ from fpplab.core.files import write_text
 from tests.mutants.recording import CONTEXT, KNOWN, RESULTS
 from tests.mutants.tree import PACKAGES, ROOT, copy_tree
 
-QUICK = "not whole and not nightly"
 STARTUP = Path(__file__).with_name("startup")
 SETTINGS = """\
 [run]
@@ -50,7 +49,7 @@ class CoverageMap:
 
 def collected(tests: list[str], root: Path = ROOT) -> set[str]:
     """The quick tests that there are."""
-    command = [sys.executable, "-m", "pytest", *tests, "-m", QUICK, "--collect-only", "-q"]
+    command = [sys.executable, "-m", "pytest", *tests, "-m", "not slow", "--collect-only", "-q"]
     command += ["-p", "no:cacheprovider"]
     environment = {**os.environ, "PYTHONPATH": str(root)}
     done = subprocess.run(command, cwd=root, env=environment, capture_output=True, text=True, check=False)
@@ -86,7 +85,7 @@ def make(folder: Path, tests: list[str], workers: int) -> None:
     sources = "\n    ".join(str(tree / package) for package in PACKAGES)
     settings = folder / "settings"
     settings.write_text(SETTINGS.format(folder=folder, context=CONTEXT, sources=sources), encoding="utf-8")
-    command = [sys.executable, "-m", "pytest", *tests, "-m", QUICK, "-q", "--no-header", "--tb=line"]
+    command = [sys.executable, "-m", "pytest", *tests, "-m", "not slow", "-q", "--no-header", "--tb=line"]
     command += ["-p", "tests.mutants.recording", "-p", "no:cacheprovider", "-n", str(workers)]
     command += ["--dist", "worksteal"]
     environment = {
