@@ -25,20 +25,23 @@ def find_description_error(
 ) -> str | None:
     """Find what is wrong with a board's description, if another makes the camera fit far better."""
     # size (width, height) px
-    flat = {words: (_off_plane(observations, other), other) for words, other in similar_descriptions(target)}
+    flat = {
+        description: (_off_plane(observations, other), other)
+        for description, other in similar_descriptions(target)
+    }
     flattest = min(off for off, _ in flat.values()) if flat else np.inf
     # A single plane does not determine the ratio of the pitches; a camera in several poses does.
     fits = {
-        words: _camera_rms(observations, other, size)
-        for words, (off, other) in flat.items()
+        description: _camera_rms(observations, other, size)
+        for description, (off, other) in flat.items()
         if off <= 1.5 * flattest
     }
-    words = min(fits, key=lambda one: fits[one], default="")
+    description = min(fits, key=lambda one: fits[one], default="")
     clearly_flatter = flattest < _off_plane(observations, target) / limits.min_description_gain
-    fits_far_better = fits and fits[words] < rms_px / limits.min_description_gain < np.inf
-    is_likely = fits and fits[words] < limits.max_description_rms_px
+    fits_far_better = fits and fits[description] < rms_px / limits.min_description_gain < np.inf
+    is_likely = fits and fits[description] < limits.max_description_rms_px
     if is_likely and (clearly_flatter or fits_far_better):
-        return f"the points found do not form the board described but fit one {words}"
+        return f"the points found do not form the board described but fit one {description}"
     return None
 
 

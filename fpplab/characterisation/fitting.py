@@ -291,8 +291,8 @@ def _enough(observations: Sequence[Observation], left_out: dict[str, str]) -> No
 def _reasons(left_out: Mapping[str, str]) -> str:
     """Say why poses are left out, a reason that several share only once."""
     poses: dict[str, list[str]] = defaultdict(list)
-    for name, words in left_out.items():
-        poses[words.removeprefix(f"{name}: ")].append(name)
+    for name, reason in left_out.items():
+        poses[reason.removeprefix(f"{name}: ")].append(name)
     return "; ".join(
         f"{names[0]}: {reason}" if len(names) == 1 else f"{names[0]} and {len(names) - 1} more: {reason}"
         for reason, names in poses.items()

@@ -44,7 +44,7 @@ SIMILAR_DEG = 12.0
 class WantedPose:
     """A pose that is asked for."""
 
-    words: str  # for a person
+    description: str  # for a person
     T_camera_target: RigidTransform | None = None  # for a robot or a simulation; None for the very first pose
     outline_px: Floats | None = None  # (40, 2)
     form_mm: float | None = None  # standard uncertainty of form in mm that the pose is expected to leave

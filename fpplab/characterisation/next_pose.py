@@ -50,7 +50,7 @@ def expected_observation(estimate: JointEstimate, pose: RigidTransform) -> Obser
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """What the poses so far tell of devices and board, the poses' own parameters eliminated."""
+    """What is known from the poses so far about devices and board, the poses' own parameters eliminated."""
 
     estimate: JointEstimate  # of the poses so far
     information: Floats  # (y, y) normal equations of devices and board
@@ -82,10 +82,10 @@ class Design:
         """Predict the standard uncertainty of form with one more pose."""
         information, shared = self.information, self.shared
         if pose is not None:
-            told = self._told(pose)
-            if told is None:
+            added = self._added_by(pose)
+            if added is None:
                 return np.inf, np.inf
-            information, shared = information + told[0], shared + told[1]
+            information, shared = information + added[0], shared + added[1]
         scale = 1.0 / np.sqrt(np.diag(information))
         factor = np.linalg.cholesky(information * np.outer(scale, scale))
         half = solve_triangular(factor, scale[:, None] * self.wanted, lower=True)
@@ -94,7 +94,7 @@ class Design:
         place, form = np.sqrt(variances.reshape(2, -1).sum(axis=1)).tolist()
         return place, form
 
-    def _told(self, pose: RigidTransform) -> tuple[Floats, Floats] | None:
+    def _added_by(self, pose: RigidTransform) -> tuple[Floats, Floats] | None:
         """What a pose would add to `information` and `shared`."""
         seen = expected_observation(self.estimate, pose)
         if len(seen.ids) < LEAST_POINTS:

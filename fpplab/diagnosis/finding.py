@@ -100,10 +100,10 @@ class Finding:
     @property
     def remedy(self) -> str:
         """What to do."""
-        words = self.advice or self.cause.remedy
+        text = self.advice or self.cause.remedy
         if self.behind:
-            words = f"see to {self.behind} first, which may be all that shows here; if this remains, {words}"
-        return f"{words}; multiply exposure_s by {self.factor:.2g}" if self.factor else words
+            text = f"see to {self.behind} first, which may be all that shows here; if this remains, {text}"
+        return f"{text}; multiply exposure_s by {self.factor:.2g}" if self.factor else text
 
     def summary(self) -> dict[str, str]:
         """Collect what is printed."""

@@ -94,7 +94,7 @@ def phase_error_finding(
     limit = max(min_rad, noise)
     if rad <= limit:
         return None
-    words = (
+    text = (
         f"{what} shift the phase by {rad:.3f} rad RMS, where noise does by {noise:.3f} (at most {limit:.3f})"
     )
-    return Finding(cause, words, rad / limit)
+    return Finding(cause, text, rad / limit)

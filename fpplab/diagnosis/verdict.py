@@ -91,15 +91,15 @@ class UselessScanError(DataError):
 
     def __init__(self, name: str, diagnosis: Diagnosis, figures: Mapping[str, object] | None = None) -> None:
         self.name, self.diagnosis, self._figures = name, diagnosis, dict(figures or {})
-        words = f"{name}: useless: {diagnosis.reason}"
+        text = f"{name}: useless: {diagnosis.reason}"
         if diagnosis.findings:
             first = diagnosis.findings[0]
-            words += (
+            text += (
                 f"; {first.remedy}"
                 if first.sentence == diagnosis.reason
                 else (f"; {first.sentence}; {first.remedy}")
             )
-        super().__init__(words)
+        super().__init__(text)
         self.details = {**self._figures, **diagnosis.summary()}
 
     def __reduce__(self) -> tuple[type[UselessScanError], tuple[str, Diagnosis, dict[str, object]]]:

@@ -50,7 +50,7 @@ def guided(count: int, bad: tuple[int, ...] = (), seed: int = 0) -> Guide:
 def test_the_first_poses_are_seen_whole_without_any_calibration() -> None:
     guide = Guide(TARGET, SIZES)
     assert guide.wanted().T_camera_target is None
-    assert "upper edge tilted away" in guide.wanted().words
+    assert "upper edge tilted away" in guide.wanted().description
     for k, pose in enumerate((FIRST, None, None)):
         at = pose or guide.wanted().T_camera_target
         assert at is not None

@@ -22,11 +22,11 @@ def recorded(bench: Bench, folder: Path) -> None:
     bench.calibration.save(folder / "calibration.yaml")
 
 
-def reconstructed(fpplab: Command, bench: Bench, folder: Path) -> Outcome:
+def reconstructed(fpplab: Command, bench: Bench, folder: Path, *options: str | Path) -> Outcome:
     """Record a bench, and reconstruct it by command."""
     recorded(bench, folder)
     words = "--calibration", folder / "calibration.yaml", "--out", folder / "cloud.ply"
-    return fpplab("reconstruct", folder / "session", *words, "--json")
+    return fpplab("reconstruct", folder / "session", *words, *options, "--json")
 
 
 @pytest.mark.whole
@@ -62,3 +62,17 @@ def test_a_doubtful_result_is_told_first(fpplab: Command, tmp_path: Path) -> Non
     assert done.json["findings"][0]["cause"] == "ambient"
     assert "verdict: doubtful: ambient: " in done.err
     assert 'class="verdict doubtful"' in (tmp_path / "cloud.html").read_text()
+
+
+def test_limits_of_an_expert_are_used_and_said(fpplab: Command, tmp_path: Path) -> None:
+    limits = tmp_path / "limits_bright_room.yaml"
+    limits.write_text("ambient:\n  max_ratio: 9.0\n")
+    done = reconstructed(fpplab, faulty("ambient", 101), tmp_path, "--limits", limits)
+    assert done.code == 0, done.err
+    assert "ambient" not in [one["cause"] for one in done.json["findings"]]
+    assert done.json["limits"] == {"ambient": {"max_ratio": 9.0}}
+    limits.write_text("ambient:\n  most: 9.0\n")
+    options = ("--calibration", tmp_path / "calibration.yaml", "--out", tmp_path / "again.ply")
+    refused = fpplab("reconstruct", tmp_path / "session", *options, "--limits", limits)
+    assert refused.code == 2
+    assert "ambient: unknown key 'most'" in refused.err

@@ -39,7 +39,7 @@ def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
     fringes = float(np.median(fit.modulation[sample.measured]))
     if other <= max(limits.max_ratio * fringes, limits.min_level):
         return
-    words = (
+    text = (
         f"{other:.0f} grey levels of light do not change with the fringes, whose modulation is "
         f"{fringes:.0f}; noise is {math.sqrt(1.0 + other / fringes):.1f} times as large as without (at most "
         f"{math.sqrt(1.0 + limits.max_ratio):.1f})"
@@ -47,7 +47,7 @@ def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
     # Without it they reach twice their modulation, and may be exposed for longer.
     peak = 2.0 * float(np.percentile(fit.modulation[sample.measured], 98)) / 255.0
     factor = max(evidence.limits.of(GreyLevelLimits).best_peak_share / peak, 1.0)
-    yield Finding(AMBIENT, words, other / fringes / limits.max_ratio, factor=factor)
+    yield Finding(AMBIENT, text, other / fringes / limits.max_ratio, factor=factor)
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure:

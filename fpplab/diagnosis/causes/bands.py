@@ -46,11 +46,11 @@ def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
     shared = float((gains[:, 1:] * gains[:, :-1]).mean())
     scatter = math.sqrt(max(shared, 0.0))
     if scatter > limit:
-        words = (
+        text = (
             f"rows differ in brightness from frame to frame by {100 * scatter:.1f} % RMS "
             f"(at most {100 * limit:g} %)"
         )
-        yield Finding(BANDS, words, scatter / limit)
+        yield Finding(BANDS, text, scatter / limit)
 
 
 def row_gains(sample: FrameSample) -> Floats | None:

@@ -50,8 +50,8 @@ def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
     rounding = float(sample.recording.grey) / math.sqrt(12.0) / float(np.median(fit.offset[sample.measured]))
     limit = max(limits.max_scatter, rounding)
     if scatter > limit:
-        words = f"frames differ in brightness by {100 * scatter:.1f} % RMS (at most {100 * limit:.2g} %)"
-        yield Finding(FLICKER, words, scatter / limit)
+        text = f"frames differ in brightness by {100 * scatter:.1f} % RMS (at most {100 * limit:.2g} %)"
+        yield Finding(FLICKER, text, scatter / limit)
         return
     if math.isnan(errors.gain_first):
         return

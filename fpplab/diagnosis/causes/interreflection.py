@@ -63,11 +63,11 @@ def _find_stray_light(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Find
     explained_rad = harmonics_of_power_law_rad(sample)
     limit = max(evidence.limits.of(InterreflectionLimits).max_phase_error_rad, 1.5 * explained_rad)
     if worst > limit:
-        words = (
+        text = (
             f"the phase of wide fringes differs from that of fine ones by {worst:.2f} rad RMS from place to "
             f"place (at most {limit:.2f}): part of the light comes by way of other surfaces"
         )
-        yield Finding(INTERREFLECTION, words, worst / limit)
+        yield Finding(INTERREFLECTION, text, worst / limit)
 
 
 def _stray_rad(sample: FrameSample, k: int, expected: Floats, deviation: Floats) -> float:
@@ -101,11 +101,11 @@ def _find_mirrors(evidence: Evidence, found: Sequence[Finding]) -> Iterator[Find
     share = max((part for _, part in backward.values()), default=0.0)
     candidates = [one for one in found if one.cause == INTERREFLECTION]
     if share > limits.max_mirrored_share:
-        words = (
+        text = (
             f"in {100 * share:.0f} % of the image with fringes the coordinate runs backwards (at most "
             f"{100 * limits.max_mirrored_share:g} %), as where light comes by way of a face that mirrors"
         )
-        candidates.append(Finding(INTERREFLECTION, words, share / limits.max_mirrored_share))
+        candidates.append(Finding(INTERREFLECTION, text, share / limits.max_mirrored_share))
     if not candidates:
         return
     worst = max(candidates, key=lambda one: one.excess)

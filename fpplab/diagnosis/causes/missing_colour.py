@@ -77,13 +77,13 @@ def colour_finding(
     overlap = own[worst].max() >= others.min()
     if share >= limit.min_brightness or overlap or 1.0 - share < limit.min_scatters * scatter:
         return None
-    words = (
+    text = (
         f"frames {worst + 1}, {worst + 4}, {worst + 7} … have {100 * share:.0f} % of the others' brightness "
         f"(at least {100 * limit.min_brightness:g} %): one of three colours is weak or missing"
     )
     # Weighed by what is lost, a missing colour ranks before everything that it brings about.
     excess = limit.min_brightness / max(share, 1e-3) * (1.0 - share) * 100.0
-    return Finding(MISSING_COLOUR, words, excess)
+    return Finding(MISSING_COLOUR, text, excess)
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure:

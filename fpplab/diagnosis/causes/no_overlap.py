@@ -18,11 +18,11 @@ if TYPE_CHECKING:
 
 def light_elsewhere(excess: float) -> Finding:
     """Say what else than a dark projector shows no light anywhere in the image."""
-    words = (
+    text = (
         "no light of the projector anywhere: it may be dark, or light another place, which images do not "
         "tell apart"
     )
-    return Finding(NO_OVERLAP, words, excess)
+    return Finding(NO_OVERLAP, text, excess)
 
 
 def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:

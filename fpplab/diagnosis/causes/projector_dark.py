@@ -21,11 +21,11 @@ def darkness_excess(seen: Visibility) -> float:
 def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
     seen = evidence.visibility
     if seen.is_dark and seen.tiny_part_share is None:
-        words = (
+        text = (
             f"the fringes' modulation is {evidence.frames.strongest:.2g} of 255 grey levels, "
             f"{seen.strength:.1f} times its noise (at least {seen.limits.min_fringe_sigmas:g})"
         )
-        yield Finding(PROJECTOR_DARK, words, darkness_excess(seen))
+        yield Finding(PROJECTOR_DARK, text, darkness_excess(seen))
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure:

@@ -56,11 +56,11 @@ def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
     sample, limits = evidence.frames, evidence.limits.of(ResponseLimits)
     share = harmonics_share(sample)
     if share > limits.max_harmonics_share:
-        words = (
+        text = (
             f"harmonics of the response are {100 * share:.0f} % of the fringes (at most "
             f"{100 * limits.max_harmonics_share:g} %)"
         )
-        yield Finding(RESPONSE, words, share / limits.max_harmonics_share)
+        yield Finding(RESPONSE, text, share / limits.max_harmonics_share)
         return
     if unexplained_harmonics_rad(sample) is not None:
         return

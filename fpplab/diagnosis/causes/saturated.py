@@ -19,8 +19,8 @@ def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
     sample, limit = evidence.frames, evidence.limits.of(GreyLevelLimits).max_saturated_share
     share = float(sample.saturated[sample.lit].mean())
     if share > limit:
-        words = f"{100 * share:.0f} % of the lit pixels are saturated (at most {100 * limit:g} %)"
-        yield Finding(SATURATED, words, share / limit, factor=dimming_factor(sample))
+        text = f"{100 * share:.0f} % of the lit pixels are saturated (at most {100 * limit:g} %)"
+        yield Finding(SATURATED, text, share / limit, factor=dimming_factor(sample))
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure:

@@ -30,8 +30,8 @@ def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
     sample, limit = evidence.points, evidence.limits.of(SmallAngleLimits).min_angle_deg
     angle = float(np.median(triangulation_angles_deg(sample.points, sample.calibration)))
     if angle < limit:
-        words = f"the rays of camera and projector meet at {angle:.1f} degrees (at least {limit:g})"
-        yield Finding(SMALL_ANGLE, words, limit / max(angle, 0.1))
+        text = f"the rays of camera and projector meet at {angle:.1f} degrees (at least {limit:g})"
+        yield Finding(SMALL_ANGLE, text, limit / max(angle, 0.1))
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure:

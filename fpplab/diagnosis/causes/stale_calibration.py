@@ -41,10 +41,10 @@ def _find_other_devices(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Fi
 def _find_moved_rig(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
     off, limit = systematic_epipolar_px(evidence.points.cloud), _max_epipolar_px(evidence)
     if off is not None and off > limit:
-        words = (
+        text = (
             f"points lie {off:.2f} projector px off their epipolar lines, systematically (at most {limit:g})"
         )
-        yield Finding(STALE_CALIBRATION, words, off / limit)
+        yield Finding(STALE_CALIBRATION, text, off / limit)
 
 
 def _max_epipolar_px(evidence: Evidence) -> float:

@@ -20,13 +20,13 @@ def _find_weak_fringes(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Fin
     seen, sample = evidence.visibility, evidence.frames
     if seen.is_dark or not seen.is_weak or seen.tiny_part_share is not None:
         return
-    words = (
+    text = (
         f"the fringes' modulation is {sample.strongest:.2g} of 255 grey levels, {seen.strength:.1f} times "
         f"its noise (at least {seen.limits.min_clear_sigmas:g})"
     )
     best = evidence.limits.of(GreyLevelLimits).best_peak_share
     factor = best * 255.0 / max(2.0 * sample.strongest, 1.0)
-    yield Finding(UNDEREXPOSED, words, seen.limits.min_clear_sigmas / seen.strength, factor=factor)
+    yield Finding(UNDEREXPOSED, text, seen.limits.min_clear_sigmas / seen.strength, factor=factor)
 
 
 def _find_low_peaks(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
@@ -34,14 +34,14 @@ def _find_low_peaks(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Findin
     peak = float(np.percentile(sample.spread.max(axis=0)[sample.lit], 98)) / 255.0
     if peak >= limits.min_peak_share:
         return
-    words = (
+    text = (
         f"the brightest parts reach {100 * peak:.1f} % of full scale (at least "
         f"{100 * limits.min_peak_share:g} %)"
     )
     # Without black level and the noise of single frames, which peaks contain.
     fringes = 2.0 * float(np.percentile(sample.widest.modulation[sample.lit], 98)) / 255.0
     factor = limits.best_peak_share / max(fringes, 1e-3)
-    yield Finding(UNDEREXPOSED, words, limits.min_peak_share / max(peak, 1e-3), factor=factor)
+    yield Finding(UNDEREXPOSED, text, limits.min_peak_share / max(peak, 1e-3), factor=factor)
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure:

@@ -35,8 +35,8 @@ def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
         covered = axis_length(sample.calibration.projector.size, axis) / stripes
         covered /= float(sample.projector_px_per_px["xy".index(axis)])
         if covered < limit:
-            words = f"the finest stripes along {axis} cover {covered:.1f} camera px (at least {limit:g})"
-            yield Finding(UNDERSAMPLED, words, limit / covered)
+            text = f"the finest stripes along {axis} cover {covered:.1f} camera px (at least {limit:g})"
+            yield Finding(UNDERSAMPLED, text, limit / covered)
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure:

@@ -35,11 +35,11 @@ def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
     certain = [shift if shift > limits.min_sigmas * sigma else 0.0 for shift, sigma in moved]
     worst = max(certain, default=0.0)
     if worst > limits.max_shift_px:
-        words = (
+        text = (
             f"the scene moved by {worst:.2f} px between fringe sets 1 and {certain.index(worst) + 2} "
             f"(at most {limits.max_shift_px:g} px)"
         )
-        yield Finding(VIBRATION, words, worst / limits.max_shift_px)
+        yield Finding(VIBRATION, text, worst / limits.max_shift_px)
 
 
 def displacements_px(sample: FrameSample) -> list[tuple[float, float]]:

@@ -32,12 +32,12 @@ def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
     coded = [by_depth["xy".index(axis)] for axis in plan.axes]
     share = float(np.linalg.norm(coded) / np.linalg.norm(by_depth))
     if share < limit:
-        words = (
+        text = (
             f"fringes along {plan.axes[0]} see {100 * share:.0f} % of the change of the projector's "
             f"coordinate with depth (at least {100 * limit:g} %): noise in depth is "
             f"{1 / share:.1f} times as large as it need be"
         )
-        yield Finding(WRONG_AXIS, words, limit / max(share, 1e-3))
+        yield Finding(WRONG_AXIS, text, limit / max(share, 1e-3))
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure:

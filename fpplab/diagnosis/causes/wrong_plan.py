@@ -73,13 +73,13 @@ def _find(evidence: Evidence, found: Sequence[Finding]) -> Iterator[Finding]:
         return
     if against is None:
         return
-    words = (
+    text = (
         f"the coordinate along {against} does not run along the image as the calibration says: camera and "
         "projector stand otherwise than the calibration says, or the plan is wrong"
     )
     if check is not None and check.unusual is not None:
-        words += f": {check.unusual.mistake}; {check.unusual.remedy}"
-    yield Finding(WRONG_PLAN, words, EXCESS)
+        text += f": {check.unusual.mistake}; {check.unusual.remedy}"
+    yield Finding(WRONG_PLAN, text, EXCESS)
 
 
 def _is_much_better(check: PlanCheck, limits: WrongPlanLimits) -> bool:

@@ -70,11 +70,11 @@ def _find_moire(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
     cycles, amplitudes = spectrum
     k = int(amplitudes.argmax())
     if amplitudes[k] > limit:
-        words = (
+        text = (
             f"the coordinate is off by {amplitudes[k]:.2f} px once in {1.0 / cycles[k]:.1f} projector px (at "
             f"most {limit:g} px): the picture is scaled before it is shown"
         )
-        yield Finding(WRONG_RESOLUTION, words, float(amplitudes[k]) / limit)
+        yield Finding(WRONG_RESOLUTION, text, float(amplitudes[k]) / limit)
 
 
 def _find_other_lattice(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
@@ -83,12 +83,12 @@ def _find_other_lattice(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Fi
     aspect, wanted = float(projector.matrix[1, 1] / projector.matrix[0, 0]), ASPECTS[projector.lattice]
     off = abs(aspect / wanted - 1.0)
     if off > limits.max_stretch:
-        words = (
+        text = (
             f"by the calibration a column of the projector's picture is {aspect:.2f} times as wide as a row "
             f"is high, but {wanted:g} times with the lattice '{projector.lattice.value}' (at most "
             f"{100 * limits.max_stretch:g} % off)"
         )
-        yield Finding(WRONG_RESOLUTION, words, min(off / limits.max_stretch, limits.max_aspect_severity))
+        yield Finding(WRONG_RESOLUTION, text, min(off / limits.max_stretch, limits.max_aspect_severity))
 
 
 def _strongest_moire(sample: FrameSample) -> tuple[Floats, Floats] | None:

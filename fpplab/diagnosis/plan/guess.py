@@ -76,12 +76,15 @@ def guess_plan(
 
 
 def _assumed(coarsest: float, finest: float | None) -> tuple[str, ...]:
-    said = ["camera and projector stand upright: columns run to the right in the image, rows down"]
+    sentences = ["camera and projector stand upright: columns run to the right in the image, rows down"]
     if coarsest <= 1.0:
-        said.append("the coarsest set of each axis has one stripe across the whole projector")
+        sentences.append("the coarsest set of each axis has one stripe across the whole projector")
     elif finest is None:
-        said.append("stripes are the least whole numbers with the ratios that the images show")
-    return *said, "the phase of the coarsest set has no origin; a wrong one shifts all coordinates equally"
+        sentences.append("stripes are the least whole numbers with the ratios that the images show")
+    return (
+        *sentences,
+        "the phase of the coarsest set has no origin; a wrong one shifts all coordinates equally",
+    )
 
 
 def set_sizes(frames: Sequence[Image], full: int) -> list[int]:

@@ -35,7 +35,7 @@ def name_other_patterns(frames: Sequence[Image], full: int, sizes: Sequence[int]
     if levels is None:
         return None
     kinds = _kinds(levels)
-    found = [f"{_listed(numbers)} {words}" for words, numbers in _by_words(kinds).items()]
+    found = [f"{_listed(numbers)} {text}" for text, numbers in _by_words(kinds).items()]
     if found:
         others = [k for k, kind in enumerate(kinds) if kind is not None]
         ranges = ",".join(_range(run) for run in _runs(others))
@@ -112,7 +112,7 @@ def _listed(numbers: Sequence[int]) -> str:
 
 def _unequal(levels: Floats, sizes: Sequence[int]) -> str | None:
     """Sets of sinusoids whose steps are not equal."""
-    said = []
+    sentences = []
     for k, (start, count) in enumerate(zip(np.cumsum([0, *sizes]), sizes, strict=False)):
         shifts = phase_shifts_seen(levels[start : start + count]) if count >= MIN_IMAGES else None
         if shifts is None:
@@ -124,12 +124,12 @@ def _unequal(levels: Floats, sizes: Sequence[int]) -> str | None:
         if _worst(np.sort(turned), wanted) <= MAX_STEP_ERROR_DEG:
             continue  # equal steps in another order, of which others tell which images were exchanged
         degrees = ", ".join(f"{shift:.0f}" for shift in turned)
-        said.append(f"the images of 'fringes[{k}]' have unequal phase steps, at {degrees} degrees")
-    if not said:
+        sentences.append(f"the images of 'fringes[{k}]' have unequal phase steps, at {degrees} degrees")
+    if not sentences:
         return None
     return (
-        f"{'; '.join(said)}: only sets with equal steps are decoded; leave images out by '--skip', so that "
-        "equal steps remain, or record the set again"
+        f"{'; '.join(sentences)}: only sets with equal steps are decoded; leave images out by '--skip', so "
+        "that equal steps remain, or record the set again"
     )
 
 

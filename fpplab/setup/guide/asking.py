@@ -20,7 +20,7 @@ def bring_by(fixture: Fixture, item: str) -> Bring:
         return lambda wanted, _: _place(fixture, item, wanted)
     if isinstance(fixture, InstructableFixture):
         return lambda wanted, picture: fixture.instruct(
-            item, wanted.words, picture if picture.is_file() else None
+            item, wanted.description, picture if picture.is_file() else None
         )
     raise CapabilityError(
         fixture.name,

@@ -146,7 +146,7 @@ class _Loop:
         if self._wanted is None:
             self._wanted = guide.wanted(fill=self._must_fill())
         wanted, path = self._wanted, self._path(number)
-        self._tell(f"pose {len(self._sessions) + 1}: {wanted.words}")
+        self._tell(f"pose {len(self._sessions) + 1}: {wanted.description}")
         picture = self._folder / PICTURE
         if wanted.outline_px is not None:
             write_sketch(picture, wanted, self._sizes[0], self._last_seen())
@@ -160,7 +160,7 @@ class _Loop:
             )
         if not self._attempts:
             require_plan_fits(session)
-        if self._judge(session, wanted.words):
+        if self._judge(session, wanted.description):
             self._wanted, self._tried = None, 0
             return
         self._tried += 1

@@ -37,7 +37,7 @@ def write_sketch(path: Path, wanted: WantedPose, size: ImageSize, seen: NDArray[
         picture[:] = grey.astype(np.uint8)[..., None]
     if wanted.outline_px is not None:
         _draw_outline(picture, scale * (wanted.outline_px + 0.5))
-    _draw_words(picture, wanted.words)
+    _draw_words(picture, wanted.description)
     done, encoded = cv2.imencode(".png", picture)
     assert done
     write_parts(path, encoded.tobytes())
