@@ -230,7 +230,7 @@ def _refusals(rig: Rig, sessions: Sequence[Session], folder: Path, wanted: Match
         "moved_focus": (world, [*few[:-MOVED], *recorded_sessions([folder.parent / REFOCUSED])]),
     }
     return [
-        _refusal(name, Twin(nominal, BOARD, virtual_bench(rig).blender), seen, folder / name, wanted)
+        _refusal(name, Twin.of(nominal, BOARD, virtual_bench(rig).blender), seen, folder / name, wanted)
         for name, (nominal, seen) in cases.items()
     ]
 

@@ -136,7 +136,7 @@ class VirtualBench:
         It renders in the same Blender process and lives as long.
         """
         with self._naming_file():
-            return Twin(self.world, board, self.blender)
+            return Twin.of(self.world, board, self.blender)
 
     def draw(self, numbers: Iterable[int]) -> None:
         """Let noise and vibration of the next frames follow from these numbers and the world's seed.

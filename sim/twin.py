@@ -1,4 +1,4 @@
-"""The digital twin that is matched to a bench: a world whose parameters can be set, used without a session.
+"""The digital twin that is matched to a bench: a world with parameters, used without a session.
 
 Boards and cards are flat, so their light is computed (`sim.light.plane`) and an evaluation takes no render.
 The effect of mirror switching on exposures that are not whole periods is left out: on average over the phases
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
 from pathlib import Path
 from shutil import rmtree
 from tempfile import mkdtemp
@@ -27,6 +28,7 @@ from fpplab.core.files import write_text
 from fpplab.core.geometry import RigidTransform
 from fpplab.devices import CameraSettings
 from fpplab.patterns.fringes import Pattern
+from fpplab.targets import Target
 from sim.appearance import Appearance
 from sim.build import Setup
 from sim.fluctuation import Fluctuation
@@ -44,71 +46,147 @@ ExpectedLevels = NDArray[np.float32]
 """Raw levels without noise and without rounding, (n, h, w), clipped to 0 … full scale."""
 
 
-class Twin:
-    """A simulation of a board whose parameters can be set.
+DEFAULT_SETTINGS = CameraSettings(1.0)
 
-    Poses are indices into `parameters.poses`; frames and levels are raw, of the bit depth of the settings.
+
+def do_nothing() -> None:
+    """Do nothing before images are computed."""
+
+
+class Lights:
+    """Light of the worlds that twins derived from one another have; tables that are still valid are kept.
+
+    The light of one world is kept at a time: twins that take turns make theirs again from shared tables.
     """
 
-    def __init__(self, nominal: World, board: str, blender: Blender) -> None:
+    def __init__(self, blender: Blender) -> None:
+        self._blender = blender
+        self._world: World | None = None
+        self._light: Light | None = None
+
+    def of(self, world: World) -> Light:
+        """Give the light of a world."""
+        if self._light is None or self._world is not world:
+            light = Light(world, self._blender, analytic=True)
+            if self._light is not None:
+                light.inherit(self._light)
+            self._world, self._light = world, light
+        return self._light
+
+
+@dataclass
+class FrameCounter:
+    """Number of the next frame of all twins derived from one another."""
+
+    next_frame: int = 0
+
+    def take(self, count: int) -> range:
+        """Number some frames."""
+        numbers = range(self.next_frame, self.next_frame + count)
+        self.next_frame = numbers.stop
+        return numbers
+
+
+class TemporaryFolder:
+    """A folder that is removed with the last twin that needs its files."""
+
+    def __init__(self) -> None:
+        self.path = Path(mkdtemp(prefix="fpplab-"))
+        finalize(self, rmtree, self.path, ignore_errors=True)
+
+
+@dataclass(frozen=True, eq=False)
+class Twin:
+    """A simulation of a board: what its camera sees follows from its parameters, which never change.
+
+    `with_parameters` gives a twin with others; both share tables of light that are valid for both, so that an
+    evaluation costs what its change costs. Poses are indices into `parameters.poses`; frames and levels are
+    raw, of the bit depth of the settings. Noise and vibration of a frame follow from its number.
+
+    Examples
+    --------
+    >>> brighter = twin.with_parameters(dataclasses.replace(twin.parameters, ambient=0.02))
+    >>> levels = brighter.expected(0, patterns, settings)
+    """
+
+    nominal: World  # with all that parameters do not say
+    board: str  # name of the board in the world
+    target: Target  # the board, as it is printed
+    parameters: TwinParameters
+    world: World  # `nominal` with `parameters`
+    lights: Lights
+    frame_counter: FrameCounter
+    appearance: Appearance | None = None  # of sheet and surroundings, where it is not the file's own
+    files: TemporaryFolder | None = None  # of the appearance
+    before_images: Callable[[], object] = do_nothing  # called before images of the board are computed
+
+    @classmethod
+    def of(cls, nominal: World, board: str, blender: Blender) -> Twin:
+        """Make the twin that a world describes; `ConfigError` where it has no such board."""
         item = nominal.item(board)
         if not isinstance(item, BoardItem):
             boards = ", ".join(name for name, i in nominal.items.items() if isinstance(i, BoardItem))
             raise ConfigError(f"world: 'items.{board}' is no board; there are {boards or 'none'}")
-        self._nominal, self._board, self._blender = nominal, board, blender
-        self.target = board_target(board, item)
-        self._parameters = parameters_of(nominal, board, self.target)
-        self._world = world_of(nominal, board, self._parameters)
-        self._light = Light(self._world, blender, analytic=True)
-        self._next_frame, self._settings = 0, CameraSettings(1.0)
-        self._appearance: Appearance | None = None
-        self._forget_files: Callable[[], object] = lambda: None
-
-    @property
-    def parameters(self) -> TwinParameters:
-        """As it stands; at first what its own file says."""
-        return self._parameters
+        target = board_target(board, item)
+        parameters = parameters_of(nominal, board, target)
+        world = world_of(nominal, board, parameters)
+        return cls(nominal, board, target, parameters, world, Lights(blender), FrameCounter())
 
     @property
     def next_frame(self) -> int:
-        """Number of the next frame, counted since the twin was made; noise and vibration follow from it."""
-        return self._next_frame
+        """Number of the next frame, counted since the first of these twins was made."""
+        return self.frame_counter.next_frame
 
     def count_frames_from(self, number: int) -> None:
-        """Give the next frame this number."""
-        self._next_frame = number
+        """Number frames from here on: a continued matching then has the noise of an undisturbed one."""
+        self.frame_counter.next_frame = number
 
-    def become(self, parameters: TwinParameters) -> None:
-        """Go on with these. Tables of light are kept for all geometry that comes again."""
-        world = world_of(self._nominal, self._board, parameters)
-        light = Light(world, self._blender, analytic=True)
-        light.inherit(self._light)
-        self._parameters, self._world, self._light = parameters, world, light
+    def with_parameters(self, parameters: TwinParameters) -> Twin:
+        """Make a twin with other parameters; `ConfigError` where no world can have them."""
+        world = world_of(self.nominal, self.board, parameters)
+        return replace(self, parameters=parameters, world=world)
+
+    def with_progress(self, before_images: Callable[[], object]) -> Twin:
+        """Make a twin that calls a function before it computes images of its board or of parts.
+
+        The function may raise to end the work.
+        """
+        return replace(self, before_images=before_images)
+
+    def with_appearance(self, appearance: Appearance) -> Twin:
+        """Make a twin whose sheet and surroundings look as a bench's do; `save` writes them too."""
+        files = TemporaryFolder()
+        changed = self._appearance_in_world(self.nominal, appearance, files.path)
+        nominal = self.nominal.model_copy(update=changed)
+        world = world_of(nominal, self.board, self.parameters)
+        return replace(self, nominal=nominal, world=world, appearance=appearance, files=files)
 
     def expected(self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings) -> ExpectedLevels:
         """Compute what the camera sees of the board on average, without noise and vibration."""
         # returns (n, h, w)
-        return self._expected(Setup(self._board, held=self._parameters.poses[pose]), patterns, settings)
+        self.before_images()
+        return self._expected(self._setup(pose), patterns, settings)
 
     def expected_at(
         self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings, pixels: PixelIndices
     ) -> ExpectedLevels:
         """Compute what `expected` gives at some pixels only."""
         # returns (n, P)
-        self._settings = settings
-        return self.expected_part(self._board, self._parameters.poses[pose], patterns, settings, pixels)
+        self.before_images()
+        return self._expected_at(self._setup(pose), patterns, settings, pixels)
 
     def expected_with_slopes(
         self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings, pixels: PixelIndices
     ) -> tuple[ExpectedLevels, ExpectedLevels] | None:
         """Compute what `expected_at` gives, with derivatives by the places that the pixels see."""
-        # returns (n, P) mm
-        setup = Setup(self._board, held=self._parameters.poses[pose])
-        light = self._light.differentiated(setup)
+        # returns (n, P) and (n, P, 4): by x, y on the board in mm and u, v on the projector in px; None where
+        # the light has no derivatives
+        self.before_images()
+        light = self._light.differentiated(self._setup(pose))
         if light is None:
             return None
         irradiance, slopes = light.at(tuple(patterns), pixels)
-        self._settings, scale = settings, SensorModel.of(self._world).grey_scale(settings)
+        scale = SensorModel.of(self.world).grey_scale(settings)
         levels = scale.levels(irradiance)
         slopes *= np.float32(scale.slope) * (levels < scale.saturated)[..., None]
         return levels, slopes
@@ -128,12 +206,13 @@ class Twin:
     ) -> ExpectedLevels:
         """Compute what the camera sees on average of an item in any pose, at some pixels only."""
         # returns (n, P)
-        irradiance = self._light.irradiance_at(Setup(item, held=pose), tuple(patterns), pixels)
-        return SensorModel.of(self._world).expected(irradiance, settings)
+        self.before_images()
+        return self._expected_at(Setup(item, held=pose), patterns, settings, pixels)
 
     def frames(self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings) -> list[Image]:
         """Simulate frames of the board with the sensor's noise and the item's vibration."""
-        return self.scan(self._board, self._parameters.poses[pose], patterns, settings)
+        self.before_images()
+        return self.scan(self.board, self.parameters.poses[pose], patterns, settings)
 
     def scan(
         self, item: str, pose: RigidTransform, patterns: Sequence[Pattern], settings: CameraSettings
@@ -143,23 +222,11 @@ class Twin:
         Vibration is computed to first order in the displacement: by derivatives of the light where it is
         computed, else from four pictures of each pattern that serve any number of frames.
         """
-        self._world.item(item)
-        shown, sensor, self._settings = tuple(patterns), SensorModel.of(self._world), settings
-        still, size_mm, phase = Setup(item, held=pose), self._world.moves_mm, wave_phase(self._world)
-        counters = range(self._next_frame, self._next_frame + len(shown))
-        self._next_frame = counters.stop
-        moves = np.array([self._displacement(n, phase) for n in counters])
-        if not size_mm:
-            pictures = [self._irradiance(still, shown, n) for n in range(len(shown))]
-        elif light := self._light.differentiated(still):
-            pictures = list(light.displaced(shown, moves))
-        else:
-            moved = displaced(still, pose, size_mm)
-            pictures = [
-                with_vibration(self._light, still, moved, steps, Show(shown, n))
-                for n, steps in enumerate(moves / size_mm)
-            ]
-        if (changes := Fluctuation.of(self._world)) is not None:
+        self.world.item(item)
+        shown, sensor, still = tuple(patterns), SensorModel.of(self.world), Setup(item, held=pose)
+        counters = self.frame_counter.take(len(shown))
+        pictures = self._vibrating(still, pose, shown, counters)
+        if (changes := Fluctuation.of(self.world)) is not None:
             ambient = self._light.irradiance(still, None)
             rows = np.arange(len(ambient))
             pictures = [
@@ -168,52 +235,62 @@ class Twin:
         with ThreadPoolExecutor() as pool:
             return list(pool.map(lambda of, n: sensor.expose(of, settings, n), pictures, counters))
 
+    def _vibrating(
+        self, still: Setup, pose: RigidTransform, shown: tuple[Pattern, ...], counters: range
+    ) -> list[PatternLevels]:
+        """Compute the irradiance (h, w) of every frame of an item that vibrates about a pose."""
+        size_mm, phase = self.world.moves_mm, wave_phase(self.world)
+        if not size_mm:
+            return [self._irradiance(still, shown, n) for n in range(len(shown))]
+        moves = np.array([self._displacement(n, phase) for n in counters])
+        if light := self._light.differentiated(still):
+            return list(light.displaced(shown, moves))
+        moved = displaced(still, pose, size_mm)
+        return [
+            with_vibration(self._light, still, moved, steps, Show(shown, n))
+            for n, steps in enumerate(moves / size_mm)
+        ]
+
     def _displacement(self, frame: int, phase: float) -> Floats:
-        random = np.random.default_rng([self._world.seed, frame])
-        return displacement_mm(self._world, random, frame, phase)
+        random = np.random.default_rng([self.world.seed, frame])
+        return displacement_mm(self.world, random, frame, phase)
 
     def mesh(self, item: str) -> trimesh.Trimesh:
         """Give the true shape of an artefact or part."""
-        return part_mesh(self._world, item)
+        return part_mesh(self.world, item)
 
     def pose_of(self, item: str) -> RigidTransform:
         """Tell where an item of the world stands."""
-        return item_poses(self._world, item)[0]
+        return item_poses(self.world, item)[0]
 
-    def appear(self, appearance: Appearance) -> None:
-        """Look as a bench does, beside what parameters tell; `save` writes it too."""
-        folder = Path(mkdtemp(prefix="fpplab-"))
-        changed = self._with_appearance(self._nominal, appearance, folder)
-        self._forget_files()
-        self._forget_files = finalize(self, rmtree, folder, ignore_errors=True)
-        self._nominal, self._appearance = self._nominal.model_copy(update=changed), appearance
-        self.become(self._parameters)
-
-    def _with_appearance(
+    def _appearance_in_world(
         self, world: World, appearance: Appearance, folder: Path, relative: bool = False
     ) -> dict[str, Any]:
         """What an appearance, whose files are written to a folder, changes in a world."""
         around = appearance.surroundings and save_surroundings(appearance.surroundings, folder)
-        board = world.items[self._board]
+        board = world.items[self.board]
         assert isinstance(board, BoardItem)
         board = board.model_copy(update=save_sheet(appearance.sheet, folder))
         if relative:
             around = around and around.relative_to(folder)
             board = board_relative_to(board, folder)
-        return {"surroundings": around, "items": {**world.items, self._board: board}}
+        return {"surroundings": around, "items": {**world.items, self.board: board}}
 
-    def save(self, folder: Path, notes: Sequence[str] = ()) -> Path:
+    def save(
+        self, folder: Path, notes: Sequence[str] = (), settings: CameraSettings = DEFAULT_SETTINGS
+    ) -> Path:
         """Write `rig.yaml`, `world.yaml` and `calibration.yaml`.
 
-        The camera's bit depth and gain in the rig file are those last used.
+        The rig file has the camera's bit depth and gain of `settings`, and notes for every command that
+        opens it.
         """
-        calibration = CalibrationFile.of(self._parameters.calibration)
+        calibration = CalibrationFile.of(self.parameters.calibration)
         changed: dict[str, Any] = {"calibration": calibration}
-        if self._appearance is not None:
-            changed |= self._with_appearance(self._world, self._appearance, folder, relative=True)
-        world = self._world.model_copy(update=changed).save(folder)
+        if self.appearance is not None:
+            changed |= self._appearance_in_world(self.world, self.appearance, folder, relative=True)
+        world = self.world.model_copy(update=changed).save(folder)
         devices: dict[str, dict[str, Any]] = {name: {"backend": f"virtual_{name}"} for name in _DEVICES}
-        devices["camera"] |= {"bits": self._settings.bits, "gain_db": self._settings.gain_db}
+        devices["camera"] |= {"bits": settings.bits, "gain_db": settings.gain_db}
         bench = {"backend": "virtual_bench", "world": world.name}
         path = folder / "rig.yaml"
         noted = {"notes": list(notes)} if notes else {}
@@ -223,8 +300,8 @@ class Twin:
     def _expected(
         self, setup: Setup, patterns: Sequence[Pattern], settings: CameraSettings
     ) -> ExpectedLevels:
-        shown, sensor, self._settings = tuple(patterns), SensorModel.of(self._world), settings
-        width, height = self._world.camera.size
+        shown, sensor = tuple(patterns), SensorModel.of(self.world)
+        width, height = self.world.camera.size
         levels = np.empty((len(shown), height, width), np.float32)
         for n, level in enumerate(levels):
             level[:] = sensor.expected(self._irradiance(setup, shown, n), settings)
@@ -232,6 +309,19 @@ class Twin:
 
     def _irradiance(self, setup: Setup, patterns: tuple[Pattern, ...], n: int) -> PatternLevels:
         return self._light.irradiance(setup, Show(patterns, n))
+
+    def _expected_at(
+        self, setup: Setup, patterns: Sequence[Pattern], settings: CameraSettings, pixels: PixelIndices
+    ) -> ExpectedLevels:
+        irradiance = self._light.irradiance_at(setup, tuple(patterns), pixels)
+        return SensorModel.of(self.world).expected(irradiance, settings)
+
+    def _setup(self, pose: int) -> Setup:
+        return Setup(self.board, held=self.parameters.poses[pose])
+
+    @property
+    def _light(self) -> Light:
+        return self.lights.of(self.world)
 
 
 _DEVICES = ("camera", "projector", "stage", "fixture")

@@ -149,7 +149,7 @@ def match_command(
             )
             viewer.show(MatchingView.epoch, epoch)
             if view or keep_open:
-                show_twin(viewer, references[0], known)
+                show_twin(viewer, references[0], known.with_parameters(epoch.parameters.parameters()))
 
         try:
             with console.telling_progress("Matching") as (report, tell):

@@ -33,7 +33,6 @@ from sim.matching.steps import (
     MatchingContext,
     MatchingStep,
 )
-from sim.matching.watching import watched_twin
 from sim.parameters import NO_LINE, TwinParameters
 from sim.twin import Twin
 
@@ -173,36 +172,32 @@ def match_twin(
     observe: EpochObserver = ignore,
     tell: Say = ignore,
 ) -> MatchedTwin:
-    """Match a twin to the reference, or continue where the record ends.
-
-    The twin is left with the matched parameters.
-    """
+    """Match a twin to the reference, or continue where the record ends."""
     epochs = record.read()
     if not epochs:
         start = ParametersFile.of(start).parameters()  # as the record will tell them to whoever goes on
     elif epochs[-1].next_frame is not None:
         twin.count_frames_from(epochs[-1].next_frame)
-    twin.become(_best(epochs).parameters.parameters() if epochs else start)
+    twin = twin.with_parameters(_best(epochs).parameters.parameters() if epochs else start)
     white = "paper" if reference.response is not None else "white"
     samples = _samples_of_poses(reference, epochs[-1].parameters.parameters() if epochs else start)
     before = epochs[-1].seconds if epochs else 0.0
     started = time.monotonic() - before
     watch = _StepWatch(started, limits, progress, tell)
     contrasts = tuple(sample_contrasts(twin, scans, reference.plan))
-    at = MatchingContext(reference, watched_twin(twin, watch), samples, white, contrasts)
+    at = MatchingContext(reference, twin.with_progress(watch), samples, white, contrasts)
     state = _State(at, weights, record, epochs, started, watch)
-    twin = at.twin
     if not epochs:
         watch.begin(0, "epoch 0, start", may_end=False)
-        first = _evaluated(state).loss.summary()
-        _record_epoch(state, "start", ParametersFile.of(start), first, _difference(state), True, observe)
+        first = _evaluated(state, at).loss.summary()
+        _record_epoch(state, "start", ParametersFile.of(start), first, _difference(at), True, observe)
     ended = _run(state, limits, observe)
     watch.begin(_usual_steps() + 1, "judging the result", may_end=False)
-    twin.become(state.best.parameters.parameters())
-    state.at = replace(state.at, samples=_samples_of_poses(reference, twin.parameters))
-    left = _difference(state)
-    explained = explained_shares(state.epochs) | _changing_shares(state, left**2)
-    return MatchedTwin(twin.parameters, tuple(state.epochs), explained, left, ended)
+    best = state.best.parameters.parameters()
+    at = replace(at, samples=_samples_of_poses(reference, best)).with_parameters(best)
+    left = _difference(at)
+    explained = explained_shares(state.epochs) | _changing_shares(at, left**2)
+    return MatchedTwin(best, tuple(state.epochs), explained, left, ended)
 
 
 def _best(epochs: Sequence[MatchingEpoch]) -> MatchingEpoch:
@@ -249,8 +244,8 @@ def _run(state: _State, limits: MatchingLimits, observe: EpochObserver) -> str:
                 return ended
         idle = 0 if _changed(before, _best(state.epochs[: number + 1]), limits) else idle + 1
     # By the rounds alone: a matching that goes on has taken some of what follows already.
-    state.at.twin.become(_best(state.epochs[: number + 1]).parameters.parameters())
-    last = [step for step in (SHARPNESS_OF_BOARD, *CHANGING_STEPS) if step.applies(state.at)]
+    at = state.at.with_parameters(_best(state.epochs[: number + 1]).parameters.parameters())
+    last = [step for step in (SHARPNESS_OF_BOARD, *CHANGING_STEPS) if step.applies(at)]
     for later, step in enumerate(last, number + 1):
         if _step_within(state, limits, observe, later, step):
             break
@@ -305,31 +300,30 @@ def moved_um(before: TwinParameters, after: TwinParameters) -> float:
 
 
 def _take_step(state: _State, step: MatchingStep, observe: EpochObserver) -> None:
-    best, twin = state.best, state.at.twin
-    twin.become(best.parameters.parameters())
-    before = step.misfit(state.at)
-    written = ParametersFile.of(step.propose(state.at))
-    tried = written.parameters()
-    twin.become(tried)
-    after = step.misfit(state.at)
+    best = state.best
+    at = state.at.with_parameters(best.parameters.parameters())
+    before = step.misfit(at)
+    written = ParametersFile.of(step.propose(at))
+    tried = at.with_parameters(written.parameters())
+    after = step.misfit(tried)
     better = after <= before if before is not None and after is not None else None
-    refused = better is False or not step.allowed(state.at)
+    refused = better is False or not step.allowed(tried)
     if step.same_images and (refused or not step.characterises):
         loss, difference = best.loss, best.difference
     else:
         known = None if step.characterises and not refused else best.loss["epsilon_v_px"]
-        loss = _evaluated(state, known).loss.summary()
-        state.at = replace(state.at, samples=_samples_of_poses(state.at.reference, tried))
-        difference = _difference(state)
+        loss = _evaluated(state, tried, known).loss.summary()
+        samples = _samples_of_poses(at.reference, tried.twin.parameters)
+        state.at = replace(state.at, samples=samples)
+        difference = _difference(replace(tried, samples=samples))
     accepted = not refused and (_accepted(best, loss, difference) if better is None else better)
     _record_epoch(state, step.name, written, loss, difference, accepted, observe)
 
 
-def _evaluated(state: _State, epsilon_v: float | None = None) -> TwinEvaluation:
+def _evaluated(state: _State, at: MatchingContext, epsilon_v: float | None = None) -> TwinEvaluation:
     """Judge an epoch by the images of some poses."""
-    reference = state.at.reference
-    compared = reference.spread_poses(COMPARED_POSES)
-    return evaluate(reference, state.at.twin, state.weights, epsilon_v, poses=compared)
+    compared = at.reference.spread_poses(COMPARED_POSES)
+    return evaluate(at.reference, at.twin, state.weights, epsilon_v, poses=compared)
 
 
 def _accepted(best: MatchingEpoch, loss: Mapping[str, float], difference: float) -> bool:
@@ -340,16 +334,14 @@ def _accepted(best: MatchingEpoch, loss: Mapping[str, float], difference: float)
     return difference <= best.difference * (1.0 + 1e-3)
 
 
-def _difference(state: _State) -> float:
-    return float(
-        np.sqrt(light_fit.mean_square_difference(state.at.reference, state.at.twin, state.at.samples))
-    )
+def _difference(at: MatchingContext) -> float:
+    """RMS of bench less twin at the samples, in raw levels."""
+    return float(np.sqrt(light_fit.mean_square_difference(at.reference, at.twin, at.samples)))
 
 
-def _changing_shares(state: _State, left: float) -> dict[str, float]:
+def _changing_shares(at: MatchingContext, left: float) -> dict[str, float]:
     """Shares of what is left that flicker, bands, vibration and the sensor's noise make."""
-    twin, now = state.at.twin, state.at.twin.parameters
-    whole = _noise(state)
+    now, whole = at.twin.parameters, _noise(at)
     without = {
         "flicker": replace(now, projector_flicker=0.0) if now.projector_flicker else None,
         "rolling bands": replace(now, ambient_ripple=0.0) if now.ambient_ripple else None,
@@ -360,17 +352,15 @@ def _changing_shares(state: _State, left: float) -> dict[str, float]:
     shares = dict.fromkeys(without, 0.0)
     for step, steady in without.items():
         if steady is not None:
-            twin.become(steady)
-            shares[step] = (whole - _noise(state)) / left
-    twin.become(now)
+            shares[step] = (whole - _noise(at.with_parameters(steady))) / left
     return {**shares, "noise": whole / left - sum(shares.values())}
 
 
-def _noise(state: _State) -> float:
+def _noise(at: MatchingContext) -> float:
     """Mean square of the twin's own noise at the samples, since expected images have no noise."""
-    reference, twin = state.at.reference, state.at.twin
+    reference, twin = at.reference, at.twin
     squares = []
-    for sample in state.at.samples:
+    for sample in at.samples:
         patterns = reference.shown(sample.images)
         expected = twin.expected_at(sample.pose, patterns, reference.settings, sample.pixels)
         for frame, level in zip(
@@ -403,9 +393,7 @@ def _record_epoch(
         seconds=state.seconds,
         parameters=tried,
         next_frame=state.at.twin.next_frame,
-        poses_um=moved_um(state.best.parameters.parameters(), state.at.twin.parameters)
-        if state.epochs
-        else None,
+        poses_um=moved_um(state.best.parameters.parameters(), tried.parameters()) if state.epochs else None,
     )
     state.record.add(epoch)
     state.epochs.append(epoch)

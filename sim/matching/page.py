@@ -53,7 +53,7 @@ def write_matching_report(
     answer: Mapping[str, Any] | None = None,
     provenance: Mapping[str, Provenance] | None = None,
 ) -> None:
-    """Write a matching as one HTML file. The twin is left with the matched parameters."""
+    """Write a matching as one HTML file."""
     sections = [_epochs_section(found)]
     if found.gamma:
         sections.append(_gamma_section(found.gamma))
@@ -276,9 +276,8 @@ def _seen(
     pose: int,
     images: Sequence[int],
 ) -> GreyPicture:
-    twin.become(parameters)
-    twin.appear(appearance)
-    return np.asarray(twin.expected(pose, reference.shown(images), reference.settings)[0])
+    shown = twin.with_parameters(parameters).with_appearance(appearance)
+    return np.asarray(shown.expected(pose, reference.shown(images), reference.settings)[0])
 
 
 @as_png

@@ -31,12 +31,11 @@ def fit_scans(
 
 
 def match_surfaces(twin: Twin, scans: Sequence[BenchScan], tell: Say = ignore) -> list[SurfaceMatch]:
-    """Match the surfaces of parts. The twin is left with them."""
+    """Match the surfaces of parts."""
     found = []
     for scan in scans:
         tell(f"matching the surface of the {scan.item}")
         found.append(match_surface(twin, scan))
-    twin.become(with_surfaces(twin.parameters, found))
     return found
 
 
@@ -64,5 +63,5 @@ def match_parts(
     known = Discrepancy.beside(rig)
     if known is not None:
         known.save(folder)
-    twin.save(folder, [*notes, *refusals.notes])
+    twin.with_parameters(with_surfaces(twin.parameters, found)).save(folder, [*notes, *refusals.notes])
     return found

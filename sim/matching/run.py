@@ -31,9 +31,10 @@ from sim.matching.parts import check_scans, fit_scans, match_surfaces
 from sim.matching.record import PLAIN, MatchingRecord
 from sim.matching.reference import Reference
 from sim.matching.refusal import Refusals
-from sim.matching.scene.appearance import AppearanceTrial, match_appearance
-from sim.matching.scene.artefacts import ArtefactComparison, compare_artefacts
-from sim.matching.scene.surface import SurfaceMatch
+from sim.matching.result import AblationRow, MatchingFigures
+from sim.matching.scene.appearance import match_appearance
+from sim.matching.scene.artefacts import BenchScan, compare_artefacts
+from sim.matching.scene.surface import with_surfaces
 from sim.parameters import TwinParameters
 from sim.twin import Twin
 
@@ -59,34 +60,9 @@ class MatchingRequest:
     start: Callable[[TwinParameters], TwinParameters] = unchanged_start  # gives the parameters to start from
 
 
-@dataclass(frozen=True)
-class AblationRow:
-    """One row of the paper's table: the loss with and without each part of the matching."""
-
-    refined: bool  # whether geometry and light were refined
-    gamma: bool  # whether the response was matched
-    loss: dict[str, float]  # as `Loss.summary` gives it
-
-
 @dataclass(frozen=True, eq=False)
-class MatchingResult:
-    """Everything that a matching found."""
-
-    reference: Reference  # what the twin was matched to
-    nominal: TwinParameters  # the start, with light and response of the twin's own file
-    start: TwinParameters  # where the matching began, with the response matched
-    gamma: GammaMatch | None  # where a response was given
-    before: TwinEvaluation  # of `nominal`
-    matched: MatchedTwin  # the result, with its epochs
-    final: TwinEvaluation  # of the result, with what it shows of the board's sheet and its surroundings
-    rows: tuple[AblationRow, ...]  # the paper's table; rows with the response only where it was measured
-    artefacts: tuple[ArtefactComparison, ...]  # one for each recorded scan
-    accepted: frozenset[FaultCause] = frozenset()  # causes for which nothing was refused
-    noted: tuple[str, ...] = ()  # what was found and accepted before the matching
-    card_measured: bool = False  # whether the pose of the grey card was measured on the bench
-    late: tuple[Finding, ...] = ()  # what only the matched twin shows
-    surfaces: tuple[SurfaceMatch, ...] = ()  # one for each part whose surface was matched
-    appearance: AppearanceTrial | None = None
+class MatchingResult(MatchingFigures):
+    """What a matching found, and whether to believe it."""
 
     @cached_property
     def diagnosis(self) -> Diagnosis:
@@ -121,17 +97,31 @@ class MatchingResult:
             "surfaces": [one.summary() for one in self.surfaces],
         }
 
-    def by_pose(self) -> list[dict[str, Any]]:
-        """Give the figures of every pose before and after the matching."""
-        before, after = (one.by_pose_name(self.reference) for one in (self.before, self.final))
-        return [
-            {
-                "pose": name,
-                **{f"{key}_before": value for key, value in figures.items()},
-                **{f"{key}_after": value for key, value in after[name].items()},
-            }
-            for name, figures in before.items()
-        ]
+
+@dataclass(frozen=True)
+class MatchingListener:
+    """What a matching calls while it works."""
+
+    progress: Progress = no_progress  # with the share that is done
+    observe: EpochObserver = ignore  # with every epoch
+    tell: Say = ignore  # with what is being done
+    prepared: Callable[[Reference], object] = ignore  # with the reference, before the first epoch
+
+    def between(self, first: float, last: float) -> Progress:
+        """Give the progress of a part of the work that takes it from one share to another."""
+        return lambda share: self.progress(first + (last - first) * share)
+
+
+@dataclass(frozen=True, eq=False)
+class _Prepared:
+    """The bench's recordings as they are matched, and the twin from which the matching starts."""
+
+    reference: Reference
+    scans: list[BenchScan]  # of artefacts
+    parts: list[BenchScan]  # whose surfaces are matched
+    nominal: Twin  # in the reference's geometry, with light and response of its own file
+    start: Twin  # with the response matched
+    gamma: GammaMatch | None  # where a response was given
 
 
 def twin_of(rig: Rig, board: str) -> Twin:
@@ -155,85 +145,109 @@ def match_sessions(
     tell: Say = ignore,
     prepared: Callable[[Reference], object] = ignore,
 ) -> MatchingResult:
-    """Match the twin to recorded sessions of a board, and save it unless nobody should use it.
+    """Match a twin to recorded sessions of a board, and save it unless nobody should use it.
 
-    Continues where a record in `folder` ends. The twin is left with the matched parameters.
+    Continues where a record in `folder` ends.
     """
+    listener = MatchingListener(progress, observe, tell, prepared)
     refusals = Refusals(request.accepted)
     _check_inputs(twin, sessions, target, request)
-    nominal = twin.parameters
-    tell("characterising the bench")
-    found = characterise_sessions(sessions, target, lambda share: progress(0.1 * share))
-    plausibility.check_geometry(found.calibration, nominal.calibration, refusals)
-    if request.response is not None:
-        plausibility.check_response(request.response, sessions, refusals)
-    tell("comparing the scans with the artefacts' shapes")
-    scans, parts = (
-        fit_scans(twin, of, found.calibration, refusals) for of in (request.scans, request.surfaces)
-    )
-    reference = Reference.of(sessions, target, found, request.response)
-    prepared(reference)
-    nominal = request.start(_placed(with_reference_geometry(nominal, found), request, found, twin))
-    twin.become(nominal)
-    gamma = None
-    if request.response is not None:
-        gamma = match_gamma(twin, request.response, request.card, reference.settings)
-    start = twin.parameters
+    begun = _prepare(twin, sessions, target, request, refusals, listener)
+    reference = begun.reference
     matched = match_twin(
         reference,
-        twin,
-        start,
+        begun.start,
+        begun.start.parameters,
         MatchingRecord(folder),
         request.weights,
         request.limits,
-        [*scans, *parts],
-        progress=lambda share: progress(0.1 + 0.7 * share),
+        [*begun.scans, *begun.parts],
+        progress=listener.between(0.1, 0.8),
         observe=observe,
         tell=tell,
     )
+    best = begun.start.with_parameters(matched.parameters)
+    late = _late_findings(reference, best, matched)
     if request.response is not None:
-        levelled = with_level_of_card(twin, request.response, request.card, reference.settings)
+        levelled = with_level_of_card(best, request.response, request.card, reference.settings)
         matched = replace(matched, parameters=levelled)
-    late = plausibility.similarity_finding(matched.ssim_board, matched.unexplained)
-    blurred = plausibility.sharpness_finding(reference, twin) if matched.refined_focus else None
-    twin.become(nominal)
-    tell("comparing before and after")
-    before = evaluate(reference, twin, request.weights, progress=lambda share: progress(0.8 + 0.04 * share))
-    twin.become(matched.parameters)
-    surfaces = match_surfaces(twin, parts, tell)
-    complete = twin.parameters
-    tell("matching the board's sheet and the surroundings")
-    appearance = match_appearance(reference, twin)
-    tell("judging the result")
-    # Only now: grain of the print moves what is found of the board, on the twin as on the bench.
-    final = evaluate(reference, twin, request.weights, progress=lambda share: progress(0.84 + 0.04 * share))
-    own = final.characterisation
-    assert own is not None  # it was not told the twin's reprojection error
-    artefacts = compare_artefacts(twin, scans, own.calibration, lambda share: progress(0.88 + 0.12 * share))
-    rows = _table(reference, twin, request.weights, nominal, before, matched, final, gamma is not None)
-    twin.become(complete)
-    result = MatchingResult(
-        reference,
-        nominal,
-        start,
-        gamma,
-        before,
-        matched,
-        final,
-        rows,
-        tuple(artefacts),
-        request.accepted,
-        tuple(refusals.notes),
-        request.card_scan is not None,
-        tuple(one for one in (late, blurred) if one is not None),
-        tuple(surfaces),
-        appearance,
-    )
+    result, complete = _compared(begun, matched, request, listener)
+    result = replace(result, late=late, noted=tuple(refusals.notes))
     if not result.diagnosis.is_useless:
         tell("comparing noise and scans for the intervals of predictions")
-        discrepancy_of(reference, twin, [*scans, *parts]).save(folder)
-        twin.save(folder, result.notes)
+        discrepancy_of(reference, complete, [*begun.scans, *begun.parts]).save(folder)
+        complete.save(folder, result.notes, reference.settings)
     return result
+
+
+def _prepare(
+    twin: Twin,
+    sessions: Sequence[Session],
+    target: Target,
+    request: MatchingRequest,
+    refusals: Refusals,
+    listener: MatchingListener,
+) -> _Prepared:
+    """Characterise the bench, find parts in their scans, and match the response."""
+    listener.tell("characterising the bench")
+    found = characterise_sessions(sessions, target, listener.between(0.0, 0.1))
+    plausibility.check_geometry(found.calibration, twin.parameters.calibration, refusals)
+    if request.response is not None:
+        plausibility.check_response(request.response, sessions, refusals)
+    listener.tell("comparing the scans with the artefacts' shapes")
+    scans = fit_scans(twin, request.scans, found.calibration, refusals)
+    parts = fit_scans(twin, request.surfaces, found.calibration, refusals)
+    reference = Reference.of(sessions, target, found, request.response)
+    listener.prepared(reference)
+    placed = _placed(with_reference_geometry(twin.parameters, found), request, found, twin)
+    nominal = twin.with_parameters(request.start(placed))
+    if request.response is None:
+        return _Prepared(reference, scans, parts, nominal, nominal, None)
+    gamma = match_gamma(nominal, request.response, request.card, reference.settings)
+    return _Prepared(reference, scans, parts, nominal, nominal.with_parameters(gamma.parameters), gamma)
+
+
+def _late_findings(reference: Reference, twin: Twin, matched: MatchedTwin) -> tuple[Finding, ...]:
+    """Find what only the matched twin shows."""
+    late = plausibility.similarity_finding(matched.ssim_board, matched.unexplained)
+    blurred = plausibility.sharpness_finding(reference, twin) if matched.refined_focus else None
+    return tuple(finding for finding in (late, blurred) if finding is not None)
+
+
+def _compared(
+    begun: _Prepared, matched: MatchedTwin, request: MatchingRequest, listener: MatchingListener
+) -> tuple[MatchingResult, Twin]:
+    """Compare bench and twin before and after the matching; also give the twin with all that was matched."""
+    reference, twin = begun.reference, begun.start.with_parameters(matched.parameters)
+    listener.tell("comparing before and after")
+    before = evaluate(reference, begun.nominal, request.weights, progress=listener.between(0.8, 0.84))
+    surfaces = match_surfaces(twin, begun.parts, listener.tell)
+    twin = twin.with_parameters(with_surfaces(twin.parameters, surfaces))
+    listener.tell("matching the board's sheet and the surroundings")
+    appearance = match_appearance(reference, twin)
+    twin = twin.with_appearance(appearance.found)
+    listener.tell("judging the result")
+    # Only now: grain of the print moves what is found of the board, on the twin as on the bench.
+    final = evaluate(reference, twin, request.weights, progress=listener.between(0.84, 0.88))
+    own = final.characterisation
+    assert own is not None  # it was not told the twin's reprojection error
+    artefacts = compare_artefacts(twin, begun.scans, own.calibration, listener.between(0.88, 1.0))
+    result = MatchingResult(
+        reference=reference,
+        nominal=begun.nominal.parameters,
+        start=begun.start.parameters,
+        gamma=begun.gamma,
+        before=before,
+        matched=matched,
+        final=final,
+        rows=_table(begun, twin, request.weights, before, matched, final),
+        artefacts=tuple(artefacts),
+        accepted=request.accepted,
+        card_measured=request.card_scan is not None,
+        surfaces=tuple(surfaces),
+        appearance=appearance,
+    )
+    return result, twin
 
 
 def _check_inputs(twin: Twin, sessions: Sequence[Session], target: Target, request: MatchingRequest) -> None:
@@ -265,23 +279,22 @@ def with_reference_geometry(nominal: TwinParameters, found: Characterisation) ->
 
 
 def _table(
-    reference: Reference,
+    begun: _Prepared,
     twin: Twin,
     weights: Weights,
-    nominal: TwinParameters,
     before: TwinEvaluation,
     matched: MatchedTwin,
     final: TwinEvaluation,
-    gamma: bool,
 ) -> tuple[AblationRow, ...]:
     """Fill the paper's table: before and after, without and with the response."""
     first, after = AblationRow(False, False, before.loss.summary()), final.loss.summary()
-    if not gamma:
+    if begun.gamma is None:
         return first, AblationRow(True, False, after)
-    twin.become(replace(matched.parameters, response=nominal.response, white=nominal.white))
+    own = begun.nominal.parameters
+    without = twin.with_parameters(replace(matched.parameters, response=own.response, white=own.white))
     return (
         first,
         AblationRow(False, True, matched.epochs[0].loss),
-        AblationRow(True, False, evaluate(reference, twin, weights).loss.summary()),
+        AblationRow(True, False, evaluate(begun.reference, without, weights).loss.summary()),
         AblationRow(True, True, after),
     )

@@ -37,14 +37,14 @@ class LightSample(Protocol):
         """
 
     def residual(self, reference: Reference, twin: Twin) -> Floats:
-        """Compare with the twin as it is.
+        """Compare with a twin.
 
         Parameters
         ----------
         reference : Reference
             What was recorded of the bench.
         twin : Twin
-            With the parameters to evaluate.
+            To evaluate.
 
         Returns
         -------
@@ -75,7 +75,7 @@ class PixelSample:
         return np.array([np.tile(tiles, count), poses, np.repeat(self.images, len(tiles))], np.int64)
 
     def residual(self, reference: Reference, twin: Twin) -> Floats:
-        """Compare with the twin as it is."""
+        """Compare with a twin."""
         # returns (n P,)
         patterns = reference.shown(self.images)
         here = twin.expected_at(self.pose, patterns, reference.settings, self.pixels).astype(np.float64)

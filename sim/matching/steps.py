@@ -55,11 +55,15 @@ class MatchingContext:
     """What every step is given."""
 
     reference: Reference  # what was recorded of the bench
-    twin: Twin  # to be matched
+    twin: Twin  # with the parameters from which the step starts
     samples: list[PixelSample]  # pixels at which images are compared
     white: str  # the parameter that scales the levels
     contrasts: tuple[ContrastSample, ...] = ()  # of finer fringes on parts
     _terms: dict[str, list[FrameTerms]] = field(default_factory=dict)
+
+    def with_parameters(self, parameters: TwinParameters) -> MatchingContext:
+        """Give the same with other parameters of the twin."""
+        return replace(self, twin=self.twin.with_parameters(parameters))
 
     def frame_terms(self) -> list[FrameTerms]:
         """Estimate what every frame of some poses has beyond the twin's; kept while the light is the same."""
@@ -96,9 +100,9 @@ class MatchingContext:
         if "black_level" not in names or found.black_level <= self._most_black:
             return found
         # Light that the parameters lack was taken for black: held, black leaves it to the ambient light.
-        self.twin.become(replace(found, black_level=self._most_black))
+        held = self.twin.with_parameters(replace(found, black_level=self._most_black))
         others = [name for name in names if name != "black_level"]
-        return light_fit.fit_light(self.reference, self.twin, others, self.samples)
+        return light_fit.fit_light(self.reference, held, others, self.samples)
 
     @property
     def projector_focus(self) -> tuple[str, ...]:
@@ -124,7 +128,7 @@ class MatchingContext:
         if not self.contrasts:
             return light_fit.fit_light(self.reference, self.twin, names, self.samples)
         found = light_fit.fit_light(self.reference, self.twin, names, self.contrasts)
-        return with_common_error(self.reference, self.twin, found, names, self.contrasts)
+        return with_common_error(self.reference, self.twin.with_parameters(found), names, self.contrasts)
 
 
 @dataclass(frozen=True)
@@ -146,25 +150,26 @@ def _projector_defocus(at: MatchingContext) -> TwinParameters:
         return at.fit_projector_sharpness()
     if at.contrasts:
         return _focus_by_contrasts(at)
-    light_fit.search_focus_grid(at.reference, at.twin, _ends(at.samples), *PROJECTOR_FOCUS, APERTURES)
-    return at.fit_projector_sharpness()
+    start = light_fit.search_focus_grid(at.reference, at.twin, _ends(at.samples), *PROJECTOR_FOCUS, APERTURES)
+    return at.with_parameters(start).fit_projector_sharpness()
 
 
 def _focus_by_contrasts(at: MatchingContext) -> TwinParameters:
     """Fit the sharpness without a focus, and from several: contrasts are many times quicker than images."""
     start, found = at.twin.parameters, []
     for focus in (None, *light_fit.focus_distances(start, "projector_focus_mm")):
-        at.twin.become(replace(start, projector_focus_mm=focus))
-        tried = at.fit_projector_sharpness()
-        found.append((light_fit.mean_square_difference(at.reference, at.twin, at.contrasts), tried))
-    best = min(found, key=lambda one: one[0])[1]
-    at.twin.become(best)
-    return best
+        tried = at.with_parameters(replace(start, projector_focus_mm=focus)).fit_projector_sharpness()
+        there = at.twin.with_parameters(tried)
+        found.append((light_fit.mean_square_difference(at.reference, there, at.contrasts), tried))
+    return min(found, key=lambda one: one[0])[1]
 
 
 def _depth_of_field(at: MatchingContext) -> TwinParameters:
     if not at.camera_focus:
-        light_fit.search_focus_grid(at.reference, at.twin, _ends(at.samples), *CAMERA_FOCUS, F_NUMBERS)
+        start = light_fit.search_focus_grid(
+            at.reference, at.twin, _ends(at.samples), *CAMERA_FOCUS, F_NUMBERS
+        )
+        at = at.with_parameters(start)
     if not at.camera_focus:
         return at.twin.parameters
     return at.fit(*at.blur_by_images, *CAMERA_FOCUS)
@@ -199,10 +204,8 @@ def _board_is_sharper(at: MatchingContext) -> bool:
 
 def _without_contrasts(at: MatchingContext) -> TwinParameters:
     """Search the projector's focus by the board's images, and fit all light again."""
-    alone = replace(at, contrasts=())
-    at.twin.become(replace(at.twin.parameters, projector_focus_mm=None))
-    _projector_defocus(alone)
-    return _fit_together(alone)
+    alone = replace(at, contrasts=()).with_parameters(replace(at.twin.parameters, projector_focus_mm=None))
+    return _fit_together(alone.with_parameters(_projector_defocus(alone)))
 
 
 def _contrast_left(at: MatchingContext) -> float | None:
@@ -219,16 +222,15 @@ def _evidence_for_falloff(at: MatchingContext) -> float:
 
 def _room_lamp(at: MatchingContext) -> TwinParameters:
     """Fit the light without and with a lamp, which is kept where it explains more than it costs."""
-    without = at.fit(*at.light_parameters())
-    least = _evidence_for_lamp(at)
-    linear = [name for name in (at.white, "ambient", "black_level") if name in at.light_parameters()]
-    found = room_lamp.search_lamp(at.reference, at.twin, at.samples, linear)
-    if found.lamp_irradiance:
-        found = at.fit(*at.light_parameters(*light_fit.LAMP))
-        if _evidence_for_lamp(at) < least:
-            return found
-    at.twin.become(without)
-    return without
+    without = at.with_parameters(at.fit(*at.light_parameters()))
+    linear = [name for name in (at.white, "ambient", "black_level") if name in without.light_parameters()]
+    start = room_lamp.search_lamp(at.reference, without.twin, at.samples, linear)
+    if start.lamp_irradiance:
+        lit = without.with_parameters(start)
+        found = lit.with_parameters(lit.fit(*lit.light_parameters(*light_fit.LAMP)))
+        if _evidence_for_lamp(found) < _evidence_for_lamp(without):
+            return found.twin.parameters
+    return without.twin.parameters
 
 
 def _evidence_for_lamp(at: MatchingContext) -> float:

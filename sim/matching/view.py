@@ -92,7 +92,7 @@ class MatchingView(CommandView):
 
 
 def show_twin(viewer: Viewer[MatchingView], reference: Reference, twin: Twin) -> None:
-    """Show one image of the bench beside that of the twin with its present parameters."""
+    """Show one image of the bench and of a twin."""
     pose, images = reference.spread_poses(1)[0], reference.finest[:1]
     seen: Any = twin.expected(pose, reference.shown(images), reference.settings)[0]
     real: Any = reference.frames(pose, images)[0]

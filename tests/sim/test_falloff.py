@@ -68,7 +68,7 @@ def test_a_board_is_lit_by_it() -> None:
 
 def test_a_matched_twin_keeps_it(tmp_path: Path) -> None:
     blender = Blender("test")
-    twin = Twin(world(FALLOFF), "board", blender)
+    twin = Twin.of(world(FALLOFF), "board", blender)
     assert twin.parameters.projector_falloff == FALLOFF
     twin.save(tmp_path)
     assert World.load(str(tmp_path / "world.yaml")).projector.falloff == FALLOFF

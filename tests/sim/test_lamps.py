@@ -157,7 +157,7 @@ def test_lamps_alone_are_light_enough() -> None:
 
 
 def seen(parameters: TwinParameters, twin: Twin, pixels: Any) -> PatternLevels:
-    twin.become(parameters)
+    twin = twin.with_parameters(parameters)
     return twin.expected_at(0, PATTERNS, CameraSettings(0.02), pixels)
 
 
@@ -202,21 +202,23 @@ def test_vibration_moves_what_the_lamp_lights() -> None:
 
 
 def test_a_twin_has_the_lamp_that_it_is_given() -> None:
-    twin = Twin(lamped(), "board", Blender("bench"))
+    twin = Twin.of(lamped(), "board", Blender("bench"))
     now = twin.parameters
     assert (now.lamp_irradiance, now.lamp_angle_deg, now.lamp_azimuth_deg) == (0.25, 55.0, 160.0)
     pixels = (np.full(8, 64), np.arange(80, 112, 4))
     bright = seen(now, twin, pixels)
     dark = seen(replace(now, lamp_irradiance=0.0), twin, pixels)
-    assert "room" not in twin._world.lamps
+    assert "room" not in twin.with_parameters(replace(now, lamp_irradiance=0.0)).world.lamps
     assert (bright > dark + 0.5).all()
     np.testing.assert_allclose(seen(now, twin, pixels), bright)
 
 
 def test_uncertainty_of_the_lamp_is_written(tmp_path: Path) -> None:
     """By the paths of its fields, so that draws of the world have other lamps."""
-    twin = Twin(lamped(), "board", Blender("bench"))
-    twin.become(replace(twin.parameters, sigma={"lamp_irradiance": 0.01, "lamp_angle_deg": 3.0}))
+    twin = Twin.of(lamped(), "board", Blender("bench"))
+    twin = twin.with_parameters(
+        replace(twin.parameters, sigma={"lamp_irradiance": 0.01, "lamp_angle_deg": 3.0})
+    )
     twin.save(tmp_path)
     found = World.load(tmp_path / "world.yaml")
     assert found.uncertainty == {"lamps.room.irradiance": 0.01, "lamps.room.angle_deg": 3.0}

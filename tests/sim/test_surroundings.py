@@ -195,21 +195,21 @@ def test_a_sheet_has_margins_and_texture(tmp_path: Path) -> None:
 @pytest.mark.whole
 def test_what_a_twin_looks_like_is_saved_and_read_again(tmp_path: Path) -> None:
     of = config.validate(plain(render=EXACT), World, "test")
-    twin = Twin(of, "board", Blender("bench"))
+    twin = Twin.of(of, "board", Blender("bench"))
     mesh = trimesh.load(write_wall(tmp_path)["mesh"], process=False)
     texture = np.random.default_rng(1).uniform(0.8, 1.2, (40, 60)).astype(np.float32)
     around = BenchSurroundings(mesh, np.full(SIZE[::-1], 0.3, np.float32))
-    twin.appear(Appearance(BoardSheet((5.0, 0.0, 0.0, 5.0), 8.0, 0.06, texture), around))
+    twin = twin.with_appearance(Appearance(BoardSheet((5.0, 0.0, 0.0, 5.0), 8.0, 0.06, texture), around))
     shown = twin.expected(0, PATTERNS, SETTINGS)
     twin.save(tmp_path / "saved")
-    again = Twin(World.load(tmp_path / "saved" / "world.yaml"), "board", Blender("bench"))
+    again = Twin.of(World.load(tmp_path / "saved" / "world.yaml"), "board", Blender("bench"))
     np.testing.assert_allclose(again.expected(0, PATTERNS, SETTINGS), shown, atol=0.02)
     assert {"surroundings.ply", "surroundings.png", "board_texture.png"} <= {
         one.name for one in (tmp_path / "saved").iterdir()
     }
     text = (tmp_path / "saved" / "world.yaml").read_text()
     assert str(tmp_path) not in text, "it can be moved to another folder"
-    twin.appear(Appearance())
+    twin = twin.with_appearance(Appearance())
     assert np.abs(twin.expected(0, PATTERNS, SETTINGS) - shown).max() > 1
 
 

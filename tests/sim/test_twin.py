@@ -56,7 +56,7 @@ def _nominal() -> World:
 
 
 def _twin(of: World, board: str = "board") -> Twin:
-    return Twin(of, board, Blender("bench"))  # which no board needs, so it does not start
+    return Twin.of(of, board, Blender("bench"))  # which no board needs, so it does not start
 
 
 def _patterns(of: Twin) -> tuple[Pattern, ...]:
@@ -102,7 +102,7 @@ def test_expected_levels_are_the_mean_of_the_bench_s_frames() -> None:
 def test_expected_at_some_pixels_agrees_with_the_whole_image(ambient: float) -> None:
     """Also at pixels that see nothing, and not in the image's order."""
     twin = _twin(_bent())
-    twin.become(replace(twin.parameters, ambient=ambient))
+    twin = twin.with_parameters(replace(twin.parameters, ambient=ambient))
     patterns, random = _patterns(twin), np.random.default_rng(0)
     pixels = random.integers(0, SIZE[1], 500), random.integers(0, SIZE[0], 500)
     whole = twin.expected(2, patterns, SETTINGS)[:, *pixels]
@@ -132,7 +132,7 @@ def test_with_another_world_s_parameters_the_twin_gives_its_pictures(twin: Twin)
     patterns = _patterns(bench)
     seen = bench.expected(1, patterns, SETTINGS)
     levels = [_white_level(w) for w in (_nominal(), _bent())]
-    twin.become(replace(bench.parameters, white=0.76 * levels[1] / levels[0]))
+    twin = twin.with_parameters(replace(bench.parameters, white=0.76 * levels[1] / levels[0]))
     found = twin.expected(1, patterns, SETTINGS)
     assert np.ptp(seen) > 500
     np.testing.assert_allclose(found, seen, atol=0.01)
@@ -145,7 +145,7 @@ def _white_level(of: World) -> float:
 
 def _changed(twin: Twin, **fields: Any) -> np.ndarray[Any, np.dtype[np.float32]]:
     patterns = _patterns(twin)
-    twin.become(replace(twin.parameters, **fields))
+    twin = twin.with_parameters(replace(twin.parameters, **fields))
     return twin.expected(0, patterns, SETTINGS)
 
 
@@ -158,9 +158,12 @@ def test_the_white_level_does_not_depend_on_lens_and_sensor(twin: Twin, fields: 
 def test_white_scales_all_light(twin: Twin) -> None:
     black = 0.01 * 4095
     before = _changed(twin, ambient=0.03)
-    np.testing.assert_allclose(_changed(twin, white=0.5) - black, 0.5 * (before - black), atol=2e-3)
-    before = _changed(twin, black_level=0.05) - 0.05 * 4095
-    np.testing.assert_allclose(before, 0.5 * (_changed(twin, black_level=0.01, white=1.0) - black), atol=2e-3)
+    np.testing.assert_allclose(
+        _changed(twin, ambient=0.03, white=0.5) - black, 0.5 * (before - black), atol=2e-3
+    )
+    half = _changed(twin, ambient=0.03, white=0.5, black_level=0.05) - 0.05 * 4095
+    whole = _changed(twin, ambient=0.03, white=1.0, black_level=0.01) - black
+    np.testing.assert_allclose(half, 0.5 * whole, atol=2e-3)
 
 
 def test_a_changed_pose_moves_the_picture_and_a_changed_lamp_keeps_the_table(twin: Twin) -> None:
@@ -190,7 +193,8 @@ def test_frames_have_the_sensor_s_noise_and_every_draw_is_another(twin: Twin) ->
 def test_vibration_is_that_of_a_moved_item(twin: Twin) -> None:
     """To first order: the pictures' covariance over many frames is that of truly moved ones."""
     shake = 0.02
-    _changed(twin, vibration_mm=shake, read_noise_e=0.0, full_well_e=1e9)  # hardly any noise
+    shaken = replace(twin.parameters, vibration_mm=shake, read_noise_e=0.0, full_well_e=1e9)
+    twin = twin.with_parameters(shaken)  # has hardly any noise
     patterns = _patterns(twin)[:1]
     frames = np.stack(twin.frames(0, 150 * patterns, SETTINGS)).astype(np.float64)
     pose = twin.parameters.poses[0]
@@ -199,7 +203,7 @@ def test_vibration_is_that_of_a_moved_item(twin: Twin) -> None:
         ends = []
         for sign in (-1, 1):
             place = RigidTransform(pose.rotation, pose.translation + sign * shake * np.eye(3)[axis])
-            twin.become(replace(twin.parameters, poses=(place,)))
+            twin = twin.with_parameters(replace(twin.parameters, poses=(place,)))
             ends.append(twin.expected(0, patterns, SETTINGS)[0].astype(np.float64))
         moved.append((ends[1] - ends[0]) / 2)
     variance = np.sum(np.square(moved), axis=0)
@@ -226,7 +230,7 @@ def test_slopes_by_the_projector_s_place_agree_with_central_differences() -> Non
             matrix = known.projector.matrix.copy()
             matrix[axis, 2] += by
             moved = replace(known, projector=replace(known.projector, matrix=matrix))
-            twin.become(replace(start, calibration=moved))
+            twin = twin.with_parameters(replace(start, calibration=moved))
             ends.append(twin.expected_at(2, patterns, SETTINGS, pixels).astype(np.float64))
         wanted = (ends[0] - ends[1]) / (2 * step)
         # Places are rounded to 24 bits, at column 1000 to 3e-5 texels, as often as there are samples of a
@@ -244,8 +248,8 @@ def test_slopes_by_the_board_s_place_add_up_to_the_change_of_level() -> None:
     pose = start.poses[2]
 
     def at(axis: int, by: float) -> tuple[Any, Any]:
-        twin.become(start.with_pose(2, pose.moved(by * pose.rotation[:, axis])))
-        found = twin.expected_with_slopes(2, patterns, SETTINGS, pixels)
+        there = twin.with_parameters(start.with_pose(2, pose.moved(by * pose.rotation[:, axis])))
+        found = there.expected_with_slopes(2, patterns, SETTINGS, pixels)
         assert found is not None
         return found
 
@@ -261,7 +265,7 @@ def test_slopes_by_the_board_s_place_add_up_to_the_change_of_level() -> None:
 
 
 def test_light_of_a_displaced_board_agrees_with_a_moved_one(twin: Twin) -> None:
-    twin.become(replace(_twin(_bent()).parameters, vibration_mm=0.0))
+    twin = twin.with_parameters(replace(_twin(_bent()).parameters, vibration_mm=0.0))
     patterns, pose = _patterns(twin)[:1], twin.parameters.poses[1]
     light, still, step = twin._light, Setup("board", held=pose), 0.003
     with_slopes = light.differentiated(still)
@@ -278,10 +282,10 @@ def test_light_of_a_displaced_board_agrees_with_a_moved_one(twin: Twin) -> None:
 
 def test_a_saved_twin_is_a_rig_that_gives_the_same_pictures(twin: Twin, tmp_path: Path) -> None:
     bench = _twin(_bent()).parameters
-    twin.become(replace(bench, vibration_mm=0.0, calibration=_unequal(bench.calibration)))
+    twin = twin.with_parameters(replace(bench, vibration_mm=0.0, calibration=_unequal(bench.calibration)))
     patterns = _patterns(twin)
     seen = twin.expected(3, patterns, replace(SETTINGS, gain_db=6.0))
-    path = twin.save(tmp_path)
+    path = twin.save(tmp_path, settings=replace(SETTINGS, gain_db=6.0))
     assert {p.name for p in tmp_path.iterdir()} == {"rig.yaml", "world.yaml", "calibration.yaml"}
     with Rig.load(path) as rig:
         assert rig.camera_settings(0.02) == replace(SETTINGS, gain_db=6.0)
@@ -306,7 +310,7 @@ def test_a_saved_twin_states_its_uncertainty(tmp_path: Path) -> None:
     twin = _twin(_bent())
     sigma = {"white": 0.02 * twin.parameters.white, "projector_blur": 0.03, "poses_um": 4.0, "paper": 0.01}
     assert twin.parameters.sigma == {}
-    twin.become(replace(twin.parameters, sigma=sigma))
+    twin = twin.with_parameters(replace(twin.parameters, sigma=sigma))
     twin.save(tmp_path)
     world = World.load(tmp_path / "world.yaml")
     (lamp,) = world.projector.leds.values()
@@ -314,14 +318,14 @@ def test_a_saved_twin_states_its_uncertainty(tmp_path: Path) -> None:
         "projector.blur": 0.03,
         "projector.leds.green.lumens": pytest.approx(0.02 * lamp.lumens),
     }
-    twin.become(replace(twin.parameters, sigma={}, camera_focus_mm=None))
+    twin = twin.with_parameters(replace(twin.parameters, sigma={}, camera_focus_mm=None))
     twin.save(tmp_path / "without")
     assert World.load(tmp_path / "without/world.yaml").uncertainty == {}
 
 
 def test_a_body_is_scanned_in_the_given_pose(blender: Blender) -> None:
     of = _nominal()
-    twin = Twin(of, "board", blender)
+    twin = Twin.of(of, "board", blender)
     patterns = _patterns(twin)
     pose = RigidTransform.from_vectors(np.array([np.pi, 0.0, 0.02]), np.array([3.0, -2.0, 455.0]))
     frames = twin.scan("pillars", pose, patterns, SETTINGS)
@@ -348,7 +352,7 @@ def test_what_no_world_can_have_is_refused(
 ) -> None:
     before = twin.parameters
     with pytest.raises(ConfigError, match=said):
-        twin.become(change(before))
+        twin.with_parameters(change(before))
     assert twin.parameters is before
 
 

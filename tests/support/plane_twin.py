@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, Self
 
 import cv2
 import numpy as np
@@ -29,7 +30,7 @@ from fpplab.sessions.session import Session
 from fpplab.targets import Target
 from sim.appearance import Appearance
 from sim.parameters import TwinParameters
-from sim.twin import ExpectedLevels
+from sim.twin import ExpectedLevels, FrameCounter
 
 CAMERA = Pinhole.from_focal((456, 304), (1216, 1216), (230, 150), (-0.08, 0.1, 4e-4, -3e-4, 0))
 PROJECTOR = Pinhole.from_focal((456, 285), (547, 547), (227, 300), (-0.03, 0.05, 2e-4, 3e-4, 0))
@@ -141,7 +142,8 @@ class PlaneTwin:
         bend_mm: Callable[[Floats, Floats], Floats] | None = None,
     ) -> None:
         self._now, self._bend_mm = parameters, bend_mm
-        self._seed, self._next_frame = seed, 0
+        self._seed, self._counter = seed, FrameCounter()
+        self._before_images: Callable[[], object] = lambda: None
         self._kept: dict[bytes, list[SeenSample]] = {}
 
     @property
@@ -154,26 +156,39 @@ class PlaneTwin:
 
     @property
     def next_frame(self) -> int:
-        return self._next_frame
+        return self._counter.next_frame
 
     def count_frames_from(self, number: int) -> None:
-        self._next_frame = number
+        self._counter.next_frame = number
 
-    def become(self, parameters: TwinParameters) -> None:
-        self._now = parameters
+    def with_parameters(self, parameters: TwinParameters) -> Self:
+        other = copy(self)
+        other._now = parameters
+        return other
+
+    def with_progress(self, before_images: Callable[[], object]) -> Self:
+        other = copy(self)
+        other._before_images = before_images
+        return other
+
+    def with_appearance(self, appearance: Appearance) -> Self:
+        """Nothing is seen beside the board, and its print is even."""
+        return self
 
     def expected(self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings) -> ExpectedLevels:
+        self._before_images()
         return self._seen(self._now.poses[pose], patterns, settings, board=True)
 
     def expected_at(
         self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings, pixels: PixelIndices
     ) -> ExpectedLevels:
-        return self.expected(pose, patterns, settings)[:, *pixels]
+        self._before_images()
+        return self._seen(self._now.poses[pose], patterns, settings, board=True)[:, *pixels]
 
     def expected_with_slopes(
         self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings, pixels: PixelIndices
     ) -> None:
-        return None
+        self._before_images()
 
     def expected_of(self, item: str, patterns: Sequence[Pattern], settings: CameraSettings) -> ExpectedLevels:
         return self._seen(self.pose_of(item), patterns, settings, board=False)
@@ -186,11 +201,14 @@ class PlaneTwin:
         settings: CameraSettings,
         pixels: PixelIndices,
     ) -> ExpectedLevels:
+        self._before_images()
         return self._seen(pose, patterns, settings, board=False)[:, *pixels]
 
     def frames(self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings) -> list[Image]:
-        expected, random = self.expected(pose, patterns, settings), self._draws(len(patterns))
+        self._before_images()
         now = self._now
+        expected = self._seen(now.poses[pose], patterns, settings, board=True)
+        random = self._draws(len(patterns))
         if now.projector_flicker or now.ambient_ripple:
             expected = self._changing(pose, patterns, settings, expected, random)
         if now.displacement_mm:
@@ -206,9 +224,8 @@ class PlaneTwin:
         random: np.random.Generator,
     ) -> NDArray[np.float32]:
         now = self._now
-        self._now = replace(now, ambient=0.0, lamp_irradiance=0.0)
-        projected = self.expected(pose, patterns, settings)
-        self._now = now
+        dark = self.with_parameters(replace(now, ambient=0.0, lamp_irradiance=0.0))
+        projected = dark._seen(now.poses[pose], patterns, settings, board=True)
         black, (count, rows, _) = np.float32(full_scale(settings.bits) * now.black_level), expected.shape
         factor = 1 + now.projector_flicker * random.standard_normal((count, 1, 1))
         starts = random.random((count, 1, 1))
@@ -221,8 +238,8 @@ class PlaneTwin:
 
     def _draws(self, frames: int) -> np.random.Generator:
         """The noise of the next frames follows from their number."""
-        self._next_frame += frames
-        return np.random.default_rng([self._seed, self._next_frame])
+        self._counter.take(frames)
+        return np.random.default_rng([self._seed, self._counter.next_frame])
 
     def scan(
         self, item: str, pose: RigidTransform, patterns: Sequence[Pattern], settings: CameraSettings
@@ -233,13 +250,10 @@ class PlaneTwin:
     def mesh(self, item: str) -> trimesh.Trimesh:
         return artefacts.make(item)
 
-    def appear(self, appearance: Appearance) -> None:
-        """Nothing is seen beside the board, and its print is even."""
-
     def pose_of(self, item: str) -> RigidTransform:
         return self._now.placed.get(item, CARD)
 
-    def save(self, folder: Path, notes: Sequence[str] = ()) -> Path:
+    def save(self, folder: Path, notes: Sequence[str] = (), settings: CameraSettings = SETTINGS) -> Path:
         folder.mkdir(parents=True, exist_ok=True)
         self._now.calibration.save(folder / "calibration.yaml")
         return folder / "rig.yaml"

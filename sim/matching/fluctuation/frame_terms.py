@@ -61,15 +61,14 @@ class FrameTerms:
 
 
 def terms_of_pose(reference: Reference, twin: Twin, pose: int) -> FrameTerms:
-    """Estimate the terms of every frame of a pose. The twin is left as it is."""
+    """Estimate the terms of every frame of a pose."""
     now, images, sets = twin.parameters, *_finest(reference.plan)
     board = board_mask(now.calibration.camera, now.poses[pose], reference.target)
     pixels = subsample_pixels(board, MAX_PIXELS)
     first = reference.shown(images[:1])
     expected, gradient = levels_with_gradient(reference, twin, pose, images, pixels)
-    twin.become(replace(now, ambient=0.0, lamp_irradiance=0.0))
-    room = expected[0] - twin.expected_at(pose, first, reference.settings, pixels)[0]
-    twin.become(now)
+    in_dark_room = twin.with_parameters(replace(now, ambient=0.0, lamp_irradiance=0.0))
+    room = expected[0] - in_dark_room.expected_at(pose, first, reference.settings, pixels)[0]
     slopes = slopes_by_move(pixels, now.calibration, now.poses[pose], gradient)
     above = expected - now.black_level * reference.full_scale
     share = float(room.mean() / above.mean())

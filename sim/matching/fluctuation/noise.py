@@ -45,16 +45,13 @@ def match_noise(reference: Reference, twin: Twin, poses: Sequence[int]) -> TwinP
     """Give the twin the noise of the reference, estimated in the same way from frames of both.
 
     Read noise is changed only where the two differ significantly at black. Rounding makes the estimates
-    nonlinear, so they are compared again with the twin as it was found. The twin is left as it is.
+    nonlinear, so they are compared again with the twin as it was found.
     """
-    now = changed = twin.parameters
     real = [_noise_of(reference, pose, reference.recorded(pose)) for pose in poses]
     levels = [_bright_level(reference, pose) for pose in poses]
     for _ in range(ROUNDS):
-        twin.become(changed)
-        changed = _sensor_noise(reference, twin, poses, real, levels)
-    twin.become(now)
-    return changed
+        twin = twin.with_parameters(_sensor_noise(reference, twin, poses, real, levels))
+    return twin.parameters
 
 
 def _sensor_noise(
@@ -111,9 +108,8 @@ def _read_noise(
     probe_e, added = max(PROBE_E, now.read_noise_e), 0.0
     while added < 0.5 * abs(excess) and probe_e < MOST_PROBE_E:
         probe_e *= PROBE_FACTOR
-        twin.become(replace(now, read_noise_e=probe_e))
-        added = float(np.mean([_twin_noise(reference, twin, pose).constant for pose in poses])) - before
-    twin.become(now)
+        noisier = twin.with_parameters(replace(now, read_noise_e=probe_e))
+        added = float(np.mean([_twin_noise(reference, noisier, pose).constant for pose in poses])) - before
     if added <= 0:
         return now.read_noise_e
     per_square = added / (probe_e**2 - now.read_noise_e**2)

@@ -111,7 +111,6 @@ def refine_by_images(reference: Reference, twin: Twin, level: DistortionModel) -
     What light and sharpness still lack must not be taken for motion, so every pose has a gain, linear over
     the board, an offset, a quadratic term of its response and a blur of its own (`NUISANCE_PARAMETERS`).
     Each image has a small displacement of the board, normally distributed with the twin's `displacement_mm`.
-    The twin is left with the parameters that it had.
     """
     start = twin.parameters
     free = len(level.terms)
@@ -120,14 +119,12 @@ def refine_by_images(reference: Reference, twin: Twin, level: DistortionModel) -
     size = shared + per_pose * len(start.poses)
     normal, gradient, scatter = np.zeros((size, size)), np.zeros(size), np.zeros((size, size))
     for pose in range(len(start.poses)):
-        residuals = _residual_of_pose(reference, twin, start, pose)
+        residuals = _residual_of_pose(reference, twin, pose)
         columns = np.append(np.arange(shared), shared + per_pose * pose + np.arange(per_pose))
         displacement, tiles = slice(shared + 3, shared + 6), _tile_members(residuals.pixels)
         by_tile = np.zeros((TILES**2, len(columns)))
         for image, jacobian in enumerate(residuals.jacobian(start, free)):
-            own, residual = _remove_vibration(
-                reference, twin, start, residuals, image, jacobian[:, shared + 3 :]
-            )
+            own, residual = _remove_vibration(reference, twin, residuals, image, jacobian[:, shared + 3 :])
             block, right_side, scores = _equations(
                 jacobian, residual, displacement, own, start.displacement_mm, tiles
             )
@@ -135,7 +132,6 @@ def refine_by_images(reference: Reference, twin: Twin, level: DistortionModel) -
             gradient[columns] += right_side
             by_tile += scores
         scatter[np.ix_(columns, columns)] += by_tile.T @ by_tile
-    twin.become(start)
     scale = np.sqrt(np.diag(normal))
     scale[scale == 0] = 1.0
     inverse = np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-12) / np.outer(scale, scale)
@@ -146,25 +142,20 @@ def refine_by_images(reference: Reference, twin: Twin, level: DistortionModel) -
 
 
 def _remove_vibration(
-    reference: Reference,
-    twin: Twin,
-    start: TwinParameters,
-    residuals: PoseResidual,
-    image: int,
-    jacobian: Floats,
+    reference: Reference, twin: Twin, residuals: PoseResidual, image: int, jacobian: Floats
 ) -> tuple[Floats, Floats]:
     """Estimate the board's displacement (3,) in mm in one image, and the residuals (P,) without it.
 
     jacobian: (P, 3 + NUISANCE_PARAMETERS), by the displacement and the nuisance parameters. The level of
     an edge is not linear over the displacement, so the twin is rendered again with the board displaced.
     """
-    residual = residuals.residual[image]
+    start, residual = twin.parameters, residuals.residual[image]
     if start.displacement_mm == 0:
         return np.zeros(3), residual
     own = np.linalg.solve(jacobian.T @ jacobian, jacobian.T @ residual)[:3]
-    twin.become(start.with_pose(residuals.pose, start.poses[residuals.pose].moved(own)))
+    moved = twin.with_parameters(start.with_pose(residuals.pose, start.poses[residuals.pose].moved(own)))
     pattern = reference.shown([residuals.images[image]])
-    level = twin.expected_at(residuals.pose, pattern, reference.settings, residuals.pixels)[0].astype(
+    level = moved.expected_at(residuals.pose, pattern, reference.settings, residuals.pixels)[0].astype(
         np.float64
     )
     return own, residual - np.where(residuals.valid[image], level - residuals.expected[image], 0.0)
@@ -249,8 +240,8 @@ class PoseResidual:
             yield np.column_stack([geometric, *other])
 
 
-def _residual_of_pose(reference: Reference, twin: Twin, start: TwinParameters, pose: int) -> PoseResidual:
-    images = reference.finest_spread
+def _residual_of_pose(reference: Reference, twin: Twin, pose: int) -> PoseResidual:
+    start, images = twin.parameters, reference.finest_spread
     looked_at = board_mask(start.calibration.camera, start.poses[pose], reference.target, -SURROUNDINGS_PX)
     pixels = subsample_pixels(looked_at, min(MAX_PIXELS, ALL_PIXELS // len(start.poses)))
     seen, patterns = reference.frames(pose, images)[:, *pixels], reference.shown(images)
@@ -258,7 +249,6 @@ def _residual_of_pose(reference: Reference, twin: Twin, start: TwinParameters, p
     def picked(levels: ExpectedLevels) -> Floats:
         return np.asarray(levels[:, *pixels], np.float64)
 
-    twin.become(start)
     whole = twin.expected(pose, patterns, reference.settings)
     here = picked(whole)
     laplacian = picked(np.stack([cv2.Laplacian(one, cv2.CV_32F) for one in whole]))
@@ -285,18 +275,19 @@ def levels_with_gradient(
 ) -> tuple[Floats, Floats]:
     """Compute levels, and differentiate them by the places on board and projector that pixels see."""
     # returns levels (n, P), gradient (n, P, 4) mm
-    start, patterns = twin.parameters, reference.shown(images)
+    patterns = reference.shown(images)
     own = twin.expected_with_slopes(pose, patterns, reference.settings, pixels)
     if own is not None:
         return own[0].astype(np.float64), own[1].astype(np.float64)
 
-    def seen_from(there: TwinParameters) -> Floats:
-        twin.become(there)
-        return twin.expected_at(pose, patterns, reference.settings, pixels).astype(np.float64)
+    def seen_by(of: Twin) -> Floats:
+        return of.expected_at(pose, patterns, reference.settings, pixels).astype(np.float64)
 
-    here = seen_from(start)
-    gradient = [sign * (seen_from(there) - here) / by for there, by, sign in _shifted(start, pose)]
-    twin.become(start)
+    here = seen_by(twin)
+    gradient = [
+        sign * (seen_by(twin.with_parameters(there)) - here) / by
+        for there, by, sign in _shifted(twin.parameters, pose)
+    ]
     return here, np.stack(gradient, axis=-1)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,9 +21,7 @@ from fpplab.sessions.session import Session
 from sim.matching.judging.plausibility import RUINOUS_UNLIKE
 from sim.matching.light.light_fit import ADJUSTABLE
 from sim.matching.match import CONVERGED, EQUAL_LOSS
-
-if TYPE_CHECKING:
-    from sim.matching.run import MatchingResult
+from sim.matching.result import MatchingFigures
 
 MOST_UNLIKE = 0.03
 """RMS difference between images of bench and twin over the board, without noise, as a share of full scale."""
@@ -57,7 +54,7 @@ RUINOUS = {
 """Excess from which on nobody should use the twin, unless the cause is accepted."""
 
 
-def diagnose_matching(found: MatchingResult) -> Diagnosis:
+def diagnose_matching(found: MatchingFigures) -> Diagnosis:
     """Judge a matched twin."""
     recorded = diagnose_poses(_recordings(found.reference.sessions), (), {}).findings
     ruinous = {cause: excess for cause, excess in RUINOUS.items() if cause not in found.accepted}
@@ -71,7 +68,7 @@ def diagnose_matching(found: MatchingResult) -> Diagnosis:
     return diagnosis_of([*recorded, *_own_findings(found)], good, unknown, ruinous)
 
 
-def accepted_findings(found: MatchingResult) -> tuple[str, ...]:
+def accepted_findings(found: MatchingFigures) -> tuple[str, ...]:
     """List what would have made the twin useless, had it not been accepted."""
     return tuple(
         f"{one.cause} accepted: {one.evidence}"
@@ -80,7 +77,7 @@ def accepted_findings(found: MatchingResult) -> tuple[str, ...]:
     )
 
 
-def _own_findings(found: MatchingResult) -> list[Finding]:
+def _own_findings(found: MatchingFigures) -> list[Finding]:
     return [
         *found.late,
         *_of_fit(found),
@@ -95,7 +92,7 @@ def _recordings(sessions: Sequence[Session]) -> Iterator[tuple[str, Recording]]:
         yield session.path.name, session.recording(verify=False)
 
 
-def _of_fit(found: MatchingResult) -> Iterator[Finding]:
+def _of_fit(found: MatchingFigures) -> Iterator[Finding]:
     matched = found.matched
     final, before = found.final.loss, found.before.loss
     if final.board - before.board > EQUAL_LOSS:
@@ -121,7 +118,7 @@ def _of_fit(found: MatchingResult) -> Iterator[Finding]:
         yield Finding(POINTS_MISFIT, words, abs(final.epsilon_d) / MOST_POINTS_PX)
 
 
-def _of_poses(found: MatchingResult) -> Iterator[Finding]:
+def _of_poses(found: MatchingFigures) -> Iterator[Finding]:
     alike = {one["pose"]: float(one["ssim_board_after"]) for one in found.by_pose()}
     usual = float(np.median(list(alike.values())))
     worst = min(alike, key=lambda name: alike[name])
@@ -130,7 +127,7 @@ def _of_poses(found: MatchingResult) -> Iterator[Finding]:
         yield Finding(POSE_MISFIT, words, (usual - alike[worst]) / POSE_UNLIKE)
 
 
-def _at_borders(found: MatchingResult) -> Iterator[Finding]:
+def _at_borders(found: MatchingFigures) -> Iterator[Finding]:
     now, start = found.matched.parameters, found.start
     for name, parameter in ADJUSTABLE.items():
         if getattr(now, name, 0.0) is None:  # a focus that was not searched
@@ -145,7 +142,7 @@ def _at_borders(found: MatchingResult) -> Iterator[Finding]:
             yield Finding(AT_BORDER, words, 1.0, advice)
 
 
-def _of_artefacts(found: MatchingResult) -> Iterator[Finding]:
+def _of_artefacts(found: MatchingFigures) -> Iterator[Finding]:
     for one in found.artefacts:
         share = abs(one.delta_um) / max(one.reference_um, 1e-9)
         if share > ARTEFACT_SHARE and abs(one.delta_um) > ARTEFACT_UM:

@@ -135,7 +135,6 @@ def board_contrasts(reference: Reference, twin: Twin, poses: Sequence[int]) -> F
 def with_common_error(
     reference: Reference,
     twin: Twin,
-    found: TwinParameters,
     names: Sequence[str],
     samples: Sequence[ContrastSample],
 ) -> TwinParameters:
@@ -143,9 +142,8 @@ def with_common_error(
 
     A fit of one scan takes for sharpness what all its pixels have in common, whatever it comes from.
     """
-    twin.become(found)
-    slopes = level_slopes(reference, twin, names, samples, found, light_residuals(reference, twin, samples))
-    twin.become(found)
+    found = twin.parameters
+    slopes = level_slopes(reference, twin, names, samples, light_residuals(reference, twin, samples))
     by_tile = np.concatenate([one.relative_residual(reference, twin) for one in samples])
     common = np.sqrt(np.mean(by_tile**2)) * np.concatenate([one.level(reference) for one in samples])
     scale = np.maximum(np.linalg.norm(slopes, axis=0), 1e-12)

@@ -68,24 +68,22 @@ class GammaMatch:
 def match_gamma(twin: Twin, response: Response, item: str, settings: CameraSettings) -> GammaMatch:
     """Fit the twin's response, so that it sees a card in uniform grey levels as the bench did.
 
-    Starts from the fit of the measured response. The twin is left with the matched parameters.
+    Starts from the fit of the measured response.
     """
     if len(response.measured) == 0:
         raise CalibrationError("the response file holds no levels; measure it again with `fpplab gamma`")
     shown, seen = _measured(response)
-    card = GreyCard(twin, item, settings, response)
-    start = _normalised_response(response)
-    twin.become(replace(twin.parameters, response=start))
-    _match_dark(card, response)
+    start = replace(twin.parameters, response=_normalised_response(response))
+    card = GreyCard(twin.with_parameters(start), item, settings, response)
+    card = card.with_parameters(_with_matched_dark(card, response))
     epochs = [_epoch(card, shown, seen)]
     while len(epochs) < MAX_EPOCHS:
-        twin.become(_fitted_parameters(card, epochs[-1], shown, seen))
+        card = card.with_parameters(_fitted_parameters(card, epochs[-1], shown, seen))
         epochs.append(_epoch(card, shown, seen))
         if epochs[-2].sum_of_squares - epochs[-1].sum_of_squares < CONVERGED_GAIN:
             break
     if epochs[-1].sum_of_squares > epochs[-2].sum_of_squares:
         epochs.pop()
-    twin.become(epochs[-1].parameters)
     if epochs[-1].sum_of_squares > MATCHED_SUM_OF_SQUARES:
         raise CalibrationError(
             f"gamma: no response of the twin fits the bench's levels: the least sum of squares is "
@@ -134,6 +132,10 @@ class GreyCard:
     settings: CameraSettings  # of the camera
     response: Response  # measured on the bench; names the regions
 
+    def with_parameters(self, parameters: TwinParameters) -> GreyCard:
+        """Put a twin with other parameters in front of the card."""
+        return replace(self, twin=self.twin.with_parameters(parameters))
+
     def levels(self, shown: Floats) -> Floats:
         """Give the mean levels that the twin's camera sees of uniform grey-level images."""
         # shown (L,); returns (L,)
@@ -142,11 +144,8 @@ class GreyCard:
 
     def dark_level(self) -> float:
         """Give the mean level without the projector's light."""
-        present = self.twin.parameters
-        self.twin.become(replace(present, response=Curve(a=1.0, b=0.0, g=1.0)))
-        level = float(self.levels(np.zeros(1))[0])
-        self.twin.become(present)
-        return level
+        black = replace(self.twin.parameters, response=Curve(a=1.0, b=0.0, g=1.0))
+        return float(self.with_parameters(black).levels(np.zeros(1))[0])
 
     def _means(self, patterns: list[Pattern]) -> Floats:
         chosen = np.zeros(GRID**2, bool)
@@ -172,22 +171,18 @@ def _normalised_response(response: Response) -> Curve:
     return normalised_response(response, black=black)
 
 
-def _match_dark(card: GreyCard, response: Response) -> None:
+def _with_matched_dark(card: GreyCard, response: Response) -> TwinParameters:
     """Match the dark level by ambient light, or by the black level where the bench is darker than that."""
+    now = card.twin.parameters
     if response.dark is None:
-        return
-    twin = card.twin
-    now = twin.parameters
-    twin.become(replace(now, ambient=0.0))
-    without = card.dark_level()
+        return now
+    without = card.with_parameters(replace(now, ambient=0.0)).dark_level()
     wanted = response.dark[0]
     if wanted < without:
-        twin.become(replace(now, ambient=0.0, black_level=max(0.0, now.black_level - (without - wanted))))
-        return
+        return replace(now, ambient=0.0, black_level=max(0.0, now.black_level - (without - wanted)))
     probe = 0.05
-    twin.become(replace(now, ambient=probe))
-    per_ambient = (card.dark_level() - without) / probe
-    twin.become(replace(now, ambient=(wanted - without) / per_ambient if per_ambient > 0 else now.ambient))
+    per_ambient = (card.with_parameters(replace(now, ambient=probe)).dark_level() - without) / probe
+    return replace(now, ambient=(wanted - without) / per_ambient if per_ambient > 0 else now.ambient)
 
 
 def _epoch(card: GreyCard, shown: Floats, seen: Floats) -> GammaEpoch:

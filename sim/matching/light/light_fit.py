@@ -128,7 +128,7 @@ ADJUSTABLE = {
 
 
 def light_residuals(reference: Reference, twin: Twin, samples: Sequence[LightSample]) -> Floats:
-    """Compute the residuals of the twin with its present parameters."""
+    """Compute the residuals of a twin."""
     return np.concatenate([sample.residual(reference, twin) for sample in samples])
 
 
@@ -140,7 +140,7 @@ def mean_square_difference(reference: Reference, twin: Twin, samples: Sequence[L
 def information_criterion(
     reference: Reference, twin: Twin, samples: Sequence[PixelSample], free: int
 ) -> float:
-    """Compute Schwarz's criterion (BIC) of the twin with its present parameters; the least is the best.
+    """Compute Schwarz's criterion (BIC) of a twin; the least is the best.
 
     Residuals of one tile of an image count as one, for neighbours share what a fit leaves. They have the
     weights of the fit: what the twin lacks at the board's edge says nothing of the light on it.
@@ -157,18 +157,16 @@ def fit_light(
     """Fit the named parameters to the images; all others are held.
 
     Robust Gauss-Newton with at most `MAX_ROUNDS` steps, each halved up to `MAX_HALVINGS` times until it
-    lowers the cost. The twin is left with the result.
+    lowers the cost.
     """
-    best = twin.parameters
     residual = light_residuals(reference, twin, samples)
     sigma: dict[str, float] = {}
     for _ in range(MAX_ROUNDS):
-        gained, best, residual, sigma = _round(reference, twin, names, samples, best, residual)
+        gained, twin, residual, sigma = _round(reference, twin, names, samples, residual)
         if gained < CONVERGED_GAIN:
             break
-    best = replace(best, sigma={**best.sigma, **sigma})
-    twin.become(best)
-    return best
+    best = twin.parameters
+    return replace(best, sigma={**best.sigma, **sigma})
 
 
 def _round(
@@ -176,13 +174,13 @@ def _round(
     twin: Twin,
     names: Sequence[str],
     samples: Sequence[LightSample],
-    start: TwinParameters,
     residual: Floats,
-) -> tuple[float, TwinParameters, Floats, dict[str, float]]:
-    """Make one step; return the relative gain, the parameters, their residuals and standard uncertainties."""
+) -> tuple[float, Twin, Floats, dict[str, float]]:
+    """Make one step: the relative gain, the twin after it, its residuals and standard uncertainties."""
+    start = twin.parameters
     weight, _ = level_weights(residual)
     cost = float(np.sum(weight * residual**2))
-    matrix = level_slopes(reference, twin, names, samples, start, residual)
+    matrix = level_slopes(reference, twin, names, samples, residual)
     scale = np.sqrt(np.sum(weight[:, None] * matrix**2, axis=0))
     scale[scale == 0] = 1.0
     scaled = matrix / scale
@@ -193,11 +191,11 @@ def _round(
     sigma = dict(
         zip(names, (_standard_errors(scaled, weight, residual, samples) / scale).tolist(), strict=True)
     )
-    for tried, after in _step_candidates(reference, twin, names, samples, start, step):
+    for tried, after in _step_candidates(reference, twin, names, samples, step):
         gain = 1.0 - float(np.sum(weight * after**2)) / max(cost, 1e-12)
         if gain > 0:
             return gain, tried, after, sigma
-    return 0.0, start, residual, sigma
+    return 0.0, twin, residual, sigma
 
 
 def _bounded_step(normal: Floats, gradient: Floats, lower: Floats, upper: Floats) -> Floats:
@@ -221,18 +219,17 @@ def level_slopes(
     twin: Twin,
     names: Sequence[str],
     samples: Sequence[LightSample],
-    start: TwinParameters,
     residual: Floats,
 ) -> Floats:
     """Differentiate the twin's levels by parameters, by finite differences."""
     # residual (N,); returns (N, C)
-    slopes = []
+    start, slopes = twin.parameters, []
     for name in names:
         knob = ADJUSTABLE[name]
         value = knob.read(start)
         by = knob.step if value + knob.step <= knob.upper else -knob.step
-        twin.become(knob.set(start, value + by))
-        slopes.append((residual - light_residuals(reference, twin, samples)) / by)
+        there = twin.with_parameters(knob.set(start, value + by))
+        slopes.append((residual - light_residuals(reference, there, samples)) / by)
     return np.stack(slopes, axis=1)
 
 
@@ -256,17 +253,17 @@ def _step_candidates(
     twin: Twin,
     names: Sequence[str],
     samples: Sequence[LightSample],
-    start: TwinParameters,
     step: Floats,
-) -> Iterator[tuple[TwinParameters, Floats]]:
-    """Apply the step, and halves of it; yield the parameters and their residuals."""
+) -> Iterator[tuple[Twin, Floats]]:
+    """Apply the step, and halves of it; yield the twin and its residuals."""
+    start = twin.parameters
     for halving in range(MAX_HALVINGS):
         tried = start
         for name, by in zip(names, step.tolist(), strict=True):
             knob = ADJUSTABLE[name]
             tried = knob.with_value(tried, knob.read(start) + by / 2**halving)
-        twin.become(tried)
-        yield tried, light_residuals(reference, twin, samples)
+        there = twin.with_parameters(tried)
+        yield there, light_residuals(reference, there, samples)
 
 
 def focus_distances(parameters: TwinParameters, focus: str) -> list[float]:
@@ -287,10 +284,7 @@ def search_focus_grid(
     aperture: str,
     apertures: Sequence[float],
 ) -> TwinParameters:
-    """Search a coarse grid of focus distance and aperture, to find a start for a fit of both.
-
-    The twin is left with the result.
-    """
+    """Search a coarse grid of focus distance and aperture, to find a start for a fit of both."""
     start = twin.parameters
     own = float(getattr(start, aperture))
     grid = [(depth, own * opening) for depth in focus_distances(start, focus) for opening in apertures]
@@ -298,8 +292,7 @@ def search_focus_grid(
     for depth, opening in grid:
         changes: dict[str, Any] = {focus: depth, aperture: opening}
         tried = replace(start, **changes)
-        twin.become(tried)
-        if (found := mean_square_difference(reference, twin, samples)) < least:
+        found = mean_square_difference(reference, twin.with_parameters(tried), samples)
+        if found < least:
             best, least = tried, found
-    twin.become(best)
     return best

@@ -31,15 +31,12 @@ PROBE = 0.02
 def search_lamp(
     reference: Reference, twin: Twin, samples: Sequence[PixelSample], names: Sequence[str]
 ) -> TwinParameters:
-    """Search a grid of directions for a lamp of the room, to find a start for a fit of its place.
-
-    The twin is left with the result.
-    """
+    """Search a grid of directions for a lamp of the room, to find a start for a fit of its place."""
     start = replace(twin.parameters, lamp_irradiance=0.0)
-    twin.become(start)
-    residual = light_residuals(reference, twin, samples)
+    dark = twin.with_parameters(start)
+    residual = light_residuals(reference, dark, samples)
     weight = np.sqrt(level_weights(residual)[0])
-    others = level_slopes(reference, twin, names, samples, start, residual)
+    others = level_slopes(reference, dark, names, samples, residual)
     best, least = start, np.inf
     lower = np.array([*np.full(len(names), -np.inf), 0.0])
     for angle in ANGLES_DEG:
@@ -47,8 +44,8 @@ def search_lamp(
             lamp = replace(
                 start, lamp_angle_deg=angle, lamp_azimuth_deg=azimuth, lamp_distance_mm=DISTANCE_MM
             )
-            twin.become(replace(lamp, lamp_irradiance=PROBE))
-            own = (residual - light_residuals(reference, twin, samples)) / PROBE
+            lit = twin.with_parameters(replace(lamp, lamp_irradiance=PROBE))
+            own = (residual - light_residuals(reference, lit, samples)) / PROBE
             matrix = np.column_stack([others, own]) * weight[:, None]
             # On normal equations, which are few: least squares with a bound would copy all levels.
             scale = np.sqrt(np.sum(matrix**2, axis=0))
@@ -59,7 +56,6 @@ def search_lamp(
             if found.cost - 0.5 * wanted @ wanted < least:
                 least = found.cost - 0.5 * wanted @ wanted
                 best = _stepped(lamp, names, found.x / scale)
-    twin.become(best)
     return best
 
 

@@ -75,24 +75,22 @@ class AppearanceTrial:
 
 
 def match_appearance(reference: Reference, twin: Twin, progress: Progress = no_progress) -> AppearanceTrial:
-    """Find the board's sheet and the surroundings, and show what proves itself."""
+    """Find the board's sheet and the surroundings, as far as they prove themselves."""
     *others, held = reference.spread_poses(MOST_POSES)
-    bare = _similarity(reference, twin, held)
+    bare = _similarity(reference, twin, held, None)
     sheet = find_sheet(reference, twin, others, lambda share: progress(0.1 * share))
-    sheet_trial = PartTrial(bare[1], _similarity(reference, twin, held)[1])
+    sheet_trial = PartTrial(bare[1], _similarity(reference, twin, held, Appearance(sheet))[1])
     if sheet_trial.accepted:
         sheet = sharpened_sheet(reference, twin, sheet, others, lambda share: progress(0.1 + 0.2 * share))
-        sheet_trial = PartTrial(bare[1], _similarity(reference, twin, held)[1])
+        sheet_trial = PartTrial(bare[1], _similarity(reference, twin, held, Appearance(sheet))[1])
     else:
         sheet = replace(sheet, texture=None)
     around = rebuild_surroundings(reference, twin, sheet, others, lambda share: progress(0.3 + 0.2 * share))
-    twin.appear(Appearance(sheet))
-    before = _similarity(reference, twin, held)[0]
-    twin.appear(Appearance(sheet, around))
-    around_trial = PartTrial(before, _similarity(reference, twin, held)[0] if around else before)
+    before = _similarity(reference, twin, held, Appearance(sheet))[0]
+    after = _similarity(reference, twin, held, Appearance(sheet, around))[0] if around else before
+    around_trial = PartTrial(before, after)
     found = _of_all(reference, twin, [*others, held], sheet_trial, around_trial)
     progress(1.0)
-    twin.appear(found)
     return AppearanceTrial(reference.sessions[held].path.name, sheet_trial, around_trial, found)
 
 
@@ -109,7 +107,11 @@ def _of_all(
     return Appearance(found, beside)
 
 
-def _similarity(reference: Reference, twin: Twin, pose: int) -> tuple[float, float]:
+def _similarity(
+    reference: Reference, twin: Twin, pose: int, appearance: Appearance | None
+) -> tuple[float, float]:
     """Mean SSIM of one pose's images, whole and over the board; without noise of the twin's."""
+    if appearance is not None:
+        twin = twin.with_appearance(appearance)
     whole, board = np.mean(pose_similarity(reference, twin, pose), axis=0)
     return float(whole), float(board)

@@ -72,15 +72,13 @@ def find_sheet(
 ) -> BoardSheet:
     """Find the sheet of the board."""
     reach = REACH * min(reference.target.size_mm)
-    twin.appear(Appearance(BoardSheet((reach, reach, reach, reach))))
-    compared = _compare_all(reference, twin, poses, progress)
+    wide = twin.with_appearance(Appearance(BoardSheet((reach, reach, reach, reach))))
+    compared = _compare_all(reference, wide, poses, progress)
     margins = _margins(reference, twin, compared, reach)
     beyond = [[_beside(reference, twin, one, one.ratio, margins, k) for k in range(4)] for one in compared]
     rim = _rim_mm(beyond, reach)
     sheet = BoardSheet(margins, rim, _rim_reflectance(beyond, rim, twin.parameters.paper))
-    found = replace(sheet, texture=_texture(reference, twin, compared, margins))
-    twin.appear(Appearance(found))
-    return found
+    return replace(sheet, texture=_texture(reference, twin, compared, margins))
 
 
 def sharpened_sheet(
@@ -100,11 +98,10 @@ def sharpened_sheet(
         return lambda share: progress((number + share) / SHARPENING_ROUNDS)
 
     for number in range(SHARPENING_ROUNDS):
-        twin.appear(Appearance(sheet))
-        compared = _compare_all(reference, twin, poses, in_round(number))
+        so_far = twin.with_appearance(Appearance(sheet))
+        compared = _compare_all(reference, so_far, poses, in_round(number))
         texture = sheet.texture * _texture(reference, twin, compared, sheet.margins_mm)
         sheet = replace(sheet, texture=np.clip(texture, 0, np.float32(MOST_FACTOR)))
-    twin.appear(Appearance(sheet))
     return sheet
 
 

@@ -77,15 +77,8 @@ def with_surfaces(parameters: TwinParameters, found: Sequence[SurfaceMatch]) -> 
 
 
 def match_surface(twin: Twin, scan: BenchScan) -> SurfaceMatch:
-    """Estimate the surface of a part; the twin is left as it is."""
-    now = twin.parameters
-    try:
-        return _matched(_View(twin, scan))
-    finally:
-        twin.become(now)
-
-
-def _matched(view: _View) -> SurfaceMatch:
+    """Estimate the surface of a part."""
+    view = _View(twin, scan)
     own = view.remaining(view.own)
     matt = view.fitted(view.component(PartSurface(1.0))[:, None])
     glossy, width = _searched_width(view)
@@ -187,11 +180,12 @@ class _View:
 
     def component(self, surface: PartSurface | None) -> Floats:
         """Levels above black (n P,) of a surface, None for that of the twin, not clipped."""
+        twin = self.twin
         if surface is not None:
             surfaces = {**self._now.surfaces, self.scan.item: surface}
-            self.twin.become(replace(self._now, surfaces=surfaces))
+            twin = twin.with_parameters(replace(self._now, surfaces=surfaces))
         settings = replace(self.settings, exposure_s=SHORT * self.settings.exposure_s)
-        levels = self.twin.expected_part(
+        levels = twin.expected_part(
             self.scan.item, self.scan.T_camera_item, self.patterns, settings, self.pixels
         )
         return (levels.astype(np.float64).ravel() - self.black) / SHORT

@@ -79,9 +79,8 @@ def rebuild_surroundings(
     mesh = cast(trimesh.Trimesh, trimesh.util.concatenate([grid_mesh(continued(depths), camera), backdrop]))
     width, height = camera.size
     found = BenchSurroundings(mesh, np.full((height, width), TRIAL, np.float32))
-    twin.appear(Appearance(sheet, found))
-    painted = _reflectance(reference, twin, sheet, poses, lambda share: progress(0.6 + 0.4 * share))
-    twin.appear(Appearance(sheet))
+    trial = twin.with_appearance(Appearance(sheet, found))
+    painted = _reflectance(reference, trial, sheet, poses, lambda share: progress(0.6 + 0.4 * share))
     return replace(found, reflectance=painted) if painted.any() else None
 
 

@@ -205,8 +205,8 @@ def test_steps_that_leave_the_expected_images_change_none(matching: Matching) ->
     steps = [one for one in match.FIRST_STEPS if one.same_images]
     assert {one.name for one in steps} == match.CHANGING
     for step in steps:
-        twin.become(step.propose(at))
-        assert np.array_equal(twin.expected(0, shown, reference.settings), before), step.name
+        at = at.with_parameters(step.propose(at))
+        assert np.array_equal(at.twin.expected(0, shown, reference.settings), before), step.name
 
 
 def test_a_step_is_ended_when_the_time_is_over(

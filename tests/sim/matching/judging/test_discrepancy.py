@@ -155,6 +155,6 @@ def test_scans_of_a_twin_that_is_the_bench_have_its_figures(tmp_path: Path) -> N
         assert own.noise_um == pytest.approx(real.noise_um, rel=0.03)
         assert own.distance_um == pytest.approx(real.distance_um, rel=0.05)
         assert own.completeness == pytest.approx(real.completeness, abs=0.01)
-        twin.become(replace(twin.parameters, white=2 * twin.parameters.white))
+        twin = twin.with_parameters(replace(twin.parameters, white=2 * twin.parameters.white))
         _, brighter = scan_figures(reference, twin, scan)
         assert brighter.noise_um < 0.8 * own.noise_um

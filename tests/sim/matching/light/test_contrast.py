@@ -171,16 +171,17 @@ def test_where_scans_tell_the_sharpness_the_board_does_not(bench: TwinParameters
     step = next(one for one in FIRST_STEPS if one.name == "projector defocus")
     before = step.misfit(at)
     found = step.propose(at)
-    twin.become(found)
+    at = at.with_parameters(found)
     after = step.misfit(at)
     assert before is not None
     assert after is not None
     assert after < 0.1 * before
-    dark = mean_square_difference(held, twin, samples)
+    dark = mean_square_difference(held, at.twin, samples)
     together, _, fine = REPEATED_STEPS
     assert fine.applies(at)
     tried = together.propose(at)
-    assert mean_square_difference(held, twin, samples) < 0.2 * dark
+    at = at.with_parameters(tried)
+    assert mean_square_difference(held, at.twin, samples) < 0.2 * dark
     for name in ("projector_blur", *PROJECTOR_FOCUS):
         assert getattr(tried, name) == getattr(found, name)
     alone = replace(at, contrasts=())
@@ -201,13 +202,14 @@ def test_a_part_that_blurs_by_itself_is_told_from_the_projector(
     scans = tuple(contrasts(soft, scanned(soft)))
     samples = sample_pixels(held, bench, poses, held.finest)
     at = MatchingContext(held, twin, samples, "white", scans)
-    twin.become(at.fit_projector_sharpness())
+    at = at.with_parameters(at.fit_projector_sharpness())
+    twin = at.twin
     off = board_contrasts(held, twin, poses)
     cycles = np.array([32]) / PROJECTOR.size[0]
     wanted = np.log(of_blur(0.6, cycles) / of_blur(twin.parameters.projector_blur, cycles))
     np.testing.assert_allclose(off, np.broadcast_to(wanted, off.shape), atol=5e-3)
     assert SHARPNESS_OF_BOARD.applies(at) is told
     if told:
-        twin.become(SHARPNESS_OF_BOARD.propose(at))
+        twin = twin.with_parameters(SHARPNESS_OF_BOARD.propose(at))
         assert twin.parameters.projector_blur == pytest.approx(0.6, abs=0.05)
         assert np.median(scans[0].relative_residual(REFERENCE, twin)) < -0.1

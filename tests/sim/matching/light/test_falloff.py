@@ -32,8 +32,7 @@ def judged_falloff(bench: TwinParameters, start: TwinParameters) -> tuple[TwinPa
     assert step.misfit is not None
     before = step.misfit(at)
     proposed = step.propose(at)
-    twin.become(proposed)
-    return proposed, before - step.misfit(at)
+    return proposed, before - step.misfit(at.with_parameters(proposed))
 
 
 def test_falloff_of_the_projector_is_found(truth: TwinParameters) -> None:

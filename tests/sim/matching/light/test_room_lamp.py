@@ -41,8 +41,7 @@ def judged_lamp(bench: TwinParameters, start: TwinParameters) -> tuple[TwinParam
     assert step.misfit is not None
     before = step.misfit(at)
     proposed = step.propose(at)
-    twin.become(proposed)
-    return proposed, before - step.misfit(at)
+    return proposed, before - step.misfit(at.with_parameters(proposed))
 
 
 def room_light(parameters: TwinParameters) -> Floats:
@@ -50,7 +49,7 @@ def room_light(parameters: TwinParameters) -> Floats:
     twin = PlaneTwin(parameters)
     black = 255 * parameters.black_level
     dark = replace(parameters, response=parameters.response.model_copy(update={"a": 1e-9, "b": 0.0}))
-    twin.become(dark)
+    twin = twin.with_parameters(dark)
     pattern = uniform_patterns([0], parameters.calibration.projector.size)
     return np.stack([twin.expected(n, pattern, SETTINGS)[0] - black for n in range(len(parameters.poses))])
 

@@ -83,7 +83,7 @@ def reference_of(bench: World, folder: Path, twin: Twin) -> Reference:
 @pytest.fixture(scope="module")
 def matched(bench: tuple[World, Path]) -> tuple[Twin, AppearanceTrial]:
     of, folder = bench
-    twin = Twin(world(folder), "board", Blender("bench"))
+    twin = Twin.of(world(folder), "board", Blender("bench"))
     return twin, match_appearance(reference_of(of, folder, twin), twin)
 
 
@@ -138,8 +138,8 @@ def test_nothing_is_added_where_there_is_nothing(tmp_path: Path) -> None:
     (tmp_path / "rig.yaml").write_text(config.to_yaml({**rig, **devices}), encoding="utf-8")
     with Rig.load(tmp_path / "rig.yaml") as opened:
         take_poses(opened, PLAN, "board", 2, tmp_path / "poses", force=False)
-    twin = Twin(of, "board", Blender("bench"))
-    twin.become(replace(twin.parameters, poses=twin.parameters.poses[:2]))
+    twin = Twin.of(of, "board", Blender("bench"))
+    twin = twin.with_parameters(replace(twin.parameters, poses=twin.parameters.poses[:2]))
     found = match_appearance(reference_of(of, tmp_path, twin), twin)
     assert not found.sheet.accepted
     assert not found.surroundings.accepted

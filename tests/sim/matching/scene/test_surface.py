@@ -74,7 +74,7 @@ class CoatedTwin(PlaneTwin):
 def scanned(surface: PartSurface) -> BenchScan:
     """What a bench records of a part with this surface."""
     bench = CoatedTwin(nominal(tilted(1)))
-    bench.become(replace(bench.parameters, surfaces={ITEM: surface}))
+    bench = bench.with_parameters(replace(bench.parameters, surfaces={ITEM: surface}))
     frames = bench.scan(ITEM, POSE, make_patterns(PLAN, PROJECTOR.size, Lattice.SQUARE), SETTINGS)
     session = Remembered(PLAN, frames, Path("scan"))
     return BenchScan(ITEM, cast(Any, session), cast(Any, None), POSE, cast(Any, None))
@@ -111,7 +111,7 @@ def test_a_glossy_surface_is_found_although_its_highlight_is_saturated() -> None
 
 def test_the_level_of_white_counts_in_the_uncertainty() -> None:
     twin, scan = CoatedTwin(nominal(tilted(1))), scanned(PartSurface(0.5))
-    twin.become(replace(twin.parameters, sigma={"white": 0.02}))
+    twin = twin.with_parameters(replace(twin.parameters, sigma={"white": 0.02}))
     assert match_surface(twin, scan).surface.sigma["reflectance"] == pytest.approx(0.01, rel=0.1)
 
 
