@@ -30,10 +30,9 @@ from fpplab.patterns.plan import Plan
 from fpplab.patterns.response import Response
 from fpplab.sessions.session import Session, recorded_sessions
 from sim.matching.judging.measured import measured_figures
-from sim.matching.light.light_fit import ADJUSTABLE, FALLOFF, LAMP
 from sim.matching.match import MatchingLimits
 from sim.matching.run import MatchingRequest, MatchingResult, match_sessions, twin_of
-from sim.parameters import TwinParameters
+from sim.parameters import ADJUSTABLE, FALLOFF, ROOM_LAMP, TwinParameters
 from sim.prediction import MeasuredFigures, Prediction, predict
 
 JUDGING = 5300
@@ -44,7 +43,7 @@ MOST_POSES_UM, LEAST_PARAMETERS = 30.0, 0.95
 NEAR, LEAST_NEAR = 0.10, 0.90
 LEAST_COVERED, MOST_COVERED = 0.90, 0.99
 FIGURES = ("distance_um", "noise_um")
-CONFOUNDED = {"ambient", "white", "paper", "vignetting", *FALLOFF, *LAMP}
+CONFOUNDED = {"ambient", "white", "paper", "vignetting", *FALLOFF, *ROOM_LAMP}
 """Parameters that stand for more than the world's own: a second lamp, falloffs, or a product. The world of a
 hidden bench states no falloff of the projector and no second lamp, which are another formula's."""
 

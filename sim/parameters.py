@@ -1,9 +1,16 @@
-"""The parameters of a twin and the world that has them: what can be matched, as fields of a world file."""
+"""The parameters of a twin: one table of what can be matched, and where a world document has it.
+
+The world document is all that a twin is; its parameters are the part of it that a matching may change. Each
+field of `TwinParameters` states where the world has it, within which bounds it is fitted, and to which effect
+it belongs; `TABLE` has this by name. Reading parameters from a world, writing them into one, the record of a
+matching and its report all go by that table.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, dataclass, field, fields, replace
+from typing import Any
 
 import numpy as np
 
@@ -16,13 +23,49 @@ from fpplab.targets import Target
 from sim.items import item_poses
 from sim.part_surface import PartSurface
 from sim.sensor import SensorModel
-from sim.world import RoomLamp, World
+from sim.world import World
 from sim.world.surface import with_surface
 
 NO_LINE = (0.0, 0.0, 0.0)
 """Of a vibration that has no direction."""
 NO_FALLOFF = (0.0, 0.0, 0.0, 0.0, 0.0)
 """Of a projector whose light is even."""
+ROOM = "room"
+"""Name of the lamp that can be matched."""
+LAMP, BANDS, LINE = f"lamps.{ROOM}", "ambient_bands", "vibration_line"
+"""Sections that only a world with the effect has: lamp of the room, bands of its light, line of vibration."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """How a number is fitted."""
+
+    step: float  # of the finite difference, in the number's unit
+    lower: float  # least value that a world accepts
+    upper: float  # greatest value that a world accepts
+    may_be_at_lower_bound: bool = False  # whether a device may well have the least value
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """What is known of a parameter beside its value."""
+
+    doc: str  # what it is, with its unit
+    path: str | None = None  # where a world has it
+    fit: Fit | None = None  # None: not fitted by finite differences of images; of tuples that of each part
+    parts: tuple[str, ...] = ()  # names of the numbers of a tuple
+    effect: str | None = None  # parameter that is 0 in a twin without the effect that this one describes
+    per_white: bool = False  # whether it is relative to the projector's white, which a + b = 1 makes 1
+    reported_at_zero: bool = False  # whether reports list it without the effect, too
+    in_binned_px: bool = False  # whether it counts pixels of the frame; a world has those of the sensor
+
+    def is_present(self, parameters: TwinParameters) -> bool:
+        """Whether a twin has the effect that the parameter describes."""
+        return self.effect is None or bool(np.any(getattr(parameters, self.effect)))
+
+
+def _table(doc: str, path: str | None = None, fit: Fit | None = None, **more: Any) -> dict[str, Parameter]:
+    return {"parameter": Parameter(doc, path, fit, **more)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,34 +74,188 @@ class TwinParameters:
 
     calibration: Calibration  # both devices and the pose between them
     poses: tuple[RigidTransform, ...]  # `T_camera_item` of the board
-    white: float  # level above black of a surface that faces the lamp at its distance
+    white: float = field(
+        metadata=_table(
+            "Level above black of a surface that faces the projector, relative to the twin's own file.",
+            fit=Fit(0.01, 0.01, 100.0),
+        )
+    )
     response: Curve  # of the projector, with a + b = 1, since `white` takes the scale
-    ambient: float  # even ambient light, relative to the projector's white
-    paper: float  # reflectances of the board's ground and print
-    ink: float  # reflectances of the board's ground and print
-    projector_blur: float  # standard deviation of the projector lens's point spread at its sharpest
-    projector_focus_mm: float | None  # distance in focus of the projector, as in a world file
-    projector_aperture_mm: float  # diameter of the projector's aperture, as in a world file
-    camera_focus_mm: float | None  # distance in focus of the camera; None: sharp at every depth
-    f_number: float  # of the camera's lens
-    vignetting: float  # exponent n of the camera's loss of light cosⁿ towards the edge
-    black_level: float  # share of full scale
-    read_noise_e: float  # electrons of the unbinned pixel
-    full_well_e: float  # electrons of the unbinned pixel
-    vibration_mm: float  # standard deviation of the item's position from frame to frame
-    vibration_line_mm: tuple[float, float, float] = NO_LINE
-    vibration_periodic: float = 0.0  # share of its variance that has one frequency
-    vibration_cycles_per_frame: float = 0.0  # that frequency, as frames at regular intervals sample it
-    projector_falloff: tuple[float, float, float, float, float] = NO_FALLOFF  # coefficients of x
-    projector_flicker: float = 0.0  # standard deviation of the projector's light from frame to frame
-    lamp_irradiance: float = 0.0  # light of the room's lamp on a surface that faces it
-    lamp_angle_deg: float = 45.0  # place of the lamp from that point
-    lamp_azimuth_deg: float = -90.0  # place of the lamp from that point
-    lamp_distance_mm: float = 2000.0  # place of the lamp from that point
-    ambient_ripple: float = 0.0  # amplitude of the rolling bands of ambient light and lamp, as a share of it
-    band_period_px: float = 0.0  # from band to band, in rows of the frame; 0 where there are none
-    band_advance: float | None = None  # share of a period by which they move from frame to frame
-    placed: Mapping[str, RigidTransform] = field(default_factory=dict)
+    ambient: float = field(
+        metadata=_table(
+            "Even ambient light, relative to the projector's white.",
+            "ambient",
+            Fit(0.005, 0.0, 10.0, may_be_at_lower_bound=True),
+            per_white=True,
+        )
+    )
+    paper: float = field(metadata=_table("Reflectance of the board's ground.", fit=Fit(0.01, 0.02, 1.0)))
+    ink: float = field(
+        metadata=_table(
+            "Reflectance of the board's print.", fit=Fit(0.005, 0.0, 1.0, may_be_at_lower_bound=True)
+        )
+    )
+    projector_blur: float = field(
+        metadata=_table(
+            "Standard deviation of the projector lens's point spread at its sharpest, in mirrors.",
+            "projector.blur",
+            Fit(0.05, 0.35, 20.0, may_be_at_lower_bound=True),
+        )
+    )
+    projector_focus_mm: float | None = field(
+        metadata=_table(
+            "Distance in focus of the projector in mm; None: sharp at every depth.",
+            "projector.focus_mm",
+            Fit(2.0, 50.0, 5000.0),
+        )
+    )
+    projector_aperture_mm: float = field(
+        metadata=_table(
+            "Diameter of the projector's aperture in mm.",
+            "projector.aperture_mm",
+            Fit(0.5, 0.0, 60.0, may_be_at_lower_bound=True),
+        )
+    )
+    camera_focus_mm: float | None = field(
+        metadata=_table(
+            "Distance in focus of the camera in mm; None: sharp at every depth.",
+            "camera.focus_mm",
+            Fit(2.0, 50.0, 5000.0),
+        )
+    )
+    f_number: float = field(
+        metadata=_table("F-number of the camera's lens.", "camera.f_number", Fit(0.2, 0.7, 64.0))
+    )
+    vignetting: float = field(
+        metadata=_table(
+            "Exponent n of the camera's loss of light cosⁿ towards the edge.",
+            "camera.vignetting",
+            Fit(0.5, 0.0, 40.0, may_be_at_lower_bound=True),
+        )
+    )
+    black_level: float = field(
+        metadata=_table(
+            "The camera's black level, as a share of full scale.",
+            "camera.sensor.black_level",
+            Fit(0.002, 0.0, 0.49, may_be_at_lower_bound=True),
+        )
+    )
+    read_noise_e: float = field(
+        metadata=_table("Read noise in electrons of the unbinned pixel.", "camera.sensor.read_noise_e")
+    )
+    full_well_e: float = field(
+        metadata=_table("Full well in electrons of the unbinned pixel.", "camera.sensor.full_well_e")
+    )
+    vibration_mm: float = field(
+        metadata=_table(
+            "Standard deviation of the item's position from frame to frame in mm, equal in all directions.",
+            "vibration_mm",
+        )
+    )
+    vibration_line_mm: tuple[float, float, float] = field(
+        default=NO_LINE,
+        metadata=_table(
+            "RMS displacement along the camera's axes in mm by vibration along a line.",
+            f"{LINE}.rms_mm",
+            parts=("vibration_line_x_mm", "vibration_line_y_mm", "vibration_line_z_mm"),
+            effect="vibration_line_mm",
+        ),
+    )
+    vibration_periodic: float = field(
+        default=0.0,
+        metadata=_table(
+            "Share of the variance of that vibration that has one frequency.",
+            f"{LINE}.periodic",
+            effect="vibration_line_mm",
+        ),
+    )
+    vibration_cycles_per_frame: float = field(
+        default=0.0,
+        metadata=_table(
+            "That frequency, as frames at regular intervals sample it, in cycles per frame.",
+            f"{LINE}.cycles_per_frame",
+            effect="vibration_line_mm",
+        ),
+    )
+    projector_falloff: tuple[float, float, float, float, float] = field(
+        default=NO_FALLOFF,
+        metadata=_table(
+            "Coefficients of x, y, x², xy and y² of the projector's light over its image.",
+            "projector.falloff",
+            Fit(0.02, -2.0, 2.0),
+            parts=("falloff_x", "falloff_y", "falloff_xx", "falloff_xy", "falloff_yy"),
+        ),
+    )
+    projector_flicker: float = field(
+        default=0.0,
+        metadata=_table(
+            "Standard deviation of the projector's light from frame to frame, relative.",
+            "projector.flicker",
+        ),
+    )
+    lamp_irradiance: float = field(
+        default=0.0,
+        metadata=_table(
+            "Light of the room's lamp on a surface that faces it, relative to the projector's white.",
+            f"{LAMP}.irradiance",
+            Fit(0.005, 0.0, 10.0),
+            effect="lamp_irradiance",
+            per_white=True,
+        ),
+    )
+    lamp_angle_deg: float = field(
+        default=45.0,
+        metadata=_table(
+            "Angle between the ways to the lamp and to the camera in degrees.",
+            f"{LAMP}.angle_deg",
+            Fit(2.0, -150.0, 150.0),
+            effect="lamp_irradiance",
+        ),
+    )
+    lamp_azimuth_deg: float = field(
+        default=-90.0,
+        metadata=_table(
+            "Direction of the lamp in the image in degrees.",
+            f"{LAMP}.azimuth_deg",
+            Fit(2.0, -360.0, 360.0),
+            effect="lamp_irradiance",
+        ),
+    )
+    lamp_distance_mm: float = field(
+        default=2000.0,
+        metadata=_table(
+            "Distance of the lamp in mm; fitted by its inverse, `lamp_nearness`.",
+            f"{LAMP}.distance_mm",
+            effect="lamp_irradiance",
+        ),
+    )
+    ambient_ripple: float = field(
+        default=0.0,
+        metadata=_table(
+            "Amplitude of the rolling bands of ambient light and lamp, as a share of it.",
+            f"{BANDS}.ripple",
+            effect="ambient_ripple",
+            reported_at_zero=True,
+        ),
+    )
+    band_period_px: float = field(
+        default=0.0,
+        metadata=_table(
+            "From band to band, in rows of the frame; 0 where there are none.",
+            f"{BANDS}.period_px",
+            effect="ambient_ripple",
+            in_binned_px=True,
+        ),
+    )
+    band_advance: float | None = field(
+        default=None,
+        metadata=_table(
+            "Periods by which bands move from frame to frame; None: another place in each frame.",
+            f"{BANDS}.cycles_per_frame",
+            effect="ambient_ripple",
+        ),
+    )
+    placed: Mapping[str, RigidTransform] = field(default_factory=dict)  # `T_camera_item` of measured items
     surfaces: Mapping[str, PartSurface] = field(default_factory=dict)  # of items whose surface was matched
     sigma: Mapping[str, float] = field(default_factory=dict)  # standard uncertainties that a fit stated
 
@@ -68,7 +265,7 @@ class TwinParameters:
         return float(np.sqrt(self.vibration_mm**2 + np.mean(np.square(self.vibration_line_mm))))
 
     def sigma_with(self, **known: float) -> dict[str, float]:
-        """Give the standard uncertainties with some replaced."""
+        """Give the standard uncertainties with some replaced; one of 0 is left out."""
         return {name: value for name, value in {**self.sigma, **known}.items() if value or name not in known}
 
     def with_pose(self, index: int, pose: RigidTransform) -> TwinParameters:
@@ -76,78 +273,160 @@ class TwinParameters:
         return replace(self, poses=(*self.poses[:index], pose, *self.poses[index + 1 :]))
 
 
-NO_LAMP = RoomLamp(irradiance=0.0)
-LAMP = "room"
-"""Name of the lamp that can be matched."""
-FIELDS = {
-    "projector_blur": "projector.blur",
-    "projector_focus_mm": "projector.focus_mm",
-    "projector_aperture_mm": "projector.aperture_mm",
-    "projector_flicker": "projector.flicker",
-    "g": "projector.response.g",
-    "camera_focus_mm": "camera.focus_mm",
-    "f_number": "camera.f_number",
-    "vignetting": "camera.vignetting",
-    "black_level": "camera.sensor.black_level",
-    "read_noise_e": "camera.sensor.read_noise_e",
-    "full_well_e": "camera.sensor.full_well_e",
-    "ambient": "ambient",
-    "lamp_irradiance": f"lamps.{LAMP}.irradiance",
-    "lamp_angle_deg": f"lamps.{LAMP}.angle_deg",
-    "lamp_azimuth_deg": f"lamps.{LAMP}.azimuth_deg",
-    "ambient_ripple": "ambient_bands.ripple",
-    "vibration_mm": "vibration_mm",
-    "vibration_cycles_per_frame": "vibration_line.cycles_per_frame",
+TABLE: dict[str, Parameter] = {
+    one.name: one.metadata["parameter"] for one in fields(TwinParameters) if "parameter" in one.metadata
 }
-"""Paths in a world of parameters whose uncertainty holds for every measurement, by name."""
+"""What is known of every parameter that is a number or a tuple of numbers, by name."""
+UNCERTAIN = {
+    "g": "projector.response.g",
+    **{
+        name: known.path
+        for name, known in TABLE.items()
+        if known.path and not known.parts and not known.in_binned_px
+    },
+}
+"""Paths in a world of numbers whose uncertainty holds for every measurement, by name."""
+
+
+def named_numbers(parameters: TwinParameters) -> dict[str, float | None]:
+    """Give every parameter that is a number by its name, then the numbers of tuples."""
+    alone = {name: getattr(parameters, name) for name, known in TABLE.items() if not known.parts}
+    tuples = {
+        part: value
+        for name in ("projector_falloff", "vibration_line_mm")
+        for part, value in zip(TABLE[name].parts, getattr(parameters, name), strict=True)
+    }
+    return alone | tuples
+
+
+@dataclass(frozen=True)
+class AdjustableParameter:
+    """A number of a twin that can be fitted."""
+
+    fit: Fit
+    read: Callable[[TwinParameters], float]  # gives the value from `TwinParameters`
+    set: Callable[[TwinParameters, float], TwinParameters]  # gives `TwinParameters` with another value
+
+    def with_value(self, parameters: TwinParameters, value: float) -> TwinParameters:
+        """Set the value, clipped to the range."""
+        return self.set(parameters, min(max(value, self.fit.lower), self.fit.upper))
+
+
+def normalised_response(curve: Curve, *, black: float | None = None, g: float | None = None) -> Curve:
+    """Scale a response so that its white is 1."""
+    dark = curve.b / (curve.a + curve.b) if black is None else black
+    return Curve(a=1.0 - dark, b=dark, g=curve.g if g is None else g, spline=curve.spline)
+
+
+def _number(name: str, fit: Fit) -> AdjustableParameter:
+    def read(parameters: TwinParameters) -> float:
+        return float(getattr(parameters, name))
+
+    def set_(parameters: TwinParameters, value: float) -> TwinParameters:
+        changes: dict[str, Any] = {name: value}
+        return replace(parameters, **changes)
+
+    return AdjustableParameter(fit, read, set_)
+
+
+def _part(name: str, index: int, fit: Fit) -> AdjustableParameter:
+    """One of the numbers of a tuple."""
+
+    def read(parameters: TwinParameters) -> float:
+        return float(getattr(parameters, name)[index])
+
+    def set_(parameters: TwinParameters, value: float) -> TwinParameters:
+        values = tuple(value if n == index else one for n, one in enumerate(getattr(parameters, name)))
+        changes: dict[str, Any] = {name: values}
+        return replace(parameters, **changes)
+
+    return AdjustableParameter(fit, read, set_)
+
+
+ADJUSTABLE: dict[str, AdjustableParameter] = {
+    **{name: _number(name, known.fit) for name, known in TABLE.items() if known.fit and not known.parts},
+    **{
+        part: _part(name, index, known.fit)
+        for name, known in TABLE.items()
+        if known.fit
+        for index, part in enumerate(known.parts)
+    },
+    # The inverse of the lamp's distance, in 1/m: light changes evenly with it, and far away it is 0.
+    "lamp_nearness": AdjustableParameter(
+        Fit(0.05, 0.01, 10.0, may_be_at_lower_bound=True),
+        lambda p: 1e3 / p.lamp_distance_mm,
+        lambda p, value: replace(p, lamp_distance_mm=1e3 / value),
+    ),
+    "b": AdjustableParameter(
+        Fit(0.005, 0.0, 0.5),
+        lambda p: p.response.b,
+        lambda p, value: replace(p, response=normalised_response(p.response, black=value)),
+    ),
+    "g": AdjustableParameter(
+        Fit(0.01, 0.2, 5.0),
+        lambda p: p.response.g,
+        lambda p, value: replace(p, response=normalised_response(p.response, g=value)),
+    ),
+}
+"""The numbers that can be fitted, by name; `b` and `g` are those of the response."""
+FALLOFF = TABLE["projector_falloff"].parts
+"""Names of the coefficients of the projector's falloff."""
+ROOM_LAMP = ("lamp_irradiance", "lamp_angle_deg", "lamp_azimuth_deg", "lamp_nearness")
+"""Names of the numbers of the room's lamp that are fitted."""
 
 
 def parameters_of(world: World, board: str, target: Target) -> TwinParameters:
     """Read the parameters that can be matched from a world."""
-    camera, projector, response = world.camera, world.projector, world.projector.response
-    line = world.vibration_line
-    brightest, lamp = response.a + response.b, world.lamps.get(LAMP, NO_LAMP)
+    response = world.projector.response
+    brightest = response.a + response.b
+    calibration = Calibration(
+        world.camera_model(),
+        world.projector_model(),
+        world.T_projector_camera(),
+        rms_px={},
+        uncertainty=world.calibration.calibration().uncertainty if world.calibration else None,
+    )
     return TwinParameters(
-        calibration=Calibration(
-            *(world.camera_model(), world.projector_model(), world.T_projector_camera()),
-            rms_px={},
-            uncertainty=world.calibration.calibration().uncertainty if world.calibration else None,
-        ),
+        calibration=calibration,
         poses=item_poses(world, board),
         white=1.0,
         response=response.curve().model_copy(
             update={"a": response.a / brightest, "b": response.b / brightest}
         ),
-        ambient=world.ambient / brightest,
         paper=target.background,
         ink=target.foreground,
-        projector_blur=projector.blur,
-        projector_focus_mm=projector.focus_mm,
-        projector_aperture_mm=projector.aperture_mm,
-        camera_focus_mm=camera.focus_mm,
-        f_number=camera.f_number,
-        vignetting=camera.vignetting,
-        black_level=camera.sensor.black_level,
-        read_noise_e=camera.sensor.read_noise_e,
-        full_well_e=camera.sensor.full_well_e,
-        vibration_mm=world.vibration_mm,
-        vibration_line_mm=line.rms_mm if line else NO_LINE,
-        vibration_periodic=line.periodic if line else 0.0,
-        vibration_cycles_per_frame=line.cycles_per_frame if line else 0.0,
-        projector_falloff=projector.falloff,
-        projector_flicker=projector.flicker,
-        lamp_irradiance=lamp.irradiance / brightest,
-        lamp_angle_deg=lamp.angle_deg,
-        lamp_azimuth_deg=lamp.azimuth_deg,
-        lamp_distance_mm=lamp.distance_mm,
-        ambient_ripple=world.ambient_bands.ripple if world.ambient_bands else 0.0,
-        band_period_px=world.ambient_bands.period_px / camera.binning if world.ambient_bands else 0.0,
-        band_advance=world.ambient_bands.cycles_per_frame if world.ambient_bands else None,
+        **_numbers_of(world, brightest),
     )
 
 
+def _numbers_of(world: World, brightest: float) -> dict[str, Any]:
+    """Read the numbers that stand in a world's document; those that it has not keep their default."""
+    defaults = {one.name: one.default for one in fields(TwinParameters)}
+    found: dict[str, Any] = {}
+    for name, known in TABLE.items():
+        if known.path is None:
+            continue
+        value = _value_at(world, known.path)
+        if value is None and defaults[name] is not MISSING:
+            continue
+        if known.per_white:
+            value = value / brightest
+        if known.in_binned_px:
+            value = value / world.camera.binning
+        found[name] = value
+    return found
+
+
+def _value_at(world: World, path: str) -> Any:
+    """Look up what a world has at a path; None where it has no such section."""
+    found: Any = world
+    for name in path.split("."):
+        found = found.get(name) if isinstance(found, Mapping) else getattr(found, name, None)
+    return found
+
+
 def world_of(nominal: World, board: str, parameters: TwinParameters) -> World:
-    """Make the nominal world with other parameters."""
+    """Make the nominal world with other parameters; `ConfigError` where no world can have them."""
     p, data = parameters, nominal.model_dump(mode="json") | {"uncertainty": {}}
     data["calibration"] = config.plain(CalibrationFile.of(replace(p.calibration, uncertainty=None)))
     data["items"][board] |= {
@@ -160,55 +439,35 @@ def world_of(nominal: World, board: str, parameters: TwinParameters) -> World:
     for name, surface in p.surfaces.items():
         data["items"][name]["material"] = own = f"surface of {name}"
         data["materials"][own] = with_surface(nominal.material_of(name), surface)
-    data["projector"] |= {
-        "response": config.plain(p.response),
-        "blur": p.projector_blur,
-        "focus_mm": p.projector_focus_mm,
-        "aperture_mm": p.projector_aperture_mm,
-        "falloff": list(p.projector_falloff),
-        "flicker": p.projector_flicker,
-    }
-    data["camera"] |= {
-        "focus_mm": p.camera_focus_mm,
-        "f_number": p.f_number,
-        "vignetting": p.vignetting,
-    }
-    data["camera"]["sensor"] |= {
-        "black_level": p.black_level,
-        "read_noise_e": p.read_noise_e,
-        "full_well_e": p.full_well_e,
-    }
-    if p.lamp_irradiance:
-        data["lamps"][LAMP] = {
-            "irradiance": p.lamp_irradiance,
-            "angle_deg": p.lamp_angle_deg,
-            "azimuth_deg": p.lamp_azimuth_deg,
-            "distance_mm": p.lamp_distance_mm,
-        }
-    else:
-        data["lamps"].pop(LAMP, None)
-    if p.ambient_ripple:
-        data["ambient_bands"] = {
-            "ripple": p.ambient_ripple,
-            "period_px": p.band_period_px * nominal.camera.binning,
-            "cycles_per_frame": p.band_advance,
-        }
-    data |= {"ambient": p.ambient, "vibration_mm": p.vibration_mm, "vibration_line": None}
-    if any(p.vibration_line_mm):
-        data["vibration_line"] = {
-            "rms_mm": list(p.vibration_line_mm),
-            "periodic": p.vibration_periodic,
-            "cycles_per_frame": p.vibration_cycles_per_frame,
-        }
+    data["projector"]["response"] = config.plain(p.response)
+    _write_numbers(data, p, nominal.camera.binning)
     world = config.validate(data, World, "the twin's parameters")
     lit = _with_light(world, p.white * white_level_per_s(nominal) / white_level_per_s(world))
     return lit.model_copy(update={"uncertainty": _uncertainty(lit, p)})
 
 
+def _write_numbers(data: dict[str, Any], parameters: TwinParameters, binning: int) -> None:
+    """Write the numbers that stand in a world's document; a section is left out without its effect."""
+    data["lamps"].pop(ROOM, None)
+    data |= {BANDS: None, LINE: None}
+    for name, known in TABLE.items():
+        path = known.path
+        if path is None or not known.is_present(parameters):
+            continue
+        value = getattr(parameters, name)
+        *sections, last = path.split(".")
+        section = data
+        for one in sections:
+            if section.get(one) is None:
+                section[one] = {}
+            section = section[one]
+        section[last] = list(value) if known.parts else value * binning if known.in_binned_px else value
+
+
 def _uncertainty(world: World, parameters: TwinParameters) -> dict[str, float]:
     """Give the standard uncertainties that a fit has stated by the world's own fields."""
     sigma = parameters.sigma
-    known = {FIELDS[name]: value for name, value in sigma.items() if name in FIELDS}
+    known = {UNCERTAIN[name]: value for name, value in sigma.items() if name in UNCERTAIN}
     leds = world.projector.leds if "white" in sigma else {}
     relative = sigma.get("white", 0.0) / parameters.white
     known |= {f"projector.leds.{name}.lumens": relative * led.lumens for name, led in leds.items()}

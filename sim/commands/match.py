@@ -2,25 +2,30 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
+from contextlib import AbstractContextManager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typing_extensions import override
 
 from fpplab.cli import console
 from fpplab.cli.app import TWIN, Force, Json, Out
 from fpplab.cli.completion import names_of
 from fpplab.cli.lists import VariadicOptionsCommand
-from fpplab.cli.viewing import ConsoleObserver, KeepOpen, ViewOption, open_viewer
-from fpplab.core.errors import CalibrationError, ConfigError
-from fpplab.core.extras import need_extra
-from fpplab.workflows.pose_causes import with_causes
+from fpplab.cli.viewing import KeepOpen, ViewOption, open_viewer
+from fpplab.core.errors import ConfigError
+from fpplab.core.progress import Progress, Say
+from sim.matching.observer import MatchObserver
 
 if TYPE_CHECKING:
-    from fpplab.diagnosis import FaultCause
+    from fpplab.viewer.viewer import Viewer
+    from sim.matching.record import MatchingEpoch
     from sim.matching.reference import Reference
-
+    from sim.matching.run import MatchingRequest
+    from sim.matching.view import MatchingView
+    from sim.twin import Twin
 
 program = typer.Typer()
 
@@ -101,135 +106,110 @@ def match_command(
     --out matched`
     """
     from fpplab.devices.rig import Rig
-    from fpplab.pipeline import REPORT
-    from fpplab.sessions.session import Session, recorded_sessions
+    from fpplab.sessions.session import recorded_sessions
     from fpplab.targets import Target
-    from sim.matching.record import EPOCHS
     from sim.matching.refusal import acceptable_causes
-    from sim.matching.run import MatchingRequest, match_sessions, twin_of
+    from sim.matching.workflow import (
+        MatchRequest,
+        SurfacesRequest,
+        check_match_request,
+        match,
+        match_surfaces_alone,
+    )
 
     surfaces, accepted = _scans(surface or [], "--surface"), acceptable_causes(accept or [])
     if not reference:
-        _match_surfaces_alone(twin, item, surfaces, out, accepted, force, json)
+        alone = SurfacesRequest(Rig.load(twin), surfaces, out, item, accepted, force)
+        answer = match_surfaces_alone(alone, ConsoleMatchObserver()).summary()
+        console.print_result(answer, json, lambda: _show_surfaces(answer["surfaces"]))
         return
-    _make_way(out, force, EPOCHS, REPORT)
-    need_extra("skimage")
-    sessions = recorded_sessions(reference)
+    matching = _matching_request(item, card, gamma, scan or [], alpha, beta, epochs, seconds)
+    request = MatchRequest(
+        twin=Rig.load(twin),
+        sessions=recorded_sessions(reference),
+        out=out,
+        matching=replace(matching, surfaces=surfaces, accepted=accepted),
+        target=Target.load(target) if target else None,
+        force=force,
+    )
+    check_match_request(request)
+    result = match(request, _observe_matching(context, view, keep_open, out))
+    summary = result.summary()
+    console.conclude(result.matching.diagnosis, str(out), summary, json, lambda: _show(summary))
+
+
+class ConsoleMatchObserver(MatchObserver):
+    """Shows progress and epochs on stderr and, where one is given, in the viewer."""
+
+    def __init__(self, viewer: Viewer[MatchingView] | None = None) -> None:
+        self._viewer = viewer
+
+    @override
+    def stage(self, name: str) -> AbstractContextManager[Progress]:
+        return console.progress(name)
+
+    @override
+    def work(self, name: str) -> AbstractContextManager[tuple[Progress, Say]]:
+        return console.telling_progress(name)
+
+    @override
+    def message(self, sentence: str) -> None:
+        console.log_status(sentence)
+
+    @override
+    def epoch(self, epoch: MatchingEpoch, reference: Reference, twin: Twin) -> None:
+        loss = epoch.loss
+        console.log_status(
+            f"epoch {epoch.epoch}, {epoch.step}: loss {loss['loss']:.4f}, over the board "
+            f"{loss['loss_board']:.4f}, SSIM {loss['ssim']:.4f} / {loss['ssim_board']:.4f}, ε_d "
+            f"{loss['epsilon_d_px']:.4f} px{'' if epoch.accepted else ', taken back'}"
+        )
+        if self._viewer is not None:
+            from sim.matching.view import MatchingView, show_twin
+
+            self._viewer.show(MatchingView.epoch, epoch)
+            show_twin(self._viewer, reference, twin)
+
+
+def _observe_matching(
+    context: typer.Context, wanted: bool, keep_open: bool, out: Path
+) -> ConsoleMatchObserver:
+    """Make what follows a matching: the terminal, and the viewer where it is asked for."""
+    if not (wanted or keep_open):
+        return ConsoleMatchObserver()
+    from fpplab.core.session_names import RECORDING
+    from sim.matching.view import MatchingView
+
+    return ConsoleMatchObserver(open_viewer(context, MatchingView, wanted, keep_open, out / RECORDING))
+
+
+def _matching_request(
+    board: str,
+    card: str,
+    gamma: Path | None,
+    scans: list[str],
+    alpha: float,
+    beta: float,
+    epochs: int,
+    seconds: float,
+) -> MatchingRequest:
+    """Read what options name."""
+    from fpplab.patterns.response import Response
+    from fpplab.sessions.session import Session
+    from sim.matching.loss import Weights
+    from sim.matching.match import MatchingLimits
+    from sim.matching.run import MatchingRequest
+
     card_item, _, card_session = card.partition("=")
-    wanted = MatchingRequest(
-        board=item,
+    return MatchingRequest(
+        board=board,
         card=card_item,
         card_scan=Session.open(Path(card_session)) if card_session else None,
-        accepted=accepted,
-        response=_response(gamma),
-        scans=_scans(scan or [], "--scan"),
-        surfaces=surfaces,
-        weights=_weights(alpha, beta),
-        limits=_limits(epochs, seconds),
+        response=None if gamma is None else Response.load(gamma),
+        scans=_scans(scans, "--scan"),
+        weights=Weights(alpha=alpha, beta=beta),
+        limits=MatchingLimits(epochs=epochs, seconds=seconds),
     )
-    with ExitStack() as stack, console.stopwatch() as elapsed:
-        rig = stack.enter_context(Rig.load(twin))
-        known = twin_of(rig, item)
-        board = Target.load(target) if target else known.target
-
-        from fpplab.core.session_names import RECORDING
-        from sim.matching.page import matching_provenance, write_matching_report
-        from sim.matching.record import MatchingEpoch
-        from sim.matching.view import MatchingView, show_twin
-
-        viewer = open_viewer(context, MatchingView, view, keep_open, out / RECORDING)
-        references: list[Reference] = []
-
-        def observe(epoch: MatchingEpoch) -> None:
-            loss = epoch.loss
-            console.log_status(
-                f"epoch {epoch.epoch}, {epoch.step}: loss {loss['loss']:.4f}, over the board "
-                f"{loss['loss_board']:.4f}, SSIM {loss['ssim']:.4f} / {loss['ssim_board']:.4f}, ε_d "
-                f"{loss['epsilon_d_px']:.4f} px{'' if epoch.accepted else ', taken back'}"
-            )
-            viewer.show(MatchingView.epoch, epoch)
-            if view or keep_open:
-                show_twin(viewer, references[0], known.with_parameters(epoch.parameters.parameters()))
-
-        try:
-            with console.telling_progress("Matching") as (report, tell):
-                found = match_sessions(
-                    *(known, sessions, board, out, wanted),
-                    progress=report,
-                    observe=observe,
-                    tell=tell,
-                    prepared=references.append,
-                )
-        except CalibrationError as error:
-            raise with_causes(error, sessions, ConsoleObserver()) from error
-        sources = matching_provenance(found, {**wanted.scans, **wanted.surfaces})
-        result = {
-            **found.summary(),
-            "seconds": elapsed(),
-            "provenance": {name: one.summary() for name, one in sources.items()},
-            "rig": None if found.diagnosis.is_useless else str(out / RIG),
-            "report": str(out / REPORT),
-        }
-        with console.progress("Drawing the report"):
-            write_matching_report(out / REPORT, found, known, result, sources)
-    console.conclude(found.diagnosis, str(out), result, json, lambda: _show(result))
-
-
-RIG = "rig.yaml"
-"""The matched twin, in the folder of a matching that was not refused."""
-
-
-def _make_way(out: Path, force: bool, record: str, page: str) -> None:
-    """Refuse to overwrite a finished matching; an unfinished or refused one is continued."""
-    finished = (out / RIG).is_file() and (out / page).is_file()  # which is last
-    if finished and not force:
-        raise ConfigError(f"{out}: exists already; name another output, or add --force to replace it")
-    if out.exists() and not (out / record).is_file() and any(out.iterdir()):
-        raise ConfigError(f"{out}: exists and holds no matching; name another output")
-    if force:
-        for name in (record, page, RIG):
-            (out / name).unlink(missing_ok=True)
-
-
-def _response(gamma: Path | None) -> Any:
-    from fpplab.patterns.response import Response
-
-    return None if gamma is None else Response.load(gamma)
-
-
-def _match_surfaces_alone(
-    twin: str,
-    board: str,
-    surfaces: dict[str, Any],
-    out: Path,
-    accepted: frozenset[FaultCause],
-    force: bool,
-    json: bool,
-) -> None:
-    """Match surfaces of parts on a twin that was matched to its board before."""
-    from fpplab.devices.rig import Rig
-    from sim.matching.parts import match_parts
-    from sim.matching.refusal import Refusals
-    from sim.matching.run import twin_of
-
-    if not surfaces:
-        raise ConfigError("--reference: is missing; name the bench's sessions of a board, or a --surface")
-    if out.exists() and any(out.iterdir()) and not force:
-        raise ConfigError(f"{out}: exists already; name another output, or add --force to replace it")
-    with console.stopwatch() as elapsed, Rig.load(twin) as rig:
-        refusals, source = Refusals(accepted), Path(rig.source)
-        known = twin_of(rig, board)
-        with console.telling_progress("Matching") as (report, tell):
-            notes = rig.file.notes or ()
-            found = match_parts(*(known, surfaces, out, source, refusals, notes), progress=report, tell=tell)
-    surfaces_found = [one.summary() for one in found]
-    answer = {
-        "surfaces": surfaces_found,
-        "notes": [*notes, *refusals.notes],
-        "seconds": elapsed(),
-        "rig": str(out / RIG),
-    }
-    console.print_result(answer, json, lambda: _show_surfaces(surfaces_found))
 
 
 def _show_surfaces(surfaces: list[dict[str, Any]]) -> None:
@@ -253,18 +233,6 @@ def _scans(words: list[str], option: str) -> dict[str, Any]:
             raise ConfigError(f"{option}: {name} is given twice")
         found[name] = Session.open(Path(path))
     return found
-
-
-def _weights(alpha: float, beta: float) -> Any:
-    from sim.matching.loss import Weights
-
-    return Weights(alpha=alpha, beta=beta)
-
-
-def _limits(epochs: int, seconds: float) -> Any:
-    from sim.matching.match import MatchingLimits
-
-    return MatchingLimits(epochs=epochs, seconds=seconds)
 
 
 YES = {True: "yes", False: "no"}

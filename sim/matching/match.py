@@ -18,7 +18,6 @@ from fpplab.core.progress import Progress, Say, ignore, no_progress
 from sim.matching.evaluation import TwinEvaluation, evaluate
 from sim.matching.light import light_fit
 from sim.matching.light.contrast import sample_contrasts
-from sim.matching.light.light_fit import ADJUSTABLE
 from sim.matching.loss import Weights
 from sim.matching.record import MatchingEpoch, MatchingRecord, ParametersFile
 from sim.matching.reference import Reference
@@ -33,7 +32,7 @@ from sim.matching.steps import (
     MatchingContext,
     MatchingStep,
 )
-from sim.parameters import NO_LINE, TwinParameters
+from sim.parameters import ADJUSTABLE, NO_LINE, TwinParameters
 from sim.twin import Twin
 
 CONVERGED = "converged"

@@ -29,13 +29,13 @@ from fpplab.sessions.session import Session
 from sim.appearance import Appearance
 from sim.matching.light.gamma import GammaMatch
 from sim.matching.match import EXPLAINS
-from sim.matching.record import MatchingEpoch, named_numbers
+from sim.matching.record import MatchingEpoch
 from sim.matching.reference import Reference
 from sim.matching.run import MatchingResult
 from sim.matching.scene.appearance import AppearanceTrial
 from sim.matching.scene.artefacts import ArtefactComparison
 from sim.matching.scene.surface import SurfaceMatch
-from sim.parameters import TwinParameters
+from sim.parameters import TABLE, TwinParameters, named_numbers
 from sim.twin import Twin
 
 GreyPicture = NDArray[np.float32]
@@ -312,7 +312,7 @@ def _parameters_section(found: MatchingResult) -> ReportSection:
     rows = [
         (name, word(name, value), word(name, matched[name]), sigma(name))
         for name, value in numbers.items()
-        if _is_there(name, before) or _is_there(name, after)
+        if _is_reported(name, before, after)
     ]
     rows += [
         (f"response {k}", word(k, getattr(before.response, k)), word(k, getattr(after.response, k)), sigma(k))
@@ -327,14 +327,10 @@ def _parameters_section(found: MatchingResult) -> ReportSection:
     return ReportSection("Parameters", notes, (ReportTable(columns, tuple(rows)),))
 
 
-def _is_there(name: str, parameters: TwinParameters) -> bool:
-    """Whether a parameter belongs to something that a twin has: a lamp, bands, vibration along a line."""
-    if name.startswith("lamp_"):
-        return parameters.lamp_irradiance > 0
-    if name.startswith("band_"):
-        return parameters.ambient_ripple > 0
-    along_line = name.startswith("vibration_") and name != "vibration_mm"
-    return not along_line or any(parameters.vibration_line_mm)
+def _is_reported(name: str, *twins: TwinParameters) -> bool:
+    """Whether a parameter belongs to an effect that one of the twins has, such as a lamp of the room."""
+    known = next(one for key, one in TABLE.items() if name in (key, *one.parts))
+    return known.reported_at_zero or any(known.is_present(one) for one in twins)
 
 
 def _surfaces_section(surfaces: Sequence[SurfaceMatch]) -> ReportSection:

@@ -6,11 +6,11 @@ A line holds the step, whether it was accepted, the loss with its parts, and all
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Self, get_type_hints
 
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, create_model
 
 from fpplab.calibration.model import CalibrationFile, PoseFile
 from fpplab.core import config
@@ -18,117 +18,76 @@ from fpplab.core.config import Document
 from fpplab.core.errors import DataError
 from fpplab.core.journals import append_line, cut_torn_line, make_journal, whole_lines
 from fpplab.patterns.curve import Curve
-from sim.matching.light.light_fit import FALLOFF
-from sim.parameters import NO_FALLOFF, NO_LINE, TwinParameters
+from sim.parameters import TABLE, TwinParameters
 
-LINE = ("vibration_line_x_mm", "vibration_line_y_mm", "vibration_line_z_mm")
-"""Names of the displacements by vibration along a line."""
 EPOCHS = "match.jsonl"
 """Name of the file."""
 
 
-class ParametersFile(Document):
-    """`TwinParameters` as plain data; None means that the device is sharp at every depth."""
-
-    calibration: CalibrationFile
-    """Both devices and the pose between them."""
-    poses: tuple[PoseFile, ...]
-    """T_camera_item of the board in every pose, in degrees and mm."""
-    white: float
-    """Level above black of the projector's white, relative to the twin's own file."""
-    response: Curve
-    """Of the projector, with a + b = 1."""
-    ambient: float
-    """Even ambient light, relative to the projector's white."""
-    paper: float
-    """Reflectance of the board's ground."""
-    ink: float
-    """Reflectance of the board's print."""
-    projector_blur: float
-    """Standard deviation of the projector lens's point spread at its sharpest, in mirrors."""
-    projector_focus_mm: float | None = None
-    """Distance in focus of the projector in mm."""
-    projector_aperture_mm: float
-    """Diameter of the projector's aperture in mm."""
-    camera_focus_mm: float | None = None
-    """Distance in focus of the camera in mm."""
-    f_number: float
-    """Of the camera's lens."""
-    vignetting: float
-    """Exponent n of the camera's loss of light cosⁿ towards the edge."""
-    black_level: float
-    """Share of full scale."""
-    read_noise_e: float
-    """Electrons of the unbinned pixel."""
-    full_well_e: float
-    """Electrons of the unbinned pixel."""
-    vibration_mm: float
-    """Standard deviation of the item's position from frame to frame in mm."""
-    vibration_line_mm: tuple[float, float, float] = NO_LINE
-    """RMS displacement along the camera's axes in mm by vibration along a line."""
-    vibration_periodic: float = 0.0
-    """Share of its variance that has one frequency."""
-    vibration_cycles_per_frame: float = 0.0
-    """That frequency."""
-    projector_falloff: tuple[float, float, float, float, float] = NO_FALLOFF
-    """Coefficients of x, y, x², xy and y² of the projector's light, as in a world file."""
-    projector_flicker: float = 0.0
-    """Standard deviation of the projector's light from frame to frame, relative."""
-    lamp_irradiance: float = 0.0
-    """Light of the room's lamp, relative to the projector's white."""
-    lamp_angle_deg: float = 45.0
-    """Angle between the ways to the lamp and to the camera in degrees."""
-    lamp_azimuth_deg: float = -90.0
-    """Direction of the lamp in the image in degrees."""
-    lamp_distance_mm: float = 2000.0
-    """Distance of the lamp in mm."""
-    ambient_ripple: float = 0.0
-    """Amplitude of the rolling bands of the ambient light, as a share of it."""
-    band_period_px: float = 0.0
-    """From band to band, in rows of the frame; 0 where there are none."""
-    band_advance: float | None = None
-    """Periods by which they move from frame to frame."""
-    placed: Annotated[dict[str, PoseFile], Field(default_factory=dict)]
-    """T_camera_item of other items that were measured on the bench, by name."""
-    sigma: Annotated[dict[str, float], Field(default_factory=dict)]
-    """Standard uncertainties that a fit stated, by name of the parameter, in its unit."""
+class _ParametersForm(Document):
+    """`TwinParameters` as plain data: poses in degrees and mm, numbers as they are."""
 
     @classmethod
-    def of(cls, parameters: TwinParameters) -> ParametersFile:
+    def of(cls, parameters: TwinParameters) -> Self:
         """Convert parameters to plain data."""
-        return cls(
-            calibration=CalibrationFile.of(parameters.calibration),
-            poses=tuple(PoseFile.of(pose) for pose in parameters.poses),
-            response=parameters.response,
-            placed={name: PoseFile.of(pose) for name, pose in parameters.placed.items()},
-            sigma=dict(parameters.sigma),
-            **{name: getattr(parameters, name) for name in PLAIN},
+        return cls.model_validate(
+            {
+                "calibration": CalibrationFile.of(parameters.calibration),
+                "poses": tuple(PoseFile.of(pose) for pose in parameters.poses),
+                "response": parameters.response,
+                "placed": {name: PoseFile.of(pose) for name, pose in parameters.placed.items()},
+                "sigma": dict(parameters.sigma),
+                **{name: getattr(parameters, name) for name in TABLE},
+            }
         )
 
     def parameters(self) -> TwinParameters:
         """Convert back to parameters."""
+        known = dict(self)
         return TwinParameters(
-            calibration=self.calibration.calibration(),
-            poses=tuple(pose.transform() for pose in self.poses),
-            response=self.response,
-            placed={name: pose.transform() for name, pose in self.placed.items()},
-            sigma=self.sigma,
-            **{name: getattr(self, name) for name in PLAIN},
+            calibration=known["calibration"].calibration(),
+            poses=tuple(pose.transform() for pose in known["poses"]),
+            response=known["response"],
+            placed={name: pose.transform() for name, pose in known["placed"].items()},
+            sigma=known["sigma"],
+            **{name: known[name] for name in TABLE},
         )
 
 
-_WHOLE = ("calibration", "poses", "response", "placed", "sigma")
-PLAIN = tuple(name for name in ParametersFile.model_fields if name not in _WHOLE)
-"""Names of the parameters that are numbers, or tuples of numbers."""
+def _fields_of_form() -> dict[str, Any]:
+    """Type and default of every field of `TwinParameters` but surfaces, which are found after the epochs."""
+    plain = {
+        "calibration": (CalibrationFile, Field(description="Both devices and the pose between them.")),
+        "poses": (tuple[PoseFile, ...], Field(description="T_camera_item of the board in every pose.")),
+        "response": (Curve, Field(description="Of the projector, with a + b = 1.")),
+        "placed": (dict[str, PoseFile], Field(default_factory=dict, description="T_camera_item by item.")),
+        "sigma": (
+            dict[str, float],
+            Field(default_factory=dict, description="Standard uncertainties by name."),
+        ),
+    }
+    hints = get_type_hints(TwinParameters)
+    form: dict[str, Any] = {}
+    for one in fields(TwinParameters):
+        if one.name in plain:
+            form[one.name] = plain[one.name]
+        elif one.name in TABLE:
+            may_be_left_out = one.default is not MISSING or hints[one.name] == float | None
+            default = None if one.default is MISSING else one.default
+            about = Field(... if not may_be_left_out else default, description=TABLE[one.name].doc)
+            form[one.name] = (hints[one.name], about)
+    return form
 
 
-def named_numbers(parameters: TwinParameters) -> dict[str, float | None]:
-    """Give every parameter that is a number by its name."""
-    several = {"projector_falloff": FALLOFF, "vibration_line_mm": LINE}
-    numbers = {name: getattr(parameters, name) for name in PLAIN if name not in several}
-    for name, parts in several.items():
-        numbers |= zip(parts, getattr(parameters, name), strict=True)
-    return numbers
+if TYPE_CHECKING:
+
+    class ParametersFile(_ParametersForm):
+        """`TwinParameters` as plain data; its fields are those of the table of parameters."""
+
+else:
+    ParametersFile = create_model(
+        "ParametersFile", __base__=_ParametersForm, __module__=__name__, **_fields_of_form()
+    )
 
 
 class MatchingEpoch(Document):

@@ -28,14 +28,14 @@ from sim.matching.light.gamma import GammaMatch, match_gamma, with_level_of_card
 from sim.matching.loss import Weights
 from sim.matching.match import EpochObserver, MatchedTwin, MatchingLimits, match_twin
 from sim.matching.parts import check_scans, fit_scans, match_surfaces
-from sim.matching.record import PLAIN, MatchingRecord
+from sim.matching.record import MatchingRecord
 from sim.matching.reference import Reference
 from sim.matching.refusal import Refusals
 from sim.matching.result import AblationRow, MatchingFigures
 from sim.matching.scene.appearance import match_appearance
 from sim.matching.scene.artefacts import BenchScan, compare_artefacts
 from sim.matching.scene.surface import with_surfaces
-from sim.parameters import TwinParameters
+from sim.parameters import TABLE, TwinParameters
 from sim.twin import Twin
 
 
@@ -77,7 +77,7 @@ class MatchingResult(MatchingFigures):
     def summary(self) -> dict[str, Any]:
         """Give the figures as plain data, as the command line prints them."""
         loss, found = self.final.loss.summary(), self.matched.parameters
-        light = {name: getattr(found, name) for name in PLAIN}
+        light = {name: getattr(found, name) for name in TABLE}
         return {
             **self.diagnosis.summary(),
             **loss,

@@ -17,16 +17,17 @@ from typing import Any
 
 import numpy as np
 
-from sim.matching.fluctuation import bands, flicker, noise, vibration
+from sim.matching.fluctuation import bands, noise
 from sim.matching.fluctuation.frame_terms import FrameTerms, terms_of_pose
-from sim.matching.fluctuation.fringe_rests import fringe_rests
+from sim.matching.fluctuation.fringe_residuals import fringe_residuals
+from sim.matching.fluctuation.vibration_and_flicker import match_flicker, match_vibration
 from sim.matching.geometry import geometry_fit
-from sim.matching.light import light_fit, room_lamp
+from sim.matching.light import light_fit, start_search
 from sim.matching.light.contrast import ContrastSample, board_contrasts, with_common_error
 from sim.matching.record import ParametersFile
 from sim.matching.reference import Reference
 from sim.matching.samples import PixelSample
-from sim.parameters import TwinParameters
+from sim.parameters import FALLOFF, ROOM_LAMP, TwinParameters
 from sim.twin import Twin
 
 SAMPLED_POSES = 6
@@ -150,14 +151,16 @@ def _projector_defocus(at: MatchingContext) -> TwinParameters:
         return at.fit_projector_sharpness()
     if at.contrasts:
         return _focus_by_contrasts(at)
-    start = light_fit.search_focus_grid(at.reference, at.twin, _ends(at.samples), *PROJECTOR_FOCUS, APERTURES)
+    start = start_search.search_focus_grid(
+        at.reference, at.twin, _ends(at.samples), *PROJECTOR_FOCUS, APERTURES
+    )
     return at.with_parameters(start).fit_projector_sharpness()
 
 
 def _focus_by_contrasts(at: MatchingContext) -> TwinParameters:
     """Fit the sharpness without a focus, and from several: contrasts are many times quicker than images."""
     start, found = at.twin.parameters, []
-    for focus in (None, *light_fit.focus_distances(start, "projector_focus_mm")):
+    for focus in (None, *start_search.focus_distances(start, "projector_focus_mm")):
         tried = at.with_parameters(replace(start, projector_focus_mm=focus)).fit_projector_sharpness()
         there = at.twin.with_parameters(tried)
         found.append((light_fit.mean_square_difference(at.reference, there, at.contrasts), tried))
@@ -166,7 +169,7 @@ def _focus_by_contrasts(at: MatchingContext) -> TwinParameters:
 
 def _depth_of_field(at: MatchingContext) -> TwinParameters:
     if not at.camera_focus:
-        start = light_fit.search_focus_grid(
+        start = start_search.search_focus_grid(
             at.reference, at.twin, _ends(at.samples), *CAMERA_FOCUS, F_NUMBERS
         )
         at = at.with_parameters(start)
@@ -184,9 +187,9 @@ def _fit_together(at: MatchingContext) -> TwinParameters:
     now = at.twin.parameters
     names = [*at.blur_by_images, "vignetting"]
     if any(now.projector_falloff):
-        names += light_fit.FALLOFF
+        names += FALLOFF
     if now.lamp_irradiance:
-        names += light_fit.LAMP
+        names += ROOM_LAMP
     if not at.contrasts:
         names += at.projector_focus
     return at.fit(*at.light_parameters(*names, *at.camera_focus))
@@ -216,7 +219,7 @@ def _contrast_left(at: MatchingContext) -> float | None:
 
 
 def _evidence_for_falloff(at: MatchingContext) -> float:
-    free = len(light_fit.FALLOFF) if any(at.twin.parameters.projector_falloff) else 0
+    free = len(FALLOFF) if any(at.twin.parameters.projector_falloff) else 0
     return light_fit.information_criterion(at.reference, at.twin, at.samples, free)
 
 
@@ -224,17 +227,17 @@ def _room_lamp(at: MatchingContext) -> TwinParameters:
     """Fit the light without and with a lamp, which is kept where it explains more than it costs."""
     without = at.with_parameters(at.fit(*at.light_parameters()))
     linear = [name for name in (at.white, "ambient", "black_level") if name in without.light_parameters()]
-    start = room_lamp.search_lamp(at.reference, without.twin, at.samples, linear)
+    start = start_search.search_lamp(at.reference, without.twin, at.samples, linear)
     if start.lamp_irradiance:
         lit = without.with_parameters(start)
-        found = lit.with_parameters(lit.fit(*lit.light_parameters(*light_fit.LAMP)))
+        found = lit.with_parameters(lit.fit(*lit.light_parameters(*ROOM_LAMP)))
         if _evidence_for_lamp(found) < _evidence_for_lamp(without):
             return found.twin.parameters
     return without.twin.parameters
 
 
 def _evidence_for_lamp(at: MatchingContext) -> float:
-    free = len(light_fit.LAMP) if at.twin.parameters.lamp_irradiance else 0
+    free = len(ROOM_LAMP) if at.twin.parameters.lamp_irradiance else 0
     return light_fit.information_criterion(at.reference, at.twin, at.samples, free)
 
 
@@ -244,7 +247,7 @@ def _refine_by_images(at: MatchingContext) -> TwinParameters:
 
 def _rolling_bands(at: MatchingContext) -> TwinParameters:
     now = at.twin.parameters
-    return bands.match_bands(now, at.frame_terms(), fringe_rests(at.reference, now, _spread(at)))
+    return bands.match_bands(now, at.frame_terms(), fringe_residuals(at.reference, now, _spread(at)))
 
 
 def _spread(at: MatchingContext) -> tuple[int, ...]:
@@ -260,13 +263,13 @@ SHARPNESS_OF_BOARD = MatchingStep(
 CHANGING_STEPS = (
     MatchingStep(
         "flicker",
-        lambda at: flicker.match_flicker(at.twin.parameters, at.frame_terms()),
+        lambda at: match_flicker(at.twin.parameters, at.frame_terms()),
         same_images=True,
     ),
     MatchingStep("rolling bands", _rolling_bands, same_images=True),
     MatchingStep(
         "vibration",
-        lambda at: vibration.match_vibration(at.twin.parameters, at.frame_terms()),
+        lambda at: match_vibration(at.twin.parameters, at.frame_terms()),
         same_images=True,
     ),
 )
@@ -283,7 +286,7 @@ FIRST_STEPS = (
     MatchingStep("vignetting", lambda at: at.fit(at.white, "vignetting")),
     MatchingStep(
         "projector falloff",
-        lambda at: at.fit(at.white, "vignetting", *light_fit.FALLOFF),
+        lambda at: at.fit(at.white, "vignetting", *FALLOFF),
         misfit=_evidence_for_falloff,
     ),
     MatchingStep("room lamp", _room_lamp, misfit=_evidence_for_lamp),

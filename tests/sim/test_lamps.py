@@ -22,7 +22,7 @@ from fpplab.patterns.plan import Plan
 from sim.build import Setup, build_scene
 from sim.light import Light, PatternLevels, Show
 from sim.light.lamps import lamp_light, point_lamps
-from sim.parameters import FIELDS, TwinParameters
+from sim.parameters import UNCERTAIN, TwinParameters
 from sim.preview_file import Preview, write_preview
 from sim.sensor import SensorModel
 from sim.surroundings import surroundings_surface
@@ -224,7 +224,7 @@ def test_uncertainty_of_the_lamp_is_written(tmp_path: Path) -> None:
     assert found.uncertainty == {"lamps.room.irradiance": 0.01, "lamps.room.angle_deg": 3.0}
     drawn = found.drawn(3)
     assert drawn.lamps["room"].angle_deg != found.lamps["room"].angle_deg
-    assert set(FIELDS.values()) >= set(found.uncertainty)
+    assert set(UNCERTAIN.values()) >= set(found.uncertainty)
 
 
 def plate_in_the_way(folder: Path) -> dict[str, Any]:

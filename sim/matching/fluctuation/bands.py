@@ -17,9 +17,9 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from fpplab.core.conventions import Floats
+from sim.matching.fluctuation.frame_series import fit_fluctuation
 from sim.matching.fluctuation.frame_terms import ROOM, FrameTerms
-from sim.matching.fluctuation.fringe_rests import Complex, FringeRest, Variances
-from sim.matching.fluctuation.waves import change_of
+from sim.matching.fluctuation.fringe_residuals import Complex, FringeResidual, Variances
 from sim.parameters import TwinParameters
 
 LEAST_BANDS = 2e-3
@@ -54,14 +54,14 @@ class Ripple:
 class Bands:
     """Power of waves along the rows of many frames."""
 
-    rests: tuple[FringeRest, ...]  # V sets of frames that show bands
+    rests: tuple[FringeResidual, ...]  # V sets of frames that show bands
     frequency: Floats  # (F,) in periods per row of the image
     power: Floats  # (V, F) mean squared amplitude of each set, relative to the level
     freedom: Floats  # (V,) independent frames of each set
     height: float  # rows that the board extends over
 
     @classmethod
-    def of(cls, rests: Sequence[FringeRest]) -> Bands | None:
+    def of(cls, rests: Sequence[FringeResidual]) -> Bands | None:
         """Compute the power of waves from `LEAST_PERIOD_PX` to the board's height."""
         shown = tuple(one for one in rests if one.shows_bands)
         if not shown:
@@ -132,7 +132,7 @@ class Bands:
             told.criterion(0.0, 0) - told.criterion(told.further, free),
         )
 
-    def _waves(self, index: int, frequency: float) -> tuple[FringeRest, Complex]:
+    def _waves(self, index: int, frequency: float) -> tuple[FringeResidual, Complex]:
         return self.rests[index], self.rests[index].waves(np.array([frequency]))[:, 0]
 
     def _best_advance(self, frequency: float) -> tuple[float, float]:
@@ -149,7 +149,7 @@ class Bands:
         return float(tried[best]), float(explained[best]) / max(whole, 1e-30)
 
 
-def _one_wave(sets: Sequence[tuple[FringeRest, Complex]], advance: float) -> tuple[complex, float]:
+def _one_wave(sets: Sequence[tuple[FringeResidual, Complex]], advance: float) -> tuple[complex, float]:
     """Fit one wave to the sets of a pose; its complex amplitude, and the frames' worth that tell it.
 
     sets: with the waves (N,) of their frames.
@@ -164,15 +164,15 @@ def _one_wave(sets: Sequence[tuple[FringeRest, Complex]], advance: float) -> tup
 
 def ripple_in_step(seen: Sequence[FrameTerms]) -> Ripple:
     """Take light of the room that is another in every frame, alike in all rows."""
-    found = change_of([one.series(ROOM) for one in seen])
-    swings = bool(found.swing.any())
-    rms = abs(float(found.swing[0])) if swings else found.random.alike
-    advance = found.cycles_per_frame if swings else None
+    found = fit_fluctuation([one.series(ROOM) for one in seen])
+    oscillates = bool(found.oscillation.any())
+    rms = abs(float(found.oscillation[0])) if oscillates else found.random.isotropic
+    advance = found.cycles_per_frame if oscillates else None
     return Ripple(float(np.sqrt(2.0)) * rms, found.sigma, IN_STEP_PX, 0.0, advance, found.gained)
 
 
 def match_bands(
-    now: TwinParameters, seen: Sequence[FrameTerms], rests: Sequence[FringeRest]
+    now: TwinParameters, seen: Sequence[FrameTerms], rests: Sequence[FringeResidual]
 ) -> TwinParameters:
     """Give a twin the rippling light of the bench's room: bands along the rows, or light that is in step."""
     share = float(np.mean([one.room_share for one in seen]))

@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from fpplab.core.conventions import Floats
 from fpplab.patterns.plan import Plan
 from fpplab.phase.common_errors import beyond_fringe
-from sim.matching.fluctuation.waves import Series
+from sim.matching.fluctuation.frame_series import Series
 from sim.matching.geometry.board_shape import change_by_bend
 from sim.matching.geometry.geometry_fit import levels_with_gradient
-from sim.matching.geometry.places import slopes_by_move
+from sim.matching.geometry.surface_points import slopes_by_move
 from sim.matching.loss import board_mask, subsample_pixels
 from sim.matching.reference import Reference
 from sim.matching.samples import TILES, tile_numbers

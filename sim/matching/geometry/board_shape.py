@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from fpplab.core.conventions import Floats, PixelIndices
-from sim.matching.geometry.places import places_seen
+from sim.matching.geometry.surface_points import surface_and_projector_points
 from sim.matching.reference import Reference
 from sim.parameters import TwinParameters
 
@@ -42,7 +42,7 @@ def bend_moves(reference: Reference, parameters: TwinParameters, pose: int, pixe
     # returns (P, 3) mm
     points = np.stack(pixels[::-1], axis=-1).astype(np.float64)
     there = parameters.poses[pose]
-    places = places_seen(points, parameters.calibration, there)[:, :2]
+    places = surface_and_projector_points(points, parameters.calibration, there)[:, :2]
     return np.outer(bend_mm(reference.characterisation.board, places), there.rotation[:, 2])
 
 

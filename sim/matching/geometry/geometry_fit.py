@@ -4,7 +4,7 @@ By images: a pixel's level is the reflectance at the point (x, y) of the board t
 of the point (u, v) of the projector's image that illuminates it. The twin gives the derivatives of the level
 by these four with the level itself. (Those of a twin that has none are found by finite differences: it is
 rendered with board and projector image slightly shifted.) The derivatives of the four by every parameter are
-plain geometry (`sim.matching.geometry.places`): Gauss-Newton on image residuals, as in image alignment.
+plain geometry (`surface_points`): Gauss-Newton on image residuals, as in image alignment.
 
 References
 ----------
@@ -30,7 +30,7 @@ from fpplab.characterisation.zhang import matrix_of, transform
 from fpplab.core.conventions import Floats, PixelIndices
 from fpplab.core.geometry import Pinhole, RigidTransform
 from sim.matching.geometry.board_shape import change_by_bend
-from sim.matching.geometry.places import place_jacobian, slopes_by_move
+from sim.matching.geometry.surface_points import points_jacobian, slopes_by_move
 from sim.matching.loss import SURROUNDINGS_PX, board_mask, level_weights, subsample_pixels
 from sim.matching.reference import Reference
 from sim.matching.samples import TILES, tile_numbers
@@ -230,7 +230,7 @@ class PoseResidual:
         """Compute the derivatives of the levels by the parameters of `refine_by_images`."""
         # returns (P, C)
         points = np.stack(self.pixels[::-1], axis=-1).astype(np.float64)
-        places = place_jacobian(points, at.calibration, at.poses[self.pose], free)
+        places = points_jacobian(points, at.calibration, at.poses[self.pose], free)
         across, down = ((points - points.mean(axis=0)) / np.ptp(points, axis=0)).T
         for seen, laplacian, level_gradient in zip(
             self.expected, self.laplacian, self.level_gradient, strict=True

@@ -43,7 +43,7 @@ BRIGHTNESS_SHARE = 0.1
 """Width of the neighbourhood whose brightness edges are divided by, as a share of the board's side."""
 MIN_SSIM = 0.8
 """SSIM over the board below which the twin does not match."""
-RUINOUS_UNLIKE = 3.0
+MAX_IMAGE_DIFFERENCE = 3.0
 """Excess of unlike images from which on nobody should use the twin."""
 MAX_HARMONIC_DIFFERENCE = 0.02
 """Greatest difference of the fringes' second harmonic from that of the response, as a share of the fringe:
@@ -202,4 +202,4 @@ def similarity_finding(alike: float, unexplained: float) -> Finding | None:
         f"SSIM over the board is {alike:.3f} at best, but at least {MIN_SSIM:g} is needed; {unexplained:.1f} "
         "levels of difference are left"
     )
-    return Finding(UNLIKE_IMAGES, words, RUINOUS_UNLIKE * (1.0 - alike) / (1.0 - MIN_SSIM))
+    return Finding(UNLIKE_IMAGES, words, MAX_IMAGE_DIFFERENCE * (1.0 - alike) / (1.0 - MIN_SSIM))

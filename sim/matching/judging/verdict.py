@@ -18,10 +18,10 @@ from fpplab.diagnosis.causes.of_matching_and_search import (
 )
 from fpplab.patterns.recording import Recording
 from fpplab.sessions.session import Session
-from sim.matching.judging.plausibility import RUINOUS_UNLIKE
-from sim.matching.light.light_fit import ADJUSTABLE
+from sim.matching.judging.plausibility import MAX_IMAGE_DIFFERENCE
 from sim.matching.match import CONVERGED, EQUAL_LOSS
 from sim.matching.result import MatchingFigures
+from sim.parameters import ADJUSTABLE
 
 MOST_UNLIKE = 0.03
 """RMS difference between images of bench and twin over the board, without noise, as a share of full scale."""
@@ -33,22 +33,9 @@ ARTEFACT_SHARE, ARTEFACT_UM = 0.3, 2.0
 """Difference between bench and twin on an artefact that counts, as a share of the bench's and in µm."""
 NEAR_BORDER = 1e-3
 """Share of a parameter's range within which it lies at the border."""
-NATURAL = frozenset(
-    {
-        "ink",
-        "ambient",
-        "black_level",
-        "projector_blur",
-        "projector_aperture_mm",
-        "vignetting",
-        "lamp_nearness",
-    }
-)
-"""Parameters whose least value a device may well have: no ambient light, a sharp projector, a lamp
-far away."""
 RUINOUS = {
     NO_GAIN: 1.0,
-    UNLIKE_IMAGES: RUINOUS_UNLIKE,
+    UNLIKE_IMAGES: MAX_IMAGE_DIFFERENCE,
     LENS_NOT_LOCKED: 1.0,
 }
 """Excess from which on nobody should use the twin, unless the cause is accepted."""
@@ -132,12 +119,12 @@ def _at_borders(found: MatchingFigures) -> Iterator[Finding]:
     for name, parameter in ADJUSTABLE.items():
         if getattr(now, name, 0.0) is None:  # a focus that was not searched
             continue
-        value = parameter.read(now)
-        span = NEAR_BORDER * (parameter.upper - parameter.lower)
-        below = value - parameter.lower <= span and name not in NATURAL
+        value, fit = parameter.read(now), parameter.fit
+        span = NEAR_BORDER * (fit.upper - fit.lower)
+        below = value - fit.lower <= span and not fit.may_be_at_lower_bound
         moved = getattr(start, name, 0.0) is None or value != parameter.read(start)
-        if moved and (below or parameter.upper - value <= span):
-            words = f"{name} is {value:.4g}, and may be from {parameter.lower:g} to {parameter.upper:g}"
+        if moved and (below or fit.upper - value <= span):
+            words = f"{name} is {value:.4g}, and may be from {fit.lower:g} to {fit.upper:g}"
             advice = "correct what the twin's file says of lamp, lens or board, and match again"
             yield Finding(AT_BORDER, words, 1.0, advice)
 

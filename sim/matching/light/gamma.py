@@ -19,8 +19,7 @@ from fpplab.patterns.curve import Curve
 from fpplab.patterns.fringes import Pattern, uniform_patterns
 from fpplab.patterns.response import Response
 from fpplab.patterns.response_fit import GRID, MEAN, pixels_of_regions, statistics
-from sim.matching.light.light_fit import normalised_response
-from sim.parameters import TwinParameters
+from sim.parameters import TwinParameters, normalised_response
 from sim.twin import Twin
 
 MAX_EPOCHS = 10

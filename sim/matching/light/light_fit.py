@@ -7,20 +7,18 @@ the reflectance of its print, ambient light, and the camera's black level.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import lsq_linear
 
 from fpplab.core.conventions import Floats
 from fpplab.core.robust import multiway_covariance
-from fpplab.patterns.curve import Curve
 from sim.matching.loss import level_weights
 from sim.matching.reference import Reference
 from sim.matching.samples import LightSample, PixelSample
-from sim.parameters import TwinParameters
+from sim.parameters import ADJUSTABLE, TwinParameters
 from sim.twin import Twin
 
 MAX_ROUNDS = 3
@@ -29,102 +27,6 @@ CONVERGED_GAIN = 5e-3
 MAX_HALVINGS = 4
 LEAST_EIGENVALUE = 1e-9
 """Of the scaled normal equations, relative to the greatest: what is less determined is left as it is."""
-
-
-@dataclass(frozen=True)
-class AdjustableParameter:
-    """A scalar parameter of a twin that can be fitted."""
-
-    step: float  # step of the finite difference, in the parameter's unit
-    lower: float  # range of values that a world accepts
-    upper: float  # range of values that a world accepts
-    read: Callable[[TwinParameters], float]  # gives the value from `TwinParameters`
-    set: Callable[[TwinParameters, float], TwinParameters]  # gives `TwinParameters` with another value
-
-    def with_value(self, parameters: TwinParameters, value: float) -> TwinParameters:
-        """Set the value, clipped to the range."""
-        return self.set(parameters, min(max(value, self.lower), self.upper))
-
-
-def _plain(name: str, step: float, lower: float, upper: float) -> AdjustableParameter:
-    def read(parameters: TwinParameters) -> float:
-        return float(getattr(parameters, name))
-
-    def set_(parameters: TwinParameters, value: float) -> TwinParameters:
-        changes: dict[str, Any] = {name: value}
-        return replace(parameters, **changes)
-
-    return AdjustableParameter(step, lower, upper, read, set_)
-
-
-def _coefficient(index: int) -> AdjustableParameter:
-    """One of the projector's falloff."""
-
-    def set_(parameters: TwinParameters, value: float) -> TwinParameters:
-        x, y, xx, xy, yy = (
-            value if n == index else one for n, one in enumerate(parameters.projector_falloff)
-        )
-        return replace(parameters, projector_falloff=(x, y, xx, xy, yy))
-
-    return AdjustableParameter(0.02, -2.0, 2.0, lambda p: p.projector_falloff[index], set_)
-
-
-def _nearness() -> AdjustableParameter:
-    """The inverse of the lamp's distance, in 1/m: light changes evenly with it, and far away it is 0."""
-    return AdjustableParameter(
-        0.05,
-        0.01,
-        10.0,
-        lambda p: 1e3 / p.lamp_distance_mm,
-        lambda p, value: replace(p, lamp_distance_mm=1e3 / value),
-    )
-
-
-FALLOFF = tuple(f"falloff_{term}" for term in ("x", "y", "xx", "xy", "yy"))
-"""Names of the coefficients of the projector's falloff."""
-LAMP = ("lamp_irradiance", "lamp_angle_deg", "lamp_azimuth_deg", "lamp_nearness")
-"""Names of the parameters of the room's lamp."""
-
-
-def normalised_response(curve: Curve, *, black: float | None = None, g: float | None = None) -> Curve:
-    """Scale a response so that its white is 1."""
-    dark = curve.b / (curve.a + curve.b) if black is None else black
-    return Curve(a=1.0 - dark, b=dark, g=curve.g if g is None else g, spline=curve.spline)
-
-
-ADJUSTABLE = {
-    "white": _plain("white", 0.01, 0.01, 100.0),
-    "paper": _plain("paper", 0.01, 0.02, 1.0),
-    "ink": _plain("ink", 0.005, 0.0, 1.0),
-    "ambient": _plain("ambient", 0.005, 0.0, 10.0),
-    "black_level": _plain("black_level", 0.002, 0.0, 0.49),
-    "projector_blur": _plain("projector_blur", 0.05, 0.35, 20.0),
-    "projector_focus_mm": _plain("projector_focus_mm", 2.0, 50.0, 5000.0),
-    "projector_aperture_mm": _plain("projector_aperture_mm", 0.5, 0.0, 60.0),
-    "camera_focus_mm": _plain("camera_focus_mm", 2.0, 50.0, 5000.0),
-    "f_number": _plain("f_number", 0.2, 0.7, 64.0),
-    "vignetting": _plain("vignetting", 0.5, 0.0, 40.0),
-    **{name: _coefficient(index) for index, name in enumerate(FALLOFF)},
-    "lamp_irradiance": _plain("lamp_irradiance", 0.005, 0.0, 10.0),
-    "lamp_angle_deg": _plain("lamp_angle_deg", 2.0, -150.0, 150.0),
-    "lamp_azimuth_deg": _plain("lamp_azimuth_deg", 2.0, -360.0, 360.0),
-    "lamp_nearness": _nearness(),
-    "b": AdjustableParameter(
-        0.005,
-        0.0,
-        0.5,
-        lambda p: p.response.b,
-        lambda p, v: replace(p, response=normalised_response(p.response, black=v)),
-    ),
-    "g": AdjustableParameter(
-        0.01,
-        0.2,
-        5.0,
-        lambda p: p.response.g,
-        lambda p, v: replace(p, response=normalised_response(p.response, g=v)),
-    ),
-}
-"""The parameters that can be fitted, by name; `b` and `g` are those of the response."""
 
 
 def light_residuals(reference: Reference, twin: Twin, samples: Sequence[LightSample]) -> Floats:
@@ -186,7 +88,7 @@ def _round(
     scaled = matrix / scale
     normal, gradient = scaled.T @ (weight[:, None] * scaled), scaled.T @ (weight * residual)
     value = np.array([ADJUSTABLE[name].read(start) for name in names])
-    lowest, highest = np.array([(ADJUSTABLE[name].lower, ADJUSTABLE[name].upper) for name in names]).T
+    lowest, highest = np.array([(ADJUSTABLE[name].fit.lower, ADJUSTABLE[name].fit.upper) for name in names]).T
     step = _bounded_step(normal, gradient, (lowest - value) * scale, (highest - value) * scale) / scale
     sigma = dict(
         zip(names, (_standard_errors(scaled, weight, residual, samples) / scale).tolist(), strict=True)
@@ -227,7 +129,7 @@ def level_slopes(
     for name in names:
         knob = ADJUSTABLE[name]
         value = knob.read(start)
-        by = knob.step if value + knob.step <= knob.upper else -knob.step
+        by = knob.fit.step if value + knob.fit.step <= knob.fit.upper else -knob.fit.step
         there = twin.with_parameters(knob.set(start, value + by))
         slopes.append((residual - light_residuals(reference, there, samples)) / by)
     return np.stack(slopes, axis=1)
@@ -264,35 +166,3 @@ def _step_candidates(
             tried = knob.with_value(tried, knob.read(start) + by / 2**halving)
         there = twin.with_parameters(tried)
         yield there, light_residuals(reference, there, samples)
-
-
-def focus_distances(parameters: TwinParameters, focus: str) -> list[float]:
-    """Give distances at which a focus may be, by those of the board's poses."""
-    depths = np.array([pose.translation[2] for pose in parameters.poses])
-    if focus == "projector_focus_mm":
-        to_projector = parameters.calibration.T_projector_camera
-        depths = np.array([to_projector.apply(pose.translation)[2] for pose in parameters.poses])
-    middle, half = float(np.median(depths)), max(float(np.ptp(depths)), 0.05 * float(np.median(depths)))
-    return [middle + share * half for share in (-0.4, 0.0, 0.4)]
-
-
-def search_focus_grid(
-    reference: Reference,
-    twin: Twin,
-    samples: Sequence[LightSample],
-    focus: str,
-    aperture: str,
-    apertures: Sequence[float],
-) -> TwinParameters:
-    """Search a coarse grid of focus distance and aperture, to find a start for a fit of both."""
-    start = twin.parameters
-    own = float(getattr(start, aperture))
-    grid = [(depth, own * opening) for depth in focus_distances(start, focus) for opening in apertures]
-    best, least = start, mean_square_difference(reference, twin, samples)
-    for depth, opening in grid:
-        changes: dict[str, Any] = {focus: depth, aperture: opening}
-        tried = replace(start, **changes)
-        found = mean_square_difference(reference, twin.with_parameters(tried), samples)
-        if found < least:
-            best, least = tried, found
-    return best

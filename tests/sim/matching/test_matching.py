@@ -27,7 +27,7 @@ from sim.matching import match
 from sim.matching.evaluation import evaluate
 from sim.matching.fluctuation import noise
 from sim.matching.fluctuation.frame_terms import terms_of_pose
-from sim.matching.fluctuation.vibration import match_vibration
+from sim.matching.fluctuation.vibration_and_flicker import match_vibration
 from sim.matching.geometry import geometry_fit
 from sim.matching.geometry.card import fitted_plane, moved_into_plane
 from sim.matching.judging import plausibility
@@ -39,7 +39,7 @@ from sim.matching.record import EPOCHS, MatchingEpoch, MatchingRecord, Parameter
 from sim.matching.reference import Reference
 from sim.matching.refusal import Refusals, acceptable_causes
 from sim.matching.samples import sample_pixels
-from sim.parameters import TwinParameters
+from sim.parameters import ADJUSTABLE, TwinParameters
 from tests.support.plane_twin import (
     CAMERA,
     PAIR,
@@ -245,7 +245,7 @@ def test_the_right_noise_is_the_best_and_images_are_compared_without_any(truth: 
 
 
 def test_an_adjustable_parameter_is_clipped_to_its_range() -> None:
-    knob = light_fit.ADJUSTABLE["paper"]
+    knob = ADJUSTABLE["paper"]
     assert knob.read(knob.with_value(nominal(()), 1.7)) == 1.0
 
 
@@ -445,7 +445,7 @@ def test_a_result_of_low_similarity_is_useless() -> None:
     found = plausibility.similarity_finding(0.5, 20.0)
     assert found is not None
     assert found.evidence.startswith("SSIM over the board is 0.500")
-    assert found.excess >= plausibility.RUINOUS_UNLIKE
+    assert found.excess >= plausibility.MAX_IMAGE_DIFFERENCE
 
 
 def test_the_response_of_another_rig_is_refused_before_the_work(truth: TwinParameters) -> None:

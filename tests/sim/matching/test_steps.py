@@ -40,9 +40,11 @@ def fitted_black(reference: Reference, start: TwinParameters) -> tuple[float, fl
     samples = sample_pixels(reference, start, (0, 2), reference.finest)
     at = MatchingContext(reference, twin, samples, "white")
     found = at.fit("white", "ink", "ambient", "black_level")
+    at = at.with_parameters(found)
     again = at.fit(*at.light_parameters())
     assert again.black_level == pytest.approx(found.black_level, abs=1e-3)
-    return FULL * found.black_level, light_fit.mean_square_difference(reference, twin, samples)
+    at = at.with_parameters(again)
+    return FULL * found.black_level, light_fit.mean_square_difference(reference, at.twin, samples)
 
 
 def test_light_that_no_parameter_tells_is_not_taken_for_black(truth: TwinParameters) -> None:

@@ -10,10 +10,10 @@ import pytest
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
 from sim.matching.fluctuation.bands import IN_STEP_PX, Bands
+from sim.matching.fluctuation.frame_series import fit_fluctuation
 from sim.matching.fluctuation.frame_terms import GAIN
-from sim.matching.fluctuation.fringe_rests import Variances, fringe_rests, rest_of_set
-from sim.matching.fluctuation.vibration import match_vibration
-from sim.matching.fluctuation.waves import change_of
+from sim.matching.fluctuation.fringe_residuals import Variances, fringe_residuals, residual_of_set
+from sim.matching.fluctuation.vibration_and_flicker import match_vibration
 from sim.matching.samples import sample_pixels
 from sim.matching.steps import FIRST_STEPS, MatchingContext
 from sim.parameters import TwinParameters
@@ -44,7 +44,9 @@ def proposed(name: str, bench: TwinParameters, start: TwinParameters) -> TwinPar
 def test_flicker_of_a_shaking_bench_is_found(truth: TwinParameters, flicker: float) -> None:
     bench = replace(truth, projector_flicker=flicker, vibration_mm=SHAKEN_MM)
     found = proposed("flicker", bench, truth)
-    told = change_of([one.series(GAIN) for one in context(bench, truth).frame_terms()], swings=False)
+    told = fit_fluctuation(
+        [one.series(GAIN) for one in context(bench, truth).frame_terms()], oscillates=False
+    )
     assert told.gained > 20
     assert found.projector_flicker == pytest.approx(flicker, rel=0.25)
     assert abs(found.projector_flicker - flicker) < 3 * found.sigma["projector_flicker"]
@@ -63,7 +65,7 @@ def test_rolling_bands_are_found(truth: TwinParameters) -> None:
     bench = replace(lit, ambient_ripple=0.3, band_period_px=37.0, vibration_mm=SHAKEN_MM)
     found = proposed("rolling bands", bench, lit)
     at = context(bench, lit)
-    told = Bands.of(fringe_rests(at.reference, lit, range(len(lit.poses))))
+    told = Bands.of(fringe_residuals(at.reference, lit, range(len(lit.poses))))
     assert told is not None
     assert told.rolling(0.1).gained > 20
     assert found.ambient_ripple == pytest.approx(0.3, rel=0.3)
@@ -135,11 +137,11 @@ def test_motion_of_fringes_leaves_no_waves() -> None:
     moved = random.normal(0, 0.01, (12, 2)) @ slopes / 100
     levels = (1 + gains + moved) * (100 + 80 * np.cos(shifted)) + random.normal(0, 1, shifted.shape)
     places = (pixels[0], pixels[1])
-    bands = Bands.of([rest_of_set(levels, slopes, places, fringe)])
+    bands = Bands.of([residual_of_set(levels, slopes, places, fringe)])
     assert bands is not None
     assert bands.rolling(0.1).gained < 0
     waves = 0.4 * np.cos(2 * np.pi * (pixels[0] / 23.0 + 0.3 * np.arange(12)[:, None]))
-    bands = Bands.of([rest_of_set(levels + waves, slopes, places, fringe)])
+    bands = Bands.of([residual_of_set(levels + waves, slopes, places, fringe)])
     assert bands is not None
     found = bands.rolling(0.1)
     assert found.gained > 10

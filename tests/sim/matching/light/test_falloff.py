@@ -7,11 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from fpplab.core.conventions import Floats
-from sim.matching.light import light_fit
-from sim.matching.record import named_numbers
 from sim.matching.samples import sample_pixels
 from sim.matching.steps import FIRST_STEPS, MatchingContext, MatchingStep
-from sim.parameters import TwinParameters
+from sim.parameters import FALLOFF, TwinParameters, named_numbers
 from tests.sim.matching.test_matching import reference_of, truth
 from tests.support.plane_twin import PAIR, PROJECTOR, PlaneTwin
 
@@ -39,7 +37,7 @@ def test_falloff_of_the_projector_is_found(truth: TwinParameters) -> None:
     """Where board and light meet: its coefficients are known no better than that part of the image shows."""
     proposed, gained = judged_falloff(replace(truth, projector_falloff=FALLEN_OFF), truth)
     assert gained > 20
-    off = (np.array(proposed.projector_falloff) - FALLEN_OFF) / [proposed.sigma[n] for n in light_fit.FALLOFF]
+    off = (np.array(proposed.projector_falloff) - FALLEN_OFF) / [proposed.sigma[n] for n in FALLOFF]
     assert np.abs(off).max() < 4
     field, true = (
         falloff_over_the_board(one, truth) for one in (proposed, replace(truth, projector_falloff=FALLEN_OFF))
@@ -64,5 +62,5 @@ def test_even_light_has_no_falloff(truth: TwinParameters) -> None:
 
 def test_numbers_of_a_matching_name_each_coefficient(truth: TwinParameters) -> None:
     numbers = named_numbers(replace(truth, projector_falloff=FALLEN_OFF))
-    assert tuple(numbers[name] for name in light_fit.FALLOFF) == FALLEN_OFF
+    assert tuple(numbers[name] for name in FALLOFF) == FALLEN_OFF
     assert all(value is None or isinstance(value, float) for value in numbers.values()), numbers

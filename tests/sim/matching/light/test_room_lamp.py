@@ -9,10 +9,9 @@ import pytest
 
 from fpplab.core.conventions import Floats
 from fpplab.patterns.fringes import uniform_patterns
-from sim.matching.light import light_fit
 from sim.matching.samples import sample_pixels
 from sim.matching.steps import FIRST_STEPS, MatchingContext, MatchingStep
-from sim.parameters import TwinParameters
+from sim.parameters import ADJUSTABLE, ROOM_LAMP, TwinParameters
 from tests.sim.matching.test_matching import reference_of
 from tests.support.plane_twin import SETTINGS, PlaneTwin, nominal, tilted
 
@@ -61,9 +60,8 @@ def test_lamp_is_found(truth: TwinParameters) -> None:
     proposed, gained = judged_lamp(bench, replace(truth, ambient=0.05))
     assert gained > 20
     errors = {
-        name: (light_fit.ADJUSTABLE[name].read(proposed) - light_fit.ADJUSTABLE[name].read(bench))
-        / proposed.sigma[name]
-        for name in light_fit.LAMP
+        name: (ADJUSTABLE[name].read(proposed) - ADJUSTABLE[name].read(bench)) / proposed.sigma[name]
+        for name in ROOM_LAMP
     }
     assert max(map(abs, errors.values())) < 4, errors
     found, true = room_light(proposed), room_light(bench)

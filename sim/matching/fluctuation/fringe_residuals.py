@@ -35,7 +35,7 @@ LEAST_IMAGES = 7
 
 
 @dataclass(frozen=True, eq=False)
-class FringeRest:
+class FringeResidual:
     """What is left of one fringe set of one pose."""
 
     pose: int  # index of the pose
@@ -63,12 +63,14 @@ class FringeRest:
         return np.asarray(self.rest @ waves / (self.level @ self.level))
 
 
-def fringe_rests(reference: Reference, parameters: TwinParameters, poses: Sequence[int]) -> list[FringeRest]:
+def fringe_residuals(
+    reference: Reference, parameters: TwinParameters, poses: Sequence[int]
+) -> list[FringeResidual]:
     """Fit the fringe sets of some poses."""
     return [one for pose in poses for one in _of_pose(reference, parameters, pose)]
 
 
-def _of_pose(reference: Reference, parameters: TwinParameters, pose: int) -> Iterator[FringeRest]:
+def _of_pose(reference: Reference, parameters: TwinParameters, pose: int) -> Iterator[FringeResidual]:
     area = board_mask(parameters.calibration.camera, parameters.poses[pose], reference.target)
     pixels, grey = subsample_pixels(area, PIXELS), raw_per_grey(reference.settings.bits)
     plan, black = reference.plan, 255.0 * parameters.black_level
@@ -80,7 +82,7 @@ def _of_pose(reference: Reference, parameters: TwinParameters, pose: int) -> Ite
         slopes = np.stack([one[pixels] for one in np.gradient(frames.mean(axis=0))]) / grey
         levels = frames[:, *pixels].astype(np.float64)
         clear = levels.max(axis=0) < reference.full_scale
-        yield rest_of_set(
+        yield residual_of_set(
             levels[:, clear] / grey - black,
             slopes[:, clear],
             (pixels[0][clear], pixels[1][clear]),
@@ -89,13 +91,13 @@ def _of_pose(reference: Reference, parameters: TwinParameters, pose: int) -> Ite
         )
 
 
-def rest_of_set(
+def residual_of_set(
     levels: Floats,
     slopes: Floats,
     pixels: PixelIndices,
     fringe: FringeSet,
     place: tuple[int, int] = (0, 0),
-) -> FringeRest:
+) -> FringeResidual:
     """Take offset, fringes, flicker and motion off the frames of a set."""
     # levels (N, P); slopes (2, P); pixels (P,)
     shift, count = fringe.phase_shifts(), len(levels)
@@ -116,7 +118,7 @@ def rest_of_set(
     for n, regressor in enumerate(regressors):
         rest = rest - beyond @ (for_all[n * count : (n + 1) * count, None] * regressor)
     frames = place[1] + np.arange(count, dtype=np.float64)
-    return FringeRest(place[0], frames, rest, beyond, offset, pixels[0].astype(np.float64), fringe.axis)
+    return FringeResidual(place[0], frames, rest, beyond, offset, pixels[0].astype(np.float64), fringe.axis)
 
 
 def _inverse(normal: Floats) -> Floats:

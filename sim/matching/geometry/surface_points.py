@@ -14,7 +14,7 @@ from fpplab.core.conventions import Floats, PixelIndices
 from fpplab.core.geometry import Pinhole, RigidTransform, distort
 
 
-def places_seen(pixels: Floats, known: Calibration, pose: RigidTransform) -> Floats:
+def surface_and_projector_points(pixels: Floats, known: Calibration, pose: RigidTransform) -> Floats:
     """Compute what pixels see of a board."""
     # pixels (P, 2) px; returns (P, 4) mm
     points = _points(known.camera.normalise(pixels), pose)
@@ -22,7 +22,7 @@ def places_seen(pixels: Floats, known: Calibration, pose: RigidTransform) -> Flo
     return np.concatenate([pose.inverse().apply(points)[:, :2], lit], axis=-1)
 
 
-def place_jacobian(pixels: Floats, known: Calibration, pose: RigidTransform, free: int) -> Floats:
+def points_jacobian(pixels: Floats, known: Calibration, pose: RigidTransform, free: int) -> Floats:
     """Differentiate what pixels see of a board by every parameter."""
     # pixels (P, 2) px; returns (P, 4, 2 free + 12) rad
     camera, projector, pair = known.camera, known.projector, known.T_projector_camera

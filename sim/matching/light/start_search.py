@@ -1,24 +1,25 @@
-"""Search for a lamp of the room: light beside the projector's that comes from one side.
+"""Searches for the start of a fit, where a step from the present parameters would not lead there.
 
-Its light follows the board's tilt and distance, as even ambient light does not. For each of a grid of
-directions the levels are linear in its irradiance, so that the best direction is found by least squares;
-`sim.matching.light.light_fit.fit_light` goes on from there.
+Focus and aperture are searched on a coarse grid. The light of a lamp of the room follows the board's tilt and
+distance, as even ambient light does not: for each of a grid of directions the levels are linear in its
+irradiance, so that the best direction is found by least squares. `light_fit.fit_light` goes on from there.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from scipy.optimize import lsq_linear
 
 from fpplab.core.conventions import Floats
-from sim.matching.light.light_fit import ADJUSTABLE, level_slopes, light_residuals
+from sim.matching.light.light_fit import level_slopes, light_residuals, mean_square_difference
 from sim.matching.loss import level_weights
 from sim.matching.reference import Reference
-from sim.matching.samples import PixelSample
-from sim.parameters import TwinParameters
+from sim.matching.samples import LightSample, PixelSample
+from sim.parameters import ADJUSTABLE, TwinParameters
 from sim.twin import Twin
 
 ANGLES_DEG = (25.0, 50.0, 75.0)
@@ -60,8 +61,40 @@ def search_lamp(
 
 
 def _stepped(lamp: TwinParameters, names: Sequence[str], step: Floats) -> TwinParameters:
-    changed = replace(lamp, lamp_irradiance=min(float(step[-1]), ADJUSTABLE["lamp_irradiance"].upper))
+    changed = replace(lamp, lamp_irradiance=min(float(step[-1]), ADJUSTABLE["lamp_irradiance"].fit.upper))
     for name, by in zip(names, step[:-1].tolist(), strict=True):
         knob = ADJUSTABLE[name]
         changed = knob.with_value(changed, knob.read(changed) + by)
     return changed
+
+
+def focus_distances(parameters: TwinParameters, focus: str) -> list[float]:
+    """Give distances at which a focus may be, by those of the board's poses."""
+    depths = np.array([pose.translation[2] for pose in parameters.poses])
+    if focus == "projector_focus_mm":
+        to_projector = parameters.calibration.T_projector_camera
+        depths = np.array([to_projector.apply(pose.translation)[2] for pose in parameters.poses])
+    middle, half = float(np.median(depths)), max(float(np.ptp(depths)), 0.05 * float(np.median(depths)))
+    return [middle + share * half for share in (-0.4, 0.0, 0.4)]
+
+
+def search_focus_grid(
+    reference: Reference,
+    twin: Twin,
+    samples: Sequence[LightSample],
+    focus: str,
+    aperture: str,
+    apertures: Sequence[float],
+) -> TwinParameters:
+    """Search a coarse grid of focus distance and aperture, to find a start for a fit of both."""
+    start = twin.parameters
+    own = float(getattr(start, aperture))
+    grid = [(depth, own * opening) for depth in focus_distances(start, focus) for opening in apertures]
+    best, least = start, mean_square_difference(reference, twin, samples)
+    for depth, opening in grid:
+        changes: dict[str, Any] = {focus: depth, aperture: opening}
+        tried = replace(start, **changes)
+        found = mean_square_difference(reference, twin.with_parameters(tried), samples)
+        if found < least:
+            best, least = tried, found
+    return best

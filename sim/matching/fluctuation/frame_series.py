@@ -1,13 +1,13 @@
-"""What changes at random from frame to frame, and what swings with one frequency, in series of several poses.
+"""Fit of what changes from frame to frame, at random or with one frequency, to series of several poses.
 
 Frame n of pose p has, beside a mean of its fringe set and noise of known covariance,
 
     e_n + v r_n + sqrt(2) w sin(2 pi f n + psi_p)
 
-with random numbers e_n, equally large in all directions, others r_n along one line v, and a swing w, alike in
-all poses, of f cycles per frame. Line and swing are kept where Schwarz's criterion asks for them. What moves
-along a line swings along it: across the line, faults of the twin that go in step with the phase steps would
-be taken for a swing.
+with random numbers e_n, equally large in all directions, others r_n along one axis v, and an oscillation w of
+f cycles per frame, the same in all poses. Axis and oscillation are kept where Schwarz's criterion asks for
+them. What moves along an axis oscillates along it: across the axis, faults of the twin that go in step with
+the phase steps would be taken for an oscillation.
 """
 
 from __future__ import annotations
@@ -21,34 +21,34 @@ from scipy.optimize import least_squares, minimize, minimize_scalar
 
 from fpplab.core.conventions import Floats
 
-LEAST_FRAMES = 8
-"""Frames of a pose from which on a frequency is looked for."""
+MIN_FRAMES = 8
+"""Least number of frames of a pose that a frequency is looked for in (chosen)."""
 STEPS_PER_CYCLE = 6
 """Steps of the search for one cycle more in the frames of a pose."""
 ROUNDS = 3
-"""Estimates of what is left beside the swing, each with the one before as noise."""
-LEAST_BESIDE = 0.02
-"""Share of random numbers along a line below which those in all directions are none."""
-SMALLEST = 1e-6
-"""Random numbers below this share of the greatest value are none."""
+"""Estimates of what is left beside the oscillation, each with the one before as noise."""
+MIN_ISOTROPIC_SHARE = 0.02
+"""Least standard deviation in all directions, relative to that along the axis; less counts as 0 (chosen)."""
+MIN_SHARE = 1e-6
+"""Least standard deviation that is looked for, relative to the greatest value."""
 
 
 @dataclass(frozen=True, eq=False)
-class Random:
-    """Random numbers of every frame, independent from frame to frame."""
+class RandomDisplacement:
+    """Random displacements of every frame, independent from frame to frame."""
 
-    alike: float  # standard deviation of what is equally large in all directions
-    line: Floats  # standard deviation (k,) along a line, with signs that tell its direction
+    isotropic: float  # standard deviation of the part that is equally large in all directions
+    axis: Floats  # standard deviation (k,) along an axis, with signs that give its direction
 
     @property
     def covariance(self) -> Floats:
         """(k, k)."""
-        return np.asarray(self.alike**2 * np.eye(len(self.line)) + np.outer(self.line, self.line))
+        return np.asarray(self.isotropic**2 * np.eye(len(self.axis)) + np.outer(self.axis, self.axis))
 
     @property
     def free(self) -> int:
         """Number of parameters."""
-        return int(self.alike > 0) + len(self.line) * int(self.line.any())
+        return int(self.isotropic > 0) + len(self.axis) * int(self.axis.any())
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,18 +62,18 @@ class Series:
 
     @property
     def freedom(self) -> int:
-        """Number of frames that tell anything beside the means of their sets."""
+        """Number of independent frames beside the means of their sets."""
         return len(self.frames) - len(np.unique(self.sets))
 
-    def along(self, direction: Floats, alike: float) -> Series:
+    def along(self, direction: Floats, isotropic: float) -> Series:
         """Estimate the values along a direction, which is all that there is but for random numbers."""
         # direction (k,)
-        inverse = np.linalg.inv(self.covariance + alike**2 * np.eye(len(direction)))
+        inverse = np.linalg.inv(self.covariance + isotropic**2 * np.eye(len(direction)))
         variance = 1.0 / np.einsum("i,nij,j->n", direction, inverse, direction)
         values = variance * np.einsum("i,nij,nj->n", direction, inverse, self.values)
         return Series(self.frames, self.sets, values[:, None], variance[:, None, None])
 
-    def whitening(self, random: Random) -> Floats:
+    def whitening(self, random: RandomDisplacement) -> Floats:
         """Give matrices (n, k, k) that make noise and random numbers have the variance 1."""
         return np.asarray(np.linalg.inv(np.linalg.cholesky(self.covariance + random.covariance)))
 
@@ -90,78 +90,80 @@ class Series:
 
 
 @dataclass(frozen=True, eq=False)
-class Change:
+class FrameFluctuation:
     """What a series has beside noise."""
 
-    random: Random  # from frame to frame
-    swing: Floats  # RMS value (k,) of the swing; 0 for none
-    cycles_per_frame: float  # of the swing
+    random: RandomDisplacement  # from frame to frame
+    oscillation: Floats  # RMS value (k,) of the oscillation; 0 for none
+    cycles_per_frame: float  # of the oscillation
     cycles_sigma: float  # standard uncertainty of that
-    sigma: float  # standard uncertainty of the size of swing or random numbers, relative
+    sigma: float  # standard uncertainty of the size of oscillation or random numbers, relative
     gained: float  # by how much Schwarz's criterion is lower than that of noise alone
 
     @property
     def size(self) -> float:
         """RMS value of all that changes, over all components together."""
-        return float(np.sqrt(np.trace(self.random.covariance) + self.swing @ self.swing))
+        return float(np.sqrt(np.trace(self.random.covariance) + self.oscillation @ self.oscillation))
 
 
-def change_of(seen: Sequence[Series], swings: bool = True) -> Change:
+def fit_fluctuation(seen: Sequence[Series], oscillates: bool = True) -> FrameFluctuation:
     """Estimate what changes, as far as Schwarz's criterion asks for it."""
     size = seen[0].values.shape[1]
-    best, still = Random(0.0, np.zeros(size)), _misfit_of_noise(seen)
+    best, still = RandomDisplacement(0.0, np.zeros(size)), _misfit_of_noise(seen)
     least = still
-    for along_line in (False, True)[: min(size, 2)]:
-        random, left = _random_alone(seen, along_line)
+    for has_axis in (False, True)[: min(size, 2)]:
+        random, left = _random_only(seen, has_axis)
         criterion = _criterion(seen, left, random, random.free)
         if criterion < least:
             best, least = random, criterion
-    found = Change(best, np.zeros(size), 0.0, 0.0, _sigma(seen, best), still - least)
-    enough = min(one.freedom for one in seen) >= LEAST_FRAMES
-    if not swings or not enough or not (best.line.any() or (size == 1 and best.free)):
+    found = FrameFluctuation(best, np.zeros(size), 0.0, 0.0, _sigma(seen, best), still - least)
+    enough = min(one.freedom for one in seen) >= MIN_FRAMES
+    if not oscillates or not enough or not (best.axis.any() or (size == 1 and best.free)):
         return found
-    return _swinging_along(seen, found) if size > 1 else _swinging(seen, found)
+    return _oscillating_along(seen, found) if size > 1 else _oscillating(seen, found)
 
 
-def _swinging(seen: Sequence[Series], found: Change) -> Change:
-    swinging = _with_swing(seen, found.random, _misfit_of_noise(seen))
-    return swinging if swinging.gained > found.gained else found
+def _oscillating(seen: Sequence[Series], found: FrameFluctuation) -> FrameFluctuation:
+    oscillating = _with_oscillation(seen, found.random, _misfit_of_noise(seen))
+    return oscillating if oscillating.gained > found.gained else found
 
 
-def _swinging_along(seen: Sequence[Series], found: Change) -> Change:
-    """Look for a swing in what the series have along the line of the random numbers."""
-    line = found.random.line / np.linalg.norm(found.random.line)
-    along = [one.along(line, found.random.alike) for one in seen]
-    alone = change_of(along, swings=False)
-    swinging = _swinging(along, alone)
-    if not swinging.swing.any():
+def _oscillating_along(seen: Sequence[Series], found: FrameFluctuation) -> FrameFluctuation:
+    """Look for an oscillation in what the series have along the line of the random numbers."""
+    line = found.random.axis / np.linalg.norm(found.random.axis)
+    along = [one.along(line, found.random.isotropic) for one in seen]
+    alone = fit_fluctuation(along, oscillates=False)
+    oscillating = _oscillating(along, alone)
+    if not oscillating.oscillation.any():
         return found
-    random = Random(found.random.alike, swinging.random.alike * line)
+    random = RandomDisplacement(found.random.isotropic, oscillating.random.isotropic * line)
     return replace(
-        swinging,
+        oscillating,
         random=random,
-        swing=swinging.swing[0] * line,
-        gained=found.gained + swinging.gained - alone.gained,
+        oscillation=oscillating.oscillation[0] * line,
+        gained=found.gained + oscillating.gained - alone.gained,
     )
 
 
 def _misfit_of_noise(seen: Sequence[Series]) -> float:
-    nothing = Random(0.0, np.zeros(seen[0].values.shape[1]))
+    nothing = RandomDisplacement(0.0, np.zeros(seen[0].values.shape[1]))
     return _criterion(seen, _all_centred(seen, nothing), nothing, 0)
 
 
-def _random_alone(seen: Sequence[Series], along_line: bool) -> tuple[Random, list[Floats]]:
-    random = Random(0.0, np.zeros(seen[0].values.shape[1]))
+def _random_only(seen: Sequence[Series], has_axis: bool) -> tuple[RandomDisplacement, list[Floats]]:
+    random = RandomDisplacement(0.0, np.zeros(seen[0].values.shape[1]))
     for _ in range(ROUNDS):
-        random = _most_likely(seen, _all_centred(seen, random), 0.0, along_line)
+        random = _most_likely(seen, _all_centred(seen, random), 0.0, has_axis)
     return random, _all_centred(seen, random)
 
 
-def _all_centred(seen: Sequence[Series], random: Random) -> list[Floats]:
+def _all_centred(seen: Sequence[Series], random: RandomDisplacement) -> list[Floats]:
     return [one.centred(one.values, one.whitening(random)) for one in seen]
 
 
-def _most_likely(seen: Sequence[Series], left: Sequence[Floats], taken: float, along_line: bool) -> Random:
+def _most_likely(
+    seen: Sequence[Series], left: Sequence[Floats], taken: float, has_axis: bool
+) -> RandomDisplacement:
     """The most likely random numbers, by what else is left (n, k) of each pose.
 
     taken: parameters that were fitted to each component of each pose, beside the means.
@@ -173,15 +175,18 @@ def _most_likely(seen: Sequence[Series], left: Sequence[Floats], taken: float, a
     ]
     most = max(float(np.abs(one).max()) for one in grown)
     if not most:
-        return Random(0.0, np.zeros(size))
+        return RandomDisplacement(0.0, np.zeros(size))
 
-    def of(unknown: Floats) -> Random:
-        return Random(most * float(np.exp(unknown[0])), most * unknown[1:] if along_line else np.zeros(size))
+    def of(unknown: Floats) -> RandomDisplacement:
+        axis = most * unknown[1:] if has_axis else np.zeros(size)
+        return RandomDisplacement(most * float(np.exp(unknown[0])), axis)
 
-    bounds = (np.log(SMALLEST), 0.0)
-    alike = minimize_scalar(lambda x: _misfit(seen, grown, of(np.append(x, np.zeros(size)))), bounds=bounds)
-    start = np.array([alike.x])
-    if along_line:
+    bounds = (np.log(MIN_SHARE), 0.0)
+    isotropic = minimize_scalar(
+        lambda x: _misfit(seen, grown, of(np.append(x, np.zeros(size)))), bounds=bounds
+    )
+    start = np.array([isotropic.x])
+    if has_axis:
         weights = [1.0 / np.trace(one.covariance, axis1=1, axis2=2) for one in seen]
         scatter = sum(
             np.einsum("n,ni,nj->ij", w, values, values) - np.einsum("n,nij->ij", w, one.covariance)
@@ -193,11 +198,11 @@ def _most_likely(seen: Sequence[Series], left: Sequence[Floats], taken: float, a
         limits = [bounds, *[(-1.0, 1.0)] * size]
         start = minimize(lambda unknown: _misfit(seen, grown, of(unknown)), start, bounds=limits).x
     random = of(start)
-    least = max(10 * SMALLEST * most, LEAST_BESIDE * float(np.linalg.norm(random.line)))
-    return replace(random, alike=0.0) if random.alike < least else random
+    least = max(10 * MIN_SHARE * most, MIN_ISOTROPIC_SHARE * float(np.linalg.norm(random.axis)))
+    return replace(random, isotropic=0.0) if random.isotropic < least else random
 
 
-def _sigma(seen: Sequence[Series], random: Random) -> float:
+def _sigma(seen: Sequence[Series], random: RandomDisplacement) -> float:
     """Relative standard uncertainty of the size of random numbers, by the frames that tell them."""
     told = 0.0
     for one in seen:
@@ -208,7 +213,7 @@ def _sigma(seen: Sequence[Series], random: Random) -> float:
     return float(1.0 / np.sqrt(2.0 * max(told, 1e-12)))
 
 
-def _misfit(seen: Sequence[Series], left: Sequence[Floats], random: Random) -> float:
+def _misfit(seen: Sequence[Series], left: Sequence[Floats], random: RandomDisplacement) -> float:
     """Twice the negative logarithm of the likelihood of what is left, but for a constant."""
     total = 0.0
     for one, values in zip(seen, left, strict=True):
@@ -218,27 +223,29 @@ def _misfit(seen: Sequence[Series], left: Sequence[Floats], random: Random) -> f
     return total
 
 
-def _criterion(seen: Sequence[Series], left: Sequence[Floats], random: Random, free: int) -> float:
+def _criterion(
+    seen: Sequence[Series], left: Sequence[Floats], random: RandomDisplacement, free: int
+) -> float:
     count = sum(values.size for values in left)
     return _misfit(seen, left, random) + free * float(np.log(count))
 
 
-def _with_swing(seen: Sequence[Series], random: Random, still: float) -> Change:
-    size, along_line = seen[0].values.shape[1], bool(random.line.any())
+def _with_oscillation(seen: Sequence[Series], random: RandomDisplacement, still: float) -> FrameFluctuation:
+    size, has_axis = seen[0].values.shape[1], bool(random.axis.any())
     unknown, left = _start(*_strongest(seen, random)), []
     for _ in range(ROUNDS):
         whites = [one.whitening(random) for one in seen]
-        found = least_squares(_whitened_rest, unknown, args=(seen, whites), x_scale="jac")
+        found = least_squares(_whitened_residual, unknown, args=(seen, whites), x_scale="jac")
         unknown = found.x
-        left = _rest(unknown, seen, whites)
-        random = _most_likely(seen, left, (1 + size + len(seen)) / (size * len(seen)), along_line)
+        left = _residual(unknown, seen, whites)
+        random = _most_likely(seen, left, (1 + size + len(seen)) / (size * len(seen)), has_axis)
     variance = np.linalg.pinv(found.jac.T @ found.jac)
-    swing = unknown[1 : 1 + size]
-    length = max(float(np.linalg.norm(swing)), 1e-300)
-    of_size = float(np.sqrt(swing @ variance[1 : 1 + size, 1 : 1 + size] @ swing)) / length**2
-    return Change(
+    oscillation = unknown[1 : 1 + size]
+    length = max(float(np.linalg.norm(oscillation)), 1e-300)
+    of_size = float(np.sqrt(oscillation @ variance[1 : 1 + size, 1 : 1 + size] @ oscillation)) / length**2
+    return FrameFluctuation(
         random,
-        swing,
+        oscillation,
         float(np.clip(unknown[0], 1e-6, 0.5)),
         float(np.sqrt(variance[0, 0])),
         of_size,
@@ -246,7 +253,7 @@ def _with_swing(seen: Sequence[Series], random: Random, still: float) -> Change:
     )
 
 
-def _strongest(seen: Sequence[Series], random: Random) -> tuple[float, NDArray[np.complex128]]:
+def _strongest(seen: Sequence[Series], random: RandomDisplacement) -> tuple[float, NDArray[np.complex128]]:
     """Find the frequency with which waves of any size in every pose explain most.
 
     Returns it, and there the amplitudes (poses, k) x of `Re(x exp(2 pi i f n))`.
@@ -284,28 +291,28 @@ def _wave_of_pose(one: Series, white: Floats, frequency: float) -> tuple[float, 
 
 
 def _start(frequency: float, amplitudes: NDArray[np.complex128]) -> Floats:
-    """Start of the fit: frequency, swing (k,) RMS, and the phase of every pose in rad."""
+    """Start of the fit: frequency, oscillation (k,) RMS, and the phase of every pose in rad."""
     directions = np.linalg.eigh(np.real(amplitudes.T @ amplitudes.conj()))[1]
     along = amplitudes @ directions[:, -1]
-    swing = np.sqrt(0.5 * np.mean(np.abs(along) ** 2)) * directions[:, -1]
-    return np.concatenate([[frequency], swing, np.angle(along) + 0.5 * np.pi])
+    oscillation = np.sqrt(0.5 * np.mean(np.abs(along) ** 2)) * directions[:, -1]
+    return np.concatenate([[frequency], oscillation, np.angle(along) + 0.5 * np.pi])
 
 
-def _rest(unknown: Floats, seen: Sequence[Series], whites: Sequence[Floats]) -> list[Floats]:
-    """What a swing leaves of the values (n, k) of each pose, without the means of their sets."""
+def _residual(unknown: Floats, seen: Sequence[Series], whites: Sequence[Floats]) -> list[Floats]:
+    """What an oscillation leaves of the values (n, k) of each pose, without the means of their sets."""
     size = seen[0].values.shape[1]
-    frequency, swing, phases = unknown[0], unknown[1 : 1 + size], unknown[1 + size :]
+    frequency, oscillation, phases = unknown[0], unknown[1 : 1 + size], unknown[1 + size :]
     left = []
     for one, phase, white in zip(seen, phases, whites, strict=True):
         wave = np.sqrt(2.0) * np.sin(2 * np.pi * frequency * one.frames + phase)
-        left.append(one.centred(one.values - np.outer(wave, swing), white))
+        left.append(one.centred(one.values - np.outer(wave, oscillation), white))
     return left
 
 
-def _whitened_rest(unknown: Floats, seen: Sequence[Series], whites: Sequence[Floats]) -> Floats:
+def _whitened_residual(unknown: Floats, seen: Sequence[Series], whites: Sequence[Floats]) -> Floats:
     return np.concatenate(
         [
             np.einsum("nij,nj->ni", white, values).ravel()
-            for white, values in zip(whites, _rest(unknown, seen, whites), strict=True)
+            for white, values in zip(whites, _residual(unknown, seen, whites), strict=True)
         ]
     )

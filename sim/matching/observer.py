@@ -1,0 +1,46 @@
+"""What follows a matching: progress bars, the viewer, or a program of one's own."""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager, nullcontext
+from typing import TYPE_CHECKING
+
+from fpplab.core.progress import Progress, Say, ignore, no_progress
+from fpplab.results.observer import Observer
+
+if TYPE_CHECKING:
+    from sim.matching.record import MatchingEpoch
+    from sim.matching.reference import Reference
+    from sim.twin import Twin
+
+
+class MatchObserver(Observer):
+    """Follows a matching. Each method may be overridden; here they do nothing."""
+
+    def work(self, name: str) -> AbstractContextManager[tuple[Progress, Say]]:
+        """Enter long work, which tells the share that is done and, in words, what is being done.
+
+        Parameters
+        ----------
+        name : str
+            What is done, such as `Matching`.
+
+        Returns
+        -------
+        context manager of two callables
+            Entered while the work lasts.
+        """
+        return nullcontext((no_progress, ignore))
+
+    def epoch(self, epoch: MatchingEpoch, reference: Reference, twin: Twin) -> None:
+        """Take an epoch as it ends.
+
+        Parameters
+        ----------
+        epoch : MatchingEpoch
+            What was tried, its loss, and whether it was accepted.
+        reference : Reference
+            The bench's recordings.
+        twin : Twin
+            With the parameters that were tried.
+        """
