@@ -37,12 +37,21 @@ from sim.twin import Twin
 
 CONVERGED = "converged"
 """Why a matching ends that need not go on."""
-LEAST_CHANGE = 1e-3
-"""Relative change of a parameter below which it has converged, however well it is known."""
-COMPARED_POSES = 6
-"""Greatest number of poses whose images judge an epoch; those of all poses judge the result."""
-EQUAL_LOSS = 2e-4
-"""Losses that differ by less are equal but for noise; the images' mean square difference then decides."""
+
+
+@dataclass(frozen=True)
+class StepLimits:
+    """How steps of a matching are judged."""
+
+    # of a parameter that has not converged, however well it is known (chosen)
+    min_relative_change: float = 1e-3
+    compared_poses: int = 6  # whose images judge an epoch, at most (chosen, for speed)
+    equal_loss: float = 2e-4  # difference of losses that is noise (chosen)
+    usual_images: int = 60  # of a step, about: the scale of the progress (estimated)
+
+
+LIMITS = StepLimits()
+
 EXPLAINS = {
     "projector defocus": "blur of the projector that grows with the distance from its focus",
     "depth of field": "blur of the camera that grows with the distance from its focus",
@@ -58,8 +67,6 @@ EXPLAINS = {
 """The effects that are matched beyond the paper, by step."""
 CHANGING = {"flicker", "rolling bands", "vibration", "noise"}
 """Those that differ from frame to frame: no expected image shows them."""
-USUAL_IMAGES = 60
-"""About as many times a step has the twin compute images: the scale of its progress, which is an estimate."""
 FOCUS_STEPS = {"projector defocus", "depth of field"}
 """The steps that fit the focus; before them the twin may be sharp where the bench is not."""
 
@@ -131,7 +138,7 @@ class _StepWatch:
         left = self.limits.seconds - self.seconds
         if self.may_end and left < 0:
             raise _TimeOver
-        done = self.number - np.exp(-self.images / USUAL_IMAGES)
+        done = self.number - np.exp(-self.images / LIMITS.usual_images)
         self.images += 1
         self.progress(min(1.0, float(done + 1.0) / (_usual_steps() + 2)))
         self.tell(f"{self.words}, {max(left, 0.0):.0f} s left at most" if self.may_end else self.words)
@@ -286,7 +293,7 @@ def _changed(before: MatchingEpoch, after: MatchingEpoch, limits: MatchingLimits
     for name in new.sigma.keys() & ADJUSTABLE.keys():
         values = [ADJUSTABLE[name].read(one) for one in (old, new) if getattr(one, name, 0.0) is not None]
         if len(values) < 2 or abs(values[1] - values[0]) > max(
-            new.sigma[name], LEAST_CHANGE * abs(values[0])
+            new.sigma[name], LIMITS.min_relative_change * abs(values[0])
         ):
             return True
     return False
@@ -321,14 +328,14 @@ def _take_step(state: _State, step: MatchingStep, observe: EpochObserver) -> Non
 
 def _evaluated(state: _State, at: MatchingContext, epsilon_v: float | None = None) -> TwinEvaluation:
     """Judge an epoch by the images of some poses."""
-    compared = at.reference.spread_poses(COMPARED_POSES)
+    compared = at.reference.spread_poses(LIMITS.compared_poses)
     return evaluate(at.reference, at.twin, state.weights, epsilon_v, poses=compared)
 
 
 def _accepted(best: MatchingEpoch, loss: Mapping[str, float], difference: float) -> bool:
     """Decide by the loss over the board; where losses are equal, by the mean square difference."""
     gain = best.loss["loss_board"] - loss["loss_board"]
-    if abs(gain) > EQUAL_LOSS:
+    if abs(gain) > LIMITS.equal_loss:
         return gain > 0
     return difference <= best.difference * (1.0 + 1e-3)
 

@@ -22,12 +22,18 @@ from fpplab.targets import Target
 LevelStack = NDArray[np.float32]
 """Raw levels of frames, (n, h, w)."""
 
-SPREAD = 4
-"""Images of a fringe set that `Reference.finest_spread` takes at most."""
-DARK_POSES = 8
-"""Poses in whose images the darkest places are looked for."""
-DARK_PX, DARKEST = 5, 1e-3
-"""Side of the squares whose mean is a place's level, and the share of places that may be darker."""
+
+@dataclass(frozen=True)
+class ReferenceLimits:
+    """What of the recordings is looked at."""
+
+    finest_images: int = 4  # of a fringe set, at most (chosen, for speed)
+    dark_poses: int = 8  # in which the darkest places are looked for (chosen, for speed)
+    dark_px: int = 5  # side of the squares whose mean is a place's level (chosen)
+    darkest_share: float = 1e-3  # of the places, which may be darker (chosen)
+
+
+LIMITS = ReferenceLimits()
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,9 +82,11 @@ class Reference:
     def darkest_level(self) -> float:
         """Mean raw level of the darkest places of all recordings: the camera's black is not above it."""
         darkest = []
-        for pose in self.spread_poses(DARK_POSES):
+        for pose in self.spread_poses(LIMITS.dark_poses):
             mean = np.mean(self.recorded(pose), axis=0, dtype=np.float64)
-            darkest.append(float(np.quantile(cv2.blur(mean, (DARK_PX, DARK_PX)), DARKEST)))
+            darkest.append(
+                float(np.quantile(cv2.blur(mean, (LIMITS.dark_px, LIMITS.dark_px)), LIMITS.darkest_share))
+            )
         return min(darkest)
 
     @property
@@ -108,12 +116,12 @@ class Reference:
 
     @cached_property
     def finest_spread(self) -> tuple[int, ...]:
-        """Up to `SPREAD` images of the finest set along every axis, evenly spaced over the period."""
+        """Up to `finest_images` images of the finest set along every axis, evenly spaced over the period."""
         wanted = {self.plan.finest_set(axis) for axis in self.plan.axes}
         found = []
         for index, (fringes, step, _) in enumerate(self.plan.steps()):
-            every = max(1, self.plan.fringes[fringes].images // SPREAD)
-            if fringes in wanted and step % every == 0 and step // every < SPREAD:
+            every = max(1, self.plan.fringes[fringes].images // LIMITS.finest_images)
+            if fringes in wanted and step % every == 0 and step // every < LIMITS.finest_images:
                 found.append(index)
         return tuple(found)
 

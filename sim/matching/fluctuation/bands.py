@@ -22,20 +22,23 @@ from sim.matching.fluctuation.frame_terms import ROOM, FrameTerms
 from sim.matching.fluctuation.fringe_residuals import Complex, FringeResidual, Variances
 from sim.parameters import TwinParameters
 
-LEAST_BANDS = 2e-3
-"""Amplitude of bands, relative to the level, below which they are not told from what motion leaves."""
-LEAST_PERIOD_PX = 6.0
-"""Least period of bands, in rows of the image."""
+
+@dataclass(frozen=True)
+class BandLimits:
+    """What counts as bands in the rows of frames."""
+
+    min_amplitude: float = 2e-3  # relative to the level; less is not distinguished from motion (chosen)
+    min_period_px: float = 6.0  # in rows of the image (chosen)
+    steps_per_period: int = 4  # steps of the search for one period more over the board (chosen)
+    nearby: int = 12  # periods over the board whose power is that of all that is no wave (chosen)
+    advance_step: float = 2e-3  # periods; step of the search for the advance from frame to frame (chosen)
+    min_explained: float = 0.5  # share of the power that one advance must explain (chosen)
+
+
+LIMITS = BandLimits()
+
 IN_STEP_PX = 1e5
 """Period of bands so long that all rows are in step."""
-PERIODS_PER_HEIGHT = 4
-"""Steps of the search along the axis of frequency for one period more over the board's height."""
-NEARBY = 12
-"""Frequencies, in periods over the board's height, whose power tells that of all that is no wave."""
-ADVANCE_STEP = 2e-3
-"""Steps of the search for the advance from frame to frame, in periods."""
-AGREEING = 0.5
-"""Share of the waves' power that one advance must explain to be believed."""
 
 
 @dataclass(frozen=True)
@@ -62,21 +65,21 @@ class Bands:
 
     @classmethod
     def of(cls, rests: Sequence[FringeResidual]) -> Bands | None:
-        """Compute the power of waves from `LEAST_PERIOD_PX` to the board's height."""
+        """Compute the power of waves from `min_period_px` to the board's height."""
         shown = tuple(one for one in rests if one.shows_bands)
         if not shown:
             return None
         height = max(float(np.ptp(one.rows)) for one in shown)
-        steps = max(2, int(PERIODS_PER_HEIGHT * height / LEAST_PERIOD_PX))
-        frequency = np.linspace(1.0 / height, 1.0 / LEAST_PERIOD_PX, steps)
+        steps = max(2, int(LIMITS.steps_per_period * height / LIMITS.min_period_px))
+        frequency = np.linspace(1.0 / height, 1.0 / LIMITS.min_period_px, steps)
         power = np.array([np.sum(np.abs(one.waves(frequency)) ** 2, axis=0) / one.freedom for one in shown])
         return cls(shown, frequency, power, np.array([float(one.freedom) for one in shown]), height)
 
     @cached_property
     def floor(self) -> Floats:
         """Power (V, F) by all that is no wave: the median over the frequencies nearby."""
-        nearby = median_filter(self.power, (1, NEARBY * PERIODS_PER_HEIGHT), mode="nearest")
-        return np.asarray(nearby + (0.5 * LEAST_BANDS) ** 2)
+        nearby = median_filter(self.power, (1, LIMITS.nearby * LIMITS.steps_per_period), mode="nearest")
+        return np.asarray(nearby + (0.5 * LIMITS.min_amplitude) ** 2)
 
     @cached_property
     def best(self) -> int:
@@ -121,14 +124,14 @@ class Bands:
         frequency = self.best_frequency
         told, free = self.at(frequency), 2
         advance, share = self._best_advance(frequency)
-        if share >= AGREEING:
+        if share >= LIMITS.min_explained:
             told, free = self.advancing(frequency, advance), 3
         return Ripple(
             2.0 * float(np.sqrt(told.further)) / room_share,
             told.relative_sigma,
             1.0 / frequency,
             self.period_sigma,
-            advance if share >= AGREEING else None,
+            advance if share >= LIMITS.min_explained else None,
             told.criterion(0.0, 0) - told.criterion(told.further, free),
         )
 
@@ -137,7 +140,7 @@ class Bands:
 
     def _best_advance(self, frequency: float) -> tuple[float, float]:
         """The advance with which waves explain most, and the share of all power that they explain."""
-        tried = np.arange(-0.5, 0.5, ADVANCE_STEP)
+        tried = np.arange(-0.5, 0.5, LIMITS.advance_step)
         explained, whole = np.zeros(len(tried)), 0.0
         for _, group in groupby(range(len(self.rests)), lambda n: self.rests[n].pose):
             waves = [self._waves(n, frequency) for n in group]

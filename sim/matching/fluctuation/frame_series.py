@@ -21,16 +21,19 @@ from scipy.optimize import least_squares, minimize, minimize_scalar
 
 from fpplab.core.conventions import Floats
 
-MIN_FRAMES = 8
-"""Least number of frames of a pose that a frequency is looked for in (chosen)."""
-STEPS_PER_CYCLE = 6
-"""Steps of the search for one cycle more in the frames of a pose."""
-ROUNDS = 3
-"""Estimates of what is left beside the oscillation, each with the one before as noise."""
-MIN_ISOTROPIC_SHARE = 0.02
-"""Least standard deviation in all directions, relative to that along the axis; less counts as 0 (chosen)."""
-MIN_SHARE = 1e-6
-"""Least standard deviation that is looked for, relative to the greatest value."""
+
+@dataclass(frozen=True)
+class SeriesLimits:
+    """How changes are searched in series of frames."""
+
+    min_frames: int = 8  # of a pose, for a search of its frequency (chosen)
+    steps_per_cycle: int = 6  # of the search, for one cycle more in the frames of a pose (chosen)
+    rounds: int = 3  # estimates of what the oscillation leaves, which is the noise of the next one (chosen)
+    min_isotropic_share: float = 0.02  # of what all directions have, relative to the axis; less is 0 (chosen)
+    min_share: float = 1e-6  # least standard deviation, relative to the greatest value (numerical)
+
+
+LIMITS = SeriesLimits()
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +120,7 @@ def fit_fluctuation(seen: Sequence[Series], oscillates: bool = True) -> FrameFlu
         if criterion < least:
             best, least = random, criterion
     found = FrameFluctuation(best, np.zeros(size), 0.0, 0.0, _sigma(seen, best), still - least)
-    enough = min(one.freedom for one in seen) >= MIN_FRAMES
+    enough = min(one.freedom for one in seen) >= LIMITS.min_frames
     if not oscillates or not enough or not (best.axis.any() or (size == 1 and best.free)):
         return found
     return _oscillating_along(seen, found) if size > 1 else _oscillating(seen, found)
@@ -152,7 +155,7 @@ def _misfit_of_noise(seen: Sequence[Series]) -> float:
 
 def _random_only(seen: Sequence[Series], has_axis: bool) -> tuple[RandomDisplacement, list[Floats]]:
     random = RandomDisplacement(0.0, np.zeros(seen[0].values.shape[1]))
-    for _ in range(ROUNDS):
+    for _ in range(LIMITS.rounds):
         random = _most_likely(seen, _all_centred(seen, random), 0.0, has_axis)
     return random, _all_centred(seen, random)
 
@@ -181,7 +184,7 @@ def _most_likely(
         axis = most * unknown[1:] if has_axis else np.zeros(size)
         return RandomDisplacement(most * float(np.exp(unknown[0])), axis)
 
-    bounds = (np.log(MIN_SHARE), 0.0)
+    bounds = (np.log(LIMITS.min_share), 0.0)
     isotropic = minimize_scalar(
         lambda x: _misfit(seen, grown, of(np.append(x, np.zeros(size)))), bounds=bounds
     )
@@ -198,7 +201,7 @@ def _most_likely(
         limits = [bounds, *[(-1.0, 1.0)] * size]
         start = minimize(lambda unknown: _misfit(seen, grown, of(unknown)), start, bounds=limits).x
     random = of(start)
-    least = max(10 * MIN_SHARE * most, MIN_ISOTROPIC_SHARE * float(np.linalg.norm(random.axis)))
+    least = max(10 * LIMITS.min_share * most, LIMITS.min_isotropic_share * float(np.linalg.norm(random.axis)))
     return replace(random, isotropic=0.0) if random.isotropic < least else random
 
 
@@ -233,7 +236,7 @@ def _criterion(
 def _with_oscillation(seen: Sequence[Series], random: RandomDisplacement, still: float) -> FrameFluctuation:
     size, has_axis = seen[0].values.shape[1], bool(random.axis.any())
     unknown, left = _start(*_strongest(seen, random)), []
-    for _ in range(ROUNDS):
+    for _ in range(LIMITS.rounds):
         whites = [one.whitening(random) for one in seen]
         found = least_squares(_whitened_residual, unknown, args=(seen, whites), x_scale="jac")
         unknown = found.x
@@ -259,7 +262,9 @@ def _strongest(seen: Sequence[Series], random: RandomDisplacement) -> tuple[floa
     Returns it, and there the amplitudes (poses, k) x of `Re(x exp(2 pi i f n))`.
     """
     span = max(float(np.ptp(one.frames)) for one in seen)
-    tried = np.arange(STEPS_PER_CYCLE, 0.5 * span * STEPS_PER_CYCLE) / (span * STEPS_PER_CYCLE)
+    tried = np.arange(LIMITS.steps_per_cycle, 0.5 * span * LIMITS.steps_per_cycle) / (
+        span * LIMITS.steps_per_cycle
+    )
     whites = [one.whitening(random) for one in seen]
     best, most = (0.0, np.zeros((len(seen), seen[0].values.shape[1]), complex)), -1.0
     for frequency in tried.tolist():

@@ -12,7 +12,7 @@ Janesick, Photon Transfer, 2007
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -28,17 +28,21 @@ from sim.matching.reference import LevelStack, Reference
 from sim.parameters import TwinParameters
 from sim.twin import Twin
 
-SIGNIFICANT = 3.0
-"""Standard errors by which the noise of bench and twin must differ for the twin's to be changed."""
-ROUNDS = 2
-"""Comparisons of the sensor's noise, each with the twin as the one before left it."""
-PROBE_E, PROBE_FACTOR, MOST_PROBE_E = 5.0, 4.0, 1e5
-"""Read noise in electrons of the unbinned pixel at least with which it is found what it does to the levels,
-the factor by which it grows until that shows, and where it ends."""
-FINE_PX = 1.5
-"""Width in px by which residuals are divided into a fine and a coarse part."""
-LEVELS = 3
-"""Number of brightness classes in which residuals are compared."""
+
+@dataclass(frozen=True)
+class NoiseLimits:
+    """How the noise of bench and twin is compared."""
+
+    min_standard_errors: float = 3.0  # by which bench and twin must differ for a change of the twin (chosen)
+    rounds: int = 2  # comparisons, each with the twin that the one before gave (chosen)
+    probe_e: float = 5.0  # electrons; read noise whose effect on the levels is tried first (chosen)
+    probe_factor: float = 4.0  # by which it grows until it shows (chosen)
+    max_probe_e: float = 1e5  # electrons; where that ends (chosen)
+    fine_px: float = 1.5  # width that divides residuals into fine and coarse (chosen)
+    levels: int = 3  # classes of brightness (chosen)
+
+
+LIMITS = NoiseLimits()
 
 
 def match_noise(reference: Reference, twin: Twin, poses: Sequence[int]) -> TwinParameters:
@@ -49,7 +53,7 @@ def match_noise(reference: Reference, twin: Twin, poses: Sequence[int]) -> TwinP
     """
     real = [_noise_of(reference, pose, reference.recorded(pose)) for pose in poses]
     levels = [_bright_level(reference, pose) for pose in poses]
-    for _ in range(ROUNDS):
+    for _ in range(LIMITS.rounds):
         twin = twin.with_parameters(_sensor_noise(reference, twin, poses, real, levels))
     return twin.parameters
 
@@ -92,7 +96,10 @@ def _significant(differences: Floats) -> bool:
     """Whether the mean of what several poses say differs from 0 by more than their scatter explains."""
     if len(differences) < 2:
         return False
-    return bool(abs(differences.mean()) > SIGNIFICANT * differences.std(ddof=1) / np.sqrt(len(differences)))
+    return bool(
+        abs(differences.mean())
+        > LIMITS.min_standard_errors * differences.std(ddof=1) / np.sqrt(len(differences))
+    )
 
 
 def _above_rounding(noise: NoiseModel, level: float) -> float:
@@ -105,9 +112,9 @@ def _read_noise(
     """Read noise that adds `excess` to the variance at black, by what a probe adds to it."""
     now = twin.parameters
     before = float(np.mean([one.constant for one in own]))
-    probe_e, added = max(PROBE_E, now.read_noise_e), 0.0
-    while added < 0.5 * abs(excess) and probe_e < MOST_PROBE_E:
-        probe_e *= PROBE_FACTOR
+    probe_e, added = max(LIMITS.probe_e, now.read_noise_e), 0.0
+    while added < 0.5 * abs(excess) and probe_e < LIMITS.max_probe_e:
+        probe_e *= LIMITS.probe_factor
         noisier = twin.with_parameters(replace(now, read_noise_e=probe_e))
         added = float(np.mean([_twin_noise(reference, noisier, pose).constant for pose in poses])) - before
     if added <= 0:
@@ -129,8 +136,8 @@ def _noise_of(reference: Reference, pose: int, frames: Sequence[Image]) -> Noise
 def noise_misfit(reference: Reference, twin: Twin, poses: Sequence[int]) -> float:
     """Tell how far the twin's noise is from the reference's, by variance and by spectrum.
 
-    Compared is what the phase fit leaves of the finest fringes over the board, in `LEVELS` classes of
-    brightness, divided into structure finer and coarser than `FINE_PX`: the sensor's noise is fine, vibration
+    Compared is what the phase fit leaves of the finest fringes over the board, in `levels` classes of
+    brightness, divided into structure finer and coarser than `fine_px`: the sensor's noise is fine, vibration
     is as coarse as edges and fringes are.
     """
     images = reference.plan.finest_images
@@ -143,21 +150,21 @@ def noise_misfit(reference: Reference, twin: Twin, poses: Sequence[int]) -> floa
         board = board_mask(now.calibration.camera, now.poses[pose], reference.target)
         real = reference.frames(pose, images)
         own = np.stack(twin.frames(pose, reference.shown(images), reference.settings)).astype(np.float32)
-        edges = np.quantile(real.mean(axis=0)[board], np.linspace(0, 1, LEVELS + 1)[1:-1])
+        edges = np.quantile(real.mean(axis=0)[board], np.linspace(0, 1, LIMITS.levels + 1)[1:-1])
         classes = np.where(board, np.digitize(real.mean(axis=0), edges), -1)
         off.append(np.log(_spreads(real, shift, classes) / _spreads(own, shift, classes)))
     return float(np.sqrt(np.mean(np.square(off))))
 
 
 def _spreads(frames: LevelStack, shift: Floats, classes: NDArray[np.int64]) -> Floats:
-    """Standard deviations (LEVELS, 2) of what the phase fit leaves, fine and coarse."""
+    """Standard deviations (LIMITS.levels, 2) of what the phase fit leaves, fine and coarse."""
     rest = np.einsum("mn,nvu->mvu", beyond_fringe(shift), frames)
-    coarse = np.stack([cv2.GaussianBlur(one.astype(np.float32), (0, 0), FINE_PX) for one in rest])
+    coarse = np.stack([cv2.GaussianBlur(one.astype(np.float32), (0, 0), LIMITS.fine_px) for one in rest])
     parts = (rest - coarse, coarse)
     freedom = len(shift) / (len(shift) - 3)
     return np.array(
         [
             [max(float(np.sqrt(freedom * np.mean(part[:, classes == k] ** 2))), 1e-3) for part in parts]
-            for k in range(LEVELS)
+            for k in range(LIMITS.levels)
         ]
     )

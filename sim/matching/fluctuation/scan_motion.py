@@ -28,14 +28,20 @@ from sim.matching.scene.artefacts import CLIPPED, BenchScan, lit_inside, part_su
 from sim.parameters import TwinParameters
 from sim.twin import Twin
 
-PIXELS, LEAST_PIXELS = 6_000, 200
-"""Pixels of a scan that are used, about, and the least number that tells a motion."""
-STEP_MM = 0.01
-"""Displacement by which phases are differentiated."""
-SIGNIFICANT, LEAST_UM = 4.0, 0.5
-"""Standard uncertainties, and µm from frame to frame, that a speed must exceed to be told."""
-ROUNDS = 4
-"""Fits, each with outliers of the one before weighted less."""
+
+@dataclass(frozen=True)
+class MotionLimits:
+    """How the motion of a part in its scan is found."""
+
+    pixels: int = 6_000  # of a scan that are used, about (chosen, for speed)
+    min_pixels: int = 200  # that determine a motion (chosen)
+    step_mm: float = 0.01  # displacement for the derivative of phases (numerical)
+    min_sigmas: float = 4.0  # that a speed must exceed (chosen)
+    min_um_per_frame: float = 0.5  # that a speed must exceed (chosen)
+    rounds: int = 4  # robust fits (chosen)
+
+
+LIMITS = MotionLimits()
 
 
 @dataclass(frozen=True)
@@ -48,16 +54,16 @@ class ScanMotion:
     @property
     def is_significant(self) -> bool:
         """Whether neither noise nor vibration explains the speed."""
-        return abs(self.um_per_frame) > max(SIGNIFICANT * self.sigma, LEAST_UM)
+        return abs(self.um_per_frame) > max(LIMITS.min_sigmas * self.sigma, LIMITS.min_um_per_frame)
 
 
 def motion_of_scan(twin: Twin, scan: BenchScan) -> ScanMotion | None:
     """Estimate how fast a part moved."""
     inner = lit_inside(twin, scan)
     sets = [index for index, one in enumerate(scan.session.plan.fringes) if one.images > 3]
-    if not sets or np.count_nonzero(inner) < LEAST_PIXELS:
+    if not sets or np.count_nonzero(inner) < LIMITS.min_pixels:
         return None
-    pixels = subsample_pixels(inner, PIXELS)
+    pixels = subsample_pixels(inner, LIMITS.pixels)
     turns = {axis: _turns(twin, scan, pixels, axis) for axis in scan.session.plan.axes}
     seen = [_SetMotion.of(twin, scan, pixels, index, turns) for index in sets]
     parts = [one for one in seen if one is not None]
@@ -85,7 +91,7 @@ class _SetMotion:
         fringe, images = plan.fringes[index], range(*plan.set_starts[index : index + 2])
         raw = scan.levels(images, pixels)
         clear = raw.max(axis=0) < CLIPPED * full_scale(bits)
-        if np.count_nonzero(clear) < LEAST_PIXELS:
+        if np.count_nonzero(clear) < LIMITS.min_pixels:
             return None
         levels = raw[:, clear] - twin.parameters.black_level * full_scale(bits)
         fitted, shift = fit_sinusoids(levels, fringe), fringe.phase_shifts()
@@ -131,11 +137,13 @@ def _turns(twin: Twin, scan: BenchScan, pixels: PixelIndices, axis: Axis) -> Flo
     points, normals = part_surface_seen(twin, scan, pixels)
     along = points * (normals[:, 2] / np.einsum("pi,pi->p", normals, points))[:, None]
     ends = [
-        known.projector.project(points + side * STEP_MM * along, known.T_projector_camera)
+        known.projector.project(points + side * LIMITS.step_mm * along, known.T_projector_camera)
         for side in (-0.5, 0.5)
     ]
     column = 0 if axis == "x" else 1
-    return np.asarray((ends[1] - ends[0])[:, column] / STEP_MM / axis_length(known.projector.size, axis))
+    return np.asarray(
+        (ends[1] - ends[0])[:, column] / LIMITS.step_mm / axis_length(known.projector.size, axis)
+    )
 
 
 def _joined(parts: Sequence[_SetMotion], now: TwinParameters) -> ScanMotion:
@@ -143,7 +151,7 @@ def _joined(parts: Sequence[_SetMotion], now: TwinParameters) -> ScanMotion:
     rest = np.concatenate([one.rest.ravel() for one in parts])
     speed = np.concatenate([one.speed.ravel() for one in parts])
     weight = np.ones_like(rest)
-    for _ in range(ROUNDS):
+    for _ in range(LIMITS.rounds):
         strength = float(np.sum(weight * speed**2))
         v = float(np.sum(weight * speed * rest)) / max(strength, 1e-12)
         left = rest - v * speed

@@ -37,14 +37,22 @@ from sim.matching.samples import TILES, tile_numbers
 from sim.parameters import TwinParameters
 from sim.twin import ExpectedLevels, Twin
 
-SHIFT_MM, SHIFT_PX = 0.02, 0.05
-"""Shifts of board and projector image for finite differences, smaller than any detail of either."""
-MAX_PIXELS, ALL_PIXELS = 40_000, 400_000
-"""Pixels of each pose, and of all, that are compared at most, evenly subsampled."""
+
+@dataclass(frozen=True)
+class GeometryFitLimits:
+    """How geometry is fitted to images."""
+
+    shift_mm: float = 0.02  # of the board for finite differences, smaller than any detail of it (numerical)
+    shift_px: float = 0.05  # of the projected image for finite differences (numerical)
+    max_pixels: int = 40_000  # of each pose that are compared (chosen, for speed)
+    max_pixels_of_all_poses: int = 400_000  # that are compared (chosen, for memory)
+    max_sigmas: float = 3.0  # by which χ² of two geometries may exceed its expectation (chosen)
+
+
+LIMITS = GeometryFitLimits()
+
 NUISANCE_PARAMETERS = 6
 """Parameters of each pose for what light and sharpness still lack: gain (3), offset, response, blur."""
-MOST_SIGMAS = 3.0
-"""Standard deviations by which χ² of two geometries may exceed its expectation."""
 
 
 def contradiction(reference: Reference, parameters: TwinParameters) -> float:
@@ -59,7 +67,7 @@ def contradiction(reference: Reference, parameters: TwinParameters) -> float:
         return 0.0
     free = len(found.level.terms)
     off = _shared(parameters.calibration, free) - _shared(found.calibration, free)
-    return chi_square(known, off) / float(len(off) + MOST_SIGMAS * np.sqrt(2.0 * len(off)))
+    return chi_square(known, off) / float(len(off) + LIMITS.max_sigmas * np.sqrt(2.0 * len(off)))
 
 
 def _shared(known: Calibration, free: int) -> Floats:
@@ -243,7 +251,9 @@ class PoseResidual:
 def _residual_of_pose(reference: Reference, twin: Twin, pose: int) -> PoseResidual:
     start, images = twin.parameters, reference.finest_spread
     looked_at = board_mask(start.calibration.camera, start.poses[pose], reference.target, -SURROUNDINGS_PX)
-    pixels = subsample_pixels(looked_at, min(MAX_PIXELS, ALL_PIXELS // len(start.poses)))
+    pixels = subsample_pixels(
+        looked_at, min(LIMITS.max_pixels, LIMITS.max_pixels_of_all_poses // len(start.poses))
+    )
     seen, patterns = reference.frames(pose, images)[:, *pixels], reference.shown(images)
 
     def picked(levels: ExpectedLevels) -> Floats:
@@ -299,12 +309,12 @@ def _shifted(start: TwinParameters, pose: int) -> list[tuple[TwinParameters, flo
     held = start.poses[pose]
     found = []
     for axis in range(2):
-        there = held.moved(SHIFT_MM * held.rotation[:, axis])
-        found.append((start.with_pose(pose, there), SHIFT_MM, -1.0))
+        there = held.moved(LIMITS.shift_mm * held.rotation[:, axis])
+        found.append((start.with_pose(pose, there), LIMITS.shift_mm, -1.0))
     for axis in range(2):
         known = start.calibration
         matrix = known.projector.matrix.copy()
-        matrix[axis, 2] += SHIFT_PX
+        matrix[axis, 2] += LIMITS.shift_px
         moved = replace(known, projector=replace(known.projector, matrix=matrix))
-        found.append((replace(start, calibration=moved), SHIFT_PX, 1.0))
+        found.append((replace(start, calibration=moved), LIMITS.shift_px, 1.0))
     return found

@@ -6,7 +6,7 @@ What the recordings tell is checked before the work starts; what only the matche
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -33,21 +33,22 @@ from sim.twin import Twin
 
 MAX_RELATIVE_DIFFERENCE = {"camera's focal length": 0.1, "projector's focal length": 0.1, "baseline": 0.1}
 """Greatest relative difference between what was found and the twin's own file."""
-MAX_ROTATION_DEG = 10.0
-MAX_CONTRAST_DIFFERENCE = 0.12
-"""Greatest relative difference of edge contrast, bench to twin, between poses, that a matched focus leaves.
-"""
-EDGE_GRADIENT = 0.3
-"""Share of the steepest gradient from which a pixel lies on an edge."""
-BRIGHTNESS_SHARE = 0.1
-"""Width of the neighbourhood whose brightness edges are divided by, as a share of the board's side."""
-MIN_SSIM = 0.8
-"""SSIM over the board below which the twin does not match."""
-MAX_IMAGE_DIFFERENCE = 3.0
-"""Excess of unlike images from which on nobody should use the twin."""
-MAX_HARMONIC_DIFFERENCE = 0.02
-"""Greatest difference of the fringes' second harmonic from that of the response, as a share of the fringe:
-0.06 of an exponent near 1."""
+
+
+@dataclass(frozen=True)
+class PlausibilityLimits:
+    """What a bench and its twin may differ by."""
+
+    max_rotation_deg: float = 10.0  # of the projector against that of the file (chosen)
+    max_contrast_difference: float = 0.12  # of edges, relative, that a matched focus leaves (chosen)
+    min_edge_gradient: float = 0.3  # share of the steepest gradient on an edge (chosen)
+    brightness_share: float = 0.1  # of the board's side: width over which brightness is averaged (chosen)
+    min_ssim: float = 0.8  # over the board (chosen)
+    max_image_difference: float = 3.0  # excess from which nobody should use the twin (chosen)
+    max_harmonic_difference: float = 0.02  # of the fringe; 0.06 of an exponent near 1 (derived)
+
+
+LIMITS = PlausibilityLimits()
 
 
 def check_devices(twin: Twin, session: Session) -> None:
@@ -99,7 +100,7 @@ def check_geometry(found: Calibration, nominal: Calibration, refusals: Refusals)
             refusals.refuse(STALE_CALIBRATION, words)
     turn = found.T_projector_camera.rotation @ nominal.T_projector_camera.rotation.T
     angle = float(np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1))))
-    if angle > MAX_ROTATION_DEG:
+    if angle > LIMITS.max_rotation_deg:
         refusals.refuse(
             STALE_CALIBRATION,
             f"the projector is turned by {angle:.1f}° against the twin's: its pose in the twin's file is "
@@ -121,7 +122,7 @@ def check_response(response: Response, sessions: Sequence[Session], refusals: Re
     recordings = [replace(one.recording(verify=False), response=None) for one in sessions]
     seen = float(np.median([error_model_of(one).sets[widest].harmonics[0] for one in recordings]))
     should = float(relative_harmonics(response, plan.response, 2)[2])
-    if not abs(seen - should) <= MAX_HARMONIC_DIFFERENCE:
+    if not abs(seen - should) <= LIMITS.max_harmonic_difference:
         refusals.refuse(
             RESPONSE,
             f"the second harmonic of the fringes on the board is {100 * seen:.1f} % of the fringe, but "
@@ -140,15 +141,15 @@ def sharpness_finding(reference: Reference, twin: Twin) -> Finding | None:
     usual = float(np.median(contrasts))
     worst = int(np.argmax(np.abs(np.log(contrasts / usual))))
     off = float(contrasts[worst]) / usual - 1.0
-    if abs(off) <= MAX_CONTRAST_DIFFERENCE:
+    if abs(off) <= LIMITS.max_contrast_difference:
         return None
     word, name = "softer" if off < 0 else "sharper", reference.sessions[worst].path.name
     words = (
         f"{name}: at the same brightness its edges are {100 * abs(off):.0f} % {word}, relative to the "
-        f"matched twin's, than those of the other poses (at most {100 * MAX_CONTRAST_DIFFERENCE:.0f} %): the "
-        "bench's focus moved, or the board moved"
+        f"matched twin's, than those of the other poses (at most {100 * LIMITS.max_contrast_difference:.0f} "
+        "%): the bench's focus moved, or the board moved"
     )
-    return Finding(LENS_NOT_LOCKED, words, abs(off) / MAX_CONTRAST_DIFFERENCE)
+    return Finding(LENS_NOT_LOCKED, words, abs(off) / LIMITS.max_contrast_difference)
 
 
 def edge_contrast(reference: Reference, twin: Twin) -> Floats:
@@ -174,14 +175,14 @@ def _contrast(reference: Reference, twin: Twin, pose: int, images: Sequence[int]
             a, b = (
                 cv2.Sobel(one, cv2.CV_32F, *axis, ksize=3)[board].astype(np.float64) for one in (there, here)
             )
-            edge = np.abs(b) > EDGE_GRADIENT * np.abs(b).max()
+            edge = np.abs(b) > LIMITS.min_edge_gradient * np.abs(b).max()
             products, squares = products + float(a[edge] @ b[edge]), squares + float(b[edge] @ b[edge])
     return products / max(squares, 1e-12)
 
 
 def _mean_nearby(image: NDArray[np.float32], board: Mask) -> NDArray[np.float32]:
     """Mean over the neighbourhood of each pixel, with nothing where the board is not."""
-    width = BRIGHTNESS_SHARE * float(np.sqrt(board.sum()))
+    width = LIMITS.brightness_share * float(np.sqrt(board.sum()))
     inside = image * board.astype(np.float32)
     return np.asarray(cv2.GaussianBlur(inside, (0, 0), width, borderType=cv2.BORDER_CONSTANT), np.float32)
 
@@ -196,10 +197,12 @@ def _at_even_brightness(
 
 def similarity_finding(alike: float, unexplained: float) -> Finding | None:
     """Find that a matching's result is not similar to the reference."""
-    if alike >= MIN_SSIM:
+    if alike >= LIMITS.min_ssim:
         return None
     words = (
-        f"SSIM over the board is {alike:.3f} at best, but at least {MIN_SSIM:g} is needed; {unexplained:.1f} "
-        "levels of difference are left"
+        f"SSIM over the board is {alike:.3f} at best, but at least {LIMITS.min_ssim:g} is needed; "
+        f"{unexplained:.1f} levels of difference are left"
     )
-    return Finding(UNLIKE_IMAGES, words, MAX_IMAGE_DIFFERENCE * (1.0 - alike) / (1.0 - MIN_SSIM))
+    return Finding(
+        UNLIKE_IMAGES, words, LIMITS.max_image_difference * (1.0 - alike) / (1.0 - LIMITS.min_ssim)
+    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,24 +19,30 @@ from fpplab.diagnosis.causes.of_matching_and_search import (
 )
 from fpplab.patterns.recording import Recording
 from fpplab.sessions.session import Session
-from sim.matching.judging.plausibility import MAX_IMAGE_DIFFERENCE
-from sim.matching.match import CONVERGED, EQUAL_LOSS
+from sim.matching.judging.plausibility import LIMITS as PLAUSIBLE
+from sim.matching.match import CONVERGED
+from sim.matching.match import LIMITS as STEPS
 from sim.matching.result import MatchingFigures
 from sim.parameters import ADJUSTABLE
 
-MOST_UNLIKE = 0.03
-"""RMS difference between images of bench and twin over the board, without noise, as a share of full scale."""
-MOST_POINTS_PX = 0.1
-"""Greatest difference between the reprojection errors of bench and twin in px."""
-POSE_UNLIKE = 0.1
-"""By how much the SSIM over the board of one pose may be below that of the others."""
-ARTEFACT_SHARE, ARTEFACT_UM = 0.3, 2.0
-"""Difference between bench and twin on an artefact that counts, as a share of the bench's and in µm."""
-NEAR_BORDER = 1e-3
-"""Share of a parameter's range within which it lies at the border."""
+
+@dataclass(frozen=True)
+class VerdictLimits:
+    """From which differences on a matched twin is not believed."""
+
+    max_rms_difference: float = 0.03  # over the board without noise, as a share of full scale (chosen)
+    max_reprojection_difference_px: float = 0.1  # of bench and twin (chosen)
+    max_ssim_drop: float = 0.1  # of one pose below the median of all, over the board (chosen)
+    max_artefact_share: float = 0.3  # difference on an artefact, as a share of the bench's (chosen)
+    max_artefact_um: float = 2.0  # difference on an artefact in µm; both must be exceeded (chosen)
+    border_share: float = 1e-3  # of a parameter's range that counts as its border (chosen)
+
+
+LIMITS = VerdictLimits()
+
 RUINOUS = {
     NO_GAIN: 1.0,
-    UNLIKE_IMAGES: MAX_IMAGE_DIFFERENCE,
+    UNLIKE_IMAGES: PLAUSIBLE.max_image_difference,
     LENS_NOT_LOCKED: 1.0,
 }
 """Excess from which on nobody should use the twin, unless the cause is accepted."""
@@ -82,7 +89,7 @@ def _recordings(sessions: Sequence[Session]) -> Iterator[tuple[str, Recording]]:
 def _of_fit(found: MatchingFigures) -> Iterator[Finding]:
     matched = found.matched
     final, before = found.final.loss, found.before.loss
-    if final.board - before.board > EQUAL_LOSS:
+    if final.board - before.board > STEPS.equal_loss:
         words = f"the loss over the board is {final.board:.4f}, and was {before.board:.4f} before"
         yield Finding(NO_GAIN, words, final.board / before.board)
     if matched.ended != CONVERGED:
@@ -91,27 +98,27 @@ def _of_fit(found: MatchingFigures) -> Iterator[Finding]:
         yield Finding(ENDED_EARLY, words, 1.0, advice)
     noise = min(max(sum(matched.explained.get(name, 0.0) for name in ("vibration", "noise")), 0.0), 1.0)
     left = matched.unexplained * float(np.sqrt(1.0 - noise))
-    most = MOST_UNLIKE * found.reference.full_scale
+    most = LIMITS.max_rms_difference * found.reference.full_scale
     if left > most:
         words = (
             f"the images differ over the board by {left:.1f} levels RMS without noise (at most {most:.1f})"
         )
         yield Finding(UNLIKE_IMAGES, words, left / most)
-    if abs(final.epsilon_d) > MOST_POINTS_PX:
+    if abs(final.epsilon_d) > LIMITS.max_reprojection_difference_px:
         words = (
             f"the reprojection errors of bench and twin differ by {abs(final.epsilon_d):.3f} px "
-            f"(at most {MOST_POINTS_PX:g})"
+            f"(at most {LIMITS.max_reprojection_difference_px:g})"
         )
-        yield Finding(POINTS_MISFIT, words, abs(final.epsilon_d) / MOST_POINTS_PX)
+        yield Finding(POINTS_MISFIT, words, abs(final.epsilon_d) / LIMITS.max_reprojection_difference_px)
 
 
 def _of_poses(found: MatchingFigures) -> Iterator[Finding]:
     alike = {one["pose"]: float(one["ssim_board_after"]) for one in found.by_pose()}
     usual = float(np.median(list(alike.values())))
     worst = min(alike, key=lambda name: alike[name])
-    if usual - alike[worst] > POSE_UNLIKE:
+    if usual - alike[worst] > LIMITS.max_ssim_drop:
         words = f"{worst}: SSIM over the board {alike[worst]:.3f}, of all poses {usual:.3f} in the median"
-        yield Finding(POSE_MISFIT, words, (usual - alike[worst]) / POSE_UNLIKE)
+        yield Finding(POSE_MISFIT, words, (usual - alike[worst]) / LIMITS.max_ssim_drop)
 
 
 def _at_borders(found: MatchingFigures) -> Iterator[Finding]:
@@ -120,7 +127,7 @@ def _at_borders(found: MatchingFigures) -> Iterator[Finding]:
         if getattr(now, name, 0.0) is None:  # a focus that was not searched
             continue
         value, fit = parameter.read(now), parameter.fit
-        span = NEAR_BORDER * (fit.upper - fit.lower)
+        span = LIMITS.border_share * (fit.upper - fit.lower)
         below = value - fit.lower <= span and not fit.may_be_at_lower_bound
         moved = getattr(start, name, 0.0) is None or value != parameter.read(start)
         if moved and (below or fit.upper - value <= span):
@@ -132,6 +139,6 @@ def _at_borders(found: MatchingFigures) -> Iterator[Finding]:
 def _of_artefacts(found: MatchingFigures) -> Iterator[Finding]:
     for one in found.artefacts:
         share = abs(one.delta_um) / max(one.reference_um, 1e-9)
-        if share > ARTEFACT_SHARE and abs(one.delta_um) > ARTEFACT_UM:
+        if share > LIMITS.max_artefact_share and abs(one.delta_um) > LIMITS.max_artefact_um:
             words = f"{one.item}: {one.twin_um:.1f} µm in the twin, {one.reference_um:.1f} µm on the bench"
-            yield Finding(ARTEFACT_MISFIT, words, share / ARTEFACT_SHARE)
+            yield Finding(ARTEFACT_MISFIT, words, share / LIMITS.max_artefact_share)

@@ -36,10 +36,17 @@ from sim.matching.scene.artefacts import CLIPPED, SHORT, BenchScan, lit_inside, 
 from sim.parameters import TwinParameters
 from sim.twin import Twin
 
-ROUNDS = 4
-"""Fits of the light of the room on turned faces, each with outliers of the one before weighted less."""
-PIXELS, LEAST_PIXELS = 4_000, 200
-"""Pixels of a scan that are compared, about, and the least number that tells a contrast."""
+
+@dataclass(frozen=True)
+class ContrastLimits:
+    """How contrasts of fringes are compared."""
+
+    rounds: int = 4  # robust fits of the light of the room on turned faces (chosen)
+    pixels: int = 4_000  # of a scan that are compared, about (chosen, for speed)
+    min_pixels: int = 200  # that determine a contrast (chosen)
+
+
+LIMITS = ContrastLimits()
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +125,7 @@ def board_contrasts(reference: Reference, twin: Twin, poses: Sequence[int]) -> F
 
     def of_pose(pose: int) -> list[float]:
         board = board_mask(now.calibration.camera, now.poses[pose], reference.target)
-        pixels, found = subsample_pixels(board, PIXELS), []
+        pixels, found = subsample_pixels(board, LIMITS.pixels), []
         for index in sets:
             images = range(*plan.set_starts[index : index + 2])
             seen = reference.frames(pose, images)[:, *pixels].astype(np.float64)
@@ -159,14 +166,14 @@ def _samples(twin: Twin, scans: Sequence[BenchScan], stripes: float) -> Iterator
         plan, settings = scan.session.plan, scan.session.records[0].settings
         finer = [index for index, one in enumerate(plan.fringes) if one.stripes > stripes]
         inner = lit_inside(twin, scan)
-        if not finer or np.count_nonzero(inner) < LEAST_PIXELS:
+        if not finer or np.count_nonzero(inner) < LIMITS.min_pixels:
             continue
-        pixels, sets = subsample_pixels(inner, PIXELS), tuple(plan.fringes[index] for index in finer)
+        pixels, sets = subsample_pixels(inner, LIMITS.pixels), tuple(plan.fringes[index] for index in finer)
         images = [n for index in finer for n in range(*plan.set_starts[index : index + 2])]
         shown = make_patterns(plan, *scan.session.projector())
         levels = scan.levels(images, pixels)
         levels[:, levels.max(axis=0) >= CLIPPED * full_scale(settings.bits)] = np.nan
-        if np.count_nonzero(np.isfinite(levels[0])) < LEAST_PIXELS:
+        if np.count_nonzero(np.isfinite(levels[0])) < LIMITS.min_pixels:
             continue
         yield ContrastSample(
             number,
@@ -184,7 +191,7 @@ def _samples(twin: Twin, scans: Sequence[BenchScan], stripes: float) -> Iterator
 def _without(values: Floats, columns: Floats) -> Floats:
     """Take off what columns (N, C) explain of values (N,), whatever a few outliers say."""
     weight = np.ones_like(values)
-    for _ in range(ROUNDS):
+    for _ in range(LIMITS.rounds):
         weighted = weight[:, None] * columns
         left = values - columns @ (np.linalg.pinv(weighted.T @ columns) @ (weighted.T @ values))
         weight = huber_weights(left, robust_spread(left))

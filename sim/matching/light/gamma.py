@@ -22,11 +22,17 @@ from fpplab.patterns.response_fit import GRID, MEAN, pixels_of_regions, statisti
 from sim.parameters import TwinParameters, normalised_response
 from sim.twin import Twin
 
-MAX_EPOCHS = 10
-MATCHED_SUM_OF_SQUARES = 0.002
-"""Sum of squares at which the paper's matching ends, levels as shares of full scale."""
-CONVERGED_GAIN = 1e-9
-"""Decrease of the sum of squares below which the fit has converged."""
+
+@dataclass(frozen=True)
+class GammaLimits:
+    """When the fit of a response ends."""
+
+    max_epochs: int = 10  # evaluations of the twin (chosen)
+    max_sum_of_squares: float = 0.002  # of levels as shares of full scale (the paper's)
+    min_gain: float = 1e-9  # of the sum of squares (numerical)
+
+
+LIMITS = GammaLimits()
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,18 +82,18 @@ def match_gamma(twin: Twin, response: Response, item: str, settings: CameraSetti
     card = GreyCard(twin.with_parameters(start), item, settings, response)
     card = card.with_parameters(_with_matched_dark(card, response))
     epochs = [_epoch(card, shown, seen)]
-    while len(epochs) < MAX_EPOCHS:
+    while len(epochs) < LIMITS.max_epochs:
         card = card.with_parameters(_fitted_parameters(card, epochs[-1], shown, seen))
         epochs.append(_epoch(card, shown, seen))
-        if epochs[-2].sum_of_squares - epochs[-1].sum_of_squares < CONVERGED_GAIN:
+        if epochs[-2].sum_of_squares - epochs[-1].sum_of_squares < LIMITS.min_gain:
             break
     if epochs[-1].sum_of_squares > epochs[-2].sum_of_squares:
         epochs.pop()
-    if epochs[-1].sum_of_squares > MATCHED_SUM_OF_SQUARES:
+    if epochs[-1].sum_of_squares > LIMITS.max_sum_of_squares:
         raise CalibrationError(
             f"gamma: no response of the twin fits the bench's levels: the least sum of squares is "
-            f"{epochs[-1].sum_of_squares:.2g}, but {MATCHED_SUM_OF_SQUARES:g} is needed; make sure that both "
-            "look at a white card"
+            f"{epochs[-1].sum_of_squares:.2g}, but {LIMITS.max_sum_of_squares:g} is needed; make sure that "
+            "both look at a white card"
         )
     return GammaMatch(shown, seen, tuple(epochs))
 

@@ -8,7 +8,7 @@ the reflectance of its print, ambient light, and the camera's black level.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import lsq_linear
@@ -21,12 +21,18 @@ from sim.matching.samples import LightSample, PixelSample
 from sim.parameters import ADJUSTABLE, TwinParameters
 from sim.twin import Twin
 
-MAX_ROUNDS = 3
-CONVERGED_GAIN = 5e-3
-"""Relative decrease of the cost below which the fit has converged."""
-MAX_HALVINGS = 4
-LEAST_EIGENVALUE = 1e-9
-"""Of the scaled normal equations, relative to the greatest: what is less determined is left as it is."""
+
+@dataclass(frozen=True)
+class LightFitLimits:
+    """When a fit of light ends."""
+
+    max_rounds: int = 3  # Gauss-Newton steps (chosen, for speed)
+    min_gain: float = 5e-3  # relative decrease of the cost (chosen)
+    max_halvings: int = 4  # of a step that does not lower the cost (chosen)
+    min_eigenvalue: float = 1e-9  # of the normal equations, relative to the greatest (numerical)
+
+
+LIMITS = LightFitLimits()
 
 
 def light_residuals(reference: Reference, twin: Twin, samples: Sequence[LightSample]) -> Floats:
@@ -58,14 +64,14 @@ def fit_light(
 ) -> TwinParameters:
     """Fit the named parameters to the images; all others are held.
 
-    Robust Gauss-Newton with at most `MAX_ROUNDS` steps, each halved up to `MAX_HALVINGS` times until it
+    Robust Gauss-Newton with at most `max_rounds` steps, each halved up to `max_halvings` times until it
     lowers the cost.
     """
     residual = light_residuals(reference, twin, samples)
     sigma: dict[str, float] = {}
-    for _ in range(MAX_ROUNDS):
+    for _ in range(LIMITS.max_rounds):
         gained, twin, residual, sigma = _round(reference, twin, names, samples, residual)
-        if gained < CONVERGED_GAIN:
+        if gained < LIMITS.min_gain:
             break
     best = twin.parameters
     return replace(best, sigma={**best.sigma, **sigma})
@@ -107,7 +113,7 @@ def _bounded_step(normal: Floats, gradient: Floats, lower: Floats, upper: Floats
     parameter that does not.
     """
     size, turned = np.linalg.eigh(normal)
-    kept = size > LEAST_EIGENVALUE * size[-1]
+    kept = size > LIMITS.min_eigenvalue * size[-1]
     root = np.sqrt(size[kept])
     matrix = root[:, None] * turned[:, kept].T
     right_side = turned[:, kept].T @ gradient / root
@@ -159,7 +165,7 @@ def _step_candidates(
 ) -> Iterator[tuple[Twin, Floats]]:
     """Apply the step, and halves of it; yield the twin and its residuals."""
     start = twin.parameters
-    for halving in range(MAX_HALVINGS):
+    for halving in range(LIMITS.max_halvings):
         tried = start
         for name, by in zip(names, step.tolist(), strict=True):
             knob = ADJUSTABLE[name]

@@ -20,10 +20,16 @@ from sim.matching.scene.board_sheet import find_sheet, sharpened_sheet
 from sim.matching.scene.surroundings import rebuild_surroundings
 from sim.twin import Twin
 
-MOST_POSES = 8
-"""Poses that are looked at: sheet and surroundings are the same in all."""
-LEAST_GAIN = 0.005
-"""Least gain of the mean SSIM of a pose that was left out."""
+
+@dataclass(frozen=True)
+class AppearanceLimits:
+    """When sheet and surroundings prove themselves."""
+
+    max_poses: int = 8  # that are looked at (chosen, for speed)
+    min_gain: float = 0.005  # of the mean SSIM of a pose that was left out (chosen)
+
+
+LIMITS = AppearanceLimits()
 
 
 @dataclass(frozen=True)
@@ -36,7 +42,7 @@ class PartTrial:
     @property
     def accepted(self) -> bool:
         """Whether the images are more alike by more than noise makes of it."""
-        return self.ssim_with > self.ssim_without + LEAST_GAIN
+        return self.ssim_with > self.ssim_without + LIMITS.min_gain
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +82,7 @@ class AppearanceTrial:
 
 def match_appearance(reference: Reference, twin: Twin, progress: Progress = no_progress) -> AppearanceTrial:
     """Find the board's sheet and the surroundings, as far as they prove themselves."""
-    *others, held = reference.spread_poses(MOST_POSES)
+    *others, held = reference.spread_poses(LIMITS.max_poses)
     bare = _similarity(reference, twin, held, None)
     sheet = find_sheet(reference, twin, others, lambda share: progress(0.1 * share))
     sheet_trial = PartTrial(bare[1], _similarity(reference, twin, held, Appearance(sheet))[1])

@@ -38,14 +38,20 @@ from sim.matching.refusal import Refusals
 from sim.prediction.figures import seen_surface
 from sim.twin import Twin
 
-MOST_MISFIT = 0.005
-"""Mean distance of points from the true surface, as a share of the mesh's size, of a scan of that shape."""
-USUAL_SHARE = 0.75
-"""Share of the points that lie on the shape, whatever highlights do to the others."""
-ALIKE = 1.2
-"""Ratio of RMS distances up to which two poses of a shape fit alike."""
-EDGE_PX = 3
-"""Distance from edges and shadows of pixels whose light is compared: nearer to them the pose tells more."""
+
+@dataclass(frozen=True)
+class ScanLimits:
+    """When a scan is one of a part."""
+
+    max_misfit: float = 0.005  # mean distance from the surface, as a share of the mesh's size (chosen)
+    # of the points, which lie on the shape whatever highlights do to others (chosen)
+    usual_share: float = 0.75
+    max_rms_ratio: float = 1.2  # of two poses of a shape that fit equally well (chosen)
+    edge_px: int = 3  # from edges and shadows, nearer to which the pose decides about light (chosen)
+
+
+LIMITS = ScanLimits()
+
 CLIPPED = 0.98
 """Share of full scale from which a level counts as saturated: noise lies on that, too."""
 SHORT = 1e-3
@@ -128,7 +134,7 @@ def lit_inside(twin: Twin, scan: BenchScan) -> Mask:
     """Find the pixels that see lit surface of a part away from its edges and shadows."""
     # returns (height, width)
     _, lit = seen_surface(placed_part(twin, scan), twin.parameters.calibration)
-    side = 2 * EDGE_PX + 1
+    side = 2 * LIMITS.edge_px + 1
     inner = cv2.erode(lit.astype(np.uint8), np.ones((side, side), np.uint8), borderValue=(0.0,))
     return np.asarray(inner > 0)
 
@@ -149,8 +155,8 @@ def fit_scan(
         raise DataError(f"{session.path}: is no scan of the {item} by this bench: {error}") from error
     placed = mesh.copy().apply_transform(T_camera_item.matrix)
     judged = compare(cloud, placed, calibration, align=True)
-    limit = 1e3 * MOST_MISFIT * float(mesh.scale)
-    off = min(_surface(judged), 1e3 * float(np.nanquantile(np.abs(judged.distances_mm), USUAL_SHARE)))
+    limit = 1e3 * LIMITS.max_misfit * float(mesh.scale)
+    off = min(_surface(judged), 1e3 * float(np.nanquantile(np.abs(judged.distances_mm), LIMITS.usual_share)))
     if off > limit:
         refusals.refuse(
             ARTEFACT_MISFIT,
@@ -173,7 +179,7 @@ def _aligned(cloud: Cloud, mesh: trimesh.Trimesh, nominal: RigidTransform) -> Ri
     if not found:
         raise DataError("no pose of the true shape fits the points")
     best = min(rms for rms, _ in found)
-    return next(pose for rms, pose in found if rms <= ALIKE * best)
+    return next(pose for rms, pose in found if rms <= LIMITS.max_rms_ratio * best)
 
 
 def compare_artefacts(

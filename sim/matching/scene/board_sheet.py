@@ -29,28 +29,25 @@ Margins = tuple[float, float, float, float]
 _Strip = tuple[Floats, LevelStack]
 """Distances in mm beyond a side of the sheet, and the values of the pixels that are so far away."""
 
-REACH = 0.3
-"""Share of the target's smaller side up to which sheet and frame are looked for beyond it."""
-RING_MM = 0.5
-"""Width of the rings in which pixels are counted."""
-LEAST_RING = 50
-"""Pixels that must be seen lit of a ring."""
-ALIKE = 0.97
-"""Correlation of levels from which they follow the same fringes."""
-BLANK = 0.5
-"""Share of the light of a blank sheet from which a pixel is of the sheet."""
-DARK = 0.2
-"""Share of the sheet's light below which a pixel is of the frame, or hidden."""
-BLURRED_MM = 1.0
-"""Width along the sheet's edge where a frame is not yet dark."""
-LIT = 0.04
-"""Mean level, as a share of full scale, from which a pixel of the sheet counts as lit."""
-FINEST_PX = 1.0
-"""Pixels of the camera for each pixel of the texture, at the board's nearest pose."""
-SHARPENING_ROUNDS = 2
-"""Times the texture is corrected by what the twin that has it lacks; more make its noise greater."""
-MOST_FACTOR = 1.9
-"""Greatest factor of a texture, which its file can hold."""
+
+@dataclass(frozen=True)
+class SheetLimits:
+    """How the sheet of a board is found."""
+
+    reach: float = 0.3  # share of the target's smaller side beyond it that is searched (chosen)
+    ring_mm: float = 0.5  # width of the rings in which pixels are counted (chosen)
+    min_ring_pixels: int = 50  # that are seen lit of a ring (chosen)
+    min_correlation: float = 0.97  # of levels that follow the same fringes (chosen)
+    min_blank_share: float = 0.5  # of the light of a blank sheet, for a pixel of the sheet (chosen)
+    max_dark_share: float = 0.2  # of the sheet's light, for a pixel of the frame (chosen)
+    blurred_mm: float = 1.0  # along the sheet's edge, where a frame is not yet dark (chosen)
+    min_lit_level: float = 0.04  # mean level as a share of full scale (chosen)
+    texture_px: float = 1.0  # pixels of the camera for one of the texture, at the nearest pose (chosen)
+    sharpening_rounds: int = 2  # corrections of the texture; more make its noise greater (chosen)
+    max_factor: float = 1.9  # of a texture: what its file can hold (derived)
+
+
+LIMITS = SheetLimits()
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,14 +61,14 @@ class _Compared:
     @property
     def as_sheet(self) -> LevelStack:
         """The ratio where levels follow the same fringes, 0 where they do not."""
-        return self.ratio * (self.correlation > ALIKE)
+        return self.ratio * (self.correlation > LIMITS.min_correlation)
 
 
 def find_sheet(
     reference: Reference, twin: Twin, poses: Sequence[int], progress: Progress = no_progress
 ) -> BoardSheet:
     """Find the sheet of the board."""
-    reach = REACH * min(reference.target.size_mm)
+    reach = LIMITS.reach * min(reference.target.size_mm)
     wide = twin.with_appearance(Appearance(BoardSheet((reach, reach, reach, reach))))
     compared = _compare_all(reference, wide, poses, progress)
     margins = _margins(reference, twin, compared, reach)
@@ -95,13 +92,13 @@ def sharpened_sheet(
     assert sheet.texture is not None
 
     def in_round(number: int) -> Progress:
-        return lambda share: progress((number + share) / SHARPENING_ROUNDS)
+        return lambda share: progress((number + share) / LIMITS.sharpening_rounds)
 
-    for number in range(SHARPENING_ROUNDS):
+    for number in range(LIMITS.sharpening_rounds):
         so_far = twin.with_appearance(Appearance(sheet))
         compared = _compare_all(reference, so_far, poses, in_round(number))
         texture = sheet.texture * _texture(reference, twin, compared, sheet.margins_mm)
-        sheet = replace(sheet, texture=np.clip(texture, 0, np.float32(MOST_FACTOR)))
+        sheet = replace(sheet, texture=np.clip(texture, 0, np.float32(LIMITS.max_factor)))
     return sheet
 
 
@@ -122,7 +119,7 @@ def _compare(reference: Reference, twin: Twin, pose: int) -> _Compared:
     own = twin.expected(pose, reference.shown(every), reference.settings) - black
     own_square, both = np.einsum("nvu,nvu->vu", own, own), np.einsum("nvu,nvu->vu", own, real)
     real_square = np.einsum("nvu,nvu->vu", real, real)
-    is_lit = own.mean(axis=0) > LIT * reference.full_scale
+    is_lit = own.mean(axis=0) > LIMITS.min_lit_level * reference.full_scale
     nothing = np.full_like(both, np.nan)
     ratio = np.divide(both, own_square, out=nothing.copy(), where=is_lit)
     likeness = np.sqrt(own_square * real_square)
@@ -137,7 +134,7 @@ def _margins(reference: Reference, twin: Twin, compared: Sequence[_Compared], re
         widths = []
         for one in compared:
             away, values = _beside(reference, twin, one, one.as_sheet, NO_MARGINS, side)
-            widths.append(_until(away, values > BLANK, reach))
+            widths.append(_until(away, values > LIMITS.min_blank_share, reach))
         known = [width for width in widths if width is not None]
         found.append(float(np.median(known)) if known else 0.0)
     return found[0], found[1], found[2], found[3]
@@ -147,17 +144,19 @@ def _rim_mm(beyond: Sequence[Sequence[_Strip]], reach: float) -> float:
     """Width of the frame: as far as it is dark beyond the sheet on all sides; a shadow falls to one alone."""
     found = []
     for sides in beyond:
-        widths = [_until(away, ratio < DARK, reach, BLURRED_MM) for away, ratio in sides]
+        widths = [
+            _until(away, ratio < LIMITS.max_dark_share, reach, LIMITS.blurred_mm) for away, ratio in sides
+        ]
         known = [width for width in widths if width is not None]
         if known:
             width = min(known)
-            found.append(width if width > BLURRED_MM else 0.0)
+            found.append(width if width > LIMITS.blurred_mm else 0.0)
     return float(np.median(found)) if found else 0.0
 
 
 def _rim_reflectance(beyond: Sequence[Sequence[_Strip]], rim_mm: float, paper: float) -> float:
     """Reflectance of the frame, whose light the ratios compare with that of blank paper in its place."""
-    within = (BLURRED_MM, rim_mm - BLURRED_MM)
+    within = (LIMITS.blurred_mm, rim_mm - LIMITS.blurred_mm)
     found = [ratio[(away > within[0]) & (away < within[1])] for sides in beyond for away, ratio in sides]
     ratios = np.concatenate(found)
     return float(np.clip(np.median(ratios) * paper, 0.0, 1.0)) if len(ratios) else 0.0
@@ -165,9 +164,9 @@ def _rim_reflectance(beyond: Sequence[Sequence[_Strip]], rim_mm: float, paper: f
 
 def _until(away_mm: Floats, holds: Mask, reach: float, first: float = 0.0) -> float | None:
     """Distance, from the first on, up to which something holds for most pixels; None where no end is seen."""
-    for width in np.arange(first, reach, RING_MM):
-        ring = (away_mm >= width) & (away_mm < width + RING_MM)
-        if ring.sum() < LEAST_RING:
+    for width in np.arange(first, reach, LIMITS.ring_mm):
+        ring = (away_mm >= width) & (away_mm < width + LIMITS.ring_mm)
+        if ring.sum() < LIMITS.min_ring_pixels:
             return None
         if holds[ring].mean() < 0.5:
             return float(width)
@@ -199,7 +198,7 @@ def _texture(
     """Median over the poses of the factor, relative to that of the whole sheet; 1 where it is not known."""
     camera = twin.parameters.calibration.camera
     nearest = min(float(one.pose.translation[2]) for one in compared)
-    per_mm = float(camera.matrix[0, 0]) / nearest / FINEST_PX
+    per_mm = float(camera.matrix[0, 0]) / nearest / LIMITS.texture_px
     width, height = reference.target.size_mm
     left, top, right, bottom = margins
     x = np.arange(-0.5 * width - left, 0.5 * width + right, 1.0 / per_mm) + 0.5 / per_mm
@@ -213,4 +212,4 @@ def _texture(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # a place that is lit in no pose
         factor: LevelStack = np.nanmedian(np.stack(factors), axis=0)
-    return np.clip(np.nan_to_num(factor, nan=1.0), 0, np.float32(MOST_FACTOR))
+    return np.clip(np.nan_to_num(factor, nan=1.0), 0, np.float32(LIMITS.max_factor))

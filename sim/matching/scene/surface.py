@@ -29,17 +29,25 @@ from sim.parameters import TwinParameters
 from sim.part_surface import PartSurface
 from sim.twin import Twin
 
-PIXELS, LEAST_PIXELS = 4_000, 50
-"""Pixels of a scan that are compared, about, and the least number that tells a surface."""
+
+@dataclass(frozen=True)
+class SurfaceLimits:
+    """How the surface of a part is found."""
+
+    pixels: int = 4_000  # of a scan that are compared, about (chosen, for speed)
+    min_pixels: int = 50  # that determine a surface (chosen)
+    min_width: float = 0.08  # of a gloss coat, the square root of GGX's (chosen)
+    max_width: float = 0.9  # of a gloss coat (chosen)
+    rounds: int = 8  # robust fits (chosen)
+    tolerance: float = 0.05  # of the search for a width, relative; Newton's steps follow (chosen)
+    newton_steps: int = 2  # after the search (chosen)
+    step_factor: float = 1.05  # of a width for its derivative (numerical)
+
+
+LIMITS = SurfaceLimits()
+
 WIDTHS = (0.15, 0.25, 0.4, 0.6)
 """Widths of the gloss coat (square root of GGX's) with which the search starts."""
-LEAST_WIDTH, MOST_WIDTH = 0.08, 0.9
-ROUNDS = 8
-TOLERANCE = 0.05
-"""Relative accuracy of the search for a width; Newton's steps follow."""
-NEWTON_STEPS = 2
-STEP = 1.05
-"""Factor of a width by which the derivative is taken."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,14 +142,14 @@ def _searched_width(view: _View) -> tuple[_Fit, float]:
     def best() -> float:
         return min(known, key=lambda width: view.cost(known[width]))
 
-    ends = [LEAST_WIDTH, *WIDTHS, MOST_WIDTH]
+    ends = [LIMITS.min_width, *WIDTHS, LIMITS.max_width]
     place = ends.index(best())
     bounds = np.log([ends[place - 1], ends[place + 1]])
-    minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": TOLERANCE, "maxiter": 6})
-    for _ in range(NEWTON_STEPS):
+    minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": LIMITS.tolerance, "maxiter": 6})
+    for _ in range(LIMITS.newton_steps):
         width = best()
         further = view.width_step(known[width], width)
-        cost(float(np.log(np.clip(width + further, LEAST_WIDTH, MOST_WIDTH))))
+        cost(float(np.log(np.clip(width + further, LIMITS.min_width, LIMITS.max_width))))
     return known[best()], best()
 
 
@@ -171,12 +179,12 @@ class _View:
 
     def _lit_pixels(self) -> PixelIndices:
         inner = lit_inside(self.twin, self.scan)
-        if np.count_nonzero(inner) < LEAST_PIXELS:
+        if np.count_nonzero(inner) < LIMITS.min_pixels:
             raise DataError(
                 f"{self.scan.session.path}: {np.count_nonzero(inner)} pixels see lit surface of the "
-                f"{self.scan.item} away from its edges; it takes {LEAST_PIXELS} to tell its surface"
+                f"{self.scan.item} away from its edges; it takes {LIMITS.min_pixels} to tell its surface"
             )
-        return subsample_pixels(inner, PIXELS)
+        return subsample_pixels(inner, LIMITS.pixels)
 
     def component(self, surface: PartSurface | None) -> Floats:
         """Levels above black (n P,) of a surface, None for that of the twin, not clipped."""
@@ -204,7 +212,7 @@ class _View:
     def fitted(self, columns: Floats) -> _Fit:
         """Fit non-negative coefficients robustly."""
         keep, weight = ~self.clipped, self.precision
-        for _ in range(ROUNDS):
+        for _ in range(LIMITS.rounds):
             root = np.sqrt(weight[keep])
             coefficients, _ = nnls(columns[keep] * root[:, None], self.seen[keep] * root)
             fit = self._fit(coefficients, columns)
@@ -266,8 +274,8 @@ class _View:
 
     def _slopes(self, fit: _Fit, width: float) -> Floats:
         """Derivatives (n P, 3) by body, share and width of the coat."""
-        there = self.glossy(width * STEP)[:, 1]
-        by_width = fit.coefficients[1] * (there - fit.columns[:, 1]) / (width * (STEP - 1.0))
+        there = self.glossy(width * LIMITS.step_factor)[:, 1]
+        by_width = fit.coefficients[1] * (there - fit.columns[:, 1]) / (width * (LIMITS.step_factor - 1.0))
         return np.column_stack([fit.columns, by_width])
 
     def _with_white(self, sigma: float, fit: _Fit) -> float:

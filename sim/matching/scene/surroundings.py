@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import cast
 
 import cv2
@@ -32,34 +32,28 @@ from sim.matching.loss import rectangle_mask
 from sim.matching.reference import LevelStack, Reference
 from sim.twin import Twin
 
-CELL_PX = 4
-"""Side of the squares of pixels that share a corner of the mesh."""
-SMOOTHED_CELLS = 5
-"""Side of the window of cells whose median is the depth of its middle."""
-LEAST_KNOWN = 0.3
-"""Share of the window that must be known."""
-MOST_STEP = 0.03
-"""Greatest ratio, less 1, of depths at the corners of a face: beyond lies an edge that nothing joins."""
-NEAR_BOARD_MM = 10.0
-"""Distance from the board and its frame within which a point may belong to them."""
-FURTHER = 1.02
-"""How much further than all that is known the backdrop stands."""
-BACKDROP_PX = 32
-"""Side of the backdrop's squares in the image."""
-LEAST_CELLS = 100
-"""With fewer that are known there are no surroundings worth the name."""
-CONTINUED_CELLS = 40
-"""How far known surfaces go on where nothing is known, in cells."""
-LEAST_SPREAD = 1e-3
-"""Added to the squared distances of known cells, so that a single one is enough for a fit."""
-PLANE_CELLS = 9
-"""Side of the window of cells whose plane they go on along."""
-TRIAL = 0.1
-"""Reflectance with which levels are computed: dark enough that none is saturated."""
-LEAST_LEVEL = 0.001
-"""Level of the twin at the trial's reflectance, a share of full scale, below which a surface is not lit."""
-HIDDEN_PX = 12
-"""Pixels beyond the board's outline that are not used for the reflectance."""
+
+@dataclass(frozen=True)
+class SurroundingsLimits:
+    """How surroundings are rebuilt."""
+
+    cell_px: int = 4  # side of the squares of pixels that share a corner of the mesh (chosen, for size)
+    smoothed_cells: int = 5  # side of the window whose median is the depth of its middle (chosen)
+    min_known_share: float = 0.3  # of that window (chosen)
+    max_step: float = 0.03  # ratio less 1 of depths at the corners of a face (chosen)
+    near_board_mm: float = 10.0  # within which a point may belong to the board (chosen)
+    backdrop_factor: float = 1.02  # of the greatest known depth (chosen)
+    backdrop_px: int = 32  # side of the backdrop's squares (chosen, for size)
+    min_cells: int = 100  # that are known of surroundings (chosen)
+    continued_cells: int = 40  # by which known surfaces go on where nothing is known (chosen)
+    min_spread: float = 1e-3  # of squared distances, so that one known cell is enough (numerical)
+    plane_cells: int = 9  # side of the window of a plane that is continued (chosen)
+    trial_reflectance: float = 0.1  # dark enough that no level is saturated (chosen)
+    min_level: float = 0.001  # of a lit surface of that reflectance, as a share of full scale (chosen)
+    hidden_px: int = 12  # beyond the board's outline that are not used (chosen)
+
+
+LIMITS = SurroundingsLimits()
 
 
 def rebuild_surroundings(
@@ -73,12 +67,12 @@ def rebuild_surroundings(
     depths = _depths(reference, twin, sheet, poses, lambda share: progress(0.6 * share))
     camera = twin.parameters.calibration.camera
     depths = _smoothed(depths)
-    if np.isfinite(depths).sum() < LEAST_CELLS:
+    if np.isfinite(depths).sum() < LIMITS.min_cells:
         return None
-    backdrop = backdrop_mesh(FURTHER * float(np.nanmax(depths)), camera)
+    backdrop = backdrop_mesh(LIMITS.backdrop_factor * float(np.nanmax(depths)), camera)
     mesh = cast(trimesh.Trimesh, trimesh.util.concatenate([grid_mesh(continued(depths), camera), backdrop]))
     width, height = camera.size
-    found = BenchSurroundings(mesh, np.full((height, width), TRIAL, np.float32))
+    found = BenchSurroundings(mesh, np.full((height, width), LIMITS.trial_reflectance, np.float32))
     trial = twin.with_appearance(Appearance(sheet, found))
     painted = _reflectance(reference, trial, sheet, poses, lambda share: progress(0.6 + 0.4 * share))
     return replace(found, reflectance=painted) if painted.any() else None
@@ -107,8 +101,10 @@ def _depths(
 def _is_beside(cloud: Cloud, pose: RigidTransform, target: Target, sheet: BoardSheet) -> Mask:
     """Tell which points (N,) are neither on the board nor near it, and so do not move with it."""
     x, y, z = pose.inverse().apply(cloud.points.astype(np.float64)).T
-    low, high = sheet_outline(target, sheet, NEAR_BOARD_MM)
-    is_board = (x > low[0]) & (x < high[0]) & (y > low[1]) & (y < high[1]) & (np.abs(z) < NEAR_BOARD_MM)
+    low, high = sheet_outline(target, sheet, LIMITS.near_board_mm)
+    is_board = (
+        (x > low[0]) & (x < high[0]) & (y > low[1]) & (y < high[1]) & (np.abs(z) < LIMITS.near_board_mm)
+    )
     return np.asarray(~is_board)
 
 
@@ -117,11 +113,17 @@ def _cells(cloud: Cloud, chosen: Mask) -> Floats:
     assert cloud.pixels is not None
     assert cloud.size is not None
     width, height = cloud.size
-    depths = np.full((-(-height // CELL_PX) * CELL_PX, -(-width // CELL_PX) * CELL_PX), np.nan)
+    depths = np.full(
+        (-(-height // LIMITS.cell_px) * LIMITS.cell_px, -(-width // LIMITS.cell_px) * LIMITS.cell_px), np.nan
+    )
     u, v = cloud.pixels[chosen].T
     depths[v, u] = cloud.points[chosen, 2]
-    rows, columns = depths.shape[0] // CELL_PX, depths.shape[1] // CELL_PX
-    cells = depths.reshape(rows, CELL_PX, columns, CELL_PX).swapaxes(1, 2).reshape(rows, columns, -1)
+    rows, columns = depths.shape[0] // LIMITS.cell_px, depths.shape[1] // LIMITS.cell_px
+    cells = (
+        depths.reshape(rows, LIMITS.cell_px, columns, LIMITS.cell_px)
+        .swapaxes(1, 2)
+        .reshape(rows, columns, -1)
+    )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # an empty cell
         return np.asarray(np.nanmedian(cells, axis=-1))
@@ -134,20 +136,20 @@ def grid_mesh(depths: Floats, camera: Pinhole) -> trimesh.Trimesh:
     known = np.isfinite(depths)
     number[known] = np.arange(known.sum())
     v, u = np.nonzero(known)
-    middle = CELL_PX * (np.stack([u, v], axis=-1) + 0.5) - 0.5
+    middle = LIMITS.cell_px * (np.stack([u, v], axis=-1) + 0.5) - 0.5
     slopes = camera.normalise(middle.astype(np.float64))
     vertices = depths[known][:, None] * np.column_stack([slopes, np.ones(len(slopes))])
     corners = _corners(number)
     corners = corners[(corners >= 0).all(axis=1)]
     depth = vertices[:, 2][corners]
-    corners = corners[depth.max(axis=1) < (1.0 + MOST_STEP) * depth.min(axis=1)]
+    corners = corners[depth.max(axis=1) < (1.0 + LIMITS.max_step) * depth.min(axis=1)]
     mesh = trimesh.Trimesh(vertices, _triangles(corners), process=False)
     mesh.remove_unreferenced_vertices()
     return mesh
 
 
 def continued(depths: Floats) -> Floats:
-    """Let surfaces go on along their planes, up to `CONTINUED_CELLS`, where nothing is known.
+    """Let surfaces go on along their planes, up to `continued_cells`, where nothing is known.
 
     The inverse depth of a plane is linear in the image, so each ring of cells around what is known gets the
     value of the linear fit to the known cells of its window.
@@ -155,7 +157,7 @@ def continued(depths: Floats) -> Floats:
     # depths (rows, columns) mm
     inverse = 1.0 / depths
     least, most = np.nanmin(inverse), np.nanmax(inverse)
-    for _ in range(CONTINUED_CELLS):
+    for _ in range(LIMITS.continued_cells):
         known = np.isfinite(inverse)
         ring = cv2.dilate(known.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(np.bool_) & ~known
         if not ring.any():
@@ -168,7 +170,7 @@ def _linear_fits(values: Floats, known: Mask, wanted: Mask) -> Floats:
     """Values (N,) of wanted cells by linear fits to the known ones around each."""
     weight = known.astype(np.float64)
     filled = np.where(known, values, 0.0)
-    away = np.arange(PLANE_CELLS, dtype=np.float64) - PLANE_CELLS // 2
+    away = np.arange(LIMITS.plane_cells, dtype=np.float64) - LIMITS.plane_cells // 2
 
     def moment(of: Floats, x: int, y: int) -> Floats:
         """Sum over the window of a value times powers of the distance from its middle."""
@@ -178,7 +180,7 @@ def _linear_fits(values: Floats, known: Mask, wanted: Mask) -> Floats:
     n, x, y, xx, xy, yy = (moment(weight, *k) for k in ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)))
     right = np.stack([moment(filled, *k) for k in ((0, 0), (1, 0), (0, 1))], axis=-1)
     normal = np.stack([n, x, y, x, xx, xy, y, xy, yy], axis=-1).reshape(-1, 3, 3)
-    normal = normal + np.diag([0.0, LEAST_SPREAD, LEAST_SPREAD])
+    normal = normal + np.diag([0.0, LIMITS.min_spread, LIMITS.min_spread])
     return np.asarray(np.linalg.solve(normal, right[..., None])[:, 0, 0])
 
 
@@ -188,7 +190,7 @@ def backdrop_mesh(depth_mm: float, camera: Pinhole) -> trimesh.Trimesh:
     It stands behind all else, so that it neither hides nor shades anything.
     """
     width, height = camera.size
-    columns, rows = (-(-side // BACKDROP_PX) + 1 for side in (width, height))
+    columns, rows = (-(-side // LIMITS.backdrop_px) + 1 for side in (width, height))
     grid = np.meshgrid(np.linspace(-1, width, columns), np.linspace(-1, height, rows))
     slopes = camera.normalise(np.stack(grid, axis=-1).reshape(-1, 2))
     number = np.arange(rows * columns).reshape(rows, columns)
@@ -209,10 +211,10 @@ def _triangles(corners: NDArray[np.int64]) -> NDArray[np.int64]:
 
 def _smoothed(depths: Floats) -> Floats:
     """Median over windows of cells; NaN where too little of the window is known, or not the middle itself."""
-    margin = SMOOTHED_CELLS // 2
+    margin = LIMITS.smoothed_cells // 2
     wide = np.pad(depths, margin, constant_values=np.nan)
-    windows = np.lib.stride_tricks.sliding_window_view(wide, (SMOOTHED_CELLS, SMOOTHED_CELLS))
-    enough = np.isfinite(windows).mean(axis=(2, 3)) >= LEAST_KNOWN
+    windows = np.lib.stride_tricks.sliding_window_view(wide, (LIMITS.smoothed_cells, LIMITS.smoothed_cells))
+    enough = np.isfinite(windows).mean(axis=(2, 3)) >= LIMITS.min_known_share
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # a window of unknown cells
         found = np.nanmedian(windows, axis=(2, 3))
@@ -230,7 +232,7 @@ def _reflectance(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # a pixel that is lit in no pose
         ratio: LevelStack = np.nanmedian(np.stack(ratios), axis=0)
-    return np.clip(np.float32(TRIAL) * np.nan_to_num(ratio), 0, 1)
+    return np.clip(np.float32(LIMITS.trial_reflectance) * np.nan_to_num(ratio), 0, 1)
 
 
 def _ratio(reference: Reference, twin: Twin, sheet: BoardSheet, pose: int) -> LevelStack:
@@ -241,7 +243,7 @@ def _ratio(reference: Reference, twin: Twin, sheet: BoardSheet, pose: int) -> Le
     computed = twin.expected(pose, reference.shown(every), reference.settings) - black
     square = np.einsum("nvu,nvu->vu", computed, computed)
     both = np.einsum("nvu,nvu->vu", computed, real)
-    is_lit = square > len(every) * (LEAST_LEVEL * reference.full_scale) ** 2
+    is_lit = square > len(every) * (LIMITS.min_level * reference.full_scale) ** 2
     is_lit &= ~_hidden(reference, twin, sheet, pose)
     ratio: LevelStack = np.divide(both, square, out=np.full_like(both, np.nan), where=is_lit)
     return ratio
@@ -251,7 +253,7 @@ def _hidden(reference: Reference, twin: Twin, sheet: BoardSheet, pose: int) -> M
     """Pixels that see the board or its frame, and some beyond."""
     now = twin.parameters
     low, high = sheet_outline(reference.target, sheet, 0.0)
-    return rectangle_mask(now.calibration.camera, now.poses[pose], low, high, -HIDDEN_PX)
+    return rectangle_mask(now.calibration.camera, now.poses[pose], low, high, -LIMITS.hidden_px)
 
 
 def sheet_outline(target: Target, sheet: BoardSheet, beyond_mm: float) -> tuple[Floats, Floats]:

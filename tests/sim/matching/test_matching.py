@@ -434,9 +434,8 @@ def test_blur_of_all_poses_alike_is_accepted(truth: TwinParameters, reference: R
     seen = [Remembered.of(twin, PLAN, pose) for pose in range(len(reference.sessions))]
     blurred = [replace(s, images=[cv2.GaussianBlur(i, (0, 0), 1.0) for i in s.images]) for s in seen]
     softer = replace(reference, sessions=cast(Any, tuple(blurred)))
-    assert (
-        plausibility.edge_contrast(softer, PlaneTwin(truth)).max() < 1 - plausibility.MAX_CONTRAST_DIFFERENCE
-    )
+    most = 1 - plausibility.LIMITS.max_contrast_difference
+    assert plausibility.edge_contrast(softer, PlaneTwin(truth)).max() < most
     assert plausibility.sharpness_finding(softer, PlaneTwin(truth)) is None
 
 
@@ -445,7 +444,7 @@ def test_a_result_of_low_similarity_is_useless() -> None:
     found = plausibility.similarity_finding(0.5, 20.0)
     assert found is not None
     assert found.evidence.startswith("SSIM over the board is 0.500")
-    assert found.excess >= plausibility.MAX_IMAGE_DIFFERENCE
+    assert found.excess >= plausibility.LIMITS.max_image_difference
 
 
 def test_the_response_of_another_rig_is_refused_before_the_work(truth: TwinParameters) -> None:

@@ -27,7 +27,7 @@ def roof(ridge_mm: float) -> trimesh.Trimesh:
 
 def fitted(monkeypatch: pytest.MonkeyPatch, scanned: trimesh.Trimesh, said: trimesh.Trimesh) -> Any:
     cloud = perfect_cloud(scanned.copy().apply_transform(BEFORE_CAMERA), noise_mm=0.01)
-    monkeypatch.setattr(artefacts, "reconstruct", lambda session, calibration: (None, cloud))
+    monkeypatch.setattr(artefacts, "reconstruct_points", lambda session, calibration: (None, cloud))
     twin = SimpleNamespace(mesh=lambda item: said, pose_of=lambda item: PLACE)
     session = SimpleNamespace(path=Path("scan"))
     return artefacts.fit_scan(cast(Any, twin), "roof", cast(Any, session), CALIBRATION, Refusals(frozenset()))
