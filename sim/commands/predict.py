@@ -49,7 +49,7 @@ def predict_command(
     console.print_result(answer, json, lambda: _show(answer))
 
 
-MOST_FACTOR = 100.0
+MAX_FACTOR = 100.0
 """Ratio of the ends of an interval from which on nothing is known."""
 UNITS = {
     "distance_um": ("distance from the surface", "µm", 1.0),
@@ -65,7 +65,7 @@ def _show(answer: dict[str, Any]) -> None:
     for name, (words, unit, scale) in UNITS.items():
         one = answer[name]
         values = [f"{scale * one[key]:.3g} {unit}".strip() for key in ("value", "low", "high")]
-        if unit == "µm" and one["high"] > MOST_FACTOR * one["low"]:
+        if unit == "µm" and one["high"] > MAX_FACTOR * one["low"]:
             values[1:] = ["unknown", "unknown"]
         rows.append([words, *values])
     console.table(

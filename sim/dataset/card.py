@@ -22,7 +22,7 @@ from fpplab.core.strict_json import parse_json
 from sim.dataset.fields import FIELDS, FRAMES, FieldSpec
 from sim.dataset.shard import CHECKSUMS, SCENES, array_file, shard_name
 
-MOST_BYTES = 50_000_000
+MAX_BYTES = 50_000_000
 """Greatest size of a card, which holds a whole world."""
 CARD, README, PLAN = "card.json", "README.md", "plan.yaml"
 FORMAT = "fpplab dataset 1"
@@ -117,7 +117,7 @@ def read_card(folder: Path) -> dict[str, Any]:
     """Read the card in a folder."""
     path = folder / CARD
     try:
-        card = parse_json(read_bounded(path, MOST_BYTES))
+        card = parse_json(read_bounded(path, MAX_BYTES))
     except FileNotFoundError:
         raise DataError(f"{folder}: is not a data set (it has no {CARD})") from None
     except (OSError, ValueError) as error:

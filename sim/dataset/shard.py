@@ -29,7 +29,7 @@ from sim.dataset.fields import Arrays, FieldSpec
 CHECKSUMS, SCENES = "sha256.json", "scenes.jsonl"
 """Beside the arrays: checksums of all other files, and one line for each sample with all that was drawn."""
 
-MOST_SUMS_BYTES = 1_000_000
+MAX_SUMS_BYTES = 1_000_000
 """Greatest size of the file of checksums."""
 
 
@@ -141,7 +141,7 @@ class _Hashed:
 def check_shard(shard: Path) -> None:
     """Compare every file of a shard with its checksum."""
     try:
-        sums = parse_object(read_bounded(shard / CHECKSUMS, MOST_SUMS_BYTES))
+        sums = parse_object(read_bounded(shard / CHECKSUMS, MAX_SUMS_BYTES))
         for name, expected in sums.items():
             if Path(name).name != name:
                 raise DataError(f"{shard / CHECKSUMS}: names '{name}', which is not in its folder")

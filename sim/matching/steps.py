@@ -40,7 +40,7 @@ STEADY: dict[str, Any] = {
     "sigma": {},
 }
 """What parameters have in common whose expected images are alike."""
-LEAST_CONTRAST, SIGNIFICANT = 0.02, 3.0
+MIN_CONTRAST, SIGNIFICANT = 0.02, 3.0
 """Relative difference of the contrast, and standard errors of it, by which the board must be sharper than
 contrasts on parts say."""
 PROJECTOR_FOCUS = ("projector_focus_mm", "projector_aperture_mm")
@@ -202,7 +202,7 @@ def _board_is_sharper(at: MatchingContext) -> bool:
     """
     off = board_contrasts(at.reference, at.twin, _spread(at)).mean(axis=1)
     error = off.std(ddof=1) / np.sqrt(len(off)) if len(off) > 1 else 0.0
-    return bool(off.mean() > max(LEAST_CONTRAST, SIGNIFICANT * error))
+    return bool(off.mean() > max(MIN_CONTRAST, SIGNIFICANT * error))
 
 
 def _without_contrasts(at: MatchingContext) -> TwinParameters:

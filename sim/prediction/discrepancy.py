@@ -23,7 +23,7 @@ DISCREPANCY = "discrepancy.yaml"
 """Name of the file, beside the rig file of a matched twin."""
 COVERAGE = 1.96
 """Half width of an interval of 95 %, in standard deviations."""
-LEAST = 0.02
+MIN_SIGMA = 0.02
 """Least standard deviation of a logarithm: what a few poses agree on by chance is not believed."""
 
 
@@ -62,7 +62,7 @@ class Deviation(Document):
 
         The mean is not corrected for, since it is a fault of the twin which another plan need not share.
         """
-        return float(np.sqrt(self.mean**2 + self.spread**2 * (1.0 + 1.0 / self.count) + LEAST**2))
+        return float(np.sqrt(self.mean**2 + self.spread**2 * (1.0 + 1.0 / self.count) + MIN_SIGMA**2))
 
 
 class ContrastDeviation(Document):

@@ -32,9 +32,9 @@ MAX_PIXELS = 15_000
 """Pixels of each pose that are compared."""
 GAIN, ROOM, MOVES = (0,), (1,), (2, 3, 4)
 """Columns of a frame's terms: share of the projector's light, of the room's light, and mm along the axes."""
-LEAST_GAIN = 3e-4
+MIN_GAIN = 3e-4
 """Standard deviation of the projector's light below which it is not told from faults of the fit."""
-LEAST_ROOM = 1e-3
+MIN_ROOM_SHARE = 1e-3
 """Share of the level below which the light of the room tells nothing of its changes."""
 
 
@@ -55,7 +55,7 @@ class FrameTerms:
         of = list(columns)
         # A fringe that the twin has elsewhere in all frames looks like a motion, but not like more light.
         known = self.noise if columns == GAIN else self.covariance
-        least = LEAST_GAIN**2 if columns == GAIN else 0.0
+        least = MIN_GAIN**2 if columns == GAIN else 0.0
         covariance = known[:, of][:, :, of] + least * np.eye(len(of))
         return Series(self.frames, self.sets, self.values[:, of], covariance)
 
@@ -73,7 +73,7 @@ def terms_of_pose(reference: Reference, twin: Twin, pose: int) -> FrameTerms:
     above = expected - now.black_level * reference.full_scale
     share = float(room.mean() / above.mean())
     projected = above - room
-    beside = room if share > LEAST_ROOM else np.ones_like(room)
+    beside = room if share > MIN_ROOM_SHARE else np.ones_like(room)
     frames = reference.frames(pose, images)[:, *pixels].astype(np.float64)
     bases = [np.column_stack([light, beside, slope]) for light, slope in zip(projected, slopes, strict=True)]
     differences = frames - expected - change_by_bend(reference, now, pose, pixels, slopes)
@@ -84,7 +84,7 @@ def terms_of_pose(reference: Reference, twin: Twin, pose: int) -> FrameTerms:
         np.array([_covariance(rest, basis, tiles) for rest, basis in zip(one, bases, strict=True)])
         for one in (left, _changing(left, reference.plan, sets))
     ]
-    room_share = share if share > LEAST_ROOM else 0.0
+    room_share = share if share > MIN_ROOM_SHARE else 0.0
     return FrameTerms(pose, np.array(images, np.float64), sets, values, both[0], both[1], room_share)
 
 

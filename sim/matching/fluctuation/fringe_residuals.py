@@ -30,7 +30,7 @@ Complex = NDArray[np.complex128]
 """Arrays of waves."""
 PIXELS = 8_000
 """Pixels of the board that are used in each pose, about."""
-LEAST_IMAGES = 7
+MIN_IMAGES = 7
 """Images of a set that tell waves from motion."""
 
 
@@ -75,7 +75,7 @@ def _of_pose(reference: Reference, parameters: TwinParameters, pose: int) -> Ite
     pixels, grey = subsample_pixels(area, PIXELS), raw_per_grey(reference.settings.bits)
     plan, black = reference.plan, 255.0 * parameters.black_level
     for index, fringe in enumerate(plan.fringes):
-        if fringe.images < LEAST_IMAGES:
+        if fringe.images < MIN_IMAGES:
             continue
         images = range(plan.set_starts[index], plan.set_starts[index + 1])
         frames = reference.frames(pose, images)

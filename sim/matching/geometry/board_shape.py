@@ -16,14 +16,14 @@ from sim.parameters import TwinParameters
 
 DEGREE = 3
 """Of the polynomial of the board's shape."""
-LEAST_MM = 1e-4
+MIN_BEND_MM = 1e-4
 """Distance from the plane below which a board is flat."""
 
 
 def bend_mm(board: Floats, places: Floats) -> Floats:
     """Interpolate a board's shape by a polynomial, extended beyond its points as at the last."""
     # board (N, 3) mm; places (P, 2) mm; returns (P,) mm
-    if np.abs(board[:, 2]).max() < LEAST_MM:
+    if np.abs(board[:, 2]).max() < MIN_BEND_MM:
         return np.zeros(len(places))
     low, high = board[:, :2].min(axis=0), board[:, :2].max(axis=0)
     middle, half = 0.5 * (low + high), np.maximum(0.5 * (high - low), 1e-9)

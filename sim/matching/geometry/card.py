@@ -13,7 +13,7 @@ from fpplab.pipeline import reconstruct_points
 from fpplab.sessions.session import Session
 
 ROUNDS = 10
-MOST_BENT_MM = 0.5
+MAX_BENT_MM = 0.5
 """Robust standard deviation of a card's points from a plane, in mm, beyond which it is no flat card."""
 
 
@@ -28,9 +28,9 @@ def card_pose(session: Session, calibration: Calibration, nominal: RigidTransfor
     if len(points) < 100:
         raise DataError(f"{session.path}: the card's pose needs at least 100 points, found {len(points)}")
     centre, normal, spread = fitted_plane(points)
-    if spread > MOST_BENT_MM:
+    if spread > MAX_BENT_MM:
         raise DataError(
-            f"{session.path}: the points are {spread:.2f} mm off a plane (at most {MOST_BENT_MM:g}): this is "
+            f"{session.path}: the points are {spread:.2f} mm off a plane (at most {MAX_BENT_MM:g}): this is "
             "no scan of a flat card"
         )
     return moved_into_plane(nominal, centre, normal)
