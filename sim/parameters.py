@@ -48,7 +48,7 @@ class Fit:
 
 @dataclass(frozen=True)
 class Parameter:
-    """What is known of a parameter beside its value."""
+    """What is known of a parameter apart from its value."""
 
     doc: str  # what it is, with its unit
     path: str | None = None  # where a world has it
@@ -274,7 +274,9 @@ class TwinParameters:
 
 
 TABLE: dict[str, Parameter] = {
-    one.name: one.metadata["parameter"] for one in fields(TwinParameters) if "parameter" in one.metadata
+    known.name: known.metadata["parameter"]
+    for known in fields(TwinParameters)
+    if "parameter" in known.metadata
 }
 """What is known of every parameter that is a number or a tuple of numbers, by name."""
 UNCERTAIN = {
@@ -401,7 +403,7 @@ def parameters_of(world: World, board: str, target: Target) -> TwinParameters:
 
 def _numbers_of(world: World, brightest: float) -> dict[str, Any]:
     """Read the numbers that stand in a world's document; those that it has not keep their default."""
-    defaults = {one.name: one.default for one in fields(TwinParameters)}
+    defaults = {known.name: known.default for known in fields(TwinParameters)}
     found: dict[str, Any] = {}
     for name, known in TABLE.items():
         if known.path is None:
@@ -457,10 +459,10 @@ def _write_numbers(data: dict[str, Any], parameters: TwinParameters, binning: in
         value = getattr(parameters, name)
         *sections, last = path.split(".")
         section = data
-        for one in sections:
-            if section.get(one) is None:
-                section[one] = {}
-            section = section[one]
+        for part in sections:
+            if section.get(part) is None:
+                section[part] = {}
+            section = section[part]
         section[last] = list(value) if known.parts else value * binning if known.in_binned_px else value
 
 

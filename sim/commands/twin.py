@@ -94,8 +94,8 @@ def describe_rig(
         from sim.preview import arrangement_summary, save_preview
 
         save_preview(bench, wanted, step, out)
-        told = arrangement_summary(bench, wanted)
-    console.print_result({"preview": str(out), **told}, json)
+        summary = arrangement_summary(bench, wanted)
+    console.print_result({"preview": str(out), **summary}, json)
 
 
 @twin.command("export")
@@ -130,8 +130,8 @@ def export_rig(
 
         with console.progress("Exporting"):
             export_preview(make_preview(bench, wanted, step), out)
-        told = arrangement_summary(bench, wanted)
-    console.print_result({"blend": str(out), **told}, json)
+        summary = arrangement_summary(bench, wanted)
+    console.print_result({"blend": str(out), **summary}, json)
 
 
 @twin.command("record")
@@ -169,12 +169,12 @@ def record_on_twin(
         from sim.preview import arrangement_summary
         from sim.preview_scan import record_scan
 
-        told = arrangement_summary(bench, wanted)
+        summary = arrangement_summary(bench, wanted)
         with console.progress("Scanning") as report:
             scan = record_scan(bench, wanted, out, calibration=known, force=force, progress=report)
     figures = scan.figures()
     results = {"points": figures["points"], "images": wanted.plan().images, "seconds": seconds()}
-    console.print_result({"session": str(out), "cloud": str(out / CLOUD), **results, **told}, json)
+    console.print_result({"session": str(out), "cloud": str(out / CLOUD), **results, **summary}, json)
 
 
 def _simulated(path: str) -> Rig:

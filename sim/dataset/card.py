@@ -1,7 +1,7 @@
 """The data card: what a data set holds, how and from what it was made, its splits, licence and limitations.
 
 `card.json` is for programs, `README.md` has the same content for people. Everything in it follows from the
-request, so the card also tells whether a folder holds the data set that is to be made, or another one.
+request, so the card also shows whether a folder holds the data set that is to be made, or another one.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 It is written to a hidden draft folder, which gets its final name once everything in it is on disk, so that a
 shard under its final name is complete. A draft belongs to the process that holds the lock of the
-file beside it, which the operating system releases when the process dies; the next one starts it again.
+file next to it, which the operating system releases when the process dies; the next one starts it again.
 """
 
 from __future__ import annotations

@@ -67,7 +67,7 @@ def evaluate(
 ) -> TwinEvaluation:
     """Compare the twin's expected images with the reference, pose by pose.
 
-    They have no noise: that of twin and bench are never alike, and noise is judged by its variance.
+    They have no noise: two realisations of it never agree, and noise is judged by its variance.
     """
     every = range(len(twin.parameters.poses))
     chosen = set(every if poses is None else poses)

@@ -29,7 +29,7 @@ MARGIN_PX = 4
 """Edge margin of the board's area: half of the SSIM's window of 7 px, rounded up."""
 
 SURROUNDINGS_PX = 3
-"""Width of the surroundings of the board that are compared too, since its edge tells where it is."""
+"""Width of the surroundings of the board that are compared too, since its edge shows where it is."""
 HUBER_LIMIT = 3.0
 """Residuals beyond this many robust standard deviations count linearly (Huber)."""
 ROUNDING_SIGMA = 0.29

@@ -116,7 +116,7 @@ class _TimeOver(Exception):  # noqa: N818 - no fault: the time is over
 
 @dataclass(eq=False)
 class _StepWatch:
-    """Called before the twin computes images: tells how far a step is, and ends it when the time is over."""
+    """Called before the twin computes images: reports progress, and ends a step when the time is over."""
 
     started: float
     limits: MatchingLimits
@@ -181,7 +181,7 @@ def match_twin(
     """Match a twin to the reference, or continue where the record ends."""
     epochs = record.read()
     if not epochs:
-        start = ParametersFile.of(start).parameters()  # as the record will tell them to whoever goes on
+        start = ParametersFile.of(start).parameters()  # as a continued matching reads them
     elif epochs[-1].next_frame is not None:
         twin.count_frames_from(epochs[-1].next_frame)
     twin = twin.with_parameters(_best(epochs).parameters.parameters() if epochs else start)
@@ -267,7 +267,7 @@ def _worth_trying(steps: Sequence[MatchingStep], epochs: Sequence[MatchingEpoch]
 def _step_within(
     state: _State, limits: MatchingLimits, observe: EpochObserver, number: int, step: MatchingStep
 ) -> str | None:
-    """Make a step unless an earlier run took it; tell which limit ended it, None for none."""
+    """Make a step unless an earlier run took it; return the limit that ended it, None for none."""
     if number < len(state.epochs):
         return None
     if number > limits.epochs:

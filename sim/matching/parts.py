@@ -17,7 +17,7 @@ from sim.twin import Twin
 
 
 def check_scans(twin: Twin, scans: Mapping[str, Session]) -> None:
-    """Refuse what can be told of scans before any work."""
+    """Refuse scans of other devices or of items without a mesh before any work."""
     for item, session in scans.items():
         twin.mesh(item)
         plausibility.check_devices(twin, session)

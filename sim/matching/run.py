@@ -230,7 +230,7 @@ def _compared(
     # Only now: grain of the print moves what is found of the board, on the twin as on the bench.
     final = evaluate(reference, twin, request.weights, progress=listener.between(0.84, 0.88))
     own = final.characterisation
-    assert own is not None  # it was not told the twin's reprojection error
+    assert own is not None  # since no reprojection error of the twin was given
     artefacts = compare_artefacts(twin, begun.scans, own.calibration, listener.between(0.88, 1.0))
     result = MatchingResult(
         reference=reference,
@@ -251,7 +251,7 @@ def _compared(
 
 
 def _check_inputs(twin: Twin, sessions: Sequence[Session], target: Target, request: MatchingRequest) -> None:
-    """Refuse what can be told before any work: other devices, another board, items that are not there."""
+    """Refuse before any work: other devices, another board, items that are not there."""
     for session in [*sessions, request.card_scan] if request.card_scan else sessions:
         plausibility.check_devices(twin, session)
     plausibility.check_board(twin, target, "--target")

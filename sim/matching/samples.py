@@ -1,4 +1,4 @@
-"""Samples of what the bench recorded, beside which the twin's light is fitted: pixels of the board's images.
+"""Samples of the bench's recordings, to which the twin's light is fitted: pixels of the board's images.
 
 Another kind, the contrast of fringes on parts, is in `sim.matching.light.contrast`.
 """

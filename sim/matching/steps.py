@@ -6,7 +6,7 @@ flicker, rolling bands, vibration, noise); then all parameters of light together
 images in turn; at last once more what changes from frame to frame. Falloff, lamp, flicker, bands and
 vibration are kept where they explain more than their parameters cost. Noise is judged by its variance and
 spectrum, since the images that the loss compares have none. Scans of parts with finer fringes than the
-board's tell the projector's sharpness better than the board does, and alone.
+board's determine the projector's sharpness better than the board does, and alone.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ STEADY: dict[str, Any] = {
     "band_advance": None,
     "sigma": {},
 }
-"""What parameters have in common whose expected images are alike."""
+"""Changes of parameters that leave the expected images the same."""
 MIN_CONTRAST, SIGNIFICANT = 0.02, 3.0
 """Relative difference of the contrast, and standard errors of it, by which the board must be sharper than
 contrasts on parts say."""
@@ -117,7 +117,7 @@ class MatchingContext:
 
     @property
     def blur_by_images(self) -> tuple[str, ...]:
-        """The projector's blur, unless contrasts tell it."""
+        """The projector's blur, unless contrasts determine it."""
         return () if self.contrasts else ("projector_blur",)
 
     def fit_projector_sharpness(self) -> TwinParameters:
@@ -259,7 +259,7 @@ SHARPNESS_OF_BOARD = MatchingStep(
     _without_contrasts,
     applies=lambda at: bool(at.contrasts) and _board_is_sharper(at),
 )
-"""Taken after all rounds, where contrasts told a blur that the board's fringes do not have."""
+"""Taken after all rounds, where contrasts gave a blur that the board's fringes do not have."""
 CHANGING_STEPS = (
     MatchingStep(
         "flicker",

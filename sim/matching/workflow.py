@@ -194,7 +194,7 @@ def match_surfaces_alone(request: SurfacesRequest, observer: MatchObserver | Non
     ConfigError
         There is no scan, the output exists, or the twin has no such part.
     DataError
-        A scan is not of the part, or tells nothing of its surface.
+        A scan is not of the part, or does not determine its surface.
     """
     follow, stopwatch = observer or MatchObserver(), Stopwatch()
     if not request.scans:

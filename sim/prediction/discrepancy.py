@@ -20,7 +20,7 @@ LARGE_NOISE, LARGE_DISTANCE, LARGE_LEVELS, LARGE_CONTRAST = 0.2, 0.4, 0.1, 0.05
 """Mean logarithms of noise and distance, and relative differences of levels and contrast, from which on they
 are large."""
 DISCREPANCY = "discrepancy.yaml"
-"""Name of the file, beside the rig file of a matched twin."""
+"""Name of the file, next to the rig file of a matched twin."""
 COVERAGE = 1.96
 """Half width of an interval of 95 %, in standard deviations."""
 MIN_SIGMA = 0.02
@@ -46,7 +46,7 @@ class Deviation(Document):
 
     @classmethod
     def of_kinds(cls, kinds: Sequence[Sequence[float]], fitted: bool) -> Deviation:
-        """Summarise comparisons of several kinds, which count alike however many there are of each."""
+        """Summarise comparisons of several kinds, each of which counts the same however many it has."""
         there = [np.asarray(one, np.float64) for one in kinds if len(one)]
         means, count = np.array([one.mean() for one in there]), sum(len(one) for one in there)
         if count == 1:
@@ -129,7 +129,7 @@ class Discrepancy(Document):
 
     @classmethod
     def beside(cls, rig: Path) -> Discrepancy | None:
-        """Read the file beside a rig file."""
+        """Read the file next to a rig file."""
         path = rig.parent / DISCREPANCY
         return config.load_document(path, cls) if path.is_file() else None
 
@@ -142,7 +142,7 @@ def named_effects(
 ) -> tuple[str | None, str | None]:
     """Name what a large discrepancy looks like, and what the twin must not be believed for.
 
-    Points that are further from the surface than the twin's while their noise is alike have an error that is
+    Points that are further from the surface than the twin's, with the same noise, have an error that is
     no noise: something reaches the camera on another way than the twin's light.
     """
     pairs = [

@@ -1,4 +1,4 @@
-"""Figures of a measurement of a known shape, computed alike for predictions and for sessions."""
+"""Figures of a measurement of a known shape, computed in the same way for predictions and sessions."""
 
 from __future__ import annotations
 

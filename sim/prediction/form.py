@@ -2,7 +2,7 @@
 
 An error of the calibration moves and deforms a whole cloud. The comparison removes the motion, and of what is
 left a distance from a surface shows the part along its normal alone. It adds to the noise of each point, so
-that a small deformation hardly matters beside a large noise.
+that a small deformation hardly matters next to a large noise.
 """
 
 from __future__ import annotations

@@ -49,7 +49,7 @@ def figure_intervals(
     """
     # by_calibration (K,)
     values = {name: np.array([getattr(one, name) for one in draws]) for name in draws[0].summary()}
-    # Of one measurement beside the middle of the draws.
+    # Of one measurement about the middle of the draws.
     spread = {name: float(one.std(ddof=1) * np.sqrt(1.0 + 1.0 / len(one))) for name, one in values.items()}
     usual = {name: float(np.median(one)) for name, one in values.items()}
     relative = {name: spread[name] / max(usual[name], 1e-12) for name in usual}

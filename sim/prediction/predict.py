@@ -1,7 +1,7 @@
 """Prediction of a measurement on a simulation, from a sample of the camera's rows.
 
 Bands of rows are simulated in place of whole frames: with the light of every pattern, computed once, and with
-the sensor's noise drawn anew for every draw. They are decoded, triangulated and compared like a measurement,
+the sensor's noise drawn again for every draw. They are decoded, triangulated and compared like a measurement,
 so that the prediction is that of a whole synthesis but for the sample.
 """
 

@@ -2,7 +2,7 @@
 
 Under a rolling shutter it makes bands along the rows, under a global one it is another light in every frame.
 Frames at regular intervals see it advance by the same share of a period from frame to frame. In step with the
-fringes' phase steps it shifts the phase as much as that of the projector would, and no frame tells; so the
+fringes' phase steps it shifts the phase as much as that of the projector would, and no frame shows it; so the
 advance is estimated, too, wherever frames agree on one.
 """
 
@@ -122,17 +122,17 @@ class Bands:
     def rolling(self, room_share: float) -> Ripple:
         """Take the strongest waves along the rows, with the advance that frames agree on, if there is one."""
         frequency = self.best_frequency
-        told, free = self.at(frequency), 2
+        power, free = self.at(frequency), 2
         advance, share = self._best_advance(frequency)
         if share >= LIMITS.min_explained:
-            told, free = self.advancing(frequency, advance), 3
+            power, free = self.advancing(frequency, advance), 3
         return Ripple(
-            2.0 * float(np.sqrt(told.further)) / room_share,
-            told.relative_sigma,
+            2.0 * float(np.sqrt(power.further)) / room_share,
+            power.relative_sigma,
             1.0 / frequency,
             self.period_sigma,
             advance if share >= LIMITS.min_explained else None,
-            told.criterion(0.0, 0) - told.criterion(told.further, free),
+            power.criterion(0.0, 0) - power.criterion(power.further, free),
         )
 
     def _waves(self, index: int, frequency: float) -> tuple[FringeResidual, Complex]:
@@ -153,7 +153,7 @@ class Bands:
 
 
 def _one_wave(sets: Sequence[tuple[FringeResidual, Complex]], advance: float) -> tuple[complex, float]:
-    """Fit one wave to the sets of a pose; its complex amplitude, and the frames' worth that tell it.
+    """Fit one wave to the sets of a pose; its complex amplitude, and how many frames determine it.
 
     sets: with the waves (N,) of their frames.
     """
@@ -166,7 +166,7 @@ def _one_wave(sets: Sequence[tuple[FringeResidual, Complex]], advance: float) ->
 
 
 def ripple_in_step(seen: Sequence[FrameTerms]) -> Ripple:
-    """Take light of the room that is another in every frame, alike in all rows."""
+    """Take light of the room that changes from frame to frame, equally in all rows."""
     found = fit_fluctuation([one.series(ROOM) for one in seen])
     oscillates = bool(found.oscillation.any())
     rms = abs(float(found.oscillation[0])) if oscillates else found.random.isotropic

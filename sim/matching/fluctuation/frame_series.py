@@ -1,6 +1,6 @@
 """Fit of what changes from frame to frame, at random or with one frequency, to series of several poses.
 
-Frame n of pose p has, beside a mean of its fringe set and noise of known covariance,
+Frame n of pose p has a mean of its fringe set, noise of known covariance, and
 
     e_n + v r_n + sqrt(2) w sin(2 pi f n + psi_p)
 
@@ -65,7 +65,7 @@ class Series:
 
     @property
     def freedom(self) -> int:
-        """Number of independent frames beside the means of their sets."""
+        """Number of independent frames once the means of their sets are taken off."""
         return len(self.frames) - len(np.unique(self.sets))
 
     def along(self, direction: Floats, isotropic: float) -> Series:
@@ -94,7 +94,7 @@ class Series:
 
 @dataclass(frozen=True, eq=False)
 class FrameFluctuation:
-    """What a series has beside noise."""
+    """What changes in a series besides noise."""
 
     random: RandomDisplacement  # from frame to frame
     oscillation: Floats  # RMS value (k,) of the oscillation; 0 for none
@@ -169,7 +169,7 @@ def _most_likely(
 ) -> RandomDisplacement:
     """The most likely random numbers, by what else is left (n, k) of each pose.
 
-    taken: parameters that were fitted to each component of each pose, beside the means.
+    taken: parameters that were fitted to each component of each pose, besides the means.
     """
     size = seen[0].values.shape[1]
     grown = [
@@ -206,14 +206,14 @@ def _most_likely(
 
 
 def _sigma(seen: Sequence[Series], random: RandomDisplacement) -> float:
-    """Relative standard uncertainty of the size of random numbers, by the frames that tell them."""
-    told = 0.0
+    """Relative standard uncertainty of the size of random numbers, by the frames that determine them."""
+    information = 0.0
     for one in seen:
         noise = np.trace(one.covariance, axis1=1, axis2=2) + 1e-300
-        told += one.freedom * float(
+        information += one.freedom * float(
             np.mean((1.0 / (1.0 + noise / max(np.trace(random.covariance), 1e-300))) ** 2)
         )
-    return float(1.0 / np.sqrt(2.0 * max(told, 1e-12)))
+    return float(1.0 / np.sqrt(2.0 * max(information, 1e-12)))
 
 
 def _misfit(seen: Sequence[Series], left: Sequence[Floats], random: RandomDisplacement) -> float:

@@ -33,9 +33,9 @@ MAX_PIXELS = 15_000
 GAIN, ROOM, MOVES = (0,), (1,), (2, 3, 4)
 """Columns of a frame's terms: share of the projector's light, of the room's light, and mm along the axes."""
 MIN_GAIN = 3e-4
-"""Standard deviation of the projector's light below which it is not told from faults of the fit."""
+"""Standard deviation of the projector's light below which faults of the fit look the same (chosen)."""
 MIN_ROOM_SHARE = 1e-3
-"""Share of the level below which the light of the room tells nothing of its changes."""
+"""Share of the level below which changes of the room's light cannot be seen (chosen)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,9 +73,9 @@ def terms_of_pose(reference: Reference, twin: Twin, pose: int) -> FrameTerms:
     above = expected - now.black_level * reference.full_scale
     share = float(room.mean() / above.mean())
     projected = above - room
-    beside = room if share > MIN_ROOM_SHARE else np.ones_like(room)
+    other = room if share > MIN_ROOM_SHARE else np.ones_like(room)
     frames = reference.frames(pose, images)[:, *pixels].astype(np.float64)
-    bases = [np.column_stack([light, beside, slope]) for light, slope in zip(projected, slopes, strict=True)]
+    bases = [np.column_stack([light, other, slope]) for light, slope in zip(projected, slopes, strict=True)]
     differences = frames - expected - change_by_bend(reference, now, pose, pixels, slopes)
     fits = [_fit(off, basis) for off, basis in zip(differences, bases, strict=True)]
     values = np.array([found for found, _ in fits])

@@ -31,7 +31,7 @@ Complex = NDArray[np.complex128]
 PIXELS = 8_000
 """Pixels of the board that are used in each pose, about."""
 MIN_IMAGES = 7
-"""Images of a set that tell waves from motion."""
+"""Least number of images of a set in which waves differ from motion (derived)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,10 +122,10 @@ def residual_of_set(
 
 
 def _inverse(normal: Floats) -> Floats:
-    """Pseudo-inverse of a symmetric matrix, without directions that are not told."""
+    """Pseudo-inverse of a symmetric matrix, without directions that are not determined."""
     strength, vectors = np.linalg.eigh(normal)
-    told = strength > 1e-4 * max(strength[-1], 1e-12)
-    return np.asarray((vectors[:, told] / strength[told]) @ vectors[:, told].T)
+    known = strength > 1e-4 * max(strength[-1], 1e-12)
+    return np.asarray((vectors[:, known] / strength[known]) @ vectors[:, known].T)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,7 @@
 """Noise of the bench's sensor, estimated from its frames for the twin: photon transfer.
 
 The sensor's noise is what the phase fit leaves of the frames beyond harmonics and flicker
-(`fpplab.phase.error_model`), so that nothing which the twin lacks is taken for noise. It is estimated alike
+(`fpplab.phase.error_model`), so that nothing which the twin lacks is taken for noise. It is estimated equally
 from frames of the bench and of the twin, and the twin's is scaled.
 
 References

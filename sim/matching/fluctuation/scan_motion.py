@@ -7,7 +7,7 @@ A part that warms, or is not clamped, moves a little further from frame to frame
 with the speed v along the camera's axis, and the change κ of the phase for a displacement s of the surface,
 which follows from the calibration and the surface's normal. Motion within the surface shows nowhere. To first
 order in v the fringe changes by a pattern that offset and fringe of a pixel do not hide, so that least
-squares over thousands of pixels find v, beside the factor of each frame's light. Vibration gives such a speed
+squares over thousands of pixels find v and the factor of each frame's light. Vibration gives such a speed
 by chance; how large, follows from the displacements of the twin.
 """
 

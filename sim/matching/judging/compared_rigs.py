@@ -1,4 +1,4 @@
-"""A bench beside its twin: prediction and measurement, and the frames of both by either's calibration.
+"""A bench compared with its twin: prediction and measurement, and the frames of both by either's calibration.
 
 With its own calibration a rig hides what is wrong with it; with the other's it shows in how far the two
 describe the same bench.
@@ -26,7 +26,7 @@ from sim.prediction import MeasuredFigures, Prediction, predict
 
 @dataclass(frozen=True)
 class RigComparison:
-    """A bench beside its twin, on one scan."""
+    """A bench compared with its twin, on one scan."""
 
     prediction: Prediction  # of the twin
     crossed: Mapping[tuple[str, str], MeasuredFigures]  # by whose frames

@@ -1,7 +1,7 @@
 """What is left between a matched twin and its bench, for the intervals of predictions.
 
 Noise is compared in poses of the board whose images the light was not fitted to, where there are such, and in
-scans; distance and completeness in scans. All are measured alike on bench and twin. The contrast of fine
+scans; distance and completeness in scans. Bench and twin are measured the same way. The contrast of fine
 fringes in scans is fitted, their noise and distance are not.
 """
 

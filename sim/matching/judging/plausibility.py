@@ -1,6 +1,6 @@
 """Plausibility checks of a matching: a twin that cannot match the bench is refused with the reason.
 
-What the recordings tell is checked before the work starts; what only the matched twin shows is a finding.
+What recordings show is checked before the work starts; what only the matched twin shows is a finding.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ def check_response(response: Response, sessions: Sequence[Session], refusals: Re
     """Refuse a response that is not that of the recordings.
 
     The fringes on the board are bent by the response: the second harmonic of the widest set of at least four
-    images tells it without any twin.
+    images shows it without any twin.
     """
     plan = sessions[0].plan
     wide = [k for k, one in enumerate(plan.fringes) if one.images > 3]
@@ -135,7 +135,7 @@ def sharpness_finding(reference: Reference, twin: Twin) -> Finding | None:
     """Find a pose that was taken with another focus than the others.
 
     Each pose's edges must be as steep as the twin's, at the same brightness, relative to the other poses:
-    what softens all of them alike is the bench's lens or print, not a focus that moved.
+    what softens all of them equally is the bench's lens or print, not a focus that moved.
     """
     contrasts = edge_contrast(reference, twin)
     usual = float(np.median(contrasts))
@@ -195,14 +195,12 @@ def _at_even_brightness(
     return np.asarray(image * share / np.maximum(level, 1e-3 * level.max()), np.float32)
 
 
-def similarity_finding(alike: float, unexplained: float) -> Finding | None:
+def similarity_finding(ssim: float, unexplained: float) -> Finding | None:
     """Find that a matching's result is not similar to the reference."""
-    if alike >= LIMITS.min_ssim:
+    if ssim >= LIMITS.min_ssim:
         return None
     words = (
-        f"SSIM over the board is {alike:.3f} at best, but at least {LIMITS.min_ssim:g} is needed; "
+        f"SSIM over the board is {ssim:.3f} at best, but at least {LIMITS.min_ssim:g} is needed; "
         f"{unexplained:.1f} levels of difference are left"
     )
-    return Finding(
-        UNLIKE_IMAGES, words, LIMITS.max_image_difference * (1.0 - alike) / (1.0 - LIMITS.min_ssim)
-    )
+    return Finding(UNLIKE_IMAGES, words, LIMITS.max_image_difference * (1.0 - ssim) / (1.0 - LIMITS.min_ssim))

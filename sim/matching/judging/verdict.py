@@ -113,12 +113,12 @@ def _of_fit(found: MatchingFigures) -> Iterator[Finding]:
 
 
 def _of_poses(found: MatchingFigures) -> Iterator[Finding]:
-    alike = {one["pose"]: float(one["ssim_board_after"]) for one in found.by_pose()}
-    usual = float(np.median(list(alike.values())))
-    worst = min(alike, key=lambda name: alike[name])
-    if usual - alike[worst] > LIMITS.max_ssim_drop:
-        words = f"{worst}: SSIM over the board {alike[worst]:.3f}, of all poses {usual:.3f} in the median"
-        yield Finding(POSE_MISFIT, words, (usual - alike[worst]) / LIMITS.max_ssim_drop)
+    ssim = {one["pose"]: float(one["ssim_board_after"]) for one in found.by_pose()}
+    usual = float(np.median(list(ssim.values())))
+    worst = min(ssim, key=lambda name: ssim[name])
+    if usual - ssim[worst] > LIMITS.max_ssim_drop:
+        words = f"{worst}: SSIM over the board {ssim[worst]:.3f}, of all poses {usual:.3f} in the median"
+        yield Finding(POSE_MISFIT, words, (usual - ssim[worst]) / LIMITS.max_ssim_drop)
 
 
 def _at_borders(found: MatchingFigures) -> Iterator[Finding]:

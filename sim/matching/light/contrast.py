@@ -1,11 +1,11 @@
-"""Contrast of fringes on parts, which tells how sharp projector and camera are where fringes are fine.
+"""Contrast of fringes on parts, which shows how sharp projector and camera are where fringes are fine.
 
 The board is recorded with fringes that can be unwrapped alone; on parts they are often several times finer,
 and lose a large share of their contrast to a blur that the board's hardly show. Of a pixel that sees a matt
 part the reflectance is not known, but offset A and amplitude B of its fringe are both proportional to it:
 `B/A` is that of the light.
 
-Light of the room adds to A alone. What the twin has of it is told by the board, which faces the camera; on a
+Light of the room adds to A alone. The twin has it as found on the board, which faces the camera; on a
 face that is turned away by its normal n, lamps of any number give more or less by a linear function of n
 (Lambert's law), which is fitted to every scan and taken off.
 """

@@ -1,7 +1,7 @@
 """How the bench looks beside what parameters tell: the board's sheet, and what stands around.
 
 Both are found once geometry and light are matched, and proven in a pose from which they were not found: a
-part that does not make the twin's images of it more alike is left out.
+part that does not make the twin's images of it more similar is left out.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ LIMITS = AppearanceLimits()
 
 @dataclass(frozen=True)
 class PartTrial:
-    """Whether a part of the appearance makes images more alike in a pose from which it was not found."""
+    """Whether a part of the appearance makes images more similar in a pose from which it was not found."""
 
     ssim_without: float  # mean SSIM of the pose's images
     ssim_with: float  # mean SSIM of the pose's images
 
     @property
     def accepted(self) -> bool:
-        """Whether the images are more alike by more than noise makes of it."""
+        """Whether the images are more similar by more than noise explains."""
         return self.ssim_with > self.ssim_without + LIMITS.min_gain
 
 
@@ -109,8 +109,8 @@ def _of_all(
     found = find_sheet(reference, twin, poses)
     bare = replace(found, texture=None)
     found = sharpened_sheet(reference, twin, found, poses) if sheet.accepted else bare
-    beside = rebuild_surroundings(reference, twin, found, poses) if around.accepted else None
-    return Appearance(found, beside)
+    around_all = rebuild_surroundings(reference, twin, found, poses) if around.accepted else None
+    return Appearance(found, around_all)
 
 
 def _similarity(

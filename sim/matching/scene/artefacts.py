@@ -167,7 +167,7 @@ def fit_scan(
 
 
 def _aligned(cloud: Cloud, mesh: trimesh.Trimesh, nominal: RigidTransform) -> RigidTransform:
-    """Find the pose of a mesh; where two fit alike, that which is near where the twin's file has it.
+    """Find the pose of a mesh; where two fit equally well, the one that is near where the twin's file has it.
 
     A highlight leaves holes, without which a stepped part fits in more places than one.
     """

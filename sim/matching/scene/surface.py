@@ -279,7 +279,7 @@ class _View:
         return np.column_stack([fit.columns, by_width])
 
     def _with_white(self, sigma: float, fit: _Fit) -> float:
-        """The level of white is as uncertain as the board told it."""
+        """Add the uncertainty of the white level, which the board determined."""
         known = self._now
         relative = [
             known.sigma.get(name, 0.0) / max(getattr(known, name), 1e-6) for name in ("white", "paper")

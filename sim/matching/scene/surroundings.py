@@ -1,6 +1,6 @@
 """The surroundings of a bench, rebuilt from its own recordings of a board: shape and reflectance.
 
-Camera and projector stand still, so whatever is beside the board is seen in the same pixels again. Its shape
+Camera and projector stand still, so whatever stands around the board is seen in the same pixels. Its shape
 is triangulated where the fringes decode, and merged over the poses by the median of the depths along every
 pixel's ray. Where none decodes, surfaces go on along their planes for a while, and a backdrop stands behind
 all. The reflectance is the ratio of the levels that were recorded to those of the twin, least squares
@@ -63,7 +63,7 @@ def rebuild_surroundings(
     poses: Sequence[int],
     progress: Progress = no_progress,
 ) -> BenchSurroundings | None:
-    """Rebuild what stands beside the board."""
+    """Rebuild what stands around the board."""
     depths = _depths(reference, twin, sheet, poses, lambda share: progress(0.6 * share))
     camera = twin.parameters.calibration.camera
     depths = _smoothed(depths)
