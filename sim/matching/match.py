@@ -24,7 +24,9 @@ from sim.matching.reference import Reference
 from sim.matching.samples import PixelSample, sample_pixels
 from sim.matching.scene.artefacts import BenchScan
 from sim.matching.steps import (
+    CHANGING,
     CHANGING_STEPS,
+    EXPLAINS,
     FIRST_STEPS,
     REPEATED_STEPS,
     SAMPLED_POSES,
@@ -52,21 +54,6 @@ class StepLimits:
 
 LIMITS = StepLimits()
 
-EXPLAINS = {
-    "projector defocus": "blur of the projector that grows with the distance from its focus",
-    "depth of field": "blur of the camera that grows with the distance from its focus",
-    "vignetting": "light that the camera's lens loses towards the corners of the image",
-    "projector falloff": "light that the projector gives unevenly",
-    "room lamp": "light of the room from one side",
-    "ambient light": "light that is not the projector's, and the camera's black level",
-    "flicker": "light of the projector that changes from frame to frame",
-    "rolling bands": "light on the mains in the rows of a rolling shutter",
-    "vibration": "displacements of the item from frame to frame",
-    "noise": "noise of the sensor",
-}
-"""The effects that are matched beyond the paper, by step."""
-CHANGING = {"flicker", "rolling bands", "vibration", "noise"}
-"""Those that differ from frame to frame: no expected image shows them."""
 FOCUS_STEPS = {"projector defocus", "depth of field"}
 """The steps that fit the focus; before them the twin may be sharp where the bench is not."""
 

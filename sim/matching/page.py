@@ -28,13 +28,13 @@ from fpplab.results.provenance import Provenance, poses_provenance, session_prov
 from fpplab.sessions.session import Session
 from sim.appearance import Appearance
 from sim.matching.light.gamma import GammaMatch
-from sim.matching.match import EXPLAINS
 from sim.matching.record import MatchingEpoch
 from sim.matching.reference import Reference
 from sim.matching.run import MatchingResult
 from sim.matching.scene.appearance import AppearanceTrial
 from sim.matching.scene.artefacts import ArtefactComparison
 from sim.matching.scene.surface import SurfaceMatch
+from sim.matching.steps import EXPLAINS
 from sim.parameters import TABLE, TwinParameters, named_numbers
 from sim.twin import Twin
 

@@ -143,6 +143,7 @@ class MatchingStep:
     allowed: Callable[[MatchingContext], bool] = lambda at: True  # whether what was proposed
     applies: Callable[[MatchingContext], bool] = lambda at: True  # whether the step is taken
     same_images: bool = False  # whether the images that the twin expects, which have no noise, stay the same
+    explains: str = ""  # the effect that it finds, as reports describe it; none for what every twin has
     again: bool = True  # whether it is tried in a later round after it was refused
 
 
@@ -265,12 +266,19 @@ CHANGING_STEPS = (
         "flicker",
         lambda at: match_flicker(at.twin.parameters, at.frame_terms()),
         same_images=True,
+        explains="light of the projector that changes from frame to frame",
     ),
-    MatchingStep("rolling bands", _rolling_bands, same_images=True),
+    MatchingStep(
+        "rolling bands",
+        _rolling_bands,
+        same_images=True,
+        explains="light on the mains in the rows of a rolling shutter",
+    ),
     MatchingStep(
         "vibration",
         lambda at: match_vibration(at.twin.parameters, at.frame_terms()),
         same_images=True,
+        explains="displacements of the item from frame to frame",
     ),
 )
 """What changes from frame to frame: found before noise is compared, and again with the light at the end."""
@@ -280,16 +288,36 @@ FIRST_STEPS = (
         lambda at: geometry_fit.refine_by_reprojection(at.twin.parameters, at.reference.characterisation),
     ),
     MatchingStep("light", lambda at: at.fit(at.white, "ink", "projector_blur")),
-    MatchingStep("ambient light", lambda at: at.fit(*at.light_parameters())),
-    MatchingStep("projector defocus", _projector_defocus, misfit=_contrast_left),
-    MatchingStep("depth of field", _depth_of_field),
-    MatchingStep("vignetting", lambda at: at.fit(at.white, "vignetting")),
+    MatchingStep(
+        "ambient light",
+        lambda at: at.fit(*at.light_parameters()),
+        explains="light that is not the projector's, and the camera's black level",
+    ),
+    MatchingStep(
+        "projector defocus",
+        _projector_defocus,
+        misfit=_contrast_left,
+        explains="blur of the projector that grows with the distance from its focus",
+    ),
+    MatchingStep(
+        "depth of field",
+        _depth_of_field,
+        explains="blur of the camera that grows with the distance from its focus",
+    ),
+    MatchingStep(
+        "vignetting",
+        lambda at: at.fit(at.white, "vignetting"),
+        explains="light that the camera's lens loses towards the corners of the image",
+    ),
     MatchingStep(
         "projector falloff",
         lambda at: at.fit(at.white, "vignetting", *FALLOFF),
         misfit=_evidence_for_falloff,
+        explains="light that the projector gives unevenly",
     ),
-    MatchingStep("room lamp", _room_lamp, misfit=_evidence_for_lamp),
+    MatchingStep(
+        "room lamp", _room_lamp, misfit=_evidence_for_lamp, explains="light of the room from one side"
+    ),
     *CHANGING_STEPS,
     MatchingStep(
         "noise",
@@ -297,8 +325,13 @@ FIRST_STEPS = (
         True,
         lambda at: noise.noise_misfit(at.reference, at.twin, _spread(at)),
         same_images=True,
+        explains="noise of the sensor",
     ),
 )
+EXPLAINS = {step.name: step.explains for step in FIRST_STEPS if step.explains}
+"""The effects that are matched beyond the paper, by step."""
+CHANGING = {step.name for step in FIRST_STEPS if step.same_images}
+"""Those that differ from frame to frame: no expected image shows them."""
 REPEATED_STEPS = (
     MatchingStep("together", _fit_together),
     MatchingStep(
