@@ -42,7 +42,7 @@ def test_it_does_not_go_on_for_ever() -> None:
     known = np.full((9, 100), np.nan)
     known[:, :10] = 500.0
     found = np.isfinite(surroundings.continued(known)[4])
-    assert found.sum() == 10 + surroundings.CONTINUED_CELLS
+    assert found.sum() == 10 + surroundings.LIMITS.continued_cells
 
 
 def test_the_backdrop_fills_the_image_behind_all_else() -> None:
