@@ -37,7 +37,7 @@ LAMP, BANDS, LINE = f"lamps.{ROOM}", "ambient_bands", "vibration_line"
 
 
 @dataclass(frozen=True)
-class Fit:
+class FitRange:
     """How a number is fitted."""
 
     step: float  # of the finite difference, in the number's unit
@@ -47,12 +47,14 @@ class Fit:
 
 
 @dataclass(frozen=True)
-class Parameter:
+class ParameterEntry:
     """What is known of a parameter apart from its value."""
 
     doc: str  # what it is, with its unit
     path: str | None = None  # where a world has it
-    fit: Fit | None = None  # None: not fitted by finite differences of images; of tuples that of each part
+    fit: FitRange | None = (
+        None  # None: not fitted by finite differences of images; of tuples that of each part
+    )
     parts: tuple[str, ...] = ()  # names of the numbers of a tuple
     effect: str | None = None  # parameter that is 0 in a twin without the effect that this one describes
     per_white: bool = False  # whether it is relative to the projector's white, which a + b = 1 makes 1
@@ -64,8 +66,10 @@ class Parameter:
         return self.effect is None or bool(np.any(getattr(parameters, self.effect)))
 
 
-def _table(doc: str, path: str | None = None, fit: Fit | None = None, **more: Any) -> dict[str, Parameter]:
-    return {"parameter": Parameter(doc, path, fit, **more)}
+def _table(
+    doc: str, path: str | None = None, fit: FitRange | None = None, **more: Any
+) -> dict[str, ParameterEntry]:
+    return {"parameter": ParameterEntry(doc, path, fit, **more)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +81,7 @@ class TwinParameters:
     white: float = field(
         metadata=_table(
             "Level above black of a surface that faces the projector, relative to the twin's own file.",
-            fit=Fit(0.01, 0.01, 100.0),
+            fit=FitRange(0.01, 0.01, 100.0),
         )
     )
     response: Curve  # of the projector, with a + b = 1, since `white` takes the scale
@@ -85,59 +89,59 @@ class TwinParameters:
         metadata=_table(
             "Even ambient light, relative to the projector's white.",
             "ambient",
-            Fit(0.005, 0.0, 10.0, may_be_at_lower_bound=True),
+            FitRange(0.005, 0.0, 10.0, may_be_at_lower_bound=True),
             per_white=True,
         )
     )
-    paper: float = field(metadata=_table("Reflectance of the board's ground.", fit=Fit(0.01, 0.02, 1.0)))
+    paper: float = field(metadata=_table("Reflectance of the board's ground.", fit=FitRange(0.01, 0.02, 1.0)))
     ink: float = field(
         metadata=_table(
-            "Reflectance of the board's print.", fit=Fit(0.005, 0.0, 1.0, may_be_at_lower_bound=True)
+            "Reflectance of the board's print.", fit=FitRange(0.005, 0.0, 1.0, may_be_at_lower_bound=True)
         )
     )
     projector_blur: float = field(
         metadata=_table(
             "Standard deviation of the projector lens's point spread at its sharpest, in mirrors.",
             "projector.blur",
-            Fit(0.05, 0.35, 20.0, may_be_at_lower_bound=True),
+            FitRange(0.05, 0.35, 20.0, may_be_at_lower_bound=True),
         )
     )
     projector_focus_mm: float | None = field(
         metadata=_table(
             "Distance in focus of the projector in mm; None: sharp at every depth.",
             "projector.focus_mm",
-            Fit(2.0, 50.0, 5000.0),
+            FitRange(2.0, 50.0, 5000.0),
         )
     )
     projector_aperture_mm: float = field(
         metadata=_table(
             "Diameter of the projector's aperture in mm.",
             "projector.aperture_mm",
-            Fit(0.5, 0.0, 60.0, may_be_at_lower_bound=True),
+            FitRange(0.5, 0.0, 60.0, may_be_at_lower_bound=True),
         )
     )
     camera_focus_mm: float | None = field(
         metadata=_table(
             "Distance in focus of the camera in mm; None: sharp at every depth.",
             "camera.focus_mm",
-            Fit(2.0, 50.0, 5000.0),
+            FitRange(2.0, 50.0, 5000.0),
         )
     )
     f_number: float = field(
-        metadata=_table("F-number of the camera's lens.", "camera.f_number", Fit(0.2, 0.7, 64.0))
+        metadata=_table("F-number of the camera's lens.", "camera.f_number", FitRange(0.2, 0.7, 64.0))
     )
     vignetting: float = field(
         metadata=_table(
             "Exponent n of the camera's loss of light cosⁿ towards the edge.",
             "camera.vignetting",
-            Fit(0.5, 0.0, 40.0, may_be_at_lower_bound=True),
+            FitRange(0.5, 0.0, 40.0, may_be_at_lower_bound=True),
         )
     )
     black_level: float = field(
         metadata=_table(
             "The camera's black level, as a share of full scale.",
             "camera.sensor.black_level",
-            Fit(0.002, 0.0, 0.49, may_be_at_lower_bound=True),
+            FitRange(0.002, 0.0, 0.49, may_be_at_lower_bound=True),
         )
     )
     read_noise_e: float = field(
@@ -182,7 +186,7 @@ class TwinParameters:
         metadata=_table(
             "Coefficients of x, y, x², xy and y² of the projector's light over its image.",
             "projector.falloff",
-            Fit(0.02, -2.0, 2.0),
+            FitRange(0.02, -2.0, 2.0),
             parts=("falloff_x", "falloff_y", "falloff_xx", "falloff_xy", "falloff_yy"),
         ),
     )
@@ -198,7 +202,7 @@ class TwinParameters:
         metadata=_table(
             "Light of the room's lamp on a surface that faces it, relative to the projector's white.",
             f"{LAMP}.irradiance",
-            Fit(0.005, 0.0, 10.0),
+            FitRange(0.005, 0.0, 10.0),
             effect="lamp_irradiance",
             per_white=True,
         ),
@@ -208,7 +212,7 @@ class TwinParameters:
         metadata=_table(
             "Angle between the ways to the lamp and to the camera in degrees.",
             f"{LAMP}.angle_deg",
-            Fit(2.0, -150.0, 150.0),
+            FitRange(2.0, -150.0, 150.0),
             effect="lamp_irradiance",
         ),
     )
@@ -217,7 +221,7 @@ class TwinParameters:
         metadata=_table(
             "Direction of the lamp in the image in degrees.",
             f"{LAMP}.azimuth_deg",
-            Fit(2.0, -360.0, 360.0),
+            FitRange(2.0, -360.0, 360.0),
             effect="lamp_irradiance",
         ),
     )
@@ -273,7 +277,7 @@ class TwinParameters:
         return replace(self, poses=(*self.poses[:index], pose, *self.poses[index + 1 :]))
 
 
-TABLE: dict[str, Parameter] = {
+TABLE: dict[str, ParameterEntry] = {
     known.name: known.metadata["parameter"]
     for known in fields(TwinParameters)
     if "parameter" in known.metadata
@@ -305,7 +309,7 @@ def named_numbers(parameters: TwinParameters) -> dict[str, float | None]:
 class AdjustableParameter:
     """A number of a twin that can be fitted."""
 
-    fit: Fit
+    fit: FitRange
     read: Callable[[TwinParameters], float]  # gives the value from `TwinParameters`
     set: Callable[[TwinParameters, float], TwinParameters]  # gives `TwinParameters` with another value
 
@@ -320,7 +324,7 @@ def normalised_response(curve: Curve, *, black: float | None = None, g: float | 
     return Curve(a=1.0 - dark, b=dark, g=curve.g if g is None else g, spline=curve.spline)
 
 
-def _number(name: str, fit: Fit) -> AdjustableParameter:
+def _number(name: str, fit: FitRange) -> AdjustableParameter:
     def read(parameters: TwinParameters) -> float:
         return float(getattr(parameters, name))
 
@@ -331,7 +335,7 @@ def _number(name: str, fit: Fit) -> AdjustableParameter:
     return AdjustableParameter(fit, read, set_)
 
 
-def _part(name: str, index: int, fit: Fit) -> AdjustableParameter:
+def _part(name: str, index: int, fit: FitRange) -> AdjustableParameter:
     """One of the numbers of a tuple."""
 
     def read(parameters: TwinParameters) -> float:
@@ -355,17 +359,17 @@ ADJUSTABLE: dict[str, AdjustableParameter] = {
     },
     # The inverse of the lamp's distance, in 1/m: light changes evenly with it, and far away it is 0.
     "lamp_nearness": AdjustableParameter(
-        Fit(0.05, 0.01, 10.0, may_be_at_lower_bound=True),
+        FitRange(0.05, 0.01, 10.0, may_be_at_lower_bound=True),
         lambda p: 1e3 / p.lamp_distance_mm,
         lambda p, value: replace(p, lamp_distance_mm=1e3 / value),
     ),
     "b": AdjustableParameter(
-        Fit(0.005, 0.0, 0.5),
+        FitRange(0.005, 0.0, 0.5),
         lambda p: p.response.b,
         lambda p, value: replace(p, response=normalised_response(p.response, black=value)),
     ),
     "g": AdjustableParameter(
-        Fit(0.01, 0.2, 5.0),
+        FitRange(0.01, 0.2, 5.0),
         lambda p: p.response.g,
         lambda p, value: replace(p, response=normalised_response(p.response, g=value)),
     ),

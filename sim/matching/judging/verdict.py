@@ -27,7 +27,7 @@ from sim.parameters import ADJUSTABLE
 
 
 @dataclass(frozen=True)
-class VerdictLimits:
+class TwinVerdictLimits:
     """From which differences on a matched twin is not believed."""
 
     max_rms_difference: float = 0.03  # over the board without noise, as a share of full scale (chosen)
@@ -38,7 +38,7 @@ class VerdictLimits:
     border_share: float = 1e-3  # of a parameter's range that counts as its border (chosen)
 
 
-LIMITS = VerdictLimits()
+LIMITS = TwinVerdictLimits()
 
 RUINOUS = {
     NO_GAIN: 1.0,
