@@ -53,7 +53,7 @@ class RealClock:
 
 
 class SteppedClock:
-    """Simulated clock that advances only when somebody sleeps on it.
+    """Simulated clock that advances only when `sleep` is called.
 
     Tests and the emulated bench run through it faster than real time and always give the same result.
     """

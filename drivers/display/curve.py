@@ -28,7 +28,7 @@ def pixel_table(is_srgb: bool) -> NDArray[np.uint8]:
 
 
 def light_table(is_srgb: bool) -> NDArray[np.uint8]:
-    """Tabulate the light of each pixel value, the other way round."""
+    """Tabulate the light of each pixel value, the inverse of `pixel_table`."""
     # returns (256,)
     values = np.arange(256) / 255.0
     return np.asarray(np.rint(255.0 * (srgb_light(values) if is_srgb else values)), np.uint8)

@@ -54,14 +54,14 @@ def status(
     Example: `fpplab dlp4500 status`
     """
     with _board(serial, echo) as board:
-        found = board.status()
+        status_now = board.status()
         result = {
             "firmware": board.version(),
             "tag": board.firmware_tag(),
             "standby": board.is_standby(),
             "images": board.images_in_flash() if not board.is_standby() else None,
-            "state": found.descriptions,
-            "faults": found.faults,
+            "state": status_now.descriptions,
+            "faults": status_now.faults,
         }
     console.print_result(result, json)
 

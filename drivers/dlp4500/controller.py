@@ -26,7 +26,7 @@ from drivers.dlp4500.status import (
 from fpplab.core.errors import DeviceError, ProtocolError
 
 VALIDATION = Polling(step_s=0.01, limit_s=2.0)
-"""TI's SDK asks every 10 ms; the limit is chosen, existing clients wait for ever."""
+"""TI's SDK asks every 10 ms; the limit is chosen, as existing clients wait without one."""
 START = Polling(step_s=0.01, limit_s=0.2)
 """Until a sequence is shown to run (chosen; a sequence that is shorter may have ended before)."""
 END = Polling(step_s=0.005, limit_s=1.0)
@@ -145,7 +145,7 @@ class Controller(ProjectorBoard):
     def _configure(self, program: Program) -> None:
         counts = {
             "entries": len(program.entries),
-            "patterns": len(program.entries),  # a sequence that is not repeated ends after so many
+            "patterns": len(program.entries),  # the number after which a sequence that is not repeated ends
             "images": max(1, len(program.images)),
             "repeat": int(program.repeat),
         }

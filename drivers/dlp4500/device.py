@@ -90,7 +90,7 @@ class Options(Document):
     led_levels: LedLevels = LedLevels()
     """Brightness of each LED."""
     led_limits: LedLevels = LedLevels(red=255, green=255, blue=255)
-    """Greatest level of each LED that its cooling stands; greater `led_levels` are refused."""
+    """Highest level of each LED that its cooling allows; higher `led_levels` are refused."""
     led_inverted: bool = True
     """Whether the board takes 255 for off and 0 for full, as the evaluation module does."""
     trigger_out_1: PatternTriggerOut = PatternTriggerOut()
@@ -110,9 +110,9 @@ class Options(Document):
 
     @model_validator(mode="after")
     def _within_limits(self) -> Self:
-        for colour, most in self.led_limits.model_dump().items():
-            if (level := getattr(self.led_levels, colour)) > most:
-                raise ValueError(f"'led_levels.{colour}' is {level}, but 'led_limits.{colour}' is {most}")
+        for colour, limit in self.led_limits.model_dump().items():
+            if (level := getattr(self.led_levels, colour)) > limit:
+                raise ValueError(f"'led_levels.{colour}' is {level}, but 'led_limits.{colour}' is {limit}")
         return self
 
 
@@ -132,7 +132,7 @@ class Storage(Protocol):
 
     @property
     def gap_us(self) -> int:
-        """Least time in µs to the next played pattern, where it does not follow at once."""
+        """Shortest time in µs to the next played pattern, where it does not follow immediately."""
 
     @property
     def still_us(self) -> int:
@@ -192,7 +192,7 @@ class Storage(Protocol):
         dark_us : int
             Dark time after each pattern in µs.
         period_us : int
-            Time from trigger pulse to trigger pulse in µs, at least.
+            Shortest time from trigger pulse to trigger pulse in µs.
         """
 
     def check_played(self, board: Controller) -> None:

@@ -16,7 +16,7 @@ from drivers.dlp4500.sequence import (
     Program,
     Slot,
     flash_program,
-    least_period_us,
+    min_period_us,
     still_program,
 )
 from fpplab.core import config
@@ -72,7 +72,7 @@ class InFlash:
     def loads(self) -> PatternLoads:
         """Changes of image, and the time that loading takes where there are more than two."""
         changes = _changes(self._slots) if self._slots else 0
-        return PatternLoads(changes, 1e-6 * least_period_us(self._slots, self._load_us))
+        return PatternLoads(changes, 1e-6 * min_period_us(self._slots, self._load_us))
 
     def close(self) -> None:
         """Do nothing: flash keeps its contents."""

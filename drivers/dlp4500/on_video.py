@@ -59,7 +59,7 @@ class OnVideo:
 
     @property
     def loads(self) -> PatternLoads:
-        """Frames that carry the patterns; each is put up when its turn comes, so none is waited for."""
+        """Frames that carry the patterns; each is sent when it is due, so that none is waited for."""
         return PatternLoads(len({slot.image for slot in self._slots}))
 
     @property

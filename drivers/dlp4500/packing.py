@@ -42,10 +42,10 @@ def pack_images(patterns: Sequence[Pattern], slots: Sequence[Slot]) -> Iterator[
 
 def _put(image: Planes, levels: NDArray[np.uint8], slot: Slot) -> None:
     """Write grey levels into the bit planes of one colour, or of two adjacent ones."""
-    wanted = bit_planes(slot.bits, slot.number)
-    colour, shift = divmod(wanted.start, 8)
+    planes = bit_planes(slot.bits, slot.number)
+    colour, shift = divmod(planes.start, 8)
     full = (1 << slot.bits) - 1
     bits = np.rint(np.arange(256) * (full / 255.0)).astype(np.uint16) << shift
     image[..., colour] |= (bits & 0xFF).astype(np.uint8)[levels]
-    if wanted.stop > 8 * (colour + 1):
+    if planes.stop > 8 * (colour + 1):
         image[..., colour + 1] |= (bits >> 8).astype(np.uint8)[levels]

@@ -173,7 +173,7 @@ def flash_program(
         if swap:
             images.append(slot.image)
         entries.append(Entry(slot.number, slot.bits, leds, swap=swap))
-    minimum = max(exposure_us + dark_us, period_us, least_period_us(slots, load_us or {}, repeat))
+    minimum = max(exposure_us + dark_us, period_us, min_period_us(slots, load_us or {}, repeat))
     program = Program(
         Source.FLASH,
         tuple(entries),
@@ -214,9 +214,9 @@ def video_program(
     return program
 
 
-def shortest_period_us(exposure_us: int, least_us: int = 0) -> int:
+def shortest_period_us(exposure_us: int, min_us: int = 0) -> int:
     """Compute the shortest period that the controller accepts for an exposure."""
-    return exposure_us if least_us <= exposure_us else max(least_us, exposure_us + MIN_GAP_US)
+    return exposure_us if min_us <= exposure_us else max(min_us, exposure_us + MIN_GAP_US)
 
 
 def check_sequence(program: Program) -> None:
@@ -253,7 +253,7 @@ def _check_shared(entries: Sequence[Entry], exposure_us: int) -> None:
             )
 
 
-def least_period_us(slots: Sequence[Slot], load_us: Mapping[int, int], repeat: bool = False) -> int:
+def min_period_us(slots: Sequence[Slot], load_us: Mapping[int, int], repeat: bool = False) -> int:
     """Compute the shortest period at which every image is loaded when it is swapped in."""
     shown = [(image, len(list(group))) for image, group in groupby(slot.image for slot in slots)]
     if len(shown) <= PRELOADED_IMAGES:

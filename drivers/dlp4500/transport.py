@@ -52,7 +52,7 @@ class HidDevice(Protocol):
         max_length : int
             Bytes to read at most.
         timeout_ms : int
-            Time limit in ms; 0 waits for ever.
+            Time limit in ms; 0 waits without a limit.
 
         Returns
         -------

@@ -50,11 +50,11 @@ class OpticsRig:
         # greys (height, width)
         camera = self._rig.camera
         bits = max(bits for bits in camera.caps.bits if bits <= settings.bits)
-        wanted = CameraSettings(settings.exposure_s, settings.gain_db, bits)
-        if wanted != self._settings:
+        requested = CameraSettings(settings.exposure_s, settings.gain_db, bits)
+        if requested != self._settings:
             self._settings = None
-            camera.configure(wanted)
-            self._settings = wanted
+            camera.configure(requested)
+            self._settings = requested
         if greys is None:
             self._rig.projector.blank()
         else:

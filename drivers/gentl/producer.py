@@ -28,7 +28,7 @@ from fpplab.core.errors import ConfigError
 SPARE_BUFFERS = 4
 """Buffers in addition to the frames that may wait (chosen)."""
 FIRST_FRAME = {"U3V": 0, "GEV": 1}
-"""Number of the first frame after a start, by the transport layer; others begin as they like."""
+"""Number of the first frame after a start, by the transport layer; that of other layers is not fixed."""
 
 
 @dataclass(frozen=True, eq=False)

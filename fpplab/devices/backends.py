@@ -114,7 +114,7 @@ def load_backend(name: str, source: Path | str, device: str) -> type[Any]:
         unseen = isinstance(error, ModuleNotFoundError) and error.name == first
         advice = f"; add the folder of {first} to PYTHONPATH, or install it" if unseen else ""
         raise ConfigError(f"{where}: cannot be loaded ({error}){advice}") from error
-    except Exception as error:  # whatever a module of somebody else does when it is imported
+    except Exception as error:  # a module of another author may raise anything when it is imported
         _log.debug("%s: import failed", module, exc_info=error)
         raise ConfigError(f"{where}: cannot be loaded ({type(error).__name__}: {error})") from error
     backend = getattr(loaded, attribute, None)
@@ -124,7 +124,7 @@ def load_backend(name: str, source: Path | str, device: str) -> type[Any]:
         raise ConfigError(f"{where}: not a {device}")
     if lacking := sorted(getattr(backend, "__abstractmethods__", ())):
         raise ConfigError(
-            f"{where}: {attribute} lacks {', '.join(lacking)}; what each has to do stands in its docstring, "
+            f"{where}: {attribute} lacks {', '.join(lacking)}; each is described in its docstring, "
             f"in fpplab/devices/{device}.py or fpplab/devices/device.py"
         )
     return backend

@@ -50,7 +50,7 @@ class CameraCaps:
         Of `software` and `hardware`, whatever the input is called.
     readout_s : float
         s from the first row to the last, where they are exposed one after another (rolling shutter): what a
-        frame sees must stand still for the exposure and this. 0 where all rows are exposed at once.
+        frame sees must stand still for the exposure and this. 0 where all rows are exposed simultaneously.
     dark_s : float
         The same, where rows begin together and only end one after another (global reset): no light may fall
         for so long after the exposure, or the later rows have more of it.
@@ -89,7 +89,7 @@ class Frame:
     Attributes
     ----------
     image : ndarray of uint8 or uint16, (height, width)
-        Raw integers; the owner's alone: no later frame changes it.
+        Raw integers, not shared: no later frame changes them.
     index : int
         The frame's number since `arm`, from 0, as the device counts, so that a gap is a lost frame;
         acquisition makes it the plan's.

@@ -20,7 +20,7 @@ class FoundDevice(DeviceInfo):
     example : str
         Rig file that comes with fpplab and has such a device; empty where there is none.
     is_certain : bool
-        Whether it certainly is a device of that kind. A serial port may lead to anything, and the main
+        Whether it certainly is a device of that kind. A serial port may belong to any device, and the main
         display is the operator's: these are used only if they are named.
     """
 
@@ -59,7 +59,7 @@ class FoundDevices:
     devices : list of FoundDevice
         What is connected.
     missing : list of str
-        A sentence for everything that keeps devices from showing: a library, a permission.
+        A sentence for everything that prevents devices from being listed: a library, a permission.
     """
 
     devices: list[FoundDevice]

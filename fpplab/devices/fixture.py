@@ -141,7 +141,7 @@ class Fixture(Device):
         return None
 
     def _check(self, item: str, pose: int) -> None:
-        """Refuse what `_caps` lists but cannot be put up; called by `check` in IDLE.
+        """Refuse what `_caps` lists but cannot be mounted; called by `check` in IDLE.
 
         Nothing moves. Override it where an item may be missing.
 
@@ -155,7 +155,7 @@ class Fixture(Device):
         Raises
         ------
         ConfigError
-            It cannot be put up, for instance because its file is missing.
+            It cannot be mounted, for instance because its file is missing.
         """
 
     @abstractmethod

@@ -26,7 +26,7 @@ class FlashingProjector(Projector):
 
     @final
     def flash(self, i: int, refreshes: int) -> None:
-        """Show one loaded pattern for so many refreshes, with darkness before and after; return in darkness.
+        """Show one loaded pattern for some refreshes, with darkness before and after; return when dark.
 
         Parameters
         ----------
@@ -74,5 +74,5 @@ class FlashingProjector(Projector):
         Raises
         ------
         DeviceError
-            It was not shown for exactly so many.
+            It was not shown for exactly that many refreshes.
         """

@@ -1,4 +1,4 @@
-"""Fixtures that can be asked for a pose: by a transform, as a robot can, or in words, as a person can.
+"""Fixtures that accept a pose: as a transform, as a robot does, or in words, as a person does.
 
 A fixture that is neither mounts its items in numbered poses of its own, and in no others.
 """
@@ -58,7 +58,7 @@ class PosableFixture(Fixture):
 
 
 class InstructableFixture(Fixture):
-    """A fixture that puts an item where it is asked to in words: a person."""
+    """A fixture that follows a description of the pose in words: a person."""
 
     @final
     def instruct(self, item: str, words: str, picture: Path | None = None) -> None:

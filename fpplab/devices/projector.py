@@ -31,11 +31,11 @@ class ProjectorCaps:
     trigger_outputs : int
         How many outputs give a pulse with each pattern; 0 where it cannot play.
     max_patterns : int
-        How many it holds at once.
+        How many it holds.
     longest_s : float
         Longest time in s for which a played pattern can be shown.
     gap_s : float
-        Shortest time in s to the next played pattern, where that does not follow at once.
+        Shortest time in s to the next played pattern, where that does not follow immediately.
     period_s : float
         s in which a pattern that is shown repeats, its bit planes one after another: an exposure sees them
         completely if it lasts a whole number of these. 0 where light is steady, or where this is not known.
@@ -126,7 +126,7 @@ class Projector(Device):
         for pattern in patterns:
             self._check_pattern(pattern, caps)
         with self._guard("load"):
-            self._loaded = tuple(self._load([_kept(pattern) for pattern in patterns]))
+            self._loaded = tuple(self._load([_immutable(pattern) for pattern in patterns]))
         return self._loaded
 
     @final
@@ -318,8 +318,8 @@ class Projector(Device):
         """
 
 
-def _kept(pattern: Pattern) -> Pattern:
-    """The pattern as its own, unless nobody can change it any more: then itself."""
+def _immutable(pattern: Pattern) -> Pattern:
+    """A copy of the pattern that cannot change; the pattern itself where that cannot either."""
     flags = pattern.image.flags
     if flags.owndata and not flags.writeable:
         return pattern

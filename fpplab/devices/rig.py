@@ -8,8 +8,8 @@
 `backend` names the class that drives the device: `module:Class`. `bench` is what the devices
 share, where they share anything; `stage` and `fixture` are optional. `bits`, `gain_db` and `dead_time_s` are
 the camera's standing settings; every other key goes to the backend, which refuses what it does not know.
-`depth_mm` may state between which distances from the camera everything lies that is seen, for plans that
-state none. A relative file name is looked for beside the rig file first.
+`depth_mm` may state the range of distances from the camera in which everything visible lies, for plans that
+state none. A relative file name is first looked up in the rig file's folder.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ class StageSection(DeviceSection):
     """The stage, and how far it may go."""
 
     soft_limits_mm: tuple[float, float] | None = None
-    """Positions in mm that are exceeded only with consent; by default the travel alone counts."""
+    """Positions in mm that are exceeded only with consent; by default only the travel limits it."""
 
     @model_validator(mode="after")
     def _rising(self) -> Self:
@@ -129,7 +129,7 @@ class RigFile(DepthSection):
     """
 
     fixture: DeviceSection | None = None
-    """What holds the object that is measured, if anything is known of it."""
+    """The device that holds the measured object, if there is one."""
 
 
 class Rig:
@@ -313,7 +313,7 @@ class Rig:
         stage.check(mm)
         return stage
 
-    def foresee_stage(self, mm: float) -> StageMove:
+    def plan_stage_move(self, mm: float) -> StageMove:
         """Describe a move of the stage to a position; nothing moves, and nobody is asked.
 
         Parameters
@@ -333,7 +333,7 @@ class Rig:
         LimitError
             The position lies outside the travel.
         """
-        return self._stage_for(mm).foresee(mm)
+        return self._stage_for(mm).plan_move(mm)
 
     def _stage_for(self, mm: float) -> Stage:
         if self.stage is None:

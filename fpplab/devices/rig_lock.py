@@ -1,8 +1,8 @@
-"""Whose turn it is on a rig: what only watches lets go of the devices when another command wants them.
+"""Turns on a rig: a command that only watches closes the devices when another command needs them.
 
 Commands that measure share a rig's lock, so that nothing changes between them: the drivers refuse a device
-that is open elsewhere. A watcher (`fpplab live`) has the rig alone, one frame at a time: before each it asks
-whether somebody waits, and if so closes the devices until that command is done.
+that is open elsewhere. A watcher (`fpplab live`) holds the rig exclusively for one frame at a time: before
+each it checks whether another command waits, and if so closes the devices until that command is done.
 
 Three files per rig file, whose locks the system gives back when a process ends, however it does:
 `wanted` is shared by all that want to measure, `used` is shared by those that do or held alone by the
@@ -25,7 +25,7 @@ from fpplab.core.errors import DeviceError
 from fpplab.core.lock import lock_owner, open_lock, try_lock, write_lock_owner
 
 TURN_TIMEOUT_S = 60.0
-"""Longest wait in s for a rig (chosen): a watcher lets go after one frame."""
+"""Longest wait in s for a rig (chosen): a watcher releases the rig after one frame."""
 
 USER = os.getuid() if hasattr(os, "getuid") else 0
 """Whose folder it is; on Windows each user has a folder for temporary files."""
@@ -61,7 +61,7 @@ class RigTurn:
         return lock_owner(_named(self._files, "wanted"))
 
     def take(self) -> bool:
-        """Take the rig, if nobody wants or has it."""
+        """Take the rig, if no other command wants or has it."""
         if self._used is None and not self.wanted():
             self._used = _if_locked(self._files, "used")
         return self.is_mine
@@ -94,7 +94,7 @@ def watching_rig(source: Path | str) -> Iterator[RigTurn]:
 
 @contextmanager
 def using_rig(source: Path | str) -> Iterator[None]:
-    """Have a rig for a measurement: who watches it lets go first."""
+    """Hold a rig for a measurement; a watcher releases it first."""
     files = _files_of(source)
     if str(files) in _watched:
         yield
@@ -114,11 +114,11 @@ def _await(handle: int, files: Path, source: Path | str) -> None:
     end = time.monotonic() + TURN_TIMEOUT_S
     if _locks(handle, shared=True):
         return
-    _log.info("%s: waiting until %s lets go of it", source, lock_owner(_named(files, "watched")))
+    _log.info("%s: waiting until %s releases it", source, lock_owner(_named(files, "watched")))
     while not _locks(handle, shared=True):
         if time.monotonic() > end:
             who = lock_owner(_named(files, "watched"))
-            found = f"{who} has not let go of it within {TURN_TIMEOUT_S:g} s"
+            found = f"{who} has not released it within {TURN_TIMEOUT_S:g} s"
             raise DeviceError(str(source), "open", found, "end that process")
         time.sleep(0.02)  # one frame's time at 50 Hz: the operator does not notice it
 
@@ -155,7 +155,7 @@ def _opened(files: Path, name: str) -> int:
 
 
 def _locks(handle: int, shared: bool = False) -> bool:
-    """Whether a lock could be had at once."""
+    """Whether a lock was free."""
     try:
         return try_lock(handle, shared)
     except OSError as error:
@@ -163,7 +163,7 @@ def _locks(handle: int, shared: bool = False) -> bool:
 
 
 def _if_locked(files: Path, name: str) -> int | None:
-    """The descriptor of a file that could be locked at once, or None."""
+    """The descriptor of a file whose lock was free and is held now, or None."""
     handle = _opened(files, name)
     if _locks(handle):
         return handle

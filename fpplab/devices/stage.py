@@ -55,7 +55,7 @@ class Stage(Device):
 
     kind = "stage"
     soft_limits_mm: tuple[float, float] | None = None
-    """Positions in mm that are exceeded only with consent; None where the travel alone counts."""
+    """Positions in mm that are exceeded only with consent; None where only the travel limits it."""
     _homed = False
 
     def _forget(self) -> None:
@@ -104,7 +104,7 @@ class Stage(Device):
         Raises
         ------
         LimitError
-            The position lies outside the travel, or outside the soft limits and nobody agrees.
+            The position lies outside the travel, or outside the soft limits without consent.
         StateError
             The stage is not homed.
         DeviceTimeoutError
@@ -130,13 +130,13 @@ class Stage(Device):
         Raises
         ------
         LimitError
-            It lies outside, or outside the soft limits and nobody agrees.
+            It lies outside, or outside the soft limits without consent.
         """
         self._need(State.IDLE, doing="check")
         self._check_travel("check", mm)
 
     @final
-    def foresee(self, mm: float) -> StageMove:
+    def plan_move(self, mm: float) -> StageMove:
         """Describe a move to a position; nothing moves, and nobody is asked.
 
         Parameters
@@ -154,8 +154,8 @@ class Stage(Device):
         LimitError
             The position lies outside the travel.
         """
-        self._need(State.IDLE, doing="foresee")
-        self._check_reach("foresee", mm)
+        self._need(State.IDLE, doing="plan_move")
+        self._check_reach("plan_move", mm)
         start_mm = self.position_mm if self._homed else None
         beyond = self._is_beyond_soft_limits(mm)
         return StageMove(start_mm, mm, self.caps.travel_mm, self.soft_limits_mm, beyond)

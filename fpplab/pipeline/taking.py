@@ -62,7 +62,7 @@ def take(
 def plan_stage_moves(rig: Rig, plan: Plan, out: Path, force: bool) -> dict[str, Any]:
     """Say what `take` would do, without moving, projecting or writing anything."""
     check_space(rig, plan, [out], force)
-    move = None if plan.stage_mm is None else asdict(rig.foresee_stage(plan.stage_mm))
+    move = None if plan.stage_mm is None else asdict(rig.plan_stage_move(plan.stage_mm))
     replaces = force and (out / JOURNAL).is_file()
     return {"images": plan.images, "stage": move, "replaces": replaces, "dry_run": True}
 

@@ -1,4 +1,4 @@
-"""Turns on a rig: a watcher lets go of it, commands share it, and what a dead process held is free."""
+"""Turns on a rig: a watcher releases it, commands share it, and what a dead process held is free."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def test_what_a_killed_watcher_held_is_free(rig: Path) -> None:
 def test_a_watcher_that_does_not_let_go_is_named(rig: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rig_lock, "TURN_TIMEOUT_S", 0.2)
     with holding(rig, "watching_rig", "assert turn.take()") as process:
-        words = f"process {process.pid} .* has not let go"
+        words = f"process {process.pid} .* has not released"
         with pytest.raises(DeviceError, match=words), using_rig(rig):
             pass
 

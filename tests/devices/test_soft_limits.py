@@ -68,12 +68,12 @@ def test_the_flag_allows_them_but_never_the_end_of_the_travel(rig_file: Path) ->
 def test_a_move_is_foreseen_without_moving(rig_file: Path) -> None:
     with Rig.load(rig_file) as rig:
         assert rig.stage is not None
-        assert rig.foresee_stage(20.0) == StageMove(None, 20.0, (-60.0, 60.0), (-10.0, 20.0), False)
+        assert rig.plan_stage_move(20.0) == StageMove(None, 20.0, (-60.0, 60.0), (-10.0, 20.0), False)
         rig.place_stage(5.0)
-        assert [rig.foresee_stage(mm).needs_consent for mm in (-10.1, -10.0, 20.1)] == [True, False, True]
-        assert rig.foresee_stage(30.0).start_mm == rig.stage.position_mm == 5.0
+        assert [rig.plan_stage_move(mm).needs_consent for mm in (-10.1, -10.0, 20.1)] == [True, False, True]
+        assert rig.plan_stage_move(30.0).start_mm == rig.stage.position_mm == 5.0
         with pytest.raises(LimitError, match="the travel is -60 to 60 mm"):
-            rig.foresee_stage(60.1)
+            rig.plan_stage_move(60.1)
 
 
 def test_a_dry_run_of_a_scan_says_where_the_stage_would_go(rig_file: Path) -> None:

@@ -47,4 +47,4 @@ class ToldCamera(ReferenceCamera):
             if caught := projector.caught():
                 return caught[0]
             time.sleep(POLL_S)
-        raise DeviceTimeoutError(self.name, "read", "no trigger came", "see to the trigger cable")
+        raise DeviceTimeoutError(self.name, "read", "no trigger came", "check the trigger cable")

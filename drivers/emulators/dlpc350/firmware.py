@@ -61,8 +61,8 @@ class Dlpc350(LightEngine):
 
     def nack(self, message: UsbMessage) -> UsbMessage | None:
         """Refuse a message without carrying it out."""
-        wanted = message.flags & REPLY_WANTED
-        return self.reply(message, message.flags | ERROR, b"") if wanted else None
+        replies = message.flags & REPLY_WANTED
+        return self.reply(message, message.flags | ERROR, b"") if replies else None
 
     def reply(self, message: UsbMessage, flags: int, data: bytes) -> UsbMessage:
         """Compose the reply to a message."""
@@ -148,17 +148,17 @@ class Dlpc350(LightEngine):
 
     def _video_signal(self) -> Values:
         assert isinstance(protocol.VIDEO_SIGNAL.returned, RegisterLayout)
-        found = dict.fromkeys((field.name for field in protocol.VIDEO_SIGNAL.returned.named), 0)
+        signal = dict.fromkeys((field.name for field in protocol.VIDEO_SIGNAL.returned.named), 0)
         if self._is_locked():
             width, height = SIZE
-            found |= {
+            signal |= {
                 "lock": protocol.LOCKED,
                 "horizontal_resolution": width,
                 "vertical_resolution": height,
                 "active_pixels": width,
                 "active_lines": height,
             }
-        return found
+        return signal
 
     def _validation(self) -> Values:
         if self._is_validating():
@@ -327,7 +327,7 @@ class Dlpc350(LightEngine):
         if self._open() is not Mailbox.CLOSED:
             raise CommandRejected
         flash = self._is_from_flash()
-        found = validate_sequence(
+        result = validate_sequence(
             self._entries(),
             self._times_us(),
             self._images(),
@@ -336,10 +336,10 @@ class Dlpc350(LightEngine):
             None if flash else 1e6 * (self.video.vsync_s if self.video else 0.0),
             self.policy.accepts_a_gap_of_230_us,
         )
-        self._validation_result = found | {"busy": 0}
+        self._validation_result = result | {"busy": 0}
         self._validated_s = self.clock.now() + self.policy.validation_s
         self._ignored_starts = self.policy.ignored_starts
-        self._unvalidated = bool(found["exposure_invalid"] or found["pattern_invalid"])
+        self._unvalidated = bool(result["exposure_invalid"] or result["pattern_invalid"])
 
     def _sequence(self) -> SequenceTables:
         config = protocol.VARIABLE_CONFIG if self._is_variable() else protocol.PATTERN_CONFIG

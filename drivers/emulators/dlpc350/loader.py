@@ -1,7 +1,6 @@
 """The boot loader of the emulated projector, and a projector that starts from its flash.
 
-The loader's commands are written down a second time here, and not taken from the driver, so that each
-verifies the other.
+The loader's commands are defined here independently of the driver, so that each verifies the other.
 """
 
 from __future__ import annotations
@@ -54,7 +53,7 @@ class BootLoader:
         return UsbMessage(flags, message.sequence if self._policy.echoes_sequence else 0, data_out)
 
     def lose_power(self) -> None:
-        """Break off at once; a sector that is being erased is left half erased."""
+        """Stop immediately; a sector that is being erased stays half erased."""
         if self._erasing is not None and self._is_busy():
             self._flash.erase_partially(self._erasing)
 

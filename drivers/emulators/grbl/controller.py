@@ -43,11 +43,11 @@ class GrblState(StrEnum):
 
 @dataclass(frozen=True)
 class GrblPolicy:
-    """What depends on GRBL's build, or is known from its source and logs alone."""
+    """Behaviour that depends on GRBL's build, or is known only from its source and logs."""
 
     locks_at_power_up: bool = True  # HOMING_INIT_LOCK: with homing enabled it starts in the alarm state
     forces_origin: bool = False  # HOMING_FORCE_SET_ORIGIN: the machine position is zero where homing ends
-    ok_after_abort: bool = True  # A line that a reset breaks off is still answered `ok`, after the alarm
+    ok_after_abort: bool = True  # a line that a reset interrupts is still answered `ok`, after the alarm
 
 
 class GrblController:
@@ -68,7 +68,7 @@ class GrblController:
         self.power_cycle()
 
     def receive(self, data: bytes) -> None:
-        """Take bytes from the line; real-time commands are obeyed at once."""
+        """Take bytes from the line; real-time commands are executed immediately."""
         for byte in data:
             self._advance()
             match byte:
