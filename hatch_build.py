@@ -30,29 +30,13 @@ class WheelNames(BuildHookInterface[Any]):
     """Rewrites a wheel once it is built; editable installs lead to the checkout and are left as they are."""
 
     def finalize(self, version: str, build_data: dict[str, Any], artifact_path: str) -> None:
-        """Rename the packages in the wheel.
-
-        Parameters
-        ----------
-        version : str
-            "standard", or "editable".
-        build_data : dict
-            Of hatchling; not used.
-        artifact_path : str
-            The wheel.
-        """
+        """Rename the packages in the wheel."""
         if version == "standard":
             rename_packages(Path(artifact_path))
 
 
 def rename_packages(wheel: Path) -> None:
-    """Rename the packages of `RENAMED` in a wheel.
-
-    Parameters
-    ----------
-    wheel : Path
-        The file, which is replaced.
-    """
+    """Rename the packages of `RENAMED` in a wheel."""
     with zipfile.ZipFile(wheel) as archive:
         files = [(entry, archive.read(entry)) for entry in archive.infolist()]
     record: list[tuple[str, str, str]] = []
@@ -70,41 +54,12 @@ def rename_packages(wheel: Path) -> None:
 
 
 def renamed_path(path: str) -> str:
-    """Tell where a file of the checkout is in the wheel.
-
-    Parameters
-    ----------
-    path : str
-        With slashes.
-
-    Returns
-    -------
-    str
-        The same, below the package's name in wheels.
-    """
+    """Tell where a file of the checkout is in the wheel."""
     return PREFIX + path if path.partition("/")[0] in RENAMED else path
 
 
 def renamed_content(path: str, content: bytes) -> bytes:
-    """Change import statements and entry points.
-
-    Parameters
-    ----------
-    path : str
-        Of the file in the wheel.
-    content : bytes
-        As in the checkout.
-
-    Returns
-    -------
-    bytes
-        As in the wheel.
-
-    Raises
-    ------
-    ValueError
-        An import remains that would not be found.
-    """
+    """Change import statements and entry points."""
     if path.endswith(".dist-info/entry_points.txt"):
         return _ENTRY.sub(rf"\1{PREFIX}\2", content.decode("utf-8")).encode("utf-8")
     if not path.endswith(".py"):

@@ -12,9 +12,6 @@ from fpplab.core.errors import ConfigError, DataError
 if TYPE_CHECKING:
     import trimesh
 
-SMALLEST_MM = 1.0
-"""A part with a smaller largest extent is taken as drawn in metres: no part this small is measured."""
-
 
 def load_part(path: Path) -> trimesh.Trimesh:
     """Read a part from an STL, PLY or OBJ file.
@@ -31,7 +28,7 @@ def load_part(path: Path) -> trimesh.Trimesh:
         raise ConfigError(str(error)) from error
     check_solid(mesh, str(path))
     largest = float(mesh.extents.max())
-    if largest < SMALLEST_MM:
+    if largest < 1.0:  # chosen: no part this small is measured
         raise ConfigError(f"{path}: looks like metres, for it is {largest:g} mm large; scale by 1000")
     return mesh
 

@@ -15,9 +15,6 @@ from fpplab.core.geometry import RigidTransform
 if TYPE_CHECKING:
     import trimesh
 
-SAME_MM = 1e-3
-"""Deviation of corners up to which a mesh is that of an artefact; files have 32 bit floats."""
-
 
 @dataclass(frozen=True, eq=False)
 class PlacedArtefact:
@@ -38,6 +35,6 @@ def recognise(mesh: trimesh.Trimesh) -> PlacedArtefact | None:
         turn, _ = Rotation.align_vectors(seen - seen.mean(axis=0), drawn - drawn.mean(axis=0))
         rotation = turn.as_matrix()
         pose = RigidTransform(rotation, seen.mean(axis=0) - rotation @ drawn.mean(axis=0))
-        if np.abs(pose.apply(drawn) - seen).max() <= SAME_MM:
+        if np.abs(pose.apply(drawn) - seen).max() <= 1e-3:  # mm, chosen: files have 32 bit floats
             return PlacedArtefact(known, pose)
     return None

@@ -10,6 +10,7 @@ Frame of the part: mm, base on z = 0, z up, as it stood in the printer.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from itertools import groupby
 from typing import TYPE_CHECKING
 
@@ -24,15 +25,24 @@ from fpplab.core.errors import ConfigError
 if TYPE_CHECKING:
     import trimesh
 
-MAX_LAYERS = 2000
-LEVELS = 3
-"""Depths that approximate a bead's round profile: a wall is accurate to a quarter of the grooves' depth."""
 
-NEGLIGIBLE_MM = 1e-5
-"""More than the rounding of a file of 32 bit floats, far less than any printer's accuracy."""
+@dataclass(frozen=True)
+class SlicingLimits:
+    """Limits of slicing a solid into layers."""
 
-STANDS_WITHIN_MM = 1e-3
-"""How far the lowest point of a part may be from z = 0."""
+    max_layers: int = 2000
+    """Number of layers. Chosen."""
+    bead_levels: int = 3
+    """Depths that approximate a bead's round profile. Derived: a wall is accurate to a quarter of the
+    grooves' depth."""
+    negligible_mm: float = 1e-5
+    """Length that counts as 0. Chosen above the rounding of a file of 32 bit floats and far below any
+    printer's accuracy."""
+    max_base_offset_mm: float = 1e-3
+    """Distance of a part's lowest point from z = 0. Chosen."""
+
+
+LIMITS = SlicingLimits()
 
 
 def sliced(mesh: trimesh.Trimesh, layer_mm: float, bead_mm: float = 0.0) -> trimesh.Trimesh:
@@ -43,7 +53,7 @@ def sliced(mesh: trimesh.Trimesh, layer_mm: float, bead_mm: float = 0.0) -> trim
     """
     check_solid(mesh, "the part")
     low, high = mesh.bounds[:, 2]
-    if abs(low) > STANDS_WITHIN_MM:
+    if abs(low) > LIMITS.max_base_offset_mm:
         raise ConfigError(f"the part: stands on z = {low:g} mm; move it so that it stands on 0")
     layers = layer_count(high, layer_mm)
     if not 0 <= bead_mm < layer_mm / 2:
@@ -63,15 +73,15 @@ def layer_count(height_mm: float, layer_mm: float) -> int:
     """Count a printed part's layers, those whose middle lies in it: half a layer rounds down."""
     if not (layer_mm > 0 and np.isfinite(layer_mm)):
         raise ConfigError(f"layer_mm: {layer_mm:g} mm must be above 0 mm")
-    layers = np.ceil((height_mm - NEGLIGIBLE_MM) / layer_mm - 0.5)
+    layers = np.ceil((height_mm - LIMITS.negligible_mm) / layer_mm - 0.5)
     if layers < 1:
         raise ConfigError(
             f"layer_mm: {layer_mm:g} mm must be less than twice the part's height, {height_mm:g} mm"
         )
-    if layers > MAX_LAYERS:
+    if layers > LIMITS.max_layers:
         raise ConfigError(
-            f"layer_mm: {layer_mm:g} mm makes more than {MAX_LAYERS} layers of {height_mm:g} mm; "
-            f"give at least {height_mm / MAX_LAYERS:g} mm"
+            f"layer_mm: {layer_mm:g} mm makes more than {LIMITS.max_layers} layers of {height_mm:g} mm; "
+            f"give at least {height_mm / LIMITS.max_layers:g} mm"
         )
     return int(layers)
 
@@ -92,7 +102,7 @@ def _profile(layer_mm: float, bead_mm: float) -> tuple[Floats, Floats]:
         return np.zeros(1), np.array([0.0, layer_mm])
     half = layer_mm / 2
     radius = (half**2 + bead_mm**2) / (2 * bead_mm)
-    depths = np.linspace(0.0, bead_mm, LEVELS)
+    depths = np.linspace(0.0, bead_mm, LIMITS.bead_levels)
     between = (depths[:-1] + depths[1:]) / 2
     away = np.sqrt(between * (2 * radius - between))
     return depths, np.concatenate([[0.0], half - away[::-1], half + away, [layer_mm]])
@@ -101,7 +111,7 @@ def _profile(layer_mm: float, bead_mm: float) -> tuple[Floats, Floats]:
 def _bead(solid: Manifold, z: float, depths: Floats) -> list[CrossSection]:
     """Compute the outlines (2L - 1) of one layer, from its lower edge to its upper one."""
     # What ends exactly at mid-height of a layer is not part of that layer, as in `layer_count`.
-    widest = solid.slice(z + NEGLIGIBLE_MM).simplify(NEGLIGIBLE_MM)
+    widest = solid.slice(z + LIMITS.negligible_mm).simplify(LIMITS.negligible_mm)
     inner = [widest.offset(-depth, JoinType.Miter) for depth in depths[1:]]
     if any(outline.num_contour() != widest.num_contour() for outline in inner):
         raise ConfigError(

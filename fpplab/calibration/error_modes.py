@@ -1,4 +1,4 @@
-"""Independent modes of the errors that the covariance of a calibration tells.
+"""Independent modes of the errors that the covariance of a calibration describes.
 
 They are found by the correlations, because variances of px and of k3 are many powers of ten apart.
 """
@@ -9,9 +9,6 @@ import numpy as np
 
 from fpplab.calibration.model import Uncertainty
 from fpplab.core.conventions import Floats
-
-LEAST_SHARE = 1e-12
-"""Variance of a mode, relative to the greatest, that it has at least in `chi_square`."""
 
 
 def error_modes(known: Uncertainty) -> Floats:
@@ -26,7 +23,8 @@ def chi_square(known: Uncertainty, off: Floats) -> float:
     # off (n,)
     scale, variances, directions = _of_correlations(known)
     along = directions.T @ (off / scale)
-    return float(np.sum(along**2 / np.maximum(variances, LEAST_SHARE * variances[-1])))
+    smallest = 1e-12 * variances[-1]  # chosen near rounding: no mode is known better
+    return float(np.sum(along**2 / np.maximum(variances, smallest)))
 
 
 def _of_correlations(known: Uncertainty) -> tuple[Floats, Floats, Floats]:

@@ -69,8 +69,6 @@ RMS = ("camera", "projector", "joint")
 
 COEFFICIENTS = (4, 5, 8, 12, 14)
 """Numbers of coefficients of OpenCV's models; those beyond the eighth are not modelled here."""
-ORTHONORMAL = 1e-4
-"""Tolerance of R Rᵀ = 1: files are written with five digits and more."""
 
 
 @dataclass(frozen=True)
@@ -225,7 +223,8 @@ def _rotation(entry: _Entry) -> Floats:
     if rotation.shape != (3, 3):
         raise ConfigError(f"{entry.where} has the shape {_shape(rotation)}; expected {expected}")
     off = np.abs(rotation @ rotation.T - np.eye(3)).max()
-    if off > ORTHONORMAL or np.linalg.det(rotation) < 0:
+    # Tolerance of R Rᵀ = 1, chosen: files are written with five digits and more.
+    if off > 1e-4 or np.linalg.det(rotation) < 0:
         raise ConfigError(f"{entry.where} is no rotation; expected {expected}")
     return np.asarray(Rotation.from_matrix(rotation).as_matrix(), np.float64)
 

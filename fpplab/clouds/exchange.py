@@ -21,14 +21,8 @@ from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.extras import need_extra
 from fpplab.core.files import write_atomic, write_by_name
 
-MM_PER_M = 1000.0
-FINEST_LAS_M = 1e-9
-"""Step in m of coordinates in LAS files, which are whole numbers of 32 bits; larger for parts beyond 2 m."""
-LARGEST_LAS = 2**31 - 1
-GREY_TO_16 = 257
-"""LAS has 16 bits for what is 8 here: 255 becomes 65535."""
 _OWN_IN_LAS = ("x_mm", "y_mm", "z_mm", "grey")
-LARGEST_E57_PIXEL = 2**16 - 1
+MAX_E57_PIXEL = 2**16 - 1
 
 
 def export_cloud(cloud: Cloud, path: Path | str) -> None:
@@ -91,7 +85,7 @@ def _write_e57(cloud: Cloud, path: Path) -> None:
     if cloud.colour is not None:
         data["intensity"] = cloud.colour.astype(np.float32)
         data |= {name: cloud.colour.copy() for name in ("colorRed", "colorGreen", "colorBlue")}
-    if cloud.pixels is not None and cloud.pixels.max() <= LARGEST_E57_PIXEL:
+    if cloud.pixels is not None and cloud.pixels.max() <= MAX_E57_PIXEL:
         data["columnIndex"], data["rowIndex"] = cloud.pixels.T.astype(np.uint16)
 
     def write(draft: Path) -> None:
@@ -124,7 +118,7 @@ def _write_las(cloud: Cloud, path: Path) -> None:
     las = laspy.LasData(header)
     las.x, las.y, las.z = points.T
     if cloud.colour is not None:
-        grey = cloud.colour.astype(np.uint16) * np.uint16(GREY_TO_16)
+        grey = cloud.colour.astype(np.uint16) * np.uint16(257)  # 16 bits: 255 becomes 65535
         las.intensity = las.red = las.green = las.blue = grey
     for name, values in extra.items():
         las[name] = values
@@ -135,14 +129,14 @@ def _write_las(cloud: Cloud, path: Path) -> None:
 
 def _las_step(reach_m: float) -> float:
     """The step in m, a power of ten, with which 32 bits reach so far from the middle."""
-    step = FINEST_LAS_M
-    while reach_m / step > LARGEST_LAS:
+    step = 1e-9  # in m; coordinates are integers of 32 bits, so it is larger for parts beyond 2 m
+    while reach_m / step > 2**31 - 1:
         step *= 10.0
     return step
 
 
 def _metres(cloud: Cloud) -> Floats:
-    return cloud.points.astype(np.float64) / MM_PER_M
+    return cloud.points.astype(np.float64) / 1000.0
 
 
 _LIBRARIES = {".e57": "pye57", ".las": "laspy", ".laz": "laspy", ".3mf": "lxml"}

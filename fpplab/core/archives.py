@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import zipfile
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
@@ -18,10 +19,19 @@ from numpy.typing import NDArray
 from fpplab.core.files import open_regular
 from fpplab.core.units import readable_bytes
 
-ALWAYS_ALLOWED = 256_000_000
-"""Bytes that any archive may unpack to."""
-GREATEST_RATIO = 100
-"""By how many times a greater one may grow; recorded images and maps grow by less than ten."""
+
+@dataclass(frozen=True)
+class ArchiveLimits:
+    """Limits of what an archive may unpack to."""
+
+    always_allowed_bytes: int = 256_000_000
+    """Bytes that any archive may unpack to. Chosen."""
+    max_growth: int = 100
+    """By how many times a greater one may grow. Chosen: recorded images and maps grow by less than ten."""
+
+
+LIMITS = ArchiveLimits()
+
 NUMBERS = "biuf"
 """Kinds of arrays that are read: truth values and numbers."""
 
@@ -29,10 +39,10 @@ NUMBERS = "biuf"
 def check_archive(archive: zipfile.ZipFile, size: int) -> None:
     """Refuse an archive that unpacks to far more than recorded data would, before any of it is unpacked."""
     unpacked = sum(member.file_size for member in archive.infolist())
-    if unpacked > max(ALWAYS_ALLOWED, GREATEST_RATIO * size):
+    if unpacked > max(LIMITS.always_allowed_bytes, LIMITS.max_growth * size):
         raise ValueError(
-            f"{readable_bytes(size)} that unpack to {readable_bytes(unpacked)}, more than {GREATEST_RATIO} "
-            "times as much; save it without compression"
+            f"{readable_bytes(size)} that unpack to {readable_bytes(unpacked)}, more than "
+            f"{LIMITS.max_growth} times as much; save it without compression"
         )
 
 

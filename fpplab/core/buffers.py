@@ -12,17 +12,28 @@ import math
 import threading
 import weakref
 from collections import deque
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import psutil
 from numpy.typing import DTypeLike, NDArray
 
-LEAST_BYTES = 1 << 22
-"""Smaller arrays come from the allocator, which reuses its memory itself."""
-MOST_KEPT_BYTES = min(3 << 30, psutil.virtual_memory().total // 6)
-"""Most memory that is kept while nobody uses it: what a measurement at twenty megapixels needs."""
-_MOST_WASTE = 2
+
+@dataclass(frozen=True)
+class BufferLimits:
+    """Limits of the memory that is kept for reuse."""
+
+    min_bytes: int = 1 << 22
+    """Smaller arrays come from the allocator, which reuses its memory itself. Chosen."""
+    max_kept_bytes: int = min(3 << 30, psutil.virtual_memory().total // 6)
+    """Memory that is kept while nobody uses it. Chosen: what a measurement at twenty megapixels needs."""
+    max_waste: int = 2
+    """How many times larger than needed a block may be. Chosen."""
+
+
+LIMITS = BufferLimits()
+
 
 _Block = NDArray[np.uint8]
 _free: list[_Block] = []
@@ -35,7 +46,7 @@ def empty(shape: int | tuple[int, ...], dtype: DTypeLike = np.float32) -> NDArra
     kind = np.dtype(dtype)
     count = math.prod(shape) if isinstance(shape, tuple) else shape
     size = count * kind.itemsize
-    if size < LEAST_BYTES:
+    if size < LIMITS.min_bytes:
         return np.empty(shape, kind)
     block = _kept(size)
     if block is None:
@@ -65,10 +76,10 @@ def _kept(size: int) -> _Block | None:
     with _lock:
         while _returned:
             _free.append(_returned.popleft())
-        fitting = [block for block in _free if size <= block.nbytes <= _MOST_WASTE * size]
+        fitting = [block for block in _free if size <= block.nbytes <= LIMITS.max_waste * size]
         found = min(fitting, key=lambda block: block.nbytes, default=None)
         kept = [block for block in _free if block is not found]
-        while sum(block.nbytes for block in kept) > MOST_KEPT_BYTES:
+        while sum(block.nbytes for block in kept) > LIMITS.max_kept_bytes:
             del kept[0]
         _free[:] = kept
         return found

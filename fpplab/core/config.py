@@ -23,9 +23,9 @@ from fpplab.core.strict_yaml import load_yaml
 
 _log = logging.getLogger(__name__)
 
-MOST_TEXT_BYTES = 8_000_000
+MAX_TEXT_BYTES = 8_000_000
 """Greatest size of a text file."""
-MOST_FAULTS = 5
+MAX_FAULTS = 5
 """So many faults of a file are told at once."""
 
 
@@ -76,7 +76,7 @@ def parse_yaml(text: str, source: Path | str) -> Any:
 def read_text(path: Path) -> str:
     """Read the text of a configuration file."""
     try:
-        content = read_bounded(path, MOST_TEXT_BYTES)
+        content = read_bounded(path, MAX_TEXT_BYTES)
         check_recorded(path, content)
         return content.decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")
     except FileNotFoundError:
@@ -115,8 +115,8 @@ def describe(error: ValidationError, data: Any = None) -> str:
     if len(unknown) > 1:
         said.insert(0, "unknown keys " + ", ".join(f"'{key}'" for key in unknown))
     shown = list(dict.fromkeys(said))  # one look at the file corrects them all
-    more = f" (and {len(shown) - MOST_FAULTS} more)" if len(shown) > MOST_FAULTS else ""
-    return "; ".join(shown[:MOST_FAULTS]) + more
+    more = f" (and {len(shown) - MAX_FAULTS} more)" if len(shown) > MAX_FAULTS else ""
+    return "; ".join(shown[:MAX_FAULTS]) + more
 
 
 def _fault(detail: Any) -> str:

@@ -11,16 +11,13 @@ from fpplab.core.errors import DataError
 from fpplab.core.files import writing
 from fpplab.core.units import readable_bytes
 
-MUCH = 1 << 30
-"""Bytes from which on the space that work needs is said without being asked."""
-
 _log = logging.getLogger(__name__)
 
 
 def need_space(folder: Path, needed: int, what: str, freed: int = 0) -> None:
     """Say how much space work needs, before any of it is written, and refuse what does not fit on the disk.
 
-    `MUCH` and more is logged as a warning, which is printed in any case, less as information.
+    A GiB and more is logged as a warning, which is printed in any case, less as information.
     """
     place = next(path for path in (folder, *folder.absolute().parents) if path.exists())
     with writing(folder):
@@ -31,7 +28,7 @@ def need_space(folder: Path, needed: int, what: str, freed: int = 0) -> None:
             "there; free some space, or name an output on another disk"
         )
     _log.log(
-        logging.WARNING if needed >= MUCH else logging.INFO,
+        logging.WARNING if needed >= 1 << 30 else logging.INFO,
         "%s: %s take %s; %s are free there",
         folder,
         what,

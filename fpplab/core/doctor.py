@@ -23,12 +23,21 @@ from fpplab.core.version import __version__
 Condition = Literal["ok", "absent", "wrong"]
 """Whether something is as it should be, was left out when fpplab was installed, or has to be corrected."""
 
-TRIED_BYTES = 64 << 20
-"""How much is written to tell the speed of a disk."""
-SLOWEST_DISK = 50e6
-"""Bytes/s below which a disk keeps up with no camera: 1.2 million pixels 40 times a second."""
-LEAST_FREE = 2 << 30
-"""Bytes below which a disk holds no data set and few scans."""
+
+@dataclass(frozen=True)
+class DoctorLimits:
+    """Limits by which folders and disks are judged."""
+
+    trial_bytes: int = 64 << 20
+    """How much is written to measure the speed of a disk. Chosen."""
+    min_bytes_per_s: float = 50e6
+    """Speed of a disk. Derived: 1.2 million pixels 40 times a second."""
+    min_free_bytes: int = 2 << 30
+    """Free space. Chosen: less holds no data set and few scans."""
+
+
+LIMITS = DoctorLimits()
+
 RENDER_NODES, NVIDIA = Path("/dev/dri"), Path("/proc/driver/nvidia/version")
 """Where Linux lists graphics processors that compute, and NVIDIA's driver its version."""
 
@@ -99,7 +108,7 @@ def check_folders(folders: Iterable[Path]) -> list[DoctorFinding]:
         seen = f"{readable_bytes(free)} are free"
         if not os.access(place, os.W_OK | os.X_OK):
             found.append(DoctorFinding(str(folder), "wrong", "cannot be written", "choose another folder"))
-        elif free < LEAST_FREE:
+        elif free < LIMITS.min_free_bytes:
             found.append(DoctorFinding(str(folder), "wrong", seen, "free some space, or use another disk"))
         else:
             found.append(DoctorFinding(str(folder), "ok", seen))
@@ -122,7 +131,7 @@ def check_graphics(nodes: Path = RENDER_NODES, nvidia: Path = NVIDIA) -> DoctorF
     return DoctorFinding("graphics", "ok", ", ".join(names))
 
 
-def check_disk(folder: Path, size: int = TRIED_BYTES) -> DoctorFinding:
+def check_disk(folder: Path, size: int = LIMITS.trial_bytes) -> DoctorFinding:
     """Measure how fast a disk takes frames, by a file that is deleted again."""
     block = os.urandom(1 << 20)
     try:
@@ -142,7 +151,7 @@ def check_disk(folder: Path, size: int = TRIED_BYTES) -> DoctorFinding:
 def disk_speed_finding(folder: Path, speed: float) -> DoctorFinding:
     """Judge the speed of a disk."""
     seen = f"{folder.absolute()}: {speed / 1e6:.0f} MB/s written"
-    if speed < SLOWEST_DISK:
+    if speed < LIMITS.min_bytes_per_s:
         return DoctorFinding("disk", "wrong", seen, "measure onto a faster disk, or frames may be lost")
     return DoctorFinding("disk", "ok", seen)
 

@@ -12,6 +12,7 @@ import os
 import subprocess
 import sys
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -20,12 +21,25 @@ from numpy.typing import NDArray
 
 from fpplab.core.files import open_regular
 
-ALWAYS_S, S_PER_MB = 30.0, 2.0
-"""A file may take so long to be read, and so much longer for every MB that it has."""
-ALWAYS_BYTES, TIMES_ITS_SIZE = 1_600_000_000, 40
-"""Reading may take so much address space, and so many times the size of the file more."""
-STACK_BYTES = 1 << 20
-"""Of the thread that reads: what nests without end meets this limit soon."""
+
+@dataclass(frozen=True)
+class ReadingLimits:
+    """Limits of the process in which a foreign parser reads a file."""
+
+    seconds: float = 30.0
+    """Time that any file may take. Chosen."""
+    seconds_per_mb: float = 2.0
+    """Time in addition for every MB of the file. Chosen."""
+    address_bytes: int = 1_600_000_000
+    """Address space that reading any file may take. Chosen."""
+    address_per_byte: int = 40
+    """Address space in addition for every byte of the file. Chosen."""
+    stack_bytes: int = 1 << 20
+    """Stack of the thread that reads, which limits the depth of recursion. Chosen."""
+
+
+LIMITS = ReadingLimits()
+
 REFUSED = 3
 """Exit code where the parser itself refused the file."""
 
@@ -36,8 +50,15 @@ def read_apart(kind: str, path: Path, found: BinaryIO | None = None) -> Parts:
     """Read a file in a process of its own."""
     with found or open_regular(path) as stream:
         size = os.fstat(stream.fileno()).st_size
-        seconds = ALWAYS_S + S_PER_MB * size / 1e6
-        command = [sys.executable, "-P", "-m", __name__, kind, str(ALWAYS_BYTES + TIMES_ITS_SIZE * size)]
+        seconds = LIMITS.seconds + LIMITS.seconds_per_mb * size / 1e6
+        command = [
+            sys.executable,
+            "-P",
+            "-m",
+            __name__,
+            kind,
+            str(LIMITS.address_bytes + LIMITS.address_per_byte * size),
+        ]
         environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
         try:
             read = subprocess.run(
@@ -58,7 +79,7 @@ def _main(kind: str, most_bytes: int) -> None:
     import threading
 
     _limit_memory(most_bytes)
-    threading.stack_size(STACK_BYTES)
+    threading.stack_size(LIMITS.stack_bytes)
     result: list[Parts | str] = []
     thread = threading.Thread(target=lambda: result.append(_read(kind, sys.stdin.buffer)))
     thread.start()

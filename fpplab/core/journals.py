@@ -9,7 +9,7 @@ from pathlib import Path
 from fpplab.core.errors import DataError
 from fpplab.core.files import read_bounded, writing
 
-MOST_JOURNAL_BYTES = 256_000_000
+MAX_JOURNAL_BYTES = 256_000_000
 """Greatest size of a journal: some 700,000 frames."""
 
 
@@ -43,7 +43,7 @@ def whole_lines(path: Path) -> list[bytes]:
     What follows the last newline was cut off while it was written, and is left out.
     """
     try:
-        return read_bounded(path, MOST_JOURNAL_BYTES).split(b"\n")[:-1]
+        return read_bounded(path, MAX_JOURNAL_BYTES).split(b"\n")[:-1]
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({error.strerror})") from error
 

@@ -21,9 +21,6 @@ from typing import Any
 from fpplab.core.errors import DataError
 from fpplab.core.strict_json import parse_object
 
-MOST_BYTES = 10_000
-"""That are read of what a process writes about itself."""
-
 try:
     import fcntl
 except ImportError:  # Windows
@@ -144,7 +141,7 @@ def lock_owner(lock: Path) -> str:
     """Say who holds a lock; it may not have written its name yet."""
     try:
         with lock.open("rb") as file:
-            found = parse_object(file.read(MOST_BYTES))
+            found = parse_object(file.read(10_000))
         return "process {pid} on {host} ('{command}', since {since})".format(**found)
     except (OSError, ValueError, KeyError, TypeError):
         return "another process"

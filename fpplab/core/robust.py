@@ -14,7 +14,7 @@ HUBER = 1.345
 """Residual, in standard deviations, from which Huber's weight usually falls."""
 NEGLIGIBLE_RESIDUAL = 1e-12
 """Residual and standard deviation that stand for 0, where something fits exactly."""
-FEWEST_CLUSTERS = 3
+MAX_UNBOUNDED_CLUSTERS = 3
 """Number of clusters up to which their scatter has no finite variance."""
 
 
@@ -69,7 +69,7 @@ def multiway_covariance(
     middle = np.zeros_like(inverse)
     for clusters in groupings:
         present, numbers = np.unique(clusters, return_inverse=True)
-        if (count := len(present)) > FEWEST_CLUSTERS:
+        if (count := len(present)) > MAX_UNBOUNDED_CLUSTERS:
             sums = np.stack([np.bincount(numbers, column) for column in scores.T])
             # count / (count - 1) for the mean that is fitted, (count - 1) / (count - 3) for Student's t.
             middle += count / (count - 3) * sums @ sums.T

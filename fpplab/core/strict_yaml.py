@@ -8,16 +8,26 @@ word. All of that is refused, or stays a word.
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 from typing import Any
 
 import yaml
 
-MOST_CHARACTERS = 2_000_000
-"""Greatest length of a text."""
-MOST_NODES = 100_000
-"""Greatest number of values in it, those that aliases repeat included."""
-DEEPEST = 50
-"""Greatest number of mappings and lists inside one another."""
+
+@dataclass(frozen=True)
+class YamlLimits:
+    """Limits of a YAML text."""
+
+    max_characters: int = 2_000_000
+    """Length of the text. Chosen."""
+    max_nodes: int = 100_000
+    """Number of values, those that aliases repeat included. Chosen."""
+    max_depth: int = 50
+    """Number of mappings and lists inside one another. Chosen."""
+
+
+LIMITS = YamlLimits()
+
 
 _SURROGATE = re.compile("[\ud800-\udfff]")
 _NULL, _BOOL, _INT, _FLOAT = (f"tag:yaml.org,2002:{name}" for name in ("null", "bool", "int", "float"))
@@ -79,8 +89,8 @@ for _tag, _pattern, _first in _RESOLVERS:
 
 def _measure(node: yaml.Node, known: dict[int, int], depth: int) -> int:
     """Count the values of a node, each as often as aliases repeat it; refuse too many, or too deep ones."""
-    if depth > DEEPEST:
-        raise _refusal(f"there are more than {DEEPEST} mappings and lists inside one another", node)
+    if depth > LIMITS.max_depth:
+        raise _refusal(f"there are more than {LIMITS.max_depth} mappings and lists inside one another", node)
     if isinstance(node, yaml.ScalarNode) and _SURROGATE.search(node.value):
         raise _refusal("a word holds half a character, a lone surrogate", node)
     if id(node) not in known:
@@ -90,9 +100,9 @@ def _measure(node: yaml.Node, known: dict[int, int], depth: int) -> int:
         count = 1
         for part in inside:
             count += _measure(part, known, depth + 1)
-            if count > MOST_NODES:
+            if count > LIMITS.max_nodes:
                 raise _refusal(
-                    f"there are more than {MOST_NODES} values, those that aliases repeat included", part
+                    f"there are more than {LIMITS.max_nodes} values, those that aliases repeat included", part
                 )
         known[id(node)] = count
     if known[id(node)] == 0:
@@ -106,9 +116,11 @@ def _refusal(problem: str, at: Any) -> yaml.MarkedYAMLError:
 
 def load_yaml(text: str) -> Any:
     """Parse YAML text as plain data."""
-    if len(text) > MOST_CHARACTERS:
-        raise ValueError(f"it has {len(text)} characters, more than {MOST_CHARACTERS}")
+    if len(text) > LIMITS.max_characters:
+        raise ValueError(f"it has {len(text)} characters, more than {LIMITS.max_characters}")
     try:
         return yaml.load(text, _Loader)
     except RecursionError:
-        raise ValueError(f"there are more than {DEEPEST} mappings and lists inside one another") from None
+        raise ValueError(
+            f"there are more than {LIMITS.max_depth} mappings and lists inside one another"
+        ) from None

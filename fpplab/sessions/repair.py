@@ -103,7 +103,7 @@ def _renewed_records(path: Path) -> Iterator[RecordedFile]:
                 yield one
     for name in sorted({PLAN, RIG} - kept):
         with suppress(OSError, UnicodeDecodeError):  # a file that cannot be read is no copy of itself
-            text = read_bounded(path / name, config.MOST_TEXT_BYTES).decode("utf-8")
+            text = read_bounded(path / name, config.MAX_TEXT_BYTES).decode("utf-8")
             yield RecordedFile.of_text(name, text)
     if FORMAT not in kept:
         yield RecordedFile.of_text(FORMAT, present_format())

@@ -13,7 +13,7 @@ import pytest
 import trimesh
 
 from fpplab.clouds import Cloud, load_cloud
-from fpplab.clouds.exchange import EXPORTED, LARGEST_E57_PIXEL, export_cloud
+from fpplab.clouds.exchange import EXPORTED, MAX_E57_PIXEL, export_cloud
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.extras import MissingExtraError
 
@@ -45,7 +45,7 @@ def cloud(size: tuple[int, int] = (12, 9), pitch_mm: float = 0.37) -> Cloud:
 BARE = Cloud(cloud().points)
 
 
-@pytest.mark.parametrize("column", [LARGEST_E57_PIXEL, LARGEST_E57_PIXEL + 1])
+@pytest.mark.parametrize("column", [MAX_E57_PIXEL, MAX_E57_PIXEL + 1])
 def test_e57_has_pixels_that_its_16_bits_hold(column: int, tmp_path: Path) -> None:
     pixels = np.array([[0, 0], [column, 1]], np.int32)
     export_cloud(Cloud(cloud().points[:2], pixels, (column + 1, 2)), tmp_path / "wide.e57")

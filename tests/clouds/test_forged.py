@@ -54,7 +54,7 @@ def test_a_face_with_a_corner_that_is_not_there(tmp_path: Path, corner: int) -> 
 def test_an_archive_that_unpacks_to_far_more_than_it_is(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(archives, "ALWAYS_ALLOWED", 1_000_000)
+    monkeypatch.setattr(archives, "LIMITS", archives.ArchiveLimits(always_allowed_bytes=1_000_000))
     path = tmp_path / "cloud.npz"
     np.savez_compressed(path, points=np.zeros((200_000, 3), np.float32))
     with pytest.raises(DataError, match=r"that unpack to 2\.40 MB, more than 100 times as much"):

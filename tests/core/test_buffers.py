@@ -11,7 +11,7 @@ import pytest
 from fpplab.core import buffers, direct
 from fpplab.core.files import write_large
 
-COUNT = buffers.LEAST_BYTES // 4 + 5
+COUNT = buffers.LIMITS.min_bytes // 4 + 5
 
 
 @pytest.fixture(autouse=True)
@@ -38,7 +38,7 @@ def test_what_is_far_too_large_is_not_taken() -> None:
 
 
 def test_no_more_is_kept_than_allowed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(buffers, "MOST_KEPT_BYTES", 3 * 4 * COUNT)
+    monkeypatch.setattr(buffers, "LIMITS", buffers.BufferLimits(max_kept_bytes=3 * 4 * COUNT))
     many = [buffers.empty(COUNT) for _ in range(6)]
     del many
     held = buffers.empty(COUNT)

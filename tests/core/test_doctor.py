@@ -51,7 +51,7 @@ def test_libraries_are_those_of_what_is_installed(monkeypatch: pytest.MonkeyPatc
 
 def test_folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(doctor, "cache_directory", lambda: tmp_path / "cache" / "fpplab")
-    usage = [doctor.LEAST_FREE, doctor.LEAST_FREE - 1, doctor.LEAST_FREE]
+    usage = [doctor.LIMITS.min_free_bytes, doctor.LIMITS.min_free_bytes - 1, doctor.LIMITS.min_free_bytes]
     free = [type("Usage", (), {"free": n}) for n in usage]
     monkeypatch.setattr(doctor.shutil, "disk_usage", lambda path: free.pop(0))
     monkeypatch.setattr(doctor.os, "access", lambda path, mode: path != tmp_path / "x")
@@ -88,6 +88,6 @@ def test_the_disk_is_measured_and_judged(tmp_path: Path) -> None:
     assert doctor.check_disk(tmp_path, 1 << 20).seen.endswith(" MB/s written")
     assert list(tmp_path.iterdir()) == []
     assert doctor.check_disk(tmp_path / "none", 1 << 20).state == "wrong"
-    assert doctor.disk_speed_finding(tmp_path, doctor.SLOWEST_DISK).state == "ok"
-    slow = doctor.disk_speed_finding(tmp_path, doctor.SLOWEST_DISK - 1.0)
+    assert doctor.disk_speed_finding(tmp_path, doctor.LIMITS.min_bytes_per_s).state == "ok"
+    slow = doctor.disk_speed_finding(tmp_path, doctor.LIMITS.min_bytes_per_s - 1.0)
     assert (slow.state, slow.seen) == ("wrong", f"{tmp_path}: 50 MB/s written")

@@ -53,15 +53,14 @@ def test_a_reader_gets_no_more_memory_than_files_of_such_a_size_need(tmp_path: P
 
 def test_the_memory_of_a_reader_is_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     trimesh.creation.icosphere(1).export(tmp_path / "ball.stl")
-    monkeypatch.setattr(foreign, "ALWAYS_BYTES", 60_000_000)
+    monkeypatch.setattr(foreign, "LIMITS", foreign.ReadingLimits(address_bytes=60_000_000))
     with pytest.raises(ValueError, match=r"fails|memory"):
         read_apart("stl", tmp_path / "ball.stl")
 
 
 def test_a_reader_that_does_not_end_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     trimesh.creation.icosphere(1).export(tmp_path / "ball.stl")
-    monkeypatch.setattr(foreign, "ALWAYS_S", 0.001)
-    monkeypatch.setattr(foreign, "S_PER_MB", 0.0)
+    monkeypatch.setattr(foreign, "LIMITS", foreign.ReadingLimits(seconds=0.001, seconds_per_mb=0.0))
     with pytest.raises(ValueError, match=r"has not come to an end after 0 s"):
         read_apart("stl", tmp_path / "ball.stl")
 

@@ -29,7 +29,7 @@ def test_a_file_may_have_just_as_many_bytes_as_its_kind(tmp_path: Path) -> None:
 
 
 def test_text_files_of_any_size_are_refused_in_words(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(config, "MOST_TEXT_BYTES", 10)
+    monkeypatch.setattr(config, "MAX_TEXT_BYTES", 10)
     (tmp_path / "rig.yaml").write_text("name: a bench\n")
     with pytest.raises(ConfigError, match=r"rig.yaml: cannot be read \(it is larger than 10 bytes"):
         config.read_text(tmp_path / "rig.yaml")
@@ -41,7 +41,7 @@ def test_journals_are_no_pipes_and_no_larger_than_any(
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(DataError, match=r"pipe: cannot be read \(it is a pipe or a device, not a file\)"):
         whole_lines(tmp_path / "pipe")
-    monkeypatch.setattr(journals, "MOST_JOURNAL_BYTES", 3)
+    monkeypatch.setattr(journals, "MAX_JOURNAL_BYTES", 3)
     (tmp_path / "journal.jsonl").write_text("a\nb\n")
     with pytest.raises(DataError, match=r"journal.jsonl: cannot be read \(it is larger"):
         whole_lines(tmp_path / "journal.jsonl")

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from fpplab.core.robust import (
-    FEWEST_CLUSTERS,
     HUBER,
+    MAX_UNBOUNDED_CLUSTERS,
     huber_weights,
     multiway_covariance,
     robust_spread,
@@ -62,7 +62,7 @@ def test_the_multiway_covariance_covers_what_rows_and_columns_share(shared: floa
 
 def test_few_clusters_say_nothing_of_their_scatter() -> None:
     scores = np.random.default_rng(0).standard_normal((60, 2))
-    many, few = np.arange(60) % 10, np.arange(60) % FEWEST_CLUSTERS
+    many, few = np.arange(60) % 10, np.arange(60) % MAX_UNBOUNDED_CLUSTERS
     alone = multiway_covariance(np.eye(2), scores, [many])
     np.testing.assert_array_equal(multiway_covariance(np.eye(2), scores, [many, few]), alone)
     sums = scores.reshape(6, 10, 2).sum(axis=0)
