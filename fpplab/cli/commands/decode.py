@@ -9,7 +9,7 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import MEASURE, AsRecorded, Force, Json, Out, app
-from fpplab.core.errors import DataError
+from fpplab.cli.viewing import ConsoleObserver
 
 
 @app.command("decode", rich_help_panel=MEASURE)
@@ -26,18 +26,7 @@ def decode_command(
     pixels), float32, NaN where not measured. A plan that does not describe the frames is refused,
     with what to write instead.
     """
-    from fpplab.core.files import need_suffix, refuse_existing
-    from fpplab.pipeline import decode_session
-    from fpplab.sessions.session import Session
+    from fpplab.workflows.decode import DecodingRequest, run_decoding
 
-    need_suffix(out, ".npz")
-    refuse_existing(out, force)
-    with console.stopwatch() as seconds, console.progress("Decoding") as report:
-        decoded = decode_session(Session.open(session), report, as_recorded=as_recorded)
-        if not decoded.valid.any():
-            raise DataError(
-                f"{session}: no pixel could be measured; see that the fringes reach the object, "
-                "and that they are neither faint nor saturated"
-            )
-        decoded.save(out)
-    console.print_result({"valid": int(decoded.valid.sum()), "seconds": seconds()}, json)
+    request = DecodingRequest(session, out, as_recorded, force)
+    console.print_result(run_decoding(request, ConsoleObserver()).summary(), json)
