@@ -112,33 +112,37 @@ def missing_option(path: str, option: str) -> str:
 
 def unknown_command(path: str, word: str, commands: Sequence[str]) -> str:
     """Say of a command that there is none of this name, and which was probably meant."""
-    said = f"there is no command '{' '.join([*path.split()[1:], word])}'"
+    reason = f"there is no command '{' '.join([*path.split()[1:], word])}'"
     lower = word.lower()
     if lower in ("help", "version"):
-        return f"{said}; say `{path} --{lower}`"
+        return f"{reason}; say `{path} --{lower}`"
     meant = SYNONYMS.get(lower, ())
     if meant and all(command in commands for command in meant):
         purposes = ", ".join(f"{command} {PURPOSES[command]}" for command in meant)
         helps = " or ".join(f"`{path} {command} --help`" for command in meant)
-        return f"{said}; {purposes}: see {helps}"
-    usable = {name: found for name, found in SYNONYMS.items() if all(one in commands for one in found)}
-    alike = _alike(lower, [*commands, *usable])
-    if alike is None:
-        return f"{said}; `{path} --help` lists those that there are"
-    return f"{said}; did you mean `{path} {usable.get(alike, (alike,))[0]}`?"
+        return f"{reason}; {purposes}: see {helps}"
+    usable = {
+        name: commands_meant
+        for name, commands_meant in SYNONYMS.items()
+        if all(one in commands for one in commands_meant)
+    }
+    closest = _closest(lower, [*commands, *usable])
+    if closest is None:
+        return f"{reason}; `{path} --help` lists those that there are"
+    return f"{reason}; did you mean `{path} {usable.get(closest, (closest,))[0]}`?"
 
 
 def unknown_option(path: str, word: str, options: Sequence[str]) -> str:
     """Say of an option that a command has none of this name, and which was probably meant."""
-    said = f"`{path}` has no option {word}"
+    reason = f"`{path}` has no option {word}"
     for option in OPTION_SYNONYMS.get(word, ()):
         if option in options:
-            return f"{said}; it is {option}"
-    alike = _alike(word, [option for option in options if option.startswith("--")])
-    return f"{said}; " + (f"did you mean {alike}?" if alike else f"see `{path} --help`")
+            return f"{reason}; it is {option}"
+    closest = _closest(word, [option for option in options if option.startswith("--")])
+    return f"{reason}; " + (f"did you mean {closest}?" if closest else f"see `{path} --help`")
 
 
-def _alike(word: str, names: Sequence[str]) -> str | None:
+def _closest(word: str, names: Sequence[str]) -> str | None:
     """The name that is most like a word, or that the word begins."""
     begun = [name for name in names if len(word) > 2 and name.startswith(word)]
     return next(iter(begun or get_close_matches(word, names, n=1)), None)

@@ -50,13 +50,13 @@ def global_first(words: Sequence[str]) -> list[str]:
     """Put the options of the program before its command: `scan -v` becomes `-v scan`."""
     front: list[str] = []
     rest: list[str] = []
-    left = list(words)
-    while left and left[0] != "--":
-        word = left.pop(0)
+    remaining = list(words)
+    while remaining and remaining[0] != "--":
+        word = remaining.pop(0)
         if word in GLOBAL or word.startswith(tuple(f"{option}=" for option in GLOBAL_WITH_VALUE)):
             front.append(word)
-        elif word in GLOBAL_WITH_VALUE and left:
-            front += [word, left.pop(0)]
+        elif word in GLOBAL_WITH_VALUE and remaining:
+            front += [word, remaining.pop(0)]
         else:
             rest.append(word)
-    return [*front, *rest, *left]
+    return [*front, *rest, *remaining]

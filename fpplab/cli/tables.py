@@ -30,8 +30,8 @@ def as_table(value: Any) -> tuple[list[str], list[list[Any]]] | None:
 
 def _flat(row: dict[str, Any]) -> dict[str, Any]:
     """A row without dictionaries in it: their keys stand behind the row's own."""
-    found: dict[str, Any] = {}
+    flat: dict[str, Any] = {}
     for key, value in row.items():
         inner = {f"{key} {k}": v for k, v in value.items()} if isinstance(value, dict) else {key: value}
-        found |= inner
-    return found
+        flat |= inner
+    return flat

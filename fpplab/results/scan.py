@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
+from fpplab.core.notebook import html_table
 from fpplab.diagnosis import Diagnosis
 from fpplab.phase import Decoded
 from fpplab.phase.precision import uncertain_orders
@@ -19,7 +20,7 @@ from fpplab.results.provenance import Provenance
 from fpplab.sessions.session import Session
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ScanResult:
     """Points of a scan, whether to believe them, and where they come from.
 
@@ -63,52 +64,22 @@ class ScanResult:
     cloud_file: Path | None = None
     report_file: Path | None = None
 
-    @classmethod
-    def of(
-        cls,
-        found: Reconstruction,
-        provenance: Provenance,
-        seconds: float,
-        *,
-        images: int | None = None,
-        cloud_file: Path | None = None,
-        report_file: Path | None = None,
-    ) -> ScanResult:
-        """Complete a reconstruction by where it comes from and goes to.
+    def __repr__(self) -> str:
+        points = len(self.cloud) if self.cloud else 0
+        return f"<ScanResult of {self.session.path}: {points} points, {self.diagnosis.sentence}>"
 
-        Parameters
-        ----------
-        found : Reconstruction
-            Points and verdict.
-        provenance : Provenance
-            Of the session.
-        seconds : float
-            Time that the work took.
-        images : int, optional
-            Images that were taken for it.
-        cloud_file : Path, optional
-            Where the cloud is written.
-        report_file : Path, optional
-            Where the report is written.
-
-        Returns
-        -------
-        ScanResult
-            The result.
-        """
-        return cls(
-            session=found.session,
-            calibration=found.calibration,
-            decoded=found.decoded,
-            cloud=found.cloud,
-            depth=found.depth,
-            diagnosis=found.diagnosis,
-            provenance=provenance,
-            seconds=seconds,
-            images=images,
-            cloud_file=cloud_file,
-            report_file=report_file,
-        )
+    def _repr_html_(self) -> str:
+        near_far = None if self.depth is None else f"{self.depth.mm[0]:g} to {self.depth.mm[1]:g} mm"
+        rows: dict[str, object] = {
+            "verdict": self.diagnosis.verdict.value,
+            "reason": self.diagnosis.reason,
+            "points": f"{len(self.cloud) if self.cloud else 0:,}",
+            "depths": near_far,
+            "time": f"{self.seconds:.1f} s",
+        }
+        for number, finding in enumerate(self.diagnosis.findings, 1):
+            rows[f"finding {number}"] = f"{finding.sentence}; {finding.remedy}"
+        return html_table(f"Scan {self.session.path.name}", rows)
 
     def __iter__(self) -> Iterator[Any]:
         """Unpack into maps and points, which is what `reconstruct` gave in version 0.1."""
@@ -172,3 +143,28 @@ class ScanResult:
             "cloud": None if self.cloud_file is None else str(self.cloud_file),
             "report": None if self.report_file is None else str(self.report_file),
         }
+
+
+def scan_result(
+    found: Reconstruction,
+    provenance: Provenance,
+    seconds: float,
+    *,
+    images: int | None = None,
+    cloud_file: Path | None = None,
+    report_file: Path | None = None,
+) -> ScanResult:
+    """Complete a reconstruction by where it comes from and goes to."""
+    return ScanResult(
+        session=found.session,
+        calibration=found.calibration,
+        decoded=found.decoded,
+        cloud=found.cloud,
+        depth=found.depth,
+        diagnosis=found.diagnosis,
+        provenance=provenance,
+        seconds=seconds,
+        images=images,
+        cloud_file=cloud_file,
+        report_file=report_file,
+    )

@@ -123,7 +123,7 @@ def _scan_artefact(
     from fpplab.reconstruction.triangulation import triangulate
     from fpplab.results.demo import DemoScan
     from fpplab.results.provenance import session_provenance
-    from fpplab.results.scan import ScanResult
+    from fpplab.results.scan import scan_result
 
     stopwatch, calibration, out = Stopwatch(), characterised.calibration, request.out / name
     with observer.stage(f"Scanning the {name}") as progress:
@@ -133,7 +133,7 @@ def _scan_artefact(
     assert found.decoded is not None
     assert found.cloud is not None
     provenance = session_provenance(session, calibration, Path(CALIBRATION))
-    scan = ScanResult.of(found, provenance, stopwatch.seconds, images=plan.images)
+    scan = scan_result(found, provenance, stopwatch.seconds, images=plan.images)
     standing = rig.need_fixture("the demonstration").pose(name)
     if standing is None:
         raise ConfigError("the demonstration needs a fixture that knows where it holds an item")

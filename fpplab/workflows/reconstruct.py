@@ -75,7 +75,7 @@ def run_reconstruction(request: ReconstructionRequest, observer: Observer | None
     from fpplab.pipeline import reconstruct_session
     from fpplab.report import write_scan_report
     from fpplab.results.provenance import session_provenance
-    from fpplab.results.scan import ScanResult
+    from fpplab.results.scan import scan_result
 
     stopwatch = Stopwatch()
     with observer.stage("Reconstructing") as progress:
@@ -90,7 +90,7 @@ def run_reconstruction(request: ReconstructionRequest, observer: Observer | None
             observe_maps=observer.maps,
             limits=request.limits or USUAL_LIMITS,
         )
-        result = ScanResult.of(
+        result = scan_result(
             found, provenance, stopwatch.seconds, cloud_file=request.out, report_file=request.page
         )
         observer.result(result)

@@ -250,7 +250,7 @@ def _finish(request: ScanRequest, session: Session, observer: Observer, stopwatc
     from fpplab.diagnosis.limits import USUAL_LIMITS
     from fpplab.pipeline import finish_scan
     from fpplab.results.provenance import session_provenance
-    from fpplab.results.scan import ScanResult
+    from fpplab.results.scan import scan_result
 
     with observer.stage("Reconstructing") as progress:
         provenance = session_provenance(session, request.calibration, request.calibration_file)
@@ -261,7 +261,7 @@ def _finish(request: ScanRequest, session: Session, observer: Observer, stopwatc
             depth_mm=request.depth_mm,
             limits=request.limits or USUAL_LIMITS,
         )
-    return ScanResult.of(
+    return scan_result(
         found,
         provenance,
         stopwatch.seconds,

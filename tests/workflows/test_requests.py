@@ -16,8 +16,17 @@ import fpplab.workflows
 
 FOLDER = Path(fpplab.workflows.__path__[0])
 LIGHT = (
-    *("check", "characterise", "compare", "decode", "demo", "gamma"),
-    *("judge", "optimise", "reconstruct", "scan", "verify"),
+    "check",
+    "characterise",
+    "compare",
+    "decode",
+    "demo",
+    "gamma",
+    "judge",
+    "optimise",
+    "reconstruct",
+    "scan",
+    "verify",
 )
 """Workflows that refuse wrong input before they load what measures and draws."""
 

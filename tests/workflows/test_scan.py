@@ -79,6 +79,9 @@ def test_a_result_is_used_as_its_cloud_was(bench: Path, tmp_path: Path) -> None:
     result = scanned(bench, tmp_path / "scan", report=False)
     assert result.cloud is not None
     assert result.points is result.cloud.points  # type: ignore[attr-defined]
+    assert f"{len(result.cloud)} points" in repr(result)
+    assert f"{len(result.cloud):,}" in result._repr_html_()
+    assert result.diagnosis.verdict in result._repr_html_()
     with pytest.raises(AttributeError, match="nonsense"):
         _ = result.nonsense  # type: ignore[attr-defined]
 

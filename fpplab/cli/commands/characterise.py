@@ -187,13 +187,13 @@ def _judge(
         raise console.CommandExit(CalibrationError.exit_code)
 
 
-def _show_judgement(found: Judgement) -> None:
+def _show_judgement(judgement: Judgement) -> None:
     rows = [
         [p.name, p.points]
         + [f"{x:.3f}" for e in (p.camera, p.projector) for x in (e.rms_px, e.predicted_px)]
         + ["more than chance" if p.contradicts else ""]
-        for p in found.poses
+        for p in judgement.poses
     ]
     columns = ["pose", "points", "camera px", "predicted", "projector px", "predicted", ""]
     console.table("Errors in poses that were not fitted", columns, rows)
-    console.stdout.print(found.verdict, markup=False)
+    console.stdout.print(judgement.verdict, markup=False)

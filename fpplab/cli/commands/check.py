@@ -92,26 +92,26 @@ def _check_steps(rig: Rig, plan: Plan, item: str, json: bool) -> None:
                 console.stdout.print(f"  {step.remedy}", markup=False)
 
     with console.progress("Checking") as report:
-        found = check_steps(rig, plan, item, report, tell)
-    ok = all(step.ok for step in found)
-    console.print_result({"ok": ok, "steps": [asdict(step) for step in found]}, json, lambda: None)
+        checked = check_steps(rig, plan, item, report, tell)
+    ok = all(step.ok for step in checked)
+    console.print_result({"ok": ok, "steps": [asdict(step) for step in checked]}, json, lambda: None)
     if not ok:
         raise console.CommandExit(DeviceError.exit_code)
 
 
-def _show_check(found: RigCheck) -> None:
-    for run in found.runs:
+def _show_check(check: RigCheck) -> None:
+    for run in check.runs:
         console.log_status(
             f"{run.how}: {len(run.levels)} greys, white brighter by {100 * run.rise:.2g} % of full scale"
         )
-    if (timing := found.timing) is not None:
+    if (timing := check.timing) is not None:
         console.log_status(
             f"each pattern is shown for {1e3 * timing.light_s:.6g} ms, the next one follows "
             f"{1e3 * timing.period_s:.6g} ms after it began: by {timing.limit}"
         )
-    for finding in found.findings:
+    for finding in check.findings:
         console.stdout.print(f"{finding.sentence}; {finding.remedy}", markup=False)
-    for unknown in found.unknown:
+    for unknown in check.unknown:
         console.log_status(f"not checked: {unknown}")
-    if not found.findings:
+    if not check.findings:
         console.stdout.print("ok")

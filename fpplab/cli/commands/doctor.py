@@ -34,7 +34,7 @@ def doctor_command(
     from fpplab.core import doctor
 
     with console.progress("Looking"):
-        found = [
+        findings = [
             *doctor.check_packages(),
             *doctor.check_libraries(),
             *_permissions(),
@@ -43,17 +43,17 @@ def doctor_command(
             doctor.check_disk(folder),
         ]
     versions = doctor.installed_versions()
-    wrong = [one for one in found if one.state == "wrong"]
+    wrong = [finding for finding in findings if finding.state == "wrong"]
 
     def words() -> None:
-        rows = [[one.name, one.state, one.seen] for one in found]
+        rows = [[finding.name, finding.state, finding.seen] for finding in findings]
         console.table(f"fpplab {versions['fpplab']}, Python {versions['python']}", ["", "", ""], rows)
-        for one in found:
-            if one.remedy:
-                console.stdout.print(f"{one.name}: {one.remedy}", markup=False)
+        for finding in findings:
+            if finding.remedy:
+                console.stdout.print(f"{finding.name}: {finding.remedy}", markup=False)
         console.stdout.print("All is well." if not wrong else f"To correct: {len(wrong)}.", markup=False)
 
-    answer = {"ok": not wrong, "checks": [asdict(one) for one in found], "versions": versions}
+    answer = {"ok": not wrong, "checks": [asdict(finding) for finding in findings], "versions": versions}
     console.print_result(answer, json, words)
     if wrong:
         raise console.CommandExit(DeviceError.exit_code)

@@ -70,13 +70,13 @@ def show_command(
         refuse_existing(out, force)
     wanted = Plan.load(plan)
     with Rig.load(rig) as bench:
-        found, patterns = preview_plan(bench, wanted, plan)
+        preview, patterns = preview_plan(bench, wanted, plan)
     if out:
         from fpplab.report.figures import pattern_sheet
 
         drawn = pattern_sheet(patterns)
         write_atomic(out, lambda stream: stream.write(drawn))
-    console.print_result(asdict(found), json)
+    console.print_result(asdict(preview), json)
 
 
 @plan_app.command("guess")
@@ -120,19 +120,19 @@ def guess_command(
         tell=console.log_status,
     )
     try:
-        found = guess_plan(images, depth, projector_size, finest)
+        guess = guess_plan(images, depth, projector_size, finest)
     except DataError as error:
         raise DataError(f"{source.title}: {error}") from error
-    head = "".join(f"# Assumed: {sentence}.\n" for sentence in found.assumed)
-    write_text(out, f"# Of the images in {Path(source.title).name}.\n{head}{dump(found.plan)}")
-    for sentence in found.assumed:
+    head = "".join(f"# Assumed: {sentence}.\n" for sentence in guess.assumed)
+    write_text(out, f"# Of the images in {Path(source.title).name}.\n{head}{dump(guess.plan)}")
+    for sentence in guess.assumed:
         console.log_status(f"assumed: {sentence}")
-    sets = [{"axis": s.axis, "stripes": s.stripes, "images": s.images} for s in found.plan.fringes]
+    sets = [{"axis": s.axis, "stripes": s.stripes, "images": s.images} for s in guess.plan.fringes]
     console.print_result(
         {
             "fringes": sets,
-            "disagreement": found.disagreement,
-            "assumed": list(found.assumed),
+            "disagreement": guess.disagreement,
+            "assumed": list(guess.assumed),
             "plan": str(out),
         },
         json,

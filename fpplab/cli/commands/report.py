@@ -36,6 +36,6 @@ def _show(answer: dict[str, Any]) -> None:
     rows = [[one[key] or "–" for key in ("name", "verdict", "points", "noise_um")] for one in answer["scans"]]
     console.table("Scans", ["scan", "verdict", "points", "noise µm"], rows)
     for one in answer["differences"]:
-        said = one.get("not_compared") or f"{one['rms_um']:.1f} µm RMS, median {one['median_um']:+.1f} µm"
-        console.stdout.print(f"{one['scan']} minus {one['reference']}: {said}", markup=False)
+        figures = one.get("not_compared") or f"{one['rms_um']:.1f} µm RMS, median {one['median_um']:+.1f} µm"
+        console.stdout.print(f"{one['scan']} minus {one['reference']}: {figures}", markup=False)
     console.stdout.print(f"report: {answer['report']}", markup=False)

@@ -64,12 +64,14 @@ def new_command(
         raise ConfigError(
             "there is nobody at the terminal to be asked; add --no-questions and name the devices"
         )
-    found = FoundDevices.together(
+    devices = FoundDevices.together(
         plugins.load_plugin(plugins.DISCOVERY, one)() for one in plugins.plugin_names(plugins.DISCOVERY)
     )
     named = {"camera": camera, "projector": projector, "stage": stage}
     names = {kind: value for kind, value in named.items() if value is not None}
-    setup = RigSetup(found, names, out.absolute().parent, None if no_questions else _ask, console.log_status)
+    setup = RigSetup(
+        devices, names, out.absolute().parent, None if no_questions else _ask, console.log_status
+    )
     draft = setup.run(home, operator)
     write_text(out, draft.text(name))
     console.print_result(
@@ -94,20 +96,25 @@ def timing_command(rig: RigName, plan: PlanName = "plan_paper.yaml", json: Json 
 
     wanted = Plan.load(plan)
     with Rig.load(rig) as bench, console.progress("Timing") as report:
-        found = measure_display(bench, wanted, report)
-    console.print_result(found.summary(), json, lambda: _show_timing(found))
-    if not found.agrees:
+        timing = measure_display(bench, wanted, report)
+    console.print_result(timing.summary(), json, lambda: _show_timing(timing))
+    if not timing.agrees:
         raise console.CommandExit(DeviceError.exit_code)
 
 
-def _show_timing(found: DisplayTiming) -> None:
-    say = console.stdout.print
-    say(f"latency: {1e3 * found.settle_s:.0f} ms; put `settle_s: {found.settle_s:.3g}` or more into the plan")
-    if found.refresh_s is not None and found.told_s is not None:
-        seen, told = 1e3 * found.refresh_s, 1e3 * found.told_s
-        say(f"refresh: {seen:.2f} ms as the camera sees it, {told:.2f} ms as the display tells it")
-    if not found.agrees:
-        say("they differ: something between computer and projector converts the rate; set both to one rate")
+def _show_timing(timing: DisplayTiming) -> None:
+    print_line = console.stdout.print
+    settle_s = timing.settle_s
+    print_line(f"latency: {1e3 * settle_s:.0f} ms; put `settle_s: {settle_s:.3g}` or more into the plan")
+    if timing.refresh_s is not None and timing.told_s is not None:
+        seen_ms, reported_ms = 1e3 * timing.refresh_s, 1e3 * timing.told_s
+        print_line(
+            f"refresh: {seen_ms:.2f} ms as the camera sees it, {reported_ms:.2f} ms as the display tells it"
+        )
+    if not timing.agrees:
+        print_line(
+            "they differ: something between computer and projector converts the rate; set both to one rate"
+        )
 
 
 def _has_terminal() -> bool:

@@ -107,13 +107,13 @@ def _show(result: Acceptance, out: Path) -> None:
     rows = [
         [
             name,
-            f"{found.positions} of {found.least_positions}",
-            found.worst_um,
-            "–" if found.worst_all_um is None else found.worst_all_um,
-            found.mpe_um or "–",
-            VERDICTS[found.passed],
+            f"{judgement.positions} of {judgement.least_positions}",
+            judgement.worst_um,
+            "–" if judgement.worst_all_um is None else judgement.worst_all_um,
+            judgement.mpe_um or "–",
+            VERDICTS[judgement.passed],
         ]
-        for name, found in result.judgements().items()
+        for name, judgement in result.judgements().items()
     ]
     heads = ["", "values", "worst µm", "of all points", "permitted µm", ""]
     console.table(f"Acceptance test: {result.standard.name}", heads, rows)

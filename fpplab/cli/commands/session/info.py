@@ -18,24 +18,25 @@ def info_command(session: SessionPath, json: Json = False) -> None:
     from fpplab.sessions.inspection import describe_session
     from fpplab.sessions.session import Session
 
-    found = describe_session(Session.open(session))
-    console.print_result(found, json, lambda: _show(found))
+    description = describe_session(Session.open(session))
+    console.print_result(description, json, lambda: _show(description))
 
 
-def _show(found: dict[str, Any]) -> None:
+def _show(description: dict[str, Any]) -> None:
     from fpplab.core.units import readable_bytes
 
-    origin = found["origin"] or {}
+    origin = description["origin"] or {}
+    size = description["size"]
     devices = origin.get("devices") or {}
     rows = {
-        "format": found["format"],
-        "frames": f"{found['frames']} of {found['images']}",
-        "size": f"{found['size'][0]} x {found['size'][1]} px, {found['bits']} bits" if found["size"] else "",
-        "rig": "imported images" if found["imported"] else found["rig"],
-        "taken": " to ".join(found["taken"]) if found["taken"] else "not recorded",
+        "format": description["format"],
+        "frames": f"{description['frames']} of {description['images']}",
+        "size": f"{size[0]} x {size[1]} px, {description['bits']} bits" if size else "",
+        "rig": "imported images" if description["imported"] else description["rig"],
+        "taken": " to ".join(description["taken"]) if description["taken"] else "not recorded",
         "by": f"fpplab {origin['version']} on {origin['host']}" if origin else "not recorded",
-        **{name: f"{one['model']} {one['serial']}".strip() for name, one in devices.items()},
-        "results": ", ".join(found["results"]) or "none",
-        "on disk": readable_bytes(found["bytes"]),
+        **{name: f"{device['model']} {device['serial']}".strip() for name, device in devices.items()},
+        "results": ", ".join(description["results"]) or "none",
+        "on disk": readable_bytes(description["bytes"]),
     }
-    console.table(found["session"], ["", ""], [[name, value] for name, value in rows.items()])
+    console.table(description["session"], ["", ""], [[name, value] for name, value in rows.items()])

@@ -22,19 +22,19 @@ def repair_command(session: SessionPath, json: Json = False) -> None:
     from fpplab.sessions.repair import repair_session
 
     with console.progress("Repairing") as report:
-        found = repair_session(session, report)
+        repair = repair_session(session, report)
 
     def show() -> None:
         say = console.stdout.print
-        for name in found.restored:
+        for name in repair.restored:
             say(f"restored: {name}", markup=False)
-        for words in found.lost:
-            say(f"lost: {words}", markup=False)
-        for place in found.aside:
+        for loss in repair.lost:
+            say(f"lost: {loss}", markup=False)
+        for place in repair.aside:
             say(f"set aside: {place}", markup=False)
-        say(f"{session}: {'is whole, nothing was changed' if found.is_unchanged else 'is readable again'}, "
-            f"{found.kept} frames", markup=False)  # fmt: skip
+        say(f"{session}: {'is whole, nothing was changed' if repair.is_unchanged else 'is readable again'}, "
+            f"{repair.kept} frames", markup=False)  # fmt: skip
 
     console.print_result(
-        {"session": str(session), "unchanged": found.is_unchanged, **asdict(found)}, json, show
+        {"session": str(session), "unchanged": repair.is_unchanged, **asdict(repair)}, json, show
     )
