@@ -18,11 +18,10 @@ class CharacterisationLimits(Document):
     """Limits of a characterisation; each one says where its value comes from."""
 
     max_focal_uncertainty: PartOfOne = 0.03
-    """Relative standard uncertainty of a focal length that is accepted. Chosen: far beyond that of four
-    tilted poses, far below that of parallel ones."""
+    """Relative standard uncertainty of a focal length that is accepted. Chosen."""
     max_camera_rms_px: Positive = 1.0
     """RMS in px of the camera calibrated alone, above which other descriptions of the board are tried.
-    Chosen: boards as described fit ten times better."""
+    Chosen."""
     min_description_gain: Positive = 4.0
     """How many times better another description of the board must fit to be the right one. Chosen."""
     max_description_rms_px: Positive = 3.0
@@ -44,8 +43,8 @@ class CharacterisationLimits(Document):
     """PartOfOne of the board's pixels whose fringe orders must fit one plane. Chosen."""
     max_chance: Chance = 1e-4
     """Probability below which chance does not explain what was seen: the motion of a board, another scale
-    in some poses, an uncertainty that is too small. Chosen: one warning in hundreds of sound
-    characterisations."""
+    in some poses, an uncertainty that is too small. Chosen: chance
+    reaches it once in 10 000 times."""
     min_focus_poses: Annotated[int, Field(ge=3)] = 5
     """Poses from which it is concluded that the focus of the lens changed. Derived: one is left out."""
     max_focus_breathing: Positive = 1e-4

@@ -29,13 +29,12 @@ class CriteriaLimits(LimitsSection):
     min_points_share: ShareLimit = 0.5
     """Share of the pixels that see the fringes which become points. Chosen."""
     min_contrast: Positive = 0.1
-    """Modulation of the finest fringes as a share of the mean level. Chosen: rooms are brighter than that
-    only where `ambient` is found."""
+    """Modulation of the finest fringes as a share of the mean level. Chosen."""
     max_uncertain_share: Positive = 0.2
     """Share of the pixels that see the fringes whose fringe order is too uncertain. Chosen."""
     max_noise_ratio: Positive = 15.0
-    """Noise of the coordinate beside that on a white surface, exposed as well as it can be. Derived: dark
-    parts reflect some 4 % of the light and the exposure may be a quarter of the best."""
+    """Noise of the coordinate beside that on a white surface, exposed as well as it can be. Chosen: dark
+    parts have more than white ones."""
 
 
 @dataclass(frozen=True)

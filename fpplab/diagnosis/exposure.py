@@ -22,8 +22,7 @@ class GreyLevelLimits(LimitsSection):
     min_peak_share: ShareLimit = 0.07
     """Share of full scale that the brightest lit pixels should reach. Measured on benches of the limits."""
     best_peak_share: ShareLimit = 0.9
-    """Share of full scale that the brightest lit pixels reach at the best exposure. Chosen: a tenth of
-    headroom for flicker."""
+    """Share of full scale that the brightest lit pixels reach at the best exposure. Chosen."""
     brightest_percentile: PercentileLimit = 90.0
     """Percentile of the lit pixels' mean level from which on they tell how far an exposure must be lowered.
     Chosen."""

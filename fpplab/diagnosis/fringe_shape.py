@@ -27,7 +27,7 @@ class FringeShapeLimits(LimitsSection):
     """How unevenly their phases may be spread over a period: 0 evenly, 1 at one phase. Measured on benches of
     the limits."""
     min_harmonic_rad: Positive = 0.03
-    """RMS phase error by harmonics in rad that is reported. Chosen: that of noise in good scans."""
+    """RMS phase error by harmonics in rad that is reported. Chosen."""
 
 
 def unevenness(phase: Floats, used: Mask) -> Floats:

@@ -39,5 +39,5 @@ CAMERA_FOCUS = FaultCause(
     detectors=(Detector(DetectionStage.BLUR, _find),),
     picture=Picture(Needs.FRAMES, _draw),
     side_effects=frozenset({"wrong_resolution", "stale_calibration"}),
-    useless_from=2.0,  # a quarter of the contrast in focus: errors some twenty times those of a good scan
+    useless_from=2.0,  # a quarter of the contrast in focus
 )

@@ -104,5 +104,5 @@ MISSING_COLOUR = FaultCause(
     picture=Picture(Needs.FRAMES, _draw),
     side_effects=frozenset({"stale_calibration"}),
     invalidates=frozenset({DetectionStage.FRAMES, DetectionStage.PLAN}),
-    useless_from=30.0,  # about a quarter of the light: points are some twenty times worse than they could be
+    useless_from=30.0,  # three quarters of the others' brightness
 )

@@ -28,13 +28,13 @@ PIXELS = 4_000  # that decide which images form a set, about
 MIN_STEPS = 3  # of a set: three unknowns
 MAX_STRIPES = 400  # of a coarsest set that is tried
 USUAL_MISFIT = 0.04
-"""Misfit of a sinusoid, as a share of its modulation. Measured on captures of a real rig."""
+"""Misfit of a sinusoid, as a share of its modulation. Chosen."""
 MIN_SQUARES_PER_SET = 12.0
 """Squares of the usual misfit by which another set must reduce the misfit. Chosen."""
 MAX_MISFIT = 0.2
 """RMS misfit, as a share of the modulation, up to which images are taken for sets of sinusoids. Chosen."""
 MAX_WHOLE_DIFFERENCE = 0.004
-"""Relative difference from whole numbers of stripes. Measured: gradients are known that well."""
+"""Relative difference from whole numbers of stripes. Chosen."""
 MAX_VISIBLE_PERIODS = 1.2
 """Periods of the coarsest set that may be seen if it has one stripe. Derived: gradients are known to a
 tenth."""

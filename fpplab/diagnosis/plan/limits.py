@@ -9,10 +9,7 @@ from fpplab.diagnosis.limits import CountLimit, LimitsSection, ShareLimit
 
 
 class PlanCheckLimits(LimitsSection):
-    """How much the sets of a plan may disagree, and how well another plan must fit.
-
-    Measured means: on plans with one mistake and on right ones with bent responses, in tests/diagnosis/plan.
-    """
+    """How much the sets of a plan may disagree, and how well another plan must fit."""
 
     section: ClassVar[str] = "plan_check"
 
@@ -22,7 +19,7 @@ class PlanCheckLimits(LimitsSection):
     max_proposed: Positive = 15.0
     """Disagreement of a plan that is proposed. Measured: right ones reach it where the response is bent."""
     max_better_ratio: ShareLimit = 0.6
-    """Disagreement of a plan that fits better, as a share of that of the plan given. Measured."""
+    """Disagreement of a plan that fits better, as a share of that of the plan given. Chosen."""
     lower_quantile: ShareLimit = 0.3
     """Quantile of the pixels at which it must fit better too. Derived: where masks leave about half of
     them, the median is no guide."""
@@ -30,12 +27,12 @@ class PlanCheckLimits(LimitsSection):
     """Factor on the least disagreement within which plans fit equally well, and the simplest is taken.
     Chosen."""
     max_equal_stripes: ShareLimit = 0.005
-    """Relative difference of stripes up to which they are those of the plan. Measured."""
+    """Relative difference of stripes up to which they are those of the plan. Chosen."""
     min_origin_rad: Positive = 0.3
     """Phase origin in rad that is reported. Chosen."""
     stripes_searched: ShareLimit = 0.04
     """Share of the stripes by which the search for better ones reaches to each side, at least one.
-    Measured."""
+    Chosen."""
     min_whole_agreement: ShareLimit = 0.85
     """Agreement of whole stripes without a phase origin, as a share of the best, from which on they are
     taken. Chosen."""
