@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from fpplab.calibration.model import Calibration
+from fpplab.characterisation.limits import USUAL_LIMITS
 from fpplab.characterisation.observation import Observation
 from fpplab.characterisation.parameters import DistortionModel, ErrorSizes, Model, Solution
 from fpplab.characterisation.validation import Repeat, Validation
@@ -84,7 +85,14 @@ class Characterisation:
             "jackknife": _repeats(self.validation.jackknife if self.validation else ()),
             "halves": _repeats(self.validation.halves if self.validation else ()),
             "warnings": list(self.warnings),
+            **self._changed_limits(),
         }
+
+    def _changed_limits(self) -> dict[str, Any]:
+        """What is printed of limits that are not the usual ones."""
+        stated = self.model.limits.model_dump() if self.model else {}
+        changed = {name: value for name, value in stated.items() if value != getattr(USUAL_LIMITS, name)}
+        return {"limits": changed} if changed else {}
 
     def facts(self) -> dict[str, str]:
         """Return the facts for the head of a report."""

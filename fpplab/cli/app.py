@@ -206,9 +206,7 @@ PlanName = Annotated[
 CalibrationOption = Annotated[Path, typer.Option("--calibration", help="Written by `fpplab characterise`.")]
 LimitsOption = Annotated[
     Path | None,
-    typer.Option(
-        "--limits", help="File of an expert with limits of the verdict that are not the usual ones."
-    ),
+    typer.Option("--limits", help="File of an expert with other limits than the usual ones."),
 ]
 DepthOption = Annotated[
     tuple[float, float] | None,

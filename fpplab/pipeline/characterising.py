@@ -19,6 +19,7 @@ from fpplab.characterisation import (
     judged_board,
     observe,
 )
+from fpplab.characterisation.limits import USUAL_LIMITS, CharacterisationLimits
 from fpplab.core import config
 from fpplab.core.errors import CalibrationError
 from fpplab.core.progress import Progress, no_progress
@@ -36,6 +37,7 @@ def characterise_sessions(
     *,
     level: DistortionModel | Literal["auto"] = "auto",
     refine_board: bool | None = None,
+    limits: CharacterisationLimits = USUAL_LIMITS,
 ) -> Characterisation:
     """Find camera, projector and the pose between them from one session for each pose of a target.
 
@@ -54,6 +56,8 @@ def characterise_sessions(
         Which distortion is fitted; `auto` takes k3 and gives the errors of all.
     refine_board : bool, optional
         Whether the board's shape is fitted too; by default it is.
+    limits : CharacterisationLimits
+        By which poses and fit are judged.
 
     Returns
     -------
@@ -67,7 +71,7 @@ def characterise_sessions(
     """
     require_plan_fits(sessions[0])
     size, lattice = sessions[0].projector()
-    observations, left_out = _observe_sessions(sessions, target, lambda share: progress(0.8 * share))
+    observations, left_out = _observe_sessions(sessions, target, lambda share: progress(0.8 * share), limits)
     width, height, _ = sessions[0].format
     result = characterise(
         observations,
@@ -78,6 +82,7 @@ def characterise_sessions(
         left_out=left_out,
         level=level,
         refine_board=refine_board,
+        limits=limits,
     )
     progress(1.0)
     return replace(result, calibration=replace(result.calibration, origin=calibration_origin(sessions)))
@@ -106,7 +111,10 @@ def judge_sessions(
 
 
 def _observe_sessions(
-    sessions: Sequence[Session], target: Target, progress: Progress
+    sessions: Sequence[Session],
+    target: Target,
+    progress: Progress,
+    limits: CharacterisationLimits = USUAL_LIMITS,
 ) -> tuple[list[Observation], dict[str, str]]:
     """Observe the board in each pose, and say by name why the others are left out."""
     periods = finest_periods(sessions[0].plan, sessions[0].projector()[0])
@@ -114,16 +122,21 @@ def _observe_sessions(
     left_out: dict[str, str] = {}
     for k, session in enumerate(sessions):
         try:
-            observations.append(observe_session(session, target, periods))
+            observations.append(observe_session(session, target, periods, limits))
         except CalibrationError as error:
             left_out[session.path.name] = str(error)
         progress((k + 1) / len(sessions))
     return observations, left_out
 
 
-def observe_session(session: Session, target: Target, periods: tuple[float, float]) -> Observation:
+def observe_session(
+    session: Session,
+    target: Target,
+    periods: tuple[float, float],
+    limits: CharacterisationLimits = USUAL_LIMITS,
+) -> Observation:
     """Find a board in one pose, and its points in camera and projector."""
     name, recording = session.path.name, session.recording()
     if fault := fault_in_step(session, recording):
         raise CalibrationError(f"{name}: {fault}; take this pose again")
-    return observe(name, recording.mean_image(), decode(recording), target, periods)
+    return observe(name, recording.mean_image(), decode(recording), target, periods, limits)

@@ -13,6 +13,7 @@ from fpplab.workflows.pose_causes import diagnosed_poses, with_causes
 
 if TYPE_CHECKING:
     from fpplab.characterisation import Characterisation, DistortionModel
+    from fpplab.characterisation.limits import CharacterisationLimits
     from fpplab.core.depth import DepthInterval
     from fpplab.devices.rig import Rig
     from fpplab.diagnosis import Finding
@@ -41,6 +42,7 @@ class CharacterisationRequest:
     until_mm: float | None = None  # uncertainty of form at which guided poses end
     depth_mm: DepthInterval | None = None  # working range of guided poses; by default of plan or rig
     force: bool = False  # whether files that are there are replaced
+    limits: CharacterisationLimits | None = None  # of an expert, by which poses and fit are judged
 
     @property
     def page(self) -> Path:
@@ -182,6 +184,7 @@ def _announce_kept_poses(request: CharacterisationRequest, observer: Observer) -
 def _fit(
     request: CharacterisationRequest, sessions: Sequence[Session], observer: Observer
 ) -> Characterisation:
+    from fpplab.characterisation.limits import USUAL_LIMITS
     from fpplab.pipeline import characterise_sessions
 
     try:
@@ -192,6 +195,7 @@ def _fit(
                 progress,
                 level=request.level,
                 refine_board=request.refine_board,
+                limits=request.limits or USUAL_LIMITS,
             )
     except CalibrationError as error:
         raise with_causes(error, sessions, observer) from error
@@ -233,18 +237,18 @@ def _conclude(
 def _lens_findings(fitted: Characterisation) -> list[Finding]:
     """Whether the camera's lens was locked while the poses were taken."""
     from fpplab.characterisation import lens
-    from fpplab.characterisation.limits import USUAL_LIMITS
     from fpplab.diagnosis import Finding
     from fpplab.diagnosis.causes.of_characterisation import LENS_NOT_LOCKED
 
-    if fitted.solution is None or fitted.sizes is None:
+    if fitted.solution is None or fitted.sizes is None or fitted.model is None:
         return []
+    limits = fitted.model.limits
     scales, sigmas = lens.scales_of_poses(fitted.observations, fitted.solution, fitted.sizes)
-    if not lens.has_focus_breathing(scales, sigmas):
+    if not lens.has_focus_breathing(scales, sigmas, limits):
         return []
     scatter, _ = lens.scale_scatter(scales, sigmas)
     evidence = (
         f"the scale of the camera's image differs between poses by {100 * scatter:.3f} % RMS "
-        f"(at most {100 * USUAL_LIMITS.max_focus_breathing:g} %, and what noise explains)"
+        f"(at most {100 * limits.max_focus_breathing:g} %, and what noise explains)"
     )
-    return [Finding(LENS_NOT_LOCKED, evidence, scatter / USUAL_LIMITS.max_focus_breathing)]
+    return [Finding(LENS_NOT_LOCKED, evidence, scatter / limits.max_focus_breathing)]

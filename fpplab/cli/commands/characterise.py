@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fpplab.cli import console
-from fpplab.cli.app import PREPARE, DepthOption, Force, Json, PlanName, app
+from fpplab.cli.app import PREPARE, DepthOption, Force, Json, LimitsOption, PlanName, app
 from fpplab.cli.completion import names_of
 from fpplab.cli.viewing import ConsoleObserver, KeepOpen, ViewOption, observe_characterisation
 from fpplab.core.errors import CalibrationError, ConfigError
@@ -91,6 +91,7 @@ def characterise_command(
         ),
     ] = None,
     depth: DepthOption = None,
+    limits: LimitsOption = None,
     view: ViewOption = False,
     keep_open: KeepOpen = False,
     force: Force = False,
@@ -122,6 +123,8 @@ def characterise_command(
         _judge(judged, sessions or [], out, force, json, unused={"--rig": rig, "--target": target})
         return
     from fpplab.characterisation import DistortionModel
+    from fpplab.characterisation.limits import CharacterisationLimits
+    from fpplab.core.config import load_document
     from fpplab.devices.rig import Rig
     from fpplab.patterns.plan import Plan
     from fpplab.targets import Target
@@ -130,6 +133,8 @@ def characterise_command(
     until_mm = wanted_mm(guide, until, depth, rig)
     if target is None or out is None:
         raise ConfigError(f"{'--target' if target is None else '--out'} is missing")
+    if limits and guide:
+        raise ConfigError("--limits is for recorded poses: with --guide each pose is judged as it is taken")
     request = CharacterisationRequest(
         target=Target.load(target),
         out=out,
@@ -145,6 +150,7 @@ def characterise_command(
         until_mm=until_mm,
         depth_mm=depth,
         force=force,
+        limits=load_document(limits, CharacterisationLimits) if limits else None,
     )
     observer = observe_characterisation(context, view, keep_open, out.with_suffix(".rrd"))
     result = run_characterisation(request, observer)
