@@ -29,7 +29,7 @@ from fpplab.sessions.session import Session
 _log = logging.getLogger(__name__)
 
 READ_TIMEOUT_S = 10.0
-"""How long beyond its exposure a frame may take, in s."""
+"""Time in s beyond its exposure that a frame may take (chosen)."""
 
 NO_END_MARKER = "after the last pattern no black and then white image was seen"
 """Evidence of a slip: the black and white patterns at the end were not seen."""
@@ -101,9 +101,9 @@ def _prove(rig: Rig, session: Session) -> None:
         raise _out_of_step(rig, session, verdict.describe())
 
 
-def _out_of_step(rig: Rig, session: Session, found: str) -> SyncError:
+def _out_of_step(rig: Rig, session: Session, evidence: str) -> SyncError:
     again = f"then take it again, with --force; the frames stay in {session.path} until then"
-    return SyncError(rig.camera.name, "acquire", found, f"{remedy(session.plan)}; {again}")
+    return SyncError(rig.camera.name, "acquire", evidence, f"{remedy(session.plan)}; {again}")
 
 
 def expose(

@@ -30,24 +30,29 @@ from fpplab.core.conventions import Floats, Map, Mask
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 
-ROWS, PIXELS = 24, 1_500
-"""How many rows and pixels of a frame are evaluated, at least where it has as many."""
-LEAST_PIXELS = 40
-"""Fewest pixels that see the fringes from which a fault is concluded."""
-MISFIT_IN_STEP = 0.04
-"""RMS misfit, as a share of the modulation, that frames in step may leave besides noise: a response of gamma
-0.5 leaves 0.03 beyond its second harmonic.
-"""
-MISFIT_FOREIGN = 0.12
-"""RMS misfit, noise aside, beyond which the frames are not the plan's."""
-LEAST_LOG_RATIO = 3.0
-"""By how much the logarithm of a hypothesis' likelihood must exceed that of frames in step, per pixel."""
-EQUAL_LOG_RATIO = 0.05
-"""Hypotheses whose log-likelihoods differ by less explain the frames equally well."""
-PRIOR = 0.5
-"""Prior variance, in squares of modulation, of a sinusoid's coefficients and of a frame that shows no
-pattern."""
-IMPORTED_REMEDY = "look at the order of the image files, and of the plan's sets and steps"
+
+@dataclass(frozen=True)
+class SyncLimits:
+    """From when on frames are out of step."""
+
+    rows: int = 24  # rows of a frame that are evaluated; chosen
+    pixels: int = 1_500  # and pixels, where it has as many; chosen
+    min_pixels: int = 40  # that see the fringes; chosen
+    # RMS misfit, as a share of the modulation, of frames in step besides noise: a response of gamma 0.5
+    # leaves 0.03 beyond its second harmonic.
+    misfit_in_step: float = 0.04
+    misfit_foreign: float = 0.12  # beyond which the frames are not the plan's; chosen
+    # Logarithm of a likelihood ratio per pixel from which on a fault is concluded, and below which two
+    # hypotheses explain the frames equally well; chosen.
+    min_log_ratio: float = 3.0
+    equal_log_ratio: float = 0.05
+    # Prior variance, in squares of modulation, of a sinusoid's coefficients and of a frame that shows no
+    # pattern; chosen.
+    prior_variance: float = 0.5
+
+
+LIMITS = SyncLimits()
+IMPORTED_REMEDY = "check the order of the image files, and of the plan's sets and steps"
 """Advice on images that another program recorded."""
 LINEAR, NONLINEAR = 1, 2
 """Harmonics of a fringe that a pixel may see: with a linear response, and with a nonlinear one."""
@@ -170,7 +175,7 @@ class Moments:
     """Second moments of K frames over pixels, in squares of the modulation."""
 
     all: Floats  # of each pixel with itself
-    alike: Floats  # of each pixel with its neighbour, to which noise does not contribute
+    neighbours: Floats  # of each pixel with its neighbour, to which noise does not contribute
 
 
 def check_synchronisation(recording: Recording) -> SyncVerdict:
@@ -192,26 +197,27 @@ def _moments(recording: Recording) -> Moments | None:
     """Of a sample of pixels that see the fringes and are not saturated; None where there are too few."""
     frames = recording.frames
     height, width = frames[0].shape
-    down = max(1, height // ROWS)
-    right = max(2, len(range(0, height, down)) * width // PIXELS)
+    down = max(1, height // LIMITS.rows)
+    right = max(2, len(range(0, height, down)) * width // LIMITS.pixels)
     rows, used = slice(down // 2, None, down), width // right * right
     cells = [frame[rows, :used].reshape(-1, used // right, right) for frame in frames]  # views
     pair = [np.stack([cell[..., i].ravel() for cell in cells]) for i in (0, 1)]
     unsaturated = np.maximum(*(levels.max(axis=0) for levels in pair)) < recording.full_scale
-    here, beside = (_ripple(levels[:, unsaturated].astype(np.float32)) for levels in pair)
-    if here.shape[1] < LEAST_PIXELS:
+    own, neighbour = (_ripple(levels[:, unsaturated].astype(np.float32)) for levels in pair)
+    if own.shape[1] < LIMITS.min_pixels:
         return None
-    modulation = np.sqrt(2.0 * np.mean(here * here, axis=0))
-    least = max(
+    modulation = np.sqrt(2.0 * np.mean(own * own, axis=0))
+    min_modulation = max(
         0.5 * float(np.quantile(modulation, 0.95)), recording.plan.masks.modulation_min / recording.grey
     )
-    seen = modulation >= least
-    if seen.sum() < LEAST_PIXELS:
+    used = modulation >= min_modulation
+    if used.sum() < LIMITS.min_pixels:
         return None
-    here, beside = here[:, seen] / modulation[seen], beside[:, seen] / modulation[seen]
-    cross = here @ beside.T
-    pixels = int(seen.sum())
-    return Moments(_floats(here @ here.T / pixels), _floats((cross + cross.T) / (2 * pixels)))
+    own = own[:, used] / modulation[used]
+    neighbour = neighbour[:, used] / modulation[used]
+    cross = own @ neighbour.T
+    pixels = int(used.sum())
+    return Moments(_floats(own @ own.T / pixels), _floats((cross + cross.T) / (2 * pixels)))
 
 
 def _floats(moment: Map) -> Floats:
@@ -241,7 +247,7 @@ class _Spaces:
     """The spaces in which frames lie under H hypotheses: orthogonal axes in the space of the K frames.
 
     axes: (H, K, R), zero rows where a frame shows something else. square: (H, R), the axes' squared
-    lengths, of which those that count are `free`. known: (H, K), frames that show a pattern. rest: (H,),
+    lengths, of which those that count are `free`. known: (H, K), frames that show a pattern. freedom: (H,),
     the number of dimensions left to misfit.
     """
 
@@ -249,9 +255,9 @@ class _Spaces:
     square: Floats
     free: Mask
     known: Floats
-    rest: NDArray[np.int64]
+    freedom: NDArray[np.int64]
 
-    def left(self, moment: Floats) -> Floats:
+    def residual(self, moment: Floats) -> Floats:
         """Residual sum of squares of each hypothesis, (H,)."""
         spread = np.einsum("hkr,hkr->hr", self.axes, np.matmul(moment, self.axes)) / self.square
         whole = self.known @ np.diag(moment)
@@ -259,15 +265,16 @@ class _Spaces:
 
     def likelihood(self, moments: Moments) -> Floats:
         """Logarithm of each hypothesis' marginal likelihood per pixel, up to a constant, (H,)."""
-        left, foreign = self.left(moments.all), self.known.shape[1] - self.known.sum(axis=1)
-        variance = np.maximum(left / np.maximum(self.rest, 1), MISFIT_IN_STEP**2)
-        volume = np.where(self.free, np.log(self.square * PRIOR), 0.0).sum(axis=1)
-        deviance = self.rest * np.log(variance) + left / variance + volume
-        return np.asarray(-0.5 * (deviance + foreign * (np.log(PRIOR) + 1.0)))
+        residual = self.residual(moments.all)
+        foreign = self.known.shape[1] - self.known.sum(axis=1)
+        variance = np.maximum(residual / np.maximum(self.freedom, 1), LIMITS.misfit_in_step**2)
+        volume = np.where(self.free, np.log(self.square * LIMITS.prior_variance), 0.0).sum(axis=1)
+        deviance = self.freedom * np.log(variance) + residual / variance + volume
+        return np.asarray(-0.5 * (deviance + foreign * (np.log(LIMITS.prior_variance) + 1.0)))
 
     def misfit(self, moments: Moments) -> float:
         """RMS residual of the first hypothesis besides noise."""
-        return float(np.sqrt(self.left(moments.alike)[0] / max(self.rest[0], 1)))
+        return float(np.sqrt(self.residual(moments.neighbours)[0] / max(self.freedom[0], 1)))
 
 
 @lru_cache(maxsize=16)
@@ -281,13 +288,14 @@ def _spaces(
     waves = _waves(plan, harmonics, own_offsets)[[[k or 0 for k in row] for row in shown]] * known[..., None]
     square, directions = np.linalg.eigh(waves.transpose(0, 2, 1) @ waves)
     free = square > 1e-9 * count
-    rest = known.sum(axis=1).astype(int) - free.sum(axis=1)
-    return _Spaces(waves @ directions, np.where(free, square, 1.0), free, known, rest)
+    freedom = known.sum(axis=1).astype(int) - free.sum(axis=1)
+    return _Spaces(waves @ directions, np.where(free, square, 1.0), free, known, freedom)
 
 
 def _decide(moments: Moments, plan: Plan) -> SyncVerdict:
-    # No fault can be likelier by more than the misfit that it takes away.
-    if _spaces(plan, LINEAR).left(moments.all)[0] <= 2 * LEAST_LOG_RATIO * MISFIT_IN_STEP**2:
+    # A fault can be likelier at most by the misfit that it explains.
+    explained = 2 * LIMITS.min_log_ratio * LIMITS.misfit_in_step**2
+    if _spaces(plan, LINEAR).residual(moments.all)[0] <= explained:
         return SyncVerdict(provable=provable(plan), misfit=_spaces(plan, NONLINEAR).misfit(moments))
     named = tuple(faults(plan.images))
     likelihood = _likelihood(moments, plan, named)
@@ -297,11 +305,11 @@ def _decide(moments: Moments, plan: Plan) -> SyncVerdict:
         changed = _spaces(plan, NONLINEAR, own_offsets=True)
         return SyncVerdict(provable=provable(plan), misfit=changed.misfit(moments))
     causes: tuple[SyncFault, ...] = ()
-    if best > likelihood[0] + LEAST_LOG_RATIO:
-        causes = tuple(named[i - 1] for i in np.flatnonzero(likelihood > best - EQUAL_LOG_RATIO))
-    fits = bool(causes) or misfit <= MISFIT_FOREIGN
+    if best > likelihood[0] + LIMITS.min_log_ratio:
+        causes = tuple(named[i - 1] for i in np.flatnonzero(likelihood > best - LIMITS.equal_log_ratio))
+    fits = bool(causes) or misfit <= LIMITS.misfit_foreign
     if not fits or (causes and all(fault.cause is Cause.FOREIGN for fault in causes)):
-        swaps = _swaps(moments, plan, float(best) + LEAST_LOG_RATIO)
+        swaps = _swaps(moments, plan, float(best) + LIMITS.min_log_ratio)
         causes, fits = swaps or causes, fits or bool(swaps)
     return SyncVerdict(causes, fits=fits, provable=provable(plan) or bool(causes), misfit=misfit)
 
@@ -314,10 +322,10 @@ def _likelihood(
     return np.asarray(np.maximum(*(space.likelihood(moments) for space in spaces)))
 
 
-def _swaps(moments: Moments, plan: Plan, least: float) -> tuple[SyncFault, ...]:
-    """Exchanges of two distant frames that are likelier than that."""
+def _swaps(moments: Moments, plan: Plan, min_likelihood: float) -> tuple[SyncFault, ...]:
+    """Exchanges of two distant frames that are likelier than a limit."""
     named = tuple(far_swaps(plan.images))
     likelihood = _likelihood(moments, plan, named)[1:]
-    if not named or likelihood.max() <= least:
+    if not named or likelihood.max() <= min_likelihood:
         return ()
-    return tuple(named[i] for i in np.flatnonzero(likelihood > likelihood.max() - EQUAL_LOG_RATIO))
+    return tuple(named[i] for i in np.flatnonzero(likelihood > likelihood.max() - LIMITS.equal_log_ratio))

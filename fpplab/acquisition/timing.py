@@ -19,9 +19,9 @@ from fpplab.patterns.fringes import Pattern
 from fpplab.patterns.plan import Plan
 
 CLOCK_TOLERANCE = 2e-4
-"""By how much the clocks of camera and projector may differ, as a share: 100 ppm each, of plain quartzes."""
+"""Share by which the clocks of camera and projector may differ: 100 ppm each, of plain quartzes."""
 UNKNOWN_DEAD_S = 1e-3
-"""Time in s after each exposure in which a camera that does not tell its period may ignore a pulse."""
+"""Time in s after an exposure in which a camera that reports no period may ignore a pulse (chosen)."""
 
 
 class PeriodLimit(StrEnum):
@@ -31,13 +31,13 @@ class PeriodLimit(StrEnum):
     """A stepped plan, in which nothing follows by itself."""
     EXPOSURE = "exposure and readout"
     """The camera is ready as soon as its last row is exposed."""
-    CAMERA = "the period that the camera tells"
+    CAMERA = "the period reported by the camera"
     """The camera takes no trigger before."""
     STATED = "the rig file's dead_time_s"
     """What the camera needs beyond what it tells."""
-    UNTOLD = "the time allowed for a camera that tells no period"
+    UNTOLD = "the time allowed for a camera that reports no period"
     """The camera tells nothing, and the rig file states nothing."""
-    GAP = "the projector's least gap"
+    GAP = "the projector's minimum gap"
     """The projector needs more time between patterns than the camera."""
     LOADS = "images that are read from the projector's flash"
     """The next image is not there before."""

@@ -1,4 +1,4 @@
-"""How late a projector shows what it is told, and how long it refreshes: both measured with the camera."""
+"""Latency and refresh period of a projector, both measured with the camera."""
 
 from __future__ import annotations
 
@@ -17,46 +17,46 @@ from fpplab.devices import FlashingProjector
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringes import uniform_patterns
 from fpplab.patterns.plan import Plan
-from fpplab.setup.rig_check.marker_check import LEAST_RISE
+from fpplab.setup.rig_check.marker_check import LIMITS as MARKER_LIMITS
 
 BLACK, GREY = 0, 1
 """The two patterns that are shown."""
-WAITS_S = (0.0, 0.004, 0.008, 0.016, 0.032, 0.064, 0.128, 0.256, 0.512, 1.0)
-"""Waits in s that are tried, one after another, until one is long enough."""
-RESOLUTION_S = 0.002
-"""How well the least wait is found, in s."""
-REST_S = 0.3
-"""How long a pattern stays before the next in s, at least."""
-MISSING = 0.05
-"""Share of the change in brightness that may be missing from a frame."""
-TRIALS = 3
-"""How often a wait must suffice, in both directions; and how many flashes are measured."""
-GREYS = (255, 192, 128, 96, 64, 48, 32, 24, 16)
-"""Grey levels that are tried until the camera is not saturated."""
-REFRESHES = 6
-"""Refreshes of a flash."""
-SLACK_S = 0.1
-"""Time in s before a flash in which the camera begins to expose, and again after it."""
-SATURATED = 0.001
-"""Share of pixels at full scale beyond which levels do not count."""
-MOST_APART = 0.1
-"""Share by which the refresh that is seen may differ from the one that the display tells."""
+
+
+@dataclass(frozen=True)
+class DisplayTimingLimits:
+    """How the times of a projector are measured; all chosen."""
+
+    # Waits and grey levels are tried in turn, until the wait suffices and until the camera is not saturated.
+    waits_s: tuple[float, ...] = (0.0, 0.004, 0.008, 0.016, 0.032, 0.064, 0.128, 0.256, 0.512, 1.0)
+    greys: tuple[int, ...] = (255, 192, 128, 96, 64, 48, 32, 24, 16)
+    resolution_s: float = 0.002  # of the wait that is found
+    rest_s: float = 0.3  # for which a pattern is shown at least before the next
+    max_missing: float = 0.05  # share of the change in brightness that may be missing from a frame
+    trials: int = 3  # for which a wait must suffice in both directions; flashes that are measured
+    refreshes: int = 6  # of a flash
+    slack_s: float = 0.1  # of the exposure before a flash, and again after it
+    max_saturated: float = 0.001  # share of pixels at full scale
+    max_difference: float = 0.1  # of measured and stated refresh period, as a share
+
+
+LIMITS = DisplayTimingLimits()
 
 
 @dataclass(frozen=True)
 class DisplayTiming:
     """Times of a projector."""
 
-    settle_s: float  # least time in s after `Projector.show` until a frame shows the new pattern alone
+    settle_s: float  # shortest time in s from `Projector.show` to a frame of the new pattern alone
     refresh_s: float | None  # refresh period in s, as the camera measured it
-    told_s: float | None  # the same as the display tells it
+    told_s: float | None  # the same as stated by the display
 
     @property
     def agrees(self) -> bool:
-        """Whether the refresh that the camera saw is the one that the display tells."""
+        """Whether measured and stated refresh period agree."""
         if self.refresh_s is None or self.told_s is None:
             return True
-        return abs(self.refresh_s / self.told_s - 1.0) <= MOST_APART
+        return abs(self.refresh_s / self.told_s - 1.0) <= LIMITS.max_difference
 
     def summary(self) -> dict[str, Any]:
         """Give the times as plain values."""
@@ -64,13 +64,13 @@ class DisplayTiming:
 
 
 def measure_display(rig: Rig, plan: Plan, progress: Progress) -> DisplayTiming:
-    """Measure how late the projector of a rig shows a pattern, and its refresh period where it has one."""
+    """Measure the latency of a rig's projector, and its refresh period if it has one."""
     try:
         settle_s = _Levels(rig, plan, plan.exposure_s).settling_s(lambda share: progress(0.7 * share))
         projector = rig.projector
         if not isinstance(projector, FlashingProjector):
             return DisplayTiming(settle_s, None, None)
-        exposure_s = REFRESHES * projector.refresh_s + settle_s + 2 * SLACK_S
+        exposure_s = LIMITS.refreshes * projector.refresh_s + settle_s + 2 * LIMITS.slack_s
         told_s = projector.refresh_s
         if exposure_s > rig.camera.caps.exposure_s[1]:
             return DisplayTiming(settle_s, None, told_s)
@@ -88,15 +88,15 @@ class _Levels:
         self._rig = rig
         self._exposure_s = rig.camera.configure(rig.camera_settings(exposure_s, plan.bits)).exposure_s
         self._full = full_scale(rig.camera_settings(exposure_s, plan.bits).bits)
-        for grey in GREYS:
+        for grey in LIMITS.greys:
             rig.projector.load(uniform_patterns([0, grey], rig.projector.caps.size))
-            self._black, lit = (self._after(i, WAITS_S[-1]) for i in (BLACK, GREY))
+            self._black, lit = (self._after(i, LIMITS.waits_s[-1]) for i in (BLACK, GREY))
             change = lit - self._black
-            if (lit >= self._full).mean() <= SATURATED or grey == GREYS[-1]:
+            if (lit >= self._full).mean() <= LIMITS.max_saturated or grey == LIMITS.greys[-1]:
                 break
         self._lit = change >= 0.5 * np.quantile(change, 0.95)
         self._range = float(change[self._lit].mean())
-        if not self._range >= LEAST_RISE * self._full:
+        if not self._range >= MARKER_LIMITS.min_rise * self._full:
             share = 100 * self._range / self._full
             raise DeviceError(
                 rig.camera.name,
@@ -106,45 +106,45 @@ class _Levels:
             )
 
     def settling_s(self, progress: Progress) -> float:
-        """Give the least wait that suffices."""
-        for k, wait_s in enumerate(WAITS_S):
-            progress(k / len(WAITS_S))
+        """Find the shortest wait that suffices."""
+        for k, wait_s in enumerate(LIMITS.waits_s):
+            progress(k / len(LIMITS.waits_s))
             if self._suffices(wait_s):
                 break
         else:
             raise DeviceError(
                 self._rig.projector.name,
                 "timing",
-                f"frames still show the pattern before, {WAITS_S[-1]:g} s after it was replaced",
-                "make sure that nothing else drives the projector, and switch its picture processing off",
+                f"frames still show the pattern before, {LIMITS.waits_s[-1]:g} s after it was replaced",
+                "make sure that nothing else drives the projector, and switch off its picture processing",
             )
         if k == 0:
             return 0.0
-        short_s, long_s = WAITS_S[k - 1], wait_s
-        while long_s - short_s > max(RESOLUTION_S, 0.05 * long_s):
+        short_s, long_s = LIMITS.waits_s[k - 1], wait_s
+        while long_s - short_s > max(LIMITS.resolution_s, 0.05 * long_s):
             middle_s = 0.5 * (short_s + long_s)
             short_s, long_s = (short_s, middle_s) if self._suffices(middle_s) else (middle_s, long_s)
         return long_s
 
     def refresh_s(self, projector: FlashingProjector, settle_s: float) -> float:
-        """Give the refresh period: the light of a flash, as a share of that of the whole exposure."""
+        """Measure the refresh period: the light of a flash as a share of that of the whole exposure."""
         periods = []
         with ThreadPoolExecutor(max_workers=1) as camera:
-            for _ in range(TRIALS):
-                self._show(BLACK, REST_S + settle_s)
+            for _ in range(LIMITS.trials):
+                self._show(BLACK, LIMITS.rest_s + settle_s)
                 frame = camera.submit(self._level)
-                time.sleep(SLACK_S)
-                projector.flash(GREY, REFRESHES)
-                periods.append(frame.result() * self._exposure_s / REFRESHES)
+                time.sleep(LIMITS.slack_s)
+                projector.flash(GREY, LIMITS.refreshes)
+                periods.append(frame.result() * self._exposure_s / LIMITS.refreshes)
         return float(np.median(periods))
 
     def _suffices(self, wait_s: float) -> bool:
-        """Whether frames so long after a pattern show it alone, from dark to bright and back."""
-        for _ in range(TRIALS):
+        """Whether frames after this wait show the new pattern alone, from dark to bright and back."""
+        for _ in range(LIMITS.trials):
             for before, after in ((BLACK, GREY), (GREY, BLACK)):
-                self._show(before, max(REST_S, 2 * wait_s))
+                self._show(before, max(LIMITS.rest_s, 2 * wait_s))
                 self._show(after, wait_s)
-                if abs(self._level() - after) > MISSING:
+                if abs(self._level() - after) > LIMITS.max_missing:
                     return False
         return True
 

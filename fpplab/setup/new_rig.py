@@ -1,6 +1,6 @@
-"""Write a rig file from what is connected: choose each device, open it, and see that it works.
+"""Write a rig file from what is connected: choose each device, open it, and test it.
 
-Nothing is sent to a device that was not chosen, and no file is written before all of them have passed.
+Nothing is sent to a device that was not chosen, and the file is written only after all have passed.
 """
 
 from __future__ import annotations
@@ -22,22 +22,29 @@ from fpplab.devices.backends import load_backend
 from fpplab.devices.discovery import FoundDevice, FoundDevices
 from fpplab.devices.rig import RigFile
 from fpplab.patterns.fringes import uniform_patterns
-from fpplab.setup.rig_check.marker_check import LEAST_RISE
+from fpplab.setup.rig_check.marker_check import LIMITS as MARKER_LIMITS
 
 Chosen = TypeVar("Chosen", bound=Device)
 Ask = Callable[[str, Sequence[str]], int]
-"""Asks a question with some answers, and gives the index of the one that was chosen."""
+"""Asks a question with several answers, and returns the index of the chosen one."""
 
 NONE = "none"
 """Name of no device."""
-EXPOSURE_S = 0.033
-"""Exposure in s that is tried first: whole refreshes of 60 Hz, and nearly of 30."""
-SATURATED, TOO_DARK = 0.01, 0.2
-"""Share of saturated pixels, and brightness of the brightest pixels, between which an exposure is good."""
-SETTLE_S = 0.5
-"""Time in s after which every projector shows what it is told."""
 OPERATOR = {"backend": "fpplab.devices.operator:Operator"}
 """The fixture that asks a person."""
+
+
+@dataclass(frozen=True)
+class NewRigLimits:
+    """How devices are tried; all chosen."""
+
+    first_exposure_s: float = 0.033  # whole refreshes of 60 Hz, and nearly of 30
+    max_saturated: float = 0.01  # share of saturated pixels of a good exposure
+    min_brightness: float = 0.2  # of its brightest pixels, as a share of full scale
+    settle_s: float = 0.5  # after which every projector shows its pattern
+
+
+LIMITS = NewRigLimits()
 
 
 @dataclass(frozen=True)
@@ -45,9 +52,9 @@ class CameraTest:
     """What a camera sees, as shares of full scale."""
 
     exposure_s: float  # exposure of the picture in s
-    mean: float  # of the pixels; `least` and `most` without the outermost thousandth
-    least: float  # of the pixels; `least` and `most` without the outermost thousandth
-    most: float  # of the pixels; `least` and `most` without the outermost thousandth
+    mean: float  # of the pixels
+    least: float  # 0.1st percentile
+    most: float  # 99.9th percentile
     saturated: float  # share of the pixels at full scale
 
 
@@ -179,11 +186,11 @@ class RigSetup:
     def _nothing(self, kind: str) -> DeviceError:
         hints = [sentence for sentence in self._found.missing if kind in sentence]
         others = [d.title for d in self._found.devices if d.kind == kind]
-        found = f"none is connected{'; ' + hints[0] if hints else ''}"
+        evidence = f"none is connected{'; ' + hints[0] if hints else ''}"
         if others:
-            found = f"none is certain to be one; there are {', '.join(others)}"
-        remedy = f"name one with --{kind}" if others else "see its power and cable, and `fpplab devices`"
-        return DeviceError(kind, "choose", found, remedy)
+            evidence = f"none is certain to be one; there are {', '.join(others)}"
+        remedy = f"name one with --{kind}" if others else "check power and cable, and run `fpplab devices`"
+        return DeviceError(kind, "choose", evidence, remedy)
 
 
 def _only(
@@ -196,7 +203,7 @@ def _only(
     if named is None:
         raise ConfigError(f"there are several of kind {kind}; name one with --{kind}: {listed}")
     count = "no" if not chosen else "more than one"
-    raise ConfigError(f"--{kind} is '{named}': {count} {kind} is called so; there are {listed}")
+    raise ConfigError(f"--{kind} is '{named}': {count} {kind} has this name; there are {listed}")
 
 
 def look_at_scene(camera: Camera) -> CameraTest:
@@ -209,7 +216,7 @@ def look_at_scene(camera: Camera) -> CameraTest:
             camera.name,
             "look",
             f"all pixels are {int(image.min())}, without any noise",
-            "switch test images off, and check its lens cap",
+            "switch off test images, and check the lens cap",
         )
     mean, saturated = float(image.mean()) / full, float((image >= full).mean())
     return CameraTest(settings.exposure_s, mean, least, most, saturated)
@@ -219,22 +226,22 @@ def look_at_light(camera: Camera, projector: Projector) -> ProjectorTest:
     """Show white and black, and see both with the camera."""
     projector.load(uniform_patterns([255, 0], projector.caps.size))
     projector.show(0)
-    time.sleep(SETTLE_S)
+    time.sleep(LIMITS.settle_s)
     settings, white = _well_exposed(camera)
     projector.show(1)
-    time.sleep(SETTLE_S)
+    time.sleep(LIMITS.settle_s)
     black = camera.snap(settings.exposure_s + 10.0).image
     projector.blank()
     full = full_scale(settings.bits)
     change = (white.astype(np.float64) - black) / full
     lit = change >= 0.5 * np.quantile(change, 0.99)
     rise = float(change[lit].mean())
-    if not rise >= LEAST_RISE:
+    if not rise >= MARKER_LIMITS.min_rise:
         raise DeviceError(
             projector.name,
             "look",
             f"the camera sees white brighter than black by {100 * rise:.2g} % of full scale, less than "
-            f"{100 * LEAST_RISE:g} %",
+            f"{100 * MARKER_LIMITS.min_rise:g} %",
             "check lens caps, the projector's light, and that camera and projector look at the same bright "
             "surface",
         )
@@ -250,16 +257,16 @@ def _well_exposed(camera: Camera) -> tuple[CameraSettings, Image]:
     """A picture that is neither dark nor saturated, as far as the camera's exposures go."""
     least, most = camera.caps.exposure_s
     bits = min(camera.caps.bits)
-    exposure_s, tried = min(max(EXPOSURE_S, least), most), set[float]()
+    exposure_s, tried = min(max(LIMITS.first_exposure_s, least), most), set[float]()
     while True:
         gain_db = min(max(0.0, camera.caps.gain_db[0]), camera.caps.gain_db[1])
         settings = camera.configure(CameraSettings(exposure_s, gain_db, bits))
         image = camera.snap(exposure_s + 10.0).image
         tried.add(exposure_s)
         full = full_scale(bits)
-        if float((image >= full).mean()) > SATURATED:
+        if float((image >= full).mean()) > LIMITS.max_saturated:
             wanted = max(exposure_s / 2, least)
-        elif float(np.quantile(image, 0.99)) < TOO_DARK * full:
+        elif float(np.quantile(image, 0.99)) < LIMITS.min_brightness * full:
             wanted = min(exposure_s * 2, most, 0.5)
         else:
             return settings, image

@@ -19,19 +19,19 @@ from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.viewer.colours import ColourScale
 
 SHOWN_COLUMNS = 1600
-"""Columns beyond which an image or map is subsampled before it is shown."""
-SHOWN_POINTS = 300_000
-"""Points beyond which a cloud is thinned before it is shown."""
-RECORDING_BYTES = 128 * 2**20
-"""Size of a recording beyond which no more pictures of single moments go into it."""
+"""Columns beyond which an image or map is subsampled before it is shown (chosen)."""
+MAX_POINTS = 300_000
+"""Points beyond which a cloud is thinned before it is shown (chosen)."""
+MAX_RECORDING_BYTES = 128 * 2**20
+"""Size of a recording beyond which it gets no more images of single frames (chosen)."""
 BACKGROUND = (38, 41, 46)
 Opened = Literal["rig", "part"]
 """Scenes of the rig with all that is around it, and scenes of the part alone."""
 REACH: dict[Opened, str] = {"rig": "world/reach/rig", "part": "world/reach/part"}
-"""Entities of unseen points, which scenes contain so that they open on all that is to be seen in them."""
-OPENS_WIDE = 1.45
-"""Size of what such a scene counts, over the size of what is in it: rerun looks from 1.5 half diagonals away
-at an angle of 55 degrees, which would cut off a third."""
+"""Entities of invisible points, which make scenes open with all of their content in view."""
+REACH_FACTOR = 1.45
+"""Extent of these points over that of the content: rerun looks from 1.5 half diagonals away at an angle of 55
+degrees, which would cut off a third."""
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 
@@ -40,7 +40,7 @@ class Canvas:
     """Streams of rerun that are drawn on; used in a `with` block, which completes them."""
 
     def __init__(self, address: str | None = None, file: Path | None = None) -> None:
-        os.environ.setdefault("RUST_LOG", "off")  # what rerun would print says no more than an error does
+        os.environ.setdefault("RUST_LOG", "off")  # rerun prints what its errors say anyway
         import rerun as rr
 
         rr.set_strict_mode(True)
@@ -88,7 +88,7 @@ class Canvas:
             stream.send_blueprint(plan)
 
     def at(self, timeline: str, number: int) -> None:
-        """Say when all that follows happened."""
+        """Set the time of all that follows."""
         for stream in self._streams:
             stream.set_time(timeline, sequence=number)
 
@@ -96,7 +96,7 @@ class Canvas:
         """Draw one of rerun's archetypes."""
         if self._live:
             self._live.log(entity, what, static=static)
-        if self._kept and not (bulky and self._bytes > RECORDING_BYTES):
+        if self._kept and not (bulky and self._bytes > MAX_RECORDING_BYTES):
             self._kept.log(entity, what, static=static)
 
     def picture(self, entity: str, pixels: NDArray[np.uint8], *, static: bool = False) -> None:
@@ -138,7 +138,7 @@ class Canvas:
         # points (N, 3) mm; colours (N, 3)
         import rerun as rr
 
-        step = max(1, math.ceil(len(points) / SHOWN_POINTS))
+        step = max(1, math.ceil(len(points) / MAX_POINTS))
         shown = rr.Points3D(points[::step], colors=colours[::step], radii=rr.Radius.ui_points(1.2))
         self.log(entity, shown, static=static)
 
@@ -155,7 +155,7 @@ class Canvas:
         self.log(entity, rr.SeriesLines(names=name, colors=colour, widths=2.0), static=True)
 
     def text(self, entity: str, markdown: str, *, static: bool = True) -> None:
-        """Show words."""
+        """Show a text."""
         import rerun as rr
 
         self.log(entity, rr.TextDocument(markdown, media_type="text/markdown"), static=static)
@@ -185,19 +185,19 @@ class Canvas:
         self.open_on("rig", entity, T_world_device.apply(np.vstack([np.zeros(3), reach_mm * rays])))
 
     def open_on(self, scene: Opened, name: str, points: NDArray[np.floating[Any]]) -> None:
-        """Have scenes open on these points, and on what else was named so."""
+        """Make scenes open on these points, and on others of the same scene."""
         # points (N, 3) mm
         if not len(points):
             return
         self._there[scene][name] = np.percentile(points, (0.5, 99.5), axis=0)
         ends = np.concatenate(list(self._there[scene].values()))
         middle = (ends.min(axis=0) + ends.max(axis=0)) / 2
-        half = OPENS_WIDE * float(np.linalg.norm(ends - middle, axis=1).max()) / math.sqrt(3.0)
+        half = REACH_FACTOR * float(np.linalg.norm(ends - middle, axis=1).max()) / math.sqrt(3.0)
         corners = middle + half * np.array([[-1.0], [1.0]])
         self.cloud(REACH[scene], corners, np.full((2, 3), BACKGROUND, np.uint8))
 
     def directions(self, entity: str) -> None:
-        """Say that x points right, y down and z forward, as in the camera's frame."""
+        """Set the axes as in the camera's frame: x right, y down and z forward."""
         import rerun as rr
 
         self.log(entity, rr.ViewCoordinates.RDF, static=True)

@@ -31,7 +31,7 @@ from typing import Any
 
 LOCAL = "127.0.0.1"
 START_TIMEOUT_S = 20.0
-"""Longest time in s that rerun may take to start (chosen; it takes 1 s)."""
+"""Longest time in s that rerun may take to start (chosen)."""
 MEMORY_LIMIT = "1GB"
 """Memory limit of rerun's server (chosen)."""
 RELOAD_S = 2.0

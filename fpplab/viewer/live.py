@@ -36,17 +36,11 @@ UNKNOWN_FOCUS = (72, 76, 82)
 CELL_PX = 40
 """Side of a region in the maps, in px."""
 
-BINS = 64
-"""Bins of the histogram."""
-
 MAX_QUEUED_FRAMES = 3
 """Frames that may wait to be drawn (chosen: recent frames matter more than all of them)."""
 
 MAX_RATE_HZ = 10.0
 """Frames per s that are shown at most: browsers fall behind with more."""
-
-SLICES = 7
-"""Planes of the depth range in which the overlap of both fields is drawn."""
 
 OVERLAP_COLOUR, WORKING_COLOUR = (90, 170, 110), (250, 200, 60)
 """RGB of the fields' overlap, and of that at the working distance."""
@@ -165,7 +159,7 @@ class LiveView(CommandView):
         import rerun as rr
 
         near, far = geometry.depth_mm
-        outlines = [geometry.outline(float(d)) for d in np.linspace(near, far, SLICES)]
+        outlines = [geometry.outline(float(d)) for d in np.linspace(near, far, 7)]
         strips = [one for one in outlines if len(one)]
         overlap = rr.LineStrips3D(strips, colors=OVERLAP_COLOUR, radii=rr.Radius.ui_points(1.0))
         self.canvas.log("world/overlap", overlap, static=True)
@@ -181,7 +175,7 @@ class LiveView(CommandView):
 
         self.canvas.at("frame", now.number)
         self.canvas.picture(IMAGE, now.image.painted())
-        counts = np.bincount(now.image.grey.ravel() // (256 // BINS), minlength=BINS)
+        counts = np.bincount(now.image.grey.ravel() // 4, minlength=64)  # 64 bins
         self.canvas.log("light/histogram", rr.BarChart(np.log10(1.0 + counts)))
         if now.pattern_id != self._pattern_id:
             self._pattern_id = now.pattern_id

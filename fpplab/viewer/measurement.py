@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 MIN_MODULATION = 2.0
 """Modulation in the frames' grey levels below which a wrapped phase is noise, and drawn grey."""
-LEAST_RISK, GREATEST_RISK = -12.0, -3.0
+MIN_LOG_RISK, MAX_LOG_RISK = -12.0, -3.0
 """Decimal logarithms of the probabilities at the ends of the colour bar of the order risk."""
 CAMERA, PROJECTOR, CLOUD = "world/camera", "world/projector", "world/cloud"
 IMAGE, PATTERN = f"{CAMERA}/image", f"{PROJECTOR}/pattern"
@@ -251,9 +251,9 @@ def colourings(
         found.append(Colouring("Uncertainty", sigma_um, ColourScale.spanning(words, "µm", "magma", sigma_um)))
     if risk is not None:
         with np.errstate(divide="ignore"):
-            exponent = np.maximum(np.log10(risk), LEAST_RISK)
+            exponent = np.maximum(np.log10(risk), MIN_LOG_RISK)
         words = "Probability of a wrong fringe order, decimal logarithm"
-        scale = ColourScale(words, "", "plasma", LEAST_RISK, GREATEST_RISK)
+        scale = ColourScale(words, "", "plasma", MIN_LOG_RISK, MAX_LOG_RISK)
         found.append(Colouring("Order risk", exponent, scale))
     found.append(Colouring("Depth", cloud.points[:, 2], depth_scale(cloud)))
     return found

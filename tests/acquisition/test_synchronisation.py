@@ -18,9 +18,8 @@ from scipy.stats import multivariate_normal
 from fpplab import pipeline
 from fpplab.acquisition.acquire import _ended
 from fpplab.acquisition.synchronisation import (
+    LIMITS,
     LINEAR,
-    MISFIT_IN_STEP,
-    PRIOR,
     Cause,
     Moments,
     SyncFault,
@@ -224,7 +223,7 @@ def test_hypotheses_are_rated_by_their_marginal_likelihood() -> None:
 
     def expected(offsets: Floats) -> float:
         basis = np.hstack([offsets, waves])
-        covariance = PRIOR * basis @ basis.T + MISFIT_IN_STEP**2 * np.eye(len(seen))
+        covariance = LIMITS.prior_variance * basis @ basis.T + LIMITS.misfit_in_step**2 * np.eye(len(seen))
         return float(multivariate_normal(cov=covariance).logpdf(seen))
 
     rated = [_spaces(plan, LINEAR, (), separate).likelihood(moments)[0] for separate in (False, True)]

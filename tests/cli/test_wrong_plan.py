@@ -111,7 +111,7 @@ def test_images_out_of_step_are_told_at_import_and_can_be_taken_as_they_are(
     imported = fpplab("import", *words, *SIZE, *SQUARE, "--plan", plan, "--out", tmp_path / "s", "--json")
     assert imported.code == 0, imported.err
     assert "frames 1 and 9 show each other's pattern" in imported.json["warnings"][0]
-    assert "look at the order of the image files" in imported.json["warnings"][0]
+    assert "check the order of the image files" in imported.json["warnings"][0]
     bench.rig().save(tmp_path / "c.yaml")
     cloud = "--calibration", tmp_path / "c.yaml", "--out", tmp_path / "cloud.ply"
     refused = fpplab("reconstruct", tmp_path / "s", *cloud)

@@ -26,7 +26,7 @@ from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.pipeline import CLOUD, DECODED, REPORT, characterise_sessions
 from fpplab.sessions.session import Session
-from fpplab.setup.rig_check.marker_check import SETTLE_S
+from fpplab.setup.rig_check.marker_check import LIMITS as MARKER_LIMITS
 from fpplab.targets import Target
 from tests.conformance.reference import CAMERA_SIZE, PROJECTOR_SIZE
 from tests.conformance.slipping import CLOCK
@@ -245,7 +245,7 @@ def test_the_check_names_a_trigger_that_slips(folder: Path, fault: SyncFault) ->
 
 def test_the_check_measures_the_latency_of_the_display(folder: Path) -> None:
     found = checked(folder, rig(latency_s=LATENCY_S))
-    assert found["settle_s"] == min(s for s in SETTLE_S if s > LATENCY_S)
+    assert found["settle_s"] == min(s for s in MARKER_LIMITS.settle_s if s > LATENCY_S)
     (finding,) = found["findings"]
     assert finding["cause"] == "slow_display"
     assert finding["remedy"] == f"put `settle_s: {found['settle_s']:g}` into the plan"

@@ -20,7 +20,7 @@ from fpplab.cli import app
 from fpplab.core.errors import CapabilityError, ProtocolError
 from fpplab.devices.backends import ALLOWED
 from fpplab.devices.discovery import FoundDevices
-from fpplab.setup.rig_check.steps import APART_S
+from fpplab.setup.rig_check.steps import LIMITS
 from tests.drivers.flash_board import Bench
 from tests.drivers.flash_files import maker_firmware
 
@@ -157,10 +157,10 @@ def test_the_means_of_the_output_follow_from_the_times() -> None:
     text = PAGE.read_text(encoding="utf-8")
     exposure_s = 0.033332
     period_s = exposure_s + 1e-6 * MIN_GAP_US
-    run, pulses = exposure_s / period_s, exposure_s / (period_s + APART_S)
+    run, pulses = exposure_s / period_s, exposure_s / (period_s + LIMITS.safe_gap_s)
     assert f"{1e3 * period_s:.3f} ms, which is {100 * run:.1f} % of the time" in text
     assert f"a mean of {3.3 * run:.2f} V or {1.8 * run:.2f} V" in text
-    assert f"of {1e3 * (period_s + APART_S):.3f} ms, or {100 * pulses:.0f} %" in text
+    assert f"of {1e3 * (period_s + LIMITS.safe_gap_s):.3f} ms, or {100 * pulses:.0f} %" in text
     assert f"{3.3 * pulses:.2f} V or {1.8 * pulses:.2f} V" in text
 
 

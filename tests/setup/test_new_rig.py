@@ -53,7 +53,7 @@ LIGHT = Light()
 def light(monkeypatch: pytest.MonkeyPatch) -> Light:
     made = Light()
     monkeypatch.setattr("tests.setup.test_new_rig.LIGHT", made)
-    monkeypatch.setattr(new_rig, "SETTLE_S", 0.0)
+    monkeypatch.setattr(new_rig, "LIMITS", new_rig.NewRigLimits(settle_s=0.0))
     return made
 
 
@@ -194,7 +194,7 @@ def test_several_of_a_kind_must_be_named() -> None:
     with pytest.raises(ConfigError, match=r"several of kind camera; name one with --camera: .*A1.*B2"):
         set_up(devices)
     assert set_up(devices, camera="B2").sections["camera"]["serial"] == "B2"
-    with pytest.raises(ConfigError, match=r"--camera is 'C3': no camera is called so; there are .*A1.*B2"):
+    with pytest.raises(ConfigError, match=r"--camera is 'C3': no camera has this name; there are .*A1.*B2"):
         set_up(devices, camera="C3")
     with pytest.raises(ConfigError, match=r"--camera is 'model of camera': more than one"):
         set_up(devices, camera="model of camera")

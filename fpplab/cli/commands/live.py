@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from fpplab.setup.live.status import LiveStatus
 
 LINE_INTERVAL_S = 0.25
-"""Time in s between two updates of the status line (chosen: still readable)."""
+"""Time in s between two updates of the status line (chosen)."""
 
 
 @app.command("live", rich_help_panel=PREPARE)

@@ -1,21 +1,37 @@
-"""How a wanted pose reaches whatever holds the board: a transform for a robot, words for a person."""
+"""How a wanted pose is asked for: a transform for a robot, words and a sketch for a person."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
 
 from fpplab.characterisation.guide import WantedPose
+from fpplab.characterisation.parameters import ImageSize
 from fpplab.core.errors import CapabilityError
+from fpplab.core.files import write_parts
 from fpplab.core.geometry import RigidTransform
 from fpplab.devices import Fixture, InstructableFixture, PosableFixture
 
+PICTURE = "next_pose.png"
+"""Name of the sketch in the folder of the poses."""
+
+WIDTH_PX = 960
+"""Width of the sketch (chosen)."""
+
+OUTLINE, TOP, INK = (60, 200, 255), (70, 110, 255), (255, 255, 255)
+"""Colours of the outline, of the board's upper edge, and of text: blue, green, red."""
+
 Bring = Callable[[WantedPose, Path], None]
-"""Brings the board into a wanted pose, which a picture shows."""
+"""Brings the board into a wanted pose, shown by a sketch."""
 
 
 def bring_by(fixture: Fixture, item: str) -> Bring:
-    """Choose how the fixture is told."""
+    """Choose how the fixture is instructed."""
     if isinstance(fixture, PosableFixture):
         return lambda wanted, _: _place(fixture, item, wanted)
     if isinstance(fixture, InstructableFixture):
@@ -25,13 +41,13 @@ def bring_by(fixture: Fixture, item: str) -> Bring:
     raise CapabilityError(
         fixture.name,
         "characterise --guide",
-        "can neither be told a pose nor be asked in words",
+        "can neither take a pose nor show instructions",
         "leave --guide out, or use 'fpplab.devices.operator:Operator' as the fixture",
     )
 
 
-def known_first(fixture: Fixture, item: str) -> RigidTransform | None:
-    """Tell where the fixture holds the board in the first pose, before the camera can measure it."""
+def known_first_pose(fixture: Fixture, item: str) -> RigidTransform | None:
+    """Return where the fixture holds the board in the first pose, before the camera can measure it."""
     return fixture.pose(item, 0) if isinstance(fixture, PosableFixture) else None
 
 
@@ -40,3 +56,42 @@ def _place(fixture: PosableFixture, item: str, wanted: WantedPose) -> None:
         fixture.mount(item, 0)
     else:
         fixture.place(item, wanted.T_camera_target)
+
+
+def write_sketch(path: Path, wanted: WantedPose, size: ImageSize, image: NDArray[Any] | None = None) -> None:
+    """Draw the pose that is wanted over the last image."""
+    # size (width, height) px; image (height, width)
+    scale = WIDTH_PX / size[0]
+    picture = np.full((round(scale * size[1]), WIDTH_PX, 3), 40, np.uint8)
+    if image is not None:
+        grey = cv2.resize(
+            np.asarray(image, np.float32), (WIDTH_PX, len(picture)), interpolation=cv2.INTER_AREA
+        )
+        grey = np.clip(0.6 * 255 * grey / max(float(np.percentile(grey, 99.5)), 1e-9), 0, 255)
+        picture[:] = grey.astype(np.uint8)[..., None]
+    if wanted.outline_px is not None:
+        _draw_outline(picture, scale * (wanted.outline_px + 0.5))
+    _draw_text(picture, wanted.description)
+    done, encoded = cv2.imencode(".png", picture)
+    assert done
+    write_parts(path, encoded.tobytes())
+
+
+def _draw_outline(picture: NDArray[Any], outline: NDArray[Any]) -> None:
+    shift = 4  # binary places of the coordinates
+    fine = np.rint(2**shift * outline).astype(np.int32)
+    cv2.polylines(picture, [fine], True, OUTLINE, 2, cv2.LINE_AA, shift)
+    quarter = len(fine) // 4
+    cv2.polylines(picture, [fine[: quarter + 1]], False, TOP, 4, cv2.LINE_AA, shift)
+    middle = outline[quarter // 2]
+    cv2.putText(picture, "upper edge", (int(middle[0]) - 45, int(middle[1]) - 10), cv2.FONT_HERSHEY_SIMPLEX,
+                0.5, TOP, 1, cv2.LINE_AA)  # fmt: skip
+
+
+def _draw_text(picture: NDArray[Any], text: str) -> None:
+    """Write the clauses at the lower edge, one in each line."""
+    clauses = text.split(", ")
+    for k, clause in enumerate(clauses):
+        place = (12, len(picture) - 12 - 22 * (len(clauses) - 1 - k))
+        cv2.putText(picture, clause, place, cv2.FONT_HERSHEY_SIMPLEX, 0.6, (0, 0, 0), 4, cv2.LINE_AA)
+        cv2.putText(picture, clause, place, cv2.FONT_HERSHEY_SIMPLEX, 0.6, INK, 1, cv2.LINE_AA)

@@ -93,3 +93,33 @@ class GuidedRun:
 def in_um(length_mm: float | None) -> float | None:
     """Convert a length that may be unknown."""
     return None if length_mm is None else 1e3 * length_mm
+
+
+def accepted_sentence(number: int, attempt: PoseAttempt, until_mm: float | None) -> str:
+    """Describe a pose that counts."""
+    parts = [f"pose {number}: {attempt.points} points"]
+    if attempt.rms_px:
+        parts.append(_residuals(attempt))
+    now_um, until_um = in_um(attempt.form_mm), in_um(until_mm)
+    if now_um is None:
+        parts.append("uncertainty not known yet")
+    else:
+        parts.append(f"uncertainty of form {now_um:.3g} µm" + (f" -> {until_um:.3g} µm" if until_um else ""))
+    parts += [f"as in the previous pose: {finding.sentence}" for finding in attempt.findings[:1]]
+    return "; ".join(parts)
+
+
+def rejected_sentence(number: int, attempt: PoseAttempt) -> str:
+    """Describe a pose that does not count, and what to do."""
+    worst, *others = attempt.findings
+    more = f" (and {others[0].sentence})" if others else ""
+    return f"pose {number} rejected: {worst.sentence}{more}; {worst.remedy}"
+
+
+def _residuals(attempt: PoseAttempt) -> str:
+    parts = []
+    for device in ("camera", "projector"):
+        errors = getattr(attempt.fit, device) if attempt.fit else None
+        expected = f" ({errors.predicted_px:.3f} predicted)" if errors else ""
+        parts.append(f"{device} {attempt.rms_px[device]:.3f} px{expected}")
+    return ", ".join(parts)

@@ -31,30 +31,30 @@ from fpplab.patterns.plan import Plan
 from fpplab.pipeline import check_space, observe_session, require_plan_fits, take
 from fpplab.sessions.origin import calibration_origin
 from fpplab.sessions.session import JOURNAL, Session
-from fpplab.setup.guide.asking import bring_by, known_first
-from fpplab.setup.guide.attempts import GuidedRun, PoseAttempt
+from fpplab.setup.guide.asking import PICTURE, bring_by, known_first_pose, write_sketch
+from fpplab.setup.guide.attempts import GuidedRun, PoseAttempt, accepted_sentence, rejected_sentence
 from fpplab.setup.guide.rejection import frame_findings, inconsistent_pose, residual_finding, unseen_board
-from fpplab.setup.guide.sketch import PICTURE, write_sketch
-from fpplab.setup.guide.words import accepted_words, rejected_words
 from fpplab.targets import Target
 
-LEAST_TO_STOP = 5
-"""Poses before which the loop does not end: fewer do not show how large the errors of a pose are."""
 
-LAST_TO_FILL = 3
-"""Poses left from which on parts of the images without points come first."""
+@dataclass(frozen=True)
+class GuideLimits:
+    """When the loop ends, and what comes first; all chosen."""
 
-TRIES = 2
-"""How often in succession a pose is asked for before another is."""
+    min_poses: int = 5  # fewer do not show how large the errors of a pose are
+    fill_last: int = 3  # poses left from which on parts of the images without points come first
+    max_tries: int = 2  # of one pose in succession
+    max_rejected: int = 8  # poses in succession; the loop ends with the reason
+    max_rejected_first: int = 3  # the same before any was accepted
 
-MOST_REJECTED, FIRST_REJECTED = 8, 3
-"""Poses rejected in succession after which the loop ends, saying why; and before any was accepted."""
+
+LIMITS = GuideLimits()
 
 REJECTED = "rejected"
 """Folder of poses that were rejected, beside those that count."""
 
 Bar = Callable[[str], AbstractContextManager[Progress]]
-"""Shows progress of what it is told, while its context lasts."""
+"""Shows the progress of a named task while its context lasts."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class GuidedSettings:
     depth_mm: DepthInterval | None = None  # working range of depths in mm
     level: DistortionModel | Literal["auto"] = "auto"  # which distortion is fitted at the end
     refine_board: bool = True  # whether the board's shape is fitted too
-    force: bool = False  # whether poses that were taken before are taken anew
+    force: bool = False  # whether poses that were taken before are taken again
 
 
 def guided_characterisation(
@@ -95,7 +95,7 @@ class _Loop:
         level = DEFAULT_LEVEL if settings.level == "auto" else settings.level
         depth = settings.depth_mm
         self._guide = Guide(target, self._sizes, self._lattice, depth, level, settings.refine_board)
-        self._guide.first_known = known_first(fixture, settings.item)
+        self._guide.first_known = known_first_pose(fixture, settings.item)
         self._periods = finest_periods(plan, caps.size)
         self._sessions: dict[str, Session] = {}
         self._attempts: list[PoseAttempt] = []
@@ -122,12 +122,12 @@ class _Loop:
         if count >= self._settings.poses:
             return True
         reached = form is not None and until is not None and form <= until
-        return reached and count >= LEAST_TO_STOP and not self._guide.has_uncovered_region
+        return reached and count >= LIMITS.min_poses and not self._guide.has_uncovered_region
 
     def _must_fill(self) -> bool:
         """Whether parts of the images without points come first: little else is left to do."""
         form, until = self._guide.form_mm, self._settings.until_mm
-        last = self._settings.poses - len(self._sessions) <= LAST_TO_FILL
+        last = self._settings.poses - len(self._sessions) <= LIMITS.fill_last
         return last or (form is not None and until is not None and form <= until)
 
     def _resume(self) -> None:
@@ -152,7 +152,10 @@ class _Loop:
             write_sketch(picture, wanted, self._sizes[0], self._last_seen())
         with self._bar(f"Taking pose {len(self._sessions) + 1}") as report:
             session = take(
-                *(self._rig, self._plan, path, (self._settings.item, number)),
+                self._rig,
+                self._plan,
+                path,
+                (self._settings.item, number),
                 force=True,
                 bring=lambda: self._bring(wanted, picture),
                 progress=report,
@@ -164,13 +167,13 @@ class _Loop:
             self._wanted, self._tried = None, 0
             return
         self._tried += 1
-        if self._tried == TRIES:
+        if self._tried == LIMITS.max_tries:
             guide.exclude(wanted)
             self._wanted, self._tried = None, 0
 
     def _judge(self, session: Session, words: str) -> bool:
         """Observe a pose once, and accept or reject it."""
-        with self._bar("Looking at it") as report:
+        with self._bar("Evaluating the pose") as report:
             observation, reason = self._observed(session)
             report(0.5)
             findings = frame_findings(session.recording(verify=False))
@@ -212,7 +215,7 @@ class _Loop:
         rms = guide.rms_px(name) if name not in odd else {}
         attempt = PoseAttempt(name, words, len(observation.ids), rms, fit, guide.form_mm, findings, True)
         self._attempts.append(attempt)
-        self._tell(accepted_words(len(self._sessions), attempt, self._settings.until_mm))
+        self._tell(accepted_sentence(len(self._sessions), attempt, self._settings.until_mm))
         for other, why in odd.items():
             self._reject_later(other, why.removeprefix(f"{other}: "))
 
@@ -224,10 +227,10 @@ class _Loop:
         rms = {"camera": fit.camera.rms_px, "projector": fit.projector.rms_px} if fit else {}
         attempt = PoseAttempt(session.path.name, words, points, rms, fit, None, findings, False)
         self._attempts.append(attempt)
-        self._tell(rejected_words(len(self._sessions) + 1, attempt))
+        self._tell(rejected_sentence(len(self._sessions) + 1, attempt))
         self._set_aside(session)
         self._in_succession += 1
-        if self._in_succession == (MOST_REJECTED if self._sessions else FIRST_REJECTED):
+        if self._in_succession == (LIMITS.max_rejected if self._sessions else LIMITS.max_rejected_first):
             first = findings[0]
             raise CalibrationError(
                 f"{self._in_succession} poses in succession were rejected, the last for {first.sentence}; "

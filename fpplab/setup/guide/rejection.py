@@ -14,7 +14,7 @@ from fpplab.diagnosis.causes.underexposed import UNDEREXPOSED
 from fpplab.diagnosis.causes.vibration import VIBRATION
 from fpplab.patterns.recording import Recording
 
-SPOILING = {
+TRANSIENT_CAUSES = {
     PROJECTOR_DARK,
     NO_OVERLAP,
     SATURATED,
@@ -23,12 +23,12 @@ SPOILING = {
     PROJECTOR_FOCUS,
     VIBRATION,
 }
-"""Causes in the frames of a pose that are most often of this pose alone, and gone when it is taken again."""
+"""Causes that are mostly of one pose alone, and gone when it is taken again."""
 
 
 def frame_findings(recording: Recording) -> tuple[Finding, ...]:
     """Look for what is wrong with the frames of a pose."""
-    return tuple(one for one in diagnose_frames(recording) if one.cause in SPOILING)
+    return tuple(finding for finding in diagnose_frames(recording) if finding.cause in TRANSIENT_CAUSES)
 
 
 def unseen_board(reason: str, findings: tuple[Finding, ...]) -> tuple[Finding, ...]:
@@ -38,8 +38,8 @@ def unseen_board(reason: str, findings: tuple[Finding, ...]) -> tuple[Finding, .
     """
     dark = {PROJECTOR_DARK, NO_OVERLAP}
     unseen = Finding(BOARD_NOT_FOUND, reason, 1.0)
-    causes = tuple(one for one in findings if one.cause not in dark)
-    return (*causes, unseen, *(one for one in findings if one.cause in dark))
+    causes = tuple(finding for finding in findings if finding.cause not in dark)
+    return (*causes, unseen, *(finding for finding in findings if finding.cause in dark))
 
 
 def inconsistent_pose(reason: str) -> Finding:
@@ -55,10 +55,10 @@ def residual_finding(fit: PoseFit | None) -> Finding | None:
     """
     if fit is None or not fit.far:
         return None
-    told = [
+    residuals = [
         f"{name}: {errors.rms_px:.3f} px RMS where the other poses predict {errors.predicted_px:.3f} px"
         for name, errors in (("camera", fit.camera), ("projector", fit.projector))
     ]
     excess = max(e.rms_px / e.predicted_px for e in (fit.camera, fit.projector))
     cause = BOARD_MOVED if fit.far == ("projector",) else POSE_MISFIT
-    return Finding(cause, "; ".join(told), excess)
+    return Finding(cause, "; ".join(residuals), excess)

@@ -22,11 +22,11 @@ from fpplab.pipeline import decode_session
 from fpplab.sessions.session import Session
 from fpplab.targets import Target
 
-FEWEST = 3
-"""Poses below which nothing can be fitted, so that only parts of the image can be counted."""
+MIN_POSES_TO_FIT = 3
+"""Poses below which nothing can be fitted, so that only parts of the image are counted."""
 
-GOOD = 10
-"""Poses that make a good characterisation."""
+RECOMMENDED_POSES = 10
+"""Poses that make a good characterisation (chosen)."""
 
 
 @dataclass
@@ -39,7 +39,7 @@ class BoardCoverage:
     lattice: Lattice = Lattice.SQUARE  # arrangement of the projector's mirrors
     depth_mm: DepthInterval | None = None  # working range of depths in mm, where it is known
     sessions: list[Path] = field(default_factory=list)  # of the poses that were kept
-    left_out: list[str] = field(default_factory=list)  # why others were not
+    rejected: list[str] = field(default_factory=list)  # why others were not
     _seen: list[Observation] = field(default_factory=list)
     _next: tuple[str, ...] = ()
 
@@ -57,7 +57,7 @@ class BoardCoverage:
             image = session.recording(verify=False).mean_image()
             self._seen.append(observe(name, image, decoded, self.target, periods))
         except FppError as error:
-            self.left_out.append(str(error))
+            self.rejected.append(str(error))
             return f"{error}; the pose does not count"
         self.sessions.append(session.path)
         self._next = self._advised(self._seen[-1])
@@ -81,13 +81,13 @@ class BoardCoverage:
             "camera": _ninths([o.camera_px for o in self._seen], self.camera_size),
             "projector": _ninths([o.projector_px for o in self._seen], self.projector_size),
             "next": list(self._next),
-            "left_out": list(self.left_out),
+            "left_out": list(self.rejected),
         }
 
 
 def _ninths(pixels: list[Floats], size: tuple[int, int]) -> list[list[bool]]:
     held = regions_with_points(np.concatenate([np.empty((0, 2)), *pixels]), size)
-    return [[bool(one) for one in row] for row in held]
+    return [[bool(is_held) for is_held in row] for row in held]
 
 
 def advise_by_coverage(
@@ -96,27 +96,31 @@ def advise_by_coverage(
     camera_size: tuple[int, int],
     projector_size: tuple[int, int],
 ) -> tuple[str, ...]:
-    """Say what is missing of the poses so far."""
+    """List what the poses so far lack."""
     # camera_size, projector_size (width, height) px
     if not observations:
         return ("hold the board upright in the middle, and take the first pose",)
-    words: list[str] = []
-    if len(observations) >= FEWEST:
+    advice: list[str] = []
+    if len(observations) >= MIN_POSES_TO_FIT:
         try:
-            words += _shortcomings(observations, target, camera_size, projector_size)
+            advice += _shortcomings(observations, target, camera_size, projector_size)
         except CalibrationError as error:
-            words.append(f"the poses do not determine the devices yet ({error}); tilt the board by 20 to 35°")
+            advice.append(
+                f"the poses do not determine the devices yet ({error}); tilt the board by 20 to 35°"
+            )
     else:
-        words.append("tilt the board by 20 to 35°, each time about another axis, and change its distance")
-        words += _bare_parts(observations, camera_size)
-    if not words and len(observations) < GOOD:
-        words.append(f"take {GOOD - len(observations)} more poses, each tilted and placed differently")
-    return tuple(words) or ("the poses cover tilts, distances and both images: characterise now",)
+        advice.append("tilt the board by 20 to 35°, each time about another axis, and change its distance")
+        advice += _uncovered_parts(observations, camera_size)
+    if not advice and len(observations) < RECOMMENDED_POSES:
+        advice.append(
+            f"take {RECOMMENDED_POSES - len(observations)} more poses, each tilted and placed differently"
+        )
+    return tuple(advice) or ("the poses cover tilts, distances and both images: characterise now",)
 
 
-def _bare_parts(observations: Sequence[Observation], camera_size: tuple[int, int]) -> list[str]:
-    bare = ~regions_with_points(np.concatenate([o.camera_px for o in observations]), camera_size)
-    where = ", ".join(REGION_NAMES[row][column] for row, column in np.argwhere(bare))
+def _uncovered_parts(observations: Sequence[Observation], camera_size: tuple[int, int]) -> list[str]:
+    uncovered = ~regions_with_points(np.concatenate([o.camera_px for o in observations]), camera_size)
+    where = ", ".join(REGION_NAMES[row][column] for row, column in np.argwhere(uncovered))
     return [f"hold it also in these parts of the image: {where}"] if where else []
 
 
@@ -130,17 +134,17 @@ def _shortcomings(
     board = target.points()
     start, _, _ = calibrate_separately(observations, board, camera_size, projector_size)
     pair, _ = stereo(observations, start, camera_size)
-    found = replace(start, T_projector_camera=pair)
-    poses = [transform(pose) for pose in found.poses]
-    return warnings(observations, poses, _rough_calibration(found, camera_size, projector_size), board)
+    estimate = replace(start, T_projector_camera=pair)
+    poses = [transform(pose) for pose in estimate.poses]
+    return warnings(observations, poses, _rough_calibration(estimate, camera_size, projector_size), board)
 
 
 def _rough_calibration(
-    found: Solution, camera_size: tuple[int, int], projector_size: tuple[int, int]
+    estimate: Solution, camera_size: tuple[int, int], projector_size: tuple[int, int]
 ) -> Calibration:
     camera, projector = (
-        Pinhole.from_focal(size, (one[0], one[1]), (one[2], one[3]), tuple(one[4:].tolist()))
-        for one, size in ((found.camera, camera_size), (found.projector, projector_size))
+        Pinhole.from_focal(size, (lens[0], lens[1]), (lens[2], lens[3]), tuple(lens[4:].tolist()))
+        for lens, size in ((estimate.camera, camera_size), (estimate.projector, projector_size))
     )
-    pair = transform(found.T_projector_camera)
+    pair = transform(estimate.T_projector_camera)
     return Calibration(camera, projector, pair, {})

@@ -27,16 +27,7 @@ from fpplab.reconstruction.uncertainty import with_uncertainty
 from fpplab.setup.live.regions import REGIONS, region_medians
 
 RAYS = (24, 36)
-"""(rows, columns) of the camera's rays that stand for its field."""
-
-LOOKED_AT = (0.5, 2.0)
-"""Distances that are looked at for overlap, as multiples of that at which both middle rays meet."""
-
-USEFUL_SHARE = 0.8
-"""Share of the greatest overlap from which on a distance counts as one that both see."""
-
-LEAST_CONTRAST = 1e-3
-"""Contrast of the finest fringes below which their blur is not computed."""
+"""(rows, columns) of the camera's rays that sample its field (chosen)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +56,7 @@ class RigGeometry:
             device.normalise(middle)
             for device, middle in zip((calibration.camera, calibration.projector), middles, strict=True)
         ]
-        camera, projector = (np.append(one, 1.0) for one in slopes)
+        camera, projector = (np.append(slope, 1.0) for slope in slopes)
         along = np.stack([camera, -pose.rotation @ projector], axis=1)
         there, _ = np.linalg.lstsq(along, pose.translation, rcond=None)[0]
         if there <= 0:
@@ -91,13 +82,15 @@ class RigGeometry:
 
     @cached_property
     def depth_mm(self) -> tuple[float, float]:
-        """Least and greatest distance in mm: those stated, or else those at which the overlap is great."""
+        """Nearest and farthest distance in mm: as stated, or where the overlap is 0.8 of its greatest."""
         if self.stated is not None:
             return self.stated.mm
-        distances = np.linspace(*LOOKED_AT, 46) * self.meeting_mm
+        distances = np.linspace(0.5, 2.0, 46) * self.meeting_mm
         shares = np.array([self.overlap(d) for d in distances])
-        seen = distances[shares >= USEFUL_SHARE * shares.max()] if shares.max() > 0 else distances[:0]
-        return (float(seen[0]), float(seen[-1])) if len(seen) else (self.meeting_mm, self.meeting_mm)
+        overlapping = distances[shares >= 0.8 * shares.max()] if shares.max() > 0 else distances[:0]
+        if not len(overlapping):
+            return self.meeting_mm, self.meeting_mm
+        return float(overlapping[0]), float(overlapping[-1])
 
     def _lit(self, distance_mm: float) -> Mask:
         known = np.isfinite(self.rays).all(axis=-1)
@@ -109,7 +102,7 @@ class RigGeometry:
 
 @dataclass(frozen=True, eq=False)
 class WorkingPoint:
-    """What a rig's geometry promises at one distance."""
+    """What a rig's geometry provides at one distance."""
 
     geometry: RigGeometry  # of the rig
     plan: Plan  # that will be measured with
@@ -158,7 +151,7 @@ class WorkingPoint:
         return whole, form
 
     def summary(self) -> dict[str, object]:
-        """Collect what geometry alone tells."""
+        """Collect what geometry alone determines."""
         whole, form = self.calibration_um or (None, None)
         return {
             "distance_mm": self.distance_mm,
@@ -202,7 +195,7 @@ def _blur_square(sample: FrameSample, contrast: Floats) -> Floats:
     )
     if fine <= wide:
         return np.zeros_like(contrast)
-    limited = np.clip(contrast, LEAST_CONTRAST, 1.0)
+    limited = np.clip(contrast, 1e-3, 1.0)  # fringes of less are noise
     return np.asarray(-np.log(limited) / (2.0 * math.pi**2 * (fine**2 - wide**2)))
 
 

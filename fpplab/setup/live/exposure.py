@@ -1,8 +1,8 @@
-"""The exposure that uses the camera's range: as long as it may be, and gain only for what is then missing.
+"""The exposure that uses the camera's range: as long as allowed, and gain only for what is then missing.
 
-The brightest lit pixels are to reach `TARGET` of full scale. What they have above the camera's black level
-is proportional to exposure and gain, so one step leads there from anything that is not saturated. What the
-devices do not allow is said, never applied in silence: the camera's limits, and the period in which a
+The brightest lit pixels are to reach `ExposureGoals.peak` of full scale. Their level above the camera's black
+level is proportional to exposure and gain, so one step leads there from anything that is not saturated. What
+the devices do not allow is reported, never applied silently: the camera's limits, and the period in which a
 projector shows its bit planes, of which an exposure must be a whole number.
 """
 
@@ -20,31 +20,26 @@ from fpplab.devices import CameraCaps, CameraSettings, ProjectorCaps
 from fpplab.diagnosis.sample import FrameSample, SampleLimits
 from fpplab.patterns.plan import Plan
 
-TARGET = 0.88
-"""Share of full scale that the brightest lit pixels are to reach."""
 
-BRIGHTEST = 99.5
-"""Percentile of the lit pixels that counts as the brightest: highlights may saturate."""
+@dataclass(frozen=True)
+class ExposureGoals:
+    """What a good exposure is; all chosen."""
 
-LEAST_PEAK = 1e-3
-"""Share of full scale that the brightest lit pixels are taken to have above black at least."""
+    peak: float = 0.88  # level that the brightest lit pixels are to reach, as a share of full scale
+    tolerance: float = 0.03  # of the peak
+    percentile: float = 99.5  # of the lit pixels that counts as the brightest: highlights may saturate
+    min_above_black: float = 1e-3  # assumed of the brightest lit pixels, as a share of full scale
+    saturated_factor: float = 0.25  # change of light where the peak is saturated, by an unknown factor
+    max_ambient_share: float = 0.5  # of the peak by light that is not the projector's
+    grid_tolerance: float = 0.01  # of a bit-plane period, by which an exposure may be rounded up
 
-CLOSE = 0.03
-"""A peak that lies no further from the target is right."""
 
-SATURATED_FACTOR = 0.25
-"""Change of light where the peak is saturated and nobody knows by how much."""
-
-AMBIENT_SHARE = 0.5
-"""Share of the range from which on light that is not the projector's limits the fringes."""
-
-GRID_TOLERANCE = 0.01
-"""By how much of a bit-plane period an exposure may be rounded up."""
+GOALS = ExposureGoals()
 
 
 @dataclass(frozen=True)
 class LightLevels:
-    """What the camera has of its range."""
+    """How much of its range the camera uses."""
 
     peak: float  # level of the brightest lit pixels, as a share of full scale
     saturated: float  # share of the lit pixels that are saturated
@@ -53,22 +48,22 @@ class LightLevels:
 
     @property
     def is_saturated(self) -> bool:
-        """Whether the peak is not known, because too many pixels are saturated."""
-        return self.saturated > 1.0 - BRIGHTEST / 100.0
+        """Whether too many pixels are saturated for the peak to be known."""
+        return self.saturated > 1.0 - GOALS.percentile / 100.0
 
 
 @dataclass(frozen=True)
 class ExposureLimits:
     """What the devices allow."""
 
-    exposure_s: tuple[float, float]  # least and greatest exposure, in s
-    gain_db: tuple[float, float]  # least and greatest gain, in dB
+    exposure_s: tuple[float, float]  # shortest and longest exposure, in s
+    gain_db: tuple[float, float]  # lowest and highest gain, in dB
     period_s: float = 0.0  # exposures are whole multiples of this, in s; 0 where any will do
     of: str = "camera"  # who limits the longest exposure, for messages
 
     @classmethod
     def by_devices(cls, camera: CameraCaps, projector: ProjectorCaps, plan: Plan) -> ExposureLimits:
-        """Find what a plan may be exposed with on a rig."""
+        """Find the exposures and gains that a plan may have on a rig."""
         least, most = camera.exposure_s
         if plan.trigger == "stepped":
             return cls((least, most), camera.gain_db, projector.period_s)
@@ -82,7 +77,7 @@ class ExposureLimits:
         """Round an exposure down to whole bit-plane periods, of which there is one at least."""
         if self.period_s <= 0:
             return exposure_s
-        return self.period_s * max(1, math.floor(exposure_s / self.period_s + GRID_TOLERANCE))
+        return self.period_s * max(1, math.floor(exposure_s / self.period_s + GOALS.grid_tolerance))
 
     def stepped(self, exposure_s: float, factor: float) -> float:
         """Give the next exposure that is longer or shorter."""
@@ -92,8 +87,8 @@ class ExposureLimits:
         steps = max(1, round(wanted / self.period_s))
         now = exposure_s / self.period_s
         if factor > 1.0:
-            return self.period_s * max(steps, math.floor(now + GRID_TOLERANCE) + 1)
-        return self.period_s * max(0, min(steps, math.ceil(now - GRID_TOLERANCE) - 1))
+            return self.period_s * max(steps, math.floor(now + GOALS.grid_tolerance) + 1)
+        return self.period_s * max(0, min(steps, math.ceil(now - GOALS.grid_tolerance) - 1))
 
 
 @dataclass(frozen=True)
@@ -103,7 +98,7 @@ class ExposureAdvice:
     exposure_s: float  # in s
     gain_db: float  # in dB
     peak: float | None  # level that the brightest lit pixels will reach, as a share of full scale
-    limits: tuple[str, ...]  # what keeps the image from being better, and what to do about it
+    limits: tuple[str, ...]  # what limits the image, and what to do about it
     is_right: bool  # whether the present exposure needs no change
 
     def summary(self) -> dict[str, object]:
@@ -124,55 +119,60 @@ def levels_of_fringes(sample: FrameSample, black: float = 0.0) -> LightLevels | 
     peaks, widest = sample.spread.max(axis=0)[sample.lit] / 255.0, sample.widest
     other = float(np.median((widest.offset - widest.modulation)[sample.lit])) / 255.0
     saturated = float(sample.saturated[sample.lit].mean())
-    return LightLevels(float(np.percentile(peaks, BRIGHTEST)), saturated, max(other - black, 0.0), black)
+    return LightLevels(
+        float(np.percentile(peaks, GOALS.percentile)), saturated, max(other - black, 0.0), black
+    )
 
 
 def levels_of_image(image: Image, bits: int, black: float = 0.0) -> LightLevels:
     """Measure the light of one image of a bright pattern."""
     # image (height, width)
     levels: NDArray[np.floating[Any]] = image[::2, ::2].astype(np.float32) / full_scale(bits)
-    least = SampleLimits().min_lit_share
-    lit = levels[levels >= least * np.percentile(levels, 99.9)]
-    return LightLevels(float(np.percentile(lit, BRIGHTEST)), float((lit >= 1.0).mean()), None, black)
+    lit = levels[levels >= SampleLimits().min_lit_share * np.percentile(levels, 99.9)]
+    return LightLevels(float(np.percentile(lit, GOALS.percentile)), float((lit >= 1.0).mean()), None, black)
 
 
 def advise_exposure(levels: LightLevels, now: CameraSettings, limits: ExposureLimits) -> ExposureAdvice:
     """Propose exposure and gain."""
-    above = max(levels.peak - levels.black, LEAST_PEAK)
-    factor = SATURATED_FACTOR if levels.is_saturated else (TARGET - levels.black) / above
+    above = max(levels.peak - levels.black, GOALS.min_above_black)
+    factor = GOALS.saturated_factor if levels.is_saturated else (GOALS.peak - levels.black) / above
     light = now.exposure_s * _of_gain(now.gain_db) * factor
-    words: list[str] = []
-    exposure_s = _exposure(light / _of_gain(limits.gain_db[0]), limits, words)
-    gain_db = _gain(light / exposure_s, exposure_s, limits, words)
+    reasons: list[str] = []
+    exposure_s = _exposure(light / _of_gain(limits.gain_db[0]), limits, reasons)
+    gain_db = _gain(light / exposure_s, exposure_s, limits, reasons)
     change = exposure_s * _of_gain(gain_db) / (now.exposure_s * _of_gain(now.gain_db))
     peak = None if levels.is_saturated else levels.black + above * change
     if (
         levels.ambient is not None
         and not levels.is_saturated
-        and levels.ambient > AMBIENT_SHARE * levels.peak
+        and levels.ambient > GOALS.max_ambient_share * levels.peak
     ):
-        words.append(
+        reasons.append(
             f"light of the room takes {100 * levels.ambient / levels.peak:.0f} % of the range; shade the "
             "scene, or switch the room's lights off"
         )
-    right = not levels.is_saturated and (abs(levels.peak - TARGET) <= CLOSE or abs(change - 1.0) < 0.01)
-    return ExposureAdvice(exposure_s, gain_db, peak, tuple(words), right)
+    is_right = not levels.is_saturated and (
+        abs(levels.peak - GOALS.peak) <= GOALS.tolerance or abs(change - 1.0) < 0.01
+    )
+    return ExposureAdvice(exposure_s, gain_db, peak, tuple(reasons), is_right)
 
 
 def _of_gain(gain_db: float) -> float:
     return float(10.0 ** (gain_db / 20.0))
 
 
-def _exposure(wanted_s: float, limits: ExposureLimits, words: list[str]) -> float:
-    """The longest exposure that is allowed and not too long; says what it could not do."""
+def _exposure(wanted_s: float, limits: ExposureLimits, reasons: list[str]) -> float:
+    """The longest exposure that is allowed and not too long; adds a sentence where it is too bright."""
     least, most = limits.exposure_s
     shortest = max(least, limits.period_s)
     if limits.period_s > 0:
-        shortest = limits.period_s * math.ceil(least / limits.period_s - GRID_TOLERANCE) or limits.period_s
-        most = limits.period_s * math.floor(most / limits.period_s + GRID_TOLERANCE)
-    if wanted_s * (1.0 + GRID_TOLERANCE) < shortest:
+        shortest = (
+            limits.period_s * math.ceil(least / limits.period_s - GOALS.grid_tolerance) or limits.period_s
+        )
+        most = limits.period_s * math.floor(most / limits.period_s + GOALS.grid_tolerance)
+    if wanted_s * (1.0 + GOALS.grid_tolerance) < shortest:
         why = "one period of the projector's bit planes" if limits.period_s > least else "the camera's least"
-        words.append(
+        reasons.append(
             f"even an exposure of {1e3 * shortest:.3g} ms, {why}, is {shortest / wanted_s:.2g} times too "
             "bright; dim the lamp, or close the camera's aperture"
         )
@@ -180,15 +180,15 @@ def _exposure(wanted_s: float, limits: ExposureLimits, words: list[str]) -> floa
     return min(limits.on_grid(wanted_s), most)
 
 
-def _gain(factor: float, exposure_s: float, limits: ExposureLimits, words: list[str]) -> float:
-    """The gain for what the exposure leaves; says where that is not enough."""
+def _gain(factor: float, exposure_s: float, limits: ExposureLimits, reasons: list[str]) -> float:
+    """The gain for what the exposure leaves; adds a sentence where that is not enough."""
     least, most = limits.gain_db
     wanted = 20.0 * math.log10(factor)
     if wanted > most:
-        short = wanted - most
-        words.append(
+        reached = GOALS.peak / _of_gain(wanted - most)
+        reasons.append(
             f"the lamp is weak: the longest exposure of the {limits.of}, {exposure_s:.3g} s, and the "
-            f"greatest gain, {most:.3g} dB, reach {100 * TARGET / _of_gain(short):.0f} % of full scale; open "
+            f"greatest gain, {most:.3g} dB, reach {100 * reached:.0f} % of full scale; open "
             "the aperture, brighten the lamp, or go nearer"
         )
     return min(max(wanted, least), most)

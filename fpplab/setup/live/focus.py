@@ -19,14 +19,8 @@ from fpplab.core.conventions import Floats
 from fpplab.diagnosis.sample import FrameSample
 from fpplab.setup.live.regions import REGIONS, region_medians, region_slices
 
-TEXTURE_SIGMAS = 4.0
-"""So many times its standard uncertainty a region's gradient must be, or it has no texture to focus on."""
-
-DARK_LEVEL = 2.0 / 255.0
-"""Mean level, of full scale, below which a region is dark."""
-
-ALIKE_SHARE = 0.98
-"""A measure is at its best from this share of it on: noise alone changes it by as much."""
+AT_BEST_SHARE = 0.98
+"""Share of the best measure from which on it is at its best: noise alone changes it as much."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,11 +43,11 @@ def camera_sharpness(one: NDArray[np.floating[Any]], other: NDArray[np.floating[
     for region, part in region_slices(one.shape):
         a, b = (image[part].astype(np.float64) for image in (one, other))
         level = float(a.mean() * b.mean())
-        if level < DARK_LEVEL**2 or min(a.shape) < 3:
+        if level < (2.0 / 255.0) ** 2 or min(a.shape) < 3:  # darker than two grey levels
             continue
         power, sigma = _gradient_power(a, b)
         powers, levels = powers + max(power, 0.0) * a.size, levels + level * a.size
-        if power > TEXTURE_SIGMAS * sigma:
+        if power > 4.0 * sigma:  # otherwise it has no texture to focus on
             found[region] = math.sqrt(power / level)
     known = np.isfinite(found).any()
     return FocusMeasure(found, math.sqrt(powers / levels) if known else None)
@@ -116,6 +110,6 @@ class FocusTracker:
             "now": self.now.whole,
             "best": self.best_whole,
             "share": share,
-            "at_best": share is not None and share >= ALIKE_SHARE,
+            "at_best": share is not None and share >= AT_BEST_SHARE,
             "regions": shares,
         }

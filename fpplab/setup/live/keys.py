@@ -19,8 +19,8 @@ try:
 except ImportError:  # Windows
     termios = None  # type: ignore[assignment]
 
-LOOK_S = 0.1
-"""How often the thread that reads keys looks whether it is to end, in s."""
+POLL_S = 0.1
+"""Time in s after which the thread that reads keys checks whether it is to end (chosen)."""
 PREFIXES = "\x00\xe0"
 """What Windows puts before the code of a key that is no character, such as an arrow."""
 CTRL_C = "\x03"
@@ -44,7 +44,7 @@ def terminal_keys(orders: Orders) -> Iterator[bool]:
 
 
 def _read(typed: Callable[[], str | None], orders: Orders, done: threading.Event) -> None:
-    """Pass orders on; `typed` waits a little and gives what was typed, None once there is no more."""
+    """Pass orders on; `typed` waits for `POLL_S` and returns what was typed, None after the last key."""
     while not done.is_set() and (characters := typed()) is not None:
         for character in characters:
             if character in BY_KEY:
@@ -54,7 +54,7 @@ def _read(typed: Callable[[], str | None], orders: Orders, done: threading.Event
 @contextmanager
 def _by_terminal(handle: int) -> Iterator[Callable[[], str | None]]:
     def typed() -> str | None:
-        ready, _, _ = select.select([handle], [], [], LOOK_S)
+        ready, _, _ = select.select([handle], [], [], POLL_S)
         if not ready:
             return ""
         return os.read(handle, 64).decode(errors="replace") or None  # nothing: the terminal was closed
@@ -69,15 +69,15 @@ def _by_terminal(handle: int) -> Iterator[Callable[[], str | None]]:
 
 @contextmanager
 def _by_windows() -> Iterator[Callable[[], str | None]]:
-    """By the console, which needs no other mode: it gives keys one by one and without echo to who asks."""
+    """The console returns keys one by one and without echo in its normal mode."""
     import msvcrt
 
-    windows: Any = msvcrt  # whose types are those of another system
+    windows: Any = msvcrt  # its types exist on Windows alone
     pause = threading.Event()
 
     def typed() -> str | None:
         if not windows.kbhit():
-            pause.wait(LOOK_S)
+            pause.wait(POLL_S)
             return ""
         character: str = windows.getwch()
         if character in PREFIXES:

@@ -42,22 +42,13 @@ from fpplab.setup.live.status import LiveStatus, StageState
 from fpplab.targets import Target
 
 EXPOSURE_STEP = 2.0**0.5
-"""By how much one key changes the exposure."""
+"""Factor by which one key changes the exposure (chosen)."""
 
 GAIN_STEP_DB = 1.0
-"""By how much one key changes the gain, in dB."""
-
-SEEKS = 6
-"""How many steps the advised exposure may take where one is not enough, because the image was saturated."""
-
-LOOK_S = 0.05
-"""How often a paused set-up looks whether it may go on, in s."""
-
-RATE_FRAMES = 20
-"""Frames over which the rate is computed."""
+"""Change of gain by one key, in dB (chosen)."""
 
 REFUSALS = (SettingError, CapabilityError, LimitError, StateError, ConfigError, DataError, SyncError)
-"""What an order may be refused with; the set-up goes on. Anything else is a fault of a device."""
+"""Errors that refuse an order, after which the set-up continues. Any other is a fault of a device."""
 
 
 class LiveObserver(Protocol):
@@ -79,7 +70,7 @@ class LiveOptions:
     working: WorkingPoint | None = None  # what the geometry promises, with a calibration
     target: Target | None = None  # the board of the poses that are taken
     poses: Path | None = None  # folder of their sessions
-    item: str | None = None  # what the rig's fixture puts up
+    item: str | None = None  # what the rig's fixture mounts
     stage_step_mm: float = 1.0  # how far one key moves the stage, in mm
     frames: int | None = None  # after how many frames to end; None for never
     seconds: float | None = None  # after how many seconds to end; None for never
@@ -99,8 +90,9 @@ class SetUp:
         self._advice: ExposureAdvice | None = None
         self._view, self._turn_of_view, self._seeks = View.MEASURE, 0, 0
         self._frames, self._pauses, self._pose = 0, 0, 0
-        self._times: deque[float] = deque(maxlen=RATE_FRAMES)
-        self._message, self._paused_for = "", None  # type: tuple[str, str | None]
+        self._times: deque[float] = deque(maxlen=20)  # frames by which the rate is computed
+        self._message = ""
+        self._paused_for: str | None = None
         self._over, self._end_s = False, float("inf")
         self._coverage: BoardCoverage | None = None
         self._counting: Future[str] | None = None
@@ -140,7 +132,7 @@ class SetUp:
     def run(self, turn: RigTurn) -> LiveStatus:
         """Show frames until the operator ends it.
 
-        Devices are open only while it is this command's turn, and closed, dark, afterwards.
+        Devices are open only while it is this command's turn; closing them leaves the projector dark.
         """
         if self._options.seconds is not None:
             self._end_s = time.monotonic() + self._options.seconds
@@ -167,12 +159,12 @@ class SetUp:
         return self._over or spent or time.monotonic() >= self._end_s
 
     def _pause(self, turn: RigTurn) -> None:
-        """Wait a little for the command that has the rig."""
+        """Wait for the command that has the rig."""
         if self._paused_for is None:
             self._pauses += 1
         self._paused_for = turn.wanted_by()
         self._show(None, None)
-        time.sleep(LOOK_S)
+        time.sleep(0.05)  # s until the turn is checked again
         while not self._orders.empty():
             if self._orders.get() is Order.QUIT:
                 self._over = True
@@ -204,7 +196,7 @@ class SetUp:
         self._begin()
 
     def _begin(self, view: View | None = None) -> None:
-        """Begin a view anew."""
+        """Restart the view, or begin another one."""
         self._view, self._turn_of_view = view or self._view, 0
         self._advice = None
         self._measures.begin(self._patterns, self._view, self._rig.projector.caps.size)
@@ -223,7 +215,7 @@ class SetUp:
         shown = self._patterns.views[self._view]
         index = shown[self._turn_of_view % len(shown)]
         self._turn_of_view += 1
-        frame = self._watch.shot(index)
+        frame = self._watch.frame(index)
         self._frames += 1
         self._times.append(time.monotonic())
         if self._measures.add(frame):
@@ -260,13 +252,13 @@ class SetUp:
     def _take_advice(self) -> None:
         if self._view is View.BLACK:
             self._begin(View.MEASURE)
-        self._seeks = SEEKS
+        self._seeks = 6  # steps at most, where one is not enough because the image was saturated
         if self._advice is None:
             self._message = "the exposure is being measured"
             return
-        words = "; ".join(self._advice.limits)
+        limits = "; ".join(self._advice.limits)
         self._advise()
-        self._message = f"{self._message}; {words}" if words else self._message
+        self._message = f"{self._message}; {limits}" if limits else self._message
 
     # --- orders
 
@@ -313,7 +305,7 @@ class SetUp:
 
     def _reset(self) -> None:
         self._measures.forget_focus()
-        self._message = "the best focus counts from now on"
+        self._message = "the best focus so far is forgotten"
 
     def _quit(self) -> None:
         self._over = True
@@ -348,7 +340,7 @@ class SetUp:
     def _next_pose(self) -> None:
         item = self._options.item
         if item is None:
-            self._message = "no --item was given for the fixture to hold; move the board by hand"
+            self._message = "no --item was given for the fixture to mount; move the board by hand"
             return
         self._rig.need_fixture(f"--item {item}").mount(item, self._pose + 1)
         self._pose += 1
@@ -363,13 +355,13 @@ class SetUp:
             self._message = "give --target with the file of your board to take poses of it"
             return
         if self._counting is not None:
-            self._message = "the pose before is still being looked at"
+            self._message = "the previous pose is still being evaluated"
             return
         out = _free_place(folder)
         try:
             session = self._pose_taken(out, turn)
         except BaseException as error:
-            shutil.rmtree(out, ignore_errors=True)  # part of a pose is none: the board is moved meanwhile
+            shutil.rmtree(out, ignore_errors=True)  # a pose cannot be resumed: the board is moved meanwhile
             if not isinstance(error, (*REFUSALS, _RigWanted)):
                 raise
             self._message = f"{error}; take the pose again"
@@ -393,7 +385,7 @@ class SetUp:
         return take(rig, plan, out, mounted, observe_frame=yields)
 
     def _counted(self) -> None:
-        """Tell what came of the pose that was looked at in the background."""
+        """Report the result of the pose that was evaluated in the background."""
         if self._counting is not None and self._counting.done():
             self._message, self._counting = self._counting.result(), None
 

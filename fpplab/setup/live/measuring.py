@@ -17,9 +17,6 @@ from fpplab.setup.live.exposure import LightLevels, levels_of_fringes, levels_of
 from fpplab.setup.live.focus import FocusTracker, camera_sharpness, projector_contrast
 from fpplab.setup.live.patterns import LivePatterns, View
 
-DARK_SHARE = 0.03
-"""Share of full scale that pixels which are not dark reach in the light of a view."""
-
 
 class LiveMeasures:
     """Measures of the frames so far; those of another view or exposure do not mix with them."""
@@ -30,13 +27,14 @@ class LiveMeasures:
         self.findings: tuple[Finding, ...] = ()
         self.camera_focus, self.projector_focus = FocusTracker(), FocusTracker()
         self.noise_um: NDArray[np.float64] | None = None
-        self._view, self._patterns = View.MEASURE, None  # type: tuple[View, LivePatterns | None]
+        self._view = View.MEASURE
+        self._patterns: LivePatterns | None = None
         self._projector_size = (0, 0)
         self._images: list[Image] = []
         self._brightest: Image | None = None
 
     def begin(self, patterns: LivePatterns, view: View, projector_size: tuple[int, int]) -> None:
-        """Begin a view anew: what was seen until now is of another light."""
+        """Begin a view: earlier frames are of another light."""
         # projector_size (width, height) px
         self._patterns, self._view, self._projector_size = patterns, view, projector_size
         self._images, self._brightest = [], None
@@ -59,16 +57,16 @@ class LiveMeasures:
         return True
 
     def forget_focus(self) -> None:
-        """Let the best focus count from now on."""
+        """Forget the best focus so far."""
         self.camera_focus = self.camera_focus.forgotten()
         self.projector_focus = self.projector_focus.forgotten()
 
     def dark(self, bits: int) -> Mask | None:
-        """Tell which pixels stay dark in the view's light."""
+        """Find the pixels below 3 % of full scale in the view's light."""
         # returns (height, width)
         if self._brightest is None:
             return None
-        return np.asarray(self._brightest < DARK_SHARE * full_scale(bits))
+        return np.asarray(self._brightest < 0.03 * full_scale(bits))
 
     def _add_to_cycle(self, frame: Frame) -> bool:
         assert self._patterns is not None, "a view was begun"

@@ -21,11 +21,11 @@ from fpplab.setup.live.orders import WORDS, Order, Orders
 from fpplab.setup.live.status import LiveStatus
 
 LOCAL = "127.0.0.1"
-MOST_BYTES = 200
-"""Longest body of a request that is read."""
+MAX_BODY_BYTES = 200
+"""Longest body of a request that is read: an order has 20 (chosen)."""
 
-GONE_S = 4.0
-"""How long after the page said good-bye it may come back, as by being loaded again, in s."""
+RELOAD_S = 4.0
+"""Time in s within which a page that was left is loaded again (chosen)."""
 
 TEMPLATE = "page.html"
 
@@ -64,7 +64,7 @@ class SetUpPage:
     @property
     def closed(self) -> bool:
         """Whether the page was open, and the operator has closed it."""
-        return self._left_s is not None and time.monotonic() - self._left_s > GONE_S
+        return self._left_s is not None and time.monotonic() - self._left_s > RELOAD_S
 
     def show(self, status: LiveStatus) -> None:
         """Give the page a new state."""
@@ -81,9 +81,9 @@ class SetUpPage:
             return _refused(HTTPStatus.FORBIDDEN, "open the address that 'fpplab live' has printed")
         if method == "POST" and origin not in (None, f"http://{host}"):
             return _refused(HTTPStatus.FORBIDDEN, "orders come from the page of 'fpplab live' itself")
-        return self._found(method, rest[0], body)
+        return self._content(method, rest[0], body)
 
-    def _found(self, method: str, name: str, body: bytes) -> tuple[int, str, bytes]:
+    def _content(self, method: str, name: str, body: bytes) -> tuple[int, str, bytes]:
         if (method, name) == ("GET", ""):
             return HTTPStatus.OK, "text/html; charset=utf-8", self._html()
         if (method, name) == ("GET", "state"):
@@ -136,8 +136,8 @@ def _handler(page: SetUpPage) -> type[BaseHTTPRequestHandler]:
 
         def _respond(self, method: str) -> None:
             length = self.headers.get("Content-Length") or "0"
-            size = int(length) if length.isdigit() else MOST_BYTES + 1
-            if size > MOST_BYTES:
+            size = int(length) if length.isdigit() else MAX_BODY_BYTES + 1
+            if size > MAX_BODY_BYTES:
                 self.close_connection = True
                 self._send(*_refused(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "an order is short"))
                 return

@@ -1,4 +1,4 @@
-"""Frames one by one of whatever pattern is asked for: what an operator looks at while setting up a rig."""
+"""Single frames of any pattern, for an operator who sets up a rig."""
 
 from __future__ import annotations
 
@@ -13,13 +13,9 @@ from fpplab.devices import CameraSettings, Frame, State
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringes import Pattern
 
-DARK_EXPOSURE_S = 1e-4
-"""Exposure of a dark frame in s: so short that light of the room does not count; the least of some cameras is
-a mode of its own."""
-
 
 class PatternWatch:
-    """Patterns of an open rig that are shown as asked for, with a frame of each.
+    """Shows one pattern after another on an open rig and takes a frame of each.
 
     The projector keeps what it shows between frames; closing the rig makes it dark.
     """
@@ -34,7 +30,7 @@ class PatternWatch:
         check_stepped(rig.camera)
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
-        """Change exposure, gain or depth; where the camera refuses them the former ones stay."""
+        """Change exposure, gain or depth; if the camera refuses, the previous settings are restored."""
         try:
             self.settings = self._rig.camera.configure(settings)
         except SettingError:
@@ -47,16 +43,17 @@ class PatternWatch:
         camera, projector = self._rig.camera, self._rig.projector
         projector.blank()
         self._shown = None
-        least_s, most_s = camera.caps.exposure_s
-        short_s = min(max(least_s, DARK_EXPOSURE_S), most_s)
+        shortest_s, longest_s = camera.caps.exposure_s
+        # 0.1 ms sees no light of the room; the shortest exposure of some cameras is a mode of its own.
+        dark_s = min(max(shortest_s, 1e-4), longest_s)
         try:
-            camera.configure(replace(self.settings, exposure_s=short_s))
+            camera.configure(replace(self.settings, exposure_s=dark_s))
             return camera.snap(timeout_s=READ_TIMEOUT_S)
         finally:
             if camera.state is State.IDLE:
                 camera.configure(self.settings)
 
-    def shot(self, index: int) -> Frame:
+    def frame(self, index: int) -> Frame:
         """Take a frame of one pattern."""
         camera, pattern = self._rig.camera, self._patterns[index]
         if index != self._shown:

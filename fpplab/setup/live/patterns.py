@@ -16,17 +16,8 @@ from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import Pattern, make_patterns, uniform_patterns
 from fpplab.patterns.plan import Plan
 
-STEPS = 4
-"""Steps of each set of the cycle: the fewest that also tell the noise."""
-
-LEAST_RATIO = 4.0
-"""By how many times the finest stripes are at least finer than the widest that they are compared with."""
-
-WIDE_SHARE = 16.0
-"""By how many times a set of wide stripes is wider that is added to a plan without any."""
-
 SQUARES = 24
-"""Squares of the checkerboard across the projector."""
+"""Squares of the checkerboard across the projector (chosen)."""
 
 
 class View(StrEnum):
@@ -93,11 +84,12 @@ def _short(plan: Plan) -> Plan:
     finest = plan.finest
     widest = plan.fringes[plan.sets_along(plan.axes[0])[0]]
     stripes = widest.stripes
-    if finest.stripes < LEAST_RATIO * stripes:
-        stripes = max(finest.stripes / WIDE_SHARE, 1.0)
+    if finest.stripes < 4.0 * stripes:  # too close to compare their contrasts
+        stripes = max(finest.stripes / 16.0, 1.0)
+    # Four steps are the fewest that also show the noise.
     pair = (
-        Sinusoid(axis=finest.axis, stripes=one, steps=STEPS, projector_size=finest.projector_size)
-        for one in (stripes, finest.stripes)
+        Sinusoid(axis=finest.axis, stripes=count, steps=4, projector_size=finest.projector_size)
+        for count in (stripes, finest.stripes)
     )
     return plan.model_copy(update={"fringes": tuple(pair)})
 

@@ -11,10 +11,7 @@ from numpy.typing import NDArray
 from fpplab.core.conventions import Floats, Mask
 
 REGIONS = (4, 6)
-"""(rows, columns) of regions into which the image is divided."""
-
-LEAST_SHARE = 0.1
-"""Least share of a region's pixels that have to tell something of it."""
+"""(rows, columns) of regions into which the image is divided (chosen)."""
 
 
 def region_slices(shape: tuple[int, ...]) -> Iterator[tuple[tuple[int, int], tuple[slice, slice]]]:
@@ -32,11 +29,11 @@ def region_slices(shape: tuple[int, ...]) -> Iterator[tuple[tuple[int, int], tup
 
 
 def region_medians(values: NDArray[np.floating[Any]], known: Mask) -> Floats:
-    """Compute the median in each region."""
+    """Compute the median in each region of which at least a tenth is known."""
     # values (height, width); known (height, width)
     found = np.full(REGIONS, np.nan)
     for region, part in region_slices(values.shape):
         inside = values[part][known[part]]
-        if inside.size and inside.size >= LEAST_SHARE * values[part].size:
+        if inside.size and inside.size >= 0.1 * values[part].size:
             found[region] = np.median(inside)
     return found

@@ -40,8 +40,8 @@ class LiveStatus:
     noise_um: Floats | None = None  # expected standard uncertainty by noise, by region, in µm
     coverage: dict[str, object] | None = None  # poses of the board, with a target
     stage: StageState | None = None  # where the stage is, if there is one
-    message: str = ""  # what the latest order came to
-    paused_for: str | None = None  # which process has the rig at present
+    message: str = ""  # result of the latest order
+    paused_for: str | None = None  # the process that has the rig
     pauses: int = 0  # how many times another command had the rig
 
     def summary(self) -> dict[str, object]:

@@ -35,6 +35,7 @@ from fpplab.reconstruction.depth_range import depth_bounds, first_stated
 from fpplab.reconstruction.points import points_of
 from fpplab.sessions.origin import SessionOrigin
 from fpplab.setup.rig_check.devices import (
+    DECISIVE_EXCESS,
     device_finding,
     disk_finding,
     link_finding,
@@ -43,14 +44,13 @@ from fpplab.setup.rig_check.devices import (
 )
 from fpplab.setup.rig_check.marker import marker
 from fpplab.setup.rig_check.marker_check import (
-    RUINOUS,
-    UNCERTAIN,
+    UNCERTAIN_EXCESS,
     MarkerInspection,
     MarkerRun,
     recover_camera,
 )
 
-NEVER_SEEN = "the colour of the light, and which LED is off: a grey camera does not tell them"
+UNSEEN_COLOUR = "the colour of the light, and which LED is off: a grey camera does not show them"
 """What no frame shows."""
 
 WITHOUT_CALIBRATION = "small_angle, wrong_axis, stale_calibration, undersampled: give --calibration"
@@ -118,12 +118,16 @@ def check_rig(
     except DeviceError as error:
         failed.append(device_finding(error))
     progress(1.0)
-    seen = fringes.diagnosis.findings if fringes.diagnosis else tuple(marker_seen.light)
+    of_light = tuple(marker_seen.light)
+    unknown = tuple(fringes.unknown)
+    if fringes.diagnosis:
+        of_light = fringes.diagnosis.findings
+        unknown += fringes.diagnosis.unknown
     return RigCheck(
         shown=marker(),
         runs=tuple(marker_seen.runs),
-        findings=_ranked([*failed, *marker_seen.findings, *seen]),
-        unknown=(*_untold(seen), *fringes.unknown, *(fringes.diagnosis.unknown if fringes.diagnosis else ())),
+        findings=_ranked([*failed, *marker_seen.findings, *of_light]),
+        unknown=(*_unseen(of_light), *unknown),
         settle_s=marker_seen.settle_s,
         timing=timing,
         recording=fringes.recording,
@@ -134,10 +138,10 @@ def check_rig(
     )
 
 
-def _untold(seen: Sequence[Finding]) -> tuple[str, ...]:
-    """What frames of a dark projector do not tell."""
+def _unseen(findings: Sequence[Finding]) -> tuple[str, ...]:
+    """What frames of a dark projector do not show."""
     dark = {PROJECTOR_DARK, UNDEREXPOSED, MISSING_COLOUR}
-    return (NEVER_SEEN,) if any(one.cause in dark for one in seen) else ()
+    return (UNSEEN_COLOUR,) if any(finding.cause in dark for finding in findings) else ()
 
 
 def _timing(rig: Rig, plan: Plan) -> PulseTiming | None:
@@ -149,7 +153,7 @@ def _timing(rig: Rig, plan: Plan) -> PulseTiming | None:
     try:
         rig.projector.load(patterns)
         return planned_timing(rig, plan, patterns, settings.exposure_s)
-    except CapabilityError:  # the fringes have told it
+    except CapabilityError:  # the fringes have reported it
         return None
 
 
@@ -160,17 +164,17 @@ def _of_transport(rig: Rig, plan: Plan, timing: PulseTiming | None, folder: Path
     period_s = timing.period_s if timing else settings.exposure_s + caps.readout_s
     width, height = caps.size
     kind = raw_dtype(settings.bits)
-    found = [link_finding(rig.camera.info(), width * height * np.dtype(kind).itemsize, period_s)]
+    findings = [link_finding(rig.camera.info(), width * height * np.dtype(kind).itemsize, period_s)]
     if folder is not None:
         noise: Image = np.random.default_rng(0).integers(0, 256, (height, width), kind)
-        found.append(disk_finding(folder, plan, noise, settings, period_s))
-    return [one for one in found if one is not None]
+        findings.append(disk_finding(folder, plan, noise, settings, period_s))
+    return [finding for finding in findings if finding is not None]
 
 
 def _ranked(findings: list[Finding]) -> tuple[Finding, ...]:
     """The worst first, each cause once."""
     first: dict[FaultCause, Finding] = {}
-    for finding in sorted(findings, key=lambda one: -one.excess):
+    for finding in sorted(findings, key=lambda finding: -finding.excess):
         first.setdefault(finding.cause, finding)
     return tuple(first.values())
 
@@ -185,7 +189,7 @@ def _require_fitting(rig: Rig, plan: Plan, calibration: Calibration | None) -> N
 
 
 class _FringeInspection:
-    """What fringes tell of an open rig."""
+    """What fringes show of an open rig."""
 
     def __init__(self, plan: Plan, calibration: Calibration | None) -> None:
         self._plan, self._calibration = plan, calibration
@@ -217,7 +221,7 @@ class _FringeInspection:
         in_step = check_synchronisation(recording)
         if in_step.in_step:
             return self._of_frames(recording, rig)
-        excess = RUINOUS if in_step.causes else UNCERTAIN
+        excess = DECISIVE_EXCESS if in_step.causes else UNCERTAIN_EXCESS
         slipped = Finding(OUT_OF_STEP, in_step.describe(), excess, remedy(recording.plan))
         # Light that flickers and parts that move look like frames out of step which no slip explains.
         others = () if in_step.causes else diagnose_frames(recording)

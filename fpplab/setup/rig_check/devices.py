@@ -1,4 +1,4 @@
-"""What devices and disk tell beside their frames: permissions, the camera's link, writing, the mains."""
+"""Checks beside the frames' content: permissions, the camera's link, the disk, flicker of the mains."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import re
 import time
 from collections.abc import Sequence
 from contextlib import closing, suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -28,43 +28,38 @@ from fpplab.patterns.plan import Plan
 from fpplab.sessions.session import Session
 from fpplab.setup.rig_check.marker import middle_level
 
-RUINOUS = 1e4
-"""Excess of a device that cannot be used: nothing else is known then."""
+DECISIVE_EXCESS = 1e4
+"""Excess of a finding from which everything else follows: ranks before any measured one."""
 
 REFUSED = re.compile(r"permission|not permitted|may not open|access (is )?denied|errno 13\b", re.IGNORECASE)
 """How systems and libraries say that a user may not open a device."""
 
-USABLE_SHARE = 0.67
-"""Share of a link's rate that carries pixels: USB 2 of 480 Mbit/s carries 40 MB/s."""
-
 SPEED = re.compile(r"([\d.]+) ([MG])bit/s")
 """The rate of a link as drivers state it."""
 
-WRITTEN = 6
-"""Frames that are written to measure the disk."""
 
-MAINS_HZ = (100.0, 120.0)
-"""Frequencies of light from mains of 50 and 60 Hz."""
+@dataclass(frozen=True)
+class DeviceCheckLimits:
+    """From when on links, disk and light are at fault."""
 
-MAINS_FRAMES = 16
-"""Frames of each exposure that tell the mains."""
+    usable_share: float = 0.67  # of a link's rate that carries pixels: USB 2 of 480 Mbit/s carries 40 MB/s
+    written: int = 6  # frames that are written to measure the disk; chosen
+    mains_hz: tuple[float, ...] = (100.0, 120.0)  # of light from mains of 50 and 60 Hz
+    frames: int = 16  # of each exposure by which flicker is measured; chosen
+    min_scatter: float = 0.015  # of the frames' brightness that is flicker; chosen
+    min_mains_scatter: float = 0.0075  # the same if whole periods reduce it, as nothing else does; chosen
+    max_calm_share: float = 0.4  # of the scatter left by whole periods; random light keeps all of it; chosen
 
-LEAST_SCATTER = 0.015
-"""Scatter of the frames' brightness that flicker has."""
 
-LEAST_MAINS = 0.0075
-"""Scatter that is told where whole periods of the light calm it: nothing else looks alike."""
-
-CALM_SHARE = 0.4
-"""What whole periods of the light leave of its scatter, at most; random light is as restless as before."""
+LIMITS = DeviceCheckLimits()
 
 
 def device_finding(error: DeviceError) -> Finding:
     """Say what a device's error means."""
-    seen = f"{error.device}: {error.operation}: {error.found} ({type(error).__name__})"
+    evidence = f"{error.device}: {error.operation}: {error.found} ({type(error).__name__})"
     if isinstance(error.__cause__, PermissionError) or REFUSED.search(error.found):
-        return Finding(NO_PERMISSION, seen, RUINOUS)
-    return Finding(DEVICE, seen, RUINOUS, error.remedy)
+        return Finding(NO_PERMISSION, evidence, DECISIVE_EXCESS)
+    return Finding(DEVICE, evidence, DECISIVE_EXCESS, error.remedy)
 
 
 def link_finding(info: DeviceInfo, frame_bytes: float, period_s: float) -> Finding | None:
@@ -72,15 +67,15 @@ def link_finding(info: DeviceInfo, frame_bytes: float, period_s: float) -> Findi
     stated = SPEED.search(info.link)
     if stated is None:
         return None
-    bytes_per_s = USABLE_SHARE * float(stated[1]) * {"M": 1e6, "G": 1e9}[stated[2]] / 8.0
-    carried, wanted = bytes_per_s / frame_bytes, 1.0 / period_s
-    if carried >= wanted:
+    bytes_per_s = LIMITS.usable_share * float(stated[1]) * {"M": 1e6, "G": 1e9}[stated[2]] / 8.0
+    carried_hz, wanted_hz = bytes_per_s / frame_bytes, 1.0 / period_s
+    if carried_hz >= wanted_hz:
         return None
-    words = (
-        f"the camera is connected by {info.link}, which carries {carried:.1f} frames of "
-        f"{frame_bytes / 1e6:.1f} MB per s; the plan takes {wanted:.1f} (at most {carried:.1f})"
+    evidence = (
+        f"the camera is connected by {info.link}, which carries {carried_hz:.1f} frames of "
+        f"{frame_bytes / 1e6:.1f} MB per s; the plan takes {wanted_hz:.1f} (at most {carried_hz:.1f})"
     )
-    return Finding(SLOW_LINK, words, wanted / carried)
+    return Finding(SLOW_LINK, evidence, wanted_hz / carried_hz)
 
 
 def disk_finding(
@@ -90,63 +85,66 @@ def disk_finding(
     # frame (height, width)
     if plan.trigger != "triggered":
         return None
-    count = min(WRITTEN, plan.images)
+    count = min(LIMITS.written, plan.images)
     ids = [name for _, _, name in plan.steps()]
     with TemporaryDirectory(prefix=".fpplab-check-", dir=folder) as place:
         session = Session.create(Path(place) / "disk", plan)
         began = time.perf_counter()
         for k in range(count):
             session.write(Frame(frame, k, settings, time.time(), pattern_id=ids[k]))
-        written = count / (time.perf_counter() - began)
-    wanted = 1.0 / period_s
-    if written >= wanted:
+        written_hz = count / (time.perf_counter() - began)
+    wanted_hz = 1.0 / period_s
+    if written_hz >= wanted_hz:
         return None
-    words = f"{folder} takes {written:.1f} frames per s; the plan takes {wanted:.1f} (at most {written:.1f})"
-    return Finding(SLOW_DISK, words, wanted / written)
+    evidence = (
+        f"{folder} takes {written_hz:.1f} frames per s; the plan takes {wanted_hz:.1f} "
+        f"(at most {written_hz:.1f})"
+    )
+    return Finding(SLOW_DISK, evidence, wanted_hz / written_hz)
 
 
 def mains_finding(rig: Rig, plan: Plan) -> Finding | None:
-    """Tell light at the mains' frequency from light that flickers at random: whole periods calm it."""
-    restless = _scatter(rig, plan, plan.exposure_s)
-    if restless is None or restless <= LEAST_MAINS:
+    """Look for light at the mains' frequency: unlike random flicker, exposures of whole periods reduce it."""
+    flicker = _scatter(rig, plan, plan.exposure_s)
+    if flicker is None or flicker <= LIMITS.min_mains_scatter:
         return None
-    calm: list[tuple[float, float, float]] = []
-    for hertz in MAINS_HZ:
+    by_exposure: list[tuple[float, float, float]] = []
+    for hertz in LIMITS.mains_hz:
         exposure_s = max(1, round(plan.exposure_s * hertz)) / hertz
         if (scatter := _scatter(rig, plan, exposure_s)) is not None:
-            calm.append((scatter, exposure_s, hertz))
-    scatter, exposure_s, hertz = min(calm, default=(math.inf, 0.0, 0.0))
-    if scatter > CALM_SHARE * restless:
+            by_exposure.append((scatter, exposure_s, hertz))
+    scatter, exposure_s, hertz = min(by_exposure, default=(math.inf, 0.0, 0.0))
+    if scatter > LIMITS.max_calm_share * flicker:
         return None
-    words = (
-        f"frames differ in brightness by {100 * restless:.1f} % RMS, and by {100 * scatter:.1f} % where "
+    evidence = (
+        f"frames differ in brightness by {100 * flicker:.1f} % RMS, and by {100 * scatter:.1f} % where "
         f"they are exposed for {1e3 * exposure_s:.4g} ms, whole periods of light of {hertz:g} Hz (at most "
-        f"{100 * LEAST_MAINS:g} %)"
+        f"{100 * LIMITS.min_mains_scatter:g} %)"
     )
     return Finding(
         MAINS_FLICKER,
-        words,
-        restless / LEAST_MAINS,
+        evidence,
+        flicker / LIMITS.min_mains_scatter,
         f"write `exposure_s: {exposure_s:.5g}` into the plan, or run the lamp from direct current",
     )
 
 
 def flickers(rig: Rig, plan: Plan) -> bool:
-    """Tell whether the light flickers, by frames that all show one grey level: no slip changes these."""
+    """Return whether the light flickers, by frames of one grey level, which no slip changes."""
     levels = _levels(rig, plan, plan.exposure_s)
     if levels is None:
         return False
     middle = float(np.median(levels))
-    return robust_spread(levels - middle, 0.0) > LEAST_SCATTER * middle
+    return robust_spread(levels - middle, 0.0) > LIMITS.min_scatter * middle
 
 
 def with_mains(findings: Sequence[Finding], mains: Finding | None) -> tuple[Finding, ...]:
     """Put the mains before the flicker that they cause."""
     if mains is None:
         return tuple(findings)
-    flickering = [one.excess for one in findings if one.cause in (FLICKER, BANDS)]
-    own = replace(mains, excess=max([1.01 * one for one in flickering], default=mains.excess))
-    return tuple(sorted([own, *findings], key=lambda one: -one.excess))
+    flickering = [finding.excess for finding in findings if finding.cause in (FLICKER, BANDS)]
+    first = replace(mains, excess=max([1.01 * excess for excess in flickering], default=mains.excess))
+    return tuple(sorted([first, *findings], key=lambda finding: -finding.excess))
 
 
 def _scatter(rig: Rig, plan: Plan, exposure_s: float) -> float | None:
@@ -156,8 +154,8 @@ def _scatter(rig: Rig, plan: Plan, exposure_s: float) -> float | None:
 
 
 def _levels(rig: Rig, plan: Plan, exposure_s: float) -> Floats | None:
-    """Mean levels (MAINS_FRAMES,) of frames of one grey level; None where they saturate or are not shown."""
-    patterns = uniform_patterns([middle_level()] * MAINS_FRAMES, rig.projector.caps.size)
+    """Mean levels (frames,) of frames of one grey level; None where they saturate or are not shown."""
+    patterns = uniform_patterns([middle_level()] * LIMITS.frames, rig.projector.caps.size)
     settings = rig.camera_settings(exposure_s, plan.bits)
     stepped = plan.model_copy(update={"trigger": "stepped"})
     top, levels = full_scale(settings.bits), []

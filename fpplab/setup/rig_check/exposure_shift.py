@@ -13,10 +13,17 @@ import numpy as np
 
 from fpplab.core.conventions import Floats
 
-MOST_MISFIT = 0.02
-"""RMS of what the mixture leaves, as a share of the levels' range, beyond which it does not explain them."""
-LEAST_SHARE, MOST_SHARE = 0.03, 0.9
-"""Share of a neighbour in a frame below which nothing is concluded, and beyond which it is a slip."""
+
+@dataclass(frozen=True)
+class ShiftLimits:
+    """From when on exposures are shifted; all chosen."""
+
+    max_misfit: float = 0.02  # RMS that the mixture leaves, as a share of the levels' range
+    min_share: float = 0.03  # of a neighbour in a frame
+    max_share: float = 0.9  # beyond which it is a slip
+
+
+LIMITS = ShiftLimits()
 
 
 @dataclass(frozen=True)
@@ -34,7 +41,7 @@ def exposure_shift(own: Floats, seen: Floats) -> ExposureShift | None:
         return None
     found = [(_mixture(own, seen, step), step) for step in (1, -1)]
     (misfit, share), step = min(found)
-    if misfit > MOST_MISFIT * np.ptp(own) or not LEAST_SHARE <= share <= MOST_SHARE:
+    if misfit > LIMITS.max_misfit * np.ptp(own) or not LIMITS.min_share <= share <= LIMITS.max_share:
         return None
     return ExposureShift(step > 0, share)
 

@@ -41,32 +41,36 @@ from fpplab.diagnosis.causes.projector_dark import PROJECTOR_DARK
 from fpplab.diagnosis.causes.saturated import SATURATED
 from fpplab.patterns.fringes import uniform_patterns
 from fpplab.patterns.plan import Plan
-from fpplab.setup.rig_check.devices import flickers
-from fpplab.setup.rig_check.exposure_shift import LEAST_SHARE, ExposureShift, exposure_shift
+from fpplab.setup.rig_check.devices import DECISIVE_EXCESS, flickers
+from fpplab.setup.rig_check.exposure_shift import LIMITS as SHIFT_LIMITS
+from fpplab.setup.rig_check.exposure_shift import ExposureShift, exposure_shift
 from fpplab.setup.rig_check.marker import marker
 
-LEAST_RISE = 0.05
-"""Share of full scale by which white must be brighter than black."""
-MAX_SATURATED_SHARE = 0.01
-"""Share of the illuminated pixels at full scale beyond which the exposure is too long."""
-MOST_DEPARTURE = 0.015
-"""Greatest RMS departure of the levels from a rising curve, as a share of their range, of frames in step."""
-APART_S = 0.1
-"""Further time in s between triggers beyond an exposure, in which every camera becomes ready."""
-GAPS_S = (0.0, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 0.01, 0.02, 0.05, 0.1)
-"""Further times in s between triggers that are tried for a camera that was not ready."""
-SAME_LEVEL = 0.1
-"""Range of levels of frames that all show darkness, as a share of that of the marker."""
-SETTLE_S = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
-"""Settling times that are tried, in s."""
-PIXELS = 20_000
-"""About how many pixels of a frame are evaluated."""
-RUINOUS = 1e4
-"""Excess of frames that are out of step: everything else follows from it."""
-UNCERTAIN = 1.0
+UNCERTAIN_EXCESS = 1.0
 """Excess of frames that look out of step where another cause may be behind it."""
 SLIPS = (OUT_OF_STEP, SLOW_DISPLAY, CAMERA_NOT_READY)
-"""What is told by levels that do not rise with the grey levels shown."""
+"""Causes that are concluded from levels that do not rise with the grey levels shown."""
+
+
+@dataclass(frozen=True)
+class MarkerLimits:
+    """From when on light and synchronisation are at fault."""
+
+    min_rise: float = 0.05  # by which white is brighter than black, as a share of full scale; chosen
+    max_saturated: float = 0.01  # share of the illuminated pixels at full scale; chosen
+    # RMS departure of levels in step from a rising curve, as a share of their range: any slip leaves 0.02 or
+    # more up to a gamma of 2.2.
+    max_departure: float = 0.015
+    # Further times in s between triggers that are tried for a camera that was not ready, and the one beyond
+    # an exposure in which every camera becomes ready; chosen.
+    gaps_s: tuple[float, ...] = (0.0, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 0.01, 0.02, 0.05, 0.1)
+    safe_gap_s: float = 0.1
+    max_dark_range: float = 0.1  # of levels that all show darkness, as a share of the marker's range; chosen
+    settle_s: tuple[float, ...] = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)  # tried in turn; chosen
+    pixels: int = 20_000  # of a frame that are evaluated, about; chosen
+
+
+LIMITS = MarkerLimits()
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,10 +100,10 @@ def matching_faults(shown: Sequence[int] | NDArray[np.int64], levels: Floats) ->
     """
     # shown (K,); levels (K,)
     greys, in_step = np.asarray(shown), list(range(len(shown)))
-    if _departure(greys, levels, in_step) <= MOST_DEPARTURE:
+    if _departure(greys, levels, in_step) <= LIMITS.max_departure:
         return ()
     rows = {f: f.shown(len(greys)) for f in faults(len(greys)) if f.cause is not Cause.SWAPPED}
-    fitting = [fault for fault, row in rows.items() if _departure(greys, levels, row) <= MOST_DEPARTURE]
+    fitting = [fault for fault, row in rows.items() if _departure(greys, levels, row) <= LIMITS.max_departure]
     explained = {f: sum(k is not None for k in np.array(rows[f])[np.isfinite(levels)]) for f in fitting}
     most = max(explained.values(), default=0)
     return tuple(fault for fault in fitting if explained[fault] == most) or None
@@ -118,7 +122,7 @@ def _departure(greys: NDArray[np.int64], levels: Floats, shown: Sequence[int | N
 
 
 class MarkerInspection:
-    """What the marker tells of an open rig: an error ends it, but what was found before is kept."""
+    """What the marker shows of an open rig; what was found before an error is kept."""
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
@@ -135,7 +139,7 @@ class MarkerInspection:
         self.runs.append(run := _run(rig, stepped, shown))
         progress(0.4)
         self.light = _of_light(run)
-        if run.rise < LEAST_RISE:
+        if run.rise < LIMITS.min_rise:
             return
         if (colour := _missing_colour(shown, run.levels)) is not None:
             self.light = [colour]
@@ -156,13 +160,16 @@ class MarkerInspection:
         self._doubt_slips(rig)
 
     def _doubt_slips(self, rig: Rig) -> None:
-        """Leave slips uncertain where all frames came but light flickers, which looks alike."""
-        whole = all(run.frames == len(run.levels) for run in self.runs)
-        if not whole or not any(one.cause in SLIPS for one in self.findings) or not flickers(rig, self._plan):
+        """Make slips uncertain if all frames came but the light flickers, which looks the same."""
+        is_complete = all(run.frames == len(run.levels) for run in self.runs)
+        if (
+            not is_complete
+            or not any(finding.cause in SLIPS for finding in self.findings)
+            or not flickers(rig, self._plan)
+        ):
             return
         self.findings, self._of_stepped = (
-            [replace(one, excess=UNCERTAIN) if one.cause in SLIPS else one for one in found]
-            for found in (self.findings, self._of_stepped)
+            [_as_uncertain(finding) for finding in findings] for findings in (self.findings, self._of_stepped)
         )
 
     @property
@@ -170,8 +177,8 @@ class MarkerInspection:
         """The plan as it is in step: triggered, or stepped and slowly enough; None where neither is."""
         if any(finding.cause == MISSING_COLOUR for finding in self.light):
             return None
-        known = [one for one in self._of_stepped if one.excess > UNCERTAIN]
-        if any(finding.cause == OUT_OF_STEP for finding in known):
+        certain = [finding for finding in self._of_stepped if finding.excess > UNCERTAIN_EXCESS]
+        if any(finding.cause == OUT_OF_STEP for finding in certain):
             return None
         is_triggered = self.runs[-1].how == "triggered" and self._of_stepped == self.findings
         how = self._plan.trigger if is_triggered else "stepped"
@@ -180,14 +187,14 @@ class MarkerInspection:
         )
 
     def _of_trigger(self, rig: Rig, plan: Plan, shown: NDArray[np.int64], run: MarkerRun) -> list[Finding]:
-        """Tell what is wrong with a triggered run, by a second one with more time between triggers."""
+        """Diagnose a triggered run by a second one with more time between triggers."""
         shift = None if self._of_stepped else exposure_shift(self.runs[0].levels, run.levels)
         if _is_in_step(shown, run):  # levels that mix a little with their neighbours rise all the same
             return [_shifted(shift, plan.exposure_s)] if shift else []
         if not run.frames:
             return [_no_pulse(len(shown))]
-        apart = _run(rig, plan, shown, plan.exposure_s + APART_S)
-        if _shows_darkness(apart, SAME_LEVEL * self.runs[0].rise):
+        apart = _run(rig, plan, shown, plan.exposure_s + LIMITS.safe_gap_s)
+        if _shows_darkness(apart, LIMITS.max_dark_range * self.runs[0].rise):
             return [_wrong_edge()]
         if shift is not None:
             return [_shifted(shift, plan.exposure_s)]
@@ -199,7 +206,9 @@ class MarkerInspection:
                     slipped, run, remedy(plan), happens_again=bool({*(slipped or ())} & {*(again or ())})
                 )
             ]
-        gap_s = next((s for s in GAPS_S if _is_in_step(shown, _run(rig, plan, shown, s))), APART_S)
+        gap_s = next(
+            (s for s in LIMITS.gaps_s if _is_in_step(shown, _run(rig, plan, shown, s))), LIMITS.safe_gap_s
+        )
         if gap_s == 0.0:
             return [_slipped(slipped, run, remedy(plan), "when it was repeated, all frames were in step")]
         timing = _timing(rig, plan, shown, gap_s)
@@ -207,26 +216,30 @@ class MarkerInspection:
         return [_not_ready(run, gap_s, dead_s)]
 
 
+def _as_uncertain(finding: Finding) -> Finding:
+    return replace(finding, excess=UNCERTAIN_EXCESS) if finding.cause in SLIPS else finding
+
+
 def _missing_colour(shown: NDArray[np.int64], levels: Floats) -> Finding | None:
     """A third of the frames darker than the curve by which the others rise with the grey levels."""
-    if not np.isfinite(levels).all() or _departure(shown, levels, range(len(shown))) <= MOST_DEPARTURE:
+    if not np.isfinite(levels).all() or _departure(shown, levels, range(len(shown))) <= LIMITS.max_departure:
         return None
     places = np.arange(len(shown))
     for colour in range(COLOURS):
         others = places % COLOURS != colour
-        if _departure(shown[others], levels[others], range(int(others.sum()))) > MOST_DEPARTURE:
+        if _departure(shown[others], levels[others], range(int(others.sum()))) > LIMITS.max_departure:
             continue
         order = np.argsort(shown[others])
         wanted = np.interp(shown, shown[others][order], levels[others][order])
         dark = float(levels.min())
         relative = (levels - dark + 0.1 * np.ptp(levels)) / (wanted - dark + 0.1 * np.ptp(levels))
         if (found := colour_finding(np.where(others, 1.0, relative), places)) is not None:
-            return replace(found, excess=RUINOUS)
+            return replace(found, excess=DECISIVE_EXCESS)
     return None
 
 
 def recover_camera(rig: Rig) -> None:
-    """Open a camera anew after a run whose frames did not all come."""
+    """Reopen a camera after a run in which frames were lost."""
     if rig.camera.state is State.FAULT:
         rig.camera.close()
         rig.camera.open()
@@ -241,7 +254,7 @@ def _run(rig: Rig, plan: Plan, shown: NDArray[np.int64], gap_s: float = 0.0) -> 
     with closing(expose(rig, patterns, settings, plan, gap_s)) as shots:
         try:
             for shot in shots:
-                every = max(1, math.isqrt(shot.image.size // PIXELS))
+                every = max(1, math.isqrt(shot.image.size // LIMITS.pixels))
                 samples.append(shot.image[::every, ::every] / full_scale(shot.settings.bits))
         except DeviceTimeoutError:
             if plan.trigger == "stepped":
@@ -258,7 +271,7 @@ def _run(rig: Rig, plan: Plan, shown: NDArray[np.int64], gap_s: float = 0.0) -> 
 
 def _settling(rig: Rig, plan: Plan, shown: NDArray[np.int64]) -> float | None:
     """The first settling time with which a stepped plan is in step, twice; None where none is."""
-    for settle_s in SETTLE_S:
+    for settle_s in LIMITS.settle_s:
         slower = plan.model_copy(update={"settle_s": settle_s})
         if settle_s > plan.settle_s and all(_is_in_step(shown, _run(rig, slower, shown)) for _ in range(2)):
             return settle_s
@@ -266,13 +279,13 @@ def _settling(rig: Rig, plan: Plan, shown: NDArray[np.int64]) -> float | None:
 
 
 def _of_light(run: MarkerRun) -> list[Finding]:
-    if run.saturated > MAX_SATURATED_SHARE:
+    if run.saturated > LIMITS.max_saturated:
         share = f"{100 * run.saturated:.2g} % of the illuminated pixels are at full scale"
-        return [Finding(SATURATED, share, run.saturated / MAX_SATURATED_SHARE)]
-    if run.rise < LEAST_RISE:
+        return [Finding(SATURATED, share, run.saturated / LIMITS.max_saturated)]
+    if run.rise < LIMITS.min_rise:
         seen = f"white is brighter than black by {100 * run.rise:.2g} % of full scale"
         advice = "check the lens caps, the projector's light, where both look, and the plan's exposure_s"
-        excess = LEAST_RISE / max(run.rise, 1e-4)
+        excess = LIMITS.min_rise / max(run.rise, 1e-4)
         return [Finding(PROJECTOR_DARK, seen, excess, advice), light_elsewhere(excess)]
     return []
 
@@ -281,11 +294,13 @@ def _of_display(
     slipped: tuple[SyncFault, ...] | None, settle_s: float, needed: float | None, recurs: bool
 ) -> Finding:
     """Frames of a stepped run out of step. A slip that does not recur may be light that flickers."""
-    excess = RUINOUS if recurs else UNCERTAIN
+    excess = DECISIVE_EXCESS if recurs else UNCERTAIN_EXCESS
     if needed is not None:
         seen = f"with settle_s {settle_s:g} s {_words(slipped)}"
         return Finding(SLOW_DISPLAY, seen, excess, f"put `settle_s: {needed:g}` into the plan")
-    advice = f"no settle_s up to {SETTLE_S[-1]:g} s helps: make sure that nothing else drives the projector"
+    advice = (
+        f"no settle_s up to {LIMITS.settle_s[-1]:g} s helps: make sure that nothing else drives the projector"
+    )
     return Finding(OUT_OF_STEP, f"stepped: {_words(slipped)}", excess, advice)
 
 
@@ -293,9 +308,9 @@ def _is_in_step(shown: NDArray[np.int64], run: MarkerRun) -> bool:
     return run.frames == len(shown) and matching_faults(shown, run.levels) == ()
 
 
-def _shows_darkness(run: MarkerRun, least: float) -> bool:
-    """Whether frames, most of which came, are all alike but the last, behind which nothing is shown."""
-    return run.frames > len(run.levels) // 2 and float(np.ptp(run.levels[: run.frames][:-1])) < least
+def _shows_darkness(run: MarkerRun, max_range: float) -> bool:
+    """Whether most frames came and all but the last show the same level: after the last nothing is shown."""
+    return run.frames > len(run.levels) // 2 and float(np.ptp(run.levels[: run.frames][:-1])) < max_range
 
 
 def _timing(rig: Rig, plan: Plan, shown: NDArray[np.int64], gap_s: float) -> PulseTiming:
@@ -311,24 +326,24 @@ def _slipped(
     more: str = "",
     happens_again: bool = False,
 ) -> Finding:
-    """Frames out of step. A slip that is seen once may be light that flickers, which the fringes tell."""
+    """Frames out of step. A slip that occurs once may be flickering light, which the fringes show."""
     lost = len(run.levels) - run.frames
     words = ["the last triggers did not expose a frame"] if slipped == () else [_words(slipped)]
     if lost:
         words.append(f"{lost} of {len(run.levels)} frames did not come")
     if more:
         words.append(more)
-    excess = RUINOUS if happens_again or lost else UNCERTAIN
+    excess = DECISIVE_EXCESS if happens_again or lost else UNCERTAIN_EXCESS
     return Finding(OUT_OF_STEP, f"triggered: {'; '.join(words)}", excess, advice)
 
 
 def _no_pulse(count: int) -> Finding:
-    return Finding(NO_TRIGGER, f"none of {count} frames came", RUINOUS)
+    return Finding(NO_TRIGGER, f"none of {count} frames came", DECISIVE_EXCESS)
 
 
 def _wrong_edge() -> Finding:
     seen = "with darkness between the patterns, the frames show the darkness"
-    return Finding(TRIGGER_EDGE, seen, RUINOUS)
+    return Finding(TRIGGER_EDGE, seen, DECISIVE_EXCESS)
 
 
 def _shifted(shift: ExposureShift, exposure_s: float) -> Finding:
@@ -337,7 +352,7 @@ def _shifted(shift: ExposureShift, exposure_s: float) -> Finding:
         f"{100 * shift.share:.0f} % of each exposure show the {neighbour} pattern: exposures begin about "
         f"{1e3 * shift.share * exposure_s:.3g} ms too {how}"
     )
-    return Finding(TRIGGER_SHIFTED, seen, shift.share / LEAST_SHARE)
+    return Finding(TRIGGER_SHIFTED, seen, shift.share / SHIFT_LIMITS.min_share)
 
 
 def _not_ready(run: MarkerRun, gap_s: float, dead_s: float) -> Finding:
@@ -346,7 +361,7 @@ def _not_ready(run: MarkerRun, gap_s: float, dead_s: float) -> Finding:
         CAMERA_NOT_READY,
         f"{run.frames} of {len(run.levels)} frames came; with {1e3 * gap_s:g} ms more between triggers all "
         "come",
-        RUINOUS if run.frames < len(run.levels) else UNCERTAIN,
+        DECISIVE_EXCESS if run.frames < len(run.levels) else UNCERTAIN_EXCESS,
         f"put `dead_time_s: {dead_s:g}` into the rig file's section of the camera",
     )
 

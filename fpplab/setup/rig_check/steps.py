@@ -24,29 +24,31 @@ from fpplab.patterns.fringes import Pattern, make_patterns, uniform_patterns
 from fpplab.patterns.plan import Plan
 from fpplab.setup.rig_check.devices import device_finding
 from fpplab.setup.rig_check.marker import marker
-from fpplab.setup.rig_check.marker_check import LEAST_RISE, MAX_SATURATED_SHARE, recover_camera
+from fpplab.setup.rig_check.marker_check import LIMITS as MARKER_LIMITS
+from fpplab.setup.rig_check.marker_check import recover_camera
 
-STEPS = 7
-"""How many steps there are at most."""
-PULSES = 10
-"""Patterns of a run of several pulses."""
-APART_S = 0.1
-"""Further time in s between pulses in which every camera becomes ready."""
-SWEEP_S = (0.05, 0.02, 0.01, 0.005, 0.002, 0.001, 5e-4, 0.0)
-"""Further times in s between pulses that are tried, the last one as the plan would have it; then less."""
-LEVELS = (0.3, 0.95)
-"""Brightness of a white pattern, as shares of full scale, between which an exposure is good."""
-GOOD_LEVEL = 0.8
-"""Brightness to aim at."""
-LEAST_CONTRAST = 0.3
-"""Contrast of the finest fringes below which the lenses are out of focus."""
 LOST_PULSES = (
-    "see to the plugs of the trigger cable and to the voltage at the camera's input: the camera had time "
-    "enough for each pulse"
+    "check the plugs of the trigger cable and the voltage at the camera's input: the camera had enough time "
+    "for each pulse"
 )
 """What to do where some pulses come, far apart, and others do not."""
-SAMPLE = 40_000
-"""About how many pixels of a frame are kept."""
+
+
+@dataclass(frozen=True)
+class StepCheckLimits:
+    """How the steps are done, and when one passes; all chosen."""
+
+    pulses: int = 10  # of a run of several
+    safe_gap_s: float = 0.1  # further time between pulses in which every camera becomes ready
+    gaps_s: tuple[float, ...] = (0.05, 0.02, 0.01, 0.005, 0.002, 0.001, 5e-4, 0.0)  # tried in turn, then less
+    min_level: float = 0.3  # brightness of white as a share of full scale
+    max_level: float = 0.95
+    good_level: float = 0.8  # to aim at
+    min_contrast: float = 0.3  # of the finest fringes; below, the lenses are out of focus
+    pixels: int = 40_000  # of a frame that are kept, about
+
+
+LIMITS = StepCheckLimits()
 
 
 @dataclass(frozen=True)
@@ -61,7 +63,7 @@ class CheckedStep:
 
 
 class _Steps:
-    """The steps on an open rig, and what they keep for those after them."""
+    """The steps on an open rig, and what later ones need of earlier ones."""
 
     def __init__(self, rig: Rig, plan: Plan) -> None:
         self._rig, self._plan = rig, plan
@@ -82,27 +84,29 @@ class _Steps:
         self._white, self._change = white, white - black
         rise = float(np.quantile(self._change, 0.95))
         seen = f"white is brighter than black by {100 * rise:.3g} % of full scale"
-        ok = rise >= LEAST_RISE
-        remedy = "" if ok else f"{PROJECTOR_DARK.remedy}; at least {100 * LEAST_RISE:g} %"
-        return CheckedStep("lamp", ok, seen, remedy, {"rise": rise})
+        ok = rise >= MARKER_LIMITS.min_rise
+        remedy = f"{PROJECTOR_DARK.remedy}; at least {100 * MARKER_LIMITS.min_rise:g} %"
+        return CheckedStep("lamp", ok, seen, "" if ok else remedy, {"rise": rise})
 
     def one_pulse(self) -> CheckedStep:
         return self._pulses("one pulse", [255])
 
     def ten_pulses(self) -> CheckedStep:
-        return self._pulses("ten pulses", marker().tolist()[:PULSES])
+        return self._pulses("ten pulses", marker().tolist()[: LIMITS.pulses])
 
     def rate(self) -> CheckedStep:
-        """Pulses nearer and nearer, until frames are lost or they follow each other at once."""
-        patterns = self._uniform([255] * PULSES)  # one image: none has to be read from flash meanwhile
+        """Shorten the time between pulses until frames are lost or none is left."""
+        # One image: none has to be read from flash meanwhile.
+        patterns = self._uniform([255] * LIMITS.pulses)
         planned = self._timing(patterns)
         less_s = planned.light_s + planned.dark_s - planned.period_s
-        fastest_s, lost = APART_S + planned.period_s, "and none was lost at all"  # as ten pulses have shown
-        for gap_s in (*SWEEP_S, less_s / 2, less_s):
+        fastest_s = LIMITS.safe_gap_s + planned.period_s  # as ten pulses have shown
+        lost = "and none was lost at all"
+        for gap_s in (*LIMITS.gaps_s, less_s / 2, less_s):
             period_s = self._timing(patterns, gap_s).period_s
             came = len(self._taken(patterns, "triggered", gap_s))
-            if came < PULSES:
-                lost = f"{came} of {PULSES} at {1e3 * period_s:.6g} ms"
+            if came < LIMITS.pulses:
+                lost = f"{came} of {LIMITS.pulses} at {1e3 * period_s:.6g} ms"
                 break
             fastest_s = period_s
         ok = fastest_s <= planned.period_s
@@ -120,10 +124,10 @@ class _Steps:
             f"white is at {100 * level:.3g} % of full scale, {100 * saturated:.2g} % of its pixels are full"
         )
         values = {"level": level, "saturated": saturated}
-        if saturated > MAX_SATURATED_SHARE or level > LEVELS[1]:
+        if saturated > MARKER_LIMITS.max_saturated or level > LIMITS.max_level:
             return CheckedStep("exposure", False, seen, SATURATED.remedy, values)
-        if level < LEVELS[0]:
-            advice = f"{UNDEREXPOSED.remedy}; by the factor {GOOD_LEVEL / level:.2g}"
+        if level < LIMITS.min_level:
+            advice = f"{UNDEREXPOSED.remedy}; by the factor {LIMITS.good_level / level:.2g}"
             return CheckedStep("exposure", False, seen, advice, values)
         return CheckedStep("exposure", True, seen, "", values)
 
@@ -137,13 +141,13 @@ class _Steps:
         # Of shifts by equal steps the standard deviation is the amplitude over the root of 2.
         half = self._change[lit] / 2
         contrast = float(np.median(np.sqrt(2.0) * np.std(frames, axis=0)[lit] / half))
-        ok = contrast >= LEAST_CONTRAST
+        ok = contrast >= LIMITS.min_contrast
         seen = f"the finest fringes, {finest.stripes:g} stripes, have a contrast of {contrast:.2g}"
-        remedy = f"focus both lenses; at least {LEAST_CONTRAST:g}"
+        remedy = f"focus both lenses; at least {LIMITS.min_contrast:g}"
         return CheckedStep("focus", ok, seen, "" if ok else remedy, {"contrast": contrast})
 
     def _pulses(self, name: str, greys: Sequence[int]) -> CheckedStep:
-        came = len(self._taken(self._uniform(greys), "triggered", APART_S))
+        came = len(self._taken(self._uniform(greys), "triggered", LIMITS.safe_gap_s))
         seen = f"{came} of {len(greys)} frames came"
         ok = came == len(greys)
         remedy = NO_TRIGGER.remedy if not came else LOST_PULSES
@@ -171,7 +175,7 @@ class _Steps:
         lost = (DeviceTimeoutError, FrameLossError) if trigger == "triggered" else ()
         with closing(expose(rig, patterns, settings, plan, gap_s)) as shots, suppress(*lost):
             for shot in shots:
-                every = max(1, math.isqrt(shot.image.size // SAMPLE))
+                every = max(1, math.isqrt(shot.image.size // LIMITS.pixels))
                 frames.append(shot.image[::every, ::every] / full_scale(shot.settings.bits))
         return np.array(frames)
 
@@ -195,7 +199,7 @@ def check_steps(
             found = CheckedStep(name, False, finding.evidence, finding.remedy)
         done.append(found)
         tell(found)
-        progress(len(done) / STEPS)
+        progress(len(done) / 7)  # steps at most
         return found.ok
 
     with ExitStack() as stack:

@@ -11,7 +11,7 @@ import pytest
 from fpplab.core.conventions import Lattice
 from fpplab.devices import CameraCaps, CameraSettings, ProjectorCaps
 from fpplab.setup.live.exposure import (
-    TARGET,
+    GOALS,
     ExposureLimits,
     LightLevels,
     advise_exposure,
@@ -31,10 +31,10 @@ def settings(exposure_s: float, gain_db: float = 0.0) -> CameraSettings:
 def test_light_is_proportional_to_exposure_and_gain() -> None:
     advice = advise_exposure(LightLevels(0.22, 0.0), settings(0.01), WIDE)
     assert (advice.exposure_s, advice.gain_db) == (pytest.approx(0.04), 0.0)
-    assert advice.peak == pytest.approx(TARGET)
+    assert advice.peak == pytest.approx(GOALS.peak)
     assert not advice.is_right
     # Gain is given back first: 12 dB are a factor of 3.98.
-    advice = advise_exposure(LightLevels(TARGET, 0.0), settings(0.01, 12.0), WIDE)
+    advice = advise_exposure(LightLevels(GOALS.peak, 0.0), settings(0.01, 12.0), WIDE)
     assert (advice.exposure_s, advice.gain_db) == (pytest.approx(0.01 * 10**0.6), 0.0)
 
 
@@ -42,8 +42,8 @@ def test_light_is_proportional_to_exposure_and_gain() -> None:
 def test_the_black_level_does_not_grow_with_the_exposure(peak: float) -> None:
     advice = advise_exposure(LightLevels(peak, 0.0, black=0.02), settings(0.01), WIDE)
     grown = 0.02 + (peak - 0.02) * advice.exposure_s / 0.01
-    assert grown == pytest.approx(TARGET)
-    assert advice.peak == pytest.approx(TARGET)
+    assert grown == pytest.approx(GOALS.peak)
+    assert advice.peak == pytest.approx(GOALS.peak)
 
 
 @pytest.mark.parametrize("peak", [0.05, 0.3, 0.44, 0.6, 0.95])
@@ -54,8 +54,8 @@ def test_exposures_are_whole_bit_plane_periods_and_gain_does_the_rest(peak: floa
     assert periods == pytest.approx(round(periods), abs=1e-9)
     assert periods >= 1
     light = advice.exposure_s * 10 ** (advice.gain_db / 20)
-    assert light == pytest.approx(3 / 60 * TARGET / peak, rel=0.011)
-    assert advice.peak == pytest.approx(TARGET, rel=0.011)
+    assert light == pytest.approx(3 / 60 * GOALS.peak / peak, rel=0.011)
+    assert advice.peak == pytest.approx(GOALS.peak, rel=0.011)
     assert not advice.limits
 
 
@@ -137,7 +137,7 @@ def test_the_advice_leads_to_the_right_peak(exposure_s: float, tmp_path: Path) -
     assert last.levels is not None
     assert last.view is View.MEASURE
     # At 2 ms the peak is 23 of 255 levels, whose rounding is 2 % of it.
-    assert last.levels.peak == pytest.approx(TARGET, abs=0.02)
+    assert last.levels.peak == pytest.approx(GOALS.peak, abs=0.02)
     assert last.levels.black == pytest.approx(
         0.01, abs=0.004
     )  # the world's camera; it does not grow with light

@@ -13,7 +13,7 @@ from fpplab.devices import Frame
 from fpplab.devices.rig import Rig
 from fpplab.devices.rig_lock import watching_rig
 from fpplab.patterns.fringes import Pattern
-from fpplab.setup.live.focus import ALIKE_SHARE, FocusMeasure, FocusTracker, camera_sharpness
+from fpplab.setup.live.focus import AT_BEST_SHARE, FocusMeasure, FocusTracker, camera_sharpness
 from fpplab.setup.live.loop import LiveOptions, SetUp
 from fpplab.setup.live.orders import Order
 from fpplab.setup.live.regions import REGIONS
@@ -123,7 +123,7 @@ def test_the_cameras_best_is_at_its_true_focus(tmp_path: Path) -> None:
     best = setup.status.camera_focus
     assert best.best_whole == pytest.approx(found[446.0])
     assert best.share is not None
-    assert best.share < ALIKE_SHARE
+    assert best.share < AT_BEST_SHARE
     # It rises to the focus and falls beyond it.
     values = list(found.values())
     assert values[:6] == sorted(values[:6])

@@ -77,7 +77,7 @@ def test_the_mains_are_named_by_how_much_whole_periods_calm_them(monkeypatch: py
     """Of a lamp at 100 Hz, an exposure sees the mean over its time: a ripple times sin(πfT)/πfT."""
 
     def levels(_rig: object, _plan: Plan, exposure_s: float) -> Floats:
-        starts = 2 * np.pi * np.arange(devices.MAINS_FRAMES) / devices.MAINS_FRAMES
+        starts = 2 * np.pi * np.arange(devices.LIMITS.frames) / devices.LIMITS.frames
         return np.asarray(1e4 * exposure_s * (1 + 0.3 * np.sinc(100.0 * exposure_s) * np.cos(starts)))
 
     monkeypatch.setattr(devices, "_levels", levels)
@@ -87,7 +87,7 @@ def test_the_mains_are_named_by_how_much_whole_periods_calm_them(monkeypatch: py
     assert found.cause == MAINS_FLICKER
     assert "`exposure_s: 0.01`" in found.remedy
     restless = 0.3 * abs(np.sinc(1.3)) / np.sqrt(2.0)
-    assert found.excess == pytest.approx(restless / devices.LEAST_MAINS, rel=0.05)
+    assert found.excess == pytest.approx(restless / devices.LIMITS.min_mains_scatter, rel=0.05)
 
 
 def test_random_light_is_as_restless_with_whole_periods(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fpplab.devices.rig import Rig
-from fpplab.setup.rig_check.steps import LEVELS, _Steps
+from fpplab.setup.rig_check.steps import LIMITS, _Steps
 from tests.support.recorded import PLAN
 
 
@@ -19,4 +19,4 @@ def test_the_level_is_of_pixels_at_least_half_as_bright_as_the_brightest(grey: f
     steps._change = steps._white
     found = steps.exposure()
     assert found.values["level"] == pytest.approx(level)
-    assert found.ok == (LEVELS[0] <= level <= LEVELS[1])
+    assert found.ok == (LIMITS.min_level <= level <= LIMITS.max_level)
