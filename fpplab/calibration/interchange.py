@@ -248,7 +248,7 @@ def _number(entry: _Entry) -> float:
 
 
 def _size(
-    entries: _Entries, device: str, told: tuple[int, int] | None, option: str, source: str
+    entries: _Entries, device: str, stated: tuple[int, int] | None, option: str, source: str
 ) -> tuple[int, int]:
     """Look up the size in px in the files, or take the given one where they have none."""
     size, width, height = (entries.get(f"{what}{device}") for what in ("size", "width", "height"))
@@ -259,34 +259,34 @@ def _size(
             raise ConfigError(f"{where} has {pair.size} numbers; expected {expected}")
     elif width is not None and height is not None:
         pair, where = np.array([_number(width), _number(height)]), width.where
-    elif told is not None:
-        return told
+    elif stated is not None:
+        return stated
     else:
         raise ConfigError(f"{source}: does not say the size in px; add {option} WIDTH HEIGHT")
     if not np.array_equal(pair, np.rint(pair)):
         raise ConfigError(f"{where} is {pair[0]:g} x {pair[1]:g}; expected whole px")
     found = int(pair[0]), int(pair[1])
-    if told is not None and told != found:
+    if stated is not None and stated != found:
         raise ConfigError(
-            f"{where} says {found[0]} x {found[1]} px but {option} {told[0]} {told[1]}; leave one out"
+            f"{where} says {found[0]} x {found[1]} px but {option} {stated[0]} {stated[1]}; leave one out"
         )
     return found
 
 
-def _lattice(entries: _Entries, told: Lattice | None, source: str) -> Lattice:
+def _lattice(entries: _Entries, stated: Lattice | None, source: str) -> Lattice:
     entry = entries.get("lattice2")
     if entry is None:
-        if told is None:
+        if stated is None:
             raise ConfigError(
                 f"{source}: does not say how the projector's mirrors lie; add --lattice "
                 f"{' or --lattice '.join(Lattice)}"
             )
-        return told
+        return stated
     if entry.value not in tuple(Lattice):
         raise ConfigError(f"{entry.where} is {entry.value!r}; expected {' or '.join(Lattice)}")
     found = Lattice(entry.value)
-    if told is not None and told is not found:
-        raise ConfigError(f"{entry.where} says {found} but --lattice {told}; leave the option out")
+    if stated is not None and stated is not found:
+        raise ConfigError(f"{entry.where} says {found} but --lattice {stated}; leave the option out")
     return found
 
 

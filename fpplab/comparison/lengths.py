@@ -2,8 +2,8 @@
 
 Every feature is fitted by robust least squares (Huber) to the points on it, those well inside its outline.
 Standard uncertainties follow from the residuals by the sandwich estimator, with cells of a face as what
-varies independently, since neighbouring points err alike. They say how well the cloud determines the length;
-what the calibration contributes shows in the deviation itself.
+varies independently, since errors of neighbouring points correlate. They say how well the cloud determines
+the length; what the calibration contributes shows in the deviation itself.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class LengthLimits:
     min_points: int = 50
     """Number of points on a feature. Chosen."""
     cells_per_face: int = 6
-    """Cells along a face, within which points err alike. Chosen."""
+    """Cells along a face, within which errors correlate. Chosen."""
     fit_rounds: int = 20
     """Iterations of a robust fit. Chosen."""
     min_cap_cosine: float = 0.5

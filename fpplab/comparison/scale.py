@@ -5,10 +5,10 @@ one that is not, wherever the surface is parallel to the error: a plate moves wi
 the rigid alignment a similarity is fitted, by the same point-to-plane error, and its scale is stated beside
 the distances.
 
-The standard uncertainty follows from the residuals. Neighbouring points err alike, because of fringe ripple
-and distortion, so the points are grouped into cells of space, and the cells are taken as independent (the
-sandwich estimator for clusters). It says how well this cloud determines its scale, not how well the
-instrument keeps it.
+The standard uncertainty follows from the residuals. Errors of neighbouring points correlate, because of
+fringe ripple and distortion, so the points are grouped into cells of space, and the cells are taken as
+independent (the sandwich estimator for clusters). It says how well this cloud determines its scale, not how
+well the instrument keeps it.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class ScaleLimits:
     converged_scale: float = 1e-9
     """Change of the scale at which the fit has converged. Chosen: a thousandth of a ppm."""
     cells_across: int = 12
-    """Cells of space across the diagonal of the mesh's bounding box, within which points err alike.
+    """Cells of space across the diagonal of the mesh's bounding box, within which errors correlate.
     Chosen."""
     min_cells: int = 15
     """Cells with points, for an uncertainty of the seven parameters. Chosen: about two for each."""

@@ -26,7 +26,7 @@ _log = logging.getLogger(__name__)
 MAX_TEXT_BYTES = 8_000_000
 """Greatest size of a text file."""
 MAX_FAULTS = 5
-"""So many faults of a file are told at once."""
+"""Faults of a file that one message reports. Chosen."""
 
 
 class Document(BaseModel):

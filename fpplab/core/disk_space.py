@@ -1,4 +1,4 @@
-"""Space on the disk: what work needs of it, is told before any of it is written."""
+"""Disk space: what a command needs is checked and reported before it writes anything."""
 
 from __future__ import annotations
 

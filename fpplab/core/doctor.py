@@ -10,12 +10,12 @@ import tempfile
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass
-from importlib import metadata
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Literal
 
 from fpplab.core.extras import EXTRAS
+from fpplab.core.host import package_version, required_packages
 from fpplab.core.system import BLENDER, USB, cache_directory, missing
 from fpplab.core.units import readable_bytes
 from fpplab.core.version import __version__
@@ -55,17 +55,15 @@ class DoctorFinding:
 def installed_versions() -> dict[str, str]:
     """List the versions of fpplab, of Python, and of all packages that fpplab asks for."""
     versions = {"fpplab": __version__, "python": platform.python_version(), "platform": platform.platform()}
-    for name, _ in _required():
-        try:
-            versions[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            continue
+    for name, _ in required_packages():
+        if version := package_version(name):
+            versions[name] = version
     return versions
 
 
 def check_packages() -> list[DoctorFinding]:
     """Look for the packages that fpplab always needs, and for those of each extra."""
-    lacking = [name for name, extra in _required() if not extra and not _has(name)]
+    lacking = [name for name, extra in required_packages() if not extra and not package_version(name)]
     remedy = "install fpplab again: pip install --force-reinstall fpplab"
     found = [
         DoctorFinding("packages", "wrong", f"without {', '.join(lacking)}", remedy)
@@ -154,26 +152,3 @@ def disk_speed_finding(folder: Path, speed: float) -> DoctorFinding:
     if speed < LIMITS.min_bytes_per_s:
         return DoctorFinding("disk", "wrong", seen, "measure onto a faster disk, or frames may be lost")
     return DoctorFinding("disk", "ok", seen)
-
-
-def _required() -> list[tuple[str, str]]:
-    """Packages that fpplab asks for, each with its extra; empty where it is always needed."""
-    try:
-        lines = metadata.requires("fpplab") or []
-    except metadata.PackageNotFoundError:
-        return []
-    found: dict[str, str] = {}
-    for line in lines:
-        name = re.split(r"[^\w.-]", line, maxsplit=1)[0]
-        extra = re.search(r"""extra == ['"]([\w-]+)['"]""", line)
-        if name != "fpplab" and not (extra and extra.group(1) == "dev"):
-            found.setdefault(name, extra.group(1) if extra else "")
-    return list(found.items())
-
-
-def _has(distribution: str) -> bool:
-    try:
-        metadata.version(distribution)
-    except metadata.PackageNotFoundError:
-        return False
-    return True

@@ -138,7 +138,7 @@ def sweep_file_drafts(path: Path) -> None:
     The draft that another process writes is locked, and stays.
     """
     draft = re.compile(rf"\.{re.escape(path.name)}\.[a-z0-9_]{{8}}")
-    with suppress(OSError):  # whether the place can be written is told by writing
+    with suppress(OSError):  # whether the folder can be written shows when writing
         for name in [name for name in os.listdir(path.parent) if draft.fullmatch(name)]:
             _remove_unlocked(path.with_name(name))
 

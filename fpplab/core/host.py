@@ -19,22 +19,33 @@ def host_facts() -> dict[str, Any]:
         "platform": platform.platform(),
         "host": platform.node(),
         "cores": os.cpu_count(),
-        "packages": _packages(),
+        "packages": {
+            name: package_version(name) or "missing" for name, extra in required_packages() if not extra
+        },
     }
 
 
-def _packages() -> dict[str, str]:
-    """Versions of the packages that fpplab requires; none where it runs without being installed."""
+def required_packages() -> list[tuple[str, str]]:
+    """List the packages that fpplab asks for, each with its extra; empty where it is always needed.
+
+    None where it runs without being installed.
+    """
     try:
-        required = metadata.requires("fpplab") or []
+        lines = metadata.requires("fpplab") or []
     except metadata.PackageNotFoundError:
-        return {}
-    found = {}
-    for line in required:
+        return []
+    extras: dict[str, str] = {}
+    for line in lines:
         name = re.split(r"[^\w.-]", line, maxsplit=1)[0]
-        if "extra ==" not in line:
-            try:
-                found[name] = metadata.version(name)
-            except metadata.PackageNotFoundError:
-                found[name] = "missing"
-    return found
+        extra = re.search(r"""extra == ['"]([\w-]+)['"]""", line)
+        if name != "fpplab" and not (extra and extra.group(1) == "dev"):
+            extras.setdefault(name, extra.group(1) if extra else "")
+    return list(extras.items())
+
+
+def package_version(distribution: str) -> str | None:
+    """Look up the version of an installed package."""
+    try:
+        return metadata.version(distribution)
+    except metadata.PackageNotFoundError:
+        return None

@@ -1,4 +1,4 @@
-"""Robust least squares (Huber) and its uncertainty where neighbouring points err alike."""
+"""Robust least squares (Huber) and its uncertainty where errors of neighbouring points correlate."""
 
 from __future__ import annotations
 

@@ -108,15 +108,15 @@ def _neighbours(found: SearchResult) -> Iterator[Finding]:
         and (distance := _distance(parameters, trial.point, best.point)) >= LIMITS.min_neighbour_distance
     }
     nearest = sorted(away, key=lambda trial: away[trial])[: 2 * len(parameters)]
-    alike = []
+    indistinct = []
     for trial in nearest:
         by, sigma = _difference(trial, best)
         if by <= LIMITS.significance * sigma:
-            alike.append((trial, by, sigma))
-    if alike:
-        trial, by, sigma = alike[0]
+            indistinct.append((trial, by, sigma))
+    if indistinct:
+        trial, by, sigma = indistinct[0]
         words = (
-            f"{len(alike)} of {len(nearest)} neighbours cannot be told from it; "
+            f"{len(indistinct)} of {len(nearest)} neighbours cannot be distinguished from it; "
             f"{_differing(parameters, trial.point, best.point)} is worse by {by:.2f} ± {sigma:.2g} µm"
         )
         yield Finding(FLAT_OPTIMUM, words, 1.0)

@@ -92,7 +92,7 @@ def test_an_optimum_in_noise_cannot_be_told_from_its_neighbours(tmp_path: Path) 
     assert found.verdict is not Verdict.GOOD
     assert "flat_optimum" in causes(found)
     flat = next(one for one in found.findings if one.cause.key == "flat_optimum")
-    assert "neighbours cannot be told from it; stripes[2]" in flat.evidence
+    assert "neighbours cannot be distinguished from it; stripes[2]" in flat.evidence
 
 
 def test_an_early_end_is_doubtful(tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ PILLAR_CORNERS = 64
 
 @dataclass(frozen=True)
 class Pillars(Artefact):
-    """Round pillars on a plate, one in the middle of each cell of a grid, no two of them alike."""
+    """Round pillars on a plate, one in the middle of each cell of a grid, no two of the same size."""
 
     order: ClassVar[int] = 20
 

@@ -70,7 +70,7 @@ def verify_ball_bar(cloud: Cloud, standard: Standard, source: str) -> BallBarTes
     radius = sum(bar.diameters_mm) / 4
     centres = find_spheres(points, normals_of(cloud), radius, 2, source)
     fits = [_fit(points, cloud, centre, radius, standard, source) for centre in centres]
-    # The spheres can only be told apart by size.
+    # Nothing but their size distinguishes the spheres.
     by_size = sorted(fits, key=lambda fit: fit[0].radius)
     order = sorted((0, 1), key=lambda i: bar.diameters_mm[i])
     tests = {
