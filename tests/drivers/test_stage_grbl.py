@@ -153,7 +153,7 @@ def test_a_move_that_takes_too_long_is_braked_and_reported() -> None:
     with Bench(BRISK, times=4.0) as bench:
         stage = bench.homed()
         with pytest.raises(DeviceTimeoutError, match=r"still at .* mm on its way to 100 mm"):
-            stage.move_to(100.0, timeout_s=0.2)
+            stage.move_to(100.0, timeout_s=0.1)
         assert stage.state is State.FAULT
         stage.close()
         assert bench.controller.drive.motion is None
