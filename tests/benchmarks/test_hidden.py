@@ -48,7 +48,7 @@ def board_pixels(light: Light, world: World) -> tuple[Setup, np.ndarray[tuple[in
     return setup, light.irradiance(setup, Show(white(world), 0)) > 0.2
 
 
-@pytest.mark.whole
+@pytest.mark.nightly
 def test_without_effects_the_light_is_the_worlds(world: World, blender: Blender, plain: Light) -> None:
     hidden = HiddenLight(world, blender, Effects(SEED))
     show = Show(white(world), 0)

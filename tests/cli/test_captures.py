@@ -75,7 +75,7 @@ def test_a_board_taken_as_flat(fpplab: Command, calibration: tuple[Path, dict]) 
     assert done.json["camera"]["rms_px"] > 3 * calibration[1]["camera"]["rms_px"], "the board is not flat"
 
 
-@pytest.mark.whole
+@pytest.mark.nightly
 def test_a_pose_left_out_is_measured_as_the_board(calibration: tuple[Path, dict]) -> None:  # type: ignore[type-arg]
     """The board's points of each pose, triangulated by devices that never saw it, on the board's shape."""
     sessions, target = recorded_sessions([calibration[0].parent / "board"]), Target.load("target_slstudio")

@@ -36,7 +36,7 @@ def test_the_cloud_is_that_of_the_virtual_bench(fpplab: Command, demo: Demo, tmp
         assert (emulated.path / "cloud.ply").read_bytes() == (simulated.path / "cloud.ply").read_bytes()
 
 
-@pytest.mark.whole
+@pytest.mark.nightly
 def test_a_missed_trigger_leaves_no_cloud(fpplab: Command, demo: Demo, tmp_path: Path) -> None:
     rig = find_config("rig_emulated_quick.yaml").read_text(encoding="utf-8")
     (tmp_path / "rig.yaml").write_text(

@@ -123,7 +123,7 @@ def test_the_gain_is_confirmed_within_its_uncertainty(searched: tuple[Path, dict
     assert abs(confirmed["gain"] - answer["gain"]["down_percent"] / 100) < 6 * confirmed["uncertainty"] + 0.01
 
 
-@pytest.mark.whole
+@pytest.mark.nightly
 @pytest.mark.parametrize("rig", ["rig_demo_quick", "rig_emulated_quick"])
 def test_the_plan_found_runs_unchanged(
     rig: str, fpplab: Command, demo: Demo, searched: tuple[Path, dict[str, Any], bytes], tmp_path: Path
@@ -138,7 +138,7 @@ def test_the_plan_found_runs_unchanged(
     assert done.json["images"] == answer["images"]
 
 
-@pytest.mark.whole
+@pytest.mark.nightly
 def test_a_bench_is_searched_by_measuring_on_it(fpplab: Command, demo: Demo, tmp_path: Path) -> None:
     """The real drivers, by one process: that is what instruments serve."""
     words = [

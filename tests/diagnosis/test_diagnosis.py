@@ -199,7 +199,7 @@ def test_frames_alone_tell_what_is_wrong_with_them() -> None:
     assert diagnose_frames(Bench().recording()) == ()
 
 
-@pytest.mark.whole
+@pytest.mark.nightly
 @pytest.mark.parametrize("white", [1.2, 2.0, 4.0, 8.0])
 def test_the_advised_exposure_is_reached_in_two_steps(white: float) -> None:
     """However far too bright: one step is coarse where all images are saturated, the second is right."""

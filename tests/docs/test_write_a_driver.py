@@ -114,7 +114,7 @@ def test_a_dark_picture_is_told_with_its_exposure(tmp_path: Path) -> None:
     )
 
 
-@pytest.mark.whole
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("good", "bad", "noticed_by"),
     [

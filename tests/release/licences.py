@@ -12,7 +12,7 @@ PAGE = ROOT / "docs" / "licences.md"
 ROW = re.compile(r"^\|(?: ([a-z]+))? \| (?!package)([\w-]+) \| ([\w ]+) \|.*\|$", re.MULTILINE)
 IN_THE_CORE = {"Apache", "BSD", "MIT", "MPL", "PSF"}
 """What an installation without extras may contain."""
-SPELLINGS = {"PSF": "python software foundation"}
+SPELLINGS = {"PSF": ("python software foundation", "psf-2.0")}
 """What packages call some licences."""
 SAY_NOTHING = {"embreex"}
 """Packages whose own words are the licence's text alone."""
@@ -56,6 +56,7 @@ def complaints() -> list[str]:
             words = declared(package)
         except metadata.PackageNotFoundError:
             continue
-        if package not in SAY_NOTHING and SPELLINGS.get(licence, licence).lower() not in words:
+        spellings = SPELLINGS.get(licence, (licence.lower(),))
+        if package not in SAY_NOTHING and not any(spelling in words for spelling in spellings):
             found.append(f"{package}: the page says {licence}, the package {words[:80]!r}")
     return found

@@ -307,7 +307,7 @@ def operate(folder: Path, archive: Path, rig: Path, python_path: str, *parts: st
     return told
 
 
-@pytest.mark.whole
+@pytest.mark.nightly
 def test_pictures_of_the_demonstration_are_the_twins(
     tmp_path: Path, archive: Path, small_rig: Path, python_path: str
 ) -> None:
@@ -330,7 +330,7 @@ def test_pictures_of_the_demonstration_are_the_twins(
             assert np.abs(picture[..., 0] - twins).max() <= 1
 
 
-@pytest.mark.whole
+@pytest.mark.nightly
 def test_scan_and_its_errors_come_back_into_the_scene(
     tmp_path: Path, archive: Path, small_rig: Path, python_path: str
 ) -> None:
@@ -354,7 +354,7 @@ def test_scan_and_its_errors_come_back_into_the_scene(
     assert np.abs(255 * np.load(tmp_path / "third.npy") - twins).max() <= 1  # the cloud is not in it
 
 
-@pytest.mark.whole
+@pytest.mark.nightly
 def test_twin_is_fitted_and_shown(tmp_path: Path, archive: Path, small_rig: Path, python_path: str) -> None:
     data = config.parse_yaml(config.find_config("rig_twin").read_text(), "rig_twin")
     data["bench"] |= {"binning": 8, "analytic": True, "world": "world_twin.yaml"}

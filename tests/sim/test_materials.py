@@ -251,7 +251,7 @@ def walked(reflectance: float, at_radii: Floats, walks: int = 40000) -> Floats:
     return np.array([weights[where < d].sum() / weights.sum() for d in at_radii])
 
 
-@pytest.mark.whole
+@pytest.mark.nightly
 def test_light_leaves_a_translucent_body_beside_where_it_entered(blender: Blender) -> None:
     """An edge of light is as soft, in mean free paths, as a walk of photons makes it, at any path length.
 

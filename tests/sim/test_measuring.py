@@ -67,7 +67,7 @@ def measured(folder: Path, *asked: tuple[Candidate, int]) -> list[tuple[Score, .
         evaluator.close()
 
 
-@pytest.mark.whole
+@pytest.mark.nightly
 def test_score_does_not_depend_on_evaluator_or_order(folder: Path) -> None:
     coarse, fine = candidate(1, 8, 32, stage_mm=0.0), candidate(1, 8, 64, stage_mm=0.0)
     moved = candidate(1, 8, 64, steps=6, stage_mm=10.0)
@@ -82,7 +82,7 @@ def test_score_does_not_depend_on_evaluator_or_order(folder: Path) -> None:
     assert all(scores[0].wrong_orders == 0.0 and scores[0].completeness > 0.9 for scores in one)
 
 
-@pytest.mark.whole
+@pytest.mark.nightly
 def test_guided_orders_follow_the_depth_range_of_the_plan(folder: Path) -> None:
     """Two near-equal sets of three images each, without a set of one stripe."""
     few = candidate(140, 152, steps=3, stage_mm=0.0)
@@ -121,7 +121,7 @@ def test_score_agrees_with_a_scan_and_its_comparison(folder: Path, tmp_path: Pat
     assert score.points == pytest.approx(wanted.points, rel=0.01)
 
 
-@pytest.mark.whole
+@pytest.mark.nightly
 def test_artefact_of_unknown_pose_is_located(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As on a real rig, where an operator places it."""
     asked = candidate(1, 8, 64, stage_mm=0.0), 1

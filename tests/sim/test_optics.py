@@ -218,7 +218,7 @@ def test_defocused_fringes_fade_and_invert_as_a_disc_makes_them(blender: Blender
         assert expected[2] < -0.1, "beyond its first zero a disc inverts"
 
 
-@pytest.mark.whole
+@pytest.mark.nightly
 @pytest.mark.parametrize(("axis", "stripes"), [("x", 80), ("y", 80)])
 def test_defocus_follows_the_depth_across_a_tilted_card(blender: Blender, axis: Any, stripes: int) -> None:
     """Both sides of focus in one picture, in both directions of the diamond lattice, by both paths."""
@@ -251,7 +251,7 @@ def test_defocus_follows_the_depth_across_a_tilted_card(blender: Blender, axis: 
     assert np.sqrt(np.mean(difference**2)) < 0.005
 
 
-@pytest.mark.whole
+@pytest.mark.nightly
 def test_paths_agree_on_defocus_across_pillars(blender: Blender) -> None:
     pictures = []
     for path in ("transport", "reference", "linear"):

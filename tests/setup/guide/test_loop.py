@@ -44,7 +44,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[GuidedRun, list[str],
     return *guided(folder, settings, FAULTS), folder
 
 
-@pytest.mark.whole
+@pytest.mark.nightly
 def test_bad_poses_are_rejected_with_their_cause_and_the_loop_goes_on(
     run: tuple[GuidedRun, list[str], Path],
 ) -> None:

@@ -126,7 +126,7 @@ def test_board_mask_is_the_projected_outline_less_the_edge_margin() -> None:
         assert (u.mean(), v.mean()) == pytest.approx((230, 150), abs=0.6)
 
 
-@pytest.mark.whole
+@pytest.mark.nightly
 def test_refinement_by_images_finds_the_geometry(truth: TwinParameters, reference: Reference) -> None:
     # The start is off by a tenth of a pixel; light and everything else is true.
     start = moved(truth, 0.04, 0.01)
