@@ -37,7 +37,7 @@ from fpplab.viewer.viewer import Viewer
 
 @dataclass(frozen=True)
 class LiveRequest:
-    """What `set_up_live` is to show.
+    """What `run_live` is to show.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ class LiveResult:
         }
 
 
-def set_up_live(
+def run_live(
     request: LiveRequest,
     log: Callable[[str], object] = ignore,
     show_status: Callable[[LiveStatus], object] = ignore,

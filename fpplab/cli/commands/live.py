@@ -87,7 +87,7 @@ def live_command(
 
     Example: `fpplab live --rig rig_demo --item board --target target_paper --poses poses`
     """
-    from fpplab.workflows.live import LiveRequest, set_up_live
+    from fpplab.workflows.live import LiveRequest, run_live
 
     request = LiveRequest(
         rig=rig,
@@ -105,7 +105,7 @@ def live_command(
         force=force,
     )
     try:
-        result = set_up_live(request, console.log_status, _StatusLine())
+        result = run_live(request, console.log_status, _StatusLine())
     finally:
         _clear_line()
     summary = result.summary()
