@@ -230,7 +230,7 @@ def test_a_step_is_ended_when_the_time_is_over(
     assert [epoch.step for epoch in record] == ["start", "points"], "the step of light was given up"
     assert first.matched.epochs == tuple(record)
     assert first.diagnosis.verdict is Verdict.DOUBTFUL
-    assert "ended_early" in [one.cause for one in first.diagnosis.findings]
+    assert "ended_early" in [one.cause.key for one in first.diagnosis.findings]
     told = [one for one in words if one.startswith("epoch 2, light: loss over the board ")]
     left = [float(one.rsplit(", ", 1)[1].split()[0]) for one in told]
     assert len(left) > 5
@@ -246,7 +246,7 @@ def test_verdicts_on_a_matching(matching: Matching) -> None:
     """The same matching with one figure changed has one finding more."""
     found = matching.outcome
     assert found.diagnosis.verdict is Verdict.DOUBTFUL
-    assert [one.cause for one in found.diagnosis.findings] == ["ended_early"]
+    assert [one.cause.key for one in found.diagnosis.findings] == ["ended_early"]
     assert found.summary()["findings"][0]["remedy"].startswith("name another --out")
     whole = replace(found, matched=replace(found.matched, ended="converged"))
     assert diagnose_matching(whole).verdict is Verdict.GOOD
@@ -255,9 +255,9 @@ def test_verdicts_on_a_matching(matching: Matching) -> None:
         return replace(whole, matched=replace(whole.matched, **changes))
 
     blurred = diagnose_matching(with_changed(unexplained=12.0))
-    assert (blurred.verdict, blurred.findings[0].cause) == (Verdict.DOUBTFUL, "unlike_images")
+    assert (blurred.verdict, blurred.findings[0].cause.key) == (Verdict.DOUBTFUL, "unlike_images")
     unlike = diagnose_matching(with_changed(unexplained=60.0))
-    assert (unlike.verdict, unlike.findings[0].cause) == (Verdict.USELESS, "unlike_images")
+    assert (unlike.verdict, unlike.findings[0].cause.key) == (Verdict.USELESS, "unlike_images")
     worse = replace(whole, final=found.before, before=found.final)
     assert diagnose_matching(worse).verdict is Verdict.USELESS
     assert diagnose_matching(worse).findings[0].cause.key == "no_gain"
@@ -269,11 +269,11 @@ def test_verdicts_on_a_matching(matching: Matching) -> None:
     assert accepted.notes == ("lens_not_locked accepted: pose_02: its edges are softer",)
     assert whole.notes == ()
     at_border = with_changed(parameters=replace(whole.matched.parameters, f_number=64.0))
-    assert [one.cause for one in diagnose_matching(at_border).findings] == ["at_border"]
+    assert [one.cause.key for one in diagnose_matching(at_border).findings] == ["at_border"]
     final = whole.final
     loss = replace(final.loss, epsilon_v=final.loss.epsilon_v + 0.3)
     apart = diagnose_matching(replace(whole, final=replace(final, loss=loss)))
-    assert "points_misfit" in [one.cause for one in apart.findings]
+    assert "points_misfit" in [one.cause.key for one in apart.findings]
 
 
 def test_report_of_a_matching(matching: Matching, tmp_path: Path) -> None:
