@@ -15,10 +15,8 @@ from numpy.typing import NDArray
 
 from fpplab.core.conventions import TWO_PI, Floats
 from fpplab.patterns.plan import Plan
+from fpplab.phase.limits import ORDERS
 from fpplab.phase.unwrapping import WavelengthSequence
-
-FARTHEST = 9.0
-"""Shifts of so many times the least χ² are left out: where they matter, the nearest one masks the pixel."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +50,7 @@ def alternatives_of(plan: Plan, sequence: WavelengthSequence) -> Alternatives:
     separations = np.sum(whitened**2, axis=1)
     near = separations[multiples <= 0.5 * sequence.width * stripes[-1]]
     least = float(near.min(initial=np.inf))
-    kept = _likeliest(turns, whitened) & (separations <= FARTHEST * least)
+    kept = _likeliest(turns, whitened) & (separations <= ORDERS.max_separation_ratio * least)
     causes = (
         np.array(sequence.sets)[np.argmax(whitened**2, axis=1)] if len(multiples) else np.empty(0, np.int64)
     )

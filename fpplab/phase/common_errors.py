@@ -25,22 +25,10 @@ import numpy as np
 from fpplab.core.conventions import Floats
 from fpplab.patterns.fringe_sets import FringeSet
 from fpplab.patterns.phase_error import harmonic_phase_error, harmonics
+from fpplab.phase.limits import COMMON_ERRORS, NOISE
 
 HARMONICS = (2, 3, 4, 5)
 """Harmonics of the response that are looked for."""
-
-LEAST_PIXELS = 100
-"""Fewest pixels that errors are estimated from."""
-
-_GAIN, _HARMONIC, _OFFSET = 0.01, 0.1, 10.0
-_LEAST_VARIANCE = 1e-3
-_LEAST_THIRD = -0.0168
-_OUTLIER = 9.0
-_FEWEST_STRIPES = 4.0
-_SIGNIFICANT = -math.log(0.001)
-_PASSES = 2
-_HIGHEST = 64
-_PIXELS = 2000
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +54,7 @@ class CommonErrors:
 
 
 @dataclass(frozen=True, eq=False)
-class Group:
+class FringeGroup:
     """Images of the same P pixels that are fitted together: one set, or all sets where each has three.
 
     An image is a linear combination of R features of its pixel: the offset A and, for each of S sets, the
@@ -116,7 +104,7 @@ class Group:
         wave[images, column + 1] = np.sin(k * self.shift)
         return wave
 
-    def rest(self, rows: Floats, found: Found) -> Floats:
+    def rest(self, rows: Floats, found: HarmonicsFit) -> Floats:
         """Take the common errors from the images."""
         # rows (F, N); returns (F, P)
         common = found.gains[:, None] * self.fringe + np.tensordot(found.harmonics, self.waves, 1)
@@ -125,7 +113,7 @@ class Group:
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class HarmonicsFit:
     """What least squares found in a group."""
 
     harmonics: Floats  # shares c_k of `HARMONICS`
@@ -137,15 +125,15 @@ class Found:
 
 def groups_of(
     samples: Sequence[Floats], fringes: Sequence[FringeSet], modulation_min: float = 0.0
-) -> list[Group]:
-    """Group fringe sets by what shows their errors."""
+) -> list[FringeGroup]:
+    """FringeGroup fringe sets by what shows their errors."""
     # samples (N, P)
     fitted = [fit_sinusoids(*one) for one in zip(samples, fringes, strict=True)]
     long = [k for k, fringe in enumerate(fringes) if fringe.images > 3]
     used = long or range(len(fringes))
     least = np.min([np.hypot(fitted[k][1], fitted[k][2]) for k in used], axis=0)
     strong = np.flatnonzero(least >= modulation_min)
-    if len(strong) < LEAST_PIXELS or (not long and len(fringes) < 2):
+    if len(strong) < NOISE.min_pixels or (not long and len(fringes) < 2):
         return []
     parts = [_set_group(k, samples[k][:, strong], fitted[k][:, strong], fringes[k]) for k in used]
     if long:
@@ -158,13 +146,13 @@ def groups_of(
     features = np.concatenate([offset[None], *(part.features[1:] for part in parts)])
     images = np.concatenate([part.images for part in parts])
     shift = np.concatenate([part.shift for part in parts])
-    return [Group(tuple(used), images, features, shift, seen=between, quiet=between)]
+    return [FringeGroup(tuple(used), images, features, shift, seen=between, quiet=between)]
 
 
 def show_common_errors(fringes: Sequence[FringeSet]) -> bool:
     """Tell whether images of these fringe sets show common errors, given enough pixels."""
     return any(one.images > 3 for one in fringes) or (
-        len(fringes) > 1 and any(one.stripes >= _FEWEST_STRIPES for one in fringes)
+        len(fringes) > 1 and any(one.stripes >= COMMON_ERRORS.min_stripes for one in fringes)
     )
 
 
@@ -182,7 +170,7 @@ def fringe_levels(fitted: Floats, shift: Floats) -> tuple[Floats, Floats]:
     return levels, np.outer(np.sin(shift), cosine) - np.outer(np.cos(shift), sine)
 
 
-def _set_group(index: int, sample: Floats, fitted: Floats, fringe: FringeSet) -> Group:
+def _set_group(index: int, sample: Floats, fitted: Floats, fringe: FringeSet) -> FringeGroup:
     shift, (offset, c, s) = fringe.phase_shifts(), fitted
     wave = c + 1j * s
     phasor = wave / np.maximum(np.abs(wave), 1e-12)
@@ -193,7 +181,7 @@ def _set_group(index: int, sample: Floats, fitted: Floats, fringe: FringeSet) ->
         wave *= phasor
     # Optics lessen harmonics differently where the picture is less sharp.
     highest = min(max((len(shift) - 3) // 2, 1), 3)
-    return Group(
+    return FringeGroup(
         (index,), sample, features, shift, _rows(beyond_fringe(shift)), _rows(beyond_fringe(shift, highest))
     )
 
@@ -222,15 +210,16 @@ def _product(few: Floats, many: Floats) -> Floats:
     return np.asarray(np.einsum("mn,np->mp", few, many))
 
 
-def fit_group(group: Group) -> Found:
+def fit_group(group: FringeGroup) -> HarmonicsFit:
     """Fit gains and harmonics of a group by least squares, without pixels that noise does not explain."""
-    every = slice(None, None, -(-group.images.shape[1] // (_PIXELS * len(group.members) ** 2)))
+    wanted = COMMON_ERRORS.sample_pixels * len(group.members) ** 2
+    every = slice(None, None, math.ceil(group.images.shape[1] / wanted))
     group = replace(group, images=group.images[:, every], features=group.features[:, every])
     terms = np.concatenate([group.features, group.images, np.ones((1, group.images.shape[1]))])
     power = np.square(_product(group.seen, group.images)).sum(axis=0)
-    for _ in range(_PASSES):
-        kept = power <= _OUTLIER * max(float(np.median(power)), 1e-12)
-        variance = max(float(power[kept].mean()) / group.freedom, _LEAST_VARIANCE)
+    for _ in range(COMMON_ERRORS.fit_passes):
+        kept = power <= COMMON_ERRORS.outlier_ratio * max(float(np.median(power)), 1e-12)
+        variance = max(float(power[kept].mean()) / group.freedom, COMMON_ERRORS.min_variance)
         chosen = terms[:, kept]
         normal, right, prior = _equations(group, np.einsum("ap,bp->ab", chosen, chosen))
         # Not by `inv`, whose threads spin as well.
@@ -241,7 +230,7 @@ def fit_group(group: Group) -> Found:
     return found
 
 
-def _equations(group: Group, sums: Floats) -> tuple[Floats, Floats, Floats]:
+def _equations(group: FringeGroup, sums: Floats) -> tuple[Floats, Floats, Floats]:
     """Normal equations of harmonics, gains and offsets of sets, and how great each of these may be.
 
     `sums` are those over pixels of the products of features, images and 1, (R + N + 1, R + N + 1).
@@ -272,12 +261,13 @@ def _equations(group: Group, sums: Floats) -> tuple[Floats, Floats, Floats]:
         ]
     )
     sizes = len(bent), len(fringe), len(group.members)
-    return normal, right, np.repeat([_HARMONIC, _GAIN, _OFFSET], sizes)
+    priors = COMMON_ERRORS.harmonic_prior, COMMON_ERRORS.gain_prior, COMMON_ERRORS.offset_prior_grey
+    return normal, right, np.repeat(priors, sizes)
 
 
-def _found(group: Group, best: Floats, covariance: Floats) -> Found:
+def _found(group: FringeGroup, best: Floats, covariance: Floats) -> HarmonicsFit:
     lamp = slice(len(HARMONICS), len(HARMONICS) + len(group.images))
-    return Found(
+    return HarmonicsFit(
         best[: lamp.start],
         np.sqrt(np.diag(covariance)[: lamp.start]),
         best[lamp],
@@ -286,7 +276,7 @@ def _found(group: Group, best: Floats, covariance: Floats) -> Found:
     )
 
 
-def noise_power(group: Group, found: Found) -> tuple[Floats, int]:
+def noise_power(group: FringeGroup, found: HarmonicsFit) -> tuple[Floats, int]:
     """Measure what noise alone leaves in each pixel.
 
     Of sets of seven images and more, harmonics 2 and 3 are left out pixel by pixel too.
@@ -296,7 +286,10 @@ def noise_power(group: Group, found: Found) -> tuple[Floats, int]:
 
 
 def errors_of_sets(
-    groups: Sequence[Group], found: Sequence[Found], fringes: Sequence[FringeSet], known: Floats | None
+    groups: Sequence[FringeGroup],
+    found: Sequence[HarmonicsFit],
+    fringes: Sequence[FringeSet],
+    known: Floats | None,
 ) -> list[CommonErrors]:
     """Tell the common errors of every set, also of those whose own images do not show them.
 
@@ -322,7 +315,7 @@ def errors_of_sets(
 
 
 def _gain_sums(
-    group: Group, found: Found, fringes: Sequence[FringeSet]
+    group: FringeGroup, found: HarmonicsFit, fringes: Sequence[FringeSet]
 ) -> Iterator[tuple[int, tuple[float, float]]]:
     """`|Σ ε_n exp(iδ_n)|` and `|Σ ε_n exp(2iδ_n)|` of each set, less what noise makes of them.
 
@@ -331,25 +324,25 @@ def _gain_sums(
     """
     size = len(group.images) // len(group.members)
     for place, k in enumerate(group.members):
-        if len(group.members) > 1 and fringes[k].stripes < _FEWEST_STRIPES:
+        if len(group.members) > 1 and fringes[k].stripes < COMMON_ERRORS.min_stripes:
             continue
         own = slice(place * size, (place + 1) * size)
         turns = np.exp(1j * np.outer([1, 2], fringes[k].phase_shifts()))
         power = np.abs((turns * found.gains[own]).sum(axis=1)) ** 2
         noise = np.einsum("km,mn,kn->k", turns, found.covariance[own, own], turns.conj()).real
-        first, second = np.sqrt(np.where(power > _SIGNIFICANT * noise, power - noise, 0.0))
+        first, second = np.sqrt(np.where(power > COMMON_ERRORS.gain_significance * noise, power - noise, 0.0))
         yield k, (float(first), float(second))
 
 
 def _power_law_harmonics(g: float) -> Floats:
     """Harmonics relative to the fringe; NaN where g is."""
     if np.isnan(g):
-        return np.full(_HIGHEST + 1, np.nan)
-    amplitudes = harmonics(g, _HIGHEST)
+        return np.full(COMMON_ERRORS.highest_harmonic + 1, np.nan)
+    amplitudes = harmonics(g, COMMON_ERRORS.highest_harmonic)
     return np.asarray(amplitudes / amplitudes[1])
 
 
-def _exponent(group: Group, found: Found) -> tuple[float, float]:
+def _exponent(group: FringeGroup, found: HarmonicsFit) -> tuple[float, float]:
     """The exponent of the response and its uncertainty among groups, from the harmonic that shows it best.
 
     Harmonics of a power law are `c_2 = (g - 1)/(g + 2)` and `c_3 = c_2 (g - 2)/(g + 3)` of the fringe.
@@ -358,7 +351,7 @@ def _exponent(group: Group, found: Found) -> tuple[float, float]:
         c, u = found.harmonics[0], found.uncertainty[0]
         return float((1.0 + 2.0 * c) / (1.0 - c)), float(3.0 * u / (1.0 - c) ** 2)
     # Offsets show the third only, which is greatest at g = 1.47 and does not tell what lies beyond.
-    c = max(found.harmonics[1], _LEAST_THIRD)
+    c = max(found.harmonics[1], COMMON_ERRORS.min_third_harmonic)
     half = 3.0 + 5.0 * c
     root = np.sqrt(max(half**2 - 8.0 * (1.0 - c) * (1.0 - 3.0 * c), 0.0))
     return float((half - root) / (2.0 * (1.0 - c))), 1.0  # of the only group: it is weighed against none

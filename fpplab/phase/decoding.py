@@ -24,13 +24,14 @@ from fpplab.phase.decoded import Decoded
 from fpplab.phase.demodulation import AxisPhases, axis_phases
 from fpplab.phase.error_model import ErrorModel, error_model_of
 from fpplab.phase.kernels import decode_pixels
-from fpplab.phase.order_vote import DOUBTFUL, vote_orders
+from fpplab.phase.limits import ORDERS
+from fpplab.phase.order_vote import vote_orders
 from fpplab.phase.outside import outside_share
 from fpplab.phase.precision import coordinate_spread
 from fpplab.phase.recipe import recipe_of
 from fpplab.phase.reference import fuse, unwrap
 from fpplab.phase.tables import Maps, Recipe
-from fpplab.phase.unwrapping import EDGE_MARGIN_PX, WavelengthSequence, wavelength_sequence
+from fpplab.phase.unwrapping import WavelengthSequence, wavelength_sequence
 
 _BLOCK = 1 << 18
 
@@ -154,9 +155,9 @@ def _repair(
     assert vote is not None
     coordinate = decoded.coordinate(sequence.axis)
     length = axis_length(recording.projector_size, sequence.axis)
-    pixels = np.flatnonzero(np.isfinite(coordinate.ravel()) & (doubt > DOUBTFUL))
+    pixels = np.flatnonzero(np.isfinite(coordinate.ravel()) & (doubt > ORDERS.doubtful_share))
     seen = _phases_at(recording, sequence, errors, pixels)
-    sigma, edge_margin = seen.position_sigma[-1], EDGE_MARGIN_PX / length
+    sigma, edge_margin = seen.position_sigma[-1], ORDERS.edge_margin_px / length
     interval = interval_of(bounds, sequence.axis, length, pixels)
     found = unwrap(seen.phases, sequence, sigma, edge_margin, interval=interval)
     other = unwrap(seen.phases, sequence, sigma, edge_margin, found.second_best_order, interval)

@@ -13,8 +13,7 @@ from fpplab.core.errors import DataError
 from fpplab.patterns.fringe_sets import FringeSet
 from fpplab.patterns.recording import Recording
 from fpplab.phase.error_model import ErrorModel
-from fpplab.phase.fusion import ROUNDING_TURNS
-from fpplab.phase.saturation import LEAST_SAMPLES, MOST_LOSS
+from fpplab.phase.limits import NOISE, ORDERS
 from fpplab.phase.unwrapping import (
     WavelengthSequence,
 )
@@ -82,12 +81,12 @@ def _fit_unsaturated(
         pixel, values = tuple(at), levels[(slice(None), *at)]
         used = values < saturation
         own = basis[used]
-        if len(own) < LEAST_SAMPLES or np.linalg.matrix_rank(own) < 3:
+        if len(own) < NOISE.min_samples or np.linalg.matrix_rank(own) < 3:
             continue
         fitted = np.linalg.lstsq(own, values[used], rcond=None)[0]
         along = np.array([0.0, -fitted[2], fitted[1]]) / max(np.hypot(fitted[1], fitted[2]), 1e-30)
         variance = len(shift) / 2.0 * along @ np.linalg.inv(own.T @ own) @ along
-        if variance > MOST_LOSS:
+        if variance > NOISE.max_saturation_loss:
             continue
         mean[pixel], c[pixel], s[pixel] = fitted
         rest = np.mean((values[used] - own @ fitted) ** 2)
@@ -123,7 +122,7 @@ def axis_phases(recording: Recording, sequence: WavelengthSequence, errors: Erro
         modulation = np.maximum(one.modulation.astype(np.float64) * recording.grey, 1e-30)
         per_level = fringe.phase_noise**2 * one.loss / modulation**2
         repeated = errors.noise.repeated(level)
-        own = per_level * (errors.noise.variance(level) - repeated) / TWO_PI**2 + ROUNDING_TURNS**2
+        own = per_level * (errors.noise.variance(level) - repeated) / TWO_PI**2 + ORDERS.rounding_turns**2
         common = per_level * repeated + errors.sets[k].variance(level / modulation)
         noises.append(own / fringe.stripes**2)
         # Where nothing tells the common errors, noise alone counts.

@@ -18,20 +18,16 @@ from fpplab.core.conventions import Floats, Image, Mask, full_scale, raw_per_gre
 from fpplab.patterns.fringe_sets import FringeSet
 from fpplab.patterns.recording import Recording
 from fpplab.phase.common_errors import (
-    LEAST_PIXELS,
     CommonErrors,
-    Found,
-    Group,
+    FringeGroup,
+    HarmonicsFit,
     errors_of_sets,
     fit_group,
     groups_of,
     noise_power,
 )
+from fpplab.phase.limits import NOISE
 from fpplab.phase.noise import QUANTISATION, NoiseModel, fit_line, level_step
-from fpplab.phase.saturation import LEAST_SAMPLES
-
-_SAMPLE_ROWS, _SAMPLE_PIXELS = 32, 16_000
-_VALUES = 32_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,8 +55,8 @@ def error_model_of(recording: Recording) -> ErrorModel:
 def _sample(recording: Recording) -> list[Image]:
     """A sparse sample of pixels of each set, (N, P): whole cache lines of a few rows."""
     height, width = recording.frames[0].shape
-    rows = max(1, height // _SAMPLE_ROWS)
-    columns = max(1, height // rows * width // _SAMPLE_PIXELS)
+    rows = max(1, height // NOISE.sample_rows)
+    columns = max(1, height // rows * width // NOISE.sample_pixels)
     picked = np.stack([f[rows // 2 :: rows, ::columns].ravel() for f in recording.frames])
     return [picked[a:b] for a, b in pairwise(recording.plan.set_starts)]
 
@@ -83,7 +79,7 @@ def fit_errors(
     saturation = math.floor(full_scale(bits) - step) + 1
     usable = np.flatnonzero(_usable(samples, saturation))
     freedom = sum(fringe.images - 3 for fringe in fringes) or len(fringes) - 1
-    usable = usable[:: max(1, len(usable) * freedom // _VALUES)]
+    usable = usable[:: max(1, len(usable) * freedom // NOISE.max_values)]
     levels = [grey * sample[:, usable].astype(np.float64) for sample in samples]
     groups = groups_of(levels, fringes, modulation_min)
     found = [fit_group(group) for group in groups]
@@ -98,10 +94,10 @@ def _usable(samples: Sequence[Image], saturation: int) -> Mask:
     lowest = np.min([s.min(axis=0) for s in samples], axis=0)
     bright: Mask = np.max([s.max(axis=0) for s in samples], axis=0) < saturation
     both: Mask = bright & (lowest > 0)
-    return both if both.sum() >= LEAST_PIXELS else bright
+    return both if both.sum() >= NOISE.min_pixels else bright
 
 
-def _noise(groups: Sequence[Group], found: Sequence[Found], step: float) -> NoiseModel:
+def _noise(groups: Sequence[FringeGroup], found: Sequence[HarmonicsFit], step: float) -> NoiseModel:
     """The line through the variances of the pixels, of all their images together."""
     parts = [noise_power(group, one) for group, one in zip(groups, found, strict=True)]
     if not parts:
@@ -128,12 +124,12 @@ def _noise_beside_saturation(
         normal = np.einsum("np,ni,nj->pij", weight, waves, waves)
         fitted = np.linalg.pinv(normal) @ np.einsum("np,ni->pi", weight * values, waves)[:, :, None]
         rest = weight * (values - np.einsum("ni,pi->np", waves, fitted[:, :, 0]))
-        enough = used.sum(axis=0) > LEAST_SAMPLES
+        enough = used.sum(axis=0) > NOISE.min_samples
         power += np.where(enough, (rest**2).sum(axis=0), 0.0)
-        freedom += np.where(enough, used.sum(axis=0) - LEAST_SAMPLES, 0)
+        freedom += np.where(enough, used.sum(axis=0) - NOISE.min_samples, 0)
         level += (weight * values).sum(axis=0) / np.maximum(used.sum(axis=0), 1) / len(fringes)
     told = freedom > 0
-    if told.sum() < LEAST_PIXELS:
+    if told.sum() < NOISE.min_pixels:
         return None
     typical = round(float(np.median(freedom[told])))
     return fit_line(level[told], power[told] / freedom[told], max(typical, 1), step * grey)

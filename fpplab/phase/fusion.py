@@ -15,19 +15,14 @@ import numpy as np
 from numba import njit
 
 from fpplab.phase.chunks import ROW, compiled
-from fpplab.phase.noise import LEAST_SPREAD, QUANTISATION, repeated_rounding
-
-AGREEING_SIGMAS = 4.0
-"""How many standard deviations of their difference a set may lie from the finest one to take part."""
-
-ROUNDING_TURNS = 3e-6
-"""Standard deviation of a phase in turns that rounding to float32 leaves, in every set."""
+from fpplab.phase.limits import NOISE, ORDERS
+from fpplab.phase.noise import QUANTISATION, repeated_rounding
 
 _f, _u = np.float32, np.uintp
 _ZERO, _HALF, _ONE, _TINY = _f(0), _f(0.5), _f(1), _f(1e-30)
-_AGREEING = _f(AGREEING_SIGMAS**2)
-_ROUNDING = _f(ROUNDING_TURNS**2)
-_TWELFTH, _LEAST_SPREAD = _f(QUANTISATION), _f(LEAST_SPREAD)
+_AGREEING = _f(ORDERS.agreeing_sigmas**2)
+_ROUNDING = _f(ORDERS.rounding_turns**2)
+_TWELFTH, _MIN_SPREAD = _f(QUANTISATION), _f(NOISE.min_spread)
 _rounding: Any = njit(inline="always")(repeated_rounding)
 # Rows of the buffer of sums: of the sets that take part, then of all.
 _FUSED_MOMENT, _ALL, _ALL_MOMENT, _ALL_SQUARE = _u(ROW), _u(2 * ROW), _u(3 * ROW), _u(4 * ROW)
@@ -50,7 +45,7 @@ def find_repeated(offset: Any, repeated: Any, recipe: Any, n: int) -> None:
     for j in range(n):
         i = _u(j)
         spread = (constant + per_level * offset[i]) * per_step_squared - _TWELFTH
-        repeated[i] = step_squared * _rounding(max(spread, _LEAST_SPREAD))
+        repeated[i] = step_squared * _rounding(max(spread, _MIN_SPREAD))
 
 
 @compiled

@@ -19,27 +19,21 @@ from numpy.typing import NDArray
 
 from fpplab.phase.chunks import CHUNK, HIGH, LOW, ROW, compiled
 from fpplab.phase.fusion import FUSION_ROWS, find_repeated, fuse_axis, weigh
+from fpplab.phase.limits import ORDERS
 from fpplab.phase.saturation import fit_unsaturated
 from fpplab.phase.tables import Maps, Recipe
-from fpplab.phase.unwrapping import EDGE_SIGMAS
 from fpplab.phase.wrong_order import TO_EXPLAIN, settle_orders
 
 GROUP = 4
 """Frames summed per visit of a chunk; every set's list of frames is padded to a multiple."""
 
-APART = 9.0
-"""Least difference of χ² by which two hypotheses are distinguished."""
-
-APART_LEAST = 1e-5
-"""Least difference of their costs, the weighted sums of squared disagreements in periods, which rounding
-does not reach.
-"""
 
 _f = np.float32
 _u = np.uintp
 _ZERO, _QUARTER, _HALF, _ONE = _f(0), _f(0.25), _f(0.5), _f(1)
 _TINY, _FAR, _TO_EXPLAIN = _f(1e-30), _f(100), _f(TO_EXPLAIN)
-_SIGMAS, _APART, _APART_LEAST = _f(EDGE_SIGMAS), _f(APART), _f(APART_LEAST)
+_EDGE_SIGMAS, _MIN_CHI2_DIFFERENCE = _f(ORDERS.edge_sigmas), _f(ORDERS.min_chi2_difference)
+_MIN_COST_DIFFERENCE = _f(ORDERS.min_cost_difference)
 
 # Rows of the buffer of sums, at constant distances.
 _COS, _MEAN, _SQUARE, _PEAK = _u(ROW), _u(2 * ROW), _u(3 * ROW), _u(4 * ROW)
@@ -277,11 +271,11 @@ def _refit_saturated(
 def _choose(rows: Any, weights: Any, good: Any, n: int, length: Any, stripes: Any, recipe: Any) -> None:
     """Choose the hypothesis that lies in the interval of possible positions and agrees better."""
     edge_margin, share = recipe.edge_margin / length, recipe.disagreement_max
-    apart = _APART * stripes * stripes
+    apart = _MIN_CHI2_DIFFERENCE * stripes * stripes
     for j in range(n):
         i = _u(j)
         variance = _ONE / max(weights[i], _TINY)
-        tolerance = edge_margin + _SIGMAS * np.sqrt(variance)
+        tolerance = edge_margin + _EDGE_SIGMAS * np.sqrt(variance)
         a, b = rows[i], rows[i + _OTHER]
         low, high = rows[i + LOW], rows[i + HIGH]
         out_a = max(low - a, a - high, _ZERO)
@@ -294,7 +288,7 @@ def _choose(rows: Any, weights: Any, good: Any, n: int, length: Any, stripes: An
         far = far_b if cost_b < cost_a else far_a
         kept = kept if worst <= share and far == _ZERO else kept * _TO_EXPLAIN
         # Where one of them is far their costs differ by far more than this.
-        least = max(_APART_LEAST, apart * variance)
+        least = max(_MIN_COST_DIFFERENCE, apart * variance)
         good[i] = kept if abs(cost_a - cost_b) > least else _ZERO
         rows[i + _WORST] = worst
         rows[i] = b if cost_b < cost_a else a

@@ -15,22 +15,11 @@ from scipy.optimize import nnls
 from scipy.special import chdtr, chdtri
 
 from fpplab.core.conventions import Floats, Image
+from fpplab.phase.limits import NOISE
 
 QUANTISATION = 1 / 12
 """Variance of rounding to integers, in units of the last place squared."""
 
-LEAST_SPREAD = 0.0025
-"""Variance of a level before rounding that can be told from none, in steps squared: less is taken as this, so
-that some part of the variance is always left to chance.
-"""
-
-_BINS = 24
-_LEAST_PER_BIN = 30
-_REJECTED = 0.001
-_PASSES = 6
-_UNDERSAMPLED = 0.7
-_NEGLIGIBLE = 1e-4
-_LEAST_LEVELS, _EVEN = 16, 0.9
 
 _f = np.float32
 _FIRST, _SECOND = _f(1 / (2 * np.pi**2)), _f(1 / (8 * np.pi**2))
@@ -72,12 +61,12 @@ class NoiseModel:
     @property
     def rounding_repeats(self) -> bool:
         """Whether noise is so small at some level that rounding repeats."""
-        return bool(self.repeated(0.0) > _NEGLIGIBLE * self.variance(0.0))
+        return bool(self.repeated(0.0) > NOISE.max_repeated_share * self.variance(0.0))
 
     def repeated(self, level: Floats | float) -> Floats:
         """Compute the part of the variance that is rounding and repeats in all pixels of the same light."""
         spread = self.variance(level) / self.step**2 - QUANTISATION
-        return np.asarray(repeated_rounding(np.maximum(spread, LEAST_SPREAD)) * self.step**2)
+        return np.asarray(repeated_rounding(np.maximum(spread, NOISE.min_spread)) * self.step**2)
 
 
 def level_step(values: Image) -> float:
@@ -87,11 +76,11 @@ def level_step(values: Image) -> float:
     number have steps of two neighbouring sizes, of which the mean is given.
     """
     gaps = np.diff(np.flatnonzero(np.bincount(values.ravel())))
-    if len(gaps) + 1 < _LEAST_LEVELS:
+    if len(gaps) + 1 < NOISE.min_levels:
         return 1.0
     least = int(gaps.min())
     even = gaps <= least + (least > 1)
-    return float(gaps[even].mean()) if least > 1 and even.mean() >= _EVEN else 1.0
+    return float(gaps[even].mean()) if least > 1 and even.mean() >= NOISE.min_even_share else 1.0
 
 
 def fit_line(level: Floats, variance: Floats, freedom: int, step: float) -> NoiseModel:
@@ -103,10 +92,10 @@ def fit_line(level: Floats, variance: Floats, freedom: int, step: float) -> Nois
     """
     # level (P,); variance (P,)
     floor = QUANTISATION * step**2
-    bins = max(1, min(_BINS, len(level) // _LEAST_PER_BIN))
+    bins = max(1, min(NOISE.max_bins, len(level) // NOISE.min_pixels_per_bin))
     order = np.argsort(level)[len(level) % bins :].reshape(bins, -1)
     centre, mean = level[order].mean(axis=1), robust_mean(variance[order], freedom, floor)
-    sampled = mean >= _UNDERSAMPLED * floor
+    sampled = mean >= NOISE.min_sampled_share * floor
     if not sampled.any():
         return NoiseModel(floor, 0.0, step)
     # Means scatter in proportion to the variance itself.
@@ -119,11 +108,11 @@ def fit_line(level: Floats, variance: Floats, freedom: int, step: float) -> Nois
 def robust_mean(variance: Floats, freedom: int, floor: float) -> Floats:
     """Average variances, leaving out those that chance does not explain."""
     # variance (..., P)
-    cut = float(chdtri(freedom, _REJECTED)) / freedom
+    cut = float(chdtri(freedom, NOISE.rejected_share)) / freedom
     # Mean of χ²/ν below the cut: the distribution of two more degrees of freedom.
-    kept_mean = float(chdtr(freedom + 2, cut * freedom)) / (1.0 - _REJECTED)
+    kept_mean = float(chdtr(freedom + 2, cut * freedom)) / (1.0 - NOISE.rejected_share)
     mean = np.median(variance, axis=-1) / (float(chdtri(freedom, 0.5)) / freedom)
-    for _ in range(_PASSES):
+    for _ in range(NOISE.rejection_passes):
         inside = variance <= cut * np.maximum(mean, floor)[..., None]
         count = inside.sum(axis=-1)
         total = np.where(inside, variance, 0.0).sum(axis=-1) / kept_mean

@@ -7,11 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from fpplab.core.conventions import Floats, Map
-
-DOUBTFUL = 0.25
-"""Share of a period beyond which a disagreement makes an order doubtful: clean data stay below."""
-
-_PASSES = 5
+from fpplab.phase.limits import ORDERS
 
 
 def vote_orders(
@@ -27,7 +23,7 @@ def vote_orders(
     # coordinate (height, width); pixels (P,); alternative (P,); returns (P,)
     other = alternative.astype(np.float32)
     backed = np.zeros(len(pixels), np.bool_)
-    for _ in range(_PASSES):
+    for _ in range(ORDERS.max_vote_passes):
         if not _vote(coordinate, pixels, other, window // 2, np.float32(period), backed):
             break
     return backed
@@ -47,17 +43,17 @@ def _vote(
     swap = np.zeros(len(pixels), np.bool_)
     for p in range(len(pixels)):
         row, column = pixels[p] // width, pixels[p] % width
-        own, rival = coordinate[row, column], other[p]
-        near = (abs(own - rival) if np.isfinite(rival) else period) / 4
-        for_own, for_rival, measured = 0, 0, 0
+        own, runner_up = coordinate[row, column], other[p]
+        near = (abs(own - runner_up) if np.isfinite(runner_up) else period) / 4
+        for_own, for_runner_up, measured = 0, 0, 0
         for r in range(max(0, row - reach), min(height, row + reach + 1)):
             for c in range(max(0, column - reach), min(width, column + reach + 1)):
                 if r != row or c != column:
                     measured += np.isfinite(coordinate[r, c])
                     for_own += abs(coordinate[r, c] - own) <= near
-                    for_rival += abs(coordinate[r, c] - rival) <= near
-        swap[p] = for_rival > for_own
-        backed[p] = 2 * max(for_own, for_rival) > measured
+                    for_runner_up += abs(coordinate[r, c] - runner_up) <= near
+        swap[p] = for_runner_up > for_own
+        backed[p] = 2 * max(for_own, for_runner_up) > measured
     for p in range(len(pixels)):
         if swap[p]:
             row, column = pixels[p] // width, pixels[p] % width

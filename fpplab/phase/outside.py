@@ -17,42 +17,31 @@ from fpplab.patterns.recording import Recording
 from fpplab.phase.bounds import PossibleCoordinates, interval_of
 from fpplab.phase.demodulation import AxisPhases, axis_phases
 from fpplab.phase.error_model import ErrorModel
-from fpplab.phase.fusion import AGREEING_SIGMAS
+from fpplab.phase.limits import ORDERS, OUTSIDE
 from fpplab.phase.reference import fuse
-from fpplab.phase.unwrapping import EDGE_MARGIN_PX, WavelengthSequence
-
-SAMPLE = 1000
-"""About how many pixels are looked at, evenly spaced."""
-LEAST_PIXELS = 50
-"""Fewer pixels with fringes than this say nothing."""
-CLEAR_TURNS = 0.05
-"""Greatest noise of a phase, in turns, of a pixel that is taken to have fringes."""
-WORTH_SAYING = 0.05
-"""Shares above this are told."""
-FAR_BEYOND_SIGMAS = 5.0
-"""How many standard deviations beyond the interval a position certainly lies outside."""
+from fpplab.phase.unwrapping import WavelengthSequence
 
 
 @dataclass(frozen=True)
 class OutsideShare:
     """How many of the sampled pixels with fringes may see something outside of the possible positions."""
 
-    likelier: float  # share whose phases noise explains outside and nowhere inside, 0 … 1
-    as_likely: float  # share whose phases noise explains inside as well as outside, so that they cannot tell
+    share_outside_depth_range: float  # noise explains their phases outside and nowhere inside
+    share_on_both_sides: float  # noise explains their phases inside as well as outside
 
     def warnings(self) -> tuple[str, ...]:
         """Say what these shares mean, where they are worth it."""
         said = []
-        if self.likelier > WORTH_SAYING:
+        outside, both = self.share_outside_depth_range, self.share_on_both_sides
+        if outside > OUTSIDE.warning_share:
             said.append(
-                f"at {self.likelier:.0%} of the pixels with fringes the fringe sets agree on a position "
-                "outside of the depth range and on none inside, so part of what is seen probably lies outside"
+                f"at {outside:.0%} of the pixels with fringes the fringe sets agree on a position outside of "
+                "the depth range and on none inside, so part of what is seen probably lies outside"
             )
-        if self.as_likely > WORTH_SAYING:
+        if both > OUTSIDE.warning_share:
             said.append(
-                f"at {self.as_likely:.0%} of the pixels with fringes the fringe sets agree on a position "
-                "outside of the depth range as well as inside, so what lies outside is decoded wrongly, "
-                "unnoticed"
+                f"at {both:.0%} of the pixels with fringes the fringe sets agree on a position outside of "
+                "the depth range as well as inside, so what lies outside is decoded wrongly, unnoticed"
             )
         return tuple(said)
 
@@ -68,17 +57,17 @@ def outside_share(
     if sequence is None:
         return None
     total = recording.frames[0].size
-    pixels = np.arange(0, total, max(total // SAMPLE, 1))
+    pixels = np.arange(0, total, max(total // OUTSIDE.sample_pixels, 1))
     few = replace(recording, frames=[frame.reshape(-1)[pixels] for frame in recording.frames])
     seen = axis_phases(few, sequence, errors)
     length = axis_length(recording.projector_size, sequence.axis)
     low, high = (np.asarray(end) for end in interval_of(bounds, sequence.axis, length, pixels))
     noise_turns = np.max(seen.position_sigma * seen.stripes[:, None], axis=0)
-    with_fringes = (noise_turns <= CLEAR_TURNS) & (low <= high)
-    if with_fringes.sum() < LEAST_PIXELS:
+    with_fringes = (noise_turns <= OUTSIDE.max_noise_turns) & (low <= high)
+    if with_fringes.sum() < OUTSIDE.min_pixels:
         return None
-    inside, outside = _least_chi2(seen, low, high, EDGE_MARGIN_PX / length)
-    limit = AGREEING_SIGMAS**2 * (len(sequence.sets) - 1)
+    inside, outside = _least_chi2(seen, low, high, ORDERS.edge_margin_px / length)
+    limit = ORDERS.agreeing_sigmas**2 * (len(sequence.sets) - 1)
     fits = outside[with_fringes] <= limit
     fits_inside = inside[with_fringes] <= limit
     return OutsideShare(float(np.mean(fits & ~fits_inside)), float(np.mean(fits & fits_inside)))
@@ -86,7 +75,7 @@ def outside_share(
 
 def _least_chi2(seen: AxisPhases, low: Floats, high: Floats, margin: float) -> tuple[Floats, Floats]:
     """Least χ² of all orders inside of the intervals, and of all certainly outside."""
-    stripes, beyond = seen.stripes[-1], margin + FAR_BEYOND_SIGMAS * seen.position_sigma[-1]
+    stripes, beyond = seen.stripes[-1], margin + OUTSIDE.beyond_sigmas * seen.position_sigma[-1]
     inside, outside = np.full(low.shape, np.inf), np.full(low.shape, np.inf)
     for order in range(int(np.ceil(stripes)) + 1):
         position = (order + seen.phases[-1] / TWO_PI) / stripes

@@ -13,8 +13,9 @@ from fpplab.phase.alternatives import alternatives_of
 from fpplab.phase.bounds import PossibleCoordinates
 from fpplab.phase.error_model import ErrorModel
 from fpplab.phase.kernels import GROUP
+from fpplab.phase.limits import ORDERS
 from fpplab.phase.tables import Recipe
-from fpplab.phase.unwrapping import EDGE_MARGIN_PX, WavelengthSequence
+from fpplab.phase.unwrapping import WavelengthSequence
 
 
 def recipe_of(
@@ -61,7 +62,7 @@ def recipe_of(
         causes=np.concatenate([risk.causes for risk in risks]),
         least_separation=np.array([risk.least_separation if risk else np.inf for risk in known]),
         edge_shift=np.array([risk.edge if risk else np.inf for risk in known]),
-        order_margin=EDGE_MARGIN_PX / np.array(size, np.float64),
+        order_margin=ORDERS.edge_margin_px / np.array(size, np.float64),
         # With a vote, no order is changed or rejected before its neighbours have voted.
         wrong_order_max=np.inf if plan.order_vote else rules.wrong_order_max,
         reference=sequences[0].finest,
@@ -71,7 +72,7 @@ def recipe_of(
         contrast_min=f32(rules.contrast_min),
         residual_max=f32(rules.residual_max),
         disagreement_max=f32(1.0 if plan.order_vote else rules.disagreement_max),
-        edge_margin=f32(EDGE_MARGIN_PX),
+        edge_margin=f32(ORDERS.edge_margin_px),
         noise_constant=f32(errors.noise.constant),
         noise_per_level=f32(errors.noise.per_level),
         step=f32(errors.noise.step),

@@ -20,15 +20,11 @@ from fpplab.phase.alternatives import Alternatives, alternatives_of
 from fpplab.phase.bounds import PositionInterval, PossibleCoordinates, interval_of, widest
 from fpplab.phase.demodulation import AxisPhases, axis_phases
 from fpplab.phase.error_model import error_model_of
-from fpplab.phase.fusion import AGREEING_SIGMAS
-from fpplab.phase.kernels import APART, APART_LEAST
+from fpplab.phase.limits import ORDERS
 from fpplab.phase.unwrapping import (
-    EDGE_MARGIN_PX,
-    EDGE_SIGMAS,
     WavelengthSequence,
     wavelength_sequence,
 )
-from fpplab.phase.wrong_order import LEAST_INSIDE, LIKELIEST, MOVES
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,12 +35,12 @@ class Unwrapped:
     disagreement: Floats  # greatest |coarse prediction − fine phase| of any wavelength, in its periods
     second_best_order: NDArray[np.int64]  # index of the wavelength that disagreed most
     is_possible: NDArray[np.bool_]  # the position lies in the interval of possible ones, but for noise
-    is_told_apart: NDArray[np.bool_]  # its rival, the other hypothesis of the base, is told apart from it
+    is_unique: NDArray[np.bool_]  # its runner_up, the other hypothesis of the base, is told apart from it
 
     @property
     def is_unambiguous(self) -> NDArray[np.bool_]:
-        """Whether the position is possible and told apart from its rival."""
-        return self.is_possible & self.is_told_apart
+        """Whether the position is possible and told apart from its runner_up."""
+        return self.is_possible & self.is_unique
 
 
 def unwrap(
@@ -65,17 +61,18 @@ def unwrap(
     near = (measured[0] + np.floor(middle / period - measured[0] + 0.5)) * period
     other = near + np.where(near > middle, -period, period)
     chosen, cost_near = _refine(near, measured, sequence, changed_order)
-    rival, cost_other = _refine(other, measured, sequence, changed_order)
-    tolerance = edge_margin + EDGE_SIGMAS * np.asarray(sigma)
-    apart = np.maximum(APART_LEAST, APART * (wavelengths[-1].stripes * np.asarray(sigma)) ** 2)
-    far_near, far_other = (_beyond(p.position, low, high, tolerance) for p in (chosen, rival))
+    runner_up, cost_other = _refine(other, measured, sequence, changed_order)
+    tolerance = edge_margin + ORDERS.edge_sigmas * np.asarray(sigma)
+    noise = (wavelengths[-1].stripes * np.asarray(sigma)) ** 2
+    apart = np.maximum(ORDERS.min_cost_difference, ORDERS.min_chi2_difference * noise)
+    far_near, far_other = (_beyond(p.position, low, high, tolerance) for p in (chosen, runner_up))
     swap = cost_other + far_other < cost_near + far_near
     alike = (np.abs(cost_near - cost_other) <= apart) & (far_near == 0) & (far_other == 0)
     inside = np.where(swap, far_other, far_near) == 0
     return Unwrapped(
-        np.where(swap, rival.position, chosen.position),
-        np.where(swap, rival.disagreement, chosen.disagreement),
-        np.where(swap, rival.second_best_order, chosen.second_best_order),
+        np.where(swap, runner_up.position, chosen.position),
+        np.where(swap, runner_up.disagreement, chosen.disagreement),
+        np.where(swap, runner_up.second_best_order, chosen.second_best_order),
         inside,
         ~alike,
     )
@@ -130,7 +127,7 @@ def fuse(seen: AxisPhases, position: Floats) -> Fused:
     """Give the inverse-variance mean of the positions of all sets that agree with the finest."""
     off, variance = _distances(seen, position), seen.position_sigma**2
     weight = 1.0 / variance
-    agrees = off**2 <= AGREEING_SIGMAS**2 * (variance + variance[-1])
+    agrees = off**2 <= ORDERS.agreeing_sigmas**2 * (variance + variance[-1])
     agrees[-1] = True
     used = weight * agrees
     total = np.sum(used, axis=0)
@@ -181,7 +178,7 @@ def likeliest_order(
     """Move every pixel to its likeliest position, and compute the probability that this is wrong."""
     ends = np.asarray(interval[0]) - edge_margin, np.asarray(interval[1]) + edge_margin
     position = found
-    for _ in range(MOVES):
+    for _ in range(ORDERS.max_moves):
         step, _ = _likeliest_shift(seen, position, alternatives, ends)
         if not step.any():
             break
@@ -198,7 +195,8 @@ def _likeliest_shift(
     odds, likeliest, step = np.zeros_like(position), np.ones_like(position), np.zeros_like(position)
     for shift in (*alternatives.shifts, *-alternatives.shifts):
         chi2, share = _evidence(seen, position + shift, ends)
-        own = np.exp(np.minimum(0.5 * (best - chi2), LIKELIEST)) * share / np.maximum(inside, LEAST_INSIDE)
+        odds_of_shift = np.exp(np.minimum(0.5 * (best - chi2), ORDERS.cap_log_odds))
+        own = odds_of_shift * share / np.maximum(inside, ORDERS.min_share_inside)
         step = np.where(own > likeliest, shift, step)
         likeliest = np.maximum(own, likeliest)
         odds += own
@@ -223,7 +221,7 @@ def decode_axis(
     The compiled decoder (`fpplab.phase.decoding.decode`) must give the same wherever it gives anything.
     """
     plan, length = recording.plan, axis_length(recording.projector_size, axis)
-    width, margin = widest(bounds, axis, recording.projector_size), EDGE_MARGIN_PX / length
+    width, margin = widest(bounds, axis, recording.projector_size), ORDERS.edge_margin_px / length
     sequence = wavelength_sequence(plan, axis, recording.name, width)
     seen, interval = (
         axis_phases(recording, sequence, error_model_of(recording)),
@@ -234,10 +232,10 @@ def decode_axis(
     likeliest = likeliest_order(seen, found.position, risks, interval, margin)
     settled = found.position if plan.order_vote else likeliest.position
     fused, freedom = fuse(seen, settled), max(len(sequence.sets) - 1, 1)
-    is_explained = fused.chi2 <= AGREEING_SIGMAS**2 * freedom
-    tolerance = margin + EDGE_SIGMAS * seen.position_sigma[-1]
+    is_explained = fused.chi2 <= ORDERS.agreeing_sigmas**2 * freedom
+    tolerance = margin + ORDERS.edge_sigmas * seen.position_sigma[-1]
     is_possible = _beyond(settled, *interval, tolerance) == 0
-    is_known = found.is_told_apart & is_possible & (is_explained | (settled == found.position))
+    is_known = found.is_unique & is_possible & (is_explained | (settled == found.position))
     known = np.where(is_known, 1.0, np.nan)
     return DecodedAxis(
         coordinate=((fused.position * length - 0.5) * known).astype(np.float32),

@@ -12,13 +12,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-LEAST_SAMPLES = 3
-"""Fewest unsaturated samples of a fringe set."""
-
-MOST_LOSS = 9.0
-"""Greatest variance of the phase from the samples that are left, where that from all samples is one: they lie
-too close together beyond it.
-"""
+from fpplab.phase.limits import NOISE
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -42,7 +36,7 @@ def fit_unsaturated(levels: Any, cosine: Any, sine: Any, full: Any, shares: Any,
             y += level
             yc += level * p
             ys += level * q
-    if count < LEAST_SAMPLES:
+    if count < NOISE.min_samples:
         return False
     # The offset eliminated: two equations remain.
     cc, ss, cs = cc - c * c / count, ss - s * s / count, cs - c * s / count
@@ -53,7 +47,7 @@ def fit_unsaturated(levels: Any, cosine: Any, sine: Any, full: Any, shares: Any,
     a, b = (ss * yc - cs * ys) / determinant, (cc * ys - cs * yc) / determinant
     offset, power = (y - a * c - b * s) / count, a * a + b * b
     loss = 0.5 * total * (ss * b * b + cc * a * a + 2.0 * cs * a * b) / (determinant * max(power, 1e-30))
-    if loss > MOST_LOSS:
+    if loss > NOISE.max_saturation_loss:
         return False
     turn, rest, error = np.arctan2(b, a), 0.0, 0.0
     for n in range(len(levels)):

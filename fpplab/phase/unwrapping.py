@@ -19,13 +19,6 @@ from fpplab.core.errors import ConfigError
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.unwrapping import NEGLIGIBLE, SyntheticWavelength, unwrapping_methods
 
-EDGE_MARGIN_PX = 0.05
-"""How near the projector's edge, in px and besides its noise, a coordinate may come before
-stripes that repeat there leave it open which of the two edges is meant."""
-
-EDGE_SIGMAS = 1.5
-"""How many standard deviations of its noise a coordinate may lie beyond the possible ones."""
-
 
 @dataclass(frozen=True)
 class WavelengthSequence:

@@ -15,21 +15,9 @@ from typing import Any
 import numpy as np
 
 from fpplab.phase.chunks import HIGH, LOW, compiled
-from fpplab.phase.fusion import AGREEING_SIGMAS, CHI2, DOUBT, FINEST, LEAST, POSITION, fuse_axis
-from fpplab.phase.unwrapping import EDGE_SIGMAS
+from fpplab.phase.fusion import CHI2, DOUBT, FINEST, LEAST, POSITION, fuse_axis
+from fpplab.phase.limits import ORDERS
 
-FARTHEST_SIGMAS = 5.0
-"""How many standard deviations beyond the possible positions a shifted one is still considered."""
-LIKELIEST = 50.0
-"""Logarithm of the odds beyond which they are not told apart: the order is certainly wrong."""
-
-UNLIKELIEST = 60.0
-"""Logarithm of the odds against a shift beyond which it is not looked at further: it adds less than 1e-17."""
-
-LEAST_INSIDE = 1e-9
-"""Least share of a position's own distribution that is taken to lie within the possible positions."""
-MOVES = 8
-"""How many shifts in turn may lead from the order of unwrapping to the likeliest; two are rare."""
 TO_EXPLAIN = 0.5
 """Mark of a pixel whose step by step order is refused: measured only if the likeliest order suits."""
 
@@ -70,25 +58,25 @@ def settle_orders(
     # A pixel that the bound clears has at least the separation of twice `enough`, and so at most this noise.
     finest, freedom = recipe.finest[axis], np.sum(recipe.axis == axis) - 1
     unit = recipe.set_stripes[finest] * recipe.set_stripes[finest] / recipe.phase_noise[finest]
-    reach = margin + FARTHEST_SIGMAS * math.sqrt(least / (2.0 * enough * unit))
+    reach = margin + ORDERS.beyond_sigmas * math.sqrt(least / (2.0 * enough * unit))
     if _mark_doubtful(rows, sums, good, n, _f(least), _f(edge), _f(reach), _f(enough)) == 0:
         return
     for i in range(n):
         if sums[_u(i) + DOUBT] == 0.0:
             continue
         ends = (rows[_u(i) + LOW] - margin, rows[_u(i) + HIGH] + margin)
-        odds, likeliest, sign, which = _rivals(axis, recipe, rows, sums, off, weights, i, ends)
+        odds, likeliest, sign, which = _compare_shifts(axis, recipe, rows, sums, off, weights, i, ends)
         moves = 0
-        while likeliest > 1.0 and moves < MOVES:
+        while likeliest > 1.0 and moves < ORDERS.max_moves:
             _shift(axis, recipe, rows, off, i, sign, which)
-            odds, likeliest, sign, which = _rivals(axis, recipe, rows, sums, off, weights, i, ends)
+            odds, likeliest, sign, which = _compare_shifts(axis, recipe, rows, sums, off, weights, i, ends)
             moves += 1
         if moves > 0:
             _fuse_again(axis, recipe, rows, sums, off, weights, shares, i, coordinate, sigma, common, chi2)
         if moves > 0 or good[i] < 1.0:
-            is_explained = sums[_u(i) + CHI2] <= AGREEING_SIGMAS**2 * freedom
+            is_explained = sums[_u(i) + CHI2] <= ORDERS.agreeing_sigmas**2 * freedom
             outside = max(ends[0] - rows[_u(i)], rows[_u(i)] - ends[1])
-            is_possible = outside <= EDGE_SIGMAS / math.sqrt(sums[_u(i) + FINEST])
+            is_possible = outside <= ORDERS.edge_sigmas / math.sqrt(sums[_u(i) + FINEST])
             good[i] = 1.0 if is_explained and is_possible else 0.0
         if good[i] > 0.0 and odds / (1.0 + odds) > recipe.wrong_order_max:
             good[i] = 0.0
@@ -96,25 +84,25 @@ def settle_orders(
 
 
 @compiled
-def _rivals(
+def _compare_shifts(
     axis: int, recipe: Any, rows: Any, sums: Any, off: Any, weights: Any, i: int, ends: Any
 ) -> tuple[float, float, float, int]:
     """Odds of all shifted positions of one pixel together; of the likeliest its own, its sign and index."""
     first, last = recipe.alternatives[axis], recipe.alternatives[axis + 1]
     position = rows[_u(i)]
-    beyond = FARTHEST_SIGMAS / math.sqrt(sums[_u(i) + FINEST])
+    beyond = ORDERS.beyond_sigmas / math.sqrt(sums[_u(i) + FINEST])
     low, high = ends[0] - position, ends[1] - position
     best, mean, total = _evidence(axis, recipe, off, weights, i, 0.0, first)
-    inside = max(_share_within(mean, total, low, high), LEAST_INSIDE)
+    inside = max(_share_within(mean, total, low, high), ORDERS.min_share_inside)
     odds, likeliest, direction, which = 0.0, -1.0, 0.0, first
     for r in range(first, last):
         for sign in (-1.0, 1.0):
             if low - beyond <= sign * recipe.shifts[r] <= high + beyond:
                 other, mean, total = _evidence(axis, recipe, off, weights, i, sign, r)
-                if other - best > 2.0 * UNLIKELIEST:
+                if other - best > 2.0 * ORDERS.max_log_odds:
                     continue
                 share = _share_within(mean, total, low, high)
-                own = math.exp(min(0.5 * (best - other), LIKELIEST)) * share / inside
+                own = math.exp(min(0.5 * (best - other), ORDERS.cap_log_odds)) * share / inside
                 odds += own
                 if own > likeliest:
                     likeliest, direction, which = own, sign, r

@@ -17,14 +17,8 @@ from fpplab.core.depth import DepthInterval
 from fpplab.core.errors import ConfigError
 from fpplab.patterns.plan import Plan
 from fpplab.phase.bounds import PossibleCoordinates
+from fpplab.reconstruction.limits import RECONSTRUCTION_LIMITS as LIMITS
 from fpplab.reconstruction.triangulation import camera_slopes
-
-MARGIN_PX = 0.5
-"""By how much an interval reaches beyond the epipolar segment: for the calibration's own uncertainty."""
-DEPTHS = 5
-"""Points of a segment that are projected, evenly spaced in inverse depth: distortion bends it a little."""
-GRID_PX = 16
-"""Camera pixels between those whose segments are projected; the others are interpolated."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +53,10 @@ def depth_bounds(
         last = calibration.projector.size[AXES.index(axis)] - 0.5
         least, most = (
             np.clip(down @ end @ across.T, -0.5, last)
-            for end in (along.min(axis=0) - MARGIN_PX, along.max(axis=0) + MARGIN_PX)
+            for end in (
+                along.min(axis=0) - LIMITS.interval_margin_px,
+                along.max(axis=0) + LIMITS.interval_margin_px,
+            )
         )
         bounds[axis] = PossibleCoordinates(least.astype(np.float32), most.astype(np.float32))
     return bounds
@@ -67,7 +64,7 @@ def depth_bounds(
 
 def _nodes(pixels: int) -> NDArray[np.intp]:
     """Every sixteenth pixel, the first and the last among them."""
-    return np.unique(np.linspace(0, pixels - 1, pixels // GRID_PX + 2).astype(np.intp))
+    return np.unique(np.linspace(0, pixels - 1, pixels // LIMITS.segment_grid_px + 2).astype(np.intp))
 
 
 def _interpolation(nodes: NDArray[np.intp], pixels: int) -> Floats:
@@ -77,9 +74,9 @@ def _interpolation(nodes: NDArray[np.intp], pixels: int) -> Floats:
 
 
 def _segments(slopes: Floats, calibration: Calibration, depth: DepthRange) -> Floats:
-    """Images in the projector of each ray between two depths, (DEPTHS, rows, columns, 2) in px."""
+    """Images in the projector of each ray between two depths, (depths, rows, columns, 2) in px."""
     rays = np.stack([*slopes, np.ones_like(slopes[0])], axis=-1)
-    depths = 1.0 / np.linspace(1.0 / depth.mm[0], 1.0 / depth.mm[1], DEPTHS)
+    depths = 1.0 / np.linspace(1.0 / depth.mm[0], 1.0 / depth.mm[1], LIMITS.segment_points)
     points = calibration.T_projector_camera.apply(rays * depths[:, None, None, None])
     if not (points[..., 2] > 0).all():
         raise ConfigError(

@@ -43,17 +43,10 @@ from fpplab.core.conventions import Map, Mask
 from fpplab.core.errors import DataError
 from fpplab.patterns.plan import Plan
 from fpplab.phase import Decoded
+from fpplab.reconstruction.limits import RECONSTRUCTION_LIMITS as LIMITS
 from fpplab.reconstruction.regions import mark_small_regions
 
-REACH_PX = 3
-"""Distance in px from an edge within which a surface reaches its full modulation: the width of the blur."""
-SIGNIFICANT = 5.0
-"""Least significant loss of modulation, in standard deviations. The greatest of some forty neighbours
-is itself two or three standard deviations too great."""
-FLYING_NOISE = np.float32(0.5)
-"""Allowance for noise in a step to a neighbour where the majority of all decides, as a share of
-`fpplab.clouds.continuity.NOISE_SIGMAS`."""
-
+_FLYING_NOISE = np.float32(LIMITS.flying_noise_share)
 
 Removed = NDArray[np.uint8]
 """The `Rule` by which each pixel was removed, indexed [v, u]; 0 where it was kept."""
@@ -186,13 +179,13 @@ def _half_lit(
             if not edge:
                 continue
             full = np.float32(0.0)
-            for y in range(max(v - REACH_PX, 0), min(v + REACH_PX + 1, height)):
-                for x in range(max(u - REACH_PX, 0), min(u + REACH_PX + 1, width)):
+            for y in range(max(v - LIMITS.blur_reach_px, 0), min(v + LIMITS.blur_reach_px + 1, height)):
+                for x in range(max(u - LIMITS.blur_reach_px, 0), min(u + LIMITS.blur_reach_px + 1, width)):
                     if _joined(a, b, w, noise, v, u, y, x):
                         full = max(full, modulation[y, x])
             own = modulation[v, u]
             total = np.hypot(sigma[v, u], phase_error[v, u]) if len(phase_error) > 0 else sigma[v, u]
-            noisy = SIGNIFICANT * own * total * phase_per_px
+            noisy = LIMITS.significant_sigmas * own * total * phase_per_px
             if own < light_min * full and full - own > noisy:
                 removed[v, u] = Rule.HALF_LIT.value
 
@@ -215,7 +208,7 @@ def _flying(a: Map, b: Map, w: Map, noise: Map, removed: Removed) -> None:
                         b[y, x] - b[v, u],
                         w[y, x] - w[v, u],
                         min(w[v, u], w[y, x]),
-                        FLYING_NOISE * (noise[v, u] + noise[y, x]),
+                        _FLYING_NOISE * (noise[v, u] + noise[y, x]),
                     )
                     majority += 1 if joined else -1
             if majority < 0:

@@ -15,17 +15,10 @@ from numpy.typing import NDArray
 
 from fpplab.core import buffers
 from fpplab.core.conventions import Floats
+from fpplab.reconstruction.limits import RECONSTRUCTION_LIMITS as LIMITS
 
 NODES = (25, 19, 13)
 """Along x/z, y/z and z."""
-FINER = 6
-"""Steps between two nodes at which cubic polynomials are evaluated; between these, values are linear."""
-SAMPLE = 20_000
-"""About as many evenly sampled points say where the grid lies."""
-FEW = 0.001
-"""Share of points at each end of each direction that the grid need not hold, such as lie on no surface."""
-MARGIN = 0.05
-"""By which share of its length the grid reaches beyond the others."""
 
 AnyPoints = NDArray[np.floating[Any]]
 Singles = NDArray[np.float32]
@@ -44,10 +37,12 @@ class RayGrid:
         # points (N, 3)
         if len(points) <= np.prod(NODES):
             return None
-        some = points[:: max(1, len(points) // SAMPLE)].astype(np.float64)
+        some = points[:: max(1, len(points) // LIMITS.grid_sample_points)].astype(np.float64)
         placed = np.stack([some[:, 0] / some[:, 2], some[:, 1] / some[:, 2], some[:, 2]])
-        lower, upper = np.quantile(placed, [FEW, 1.0 - FEW], axis=1)
-        margin = MARGIN * (upper - lower) + 1e-9 * np.abs(upper)
+        lower, upper = np.quantile(
+            placed, [LIMITS.outside_grid_share, 1.0 - LIMITS.outside_grid_share], axis=1
+        )
+        margin = LIMITS.grid_margin_share * (upper - lower) + 1e-9 * np.abs(upper)
         return cls(lower - margin, upper + margin)
 
     @property
@@ -58,12 +53,12 @@ class RayGrid:
         return np.stack([across * depth, down * depth, depth], axis=-1)
 
     def interpolate(self, values: Floats, points: AnyPoints) -> NDArray[np.float32]:
-        """Interpolate by cubic polynomials to `FINER` times as many nodes, and linearly between those."""
+        """Interpolate by cubic polynomials to `finer_steps` times as many nodes, linearly between those."""
         # values (nodes, K); points (N, 3); returns (K, N)
         finer = values.reshape(*NODES, -1)
         for axis, nodes in enumerate(NODES):
             finer = np.moveaxis(np.tensordot(_cubic_weights(nodes), finer, (1, axis)), 0, axis)
-        per_step = FINER * (np.array(NODES) - 1) / (self.upper - self.lower)
+        per_step = LIMITS.finer_steps * (np.array(NODES) - 1) / (self.upper - self.lower)
         found = buffers.empty((values.shape[1], len(points)))
         _interpolate(
             np.ascontiguousarray(points), self.lower, per_step, np.ascontiguousarray(finer, np.float32), found
@@ -72,8 +67,8 @@ class RayGrid:
 
 
 def _cubic_weights(nodes: int) -> Floats:
-    """Give values at `FINER` places per step as sums of the values at nodes, (finer, nodes), by Lagrange."""
-    places = np.arange(FINER * (nodes - 1) + 1) / FINER
+    """Values at `finer_steps` places per step as sums of those at nodes, (finer, nodes), by Lagrange."""
+    places = np.arange(LIMITS.finer_steps * (nodes - 1) + 1) / LIMITS.finer_steps
     first = np.clip(places.astype(int) - 1, 0, nodes - 4)
     a = places - first
     b, c, d = a - 1.0, a - 2.0, a - 3.0

@@ -12,7 +12,7 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from dataclasses import replace
-from typing import Protocol
+from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numba import njit, prange
@@ -26,18 +26,12 @@ from fpplab.core import buffers
 from fpplab.core.conventions import Floats, Map, Mask
 from fpplab.core.errors import DataError
 from fpplab.core.geometry import INVERSION_STEPS, PIXEL_TOLERANCE, Pinhole, distort
+from fpplab.reconstruction.limits import RECONSTRUCTION_LIMITS as LIMITS
 
-DEPTH_TOLERANCE = 1e-5
-"""Relative size of the last step in depth; each step squares the error, so the depth is good to 1e-10."""
-ITERATIONS = 20
-BLOCK = 16
-"""Rows that one thread solves in sequence, each starting from the row above."""
-LEAST_SENSITIVITY = 1e-3
-"""Least change of the projector coordinates, in px per mm of depth, that determines the depth."""
-FARTHEST_PX = 1e6
-"""A coordinate beyond this, or an infinite one, is taken as not known."""
-CACHED_CAMERAS = 2
-"""Number of cameras whose ray slopes are kept in memory."""
+T = TypeVar("T", bound=np.generic)
+
+Numbers = tuple[float, ...]
+"""Parameters of a compiled kernel; as a tuple they stay in registers, an array might alias its output."""
 
 _slopes: OrderedDict[tuple[object, ...], Floats] = OrderedDict()
 _lock = threading.Lock()
@@ -67,6 +61,42 @@ class DecodedMaps(Protocol):
         """As `sigma`, by errors that are common to all pixels of one phase; None where not known."""
 
 
+class CodedMaps(NamedTuple):
+    """What is known of every pixel, float32 (height, width); maps without rows are not known."""
+
+    u: Map  # px
+    v: Map  # px
+    sigma: Map  # px
+    phase_error: Map  # px
+    v_per_u: float  # ratio of the standard deviation of v to that of u
+
+
+Ray = tuple[float, float, float, float, float, float]
+"""In the projector's frame: direction of a camera ray, for a depth of 1, and the camera's place in mm."""
+
+Residuals = tuple[float, float, float, float, float, float, float, float, float, float]
+"""Residuals u, v; derivatives u, v; coordinates u, v; slopes x, y, and the same distorted."""
+
+
+class ProjectorModel(NamedTuple):
+    """The projector as the kernel takes it."""
+
+    intrinsics: Numbers  # see `_intrinsics`
+    pose: Numbers  # T_projector_camera, row by row
+    size: tuple[int, int]  # px
+    reach: float  # slope up to which its distortion can be inverted
+
+
+class Solutions(NamedTuple):
+    """Points of the N pixels with coordinates, row by row; empty arrays are left out."""
+
+    points: Map  # (N, 3) mm, NaN without a solution
+    pixels: NDArray[np.int32]  # (N, 2)
+    sigma: Map  # (N,) mm along the ray, by noise
+    phase_error: Map  # (N,) mm along the ray, by errors that all pixels of one phase share
+    epipolar: Map  # (N,) px
+
+
 def triangulate(
     decoded: DecodedMaps,
     calibration: Calibration,
@@ -87,68 +117,81 @@ def triangulate(
             f"texture: {texture.shape[1]} x {texture.shape[0]} pixels, but the maps have {width} x {height}; "
             "take it from the same session"
         )
-    use_u, use_v = any_known(decoded.u), any_known(decoded.v)
-    if not (use_u or use_v):
-        raise DataError("decoded maps: no pixel has a projector coordinate; look at exposure and modulation")
-    slopes = camera_slopes(calibration.camera)
-    unknown, phase_error = np.empty((0, width), np.float32), decoded.sigma_phase_error
-    u, v = decoded.u if use_u else unknown, decoded.v if use_v else unknown
-    error = unknown if phase_error is None else phase_error
-    u, v, sigma, error = (np.ascontiguousarray(m, np.float32) for m in (u, v, decoded.sigma, error))
-    counts = _count(u if use_u else v, v if use_v else u)
-    total = int(counts.sum())
-    points, pixels = buffers.empty((total, 3)), buffers.empty((total, 2), np.int32)
-    sigma_mm = buffers.empty(total)
-    error_mm = buffers.empty(0 if phase_error is None else total)
-    epipolar = buffers.empty(total if use_u and use_v else 0)
-    projector, pose = calibration.projector, calibration.T_projector_camera.matrix[:3].ravel()
-    _solve(
-        slopes,
-        u,
-        v,
-        sigma,
-        error,
-        use_u,
-        use_v,
-        float(decoded.v_per_u),
-        _intrinsics(projector),
-        tuple(pose.tolist()),
-        projector.size,
-        projector.reach,
-        np.cumsum(counts) - counts,
-        points,
-        pixels,
-        sigma_mm,
-        error_mm,
-        epipolar,
-    )
-    solved = _are_solved(points)
-    if not solved.any():
-        raise DataError(
-            "decoded maps: no pixel triangulates; check that the calibration is of this rig and that the "
-            "fringes run across the baseline"
-        )
-    if not solved.all():
-        outputs = points, pixels, sigma_mm, error_mm, epipolar
-        points, pixels, sigma_mm, error_mm, epipolar = (
-            select([values], solved)[0] if len(values) else values for values in outputs
-        )
+    coded = _coded_maps(decoded)
+    solutions = _solved(coded, calibration)
+    points, pixels = solutions.points, solutions.pixels
     cloud = Cloud(
         points=points,
         pixels=pixels,
         size=(width, height),
         colour=None if texture is None else at_pixels(np.asarray(texture, np.uint8), pixels),
-        sigma_noise_mm=sigma_mm,
-        epipolar_px=epipolar if use_u and use_v else None,
-        sigma_phase_error_mm=None if phase_error is None else error_mm,
+        sigma_noise_mm=solutions.sigma,
+        epipolar_px=solutions.epipolar if len(coded.u) and len(coded.v) else None,
+        sigma_phase_error_mm=None if decoded.sigma_phase_error is None else solutions.phase_error,
     )
     return replace(cloud, normals=cloud.grid().normals()) if normals else cloud
+
+
+def _coded_maps(decoded: DecodedMaps) -> CodedMaps:
+    use_u, use_v = any_known(decoded.u), any_known(decoded.v)
+    if not (use_u or use_v):
+        raise DataError("decoded maps: no pixel has a projector coordinate; look at exposure and modulation")
+    unknown = np.empty((0, decoded.u.shape[1]), np.float32)
+    phase_error = unknown if decoded.sigma_phase_error is None else decoded.sigma_phase_error
+    return CodedMaps(
+        u=np.ascontiguousarray(decoded.u if use_u else unknown, np.float32),
+        v=np.ascontiguousarray(decoded.v if use_v else unknown, np.float32),
+        sigma=np.ascontiguousarray(decoded.sigma, np.float32),
+        phase_error=np.ascontiguousarray(phase_error, np.float32),
+        v_per_u=float(decoded.v_per_u),
+    )
+
+
+def _solved(coded: CodedMaps, calibration: Calibration) -> Solutions:
+    """Solve all pixels with coordinates, and keep those with a solution."""
+    use_u, use_v = len(coded.u) > 0, len(coded.v) > 0
+    counts = _count(coded.u if use_u else coded.v, coded.v if use_v else coded.u)
+    total = int(counts.sum())
+    found = Solutions(
+        points=buffers.empty((total, 3)),
+        pixels=buffers.empty((total, 2), np.int32),
+        sigma=buffers.empty(total),
+        phase_error=buffers.empty(total if len(coded.phase_error) else 0),
+        epipolar=buffers.empty(total if use_u and use_v else 0),
+    )
+    projector = calibration.projector
+    model = ProjectorModel(
+        intrinsics=_intrinsics(projector),
+        pose=tuple(calibration.T_projector_camera.matrix[:3].ravel().tolist()),
+        size=projector.size,
+        reach=projector.reach,
+    )
+    _solve(camera_slopes(calibration.camera), coded, model, np.cumsum(counts) - counts, found)
+    solved = _are_solved(found.points)
+    if not solved.any():
+        raise DataError(
+            "decoded maps: no pixel triangulates; check that the calibration is of this rig and that the "
+            "fringes run across the baseline"
+        )
+    if solved.all():
+        return found
+    return Solutions(
+        points=_kept(found.points, solved),
+        pixels=_kept(found.pixels, solved),
+        sigma=_kept(found.sigma, solved),
+        phase_error=_kept(found.phase_error, solved),
+        epipolar=_kept(found.epipolar, solved),
+    )
+
+
+def _kept(values: NDArray[T], solved: Mask) -> NDArray[T]:
+    return select([values], solved)[0] if len(values) else values
 
 
 def camera_slopes(camera: Pinhole) -> Floats:
     """Compute the ray slopes of every pixel's centre.
 
-    The inverse of the distortion to `PIXEL_TOLERANCE`; the last `CACHED_CAMERAS` results are cached.
+    The inverse of the distortion to `PIXEL_TOLERANCE`; the last results are cached.
     """
     # returns (2, height, width)
     key = (camera.size, camera.matrix.tobytes(), camera.distortion.tobytes())
@@ -159,7 +202,7 @@ def camera_slopes(camera: Pinhole) -> Floats:
             slopes.flags.writeable = False
             _slopes[key] = slopes
         _slopes.move_to_end(key)
-        while len(_slopes) > CACHED_CAMERAS:
+        while len(_slopes) > LIMITS.cached_cameras:
             _slopes.popitem(last=False)
         return _slopes[key]
 
@@ -175,10 +218,6 @@ def forget_cameras() -> None:
     """Clear the cache of `camera_slopes`."""
     with _lock:
         _slopes.clear()
-
-
-Numbers = tuple[float, ...]
-"""Parameters of a compiled kernel; as a tuple they stay in registers, an array might alias its output."""
 
 
 def _intrinsics(device: Pinhole) -> Numbers:
@@ -246,7 +285,7 @@ def _are_solved(points: Map) -> Mask:
 @njit(inline="always")
 def _coded(u: float, v: float) -> bool:
     """Tell whether a pixel has both coordinates; by comparisons, which fast-math keeps."""
-    return bool(abs(u) < FARTHEST_PX and abs(v) < FARTHEST_PX)
+    return bool(abs(u) < LIMITS.max_coordinate_px and abs(v) < LIMITS.max_coordinate_px)
 
 
 @njit(parallel=True, cache=True)
@@ -261,88 +300,109 @@ def _count(u: Map, v: Map) -> NDArray[np.int64]:
     return counts
 
 
+@njit(inline="always")
+def _weights(use_u: bool, use_v: bool, v_per_u: float) -> tuple[float, float]:
+    """Weights of both coordinates' residuals, relative to that of the first known one."""
+    return (1.0 if use_u else 0.0), ((1.0 / v_per_u if use_u else 1.0) if use_v else 0.0)
+
+
+@njit(inline="always")
+def _in_projector(a: float, b: float, pose: Numbers) -> Ray:
+    """The ray of a camera pixel with the slopes a, b."""
+    xa, xb, xc, tx, ya, yb, yc, ty, za, zb, zc, tz = pose
+    return xa * a + xb * b + xc, ya * a + yb * b + yc, za * a + zb * b + zc, tx, ty, tz
+
+
+@njit(inline="always")
+def _linear_depth(x: float, y: float, ray: Ray, weights: tuple[float, float]) -> float:
+    """Depth of the point whose image in an undistorted projector has the slopes x, y."""
+    dx, dy, dz, tx, ty, tz = ray
+    mx, my = weights[0] * (x * dz - dx), weights[1] * (y * dz - dy)
+    return (mx * (tx - x * tz) + my * (ty - y * tz)) / (mx * mx + my * my + 1e-300)
+
+
+@njit(inline="always")
+def _residuals(
+    z: float, ray: Ray, u: float, v: float, weights: tuple[float, float], projector: Numbers
+) -> Residuals:
+    """Weighted residuals of both coordinates at a depth, their derivatives by it, and the image there."""
+    dx, dy, dz, tx, ty, tz = ray
+    fx, fy, cx, cy = projector[0], projector[1], projector[2], projector[3]
+    near = 1.0 / (z * dz + tz)
+    x, y = (z * dx + tx) * near, (z * dy + ty) * near
+    xd, yd, xx, xy, yy = _distort(x, y, projector[4:])
+    x_z, y_z = (dx - x * dz) * near, (dy - y * dz) * near
+    ju, jv = weights[0] * fx * (xx * x_z + xy * y_z), weights[1] * fy * (xy * x_z + yy * y_z)
+    pu, pv = fx * xd + cx, fy * yd + cy
+    eu, ev = weights[0] * (u - pu), weights[1] * (v - pv)
+    return eu, ev, ju, jv, pu, pv, x, y, xd, yd
+
+
+@njit(inline="always")
+def _is_in_image(u: float, v: float, size: tuple[int, int]) -> bool:
+    return bool(-0.5 <= u <= size[0] - 0.5 and -0.5 <= v <= size[1] - 0.5)
+
+
+@njit(inline="always")
+def _epipolar_px(off_u: float, off_v: float, ju: float, jv: float) -> float:
+    """Distance of the coordinates from the epipolar curve, which has the direction (ju, jv)."""
+    across = abs(ju * off_v - jv * off_u)
+    return float(across / np.sqrt(ju * ju + jv * jv))
+
+
 # Contracting to multiply-adds changes the last bits only, and NaN keeps its meaning.
 @njit(parallel=True, cache=True, error_model="numpy", fastmath={"contract"})
 def _solve(
-    slopes: Floats,
-    coded_u: Map,
-    coded_v: Map,
-    sigma: Map,
-    phase_error: Map,
-    use_u: bool,
-    use_v: bool,
-    v_per_u: float,
-    projector: Numbers,
-    pose: Numbers,
-    size: tuple[int, int],
-    reach: float,
-    starts: NDArray[np.int64],
-    points: Map,
-    pixels: NDArray[np.int32],
-    spread: Map,
-    common_spread: Map,
-    epipolar: Map,
+    slopes: Floats, coded: CodedMaps, projector: ProjectorModel, starts: NDArray[np.int64], out: Solutions
 ) -> None:
-    """Fill points, pixels, both sigmas along the ray in mm and epipolar distance in px, row by row.
-
-    A pixel with coordinates but without a solution has NaN for its point.
-    """
-    height, width = sigma.shape
-    fx, fy, cx, cy = projector[0], projector[1], projector[2], projector[3]
-    lens, reach_squared = projector[4:], reach * reach
+    """Fill the solutions row by row; a pixel with coordinates but without a solution has NaN as point."""
+    (height, width), reach = coded.sigma.shape, projector.reach
+    use_u, use_v, v_per_u = len(coded.u) > 0, len(coded.v) > 0, coded.v_per_u
+    # In a parallel loop tuples cannot hold tuples, and what they hold cannot be written.
+    points, pixels, epipolar = out.points, out.pixels, out.epipolar
+    spread, common_spread = out.sigma, out.phase_error
+    device, pose, size = projector.intrinsics, projector.pose, projector.size
+    fx, fy, cx, cy = device[0], device[1], device[2], device[3]
     per_fx, per_fy = 1.0 / fx, 1.0 / fy
-    xa, xb, xc, tx, ya, yb, yc, ty, za, zb, zc, tz = pose
-    wu, wv = (1.0 if use_u else 0.0), ((1.0 / v_per_u if use_u else 1.0) if use_v else 0.0)
-    for block in prange((height + BLOCK - 1) // BLOCK):
+    weights = _weights(use_u, use_v, v_per_u)
+    for block in prange((height + LIMITS.block_rows - 1) // LIMITS.block_rows):
         # The distortion of the pixel above is an initial value that needs only one step.
         shift_x, shift_y = np.full(width, np.nan), np.full(width, np.nan)
-        for row in range(block * BLOCK, min((block + 1) * BLOCK, height)):
+        for row in range(block * LIMITS.block_rows, min((block + 1) * LIMITS.block_rows, height)):
             at = starts[row] - 1
             for column in range(width):
-                u = float(coded_u[row, column]) if use_u else cx
-                v = float(coded_v[row, column]) if use_v else cy
+                u = float(coded.u[row, column]) if use_u else cx
+                v = float(coded.v[row, column]) if use_v else cy
                 if not _coded(u, v):
                     continue
                 at += 1
                 points[at, 0] = points[at, 1] = points[at, 2] = np.nan
                 a, b = slopes[0, row, column], slopes[1, row, column]
-                dx, dy, dz = xa * a + xb * b + xc, ya * a + yb * b + yc, za * a + zb * b + zc
+                ray = _in_projector(a, b, pose)
                 # With the distortion taken as known the equations are linear in z.
                 x, y = (u - cx) * per_fx - shift_x[column], (v - cy) * per_fy - shift_y[column]
                 if np.isnan(x):
-                    x, y = _straighten(u, v, projector, reach)
-                mx, my = wu * (x * dz - dx), wv * (y * dz - dy)
-                z = (mx * (tx - x * tz) + my * (ty - y * tz)) / (mx * mx + my * my + 1e-300)
-                for _ in range(ITERATIONS):
-                    pz = z * dz + tz
-                    if not (z > 0.0 and pz > 0.0):
+                    x, y = _straighten(u, v, device, reach)
+                z = _linear_depth(x, y, ray, weights)
+                for _ in range(LIMITS.max_steps):
+                    if not (z > 0.0 and z * ray[2] + ray[5] > 0.0):
                         break
-                    near = 1.0 / pz
-                    x, y = (z * dx + tx) * near, (z * dy + ty) * near
-                    xd, yd, xx, xy, yy = _distort(x, y, lens)
-                    x_z, y_z = (dx - x * dz) * near, (dy - y * dz) * near
-                    ju, jv = wu * fx * (xx * x_z + xy * y_z), wv * fy * (xy * x_z + yy * y_z)
-                    pu, pv = fx * xd + cx, fy * yd + cy
-                    eu, ev = wu * (u - pu), wv * (v - pv)
+                    eu, ev, ju, jv, pu, pv, x, y, xd, yd = _residuals(z, ray, u, v, weights, device)
                     square = ju * ju + jv * jv
-                    if square < LEAST_SENSITIVITY * LEAST_SENSITIVITY:
+                    if square < LIMITS.min_sensitivity_px_per_mm * LIMITS.min_sensitivity_px_per_mm:
                         break
-                    per_square = 1.0 / square
-                    step = (ju * eu + jv * ev) * per_square
+                    step = (ju * eu + jv * ev) * (1.0 / square)
                     z += step
-                    if abs(step) <= DEPTH_TOLERANCE * z:
+                    if abs(step) <= LIMITS.depth_tolerance * z:
                         shift_x[column], shift_y[column] = xd - x, yd - y
-                        inside = -0.5 <= pu <= size[0] - 0.5 and -0.5 <= pv <= size[1] - 0.5
-                        if inside and x * x + y * y < reach_squared:
+                        if _is_in_image(pu, pv, size) and x * x + y * y < reach * reach:
                             points[at, 0], points[at, 1], points[at, 2] = z * a, z * b, z
+                            mm_per_px = np.sqrt((1.0 + a * a + b * b) * (1.0 / square))
                             pixels[at, 0], pixels[at, 1] = column, row
-                            mm_per_px = np.sqrt((1.0 + a * a + b * b) * per_square)
-                            spread[at] = sigma[row, column] * mm_per_px
+                            spread[at] = coded.sigma[row, column] * mm_per_px
                             if len(common_spread) > 0:
-                                share = phase_error[row, column] / sigma[row, column]
+                                share = coded.phase_error[row, column] / coded.sigma[row, column]
                                 common_spread[at] = spread[at] * share
                             if use_u and use_v:
-                                iu, iv = ju, jv * v_per_u
-                                across = abs(iu * (v - pv) - iv * (u - pu))
-                                epipolar[at] = across / np.sqrt(iu * iu + iv * iv)
+                                epipolar[at] = _epipolar_px(u - pu, v - pv, ju, jv * v_per_u)
                         break

@@ -37,13 +37,9 @@ from fpplab.core.conventions import Floats
 from fpplab.core.errors import CalibrationError
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.core.progress import Progress, no_progress
+from fpplab.reconstruction.limits import RECONSTRUCTION_LIMITS as LIMITS
 from fpplab.reconstruction.ray_grid import AnyPoints, RayGrid, are_positive
 from fpplab.reconstruction.triangulation import DecodedMaps, any_known
-
-BLOCK = 1 << 14
-"""Points whose derivatives are in memory at a time: 12 MB."""
-RIGID_SAMPLE = 20_000
-"""About as many evenly sampled points are used to fit the rigid motion of the cloud."""
 
 CoordinateNoise = tuple[float, float]
 """Standard deviations of the projector's u and v, relative to one another; infinite for an axis not coded."""
@@ -66,7 +62,7 @@ def with_uncertainty(
     if calibration.uncertainty is None:
         return cloud
     modes = _Modes.of(calibration, noise)
-    sample = cloud.points[:: max(1, len(cloud) // RIGID_SAMPLE)].astype(np.float64)
+    sample = cloud.points[:: max(1, len(cloud) // LIMITS.rigid_sample_points)].astype(np.float64)
     centre = sample.mean(axis=0)
     motion = _rigid_part(modes, sample, centre)
 
@@ -220,5 +216,5 @@ def _squares(moved: Floats) -> Floats:
 
 
 def _blocks(count: int) -> Iterator[slice]:
-    for start in range(0, count, BLOCK):
-        yield slice(start, min(start + BLOCK, count))
+    for start in range(0, count, LIMITS.block_points):
+        yield slice(start, min(start + LIMITS.block_points, count))

@@ -21,7 +21,8 @@ from fpplab.core.drawing import (
 )
 from fpplab.core.errors import DataError
 from fpplab.patterns.plan import Plan
-from fpplab.phase.common_errors import LEAST_PIXELS, show_common_errors
+from fpplab.phase.common_errors import show_common_errors
+from fpplab.phase.limits import NOISE
 from fpplab.report.raster import raster_of, rasterise
 
 PARTS = {
@@ -100,8 +101,8 @@ def _why_unknown(plan: Plan | None) -> str:
         "take four steps or more"
     )
     pixels = (
-        f"fewer than {LEAST_PIXELS} of the pixels that are sampled over the image (some 20,000) show fringes "
-        "without saturation, as on a part that fills less than about half a percent of the image"
+        f"fewer than {NOISE.min_pixels} of the pixels that are sampled over the image (some 20,000) show "
+        "fringes without saturation, as on a part that fills less than about half a percent of the image"
     )
     if plan is None:
         return f"{shared}the file does not hold it, or {pixels}, or {steps}."

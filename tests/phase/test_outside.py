@@ -30,7 +30,7 @@ def test_the_share_outside_is_found(stripes: tuple[float, ...], share: float) ->
     found = decode(limited(recording, 1e-4), bounds=moved(bounds, 80.0, outside)).outside
     assert found is not None
     # 1000 pixels are examined: four standard deviations, and orders that fit by chance.
-    assert found.likelier == pytest.approx(outside.mean(), abs=0.06)
+    assert found.share_outside_depth_range == pytest.approx(outside.mean(), abs=0.06)
     assert any("probably lies outside" in one for one in found.warnings()) == (share > 0)
 
 
@@ -38,8 +38,8 @@ def test_sets_that_repeat_themselves_cannot_tell() -> None:
     recording, _, bounds = noisy((10.0, 100.0), (4, 4), "guided", 40.0, seed=53)
     found = decode(limited(recording, 1e-4), bounds=bounds).outside
     assert found is not None
-    assert found.as_likely > 0.95
-    assert found.likelier < 0.01
+    assert found.share_on_both_sides > 0.95
+    assert found.share_outside_depth_range < 0.01
     assert any("decoded wrongly, unnoticed" in one for one in found.warnings())
 
 

@@ -15,7 +15,8 @@ from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
 from fpplab.pipeline import check_plan, plan_with_depth
-from fpplab.reconstruction.depth_range import MARGIN_PX, DepthRange, depth_bounds
+from fpplab.reconstruction.depth_range import DepthRange, depth_bounds
+from fpplab.reconstruction.limits import RECONSTRUCTION_LIMITS
 from fpplab.reconstruction.triangulation import triangulate
 from sim.warmup import DISTANCE_MM, frames_of_plane, small_rig
 
@@ -45,7 +46,10 @@ def test_the_intervals_hold_every_point_of_the_range_and_little_more() -> None:
         least, most = (np.clip(end, -0.5, last) for end in (seen[..., k].min(0), seen[..., k].max(0)))
         assert (bounds[axis].least <= least + 1e-3).all()
         assert (bounds[axis].most >= most - 1e-3).all()
-        assert (bounds[axis].most - bounds[axis].least <= most - least + 2 * MARGIN_PX + 1.0).all()
+        assert (
+            bounds[axis].most - bounds[axis].least
+            <= most - least + 2 * RECONSTRUCTION_LIMITS.interval_margin_px + 1.0
+        ).all()
 
 
 def test_a_guided_plan_measures_what_a_plan_with_one_stripe_does() -> None:

@@ -1,0 +1,143 @@
+"""Limits of decoding, each with where it comes from: derived, measured or chosen.
+
+They are named tuples, because compiled functions read them.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+
+class OrderLimits(NamedTuple):
+    """Limits of unwrapping, fusion and the choice of fringe orders."""
+
+    edge_margin_px: float = 0.05
+    """How near the projector's edge, in px and besides its noise, a coordinate may come before stripes that
+    repeat there leave it open which of the two edges is meant. Chosen."""
+    edge_sigmas: float = 1.5
+    """How many standard deviations of its noise a coordinate may lie beyond the possible ones. Chosen."""
+    min_chi2_difference: float = 9.0
+    """Least difference of χ² by which two hypotheses of the base are distinguished. Chosen: 3 sigma."""
+    min_cost_difference: float = 1e-5
+    """Least difference of their costs, weighted sums of squared disagreements in periods. Derived: rounding
+    to float32 stays below it."""
+    agreeing_sigmas: float = 4.0
+    """How many standard deviations of their difference a set may lie from the finest one to take part.
+    Chosen: chance exceeds it at one pixel in 16,000."""
+    rounding_turns: float = 3e-6
+    """Standard deviation of a phase in turns that rounding to float32 leaves."""
+    max_separation_ratio: float = 9.0
+    """Shifts of so many times the least χ² are left out. Derived: where they matter, the nearest one masks
+    the pixel."""
+    beyond_sigmas: float = 5.0
+    """How many standard deviations beyond the possible positions a shifted one is still considered. Derived:
+    less than 3e-7 of its distribution lies within them then."""
+    cap_log_odds: float = 50.0
+    """Logarithm of odds from which on they are no longer distinguished. Derived: the order is certainly
+    wrong, and the exponential stays finite."""
+    max_log_odds: float = 60.0
+    """Logarithm of the odds against a shift beyond which it is not looked at. Derived: with
+    `min_share_inside` it adds less than 1e-17."""
+    min_share_inside: float = 1e-9
+    """Least share of a position's own distribution that is taken to lie within the possible positions.
+    Chosen: keeps the odds finite at the edge."""
+    max_moves: int = 8
+    """How many shifts in turn may lead from the order of unwrapping to the likeliest. Chosen: two are
+    rare."""
+    doubtful_share: float = 0.25
+    """Share of a period beyond which a disagreement makes an order doubtful, for the vote of the neighbours.
+    Chosen: clean data stay below."""
+    max_vote_passes: int = 5
+    """Passes of the vote. Chosen."""
+
+
+class OutsideLimits(NamedTuple):
+    """Limits of the look for light from outside of the depth range."""
+
+    sample_pixels: int = 1000
+    """About how many pixels are looked at. Chosen: a share of 5 % is then known to 0.7 %."""
+    min_pixels: int = 50
+    """Fewer pixels with fringes say nothing. Chosen."""
+    max_noise_turns: float = 0.05
+    """Greatest noise of a phase, in turns, of a pixel that is taken to have fringes. Chosen."""
+    beyond_sigmas: float = 5.0
+    """How many standard deviations beyond the interval a position certainly lies outside. Chosen."""
+    warning_share: float = 0.05
+    """Share of the pixels with fringes from which on a warning is given. Chosen."""
+
+
+class NoiseLimits(NamedTuple):
+    """Limits of the estimate of noise."""
+
+    sample_rows: int = 32
+    """Rows of the image that pixels are sampled from. Chosen: whole cache lines of a few rows."""
+    sample_pixels: int = 16_000
+    """Sampled pixels. Chosen, as `max_values`."""
+    max_values: int = 32_000
+    """Values, pixels times degrees of freedom, that noise is estimated from. Chosen: noise is then known to
+    1 %."""
+    min_pixels: int = 100
+    """Fewest pixels that errors are estimated from. Chosen."""
+    min_samples: int = 3
+    """Fewest unsaturated samples of a fringe set. Derived: a sinusoid has three parameters."""
+    max_saturation_loss: float = 9.0
+    """Greatest variance of the phase from unsaturated samples, relative to that from all. Chosen: the samples
+    lie too close together beyond it."""
+    min_spread: float = 0.0025
+    """Variance of a level before rounding, in steps squared, that is distinguished from none. Derived: 1/20
+    of a step, so that some part of the variance is always left to chance."""
+    max_bins: int = 24
+    """Bins of levels that a line is fitted through. Chosen."""
+    min_pixels_per_bin: int = 30
+    """Chosen: the mean of a bin is then known to 18 % with two degrees of freedom in each pixel."""
+    rejected_share: float = 0.001
+    """Share of pixels without motion or edges that are rejected as outliers. Chosen."""
+    rejection_passes: int = 6
+    """Passes of the rejection of outliers. Chosen."""
+    min_sampled_share: float = 0.7
+    """Share of rounding's variance below which the levels of a bin do not change over a whole step.
+    Chosen."""
+    max_repeated_share: float = 1e-4
+    """Share of the variance by rounding that repeats, from which on it is computed. Chosen."""
+    min_levels: int = 16
+    """Fewest levels whose gaps tell the step of raw values. Chosen."""
+    min_even_share: float = 0.9
+    """Share of the gaps that must be one step. Chosen."""
+
+
+class CommonErrorLimits(NamedTuple):
+    """Limits of the estimate of errors that all pixels of one phase share."""
+
+    gain_prior: float = 0.01
+    """Standard deviation of the lamp's gains from image to image that is expected. Chosen."""
+    harmonic_prior: float = 0.1
+    """Standard deviation of the response's harmonics as shares of the fringe that is expected. Derived: the
+    second one of an exponent of 1.33."""
+    offset_prior_grey: float = 10.0
+    """Standard deviation of the offset of whole sets in grey levels that is expected. Chosen."""
+    min_variance: float = 1e-3
+    """Least variance of a grey level, in grey levels squared. Chosen: keeps noise-free frames solvable."""
+    outlier_ratio: float = 9.0
+    """Power beyond so many times the median is left out. Chosen: 3 sigma."""
+    fit_passes: int = 2
+    """Passes of the fit, the last without outliers. Chosen."""
+    sample_pixels: int = 2000
+    """Pixels that are fitted, for one set. Chosen."""
+    min_third_harmonic: float = -0.0168
+    """Least third harmonic as a share of the fringe. Derived: somewhat below -0.0161, the least of any
+    exponent."""
+    min_stripes: float = 4.0
+    """Fewest stripes of a set whose offset is compared. Chosen: light from the rest of the scene changes as
+    slowly as wider fringes do."""
+    gain_significance: float = -math.log(0.001)
+    """Power of gains relative to that of noise, which noise alone reaches once in a thousand times.
+    Derived."""
+    highest_harmonic: int = 64
+    """Of a power law. Chosen."""
+
+
+ORDERS = OrderLimits()
+OUTSIDE = OutsideLimits()
+NOISE = NoiseLimits()
+COMMON_ERRORS = CommonErrorLimits()
