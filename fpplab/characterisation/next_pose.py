@@ -29,7 +29,7 @@ from fpplab.characterisation.problem import Problem
 from fpplab.characterisation.working_volume import WorkingVolume
 from fpplab.core.conventions import Floats
 from fpplab.core.geometry import RigidTransform
-from fpplab.targets.views import LEAST_POINTS
+from fpplab.targets.limits import TARGET_LIMITS
 
 MAX_POINTS = 80
 """Boards of more points are thinned for the choice, and the points that remain count for the others."""
@@ -97,7 +97,7 @@ class Design:
     def _added_by(self, pose: RigidTransform) -> tuple[Floats, Floats] | None:
         """What a pose would add to `information` and `shared`."""
         seen = expected_observation(self.estimate, pose)
-        if len(seen.ids) < LEAST_POINTS:
+        if len(seen.ids) < TARGET_LIMITS.min_points:
             return None
         near = replace(self.estimate.solution, poses=vectors_of(pose)[None])
         problem = Problem((seen,), self.estimate.model, self.estimate.sizes, near)

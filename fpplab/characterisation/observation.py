@@ -20,8 +20,9 @@ from fpplab.core.conventions import Floats, Map
 from fpplab.core.errors import CalibrationError
 from fpplab.patterns.plan import Plan
 from fpplab.targets import Target, UnclearPart
+from fpplab.targets.limits import TARGET_LIMITS
 from fpplab.targets.partial import detect_part
-from fpplab.targets.views import LEAST_POINTS, Detection, homography
+from fpplab.targets.views import Detection, homography
 
 if TYPE_CHECKING:
     from fpplab.phase import Decoded
@@ -69,7 +70,7 @@ def observe(
         maps, repaired = _with_corrected_orders(name, maps, target, detection, np.array(periods_px), limits)
     found = coordinates_at_points(maps, decoded.modulation, target, detection)
     kept = np.isfinite(found).all(axis=1)
-    if kept.sum() < LEAST_POINTS:
+    if kept.sum() < TARGET_LIMITS.min_points:
         raise CalibrationError(f"{name}: only {kept.sum()} points of the board are illuminated well enough")
     return Observation(name, detection.ids[kept], detection.pixels[kept], found[kept], repaired)
 
@@ -113,7 +114,7 @@ def _with_corrected_orders(
     corrected = np.full_like(maps, np.nan)
     lit = np.isfinite(maps[..., 0]) & np.isfinite(maps[..., 1])
     v, u = np.nonzero(lit & _board_area(maps.shape[:2], target, detection))
-    if len(u) < MIN_FIT_PIXELS * LEAST_POINTS:
+    if len(u) < MIN_FIT_PIXELS * TARGET_LIMITS.min_points:
         raise CalibrationError(f"{name}: too little of the board is illuminated by the projector")
     pixels, seen = np.stack([u, v], axis=-1).astype(np.float64), maps[v, u] / periods
     step = max(len(u) // 4000, 1)

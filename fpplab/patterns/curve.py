@@ -15,16 +15,10 @@ from scipy.interpolate import BSpline
 
 from fpplab.core.config import Document, Positive
 from fpplab.core.conventions import Floats
+from fpplab.patterns.limits import PATTERN_LIMITS as LIMITS
 
 DEGREE = 3
 """Degree of the spline."""
-CORRECTABLE = (0.5, 5.0)
-"""Range of exponents whose inverse 256 grey levels can show: rounding leaves at most 0.007 rad of error in
-three steps.
-"""
-MOST_JUMP = (1 / 255) ** CORRECTABLE[0]
-"""Greatest step of the light from one of 256 grey levels to the next, as a share, that patterns are corrected
-with: the first step of the least exponent."""
 
 _INVERSE = np.linspace(0.0, 1.0, 1 << 16)
 
@@ -85,13 +79,13 @@ class Curve(Document):
         """Refuse a response whose inverse a projector cannot show."""
         if self.spline:
             jump = float(np.diff(self.shape(np.arange(256) / 255)).max())
-            if jump > MOST_JUMP:
+            if jump > LIMITS.max_jump:
                 raise ValueError(
                     f"'spline' rises by {jump:.2g} of white from one grey level to the next: at most "
-                    f"{MOST_JUMP:.2g} to correct patterns with; change the projector's own tone curve"
+                    f"{LIMITS.max_jump:.2g} to correct patterns with; change the projector's own tone curve"
                 )
             return
-        least, most = CORRECTABLE
+        least, most = LIMITS.min_exponent, LIMITS.max_exponent
         if not least <= self.g <= most:
             raise ValueError(
                 f"'g' is {self.g:g}: patterns can be corrected for an exponent of {least:g} to {most:g}, "

@@ -18,22 +18,9 @@ import numpy as np
 from fpplab.core.config import Document
 from fpplab.core.conventions import TWO_PI, Axis, Floats, axis_length, phase_steps
 from fpplab.patterns.curve import Curve
+from fpplab.patterns.limits import PATTERN_LIMITS as LIMITS
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.response import Response
-
-ALLOWED_RAD = 0.01
-"""Greatest acceptable RMS phase error in rad: about the noise of one pixel of twelve 8-bit frames, 0.02 px of
-a projector of 912 columns at 64 stripes.
-"""
-MOST_STEPS = 30
-"""Greatest number of steps that `least_steps` tries."""
-COVERAGE = 2.0
-"""Coverage factor: a fit is judged at the worse end of g plus or minus so many of its standard
-uncertainties, with as many times what the levels leave of the curve."""
-GREYS = 256
-"""Grey levels of the projector."""
-TABLE = (3, 4, 5, 6, 8, 12)
-"""Numbers of steps whose phase errors are always reported."""
 
 _PHASES = 512
 _REACH = 8
@@ -79,7 +66,7 @@ def phase_error(g: float, steps: int) -> float:
 
 
 def shown_phase_error(
-    response: Curve, steps: int, correction: Curve | None = None, greys: int = GREYS
+    response: Curve, steps: int, correction: Curve | None = None, greys: int = 256
 ) -> float:
     """Compute the RMS phase error of patterns as they are shown, in `greys` grey levels.
 
@@ -95,11 +82,11 @@ def shown_phase_error(
     return _rms(np.angle(decoded * np.exp(-1j * phase)))
 
 
-def least_steps(response: Curve, allowed_rad: float = ALLOWED_RAD) -> int | None:
+def least_steps(response: Curve, allowed_rad: float = LIMITS.max_phase_error_rad) -> int | None:
     """Find the fewest steps from which on the phase error is acceptable without correction."""
-    relative = relative_harmonics(response, highest=_REACH * MOST_STEPS + 1)
+    relative = relative_harmonics(response, highest=_REACH * LIMITS.max_steps + 1)
     found = None
-    for steps in range(MOST_STEPS, 2, -1):
+    for steps in range(LIMITS.max_steps, 2, -1):
         if harmonic_phase_error(relative, steps) > allowed_rad:
             break
         found = steps
@@ -126,7 +113,7 @@ class ResponseJudgement(Document):
     """
 
     good_enough: bool
-    """Whether `worst_rad` is at most `ALLOWED_RAD`."""
+    """Whether `worst_rad` is at most `max_phase_error_rad`."""
     sentence: str
     """The judgement in one sentence, with advice where it is not good enough."""
     axis: Axis
@@ -147,9 +134,9 @@ class ResponseJudgement(Document):
     """RMS phase error in rad that pre-correction by this response leaves, rounding to 256 grey levels
     included."""
     least_steps: int | None
-    """Fewest steps from which on uncorrected patterns are good enough; None above `MOST_STEPS`."""
+    """Fewest steps from which on uncorrected patterns are good enough; None above `max_steps`."""
     by_steps: dict[str, float]
-    """RMS phase error in rad of uncorrected patterns for every number of steps of `TABLE`."""
+    """RMS phase error in rad of uncorrected patterns for every number of steps of `reported_steps`."""
     corrected_by_steps: dict[str, float]
     """The same of patterns corrected by this response."""
     rounding_by_steps: dict[str, float]
@@ -162,13 +149,13 @@ def judge_response(response: Response, plan: Plan, size: tuple[int, int]) -> Res
     A plan that corrects its patterns is judged with that correction.
     """
     curve = Curve(a=response.a, b=response.b, g=response.g, spline=response.spline)
-    ends, hidden = _ends(response, curve), COVERAGE * unexplained_phase_error(response)
+    ends, hidden = _ends(response, curve), LIMITS.coverage * unexplained_phase_error(response)
 
     def px(axis: Axis, stripes: float, rad: float) -> float:
         return rad / TWO_PI * axis_length(size, axis) / stripes
 
     def table(of: Curve, correction: Curve | None = None) -> dict[str, float]:
-        return {str(n): shown_phase_error(of, n, correction) for n in TABLE}
+        return {str(n): shown_phase_error(of, n, correction) for n in LIMITS.reported_steps}
 
     finest = [plan.fringes[plan.finest_set(axis)] for axis in plan.axes]
     fringe = max(
@@ -176,11 +163,11 @@ def judge_response(response: Response, plan: Plan, size: tuple[int, int]) -> Res
     )
     rad = shown_phase_error(curve, fringe.images, plan.response)
     worst = max(shown_phase_error(end, fringe.images, plan.response) for end in ends)
-    enough = max(least_steps(end, _left_for_harmonics(hidden)) or MOST_STEPS + 1 for end in ends)
+    enough = max(least_steps(end, _left_for_harmonics(hidden)) or LIMITS.max_steps + 1 for end in ends)
     corrected = max(shown_phase_error(end, fringe.images, curve) for end in ends)
     worst, corrected = float(np.hypot(worst, hidden)), float(np.hypot(corrected, hidden))
     found = ResponseJudgement(
-        good_enough=worst <= ALLOWED_RAD,
+        good_enough=worst <= LIMITS.max_phase_error_rad,
         sentence="",
         axis=fringe.axis,
         stripes=fringe.stripes,
@@ -190,7 +177,7 @@ def judge_response(response: Response, plan: Plan, size: tuple[int, int]) -> Res
         phase_px=px(fringe.axis, fringe.stripes, rad),
         worst_rad=worst,
         corrected_rad=corrected,
-        least_steps=enough if enough <= MOST_STEPS else None,
+        least_steps=enough if enough <= LIMITS.max_steps else None,
         by_steps=table(curve),
         corrected_by_steps=table(curve, curve),
         rounding_by_steps=table(Curve(a=1.0, b=0.0, g=1.0)),
@@ -199,14 +186,14 @@ def judge_response(response: Response, plan: Plan, size: tuple[int, int]) -> Res
 
 
 def _left_for_harmonics(hidden: float) -> float:
-    return float(np.sqrt(max(ALLOWED_RAD**2 - hidden**2, 0.0)))
+    return float(np.sqrt(max(LIMITS.max_phase_error_rad**2 - hidden**2, 0.0)))
 
 
 def _ends(response: Response, curve: Curve) -> tuple[Curve, ...]:
     """The curve, and for a power law those at both ends of its exponent's uncertainty."""
     if curve.spline:
         return (curve,)
-    reach = min(COVERAGE * response.sigma[2], 0.9 * response.g)
+    reach = min(LIMITS.coverage * response.sigma[2], 0.9 * response.g)
     ends = (response.g - reach, response.g, response.g + reach)
     return tuple(curve.model_copy(update={"g": g}) for g in ends)
 
@@ -218,13 +205,14 @@ def _sentence(found: ResponseJudgement) -> str:
         f"rad, {found.phase_px:.2g} projector px (at most {found.worst_rad:.2g} rad within its uncertainty)"
     )
     if found.good_enough:
-        return f"{says}: good enough, at most {ALLOWED_RAD:g} rad are allowed"
+        return f"{says}: good enough, at most {LIMITS.max_phase_error_rad:g} rad are allowed"
     ways = []
-    if found.corrected_rad <= ALLOWED_RAD:
+    if found.corrected_rad <= LIMITS.max_phase_error_rad:
         ways.append(
             f"pre-correct the patterns ('response' in the plan), which leaves {found.corrected_rad:.2g} rad"
         )
     if found.least_steps:
         ways.append(f"take {found.least_steps} steps or more without correction")
     ways = ways or ["measure the response again with more levels and light"]
-    return f"{says}: not good enough, at most {ALLOWED_RAD:g} rad are allowed; {', or '.join(ways)}"
+    allowed = LIMITS.max_phase_error_rad
+    return f"{says}: not good enough, at most {allowed:g} rad are allowed; {', or '.join(ways)}"

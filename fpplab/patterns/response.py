@@ -21,13 +21,8 @@ from fpplab.core.conventions import Floats, Mask
 from fpplab.core.errors import CalibrationError, ConfigError
 from fpplab.core.files import write_text
 from fpplab.patterns.curve import Curve, power_law
+from fpplab.patterns.limits import PATTERN_LIMITS as LIMITS
 from fpplab.patterns.response_spline import SplineFit, fit_spline, leave_one_out, prefers_spline
-
-LEAST_LEVELS = 5
-"""Fewest levels that are fitted: three parameters, and two degrees of freedom to judge the fit by."""
-MOST_SIGMA_G = 0.05
-"""Greatest relative uncertainty of g with which patterns are corrected: the share of the error that may
-remain."""
 
 _Sigma = Annotated[float, Field(ge=0)]
 LawParameters = tuple[float, float, float]
@@ -70,7 +65,7 @@ class Response(Curve):
     """Standard uncertainties of a, b and g."""
     residual: Annotated[float, Field(ge=0)]
     """RMS misfit as a share of full scale."""
-    levels: Annotated[int, Field(ge=LEAST_LEVELS)]
+    levels: Annotated[int, Field(ge=LIMITS.min_levels)]
     """Number of levels that were fitted."""
     covariance: tuple[LawParameters, LawParameters, LawParameters] | None = None
     """Covariance (3, 3) of a, b and g."""
@@ -140,11 +135,11 @@ class Response(Curve):
             self.check_correctable()
         except ValueError as error:
             raise ConfigError(f"{source}: {error}") from error
-        if not self.spline and self.sigma[2] > MOST_SIGMA_G * self.g:
+        if not self.spline and self.sigma[2] > LIMITS.max_sigma_g * self.g:
             raise ConfigError(
                 f"{source}: 'g' is {self.g:.3g} with a standard uncertainty of {self.sigma[2]:.2g}: "
-                f"at most {100 * MOST_SIGMA_G:g} % to correct patterns with; measure it again with more "
-                "levels and light"
+                f"at most {100 * LIMITS.max_sigma_g:g} % to correct patterns with; measure it again with "
+                "more levels and light"
             )
         return Curve(a=self.a, b=self.b, g=self.g, spline=self.spline)
 
@@ -207,11 +202,11 @@ def _levels(name: str, values: ArrayLike) -> Floats:
 
 def _fit_for_use(shown: Floats, seen: Floats, left_out: tuple[str, ...]) -> None:
     distinct = len(np.unique(shown))
-    if distinct < LEAST_LEVELS:
+    if distinct < LIMITS.min_levels:
         advice = "shorten the exposure" if left_out else "show more levels"
         raise CalibrationError(
             f"{distinct} different levels remain for the response and {len(left_out)} are saturated; "
-            f"at least {LEAST_LEVELS} are needed: {advice}"
+            f"at least {LIMITS.min_levels} are needed: {advice}"
         )
     if np.corrcoef(shown, seen)[0, 1] < 0.5 if np.ptp(seen) > 0 else True:
         raise CalibrationError(

@@ -13,18 +13,11 @@ import numpy as np
 
 from fpplab.core.conventions import Floats, Image, Mask, full_scale
 from fpplab.core.errors import CalibrationError
+from fpplab.patterns.limits import PATTERN_LIMITS as LIMITS
 from fpplab.patterns.response import Region, Response, fit_response
 
 GRID = 3
 """Regions along each side of the image."""
-CLIPPED = 1e-3
-"""Share of pixels at full scale beyond which a mean level counts as saturated."""
-LEAST_RISE = 0.05
-"""Rise from black to white, as a share of full scale, below which a region is dark."""
-DISAGREEMENT = 0.05
-"""Relative spread of the regions' g beyond which there is no common response: g of 1.05 instead of 1 changes
-the phase of three steps by 0.01 rad.
-"""
 
 MEAN, NOISE, SPREAD, WHITE = range(4)
 """Rows of the result of `statistics`."""
@@ -96,7 +89,7 @@ def levels_of(greys: GreyLevelImages, regions: Mask) -> tuple[Floats, Floats, Ma
     # Up to 1/4 they may as well be alike, on the edge between two integers; beyond, rounding has added 1/12.
     before = np.where(rounded > 1 / 4, rounded - 1 / 12, 0.0)
     variance = (of_pixels + lamp) / repeats + step**2 * rounding_variance(before)
-    return means.mean(axis=0), np.sqrt(variance), white.mean(axis=0) > CLIPPED
+    return means.mean(axis=0), np.sqrt(variance), white.mean(axis=0) > LIMITS.max_clipped_share
 
 
 def fit_greys(greys: GreyLevelImages) -> Response:
@@ -127,15 +120,15 @@ def fit_greys(greys: GreyLevelImages) -> Response:
 def _choose(greys: GreyLevelImages) -> tuple[Mask, tuple[str, ...]]:
     mean = greys.seen[:, :, MEAN].mean(axis=0)
     rise = np.ptp(mean, axis=0)
-    lit = rise >= LEAST_RISE
-    clipped = (greys.seen[:, :, WHITE].mean(axis=0) > CLIPPED).any(axis=0)
+    lit = rise >= LIMITS.min_rise
+    clipped = (greys.seen[:, :, WHITE].mean(axis=0) > LIMITS.max_clipped_share).any(axis=0)
     if not lit.any() and clipped.any():
         raise CalibrationError("the image is saturated from the darkest level on: shorten the exposure")
     if not lit.any():
         raise CalibrationError(
             f"the levels seen do not rise with the levels shown: by {rise.max():.2g} of full scale at most, "
-            f"and {LEAST_RISE:g} are needed; check that the camera looks at the projector's light and that "
-            "the exposure is long enough"
+            f"and {LIMITS.min_rise:g} are needed; check that the camera looks at the projector's light and "
+            "that the exposure is long enough"
         )
     whole = lit & ~clipped
     words = [f"{_name(i)} is dark: it rises by {rise[i]:.2g} of full scale" for i in np.flatnonzero(~lit)]
@@ -167,7 +160,7 @@ def _region(greys: GreyLevelImages, index: int) -> Region:
 
 
 def _check_agreement(g: float, regions: tuple[Region, ...], spread: float, expected: float) -> None:
-    if spread <= max(DISAGREEMENT * g, 3 * expected):
+    if spread <= max(LIMITS.max_spread_g * g, 3 * expected):
         return
     least, most = min(regions, key=lambda r: r.g), max(regions, key=lambda r: r.g)
     raise CalibrationError(

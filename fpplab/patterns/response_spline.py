@@ -19,16 +19,7 @@ from scipy.optimize import nnls
 
 from fpplab.core.conventions import Floats
 from fpplab.patterns.curve import DEGREE, knots
-
-MOST_COEFFICIENTS = 24
-"""Most coefficients of a spline."""
-LEAST_REACH = 0.98
-"""Level shown that must have been seen, since a spline tells nothing beyond the last level."""
-LEAST_GAIN = 0.7
-"""The spline is chosen where its mean square error of prediction is less than this share of the power
-law's."""
-COVERAGE = 2.0
-"""And where the difference of the two is more than so many of its standard errors."""
+from fpplab.patterns.limits import PATTERN_LIMITS as LIMITS
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,9 +38,9 @@ class SplineFit:
 def fit_spline(shown: Floats, seen: Floats, sigma: Floats | None) -> SplineFit | None:
     """Fit the monotone spline that predicts left-out levels best."""
     # shown, seen (L,); sigma (L,)
-    if shown.min() > 1.0 - LEAST_REACH or shown.max() < LEAST_REACH:
+    if shown.min() > 1.0 - LIMITS.min_reach or shown.max() < LIMITS.min_reach:
         return None
-    most = min(MOST_COEFFICIENTS, len(np.unique(shown)) - 2)
+    most = min(LIMITS.max_coefficients, len(np.unique(shown)) - 2)
     # No level counts much more than the usual one: what the spline lacks is not known to a millionth.
     weight = np.ones_like(seen) if sigma is None else 1.0 / np.hypot(sigma, np.median(sigma))
     counts = range(DEGREE + 1, most + 1)
@@ -104,5 +95,5 @@ def prefers_spline(power: Floats, spline: Floats, sigma: Floats | None) -> bool:
     floor = 0.0 if sigma is None else float(np.mean(sigma[1:-1] ** 2))
     gain = power[1:-1] ** 2 - spline[1:-1] ** 2
     of_power, of_spline = (float(np.mean(one[1:-1] ** 2)) for one in (power, spline))
-    certain = float(gain.mean()) > COVERAGE * float(gain.std(ddof=1)) / np.sqrt(len(gain))
-    return certain and of_power > 2.0 * floor and of_spline < LEAST_GAIN * of_power
+    certain = float(gain.mean()) > LIMITS.coverage * float(gain.std(ddof=1)) / np.sqrt(len(gain))
+    return certain and of_power > 2.0 * floor and of_spline < LIMITS.max_error_ratio * of_power

@@ -25,6 +25,7 @@ from fpplab.core.session_names import (
     VERDICT,
 )
 from fpplab.sessions.inspection import session_faults
+from fpplab.sessions.limits import SESSION_LIMITS as LIMITS
 
 SMALL = {
     FORMAT: "version of the session's format",
@@ -38,9 +39,6 @@ SMALL = {
     VERDICT: "verdict and findings",
 }
 """What is taken of a session."""
-MOST_BYTES = 64 << 20
-"""Of a file that is no session."""
-OLDEST = (1980, 1, 1, 0, 0, 0)
 
 
 @dataclass(frozen=True)
@@ -67,7 +65,7 @@ def write_bug_report(out: Path, sources: Sequence[Path], frames: bool) -> list[R
     def write(stream: BinaryIO) -> None:
         with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
             for one in listed:
-                archive.writestr(zipfile.ZipInfo(one.name, OLDEST), one.content, zipfile.ZIP_DEFLATED)
+                archive.writestr(zipfile.ZipInfo(one.name), one.content, zipfile.ZIP_DEFLATED)
 
     write_atomic(out, write)
     return listed
@@ -106,8 +104,10 @@ def _verified(path: Path) -> bytes:
 def _file(path: Path, number: int) -> ReportEntry:
     if not path.is_file():
         raise ConfigError(f"{path}: there is no such file or session")
-    if path.stat().st_size > MOST_BYTES:
-        raise ConfigError(f"{path}: is larger than {MOST_BYTES >> 20} MB; shorten it, or send it by itself")
+    if path.stat().st_size > LIMITS.max_attachment_bytes:
+        raise ConfigError(
+            f"{path}: is larger than {LIMITS.max_attachment_bytes >> 20} MB; shorten it, or send it by itself"
+        )
     return ReportEntry(f"{number}_{path.name}", _read(path), "a file that was named")
 
 

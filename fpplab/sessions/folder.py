@@ -22,8 +22,8 @@ from fpplab.sessions.journal import format_words
 from fpplab.sessions.rig_record import RigRecord
 
 
-def furnish(path: Path, plan: Plan, rig: RigRecord) -> None:
-    """Write what a session without frames holds."""
+def write_initial_files(path: Path, plan: Plan, rig: RigRecord) -> None:
+    """Write the files of a session without frames."""
     write_recorded(path / PLAN, config.dump(plan), keep=True)
     if rig is not None:
         write_recorded(path / RIG, config.to_yaml(rig), keep=True)
@@ -31,8 +31,8 @@ def furnish(path: Path, plan: Plan, rig: RigRecord) -> None:
     write_text(path / JOURNAL, "")
 
 
-def tidy(path: Path) -> None:
-    """Take away what a crash left: halves of files, and an incomplete last line of the journal."""
+def remove_incomplete_files(path: Path) -> None:
+    """Remove what a crash left: parts of files, and an incomplete last line of the journal."""
     for draft in (path / FRAMES).glob(".*"):
         draft.unlink()
     for name in SESSION_FILES:
@@ -47,22 +47,22 @@ def remove_session(path: Path) -> None:
         shutil.rmtree(path)
 
 
-def sweep_drafts(path: Path) -> None:
-    """Take away drafts of a session whose process was killed."""
+def remove_temporary_folders(path: Path) -> None:
+    """Remove drafts of a session whose process was killed."""
     for draft in path.parent.glob(f".{glob.escape(path.name)}.*"):
         if draft.is_dir() and [inside.name for inside in draft.iterdir()] == [path.name]:
             shutil.rmtree(draft)
 
 
 def require_session(path: Path) -> None:
-    """Refuse to replace a directory that is no session, or holds what fpplab did not write."""
+    """Refuse to replace a directory that is not a session, or holds files that fpplab did not write."""
     if not (path / JOURNAL).is_file():
         raise DataError(f"{path}: is not a session, so --force does not replace it; remove it yourself")
     if foreign := _foreign(path):
         shown = ", ".join(foreign[:5]) + (f" and {len(foreign) - 5} more" if len(foreign) > 5 else "")
         raise DataError(
-            f"{path}: holds what is no part of a session ({shown}), so --force does not replace it; move "
-            "that elsewhere, or name another output"
+            f"{path}: holds files that are not part of a session ({shown}), so --force does not replace "
+            "it; move them elsewhere, or name another output"
         )
 
 
@@ -71,10 +71,10 @@ def _foreign(path: Path) -> list[str]:
     names = "|".join(map(re.escape, sorted(SESSION_FILES)))
     own = re.compile(rf"{names}|\.({names})\.[a-z0-9_]{{8}}")
     frame = re.compile(r"\d{4,}_.*\.tif|\.\d{4,}_.*\.tif\.[a-z0-9_]{8}")
-    beside = [one for one in path.iterdir() if one.name != FRAMES or not one.is_dir() or one.is_symlink()]
+    around = [one for one in path.iterdir() if one.name != FRAMES or not one.is_dir() or one.is_symlink()]
     frames = path / FRAMES
     inside = frames.iterdir() if frames.is_dir() and not frames.is_symlink() else ()
-    foreign = [one.name for one in beside if one.is_dir() or not own.fullmatch(one.name)]
+    foreign = [one.name for one in around if one.is_dir() or not own.fullmatch(one.name)]
     foreign += [f"{FRAMES}/{one.name}" for one in inside if one.is_dir() or not frame.fullmatch(one.name)]
     return sorted(foreign)
 

@@ -31,8 +31,8 @@ def tiff_head(shape: tuple[int, ...], dtype: np.dtype[Any]) -> bytes:
 def write_frame(path: Path, image: NDArray[Any]) -> str:
     """Write a frame, atomically, while its checksum is computed."""
     # image (height, width)
-    with ThreadPoolExecutor(max_workers=1) as beside:  # neither holds Python's lock
-        checksum = beside.submit(_checksum, image)
+    with ThreadPoolExecutor(max_workers=1) as worker:  # neither holds Python's lock
+        checksum = worker.submit(_checksum, image)
         write_parts(path, tiff_head(image.shape, image.dtype), image.data)
     return checksum.result()
 

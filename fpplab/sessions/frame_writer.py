@@ -8,15 +8,13 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 
 from fpplab.devices import Frame
+from fpplab.sessions.limits import SESSION_LIMITS as LIMITS
 from fpplab.sessions.session import Session
-
-MOST_WAITING = 4
-"""Frames that may wait for the disk; beyond them a full queue blocks the caller."""
 
 
 @contextmanager
 def write_frames(session: Session, observe: Callable[[Frame], None]) -> Iterator[Callable[[Frame], None]]:
-    """Write frames into a session, in a thread beside the caller.
+    """Write frames into a session, in a thread of its own.
 
     Frames are written one by one, in the order in which they are given, and none after one that could not
     be. The caller's thread shows each to `observe` once it is on disk. What was given is written also when
@@ -34,7 +32,7 @@ def write_frames(session: Session, observe: Callable[[Frame], None]) -> Iterator
     def record(frame: Frame) -> None:
         before = waiting[-1][1] if waiting else None
         waiting.append((frame, writer.submit(_write_after, before, session, frame)))
-        while waiting and (len(waiting) > MOST_WAITING or waiting[0][1].done()):
+        while waiting and (len(waiting) > LIMITS.max_waiting_frames or waiting[0][1].done()):
             settle()
 
     with ThreadPoolExecutor(max_workers=1) as writer:
@@ -48,7 +46,7 @@ def write_frames(session: Session, observe: Callable[[Frame], None]) -> Iterator
 
 
 def _write_after(before: Future[None] | None, session: Session, frame: Frame) -> None:
-    """Write a frame, unless the one before it failed: then fail alike."""
+    """Write a frame, unless the one before it failed: then fail with the same error."""
     if before is not None:
         before.result()
     session.write(frame)

@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 from fpplab.core.conventions import Image, Mask, full_scale
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.progress import Say
+from fpplab.sessions.limits import SESSION_LIMITS as LIMITS
 
 BIT_DEPTHS = (8, 10, 12, 14, 16)
 STORED_BITS = 16
 """Bits of a stored grey level where it has more than 8."""
-FEWEST_LEVELS = 64
-"""Fewest grey levels whose distances tell how many bits were shifted or scaled to 16."""
 
 
 def check_bits(bits: int | None) -> None:
@@ -93,7 +92,7 @@ class StoredLevels:
     def _upper_bits(self) -> int | None:
         """The depth of levels that were shifted or scaled to 16 bits; None where nothing tells."""
         levels = self.levels
-        if len(levels) < FEWEST_LEVELS:
+        if len(levels) < LIMITS.min_grey_levels:
             return None
         fitting = (d for d in BIT_DEPTHS[:-1] if self.greatest > full_scale(d) and _fills_upper(levels, d))
         return next(fitting, None)

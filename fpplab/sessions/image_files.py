@@ -19,6 +19,7 @@ from fpplab.core.archives import array_head, check_archive
 from fpplab.core.conventions import Image
 from fpplab.core.errors import DataError, FppError
 from fpplab.core.files import open_regular
+from fpplab.sessions.limits import SESSION_LIMITS as LIMITS
 
 NPY, ZIP = b"\x93NUMPY", b"PK"
 FORMATS = ("PNG", "TIFF", "JPEG", "MPO", "BMP", "PPM")
@@ -31,8 +32,6 @@ LOSSY = ("JPEG", "MPO", "jpeg", "tiff_jpeg")
 GREY_MODES = {"L": 8, "I;16": 16, "I;16B": 16, "I;16L": 16}
 """Grey images by Pillow's name of their kind, and the bits of a stored grey level."""
 PHOTOMETRIC, WHITE_IS_ZERO = 262, 0
-TINY_AXIS = 4
-"""A last axis this many times shorter than both others counts images or colours, not columns."""
 
 
 class ImagePlace(NamedTuple):
@@ -103,7 +102,7 @@ class ImageFile(Protocol):
 def open_image_file(path: Path) -> Iterator[ImageFile]:
     """Open a file of grey images: PNG, TIFF of any number of pages, JPEG, BMP, PGM, NPY, NPZ of one array.
 
-    What the file is is told by its first bytes, not by its name.
+    The first bytes decide what the file is, not its name.
     """
     try:
         with open_regular(path) as stream:
@@ -123,7 +122,7 @@ def open_image_file(path: Path) -> Iterator[ImageFile]:
     except FppError:
         raise
     except Exception as error:
-        raise DataError(f"{path}: is truncated or no image ({error})") from error
+        raise DataError(f"{path}: is truncated or not an image ({error})") from error
 
 
 def _opened(stream: IO[bytes]) -> Pillow.Image:
@@ -229,7 +228,7 @@ def _array_head(path: Path, stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtyp
     try:
         shape, fortran, dtype = array_head(stream)
     except ValueError as error:
-        raise DataError(f"{path}: is truncated or no array of images ({error})") from error
+        raise DataError(f"{path}: is truncated or not an array of images ({error})") from error
     if dtype.kind != "u" or dtype.itemsize > 2:
         raise DataError(f"{path}: is an array of {dtype}; grey levels are uint8 or uint16")
     if len(shape) not in (2, 3, 4) or 0 in shape:
@@ -237,7 +236,7 @@ def _array_head(path: Path, stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtyp
             f"{path}: is an array of {_by(shape)}; images are (height, width), (images, height, width) or "
             "(sets, steps, height, width)"
         )
-    if len(shape) == 3 and TINY_AXIS * shape[-1] < min(shape[:2]):
+    if len(shape) == 3 and LIMITS.max_axis_ratio * shape[-1] < min(shape[:2]):
         raise DataError(
             f"{path}: is an array of {_by(shape)}: its last axis seems to count images or colours; save grey "
             "images with their index first, such as np.ascontiguousarray(np.moveaxis(a, -1, 0))"

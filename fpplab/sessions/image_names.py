@@ -10,13 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fpplab.core.errors import ConfigError, DataError
+from fpplab.sessions.limits import SESSION_LIMITS as LIMITS
 
 NameNumbers = tuple[int, ...]
 """The numbers in a file name: (index,) or (set, step)."""
 
 _ALLOWED = (["index"], ["set", "step"])
-_SHOWN = 5
-"""So many names are shown in a message."""
 
 
 @dataclass(frozen=True)
@@ -142,4 +141,4 @@ def _fields(form: str) -> list[str]:
 def shown(names: Iterable[str]) -> str:
     """Give the first names of many."""
     names = list(names)
-    return ", ".join(names[:_SHOWN]) + (" …" if len(names) > _SHOWN else "")
+    return ", ".join(names[: LIMITS.max_names_shown]) + (" …" if len(names) > LIMITS.max_names_shown else "")

@@ -106,7 +106,7 @@ def _checked(
         if place is places[0]:
             size, stored = (image.shape[1], image.shape[0]), depth
             if depth == 8 and bits not in (None, 8):
-                raise DataError(f"{place}: holds 8-bit grey levels but {bits} bits were promised; see --bits")
+                raise DataError(f"{place}: holds 8-bit grey levels but {bits} bits were stated; see --bits")
         elif depth != stored:
             raise DataError(f"{place}: holds {depth}-bit grey levels but the first image {stored}-bit ones")
         if depth > 8:

@@ -25,7 +25,7 @@ from fpplab.core.logs import LOGGERS
 from fpplab.core.session_names import LOG
 
 FIELDS = ("phase", "seconds", "device", "sent")
-"""What records may hold beside their words."""
+"""What records may hold besides their message."""
 
 
 class SessionLog(logging.Handler):

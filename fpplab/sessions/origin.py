@@ -50,8 +50,8 @@ class SessionOrigin(Origin):
             "stage": rig.stage,
             "fixture": rig.fixture,
         }
-        told = {name: device.info() for name, device in opened.items() if device is not None}
-        devices = {name: DeviceIdentity(model=one.model, serial=one.serial) for name, one in told.items()}
+        reported = {name: device.info() for name, device in opened.items() if device is not None}
+        devices = {name: DeviceIdentity(model=one.model, serial=one.serial) for name, one in reported.items()}
         return cls.now(rig_file=rig.source, devices=devices, first_frame=first_frame)
 
 

@@ -24,7 +24,7 @@ from fpplab.core.journals import whole_lines
 from fpplab.core.progress import Progress, no_progress
 from fpplab.core.session_names import CHECKSUMS, FORMAT, JOURNAL, PLAN, RIG
 from fpplab.patterns.plan import Plan
-from fpplab.sessions.folder import tidy
+from fpplab.sessions.folder import remove_incomplete_files
 from fpplab.sessions.format import present_format, upgrade_format
 from fpplab.sessions.inspection import frame_faults, session_faults
 from fpplab.sessions.journal import FrameRecord, readable_lines
@@ -38,7 +38,7 @@ class RepairReport:
     """What a repair found and did."""
 
     kept: int = 0  # frames that are whole
-    restored: list[str] = field(default_factory=list)  # files that were written anew, and from what
+    restored: list[str] = field(default_factory=list)  # files that were rewritten, and from what
     lost: list[str] = field(default_factory=list)  # what is lost, in sentences
     aside: list[str] = field(default_factory=list)  # where damaged files are now
 
@@ -58,7 +58,7 @@ def repair_session(path: Path, progress: Progress = no_progress) -> RepairReport
         begin_session_log(path)
         _restore_small_files(path, report)
         _restore_journal(path, _plan_of(path), report, progress)
-        tidy(path)
+        remove_incomplete_files(path)
         for fault in session_faults(path):  # what is left are results, which can be made again
             if (path / fault.file).is_file():
                 _set_aside(path, fault.file, report)
@@ -81,11 +81,11 @@ def _restore_small_files(path: Path, report: RepairReport) -> None:
 
 
 def _readable_records(path: Path, report: RepairReport) -> Iterable[RecordedFile]:
-    """Lines of the record that can be read; where some cannot, it is written anew."""
+    """Lines of the record that can be read; where some cannot, it is rewritten."""
     try:
         return recorded_files(path)
     except DataError as error:
-        report.lost.append(f"{error}; what it proved can no longer be proved")
+        report.lost.append(f"{error}; the checksums in it can no longer be verified")
         records = list(_renewed_records(path))
         _replace(path, CHECKSUMS, "".join(f"{one.line}\n" for one in records), report)
         report.restored.append(CHECKSUMS)
@@ -118,15 +118,15 @@ def _plan_of(path: Path) -> Plan:
         return config.load_document(path / PLAN, Plan)
     except FppError as error:
         raise DataError(
-            f"{path}: cannot be repaired: its plan is lost, without which frames mean nothing ({error}); put "
-            f"back {PLAN} as it was"
+            f"{path}: cannot be repaired: its plan is lost, without which frames mean nothing "
+            f"({error}); restore {PLAN} from a backup"
         ) from error
 
 
 def _restore_journal(path: Path, plan: Plan, report: RepairReport, progress: Progress) -> None:
-    """Write the journal anew with the lines whose frames are whole, if others are not."""
+    """Rewrite the journal with the lines whose frames are whole, if others are not."""
     if not (path / JOURNAL).is_file():
-        raise DataError(f"{path}: cannot be repaired: its journal is gone, and with it what its frames are")
+        raise DataError(f"{path}: cannot be repaired: its journal is missing, which says what its frames are")
     lines = readable_lines(path, plan)
     damaged = list(frame_faults(path, list(lines.records.values()), progress))
     bad = {one.file for one in damaged}
@@ -146,7 +146,7 @@ def _line(record: FrameRecord) -> str:
 
 
 def _replace(path: Path, name: str, text: str, report: RepairReport) -> None:
-    """Write a file of the session anew, and keep what it was beside the session."""
+    """Rewrite a file of the session, and keep the old one beside the session."""
     if not (path / name).exists():
         write_text(path / name, text)
         return

@@ -38,13 +38,13 @@ from fpplab.patterns.curve import Curve
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.sessions.folder import (
-    furnish,
     need_space_for_frames,
+    remove_incomplete_files,
     remove_session,
+    remove_temporary_folders,
     require_session,
     require_session_folder,
-    sweep_drafts,
-    tidy,
+    write_initial_files,
 )
 from fpplab.sessions.format import check_format, upgrade_format
 from fpplab.sessions.frame_files import read_frame, tiff_head, write_frame
@@ -77,8 +77,6 @@ __all__ = [
 ]
 
 _log = logging.getLogger(__name__)
-_COARSE_PX = 64
-"""Rows or columns, the fewer, that tell how bright a frame is."""
 
 
 class Session:
@@ -144,7 +142,7 @@ class Session:
         if not self._records:
             raise DataError(f"{self.path}: has no frames yet")
         width, height, _ = self.format
-        step = max(1, min(width, height) // _COARSE_PX)
+        step = max(1, min(width, height) // 64)  # some thousand pixels tell how bright a frame is
         means = {i: self.read(i, verify=False)[::step, ::step].mean() for i in sorted(self._records)}
         return max(means, key=lambda i: means[i])
 
@@ -179,7 +177,7 @@ class Session:
         refuse_existing(path, force)
         if path.exists():
             remove_session(path)
-        make_directory(path, lambda draft: furnish(draft, plan, rig))
+        make_directory(path, lambda draft: write_initial_files(draft, plan, rig))
         _log.info("session %s made for %d frames", path, plan.images)
         return cls(path, plan, {})
 
@@ -216,11 +214,11 @@ class Session:
         refuse_existing(path, force)
         if path.exists():
             require_session(path)
-        sweep_drafts(path)
+        remove_temporary_folders(path)
         session = cls(path, plan, {})
 
         def fill_draft(draft: Path) -> None:
-            furnish(draft, plan, rig)
+            write_initial_files(draft, plan, rig)
             session.path = draft
             fill(session)
             if path.exists():
@@ -305,7 +303,7 @@ class Session:
         check_same_rig(session.rig(), rig, path)
         if not session.missing() and not complete_too:
             refuse_existing(path, force)
-        tidy(path)
+        remove_incomplete_files(path)
         upgrade_format(path)
         return session
 

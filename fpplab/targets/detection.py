@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import CalibrationError
 from fpplab.targets.layout import BoardLayout
+from fpplab.targets.limits import TARGET_LIMITS as LIMITS
 from fpplab.targets.point_fits import fit_centres
-from fpplab.targets.views import LEAST_POINTS, Detection, homography, local_frames, stretched
+from fpplab.targets.views import Detection, homography, local_frames, stretched
 
 
 def detect(layout: BoardLayout, image: NDArray[Any]) -> Detection | None:
@@ -40,6 +41,6 @@ def refined(layout: BoardLayout, coarse: Detection, level: Floats) -> Detection 
     frames = local_frames(homography(layout, coarse), board)
     centres = fit_centres(level, coarse.pixels, frames, layout.point_model())
     fitted = np.isfinite(centres).all(axis=1)
-    if fitted.sum() < LEAST_POINTS:
+    if fitted.sum() < LIMITS.min_points:
         return None
     return layout.corrected(Detection(coarse.ids[fitted], centres[fitted]))

@@ -24,9 +24,8 @@ from fpplab.core.conventions import Floats
 from fpplab.core.errors import CalibrationError
 from fpplab.targets.detection import refined
 from fpplab.targets.layout import BoardLayout, GridPatch
-from fpplab.targets.patches import OFF_LATTICE
+from fpplab.targets.limits import TARGET_LIMITS as LIMITS
 from fpplab.targets.views import (
-    LEAST_POINTS,
     Detection,
     apply_homography,
     homography,
@@ -34,21 +33,6 @@ from fpplab.targets.views import (
     stretched,
     window,
 )
-
-MOST_TILT = 2.4
-"""Greatest ratio of a board's scales along two directions, that of a tilt of 65 degrees."""
-
-LIKENESS = 0.75
-"""Least correlation of the image around a point with the model of the point."""
-
-LEAST_PIXELS = 25
-"""Least number of pixels for which that correlation is computed."""
-
-EDGE = 0.9
-"""Least share of each side's edge in view at which the background must end."""
-
-LIKE_GROUND = 0.25
-"""Tolerance on the background's brightness, and least distance of what lies beyond the edge, in contrasts."""
 
 TURNS = [np.array(m).reshape(2, 2) for m in product(range(-2, 3), repeat=4) if m[0] * m[3] - m[1] * m[2] == 1]
 """Changes of a lattice's basis that preserve its orientation."""
@@ -63,7 +47,7 @@ def detect_part(layout: BoardLayout, image: NDArray[Any]) -> Detection | None:
     # image (height, width)
     level = np.nan_to_num(np.asarray(image, np.float64))
     patch = layout.find_patch(stretched(level))
-    if patch is None or len(patch.cells) < LEAST_POINTS or not _is_of_points(layout, patch, level):
+    if patch is None or len(patch.cells) < LIMITS.min_points or not _is_of_points(layout, patch, level):
         return None
     valid = [way for way in _placements(layout, patch) if _is_valid(layout, way, level)]
     if not valid:
@@ -90,10 +74,10 @@ def _is_of_points(layout: BoardLayout, patch: GridPatch, level: Floats) -> bool:
     matrix = np.asarray(found, np.float64)
     off = np.abs(apply_homography(matrix, board) - patch.pixels).max(axis=1)
     steps = np.abs(np.linalg.det(local_frames(matrix, board))) ** 0.5 * lattice.step_mm.min()
-    if np.any(off > OFF_LATTICE * steps):
+    if np.any(off > LIMITS.max_lattice_offset * steps):
         return False
     # The lattice of a verified patch may still be in a skew basis, in which its points look different.
-    alike = [abs(look[0]) > LIKENESS for look in _appearances(layout, matrix, board, level)]
+    alike = [abs(look[0]) > LIMITS.min_correlation for look in _appearances(layout, matrix, board, level)]
     return patch.verified or bool(np.mean(alike) > 0.5)
 
 
@@ -124,7 +108,9 @@ def _could_be_seen(layout: BoardLayout, board: Floats, pixels: Floats) -> bool:
     frames = local_frames(np.asarray(matrix, np.float64), board)
     largest, least = np.linalg.svd(frames, compute_uv=False).T
     turned = layout.symmetric and frames.mean(axis=0)[:, 0].sum() < 0
-    return bool(np.all(largest < MOST_TILT * least) and np.all(np.linalg.det(frames) > 0) and not turned)
+    return bool(
+        np.all(largest < LIMITS.max_scale_ratio * least) and np.all(np.linalg.det(frames) > 0) and not turned
+    )
 
 
 def _is_valid(layout: BoardLayout, placement: Detection, level: Floats) -> bool:
@@ -134,14 +120,18 @@ def _is_valid(layout: BoardLayout, placement: Detection, level: Floats) -> bool:
     looks = _appearances(layout, matrix, layout.points()[seen.ids, :2], level)
     for id_, (likeness, bright, dark) in zip(seen.ids, looks, strict=True):
         row, column = divmod(int(id_), layout.counts[0])
-        if layout.polarity(row, column) * likeness < LIKENESS:
+        if layout.polarity(row, column) * likeness < LIMITS.min_correlation:
             return False
         grounds.append((bright, dark) if layout.background > layout.foreground else (dark, bright))
-    if len(grounds) < LEAST_POINTS or not _edge_is_seen(layout, placement, seen, np.array(grounds), level):
+    if len(grounds) < LIMITS.min_points or not _edge_is_seen(
+        layout, placement, seen, np.array(grounds), level
+    ):
         return False
     beyond = _beyond(layout)
     in_view = _inside(layout, matrix, beyond, level)
-    return all(abs(look[0]) < LIKENESS for look in _appearances(layout, matrix, beyond[in_view], level))
+    return all(
+        abs(look[0]) < LIMITS.min_correlation for look in _appearances(layout, matrix, beyond[in_view], level)
+    )
 
 
 def _appearances(
@@ -153,7 +143,7 @@ def _appearances(
     for pixel, frame in zip(pixels, frames, strict=True):
         x, y, values = window(level, pixel, frame, model.half_mm)
         expected = model.brightness(model.start(frame), x, y)
-        if len(values) < LEAST_PIXELS or np.ptp(values) == 0 or np.ptp(np.sign(expected)) == 0:
+        if len(values) < LIMITS.min_model_pixels or np.ptp(values) == 0 or np.ptp(np.sign(expected)) == 0:
             yield 0.0, 0.0, 0.0
             continue
         likeness = float(np.corrcoef(values, expected)[0, 1])
@@ -212,6 +202,9 @@ def _edge_is_seen(
             np.abs(map_coordinates(level, p[:, ::-1].T, order=1) - ground) / np.abs(ground - ink)
             for p in (inner, outer)
         ]
-        if np.mean((off[0] < LIKE_GROUND) & (off[1] > LIKE_GROUND)) < EDGE:
+        if (
+            np.mean((off[0] < LIMITS.ground_tolerance) & (off[1] > LIMITS.ground_tolerance))
+            < LIMITS.min_edge_share
+        ):
             return False
     return True

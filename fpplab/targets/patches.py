@@ -8,10 +8,8 @@ from scipy.spatial import cKDTree
 
 from fpplab.core.conventions import Floats
 from fpplab.targets.layout import Cells, GridPatch
-from fpplab.targets.views import LEAST_POINTS, apply_homography
-
-OFF_LATTICE = 0.2
-"""How far a point of the lattice may be from where it is expected, in steps."""
+from fpplab.targets.limits import TARGET_LIMITS as LIMITS
+from fpplab.targets.views import apply_homography
 
 
 def facing_front(cells: Cells, pixels: Floats) -> GridPatch:
@@ -24,7 +22,7 @@ def facing_front(cells: Cells, pixels: Floats) -> GridPatch:
 def patch_of_blobs(found: Floats) -> GridPatch | None:
     """Find the largest lattice that blobs form."""
     # found (n, 2) px
-    if len(found) < LEAST_POINTS:
+    if len(found) < LIMITS.min_points:
         return None
     middle = np.argsort(np.linalg.norm(found - np.median(found, axis=0), axis=1))
     patches = [_grown(found, seed) for seed in middle[:8]]
@@ -49,7 +47,7 @@ def _grown(found: Floats, seed: int) -> GridPatch:
         places = apply_homography(np.linalg.inv(view), found)
         whole = np.rint(places)
         near = cKDTree(cells).query(whole)[0] < 1.5  # next to what is known already
-        fits = np.flatnonzero(near & (np.abs(places - whole).max(axis=1) < OFF_LATTICE))
+        fits = np.flatnonzero(near & (np.abs(places - whole).max(axis=1) < LIMITS.max_lattice_offset))
         cells_now, first_of = np.unique(whole[fits].astype(np.intp), axis=0, return_index=True)
         kept_now = fits[first_of]
         if np.array_equal(kept_now, kept) or len(kept_now) < 4:

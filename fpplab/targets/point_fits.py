@@ -11,15 +11,9 @@ from numba import njit, prange
 
 from fpplab.core.cholesky import solve_positive
 from fpplab.core.conventions import Floats
+from fpplab.targets.limits import TARGET_LIMITS as LIMITS
 from fpplab.targets.profiles import PointModel, profile
 from fpplab.targets.views import window_pixels
-
-LEAST_PIXELS = 25
-"""Fewer pixels do not tell the model's parameters."""
-
-ITERATIONS = 100
-FINEST_STEP_PX = 1e-6
-"""The centre has converged when it moves by less."""
 
 
 def fit_centres(level: Floats, pixels: Floats, frames: Floats, model: PointModel) -> Floats:
@@ -40,7 +34,7 @@ def _fit_all(
 ) -> None:
     for i in prange(len(pixels)):
         rows, columns = window_pixels(level, pixels[i], inverses[i], half)
-        if len(rows) < LEAST_PIXELS:
+        if len(rows) < LIMITS.min_model_pixels:
             continue
         values = np.empty(len(rows))
         for j in range(len(rows)):
@@ -65,12 +59,12 @@ def _fit(kind: int, theta: Floats, x: Floats, y: Floats, values: Floats) -> bool
     theta += step
     cost, damping = _equations(kind, theta, x, y, values, normal, gradient), 1e-3
     trial_normal, trial_gradient = np.empty((n, n)), np.empty(n)
-    for _ in range(ITERATIONS):
+    for _ in range(LIMITS.max_fit_steps):
         if not solve_positive(normal, gradient, damping, step):
             return False
         trial = theta + step
         trial_cost = _equations(kind, trial, x, y, values, trial_normal, trial_gradient)
-        ended = abs(step[0]) < FINEST_STEP_PX and abs(step[1]) < FINEST_STEP_PX
+        ended = abs(step[0]) < LIMITS.centre_tolerance_px and abs(step[1]) < LIMITS.centre_tolerance_px
         if trial_cost <= cost:
             ended = ended and cost - trial_cost <= 1e-6 * cost
             theta[:], cost = trial, trial_cost

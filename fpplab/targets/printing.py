@@ -29,29 +29,33 @@ PAPERS = {"A4": (210.0, 297.0), "A3": (297.0, 420.0), "letter": (215.9, 279.4)}
 _KNOWN = {name.lower(): size for name, size in PAPERS.items()}
 
 MM_PER_INCH = 25.4
-POINTS_PER_MM = 72.0 / MM_PER_INCH
-
-MARGIN = 6.0
-"""Margin of the paper in mm that printers cannot print on."""
-
-LEGEND = 17.0
-"""Height in mm of ruler and text together, above the margin."""
-
-RULER = 100.0
-"""Length of the ruler in mm."""
-MARK = 3.0
-"""Length in mm of a cutting mark, and its distance from the board."""
-
-LETTER = 2.0
-"""Height in mm of a capital letter."""
-ADVANCE = 0.9
-"""Mean width of a letter with some reserve, in heights of a capital."""
-LONGEST_NAME = 40
-"""Letters of a board's name that are printed."""
 
 
 @dataclass(frozen=True)
-class Sheet:
+class SheetLayout:
+    """Sizes on a printed sheet, all chosen."""
+
+    margin_mm: float = 6.0
+    """Margin of the paper that printers cannot print on."""
+    legend_mm: float = 17.0
+    """Height of ruler and text together, above the margin."""
+    ruler_mm: float = 100.0
+    """Length of the ruler."""
+    mark_mm: float = 3.0
+    """Length of a cutting mark, and its distance from the board."""
+    letter_mm: float = 2.0
+    """Height of a capital letter."""
+    letter_advance: float = 0.9
+    """Mean width of a letter with some reserve, in heights of a capital."""
+    max_name_letters: int = 40
+    """Letters of a board's name that are printed."""
+
+
+LAYOUT = SheetLayout()
+
+
+@dataclass(frozen=True)
+class PrintedSheet:
     """A page as written."""
 
     file: Path  # the file
@@ -75,7 +79,7 @@ def paper_size(name: str) -> tuple[float, float]:
     return width, height
 
 
-def print_target(target: Target, path: Path, paper: str = "A4", name: str = "board") -> Sheet:
+def print_target(target: Target, path: Path, paper: str = "A4", name: str = "board") -> PrintedSheet:
     """Write a board as a page of vector graphics at true scale."""
     need_suffix(path, ".pdf", ".svg")
     size = _fitting(target, paper)
@@ -87,7 +91,7 @@ def print_target(target: Target, path: Path, paper: str = "A4", name: str = "boa
     unstamped = {"CreationDate": None} if kind == "pdf" else {"Date": None}
     with rc_context({"svg.hashsalt": "fpplab", "pdf.fonttype": 42}):
         write_atomic(path, lambda out: page.figure.savefig(out, format=kind, metadata=unstamped))
-    return Sheet(path, size)
+    return PrintedSheet(path, size)
 
 
 def ink(target: Target) -> Outline:
@@ -131,15 +135,16 @@ def _fitting(target: Target, paper: str) -> tuple[float, float]:
 def _needed(target: Target) -> tuple[float, float]:
     """Return the least paper size: the legend is below a board that is at the page's centre."""
     width, height = target.size_mm
-    across = max(width + 2 * (MARGIN + 2 * MARK), RULER + 2 * MARGIN + 8)
-    return across, height + 2 * (MARGIN + LEGEND + 2 * MARK)
+    marked = width + 2 * (LAYOUT.margin_mm + 2 * LAYOUT.mark_mm)
+    across = max(marked, LAYOUT.ruler_mm + 2 * LAYOUT.margin_mm + 8)
+    return across, height + 2 * (LAYOUT.margin_mm + LAYOUT.legend_mm + 2 * LAYOUT.mark_mm)
 
 
 def _legend(target: Target, name: str) -> str:
     width, height = target.size_mm
     return (
-        f"{name[:LONGEST_NAME]}: {target.layout.summary()}, board {width:g} x {height:g} mm. "
-        f"Print at 100 %, then measure the ruler: it must be {RULER:g} mm long."
+        f"{name[: LAYOUT.max_name_letters]}: {target.layout.summary()}, board {width:g} x {height:g} mm. "
+        f"Print at 100 %, then measure the ruler: it must be {LAYOUT.ruler_mm:g} mm long."
     )
 
 
@@ -173,7 +178,7 @@ class _Page:
         """Draw two hairlines that point at a corner of the board, from outside."""
         for axis in np.eye(2):
             step = axis * outwards
-            self.line(corner + MARK * step, corner + 2 * MARK * step, 0.15)
+            self.line(corner + LAYOUT.mark_mm * step, corner + 2 * LAYOUT.mark_mm * step, 0.15)
 
     def line(self, start: Floats, end: Floats, width_mm: float) -> None:
         """Draw a straight line as a rectangle, so that its ends are exactly where they are given."""
@@ -184,25 +189,26 @@ class _Page:
 
     def ruler(self) -> None:
         """Draw a ruler at the page's foot, its length from centre to centre of the end marks."""
-        left, foot = 0.5 * (self.size[0] - RULER), MARGIN + LEGEND - 6
+        left, foot = 0.5 * (self.size[0] - LAYOUT.ruler_mm), LAYOUT.margin_mm + LAYOUT.legend_mm - 6
         start = np.array([left, foot], np.float64)
-        self.line(start, start + (RULER, 0), 0.2)
-        for mm in range(int(RULER) + 1):
+        self.line(start, start + (LAYOUT.ruler_mm, 0), 0.2)
+        for mm in range(int(LAYOUT.ruler_mm) + 1):
             height = 3.0 if mm % 10 == 0 else 2.2 if mm % 5 == 0 else 1.5
             self.line(start + (mm, 0), start + (mm, height), 0.15)
             if mm % 50 == 0:
-                unit = " mm" if mm == RULER else ""
+                unit = " mm" if mm == LAYOUT.ruler_mm else ""
                 self.text(left + mm, foot + 3.4, f"{mm}{unit}")
 
     def words(self, legend: str) -> None:
         """Write the legend below the ruler, in as many lines as it takes."""
-        most = int((self.size[0] - 2 * MARGIN) / (ADVANCE * LETTER))
+        most = int((self.size[0] - 2 * LAYOUT.margin_mm) / (LAYOUT.letter_advance * LAYOUT.letter_mm))
+        top = LAYOUT.margin_mm + LAYOUT.legend_mm - 10
         for row, line in enumerate(textwrap.wrap(legend, most)):
-            self.text(self.size[0] / 2, MARGIN + LEGEND - 10 - 1.3 * LETTER * row, line)
+            self.text(self.size[0] / 2, top - 1.3 * LAYOUT.letter_mm * row, line)
 
     def text(self, x: float, y: float, words: str) -> None:
         """Write words centred on x, with their baseline at y."""
-        size = LETTER * POINTS_PER_MM / 0.75  # of the font, whose capitals are 3/4 as high
+        size = LAYOUT.letter_mm * (72.0 / MM_PER_INCH) / 0.75  # of the font, whose capitals are 3/4 as high
         self.figure.text(
             x, y, words, ha="center", va="baseline", fontsize=size, transform=self._mm, parse_math=False
         )

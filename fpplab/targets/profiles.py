@@ -16,9 +16,7 @@ import numpy as np
 from numba import njit
 
 from fpplab.core.conventions import Floats
-
-EDGE_BLURS = 4.5
-"""Distance from an edge, in parameters of its blur, beyond which the model is ±1 to within 2e-10."""
+from fpplab.targets.limits import TARGET_LIMITS as LIMITS
 
 PER_SQRT_PI = 2.0 / math.sqrt(math.pi)
 
@@ -93,7 +91,7 @@ def _edges(theta: Floats, u: float, v: float, slopes: Floats) -> tuple[float, bo
     cosines, sines = (math.cos(theta[2]), math.cos(theta[3])), (math.sin(theta[2]), math.sin(theta[3]))
     distances = (cosines[0] * v - sines[0] * u) / blur, (cosines[1] * v - sines[1] * u) / blur
     values = _blurred(distances[0]), _blurred(distances[1])
-    varies = min(abs(distances[0]), abs(distances[1])) <= EDGE_BLURS
+    varies = min(abs(distances[0]), abs(distances[1])) <= LIMITS.edge_blurs
     if varies:
         slopes[:] = 0.0
         for k in range(2):
@@ -113,7 +111,7 @@ def _disc(theta: Floats, u: float, v: float, slopes: Floats) -> tuple[float, boo
     radius, gradient = math.sqrt(square), max(math.hypot(along_u, along_v), 1e-12)
     # First-order distance from the rim; only pixels near the rim carry information.
     distance = (square - radius) / gradient
-    if abs(distance) > EDGE_BLURS * abs(blur):
+    if abs(distance) > LIMITS.edge_blurs * abs(blur):
         return math.copysign(1.0, distance / blur), False
     steep = PER_SQRT_PI * math.exp(-((distance / blur) ** 2)) / blur
     # By u, v, a, b, c: of the radius's square, and of half the gradient's square.
@@ -135,6 +133,6 @@ def _disc(theta: Floats, u: float, v: float, slopes: Floats) -> tuple[float, boo
 
 @njit(inline="always")
 def _blurred(distance: float) -> float:
-    if abs(distance) > EDGE_BLURS:
+    if abs(distance) > LIMITS.edge_blurs:
         return math.copysign(1.0, distance)
     return math.erf(distance)

@@ -14,9 +14,6 @@ from numpy.typing import NDArray
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import CalibrationError
 
-LEAST_POINTS = 6
-"""Fewer points of a board do not determine its pose well enough."""
-
 
 class HasPoints(Protocol):
     """A board with points of interest: a `Target` or the layout of one."""

@@ -13,8 +13,8 @@ from scipy.special import gammaln
 from fpplab.core.conventions import TWO_PI, phase_steps
 from fpplab.patterns.curve import Curve
 from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.limits import PATTERN_LIMITS
 from fpplab.patterns.phase_error import (
-    ALLOWED_RAD,
     harmonics,
     judge_response,
     least_steps,
@@ -100,7 +100,7 @@ def test_least_steps_are_the_first_that_do() -> None:
     for g in (0.5, 2.2, 4.0):
         steps = least_steps(law(g))
         assert steps is not None
-        assert phase_error(g, steps) <= ALLOWED_RAD < phase_error(g, steps - 1)
+        assert phase_error(g, steps) <= PATTERN_LIMITS.max_phase_error_rad < phase_error(g, steps - 1)
 
 
 def test_a_straight_response_is_good_enough() -> None:

@@ -116,7 +116,7 @@ def test_force_keeps_what_a_link_in_place_of_the_frames_leads_to(whole: Path, tm
     (whole / "frames").rename(elsewhere)
     (elsewhere / "notes.txt").write_text("mine")
     (whole / "frames").symlink_to(elsewhere)
-    with pytest.raises(DataError, match=r"no part of a session \(frames\), so --force does not"):
+    with pytest.raises(DataError, match=r"not part of a session \(frames\), so --force does not"):
         Session.create(whole, PLAN, force=True)
     assert (elsewhere / "notes.txt").read_text() == "mine"
     (whole / "frames").unlink()

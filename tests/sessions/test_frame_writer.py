@@ -26,7 +26,8 @@ from fpplab.core.progress import ignore
 from fpplab.devices import Frame
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
-from fpplab.sessions.frame_writer import MOST_WAITING, write_frames
+from fpplab.sessions.frame_writer import write_frames
+from fpplab.sessions.limits import SESSION_LIMITS
 from fpplab.sessions.session import FRAMES, JOURNAL, Session, tiff_head
 from tests.support.recorded import frame, image_of, in_a_child
 
@@ -92,7 +93,7 @@ class SlowDisk:
 
     def __call__(self, frame: Frame) -> None:
         with self._changed:
-            ahead = min(self.begun + MOST_WAITING + 1, PLAN.images)
+            ahead = min(self.begun + SESSION_LIMITS.max_waiting_frames + 1, PLAN.images)
             assert self._changed.wait_for(lambda: self.given >= ahead, DEADLOCK_S), "nobody works beside it"
             self.begun += 1
         if frame.index == self._fails_at:
@@ -117,7 +118,7 @@ def test_frames_on_disk_are_let_go(session: Session) -> None:
             record(one)
             del one
             most = max(most, sum(image() is not None for image in alive))
-    assert most <= MOST_WAITING + 2
+    assert most <= SESSION_LIMITS.max_waiting_frames + 2
 
 
 def test_lines_stand_in_the_order_of_the_frames(session: Session) -> None:

@@ -132,7 +132,7 @@ def test_a_stack_cut_off_or_altered(tmp_path: Path, kind: str) -> None:
     if kind == "npz":
         middle = len(whole) // 2
         path.write_bytes(whole[:middle] + bytes([whole[middle] ^ 4]) + whole[middle + 1 :])
-        with pytest.raises(DataError, match="is truncated or no image"):
+        with pytest.raises(DataError, match="is truncated or not an image"):
             levels(path)
 
 

@@ -107,7 +107,7 @@ def test_more_bits_than_promised(folder: Path) -> None:
 
 
 def test_fewer_bits_than_promised(folder: Path) -> None:
-    refuses(folder, "f_00.png: holds 8-bit grey levels but 12 bits were promised; see --bits", bits=12)
+    refuses(folder, "f_00.png: holds 8-bit grey levels but 12 bits were stated; see --bits", bits=12)
 
 
 def test_a_level_that_the_bits_do_not_hold(folder: Path) -> None:
@@ -131,7 +131,7 @@ def test_an_image_cut_off_anywhere(folder: Path) -> None:
         else:
             np.testing.assert_array_equal(session.read(1), image_of(1))
             accepted.append(len(data) - length)
-    assert complaints == {f"{path}: is truncated or no image "}
+    assert complaints == {f"{path}: is truncated or not an image "}
     assert all(lost <= 20 for lost in accepted), "only checksums and the empty end chunk may lack"
 
 
@@ -140,12 +140,12 @@ def test_an_image_with_a_flipped_bit(folder: Path) -> None:
     data = path.read_bytes()
     middle = data.index(b"IDAT") + 20
     path.write_bytes(data[:middle] + bytes([data[middle] ^ 4]) + data[middle + 1 :])
-    refuses(folder, "f_01.png: is truncated or no image")
+    refuses(folder, "f_01.png: is truncated or not an image")
 
 
 def test_no_image_at_all(folder: Path) -> None:
     (folder / "f_00.png").write_text("hello")
-    refuses(folder, "f_00.png: is truncated or no image")
+    refuses(folder, "f_00.png: is truncated or not an image")
 
 
 @pytest.mark.parametrize(

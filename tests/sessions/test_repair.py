@@ -109,7 +109,7 @@ def test_lines_that_are_no_records_are_taken_out(whole: Path) -> None:
 def test_a_damaged_record_of_checksums_is_written_anew(whole: Path) -> None:
     garbage(whole, "files.jsonl")
     report = repair_session(whole)
-    assert "can no longer be proved" in report.lost[0]
+    assert "can no longer be verified" in report.lost[0]
     assert Session.open(whole).missing() == []
     change(whole, "rig.yaml")
     with pytest.raises(FppError):

@@ -20,7 +20,7 @@ from fpplab.core import config
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.targets import Target
-from fpplab.targets.printing import Sheet, paper_size, print_target
+from fpplab.targets.printing import PrintedSheet, paper_size, print_target
 from tests.targets.test_targets import charuco_model
 
 MM = 25.4 / 72
@@ -257,7 +257,7 @@ def test_the_page_has_the_papers_size(
     paper: str, expected: tuple[float, float], suffix: str, tmp_path: Path
 ) -> None:
     path = tmp_path / f"board{suffix}"
-    assert print_target(board("staggered"), path, paper) == Sheet(path, expected, 1.0)
+    assert print_target(board("staggered"), path, paper) == PrintedSheet(path, expected, 1.0)
     np.testing.assert_allclose(READERS[suffix](path)[0], expected, atol=CLOSE)
 
 

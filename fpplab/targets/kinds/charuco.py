@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from fpplab.core.config import Positive
 from fpplab.core.conventions import Floats
 from fpplab.targets.drawing import InkBox, InkShape
+from fpplab.targets.limits import TARGET_LIMITS as LIMITS
 from fpplab.targets.profiles import PointModel, crossing_edges
 from fpplab.targets.squares import SquareLayout
-from fpplab.targets.views import LEAST_POINTS, Detection
+from fpplab.targets.views import Detection
 
 Dictionary = Literal[
     "4x4_50", "4x4_100", "4x4_250", "4x4_1000", "5x5_50", "5x5_100", "5x5_250", "5x5_1000",
@@ -85,7 +86,7 @@ class CharucoLayout(SquareLayout):
         """Find as much of the board as is in the image."""
         # grey (height, width)
         pixels, ids, _, _ = cv2.aruco.CharucoDetector(self.model()).detectBoard(grey)
-        if ids is None or len(ids) < LEAST_POINTS:
+        if ids is None or len(ids) < LIMITS.min_points:
             return None
         found = ids.ravel().astype(np.intp)
         xy = self.points()[found, :2]

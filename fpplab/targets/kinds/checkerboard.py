@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from fpplab.core.conventions import Floats
 from fpplab.targets.layout import GridPatch
+from fpplab.targets.limits import TARGET_LIMITS as LIMITS
 from fpplab.targets.ordering import in_order
 from fpplab.targets.patches import facing_front
 from fpplab.targets.profiles import PointModel, crossing_edges
@@ -16,12 +17,6 @@ from fpplab.targets.views import Detection
 
 FINDER_FLAGS = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
 """Without equalisation, which would amplify the noise of a black background."""
-
-LEAST_HALVED = 600
-"""Smaller pictures, in px, are searched as they are."""
-
-MOST_REFINED = 5
-"""Half the window, in px, in which a corner of a picture of half the size is located in the whole one."""
 
 
 class Checkerboard(SquareLayout):
@@ -63,7 +58,7 @@ class Checkerboard(SquareLayout):
 
     def _corners(self, grey: NDArray[np.uint8]) -> Floats | None:
         """Find the corners, in a picture of half the size where that suffices, four times as fast."""
-        for scale in (2, 1) if min(grey.shape) >= LEAST_HALVED else (1,):
+        for scale in (2, 1) if min(grey.shape) >= LIMITS.min_halved_px else (1,):
             size = grey.shape[1] // scale, grey.shape[0] // scale
             image = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
             found, pixels = cv2.findChessboardCornersSB(image, self.counts, flags=FINDER_FLAGS)
@@ -76,7 +71,7 @@ class Checkerboard(SquareLayout):
         """Locate corners in the whole picture, in windows that the next corner's edges do not enter."""
         grid = corners.reshape(self.counts[1], self.counts[0], 2)
         least = min(np.linalg.norm(np.diff(grid, axis=axis), axis=-1).min() for axis in (0, 1))
-        half = int(min(MOST_REFINED, 0.4 * least))
+        half = int(min(LIMITS.max_refinement_px, 0.4 * least))
         if half < 2:
             return corners
         end = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 30, 1e-3)

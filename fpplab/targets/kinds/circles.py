@@ -13,13 +13,11 @@ from fpplab.core.config import Positive
 from fpplab.core.conventions import Floats
 from fpplab.targets.drawing import InkDisc, InkShape
 from fpplab.targets.layout import BoardLayout, GridPatch, PointLattice
+from fpplab.targets.limits import TARGET_LIMITS as LIMITS
 from fpplab.targets.ordering import in_order
 from fpplab.targets.patches import patch_of_blobs
 from fpplab.targets.profiles import PointModel, disc
 from fpplab.targets.views import Detection, apply_homography, homography
-
-RIM = 0.1
-"""Background that a circle needs around it to be found, as a share of its diameter."""
 
 
 class CircleGrid(BoardLayout):
@@ -36,7 +34,7 @@ class CircleGrid(BoardLayout):
         self.check_counts()
         super().check()
         gaps = np.linalg.norm(self.points()[:, None] - self.points()[None], axis=-1)
-        most = float(np.min(gaps[gaps > 0])) / (1 + 2 * RIM)
+        most = float(np.min(gaps[gaps > 0])) / (1 + 2 * LIMITS.circle_rim)
         if self.diameter_mm > most:
             raise ValueError(
                 f"'diameter_mm' is {self.diameter_mm:g}: the circles would touch; at most {most:.3g}"
@@ -67,7 +65,7 @@ class CircleGrid(BoardLayout):
     def reach(self) -> Floats:
         """Compute how far the circles extend beyond their centres, with the rim that they need."""
         # returns (2,) mm
-        return np.full(2, (0.5 + RIM) * self.diameter_mm)
+        return np.full(2, (0.5 + LIMITS.circle_rim) * self.diameter_mm)
 
     def shapes(self) -> Iterator[InkShape]:
         """Draw the circles."""
