@@ -17,7 +17,7 @@ from scipy.special import erf
 from benchmarks import Result, below
 from fpplab.core.config import find_config
 from fpplab.core.conventions import TWO_PI, Floats, Lattice, mirror_centres
-from sim.build import Setup, build_scene
+from sim.build import SceneState, build_scene
 from sim.items import item_poses
 from sim.light import Light
 from sim.light.table import LightTable
@@ -104,7 +104,7 @@ def _spread_px(error: Floats, stripes: float) -> float:
 def _card(name: str) -> Result:
     """Form of a flat card in the middle of the field, from noise-free images of the finest fringes."""
     world = World.load(find_config(f"world_{name}"))
-    setup = Setup("grey_card")
+    setup = SceneState("grey_card")
     blender = Blender(name)
     try:
         light = Light(world, blender)

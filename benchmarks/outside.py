@@ -36,9 +36,9 @@ from fpplab.patterns.plan import Plan
 from fpplab.pipeline import measure_response, take, take_poses
 from fpplab.sessions.session import Session, recorded_sessions
 from sim.bench import VirtualBench
-from sim.build import Setup
+from sim.build import SceneState
 from sim.items import item_poses
-from sim.light import Show
+from sim.light import ShownPattern
 from sim.matching.judging.measured import measured_figures
 from sim.prediction import MeasuredFigures, Prediction
 from sim.sensor import SensorModel
@@ -237,5 +237,7 @@ def _moving(
     """Images of the part as it moves towards the camera; every recording begins where it stood."""
     pose, sensor = item_poses(bench.world, PART)[0], SensorModel.of(bench.world)
     for n in range(len(patterns)):
-        setup = Setup(PART, held=pose.moved(np.array([0.0, 0.0, -drift_mm * n])))
-        yield sensor.expose(bench.light.irradiance(setup, Show(patterns, n)), settings, bench.next_draw())
+        setup = SceneState(PART, held=pose.moved(np.array([0.0, 0.0, -drift_mm * n])))
+        yield sensor.expose(
+            bench.light.irradiance(setup, ShownPattern(patterns, n)), settings, bench.next_draw()
+        )

@@ -28,7 +28,7 @@ from fpplab.patterns.fringes import Pattern, make_patterns
 from fpplab.patterns.plan import Plan
 from sim.bench import VirtualBench
 from sim.devices import SimCamera, SimProjector
-from sim.light import PatternLevels, Show
+from sim.light import PatternLevels, ShownPattern
 from sim.world import World
 
 STRIPES, OTHERS, STEPS = (1, 8, 64), (1, 7, 50), 12
@@ -94,7 +94,7 @@ class _Rig:
         """What reached the sensor in one image of `EVERY`: grey levels of 255, white at full scale."""
         patterns = self.patterns(stripes)
         return [
-            255 * self.bench.light.irradiance(self.bench.setup, Show(patterns, i))
+            255 * self.bench.light.irradiance(self.bench.setup, ShownPattern(patterns, i))
             for i in range(0, len(patterns), EVERY)
         ]
 

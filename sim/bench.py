@@ -16,12 +16,12 @@ from fpplab.core.conventions import Floats
 from fpplab.core.errors import ConfigError
 from fpplab.core.geometry import RigidTransform
 from fpplab.devices import CameraSettings
-from sim.build import Setup, build_scene, is_lit_in_view
+from sim.build import SceneState, build_scene, is_lit_in_view
 from sim.fluctuation import Fluctuation
 from sim.items import item_poses
-from sim.light import Light, PatternLevels, Show
+from sim.light import Light, PatternLevels, ShownPattern
 from sim.sampling import SimSampler
-from sim.scene import Effort, SubpixelView
+from sim.scene import RenderSettings, SubpixelView
 from sim.studio import SimStudio
 from sim.timing import is_whole, plane_weights
 from sim.twin import Twin
@@ -76,16 +76,16 @@ class VirtualBench:
         self.blender = Blender("bench")
         self._analytic = chosen.analytic
         self.light = self._light_of(self.world)
-        self.setup = Setup(self.world.mounted)
-        self.show: Show | None = None
-        self._seen_lit: Setup | None = None
-        self._vibrating: tuple[Setup, tuple[Setup, ...]] | None = None
+        self.setup = SceneState(self.world.mounted)
+        self.show: ShownPattern | None = None
+        self._seen_lit: SceneState | None = None
+        self._vibrating: tuple[SceneState, tuple[SceneState, ...]] | None = None
         self._draws: deque[int] = deque()
         self._count = 0  # of frames since opening
 
     def open(self) -> None:
         """Start with what the world has mounted, with the projector dark."""
-        self.setup, self.show = Setup(self.world.mounted), None
+        self.setup, self.show = SceneState(self.world.mounted), None
         self._draws.clear()
         self._count = 0
         with self._naming_file():
@@ -191,19 +191,21 @@ class VirtualBench:
             setup = replace(setup, vibration_mm=(x, y, z))
         return self._fluctuating(setup, self.light.irradiance(setup, show, weights), frame)
 
-    def _fluctuating(self, setup: Setup, picture: PatternLevels, frame: int) -> PatternLevels:
+    def _fluctuating(self, setup: SceneState, picture: PatternLevels, frame: int) -> PatternLevels:
         changes = Fluctuation.of(self.world)
         if changes is None:
             return picture
         return changes.applied(picture, self.light.irradiance(setup, None), np.arange(len(picture)), frame)
 
-    def _displaced(self, setup: Setup) -> tuple[Setup, ...]:
+    def _displaced(self, setup: SceneState) -> tuple[SceneState, ...]:
         if self._vibrating is None or self._vibrating[0] != setup:
             pose = setup.held or item_poses(self.world, setup.item)[setup.pose]
             self._vibrating = (setup, displaced(setup, pose, self.world.moves_mm))
         return self._vibrating[1]
 
-    def _row_weights(self, show: Show | None, settings: CameraSettings, start: float) -> Floats | None:
+    def _row_weights(
+        self, show: ShownPattern | None, settings: CameraSettings, start: float
+    ) -> Floats | None:
         """Light of every binary plane in every row, where the exposure is not a whole number of periods."""
         period, shutter = self.world.projector.period_s, self.world.camera.shutter
         if show is None or period == 0 or is_whole(settings.exposure_s, period):
@@ -215,17 +217,21 @@ class VirtualBench:
         """Render one pixel, where the computer may lack the render device that the world asks for."""
         if self.world.render.device == "CPU" or not self.world.items:
             return
-        scene, _ = build_scene(self.world, Setup(next(iter(self.world.items))))
+        scene, _ = build_scene(self.world, SceneState(next(iter(self.world.items))))
         one = replace(scene, window=(0, 0, 1, 1))
         try:
             self.blender.render(
-                one, None, [SubpixelView((0.0, 0.0))], Effort(device=self.world.render.device), START_S
+                one,
+                None,
+                [SubpixelView((0.0, 0.0))],
+                RenderSettings(device=self.world.render.device),
+                START_S,
             )
         except BaseException:
             self.blender.close()  # `close` is not called where `open` fails
             raise
 
-    def _check_lit(self, setup: Setup) -> None:
+    def _check_lit(self, setup: SceneState) -> None:
         if setup == self._seen_lit:
             return
         if not is_lit_in_view(self.world, setup):

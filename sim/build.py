@@ -21,7 +21,7 @@ CIRCLE_STEP_TEXELS, CIRCLE_RATIO = 0.75, 1.3
 
 
 @dataclass(frozen=True)
-class Setup:
+class SceneState:
     """The state of everything that moves in the simulation."""
 
     item: str = NOTHING  # name of the mounted item, or "nothing"
@@ -37,7 +37,7 @@ class Setup:
 
 
 def build_scene(
-    world: World, setup: Setup, around: Surface | None = None
+    world: World, setup: SceneState, around: Surface | None = None
 ) -> tuple[RenderScene, MirrorTexture]:
     """Build the scene with the mounted item in its pose."""
     surfaces = _mounted(world, setup)
@@ -46,31 +46,31 @@ def build_scene(
     return _scene(world, setup, surfaces, np.concatenate([_bounding_box(one) for one in surfaces]))
 
 
-def build_background(world: World, setup: Setup, around: Surface) -> tuple[RenderScene, MirrorTexture]:
+def build_background(world: World, setup: SceneState, around: Surface) -> tuple[RenderScene, MirrorTexture]:
     """Build the scene in which the surroundings are seen behind the mounted item and in its shadow."""
     at_rest = replace(setup, vibration_mm=(0.0, 0.0, 0.0))
     surfaces = (around, *_frame(world, at_rest), *_mounted(world, at_rest))
     return _scene(world, setup, surfaces, np.concatenate([_bounding_box(one) for one in surfaces]))
 
 
-def _mounted(world: World, setup: Setup) -> tuple[Surface, ...]:
+def _mounted(world: World, setup: SceneState) -> tuple[Surface, ...]:
     """The mounted item in its pose."""
     return () if setup.item == NOTHING else (item_surface(world, setup.item, _pose(world, setup)),)
 
 
-def _frame(world: World, setup: Setup) -> tuple[Surface, ...]:
+def _frame(world: World, setup: SceneState) -> tuple[Surface, ...]:
     """The frame of a mounted board that has one."""
     rim = None if setup.item == NOTHING else rim_surface(world, setup.item, _pose(world, setup))
     return () if rim is None else (rim,)
 
 
-def _pose(world: World, setup: Setup) -> RigidTransform:
+def _pose(world: World, setup: SceneState) -> RigidTransform:
     held = setup.held or item_poses(world, setup.item)[setup.pose]
     return held.moved(np.array(setup.vibration_mm))
 
 
 def _scene(
-    world: World, setup: Setup, surfaces: tuple[Surface, ...], box: Floats
+    world: World, setup: SceneState, surfaces: tuple[Surface, ...], box: Floats
 ) -> tuple[RenderScene, MirrorTexture]:
     """Build a scene whose window and textures suffice for a box, (N, 3) in the camera's frame."""
     camera = world.camera_model()
@@ -80,7 +80,7 @@ def _scene(
     return RenderScene(_optics(camera), aperture, lamp, surfaces, window), texture
 
 
-def is_lit_in_view(world: World, setup: Setup) -> bool:
+def is_lit_in_view(world: World, setup: SceneState) -> bool:
     """Tell whether some point of the item lies in the images of both camera and projector; shadows aside."""
     vertices, faces = item_shape(world, setup.item)
     held = setup.held or item_poses(world, setup.item)[setup.pose]

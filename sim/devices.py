@@ -40,7 +40,7 @@ from fpplab.devices import (
 from fpplab.patterns.fringes import Pattern, quantise
 from sim.bench import VirtualBench
 from sim.build import is_lit_in_view
-from sim.light import Show
+from sim.light import ShownPattern
 from sim.sensor import SensorModel
 from sim.world import BoardItem
 
@@ -165,7 +165,7 @@ class SimProjector(Projector):
         return [_shown(p) if p.image.flags.writeable else _shown_again(p) for p in patterns]
 
     def _show(self, i: int) -> None:
-        self._bench.show = Show(self._loaded, i)
+        self._bench.show = ShownPattern(self._loaded, i)
 
     def _play(self, exposure_s: float, dark_s: float, period_s: float) -> None:
         raise AssertionError("refused before: there is no trigger output")

@@ -52,7 +52,7 @@ _MIRRORS = np.arange(-12, 13)
 
 
 @dataclass(frozen=True)
-class Spread:
+class MirrorPointSpread:
     """What widens the light of a mirror, in units of the lattice."""
 
     blur: float  # standard deviation of the lens's point spread, at least `LEAST_BLUR`
@@ -60,10 +60,10 @@ class Spread:
     circle: float = 0.0  # diameter of the circle of confusion
 
     @property
-    def interpolated(self) -> Spread:
+    def interpolated(self) -> MirrorPointSpread:
         """The part of it that the interpolation takes, rounded; the filter does the rest."""
         blur = _rounded(min(self.blur, WIDEST_BLUR))
-        return Spread(max(blur, LEAST_BLUR), self.fill, _rounded(min(self.circle, WIDEST_CIRCLE)))
+        return MirrorPointSpread(max(blur, LEAST_BLUR), self.fill, _rounded(min(self.circle, WIDEST_CIRCLE)))
 
     def modulation(self, frequency: Floats) -> Floats:
         """Compute by how much waves along an axis are weakened."""
@@ -95,7 +95,7 @@ class Interpolation:
 
 
 @lru_cache(maxsize=256)
-def interpolation(spread: Spread) -> Interpolation:
+def interpolation(spread: MirrorPointSpread) -> Interpolation:
     """Choose interpolation and filter for a spread."""
     weights, gain = _interpolation(spread.interpolated)
     wider = math.sqrt(max(spread.blur**2 - WIDEST_BLUR**2, 0.0))
@@ -104,7 +104,7 @@ def interpolation(spread: Spread) -> Interpolation:
 
 
 @lru_cache(maxsize=1024)
-def _interpolation(spread: Spread) -> tuple[Floats, Floats]:
+def _interpolation(spread: MirrorPointSpread) -> tuple[Floats, Floats]:
     """Solve for the weights (STEPS + 1, TAPS), and for the modulation that they leave at each frequency.
 
     At each frequency the waves that the weights give at the places x shall be those of `spread` but for one
@@ -130,7 +130,9 @@ def _interpolation(spread: Spread) -> tuple[Floats, Floats]:
     return np.concatenate([half[:0:-1, ::-1], half]), along @ solved / power * spread.modulation(_FREQUENCIES)
 
 
-def _waves(spread: Spread, places: Floats) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+def _waves(
+    spread: MirrorPointSpread, places: Floats
+) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
     """Give waves of all frequencies at the nearest mirrors, and the light `spread` makes of them."""
     # returns near (frequencies, places, TAPS), wanted (frequencies, places)
 

@@ -52,10 +52,12 @@ class ParameterEntry:
 
     doc: str  # what it is, with its unit
     path: str | None = None  # where a world has it
-    fit: FitRange | None = None  # of each number; None: not fitted by finite differences of images
+    fit: FitRange | None = (
+        None  # None: not fitted by finite differences of images; of tuples that of each part
+    )
     parts: tuple[str, ...] = ()  # names of the numbers of a tuple
     effect: str | None = None  # parameter that is 0 in a twin without the effect that this one describes
-    per_white: bool = False  # whether it is relative to the projector's white, here 1, in a world a + b
+    per_white: bool = False  # whether it is relative to the projector's white, which a + b = 1 makes 1
     reported_at_zero: bool = False  # whether reports list it without the effect, too
     in_binned_px: bool = False  # whether it counts pixels of the frame; a world has those of the sensor
 
@@ -64,7 +66,7 @@ class ParameterEntry:
         return self.effect is None or bool(np.any(getattr(parameters, self.effect)))
 
 
-def _entry(
+def _table(
     doc: str, path: str | None = None, fit: FitRange | None = None, **more: Any
 ) -> dict[str, ParameterEntry]:
     return {"parameter": ParameterEntry(doc, path, fit, **more)}
@@ -77,86 +79,86 @@ class TwinParameters:
     calibration: Calibration  # both devices and the pose between them
     poses: tuple[RigidTransform, ...]  # `T_camera_item` of the board
     white: float = field(
-        metadata=_entry(
+        metadata=_table(
             "Level above black of a surface that faces the projector, relative to the twin's own file.",
             fit=FitRange(0.01, 0.01, 100.0),
         )
     )
     response: Curve  # of the projector, with a + b = 1, since `white` takes the scale
     ambient: float = field(
-        metadata=_entry(
+        metadata=_table(
             "Even ambient light, relative to the projector's white.",
             "ambient",
             FitRange(0.005, 0.0, 10.0, may_be_at_lower_bound=True),
             per_white=True,
         )
     )
-    paper: float = field(metadata=_entry("Reflectance of the board's ground.", fit=FitRange(0.01, 0.02, 1.0)))
+    paper: float = field(metadata=_table("Reflectance of the board's ground.", fit=FitRange(0.01, 0.02, 1.0)))
     ink: float = field(
-        metadata=_entry(
+        metadata=_table(
             "Reflectance of the board's print.", fit=FitRange(0.005, 0.0, 1.0, may_be_at_lower_bound=True)
         )
     )
     projector_blur: float = field(
-        metadata=_entry(
+        metadata=_table(
             "Standard deviation of the projector lens's point spread at its sharpest, in mirrors.",
             "projector.blur",
             FitRange(0.05, 0.35, 20.0, may_be_at_lower_bound=True),
         )
     )
     projector_focus_mm: float | None = field(
-        metadata=_entry(
+        metadata=_table(
             "Distance in focus of the projector in mm; None: sharp at every depth.",
             "projector.focus_mm",
             FitRange(2.0, 50.0, 5000.0),
         )
     )
     projector_aperture_mm: float = field(
-        metadata=_entry(
+        metadata=_table(
             "Diameter of the projector's aperture in mm.",
             "projector.aperture_mm",
             FitRange(0.5, 0.0, 60.0, may_be_at_lower_bound=True),
         )
     )
     camera_focus_mm: float | None = field(
-        metadata=_entry(
+        metadata=_table(
             "Distance in focus of the camera in mm; None: sharp at every depth.",
             "camera.focus_mm",
             FitRange(2.0, 50.0, 5000.0),
         )
     )
     f_number: float = field(
-        metadata=_entry("F-number of the camera's lens.", "camera.f_number", FitRange(0.2, 0.7, 64.0))
+        metadata=_table("F-number of the camera's lens.", "camera.f_number", FitRange(0.2, 0.7, 64.0))
     )
     vignetting: float = field(
-        metadata=_entry(
+        metadata=_table(
             "Exponent n of the camera's loss of light cosⁿ towards the edge.",
             "camera.vignetting",
             FitRange(0.5, 0.0, 40.0, may_be_at_lower_bound=True),
         )
     )
     black_level: float = field(
-        metadata=_entry(
+        metadata=_table(
             "The camera's black level, as a share of full scale.",
             "camera.sensor.black_level",
             FitRange(0.002, 0.0, 0.49, may_be_at_lower_bound=True),
         )
     )
     read_noise_e: float = field(
-        metadata=_entry("Read noise in electrons of the unbinned pixel.", "camera.sensor.read_noise_e")
+        metadata=_table("Read noise in electrons of the unbinned pixel.", "camera.sensor.read_noise_e")
     )
     full_well_e: float = field(
-        metadata=_entry("Full well in electrons of the unbinned pixel.", "camera.sensor.full_well_e")
+        metadata=_table("Full well in electrons of the unbinned pixel.", "camera.sensor.full_well_e")
     )
     vibration_mm: float = field(
-        metadata=_entry(
+        metadata=_table(
             "Standard deviation of the item's position from frame to frame in mm, equal in all directions.",
             "vibration_mm",
         )
     )
     vibration_line_mm: tuple[float, float, float] = field(
         default=NO_LINE,
-        metadata=_entry(
+        metadata=_table(
             "RMS displacement along the camera's axes in mm by vibration along a line.",
             f"{LINE}.rms_mm",
             parts=("vibration_line_x_mm", "vibration_line_y_mm", "vibration_line_z_mm"),
@@ -165,7 +167,7 @@ class TwinParameters:
     )
     vibration_periodic: float = field(
         default=0.0,
-        metadata=_entry(
+        metadata=_table(
             "Share of the variance of that vibration that has one frequency.",
             f"{LINE}.periodic",
             effect="vibration_line_mm",
@@ -173,7 +175,7 @@ class TwinParameters:
     )
     vibration_cycles_per_frame: float = field(
         default=0.0,
-        metadata=_entry(
+        metadata=_table(
             "That frequency, as frames at regular intervals sample it, in cycles per frame.",
             f"{LINE}.cycles_per_frame",
             effect="vibration_line_mm",
@@ -181,7 +183,7 @@ class TwinParameters:
     )
     projector_falloff: tuple[float, float, float, float, float] = field(
         default=NO_FALLOFF,
-        metadata=_entry(
+        metadata=_table(
             "Coefficients of x, y, x², xy and y² of the projector's light over its image.",
             "projector.falloff",
             FitRange(0.02, -2.0, 2.0),
@@ -190,14 +192,14 @@ class TwinParameters:
     )
     projector_flicker: float = field(
         default=0.0,
-        metadata=_entry(
+        metadata=_table(
             "Standard deviation of the projector's light from frame to frame, relative.",
             "projector.flicker",
         ),
     )
     lamp_irradiance: float = field(
         default=0.0,
-        metadata=_entry(
+        metadata=_table(
             "Light of the room's lamp on a surface that faces it, relative to the projector's white.",
             f"{LAMP}.irradiance",
             FitRange(0.005, 0.0, 10.0),
@@ -207,7 +209,7 @@ class TwinParameters:
     )
     lamp_angle_deg: float = field(
         default=45.0,
-        metadata=_entry(
+        metadata=_table(
             "Angle between the ways to the lamp and to the camera in degrees.",
             f"{LAMP}.angle_deg",
             FitRange(2.0, -150.0, 150.0),
@@ -216,7 +218,7 @@ class TwinParameters:
     )
     lamp_azimuth_deg: float = field(
         default=-90.0,
-        metadata=_entry(
+        metadata=_table(
             "Direction of the lamp in the image in degrees.",
             f"{LAMP}.azimuth_deg",
             FitRange(2.0, -360.0, 360.0),
@@ -225,7 +227,7 @@ class TwinParameters:
     )
     lamp_distance_mm: float = field(
         default=2000.0,
-        metadata=_entry(
+        metadata=_table(
             "Distance of the lamp in mm; fitted by its inverse, `lamp_nearness`.",
             f"{LAMP}.distance_mm",
             effect="lamp_irradiance",
@@ -233,7 +235,7 @@ class TwinParameters:
     )
     ambient_ripple: float = field(
         default=0.0,
-        metadata=_entry(
+        metadata=_table(
             "Amplitude of the rolling bands of ambient light and lamp, as a share of it.",
             f"{BANDS}.ripple",
             effect="ambient_ripple",
@@ -242,7 +244,7 @@ class TwinParameters:
     )
     band_period_px: float = field(
         default=0.0,
-        metadata=_entry(
+        metadata=_table(
             "From band to band, in rows of the frame; 0 where there are none.",
             f"{BANDS}.period_px",
             effect="ambient_ripple",
@@ -251,7 +253,7 @@ class TwinParameters:
     )
     band_advance: float | None = field(
         default=None,
-        metadata=_entry(
+        metadata=_table(
             "Periods by which bands move from frame to frame; None: another place in each frame.",
             f"{BANDS}.cycles_per_frame",
             effect="ambient_ripple",

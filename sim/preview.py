@@ -17,7 +17,7 @@ from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import Plan
 from sim.bench import VirtualBench
-from sim.build import Setup
+from sim.build import SceneState
 from sim.items import item_poses
 from sim.preview_file import Preview, write_preview
 from sim.sensor import SensorModel
@@ -136,7 +136,7 @@ def arrangement_summary(rig: Rig, wanted: Arrangement) -> dict[str, object]:
     }
 
 
-def arranged_setup(world: World, wanted: Arrangement) -> Setup:
+def arranged_setup(world: World, wanted: Arrangement) -> SceneState:
     """Find the state of the moving parts."""
     item = world.mounted if wanted.item is None else wanted.item
     if item == "nothing":
@@ -144,4 +144,4 @@ def arranged_setup(world: World, wanted: Arrangement) -> Setup:
     poses = len(item_poses(world, item))
     if not 0 <= wanted.pose < poses:
         raise ConfigError(f"pose {wanted.pose}: '{item}' has the poses 0 to {poses - 1}")
-    return replace(Setup(item, wanted.pose), stage_mm=stage_for_baseline(world, wanted.baseline_mm))
+    return replace(SceneState(item, wanted.pose), stage_mm=stage_for_baseline(world, wanted.baseline_mm))

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from .scene import (
     Aperture,
     BaseLayer,
-    Effort,
     Grain,
     GreyScale,
     Lamp,
@@ -25,6 +24,7 @@ from .scene import (
     PointLamp,
     Relief,
     RenderScene,
+    RenderSettings,
     SubpixelView,
     Surface,
 )
@@ -48,7 +48,7 @@ _CLASSES = {
     kind.__name__: kind
     for kind in (
         *(Preview, PatternRender, GreyScale, RenderScene, PinholeOptics, Aperture, Lamp, Surface, Paint),
-        *(BaseLayer, Relief, Grain, SubpixelView, Effort, PointLamp),
+        *(BaseLayer, Relief, Grain, SubpixelView, RenderSettings, PointLamp),
     )
 }
 

@@ -13,7 +13,7 @@ from fpplab.core.conventions import Image, PixelIndices
 from fpplab.devices import CameraSettings
 from fpplab.devices.simulation import Columns, Rows
 from fpplab.patterns.fringes import Pattern
-from sim.build import Setup
+from sim.build import SceneState
 from sim.fluctuation import Fluctuation
 from sim.items import item_poses, part_mesh
 from sim.light import Light, PatternLevels
@@ -108,7 +108,7 @@ class SimSampler:
     def _ambient_now(self, where: FramePart) -> PatternLevels:
         size, response = self._world.projector.size, self._world.projector.response
         black, white = (Pattern(f"even {level}", np.full(size[::-1], level, np.uint8)) for level in (0, 255))
-        setup = Setup(where.item, held=item_poses(self._world, where.item)[0])
+        setup = SceneState(where.item, held=item_poses(self._world, where.item)[0])
         least, most = self._light.irradiance_at(setup, (black, white), where.pixels)
         dark: PatternLevels = least - np.float32(response.b / response.a) * (most - least)
         return dark.reshape(where.shape)
@@ -119,7 +119,7 @@ class SimSampler:
 
     def _pictures_now(self, where: FramePart, patterns: tuple[Pattern, ...]) -> PatternLevels:
         pose, step = item_poses(self._world, where.item)[0], self._world.moves_mm
-        still = Setup(where.item, held=pose)
+        still = SceneState(where.item, held=pose)
         setups = (still, *displaced(still, pose, step)) if step else (still,)
         seen = np.stack([self._light.irradiance_at(one, patterns, where.pixels) for one in setups])
         return seen.reshape(len(setups), len(patterns), *where.shape)

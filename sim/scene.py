@@ -1,7 +1,7 @@
 """The scene as the Blender process receives it: plain numbers, no configuration, no bpy.
 
 Frame: the camera's (OpenCV), mm. A scene is all that a render depends on, except the
-projector's texture and the rendering effort, so the process keeps no other state.
+projector's texture and the render settings, so the process keeps no other state.
 """
 
 from __future__ import annotations
@@ -131,7 +131,7 @@ class RenderScene:
 
 
 @dataclass(frozen=True)
-class Effort:
+class RenderSettings:
     """How thoroughly to render, on what device, and which channels to return."""
 
     samples: int = 1  # light paths for each sub-pixel
@@ -172,7 +172,7 @@ class PatternRender:
     scene: RenderScene  # camera, lamp and surfaces
     textures: NDArray[np.float32]  # of the lamp
     views: tuple[SubpixelView, ...]  # points of the pixels and of the lens to look through
-    effort: Effort  # how thoroughly to render
+    settings: RenderSettings  # how thoroughly to render
     ambient: float  # uniform ambient light, relative to the projector's white
     falloff: NDArray[np.float32] | None  # the lens's transmission to each pixel, (height, width)
     room_lamps: tuple[PointLamp, ...] = ()  # lamps of the room

@@ -11,7 +11,7 @@ from pydantic import Field
 from fpplab.calibration.model import Calibration, PoseFile
 from fpplab.core import config
 from fpplab.core.config import Document
-from sim.build import Setup
+from sim.build import SceneState
 from sim.items import item_poses, item_shape
 from sim.light import Light
 from sim.world import World
@@ -72,7 +72,7 @@ class WorldHolder(Protocol):
 
     world: World
     """The world in use."""
-    setup: Setup
+    setup: SceneState
     """State of everything that moves."""
     light: Light
     """Pictures of the world in use."""

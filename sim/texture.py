@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import spline_filter
 
 from fpplab.core.conventions import Floats, Lattice, mirror_centres
-from sim.mirror_spread import TAPS, WIDEST_CIRCLE, Spread, disc_filter, interpolation
+from sim.mirror_spread import TAPS, WIDEST_CIRCLE, MirrorPointSpread, disc_filter, interpolation
 
 SMOOTH_BLUR = 0.45
 """Blur in mirrors from which two places of every mirror hold the light; below it takes three."""
@@ -140,7 +140,7 @@ class MirrorTexture:
         if self.exact:
             return sharp
         fine = self.places_per_mirror
-        narrow = Spread(self.blur, self.fill, min(circle, WIDEST_CIRCLE))
+        narrow = MirrorPointSpread(self.blur, self.fill, min(circle, WIDEST_CIRCLE))
         reach = fine * math.ceil(5 * self.blur + 1 + narrow.circle / 2)
         profile = narrow.profile(np.arange(-reach, reach + 1) / fine)
         disc = disc_filter(circle)
@@ -148,8 +148,8 @@ class MirrorTexture:
         placed[::fine, ::fine] = sharp if disc is None else _convolved(sharp, (disc,))
         return np.asarray(spline_filter(_convolved(placed, (profile,)), order=3, output=np.float32))
 
-    def _spread(self, circle: float) -> Spread:
-        return Spread(self.blur, self.fill, min(circle, WIDEST_CIRCLE))
+    def _spread(self, circle: float) -> MirrorPointSpread:
+        return MirrorPointSpread(self.blur, self.fill, min(circle, WIDEST_CIRCLE))
 
     def _filters(self, circle: float) -> tuple[Floats, ...]:
         """Filters to apply one after the other: along each axis where they are (n,), else in the plane."""

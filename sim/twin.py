@@ -30,10 +30,10 @@ from fpplab.devices import CameraSettings
 from fpplab.patterns.fringes import Pattern
 from fpplab.targets import Target
 from sim.appearance import Appearance
-from sim.build import Setup
+from sim.build import SceneState
 from sim.fluctuation import Fluctuation
 from sim.items import board_target, item_poses, part_mesh
-from sim.light import Light, PatternLevels, Show
+from sim.light import Light, PatternLevels, ShownPattern
 from sim.parameters import TwinParameters, parameters_of, world_of
 from sim.sensor import SensorModel
 from sim.sheet import board_relative_to, save_sheet
@@ -194,7 +194,7 @@ class Twin:
     def expected_of(self, item: str, patterns: Sequence[Pattern], settings: CameraSettings) -> ExpectedLevels:
         """Compute what the camera sees of another item of the world on average."""
         # returns (n, h, w)
-        return self._expected(Setup(item), patterns, settings)
+        return self._expected(SceneState(item), patterns, settings)
 
     def expected_part(
         self,
@@ -207,7 +207,7 @@ class Twin:
         """Compute what the camera sees on average of an item in any pose, at some pixels only."""
         # returns (n, P)
         self.before_images()
-        return self._expected_at(Setup(item, held=pose), patterns, settings, pixels)
+        return self._expected_at(SceneState(item, held=pose), patterns, settings, pixels)
 
     def frames(self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings) -> list[Image]:
         """Simulate frames of the board with the sensor's noise and the item's vibration."""
@@ -223,7 +223,7 @@ class Twin:
         computed, else from four pictures of each pattern that serve any number of frames.
         """
         self.world.item(item)
-        shown, sensor, still = tuple(patterns), SensorModel.of(self.world), Setup(item, held=pose)
+        shown, sensor, still = tuple(patterns), SensorModel.of(self.world), SceneState(item, held=pose)
         counters = self.frame_counter.take(len(shown))
         pictures = self._vibrating(still, pose, shown, counters)
         if (changes := Fluctuation.of(self.world)) is not None:
@@ -236,7 +236,7 @@ class Twin:
             return list(pool.map(lambda of, n: sensor.expose(of, settings, n), pictures, counters))
 
     def _vibrating(
-        self, still: Setup, pose: RigidTransform, shown: tuple[Pattern, ...], counters: range
+        self, still: SceneState, pose: RigidTransform, shown: tuple[Pattern, ...], counters: range
     ) -> list[PatternLevels]:
         """Compute the irradiance (h, w) of every frame of an item that vibrates about a pose."""
         size_mm, phase = self.world.moves_mm, wave_phase(self.world)
@@ -247,7 +247,7 @@ class Twin:
             return list(light.displaced(shown, moves))
         moved = displaced(still, pose, size_mm)
         return [
-            with_vibration(self._light, still, moved, steps, Show(shown, n))
+            with_vibration(self._light, still, moved, steps, ShownPattern(shown, n))
             for n, steps in enumerate(moves / size_mm)
         ]
 
@@ -298,7 +298,7 @@ class Twin:
         return path
 
     def _expected(
-        self, setup: Setup, patterns: Sequence[Pattern], settings: CameraSettings
+        self, setup: SceneState, patterns: Sequence[Pattern], settings: CameraSettings
     ) -> ExpectedLevels:
         shown, sensor = tuple(patterns), SensorModel.of(self.world)
         width, height = self.world.camera.size
@@ -307,17 +307,17 @@ class Twin:
             level[:] = sensor.expected(self._irradiance(setup, shown, n), settings)
         return levels
 
-    def _irradiance(self, setup: Setup, patterns: tuple[Pattern, ...], n: int) -> PatternLevels:
-        return self._light.irradiance(setup, Show(patterns, n))
+    def _irradiance(self, setup: SceneState, patterns: tuple[Pattern, ...], n: int) -> PatternLevels:
+        return self._light.irradiance(setup, ShownPattern(patterns, n))
 
     def _expected_at(
-        self, setup: Setup, patterns: Sequence[Pattern], settings: CameraSettings, pixels: PixelIndices
+        self, setup: SceneState, patterns: Sequence[Pattern], settings: CameraSettings, pixels: PixelIndices
     ) -> ExpectedLevels:
         irradiance = self._light.irradiance_at(setup, tuple(patterns), pixels)
         return SensorModel.of(self.world).expected(irradiance, settings)
 
-    def _setup(self, pose: int) -> Setup:
-        return Setup(self.board, held=self.parameters.poses[pose])
+    def _setup(self, pose: int) -> SceneState:
+        return SceneState(self.board, held=self.parameters.poses[pose])
 
     @property
     def _light(self) -> Light:

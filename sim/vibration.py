@@ -13,8 +13,8 @@ import numpy as np
 
 from fpplab.core.conventions import Floats
 from fpplab.core.geometry import RigidTransform
-from sim.build import Setup
-from sim.light import Light, PatternLevels, Show
+from sim.build import SceneState
+from sim.light import Light, PatternLevels, ShownPattern
 from sim.world import World
 
 STREAM = 2
@@ -37,7 +37,7 @@ def wave_phase(world: World, *numbers: int) -> float:
     return float(np.random.default_rng([world.seed, *numbers, STREAM]).uniform())
 
 
-def displaced(setup: Setup, pose: RigidTransform, step_mm: float) -> tuple[Setup, ...]:
+def displaced(setup: SceneState, pose: RigidTransform, step_mm: float) -> tuple[SceneState, ...]:
     """Displace the item of a set-up along each of the camera's axes.
 
     Callers should reuse the result for later frames, because `Light` caches pictures by these set-ups.
@@ -47,10 +47,10 @@ def displaced(setup: Setup, pose: RigidTransform, step_mm: float) -> tuple[Setup
 
 def with_vibration(
     light: Light,
-    still: Setup,
-    moved: Sequence[Setup],
+    still: SceneState,
+    moved: Sequence[SceneState],
     steps: Floats,
-    show: Show | None,
+    show: ShownPattern | None,
     row_weights: Floats | None = None,
 ) -> PatternLevels:
     """Compute the irradiance of a displaced item to first order, from pictures of four set-ups."""

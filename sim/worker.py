@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from fpplab.core.errors import ConfigError, DeviceError, DeviceTimeoutError, DisconnectedError
 from fpplab.core.extras import need_extra
 from fpplab.core.system import BLENDER
-from sim.scene import Effort, RenderScene, SubpixelView
+from sim.scene import RenderScene, RenderSettings, SubpixelView
 
 START_S = 120.0
 """Longest time that Blender may take to start."""
@@ -89,7 +89,7 @@ class Blender:
         scene: RenderScene,
         textures: NDArray[np.float32] | None,
         views: list[SubpixelView],
-        effort: Effort,
+        effort: RenderSettings,
         timeout_s: float,
     ) -> NDArray[np.float32]:
         """Render a scene once for every view."""

@@ -26,9 +26,9 @@ from fpplab.patterns.plan import Plan
 from fpplab.patterns.response import Response
 from fpplab.pipeline import measure_response
 from fpplab.sessions.session import Session
-from sim.build import Setup
+from sim.build import SceneState
 from sim.items import item_poses
-from sim.light import Show
+from sim.light import ShownPattern
 from sim.sensor import SensorModel
 from sim.world import World
 
@@ -65,14 +65,14 @@ class HiddenBench:
         self, item: str, pose: int, patterns: tuple[Pattern, ...], settings: CameraSettings
     ) -> Iterator[Image]:
         held, sensor = item_poses(self.world, item)[pose], SensorModel.of(self.world)
-        still = Setup(item, held=held)
-        moved = Setup(item, held=held.moved(np.array(self.effects.shaking.mm)))
+        still = SceneState(item, held=held)
+        moved = SceneState(item, held=held.moved(np.array(self.effects.shaking.mm)))
         dark, lamp = self.light.irradiance(still, None), self.light.lamp(still)
         rows = np.arange(self.world.camera.size[1])[:, None]
         for n in range(len(patterns)):
             random = np.random.default_rng([self.effects.seed, 4, self.frames])
             step = self._displacement(random)
-            show = Show(patterns, n)
+            show = ShownPattern(patterns, n)
             seen = (1.0 - step) * self.light.irradiance(still, show)
             seen += step * self.light.irradiance(moved, show)
             flicker = 1.0 + self.effects.flicker * random.standard_normal()

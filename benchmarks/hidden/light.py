@@ -20,9 +20,9 @@ from fpplab.comparison.visibility import RayTracedShape
 from fpplab.core.conventions import Floats
 from fpplab.core.geometry import RigidTransform
 from fpplab.reconstruction.triangulation import camera_rays
-from sim.build import Setup
+from sim.build import SceneState
 from sim.items import item_poses, item_shape
-from sim.light import Light, PatternLevels, Show
+from sim.light import Light, PatternLevels, ShownPattern
 from sim.light.plane import computed
 from sim.light.table import LightTable
 from sim.scene import Surface
@@ -44,15 +44,17 @@ class HiddenLight(Light):
         super().__init__(world, blender, analytic=True)
         self.effects, self._blotches = effects, _blotches(effects)
         self._gain = camera_gain(world, effects)
-        self._geometry: tuple[Setup, Floats, Floats] | None = None
+        self._geometry: tuple[SceneState, Floats, Floats] | None = None
 
-    def irradiance(self, setup: Setup, show: Show | None, row_weights: Floats | None = None) -> PatternLevels:
+    def irradiance(
+        self, setup: SceneState, show: ShownPattern | None, row_weights: Floats | None = None
+    ) -> PatternLevels:
         """Compute the irradiance, that of the second lamp without its ripple."""
         # returns (height, width)
         seen = super().irradiance(setup, show, row_weights) * self._gain
         return np.asarray(seen + self.lamp(setup), np.float32)
 
-    def lamp(self, setup: Setup) -> PatternLevels:
+    def lamp(self, setup: SceneState) -> PatternLevels:
         """Compute the light of the second lamp alone, without its ripple."""
         # returns (height, width)
         lamp = self.effects.lamp
@@ -66,7 +68,7 @@ class HiddenLight(Light):
         seen = np.nan_to_num(level) * self._albedo(setup) * falloff * self._gain
         return np.asarray(seen, np.float32)
 
-    def _load_or_make(self, setup: Setup, key: str) -> LightTable:
+    def _load_or_make(self, setup: SceneState, key: str) -> LightTable:
         board = isinstance(self._world.item(setup.item), BoardItem)
         table = self._printed(setup) if board else super()._load_or_make(setup, key)
         columns, rows = self._mirrors(setup, table)
@@ -80,14 +82,14 @@ class HiddenLight(Light):
         samples[..., 3] *= factor.astype(np.float32)
         return replace(table, samples=samples)
 
-    def _mirrors(self, setup: Setup, table: LightTable) -> tuple[Floats, Floats]:
+    def _mirrors(self, setup: SceneState, table: LightTable) -> tuple[Floats, Floats]:
         """Projector pixels (K, h, w) of all samples."""
         affine = self._built(setup)[2].affine
         places = table.samples[..., :2].astype(np.float64) - affine[:, 2]
         u, v = np.moveaxis(places @ np.linalg.inv(affine[:, :2]).T, -1, 0)
         return u, v
 
-    def _printed(self, setup: Setup) -> LightTable:
+    def _printed(self, setup: SceneState) -> LightTable:
         """The table of the bent board with its grain."""
         _, scene, texture = self._built(setup)
         board, pose = self.effects.board, self._pose(setup)
@@ -110,7 +112,7 @@ class HiddenLight(Light):
         samples[..., :2] += shift[top : top + h, left : left + w].astype(np.float32)
         return replace(table, samples=samples)
 
-    def _gloss(self, setup: Setup) -> Floats:
+    def _gloss(self, setup: SceneState) -> Floats:
         """The light that comes back with the highlight, beside that of matt paper, (height, width)."""
         points, normals = self._surface(setup)
         lamp = setup.T_projector_camera(self._world).inverse().translation
@@ -119,10 +121,10 @@ class HiddenLight(Light):
         board = self.effects.board
         return np.asarray(np.nan_to_num(1.0 + board.gloss * cosine**board.exponent, nan=1.0))
 
-    def _pose(self, setup: Setup) -> RigidTransform:
+    def _pose(self, setup: SceneState) -> RigidTransform:
         return setup.held or item_poses(self._world, setup.item)[setup.pose]
 
-    def _surface(self, setup: Setup) -> tuple[Floats, Floats]:
+    def _surface(self, setup: SceneState) -> tuple[Floats, Floats]:
         """Points and normals (height, width, 3) that pixels see in the camera's frame; NaN where none."""
         if self._geometry is None or self._geometry[0] != setup:
             vertices, faces = item_shape(self._world, setup.item)

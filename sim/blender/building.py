@@ -11,7 +11,7 @@ import numpy as np
 from mathutils import Matrix
 from numpy.typing import NDArray
 
-from ..scene import POSITION, REFLECTANCE, Effort, PointLamp, RenderScene, Surface
+from ..scene import POSITION, REFLECTANCE, PointLamp, RenderScene, RenderSettings, Surface
 from .camera import add_camera
 from .materials import add_paint
 from .projector import add_projector
@@ -59,7 +59,7 @@ def add_room_lamps(stage: Any, lamps: Sequence[PointLamp]) -> None:
         stage.collection.objects.link(placed)
 
 
-def make_linear(stage: Any, effort: Effort) -> None:
+def make_linear(stage: Any, effort: RenderSettings) -> None:
     """Switch off tone curve, dither, denoising, clamping and heuristics; sample one point of every pixel."""
     stage.render.engine = "CYCLES"
     stage.render.resolution_percentage = 100

@@ -34,9 +34,9 @@ def show_preview(stage: Any, preview: Preview) -> None:
     camera = add_scene(stage, wanted.scene, wanted.textures, compile_shader(), wanted.ambient)
     add_room_lamps(stage, wanted.room_lamps)
     aim(camera, wanted.scene.camera, _middle(wanted))
-    make_linear(stage, wanted.effort)
-    stage.cycles.device = "CPU" if wanted.effort.device == "CPU" else "GPU"
-    stage.cycles.samples = stage.cycles.preview_samples = VIEWING_SAMPLES * wanted.effort.samples
+    make_linear(stage, wanted.settings)
+    stage.cycles.device = "CPU" if wanted.settings.device == "CPU" else "GPU"
+    stage.cycles.samples = stage.cycles.preview_samples = VIEWING_SAMPLES * wanted.settings.samples
     stage.cycles.filter_width = 1.0
     stage.cycles.use_preview_denoising = stage.cycles.use_preview_adaptive_sampling = False
     _show_grey_levels(stage, preview.grey_scale)
@@ -112,7 +112,7 @@ def _for_pictures(stage: Any, wanted: PatternRender) -> Iterator[None]:
     cycles, render = stage.cycles, stage.render
     before = [(of, name, getattr(of, name)) for of, name in _changed(stage)]
     try:
-        cycles.samples, cycles.filter_width = wanted.effort.samples, 0.01
+        cycles.samples, cycles.filter_width = wanted.settings.samples, 0.01
         render.image_settings.file_format = "OPEN_EXR"
         render.image_settings.color_depth, render.image_settings.exr_codec = "32", "ZIP"
         yield

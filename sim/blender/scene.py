@@ -18,8 +18,8 @@ from sim.scene import (
     DIRECT,
     POSITION,
     REFLECTANCE,
-    Effort,
     RenderScene,
+    RenderSettings,
     SubpixelView,
     X,
     Z,
@@ -42,7 +42,7 @@ class BlenderScene:
         scene: RenderScene,
         textures: PixelBuffer | None,
         views: list[SubpixelView],
-        effort: Effort,
+        effort: RenderSettings,
         out: PixelBuffer,
     ) -> None:
         """Render a scene once for every view."""

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.blender.scene import BlenderScene
-from sim.scene import Effort, RenderRefused, RenderScene, SubpixelView
+from sim.scene import RenderRefused, RenderScene, RenderSettings, SubpixelView
 
 
 def serve_renders(connection: Connection, memory: int) -> None:
@@ -48,7 +48,7 @@ def _render(
     pixels: NDArray[np.float32],
     textured: bool,
     views: list[SubpixelView],
-    effort: Effort,
+    effort: RenderSettings,
 ) -> None:
     if scene is None:
         raise RuntimeError("there is no scene yet")

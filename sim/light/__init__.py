@@ -1,7 +1,7 @@
 """Light from the projector, reflected by the scene, to the sensor."""
 
-from sim.build import Setup
+from sim.build import SceneState
 from sim.light.basis import PatternLevels
-from sim.light.light import Light, Show
+from sim.light.light import Light, ShownPattern
 
-__all__ = ["Light", "PatternLevels", "Setup", "Show"]
+__all__ = ["Light", "PatternLevels", "SceneState", "ShownPattern"]

@@ -13,7 +13,7 @@ import numpy as np
 
 from fpplab.core.conventions import PixelIndices
 from fpplab.patterns.fringes import Pattern
-from sim.build import NOTHING, Setup, build_background
+from sim.build import NOTHING, SceneState, build_background
 from sim.light.basis import PatternLevels
 from sim.light.byte_limited_cache import ByteLimitedCache
 from sim.light.cache import digest
@@ -41,11 +41,11 @@ class Background:
     def __init__(self, world: World, surface: Surface) -> None:
         self._world, self._surface, self._views = world, surface, _views(world)
         self._tables: ByteLimitedCache[LightTable] = ByteLimitedCache(KEEP_BYTES)
-        self._scene: tuple[Setup, RenderScene, MirrorTexture] | None = None
+        self._scene: tuple[SceneState, RenderScene, MirrorTexture] | None = None
 
     def pictures(
         self,
-        setup: Setup,
+        setup: SceneState,
         light: Sequence[PatternLevels],
         pixels: PixelIndices | None = None,
     ) -> PatternLevels:
@@ -56,19 +56,19 @@ class Background:
         seen = table.look_up(texture.textures(light, scene.lamp.circles, table.part(texture.shape)))
         return seen if pixels is None else seen[:, 0]
 
-    def albedo(self, setup: Setup, pixels: PixelIndices | None = None) -> Irradiance:
+    def albedo(self, setup: SceneState, pixels: PixelIndices | None = None) -> Irradiance:
         """Give the reflectance of the surroundings that the camera sees, 0 where the item hides them."""
         # returns (height, width)
         found = self._table(setup, pixels).albedo
         return found if pixels is None else found[0]
 
-    def scene(self, setup: Setup) -> RenderScene:
+    def scene(self, setup: SceneState) -> RenderScene:
         """Give the surroundings together with the mounted item."""
         return self._built(setup)[1]
 
     def irradiance(
         self,
-        setup: Setup,
+        setup: SceneState,
         light: Sequence[PatternLevels],
         room: Irradiance | np.float32,
         pixels: PixelIndices | None,
@@ -80,7 +80,7 @@ class Background:
         return seen
 
     def behind(
-        self, setup: Setup, mirrors: Mirrors, room: RoomLightAt
+        self, setup: SceneState, mirrors: Mirrors, room: RoomLightAt
     ) -> Callable[[Pattern, PixelIndices | None], PatternLevels]:
         """Give the light of the surroundings as a function of the pattern, with other light."""
         # returns (P,)
@@ -92,7 +92,7 @@ class Background:
 
         return light
 
-    def _table(self, setup: Setup, pixels: PixelIndices | None) -> LightTable:
+    def _table(self, setup: SceneState, pixels: PixelIndices | None) -> LightTable:
         _, scene, _ = self._built(setup)
         shown = len(scene.surfaces) - (setup.item != NOTHING)  # the item's own light is added elsewhere
         if pixels is None:
@@ -101,7 +101,7 @@ class Background:
             digest(scene, self._views, pixels), lambda: traced(scene, self._views, pixels, shown)
         )
 
-    def _built(self, setup: Setup) -> tuple[Setup, RenderScene, MirrorTexture]:
+    def _built(self, setup: SceneState) -> tuple[SceneState, RenderScene, MirrorTexture]:
         at_rest = replace(setup, vibration_mm=(0.0, 0.0, 0.0))
         if self._scene is None or self._scene[0] != at_rest:
             self._scene = (at_rest, *build_background(self._world, at_rest, self._surface))

@@ -24,7 +24,7 @@ import numpy as np
 
 from fpplab.core.conventions import Floats, PixelIndices
 from fpplab.patterns.fringes import Pattern
-from sim.build import NOTHING, Setup, build_scene
+from sim.build import NOTHING, SceneState, build_scene
 from sim.light.background import Background
 from sim.light.basis import Basis, PatternLevels
 from sim.light.byte_limited_cache import ByteLimitedCache
@@ -38,7 +38,7 @@ from sim.light.slopes import MotionTable
 from sim.light.solid import can_trace, traced
 from sim.light.table import LightTable
 from sim.light.vignetting import vignetting
-from sim.scene import COLOURS, Effort, PatternRender, RenderScene, SubpixelView
+from sim.scene import COLOURS, PatternRender, RenderScene, RenderSettings, SubpixelView
 from sim.surroundings import surroundings_surface
 from sim.texture import MirrorTexture
 from sim.worker import Blender
@@ -54,7 +54,7 @@ _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
-class Show:
+class ShownPattern:
     """Which of the loaded patterns is on show."""
 
     patterns: tuple[Pattern, ...]  # the loaded patterns
@@ -94,7 +94,7 @@ class Light:
         self._pictures: ByteLimitedCache[PatternLevels] = ByteLimitedCache(KEEP_BYTES)
         self._bases: ByteLimitedCache[Rendered] = ByteLimitedCache(2 * KEEP_BYTES)
         self._albedos: ByteLimitedCache[PatternLevels] = ByteLimitedCache(KEEP_BYTES)
-        self._scene: tuple[Setup, RenderScene, MirrorTexture] | None = None
+        self._scene: tuple[SceneState, RenderScene, MirrorTexture] | None = None
         self._around = surroundings_surface(world)
         # On the path `transport` items and surroundings have tables of their own.
         beside = self._around if world.path == "transport" else None
@@ -105,7 +105,9 @@ class Light:
                 "the twin takes the light path '%s', because there is %s", world.path, world.indirect
             )
 
-    def irradiance(self, setup: Setup, show: Show | None, row_weights: Floats | None = None) -> PatternLevels:
+    def irradiance(
+        self, setup: SceneState, show: ShownPattern | None, row_weights: Floats | None = None
+    ) -> PatternLevels:
         """Compute the irradiance that the camera sees."""
         # row_weights (bits, height); returns (height, width)
         width, height = self._world.camera.size
@@ -122,7 +124,7 @@ class Light:
         return picture
 
     def irradiance_at(
-        self, setup: Setup, patterns: tuple[Pattern, ...], pixels: PixelIndices
+        self, setup: SceneState, patterns: tuple[Pattern, ...], pixels: PixelIndices
     ) -> PatternLevels:
         """Compute what `irradiance` gives at some pixels only, under several patterns.
 
@@ -130,7 +132,9 @@ class Light:
         """
         # returns (n, P)
         if self._world.path != "transport":
-            return np.stack([self.irradiance(setup, Show(patterns, n))[pixels] for n in range(len(patterns))])
+            return np.stack(
+                [self.irradiance(setup, ShownPattern(patterns, n))[pixels] for n in range(len(patterns))]
+            )
         (_, scene, texture), table = self._built(setup), self._table_at(setup, pixels)
         circles, part = scene.lamp.circles, table.part(texture.shape)
         seen: PatternLevels = np.concatenate(
@@ -148,7 +152,7 @@ class Light:
             seen += self._background.irradiance(setup, levels, room, pixels)
         return seen if self._falloff is None else seen * self._falloff[pixels]
 
-    def differentiated(self, setup: Setup) -> DifferentiatedLight | None:
+    def differentiated(self, setup: SceneState) -> DifferentiatedLight | None:
         """Give the light of an item with its derivatives."""
         _, scene, texture = self._built(setup)
         if self._world.path != "transport" or not self.computes(setup) or texture.exact:
@@ -159,7 +163,7 @@ class Light:
             scene, views, self._projector, texture, room, self._falloff, self._motions, behind
         )
 
-    def _table_at(self, setup: Setup, pixels: PixelIndices) -> LightTable:
+    def _table_at(self, setup: SceneState, pixels: PixelIndices) -> LightTable:
         (_, scene, _), views = self._built(setup), self._views(setup)
         if self.computes(setup):
             make = partial(computed, scene, views, spots=True, pixels=pixels)
@@ -169,11 +173,11 @@ class Light:
             return self.table(setup).at(pixels)
         return self._tables.get(digest(scene, views, pixels), make)
 
-    def computes(self, setup: Setup) -> bool:
+    def computes(self, setup: SceneState) -> bool:
         """Tell whether the item's light is computed, without a render."""
         return self._analytic and can_compute(self._built(setup)[1])
 
-    def table(self, setup: Setup) -> LightTable:
+    def table(self, setup: SceneState) -> LightTable:
         """Get the direct light on all that is in view, from memory, from disk, or rendered."""
         _, scene, _ = self._built(setup)
         key = digest(scene, self._views(setup))
@@ -202,7 +206,7 @@ class Light:
         self._projector.forget()
         self._displaced = None
 
-    def _projected(self, setup: Setup, show: Show, row_weights: Floats | None) -> PatternLevels:
+    def _projected(self, setup: SceneState, show: ShownPattern, row_weights: Floats | None) -> PatternLevels:
         if row_weights is None:
             return self._picture(setup, self._projector.states(show.patterns), show.index)
         planes = self._projector.planes(show.pattern)
@@ -211,7 +215,7 @@ class Light:
             picture += weights.astype(np.float32)[:, None] * self._picture(setup, planes, plane)
         return picture
 
-    def _picture(self, setup: Setup, levels: MirrorStates, index: int) -> PatternLevels:
+    def _picture(self, setup: SceneState, levels: MirrorStates, index: int) -> PatternLevels:
         """Compute the picture under one state of the mirrors."""
         path = self._world.path
         if path == "transport":
@@ -230,7 +234,7 @@ class Light:
         return whole + self._looked_up(setup, levels, index, basis)
 
     def _looked_up(
-        self, setup: Setup, levels: MirrorStates, index: int, basis: Basis | None
+        self, setup: SceneState, levels: MirrorStates, index: int, basis: Basis | None
     ) -> PatternLevels:
         """Look up several states at once, because their samples lie at the same places.
 
@@ -250,7 +254,7 @@ class Light:
         return picture
 
     def _look_up(
-        self, setup: Setup, levels: MirrorStates, states: range, basis: Basis | None
+        self, setup: SceneState, levels: MirrorStates, states: range, basis: Basis | None
     ) -> PatternLevels:
         if basis is not None:
             light = [levels.of(n) - basis.level(n) for n in states]
@@ -263,15 +267,15 @@ class Light:
             seen += self._seen(setup, self.table(setup), light)
         return seen
 
-    def _seen(self, setup: Setup, table: LightTable, light: Sequence[PatternLevels]) -> PatternLevels:
+    def _seen(self, setup: SceneState, table: LightTable, light: Sequence[PatternLevels]) -> PatternLevels:
         """Look up pictures under mirrors at these light levels, (levels, height, width)."""
         _, scene, texture = self._built(setup)
         return table.look_up(texture.textures(light, scene.lamp.circles, table.part(texture.shape)))
 
-    def _basis_under(self, setup: Setup, basis: Basis) -> Rendered:
+    def _basis_under(self, setup: SceneState, basis: Basis) -> Rendered:
         return self._bases.get((setup, basis), lambda: self._render_basis(setup, basis))
 
-    def _render_basis(self, setup: Setup, basis: Basis) -> Rendered:
+    def _render_basis(self, setup: SceneState, basis: Basis) -> Rendered:
         """Render three channels at a time; the first render, with white as first channel, gives the table."""
         _, scene, texture = self._built(setup)
         first = self._rendered(setup, basis.channels[:COLOURS], survey=True)
@@ -283,18 +287,18 @@ class Light:
             pictures += _colours(self._rendered(setup, basis.channels[start : start + COLOURS]))
         return Rendered(np.stack(pictures[: len(basis.channels)]), table)
 
-    def _albedo(self, setup: Setup) -> PatternLevels:
+    def _albedo(self, setup: SceneState) -> PatternLevels:
         """Get the mean reflectance of what every pixel sees, from any render of the set-up."""
         albedo: PatternLevels = self._albedos.get(setup, lambda: self._albedo_now(setup))
         return albedo
 
-    def _albedo_now(self, setup: Setup) -> PatternLevels:
+    def _albedo_now(self, setup: SceneState) -> PatternLevels:
         if self._background is None:
             return self.table(setup).albedo
         behind = self._background.albedo(setup)
         return behind if setup.item == NOTHING else behind + self.table(setup).albedo
 
-    def _load_or_make(self, setup: Setup, key: str) -> LightTable:
+    def _load_or_make(self, setup: SceneState, key: str) -> LightTable:
         _, scene, _ = self._built(setup)
         if self.computes(setup):
             return computed(scene, self._views(setup), spots=True)
@@ -308,7 +312,7 @@ class Light:
                 keep.store(key, table)
         return table
 
-    def pattern_render(self, setup: Setup, pattern: Pattern) -> PatternRender:
+    def pattern_render(self, setup: SceneState, pattern: Pattern) -> PatternRender:
         """Put together what a renderer needs for the picture under one pattern: the path `reference`."""
         render, world = self._world.render, self._world
         scene, texture = build_scene(world, setup, self._around)
@@ -322,19 +326,19 @@ class Light:
             point_lamps(world),
         )
 
-    def _rendered(self, setup: Setup, channels: PatternLevels, survey: bool = False) -> PatternLevels:
+    def _rendered(self, setup: SceneState, channels: PatternLevels, survey: bool = False) -> PatternLevels:
         """Render (views, height, width, …) under mirrors (up to three channels, rows, columns)."""
         render = self._world.render
         fine = _fine(*self._built(setup)[1:], channels)
         return self._render(setup, fine, self._effort(render.bounces, render.samples, survey))
 
-    def _in_view(self, setup: Setup) -> RenderScene:
+    def _in_view(self, setup: SceneState) -> RenderScene:
         return self._built(setup)[1] if self._background is None else self._background.scene(setup)
 
-    def _effort(self, bounces: int, samples: int, survey: bool) -> Effort:
-        return Effort(samples, bounces, self._world.seed, self._world.render.device, survey)
+    def _effort(self, bounces: int, samples: int, survey: bool) -> RenderSettings:
+        return RenderSettings(samples, bounces, self._world.seed, self._world.render.device, survey)
 
-    def _views(self, setup: Setup) -> list[SubpixelView]:
+    def _views(self, setup: SceneState) -> list[SubpixelView]:
         render = self._world.render
         more = render.computed_subpixels if self.computes(setup) else None
         places = shifts(more or render.subpixels)
@@ -344,13 +348,15 @@ class Light:
             SubpixelView(place, lens) for place, lens in zip(places, lens_points(len(places)), strict=True)
         ]
 
-    def _built(self, setup: Setup) -> tuple[Setup, RenderScene, MirrorTexture]:
+    def _built(self, setup: SceneState) -> tuple[SceneState, RenderScene, MirrorTexture]:
         if self._scene is None or self._scene[0] != setup:
             around = self._around if self._background is None else None
             self._scene = (setup, *build_scene(self._world, setup, around))
         return self._scene
 
-    def _render(self, setup: Setup, textures: PatternLevels | None, effort: Effort) -> PatternLevels:
+    def _render(
+        self, setup: SceneState, textures: PatternLevels | None, effort: RenderSettings
+    ) -> PatternLevels:
         _, scene, _ = self._built(setup)
         views = self._views(setup)
         width, height = self._world.camera.size

@@ -13,9 +13,9 @@ from benchmarks.hidden.light import HiddenLight, bend, camera_gain, falloff
 from benchmarks.hidden.worlds import BOARD, MOVED, PAINTED, SHAPES, drawn_world, nominal_world
 from fpplab.core.conventions import Floats
 from fpplab.patterns.fringes import Pattern, uniform_patterns
-from sim.build import Setup
+from sim.build import SceneState
 from sim.items import item_poses
-from sim.light import Light, Show
+from sim.light import Light, ShownPattern
 from sim.worker import Blender
 from sim.world import BoardItem, World
 
@@ -43,15 +43,17 @@ def white(world: World) -> tuple[Pattern, ...]:
     return tuple(uniform_patterns((255,), world.projector.size))
 
 
-def board_pixels(light: Light, world: World) -> tuple[Setup, np.ndarray[tuple[int, int], np.dtype[np.bool_]]]:
-    setup = Setup(BOARD)
-    return setup, light.irradiance(setup, Show(white(world), 0)) > 0.2
+def board_pixels(
+    light: Light, world: World
+) -> tuple[SceneState, np.ndarray[tuple[int, int], np.dtype[np.bool_]]]:
+    setup = SceneState(BOARD)
+    return setup, light.irradiance(setup, ShownPattern(white(world), 0)) > 0.2
 
 
 @pytest.mark.nightly
 def test_without_effects_the_light_is_the_worlds(world: World, blender: Blender, plain: Light) -> None:
     hidden = HiddenLight(world, blender, Effects(SEED))
-    show = Show(white(world), 0)
+    show = ShownPattern(white(world), 0)
     setup, seen = board_pixels(plain, world)
     one, other = plain.irradiance(setup, show)[seen], hidden.irradiance(setup, show)[seen]
     # the print is stored in 255 levels of the brightest place
@@ -62,7 +64,7 @@ def test_without_effects_the_light_is_the_worlds(world: World, blender: Blender,
 @pytest.mark.nightly
 def test_the_falloff_is_that_of_the_projectors_image(world: World, blender: Blender, plain: Light) -> None:
     effects = Effects(SEED, projector=Falloff(0.2, (0.1, -0.2), (0.03, -0.02)))
-    hidden, show = HiddenLight(world, blender, effects), Show(white(world), 0)
+    hidden, show = HiddenLight(world, blender, effects), ShownPattern(white(world), 0)
     setup, seen = board_pixels(plain, world)
     dark = plain.irradiance(setup, None)
     ratio = ((hidden.irradiance(setup, show) - dark)[seen]) / (plain.irradiance(setup, show) - dark)[seen]
@@ -82,7 +84,7 @@ def test_a_bent_board_lies_elsewhere_on_the_projector(world: World, blender: Ble
     flat, bent = (
         HiddenLight(world, blender, Effects(SEED, board=board)) for board in (Print(), Print(sag_mm=0.05))
     )
-    setup = Setup(BOARD)
+    setup = SceneState(BOARD)
     tables = [one.table(setup) for one in (flat, bent)]
     lit = np.all(tables[0].samples[..., 3] > 0.2, axis=0)
     texture = flat._built(setup)[2]
@@ -109,7 +111,7 @@ def test_the_print_of_a_bent_board_moves_with_it(world: World, blender: Blender,
     flat, bent = (
         HiddenLight(world, blender, Effects(SEED, board=board)) for board in (Print(), Print(sag_mm=0.5))
     )
-    setup = Setup(BOARD)
+    setup = SceneState(BOARD)
     one, other = (light.table(setup).albedo.astype(np.float64) for light in (flat, bent))
     assert np.abs(one - other).max() > 0.02
     assert one.sum() == pytest.approx(other.sum(), rel=0.01)
@@ -122,7 +124,7 @@ def test_grain_is_the_boards(world: World, blender: Blender) -> None:
     plain = HiddenLight(world, blender, Effects(SEED))
     found = []
     for pose in item_poses(world, BOARD):
-        setup = Setup(BOARD, held=pose)
+        setup = SceneState(BOARD, held=pose)
         ratio = light.table(setup).albedo / np.maximum(plain.table(setup).albedo, 1e-6)
         places = world.camera_model().project(pose.apply(_grid()))
         column, row = np.rint(places).astype(int).T
@@ -139,7 +141,7 @@ def _grid() -> Floats:
 def test_the_second_lamp_adds_light_by_distance_and_angle(world: World, blender: Blender) -> None:
     card = SecondLamp(level=0.1, place_mm=(0.0, 0.0, -450.0))
     light = HiddenLight(world, blender, Effects(SEED, lamp=card))
-    setup = Setup(BOARD)
+    setup = SceneState(BOARD)
     added = light.irradiance(setup, None) - HiddenLight(world, blender, Effects(SEED)).irradiance(setup, None)
     points, normals = light._surface(setup)
     row, column = (int(one) for one in np.argwhere(np.isfinite(points[..., 0])).mean(axis=0))
@@ -153,8 +155,8 @@ def test_the_second_lamp_adds_light_by_distance_and_angle(world: World, blender:
 
 def test_gloss_is_greatest_where_the_lamp_is_mirrored(world: World, blender: Blender) -> None:
     light = HiddenLight(world, blender, Effects(SEED, board=Print(gloss=0.2, exponent=30.0)))
-    factor = light._gloss(Setup(BOARD))
-    points, normals = light._surface(Setup(BOARD))
+    factor = light._gloss(SceneState(BOARD))
+    points, normals = light._surface(SceneState(BOARD))
     seen = np.isfinite(points[..., 0])
     assert 1.0 <= factor[seen].min() <= factor[seen].max() <= 1.2
     lamp = world.T_projector_camera().inverse().translation

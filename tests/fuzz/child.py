@@ -36,7 +36,7 @@ def main(words: list[str]) -> None:
             count.write_text(str(done))
         target(data, folder)
 
-    atheris.Setup([words[0], *words[2:]], one)
+    atheris.SceneState([words[0], *words[2:]], one)
     atheris.Fuzz()
 
 

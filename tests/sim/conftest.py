@@ -15,7 +15,7 @@ from fpplab.devices import CameraSettings
 from fpplab.patterns.fringes import Pattern, uniform_patterns
 from sim.bench import VirtualBench
 from sim.devices import SimCamera, SimFixture, SimProjector, SimStage
-from sim.light import Light, PatternLevels, Setup, Show
+from sim.light import Light, PatternLevels, SceneState, ShownPattern
 from sim.light.table import LightTable
 from sim.worker import Blender
 from sim.world import World
@@ -141,10 +141,10 @@ def levels(function: Any, of: World) -> Pattern:
     return Pattern("test", quantise(np.broadcast_to(np.asarray(function(u, v), np.float64), u.shape)))
 
 
-def seen(blender: Blender, of: World, setup: Setup, *patterns: Pattern) -> list[PatternLevels]:
+def seen(blender: Blender, of: World, setup: SceneState, *patterns: Pattern) -> list[PatternLevels]:
     """What the camera sees of `setup` under each pattern."""
     light = Light(of, blender)
-    return [light.irradiance(setup, Show(patterns, i)) for i in range(len(patterns))]
+    return [light.irradiance(setup, ShownPattern(patterns, i)) for i in range(len(patterns))]
 
 
 def card_points(of: World, pixels: Floats) -> Floats:

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import Pattern, make_patterns, uniform_patterns
 from fpplab.patterns.plan import Plan
-from sim.light import Light, PatternLevels, Setup, Show
+from sim.light import Light, PatternLevels, SceneState, ShownPattern
 from sim.light import cache as module
 from sim.light.cache import TableCache
 from sim.light.table import LightTable
@@ -27,7 +27,7 @@ from sim.worker import Blender
 from sim.world import World
 from tests.sim.conftest import plain, world
 
-CARD, PILLARS = Setup("card"), Setup("pillars")
+CARD, PILLARS = SceneState("card"), SceneState("pillars")
 
 
 class Rendering(Exception):  # noqa: N818 - not a fault
@@ -49,8 +49,8 @@ def fringes(of: World, steps: int = 4, stripes: float = 8) -> tuple[Pattern, ...
     return tuple(make_patterns(plan, of.projector.size, of.projector.lattice))
 
 
-def picture(of: World, blender: Blender, cache: TableCache, setup: Setup = PILLARS) -> PatternLevels:
-    return Light(of, blender, cache).irradiance(setup, Show(fringes(of), 1))
+def picture(of: World, blender: Blender, cache: TableCache, setup: SceneState = PILLARS) -> PatternLevels:
+    return Light(of, blender, cache).irradiance(setup, ShownPattern(fringes(of), 1))
 
 
 def small_table(seed: int = 0, shape: tuple[int, int] = (6, 5)) -> LightTable:
@@ -80,7 +80,7 @@ def kept(blender: Blender, tmp_path_factory: pytest.TempPathFactory) -> TableCac
     return store
 
 
-def needs_render(of: World, store: TableCache, setup: Setup = PILLARS) -> bool:
+def needs_render(of: World, store: TableCache, setup: SceneState = PILLARS) -> bool:
     """Whether a new virtual bench of this world has to render."""
     try:
         picture(of, NoBlender(), store, setup)
@@ -146,8 +146,8 @@ def test_changes_that_do_not_affect_light_need_no_render(kept: TableCache, chang
 def test_other_patterns_need_no_render(kept: TableCache) -> None:
     of = world()
     light = Light(of, NoBlender(), kept)
-    shows = [Show(fringes(of, steps, stripes), 2) for steps, stripes in ((3, 8), (12, 64.5), (5, 1))]
-    shows.append(Show(tuple(uniform_patterns([0, 255], of.projector.size)), 1))
+    shows = [ShownPattern(fringes(of, steps, stripes), 2) for steps, stripes in ((3, 8), (12, 64.5), (5, 1))]
+    shows.append(ShownPattern(tuple(uniform_patterns([0, 255], of.projector.size)), 1))
     pictures = [light.irradiance(PILLARS, show) for show in shows]
     assert all(np.abs(a - b).max() > 0.1 for a, b in pairwise(pictures))
 
@@ -194,7 +194,7 @@ def test_another_place_of_the_stage_is_rendered_again(kept: TableCache) -> None:
 def test_tables_of_displaced_items_are_neither_looked_up_nor_stored(blender: Blender, tmp_path: Path) -> None:
     """A displaced item is never seen again: its table would displace useful ones."""
     store = TableCache(tmp_path / "light")
-    assert picture(world(), blender, store, Setup("pillars", vibration_mm=(0.1, 0.0, 0.0))).max() > 0.5
+    assert picture(world(), blender, store, SceneState("pillars", vibration_mm=(0.1, 0.0, 0.0))).max() > 0.5
     assert not (tmp_path / "light").exists()
 
 
@@ -386,7 +386,7 @@ def test_without_a_cache_nothing_is_written(
     blender: Blender, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    show = Show(fringes(world()), 0)
+    show = ShownPattern(fringes(world()), 0)
     Light(world(render={"cache": False}), blender).irradiance(CARD, show)
     assert not list(tmp_path.iterdir())
     Light(world(), blender).irradiance(CARD, show)

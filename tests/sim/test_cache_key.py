@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sim.build import Setup, build_scene
+from sim.build import SceneState, build_scene
 from sim.light.cache import digest
 from sim.scene import RenderScene, SubpixelView
 from tests.sim.conftest import plain, world
@@ -21,8 +21,8 @@ def scene() -> RenderScene:
         camera={**plain()["camera"], "focus_mm": 450.0},
         projector={**plain()["projector"], "focus_mm": 475.0},
     )
-    board = build_scene(of, Setup("board"))[0]
-    body = build_scene(of, Setup("pillars"))[0].surfaces[0]
+    board = build_scene(of, SceneState("board"))[0]
+    body = build_scene(of, SceneState("pillars"))[0].surfaces[0]
     return dataclasses.replace(board, surfaces=(*board.surfaces, body))
 
 

@@ -13,7 +13,7 @@ from fpplab.devices import CameraSettings
 from fpplab.patterns.fringes import Pattern, uniform_patterns
 from sim.bench import VirtualBench
 from sim.devices import DARK, SimCamera, SimStage
-from sim.light import Setup, Show
+from sim.light import SceneState, ShownPattern
 from tests.sim.conftest import Bench, plain, world, write_world
 
 
@@ -148,8 +148,8 @@ def test_a_virtual_bench_can_switch_vibration_off_and_use_fewer_subpixels(
     file = write_world(tmp_path, plain(vibration_mm=0.05, render={"subpixels": 3}))
     bench = VirtualBench({"world": file, "analytic": True, "subpixels": 2, "still": still})
     assert bench.world.render.subpixels == 2
-    bench.setup = Setup("board")
-    bench.show = Show(tuple(uniform_patterns([255], bench.world.projector.size)), 0)
+    bench.setup = SceneState("board")
+    bench.show = ShownPattern(tuple(uniform_patterns([255], bench.world.projector.size)), 0)
     settings = CameraSettings(0.02, bits=12)
     first, again = (bench.irradiance(settings, frame) for frame in range(2))
     assert np.array_equal(first, again) == still

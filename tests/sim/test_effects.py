@@ -18,7 +18,7 @@ from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import make_patterns, uniform_patterns
 from fpplab.patterns.plan import Plan
 from fpplab.phase import wrapped_phase
-from sim.light import Light, Setup, Show
+from sim.light import Light, SceneState, ShownPattern
 from sim.radiometry import photopic_efficiency
 from sim.worker import Blender
 from sim.world import World
@@ -425,10 +425,10 @@ def test_a_groove_takes_the_linear_path_and_is_correct(
     for path in ("auto", "reference"):
         of = world(items={"groove": groove}, render={**effort, "path": path})
         patterns = make_patterns(Plan(fringes=(fringes,)), of.projector.size, of.projector.lattice)
-        pictures.append(Light(of, blender).irradiance(Setup("groove"), Show(tuple(patterns), 1)))
+        pictures.append(Light(of, blender).irradiance(SceneState("groove"), ShownPattern(tuple(patterns), 1)))
     assert "takes the light path 'linear', because there is interreflection" in caplog.text
     direct = Light(world(items={"groove": groove}), blender).irradiance(
-        Setup("groove"), Show(tuple(patterns), 1)
+        SceneState("groove"), ShownPattern(tuple(patterns), 1)
     )
     assert (pictures[1] - direct).max() > 0.05, "the groove must light itself"
     assert np.abs(pictures[0] - pictures[1]).max() < 0.2 / 255

@@ -30,10 +30,10 @@ from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import Plan
 from fpplab.pipeline import take_poses
 from fpplab.sessions.session import Session
-from sim.build import Setup
+from sim.build import SceneState
 from sim.extension import MANIFEST, write_extension
 from sim.items import item_poses
-from sim.light import Show
+from sim.light import ShownPattern
 from sim.preview import Arrangement, baseline_range_mm, bench_of_rig, make_preview, stage_for_baseline
 from sim.preview_file import read_preview, write_preview
 from sim.sensor import SensorModel
@@ -92,8 +92,8 @@ def seen_by_twin(rig: Rig, wanted: Arrangement, step: int) -> Picture:
     bench, plan, caps = bench_of_rig(rig), wanted.fringes(), rig.projector.caps
     patterns = tuple(rig.projector.load(make_patterns(plan, caps.size, caps.lattice)))
     stage_mm = stage_for_baseline(bench.world, wanted.baseline_mm)
-    setup = Setup(wanted.item or bench.world.mounted, wanted.pose, stage_mm)
-    irradiance = bench.light.irradiance(setup, Show(patterns, step))
+    setup = SceneState(wanted.item or bench.world.mounted, wanted.pose, stage_mm)
+    irradiance = bench.light.irradiance(setup, ShownPattern(patterns, step))
     return SensorModel.of(bench.world).expected(irradiance, rig.camera_settings(plan.exposure_s))
 
 

@@ -10,8 +10,8 @@ import pytest
 from fpplab.core import config
 from fpplab.core.conventions import Lattice
 from fpplab.patterns.fringes import uniform_patterns
-from sim.build import Setup
-from sim.light import Light, Show
+from sim.build import SceneState
+from sim.light import Light, ShownPattern
 from sim.light.falloff import projector_falloff
 from sim.twin import Twin
 from sim.worker import Blender
@@ -49,11 +49,11 @@ def test_a_board_is_lit_by_it() -> None:
     """White on the board is the even light times that of the mirrors that light it."""
     blender = Blender("test")  # boards are computed, so it never starts
     even, fallen = (Light(world(one), blender, analytic=True) for one in ((0.0,) * 5, FALLOFF))
-    white = Show(tuple(uniform_patterns((255,), (912, 1140))), 0)
-    one, other = even.irradiance(Setup("board"), white), fallen.irradiance(Setup("board"), white)
+    white = ShownPattern(tuple(uniform_patterns((255,), (912, 1140))), 0)
+    one, other = even.irradiance(SceneState("board"), white), fallen.irradiance(SceneState("board"), white)
     seen = one > 0.3
     ratio = other[seen] / one[seen]
-    table, texture = even.table(Setup("board")), even._built(Setup("board"))[2]
+    table, texture = even.table(SceneState("board")), even._built(SceneState("board"))[2]
     places = table.samples[..., :2].mean(axis=0)
     left, top = table.corner
     row, column = np.argwhere(seen).T

@@ -18,7 +18,7 @@ from fpplab.optimisation.fringe_cache import FringeSetCache, MeasuringSetup
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import Plan
-from sim.build import Setup
+from sim.build import SceneState
 from sim.world import World
 from tests.sim.conftest import RIG, plain, write_world
 
@@ -153,7 +153,7 @@ def test_noise_numbers_are_used_once_then_frames_are_counted(rig: Rig) -> None:
 def test_turned_projector_agrees_with_the_turned_calibration(tmp_path: Path) -> None:
     world = World.load(write_world(tmp_path, plain()))
     known = Calibration(world.camera_model(), world.projector_model(), world.T_projector_camera(12.0), {})
-    turned = Setup("card", stage_mm=12.0, convergence_deg=1.5).T_projector_camera(world)
+    turned = SceneState("card", stage_mm=12.0, convergence_deg=1.5).T_projector_camera(world)
     np.testing.assert_allclose(
         turned.matrix, StageCalibrations({12.0: known}).at(12.0, 1.5).T_projector_camera.matrix, atol=1e-12
     )

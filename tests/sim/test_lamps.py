@@ -19,8 +19,8 @@ from fpplab.devices import CameraSettings
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import Plan
-from sim.build import Setup, build_scene
-from sim.light import Light, PatternLevels, Show
+from sim.build import SceneState, build_scene
+from sim.light import Light, PatternLevels, ShownPattern
 from sim.light.lamps import lamp_light, point_lamps
 from sim.parameters import UNCERTAIN, TwinParameters
 from sim.preview_file import Preview, write_preview
@@ -67,7 +67,7 @@ def expected(of: World, shapes: list[Shape]) -> tuple[Floats, Floats]:
 
 
 def placed(of: World, item: str) -> RigidTransform:
-    T = build_scene(of, Setup(item))[0].surfaces[0].T_camera_item
+    T = build_scene(of, SceneState(item))[0].surfaces[0].T_camera_item
     return RigidTransform(T[:3, :3], T[:3, 3])
 
 
@@ -84,7 +84,7 @@ def test_place_of_a_lamp_is_as_documented() -> None:
 def test_light_on_a_card_is_the_formulas() -> None:
     of = lamped()
     pose = placed(of, "card")
-    found = lamp_light(of, build_scene(of, Setup("card"))[0], all_pixels(of))
+    found = lamp_light(of, build_scene(of, SceneState("card"))[0], all_pixels(of))
     normal = pose.rotation[:, 2] * -np.sign(pose.rotation[2, 2])
     true, _ = expected(of, [Plane(pose.translation, normal)])
     assert true.min() > 0.02
@@ -102,7 +102,7 @@ def test_light_on_a_facing_card_at_that_point_is_the_irradiance() -> None:
     width, height = of.camera.size
     pixel = (np.array([height // 2]), np.array([width // 2]))
     assert np.allclose(of.camera_model().normalise(np.array([[width // 2, height // 2]])), 0.0)
-    found = lamp_light(of, build_scene(of, Setup("facing"))[0], pixel)
+    found = lamp_light(of, build_scene(of, SceneState("facing"))[0], pixel)
     np.testing.assert_allclose(found, 0.3, rtol=1e-4)
 
 
@@ -124,7 +124,7 @@ def ball_over_plate(tmp_path: Path) -> tuple[World, list[Shape]]:
 @pytest.mark.whole
 def test_light_on_bodies_has_their_shadows(ball_over_plate: tuple[World, list[Shape]]) -> None:
     of, shapes = ball_over_plate
-    found = lamp_light(of, build_scene(of, Setup("part"))[0], all_pixels(of))
+    found = lamp_light(of, build_scene(of, SceneState("part"))[0], all_pixels(of))
     true, length = expected(of, shapes)
     lit, shaded = true > 0, np.isfinite(length) & (true == 0)
     assert lit.sum() > 5_000
@@ -138,12 +138,12 @@ def test_light_on_bodies_has_their_shadows(ball_over_plate: tuple[World, list[Sh
 def test_light_of_the_room_is_what_is_reflected_of_it(ball_over_plate: tuple[World, list[Shape]]) -> None:
     """Without the projector, of a board: reflectance times ambient light and lamp."""
     of = lamped(ambient=0.02)
-    light, setup = Light(of, Blender("bench"), analytic=True), Setup("board", 0)
+    light, setup = Light(of, Blender("bench"), analytic=True), SceneState("board", 0)
     table = light.table(setup)
     own = lamp_light(of, build_scene(of, setup)[0], all_pixels(of)).reshape(of.camera.size[::-1])
     np.testing.assert_allclose(light.irradiance(setup, None), (0.02 + own) * table.albedo, atol=1e-6)
     rows, columns = (one.ravel() for one in np.mgrid[4:124:9, 3:190:7])
-    whole = np.stack([light.irradiance(setup, Show(PATTERNS, n)) for n in range(3)])
+    whole = np.stack([light.irradiance(setup, ShownPattern(PATTERNS, n)) for n in range(3)])
     some = light.irradiance_at(setup, PATTERNS, (rows, columns))
     np.testing.assert_allclose(some, whole[:, rows, columns], atol=1e-6)
 
@@ -151,9 +151,9 @@ def test_light_of_the_room_is_what_is_reflected_of_it(ball_over_plate: tuple[Wor
 def test_lamps_alone_are_light_enough() -> None:
     """Nothing is left out because there is no ambient light."""
     light = Light(lamped(), Blender("bench"), analytic=True)
-    assert light.irradiance(Setup("board", 0), None).max() > 0.03
+    assert light.irradiance(SceneState("board", 0), None).max() > 0.03
     dark = Light(world(lamps={"room": LAMP | {"irradiance": 0.0}}), Blender("bench"), analytic=True)
-    assert not dark.irradiance(Setup("board", 0), None).any()
+    assert not dark.irradiance(SceneState("board", 0), None).any()
 
 
 def seen(parameters: TwinParameters, twin: Twin, pixels: Any) -> PatternLevels:
@@ -165,7 +165,7 @@ def seen(parameters: TwinParameters, twin: Twin, pixels: Any) -> PatternLevels:
 def test_slopes_of_the_light_hold_for_the_lamps_light() -> None:
     """Reflectance changes with the place on the print, the lamp's light hardly."""
     of = lamped(ambient=0.02)
-    light, setup = Light(of, Blender("bench"), analytic=True), Setup("board", 0)
+    light, setup = Light(of, Blender("bench"), analytic=True), SceneState("board", 0)
     found = light.differentiated(setup)
     assert found is not None
     rows, columns = (one.ravel() for one in np.mgrid[30:90:3, 60:130:3])
@@ -187,12 +187,12 @@ def test_vibration_moves_what_the_lamp_lights() -> None:
     step = np.array([[0.008, -0.006, 0.004]])
     parts = []
     for of in (lamped(), world()):
-        light, setup = Light(of, Blender("bench"), analytic=True), Setup("board", 0)
+        light, setup = Light(of, Blender("bench"), analytic=True), SceneState("board", 0)
         found = light.differentiated(setup)
         assert found is not None
-        there = Setup("board", held=placed(of, "board").moved(step[0]))
+        there = SceneState("board", held=placed(of, "board").moved(step[0]))
         still, moved = (next(found.displaced(PATTERNS[:1], by)) for by in (np.zeros((1, 3)), step))
-        true_still, true_moved = (light.irradiance(one, Show(PATTERNS, 0)) for one in (setup, there))
+        true_still, true_moved = (light.irradiance(one, ShownPattern(PATTERNS, 0)) for one in (setup, there))
         parts.append((still, moved, true_still, true_moved))
     still, moved, true_still, true_moved = (lamp - dark for lamp, dark in zip(*parts, strict=True))
     np.testing.assert_allclose(still, true_still, atol=1e-6)
@@ -243,8 +243,8 @@ def test_surroundings_throw_no_shadow_of_lamps(tmp_path: Path) -> None:
     plate = plate_in_the_way(tmp_path)
     pixels = (np.full(8, 64), np.arange(80, 112, 4))
     of = lamped(surroundings=plate)
-    of_item = build_scene(of, Setup("board", 0), surroundings_surface(of))[0]
-    alone = build_scene(lamped(), Setup("board", 0))[0]
+    of_item = build_scene(of, SceneState("board", 0), surroundings_surface(of))[0]
+    alone = build_scene(lamped(), SceneState("board", 0))[0]
     true = lamp_light(lamped(), alone, pixels)
     assert true.min() > 0.02
     np.testing.assert_allclose(lamp_light(of, of_item, pixels), true, rtol=1e-4)
@@ -259,7 +259,7 @@ def test_blender_shows_the_same_light(blender: Blender, tmp_path: Path, item: st
     """The preview's lamps and shadows against the twin's own."""
     around = {"surroundings": plate_in_the_way(tmp_path)} if surrounded else {}
     of = lamped(ambient=0.05, mounted=item, **around)
-    setup, light = Setup(item), Light(of, blender)
+    setup, light = SceneState(item), Light(of, blender)
     wanted = light.pattern_render(setup, PATTERNS[1])
     scale = SensorModel.of(of).grey_scale(CameraSettings(0.02))
     with (tmp_path / "rig.npz").open("wb") as stream:
@@ -276,7 +276,7 @@ def test_blender_shows_the_same_light(blender: Blender, tmp_path: Path, item: st
     )
     assert done.returncode == 0, done.stderr
     picture = np.load(tmp_path / "picture.npy")
-    true = scale.levels(light.irradiance(setup, Show(PATTERNS, 1)))
+    true = scale.levels(light.irradiance(setup, ShownPattern(PATTERNS, 1)))
     off = np.abs(picture - true)
     assert true.max() > 150
     assert np.mean(off > 1.0) < 2e-3

@@ -17,14 +17,14 @@ from fpplab.core.tagged_union import registered_types
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import make_patterns, uniform_patterns
 from fpplab.patterns.plan import Plan
-from sim.light import Light, Setup, Show
+from sim.light import Light, SceneState, ShownPattern
 from sim.worker import Blender
 from sim.world import World, materials
 from sim.world.materials import Material
 from tests.sim.conftest import card_points, grid, levels, plain, seen, world
 
 ROOT = Path(__file__).parents[2]
-CARD, PILLARS = Setup("card"), Setup("pillars")
+CARD, PILLARS = SceneState("card"), SceneState("pillars")
 RIDGES = {"axis": [3.0, 4.0, 0.0], "period_mm": 20.0, "depth_mm": 3.0}
 ROUGH = {"kind": "diffuse", "reflectance": 0.6, "roughness": 1.0}
 GLOSSY = {"kind": "glossy", "reflectance": 0.6, "roughness": 0.5, "gloss": 0.1, "gloss_roughness": 0.4}
@@ -44,7 +44,7 @@ class Lit(NamedTuple):
 
 def lit(blender: Blender, of: World, stage_mm: float = 0.0) -> Lit:
     """What the card reflects, freed of the projector's falloff with distance and angle."""
-    shade = Light(of, blender).table(Setup("card", 0, stage_mm)).samples[0, ..., 3].astype(np.float64)
+    shade = Light(of, blender).table(SceneState("card", 0, stage_mm)).samples[0, ..., 3].astype(np.float64)
     points = card_points(of, grid(of))
     seen_from = of.T_projector_camera(stage_mm)
     local = seen_from.apply(points)
@@ -286,7 +286,7 @@ def test_linear_light_through_a_translucent_body(blender: Blender) -> None:
     pictures = []
     for of in (chosen, translucent(2.0, samples=2)):
         patterns = tuple(make_patterns(plan, of.projector.size, of.projector.lattice))
-        pictures.append(Light(of, blender).irradiance(CARD, Show(patterns, 1)))
+        pictures.append(Light(of, blender).irradiance(CARD, ShownPattern(patterns, 1)))
     assert np.abs(pictures[0] - pictures[1]).max() < 3 / 255
     assert pictures[1].max() > 0.5
 
@@ -307,7 +307,7 @@ def test_items_have_materials_of_their_own(blender: Blender) -> None:
         materials={"soot": {"reflectance": 0.09}},
     )
     white = uniform_patterns([255], of.projector.size)
-    (bright,), (dark,) = seen(blender, of, CARD, *white), seen(blender, of, Setup("black"), *white)
+    (bright,), (dark,) = seen(blender, of, CARD, *white), seen(blender, of, SceneState("black"), *white)
     np.testing.assert_allclose(dark, 0.1 * bright, rtol=1e-5)
 
 

@@ -12,13 +12,13 @@ from fpplab.core.conventions import Floats
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import Pattern, make_patterns, uniform_patterns
 from fpplab.patterns.plan import Plan
-from sim.light import Light, Setup, Show
+from sim.light import Light, SceneState, ShownPattern
 from sim.worker import Blender
 from sim.world import World
 from tests.sim.conftest import levels, plain, seen, world
 from tests.sim.raycaster import Caster, Plane, Seen
 
-CARD, PILLARS = Setup("card"), Setup("pillars")
+CARD, PILLARS = SceneState("card"), SceneState("pillars")
 COLUMNS, THROW, BLUR = 912, 1.2, 0.6
 STRAIGHT = [0.0] * 5
 
@@ -259,7 +259,7 @@ def test_paths_agree_on_defocus_across_pillars(blender: Blender) -> None:
         of = world(projector=projector, render={"subpixels": 2, "path": path})
         plan = Plan(fringes=(Sinusoid(axis="x", stripes=48, steps=4),))
         patterns = make_patterns(plan, of.projector.size, of.projector.lattice)
-        pictures.append(Light(of, blender).irradiance(PILLARS, Show(patterns, 1)).astype(np.float64))
+        pictures.append(Light(of, blender).irradiance(PILLARS, ShownPattern(patterns, 1)).astype(np.float64))
     assert pictures[0].max() > 0.5
     assert np.abs(pictures[0] - pictures[1]).max() < 1e-4
     assert np.abs(pictures[2] - pictures[1]).max() < 1.2 / 255

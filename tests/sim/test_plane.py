@@ -13,7 +13,7 @@ from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import make_patterns, uniform_patterns
 from fpplab.patterns.plan import Plan
 from sim.build import build_scene
-from sim.light import Light, Setup, Show
+from sim.light import Light, SceneState, ShownPattern
 from sim.light.lens import lens_points
 from sim.light.plane import can_compute, computed
 from sim.scene import SubpixelView
@@ -51,12 +51,12 @@ def _world(subpixels: int, focus_mm: float | None, projector_focus_mm: float | N
     ids=["sharp", "camera out of focus", "projector out of focus"],
 )
 @pytest.mark.parametrize(
-    "setup", [Setup("card"), Setup("board", 1), Setup("board", 3, stage_mm=7.0)], ids=str
+    "setup", [SceneState("card"), SceneState("board", 1), SceneState("board", 3, stage_mm=7.0)], ids=str
 )
 def test_computed_light_agrees_with_blender(
     monkeypatch: pytest.MonkeyPatch,
     blender: Blender,
-    setup: Setup,
+    setup: SceneState,
     subpixels: int,
     focus_mm: float | None,
     projector_focus_mm: float | None,
@@ -83,7 +83,7 @@ def test_computed_light_agrees_with_blender(
     size = of.projector.size
     patterns = (*make_patterns(PLAN, size, of.projector.lattice), *uniform_patterns([255], size))
     for n in range(len(patterns)):
-        show = Show(patterns, n)
+        show = ShownPattern(patterns, n)
         error = (ours.irradiance(setup, show) - theirs.irradiance(setup, show))[same]
         assert np.sqrt(np.mean(error**2)) < 2e-4
 
@@ -99,7 +99,7 @@ def test_few_spots_agree_with_many_points(pose: int, focus_mm: float | None) -> 
         lens = lens_points(len(places)) if focus_mm else [(0.0, 0.0)] * len(places)
         return computed(scene, [SubpixelView(*both) for both in zip(places, lens, strict=True)], spots).albedo
 
-    scene = build_scene(_world(1, focus_mm, None), Setup("board", pose))[0]
+    scene = build_scene(_world(1, focus_mm, None), SceneState("board", pose))[0]
 
     many, points, spots = seen(20, False), seen(4, False), seen(4, True)
     assert np.std(spots - many) < 0.65 * np.std(points - many)
@@ -113,7 +113,7 @@ def test_computed_light_agrees_with_the_ray_caster(turned: list[float]) -> None:
     """Also on a card that turns its back to the projector, or shows its back to both."""
     pose = {"rotation_deg": turned, "translation_mm": [0, 0, 450]}
     of = world(items={"card": {"card_mm": [2000, 2000], "pose": pose}}, material={"reflectance": 0.7})
-    scene = build_scene(of, Setup("card"))[0]
+    scene = build_scene(of, SceneState("card"))[0]
     table = computed(scene, [SubpixelView((0.0, 0.0))])
     held = of.items["card"].pose.transform()  # type: ignore[union-attr]
     normal = held.rotation[:, 2] * -np.sign(held.rotation[:, 2] @ held.translation)
@@ -136,7 +136,7 @@ def test_a_lens_is_straight_over_one_pixel() -> None:
     camera["distortion"] = [-0.25, 0.08, 1e-3, -1e-3, 0.0]
     pose = {"rotation_deg": [8, -5, 0], "translation_mm": [0, 0, 450]}
     of = world(camera=camera, items={"card": {"card_mm": [2000, 2000], "pose": pose}})
-    scene = build_scene(of, Setup("card"))[0]
+    scene = build_scene(of, SceneState("card"))[0]
     views = [SubpixelView(place) for place in ((0.5, 0.5), (-0.5, 0.5))]
     at_once = computed(scene, views).samples
     for view, table in zip(views, at_once, strict=True):
@@ -155,7 +155,7 @@ def test_a_card_between_camera_and_projector_is_dark(turned: float, is_lit: bool
     """Its plane passes 120 mm beside the camera: to the left of it, or between it and the projector."""
     pose = {"rotation_deg": [0, turned, 0], "translation_mm": [0, 0, 450]}
     of = world(items={"card": {"card_mm": [100, 100], "pose": pose}})
-    table = computed(build_scene(of, Setup("card"))[0], [SubpixelView((0.0, 0.0))])
+    table = computed(build_scene(of, SceneState("card"))[0], [SubpixelView((0.0, 0.0))])
     assert table.albedo.max() == np.float32(0.9)
     assert bool(table.samples[..., 3].any()) is is_lit
 
@@ -167,16 +167,16 @@ def test_a_white_surface_that_faces_the_projector_has_irradiance_1() -> None:
         "translation_mm": axis.apply(np.array([0.0, -200.0, 475.0])).tolist(),
     }
     of = world(items={"card": {"card_mm": [100, 100], "pose": pose}}, material={"reflectance": 1.0})
-    shade = computed(build_scene(of, Setup("card"))[0], [SubpixelView((0.0, 0.0))]).samples[..., 3]
+    shade = computed(build_scene(of, SceneState("card"))[0], [SubpixelView((0.0, 0.0))]).samples[..., 3]
     np.testing.assert_allclose(shade[shade > 0], 1.0, rtol=1e-6)
 
 
 @pytest.mark.parametrize("material", OTHER_MATERIALS)
 def test_other_materials_are_left_to_blender(material: dict[str, Any]) -> None:
-    assert not can_compute(build_scene(world(material=material), Setup("card"))[0])
+    assert not can_compute(build_scene(world(material=material), SceneState("card"))[0])
 
 
 def test_bodies_are_left_to_blender() -> None:
-    assert not can_compute(build_scene(world(), Setup("pillars"))[0])
-    assert can_compute(build_scene(world(), Setup("card"))[0])
-    assert can_compute(build_scene(world(), Setup("board"))[0])
+    assert not can_compute(build_scene(world(), SceneState("pillars"))[0])
+    assert can_compute(build_scene(world(), SceneState("card"))[0])
+    assert can_compute(build_scene(world(), SceneState("board"))[0])

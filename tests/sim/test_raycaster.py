@@ -18,8 +18,8 @@ from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import Pattern, make_patterns, uniform_patterns
 from fpplab.patterns.plan import Plan
 from sim.build import build_scene
-from sim.light import Light, Setup, Show
-from sim.scene import DIRECT, Effort, SubpixelView, X, Z
+from sim.light import Light, SceneState, ShownPattern
+from sim.scene import DIRECT, RenderSettings, SubpixelView, X, Z
 from sim.worker import Blender
 from sim.world import World
 from tests.sim.conftest import plain, samples_of_image, world
@@ -41,7 +41,7 @@ class Bench:
     """
 
     world: World
-    setup: Setup
+    setup: SceneState
     seen: Seen
     further: Seen | None = None
     facets: tuple[float, float] = (0.0, 0.0)
@@ -63,11 +63,11 @@ def bench(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
         facet = trimesh.load_mesh(folder / "ball.stl").edges_unique_length.max() / np.sqrt(3)
         sag = facet**2 / (2 * RADIUS)
         inner = caster.look([Sphere(pose.translation, RADIUS - sag)], ACROSS)
-        return Bench(of, Setup(name), caster.look([ball], ACROSS), inner, (sag, facet / RADIUS))
+        return Bench(of, SceneState(name), caster.look([ball], ACROSS), inner, (sag, facet / RADIUS))
     shapes: list[Shape] = [Plane(pose.translation, -pose.rotation[:, 2])]
     if name == "step":
         shapes = [Box(np.array(low, float), np.array(high, float), pose) for low, high in BOXES]
-    return Bench(of, Setup(name), caster.look(shapes, ACROSS))
+    return Bench(of, SceneState(name), caster.look(shapes, ACROSS))
 
 
 def _parts(folder: Path) -> dict[str, Any]:
@@ -82,10 +82,11 @@ def _parts(folder: Path) -> dict[str, Any]:
     }
 
 
-def _shown(blender: Blender, of: World, setup: Setup, patterns: tuple[Pattern, ...]) -> list[Floats]:
+def _shown(blender: Blender, of: World, setup: SceneState, patterns: tuple[Pattern, ...]) -> list[Floats]:
     light = Light(of, blender)
     return [
-        light.irradiance(setup, Show(patterns, i)).astype(np.float64, copy=True) for i in range(len(patterns))
+        light.irradiance(setup, ShownPattern(patterns, i)).astype(np.float64, copy=True)
+        for i in range(len(patterns))
     ]
 
 
@@ -214,8 +215,8 @@ def _pixel_error(of: World, points: Floats, shift: tuple[float, float]) -> Float
 @pytest.mark.nightly
 def test_points_seen_beside_a_pixel_s_middle_project_there(blender: Blender) -> None:
     of, shift = _distorting(Lattice.DIAMOND), (0.25, -0.375)
-    scene, _ = build_scene(of, Setup("card"))
-    seen = blender.render(scene, None, [SubpixelView(shift)], Effort(survey=True), 60)
+    scene, _ = build_scene(of, SceneState("card"))
+    seen = blender.render(scene, None, [SubpixelView(shift)], RenderSettings(survey=True), 60)
     points = seen[0, ::2, ::2, X : Z + 1].astype(np.float64)
     model = of.camera_model()
     straight = Pinhole(model.size, model.matrix)
@@ -232,8 +233,8 @@ def test_points_seen_through_a_wide_lens_project_to_their_pixels(
     camera = {**plain()["camera"], "focal_mm": 8, "distortion": distortion}
     pose = {"rotation_deg": [3, -5, 0], "translation_mm": [0, 0, 450]}
     of = world(camera=camera, items={"card": {"card_mm": [4000, 4000], "pose": pose}})
-    scene, _ = build_scene(of, Setup("card"))
-    rendered = blender.render(scene, None, [SubpixelView((0.0, 0.0))], Effort(survey=True), 60)
+    scene, _ = build_scene(of, SceneState("card"))
+    rendered = blender.render(scene, None, [SubpixelView((0.0, 0.0))], RenderSettings(survey=True), 60)
     points = rendered[0, ..., X : Z + 1].astype(np.float64)
     assert points[..., 2].min() > 100
     assert np.abs(_pixel_error(of, points, (0.0, 0.0))).max() < 0.002
@@ -255,11 +256,11 @@ def test_light_comes_from_the_mirrors_that_points_project_to(
     """A lamp whose first colour is white and whose others grow with the texture's column and row tells by
     its light which mirror each point is lit by; the table of direct light must say the same."""
     of = _distorting(lattice, lens)
-    scene, texture = build_scene(of, Setup("card"))
+    scene, texture = build_scene(of, SceneState("card"))
     rows, columns = scene.lamp.texture_shape
     row, column = np.mgrid[0:rows, 0:columns] / (texture.places_per_mirror * max(texture.shape))
     ramps = np.stack([np.ones((rows, columns)), column, row], axis=-1).astype(np.float32)[None]
-    rendered = blender.render(scene, ramps, [SubpixelView((0.0, 0.0))], Effort(survey=True), 60)[
+    rendered = blender.render(scene, ramps, [SubpixelView((0.0, 0.0))], RenderSettings(survey=True), 60)[
         0, ::2, ::2
     ].astype(np.float64)
     pose = of.T_projector_camera()
@@ -270,7 +271,7 @@ def test_light_comes_from_the_mirrors_that_points_project_to(
     lit = inside & (rendered[..., DIRECT] > 0.1)
     assert lit.sum() > 0.5 * lit.size
     by_light = rendered[lit][:, 1:3] / rendered[lit][:, :1] * max(texture.shape)
-    by_table = samples_of_image(Light(of, blender).table(Setup("card")))[0, ::2, ::2][lit][:, :2]
+    by_table = samples_of_image(Light(of, blender).table(SceneState("card")))[0, ::2, ::2][lit][:, :2]
     square, offset = texture.affine[:, :2], texture.affine[:, 2]
     for texels in (by_light, by_table.astype(np.float64)):
         found = (texels - offset) @ np.linalg.inv(square).T

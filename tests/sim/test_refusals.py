@@ -22,7 +22,7 @@ from fpplab.targets import Target
 from sim.bench import VirtualBench
 from sim.devices import SimFixture
 from sim.items import item_mesh, item_poses
-from sim.light import Light, Setup
+from sim.light import Light, SceneState
 from sim.world import MeshItem, World
 from tests.sim.conftest import plain, world, write_world
 
@@ -354,7 +354,7 @@ def test_the_camera_without_shaders_sees_the_same(
         render={"subpixels": 2, "cache": False}, **straight(sensor_size=size, centre_offset_px=[9.3, -6.7])
     )
     ours, plain_one = (
-        Light(of, process).table(Setup("card")).samples for process in (blender, without_shaders)
+        Light(of, process).table(SceneState("card")).samples for process in (blender, without_shaders)
     )
     assert ours[..., 3].min() > 0.1
     assert np.ptp(ours[..., 0]) > 100
@@ -368,7 +368,7 @@ def test_the_camera_without_shaders_refuses_what_it_cannot(
 ) -> None:
     of = world(render={"cache": False}, **straight(**fields))
     with pytest.raises(ConfigError) as caught:
-        Light(of, without_shaders).table(Setup("card"))
+        Light(of, without_shaders).table(SceneState("card"))
     said = sentence(caught.value)
     assert "choose one of them as 'render.device', or set distortion to zeros and leave out focus_mm" in said
     assert without_shaders.pid is not None, "a refusal is no fault"

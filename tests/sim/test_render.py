@@ -12,12 +12,12 @@ from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import Pattern, make_patterns, uniform_patterns
 from fpplab.patterns.plan import Plan
 from sim.build import build_scene
-from sim.light import Light, Setup, Show
-from sim.scene import Effort, SubpixelView
+from sim.light import Light, SceneState, ShownPattern
+from sim.scene import RenderSettings, SubpixelView
 from sim.worker import Blender
 from tests.sim.conftest import card_points, grid, levels, seen, world
 
-CARD, PILLARS = Setup("card"), Setup("pillars")
+CARD, PILLARS = SceneState("card"), SceneState("pillars")
 
 
 def test_camera_and_projector_agree_with_opencv(blender: Blender) -> None:
@@ -131,8 +131,8 @@ def test_projector_light_ends_at_the_last_mirror(blender: Blender) -> None:
     """Moved far along the baseline, part of the card is outside the image and gets nothing."""
     of = world(stage={"travel_mm": [0, 400]})
     light = Light(of, blender)
-    setup = Setup("card", 0, 320.0)
-    white = light.irradiance(setup, Show(tuple(uniform_patterns([255], of.projector.size)), 0))
+    setup = SceneState("card", 0, 320.0)
+    white = light.irradiance(setup, ShownPattern(tuple(uniform_patterns([255], of.projector.size)), 0))
     T = of.T_projector_camera(320.0)
     uv = of.projector_model().project(card_points(of, grid(of)), T)
     outside = (uv[..., 0] < -4) | (uv[..., 0] > 915) | (uv[..., 1] < -6) | (uv[..., 1] > 1145)
@@ -152,8 +152,8 @@ def test_lens_model_does_not_fold_light_in_from_outside(blender: Blender) -> Non
     uv = of.projector_model().project(points)
     folded = (uv >= 0).all(axis=-1) & (uv[..., 0] < 912) & (uv[..., 1] < 1140)
     assert folded.any(), "the case must be one that folds"
-    show = Show(tuple(uniform_patterns([255], of.projector.size)), 0)
-    assert Light(of, blender).irradiance(Setup("card", 0, 700.0), show).max() == 0
+    show = ShownPattern(tuple(uniform_patterns([255], of.projector.size)), 0)
+    assert Light(of, blender).irradiance(SceneState("card", 0, 700.0), show).max() == 0
 
 
 @pytest.mark.whole
@@ -165,7 +165,7 @@ def test_transport_and_linear_agree_with_reference(blender: Blender, blur: float
         of = world(projector={**_projector(), "blur": blur}, render={"path": path, "subpixels": 2})
         patterns = tuple(make_patterns(plan, of.projector.size, of.projector.lattice))
         light = Light(of, blender)
-        pictures[path] = np.stack([light.irradiance(PILLARS, Show(patterns, i)) for i in (2, 5, 7)])
+        pictures[path] = np.stack([light.irradiance(PILLARS, ShownPattern(patterns, i)) for i in (2, 5, 7)])
     transport = np.abs(pictures["transport"] - pictures["reference"])
     # Samples on the very edge of a sharp mirror may fall to either side; smooth optics have no edge.
     assert np.mean(transport > 1e-4) < (2e-3 if blur == 0 else 1e-5)
@@ -182,7 +182,7 @@ def test_bounced_light_is_linear_too(blender: Blender) -> None:
     for path, bounces in (("reference", 2), ("linear", 2), ("linear", 0)):
         of = world(render={"path": path, "subpixels": 1, "samples": 4, "bounces": bounces})
         patterns = tuple(make_patterns(plan, of.projector.size, of.projector.lattice))
-        pictures[path, bounces] = Light(of, blender).irradiance(PILLARS, Show(patterns, 1))
+        pictures[path, bounces] = Light(of, blender).irradiance(PILLARS, ShownPattern(patterns, 1))
     assert np.abs(pictures["linear", 2] - pictures["reference", 2]).max() < 2 / 255
     shadow = (pictures["linear", 0] == 0) & (np.abs(pictures["linear", 2]) > 0)
     assert shadow.sum() > 20, "interreflections must reach into shadows"
@@ -194,8 +194,8 @@ def test_picture_does_not_depend_on_the_window(blender: Blender) -> None:
     scene, _ = build_scene(of, PILLARS)
     assert scene.window != (0, 0, *of.camera.size)
     views = [SubpixelView((0.0, 0.0))]
-    part = blender.render(scene, None, views, Effort(), 60).copy()
-    whole = blender.render(replace(scene, window=(0, 0, *of.camera.size)), None, views, Effort(), 60)
+    part = blender.render(scene, None, views, RenderSettings(), 60).copy()
+    whole = blender.render(replace(scene, window=(0, 0, *of.camera.size)), None, views, RenderSettings(), 60)
     np.testing.assert_array_equal(part, whole)
 
 
@@ -233,7 +233,7 @@ def test_board_is_where_its_pose_says(blender: Blender) -> None:
             "focal_mm": 35,
         }
     )
-    (white,) = seen(blender, of, Setup("board", 1), *uniform_patterns([255], of.projector.size))
+    (white,) = seen(blender, of, SceneState("board", 1), *uniform_patterns([255], of.projector.size))
     pose = item_poses(of, "board")[1]
     expected = of.camera_model().project(Target.load("target_paper.yaml").points(), pose)
     dark = ((white < 0.3) & (white > 1e-3)).astype(np.uint8)

@@ -11,7 +11,7 @@ from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import make_patterns, uniform_patterns
 from fpplab.patterns.plan import Plan
 from sim.build import build_scene
-from sim.light import Light, Setup, Show
+from sim.light import Light, SceneState, ShownPattern
 from sim.light.lens import lens_points
 from sim.light.solid import can_trace, traced
 from sim.scene import SubpixelView
@@ -51,10 +51,10 @@ def _pixels(of: World) -> tuple[Any, Any]:
     [(None, None, 2), (425.0, None, 3), (None, 490.0, 2)],
     ids=["sharp", "camera out of focus", "projector out of focus"],
 )
-@pytest.mark.parametrize("setup", [Setup("pillars"), Setup("pillars", stage_mm=7.0)], ids=str)
+@pytest.mark.parametrize("setup", [SceneState("pillars"), SceneState("pillars", stage_mm=7.0)], ids=str)
 def test_traced_light_agrees_with_blender(
     blender: Blender,
-    setup: Setup,
+    setup: SceneState,
     focus_mm: float | None,
     projector_focus_mm: float | None,
     subpixels: int,
@@ -82,9 +82,9 @@ def test_pictures_at_pixels_are_those_of_whole_images(blender: Blender) -> None:
     of = _world(440.0, 480.0)
     light, size = Light(of, blender), of.projector.size
     patterns = (*make_patterns(PLAN, size, of.projector.lattice), *uniform_patterns([255], size))
-    found = light.irradiance_at(Setup("pillars"), patterns, _pixels(of))
+    found = light.irradiance_at(SceneState("pillars"), patterns, _pixels(of))
     for n, one in enumerate(found):
-        error = one - light.irradiance(Setup("pillars"), Show(patterns, n)).ravel()
+        error = one - light.irradiance(SceneState("pillars"), ShownPattern(patterns, n)).ravel()
         assert np.mean(np.abs(error) > 2e-3) < BESIDE
         assert abs(error.mean()) < 2e-5
     assert found[-1].max() > 0.8
@@ -92,7 +92,7 @@ def test_pictures_at_pixels_are_those_of_whole_images(blender: Blender) -> None:
 
 def test_no_pixel_is_seen_outside_the_window() -> None:
     of = _world(None, None)
-    scene = build_scene(of, Setup("pillars"))[0]
+    scene = build_scene(of, SceneState("pillars"))[0]
     left, top, right, bottom = scene.window
     rows, columns = _pixels(of)
     inside = (rows >= top) & (rows < bottom) & (columns >= left) & (columns < right)
@@ -104,9 +104,9 @@ def test_no_pixel_is_seen_outside_the_window() -> None:
 
 @pytest.mark.parametrize("material", OTHER_MATERIALS)
 def test_other_materials_are_left_to_blender(material: dict[str, Any]) -> None:
-    assert not can_trace(build_scene(world(material=material), Setup("pillars"))[0])
+    assert not can_trace(build_scene(world(material=material), SceneState("pillars"))[0])
 
 
 def test_prints_are_left_to_blender() -> None:
-    assert not can_trace(build_scene(world(), Setup("board"))[0])
-    assert can_trace(build_scene(world(), Setup("pillars"))[0])
+    assert not can_trace(build_scene(world(), SceneState("board"))[0])
+    assert can_trace(build_scene(world(), SceneState("pillars"))[0])

@@ -19,9 +19,9 @@ from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import make_patterns, uniform_patterns
 from fpplab.patterns.plan import Plan
 from sim.appearance import Appearance, BenchSurroundings, BoardSheet
-from sim.build import NOTHING, Setup
+from sim.build import NOTHING, SceneState
 from sim.items import item_surface
-from sim.light import Light, PatternLevels, Show
+from sim.light import Light, PatternLevels, ShownPattern
 from sim.light.background import Background
 from sim.surroundings import surroundings_surface
 from sim.twin import Twin
@@ -61,29 +61,31 @@ def walled(folder: Path, **changes: Any) -> World:
     return config.validate(data, World, "test")
 
 
-def seen(of: World, setup: Setup, index: int = 0) -> PatternLevels:
-    return Light(of, Blender("bench"), analytic=True).irradiance(setup, Show(PATTERNS, index))
+def seen(of: World, setup: SceneState, index: int = 0) -> PatternLevels:
+    return Light(of, Blender("bench"), analytic=True).irradiance(setup, ShownPattern(PATTERNS, index))
 
 
 @pytest.mark.nightly
 def test_the_empty_bench_shows_them_as_the_same_item_would_be_seen(tmp_path: Path) -> None:
     of = walled(tmp_path)
     alone = of.model_copy(update={"surroundings": None})
-    np.testing.assert_allclose(seen(of, Setup(NOTHING)), seen(alone, Setup("wall")), rtol=0.01, atol=2e-4)
-    assert not seen(alone, Setup(NOTHING)).any()
+    np.testing.assert_allclose(
+        seen(of, SceneState(NOTHING)), seen(alone, SceneState("wall")), rtol=0.01, atol=2e-4
+    )
+    assert not seen(alone, SceneState(NOTHING)).any()
 
 
 @pytest.mark.whole
 def test_an_item_hides_and_shades_them(tmp_path: Path) -> None:
     of = walled(tmp_path)
     white = uniform_patterns([255], (912, 1140))
-    setup = Setup("board", 0)
+    setup = SceneState("board", 0)
     light = Light(of, Blender("bench"), analytic=True)
     both, item = (
-        Light(one, Blender("bench"), analytic=True).irradiance(setup, Show(white, 0))
+        Light(one, Blender("bench"), analytic=True).irradiance(setup, ShownPattern(white, 0))
         for one in (of, of.model_copy(update={"surroundings": None}))
     )
-    empty = light.irradiance(Setup(NOTHING), Show(white, 0))
+    empty = light.irradiance(SceneState(NOTHING), ShownPattern(white, 0))
     ambient = 0.03 * 0.5
     is_item = item > 0.2
     inside = cv2.erode(is_item.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
@@ -105,11 +107,11 @@ def test_some_pixels_are_as_all_are(tmp_path: Path, item: str) -> None:
     light = Light(of, Blender("bench"), analytic=True)
     rows, columns = (one.ravel() for one in np.mgrid[4:124:9, 3:190:7])
     whole = (
-        np.stack([light.irradiance(Setup(item), Show(PATTERNS, n)) for n in range(3)])
+        np.stack([light.irradiance(SceneState(item), ShownPattern(PATTERNS, n)) for n in range(3)])
         if item == "board"
         else None
     )
-    some = light.irradiance_at(Setup(item), PATTERNS, (rows, columns))
+    some = light.irradiance_at(SceneState(item), PATTERNS, (rows, columns))
     if whole is not None:
         np.testing.assert_allclose(some, whole[:, rows, columns], atol=1e-6)
     assert (some > 0).mean() > 0.9
@@ -120,7 +122,7 @@ def test_some_pixels_are_as_all_are(tmp_path: Path, item: str) -> None:
 def test_all_light_paths_agree(blender: Blender, tmp_path: Path, path: str) -> None:
     of = walled(tmp_path)
     rendered = of.model_copy(update={"render": of.render.model_copy(update={"path": path})})
-    setup, show = Setup("pillars"), Show(PATTERNS, 1)
+    setup, show = SceneState("pillars"), ShownPattern(PATTERNS, 1)
     expected = Light(of, blender).irradiance(setup, show)
     found = Light(rendered, blender).irradiance(setup, show)
     assert (expected > 0).mean() > 0.9
@@ -137,7 +139,7 @@ def with_board(of: World, **fields: Any) -> World:
 @pytest.mark.whole
 def test_a_frame_hides_and_shades_and_is_black(tmp_path: Path) -> None:
     of = walled(tmp_path)
-    bare, found = seen(of, Setup("board")), seen(with_board(of, rim_mm=12.0), Setup("board"))
+    bare, found = seen(of, SceneState("board")), seen(with_board(of, rim_mm=12.0), SceneState("board"))
     changed = np.abs(found - bare) > 1e-6
     assert changed.sum() > 500
     assert (found[changed] <= bare[changed]).all()
@@ -148,7 +150,7 @@ def test_a_frame_hides_and_shades_and_is_black(tmp_path: Path) -> None:
 def test_a_frame_reflects_as_a_sheet_in_its_place(tmp_path: Path) -> None:
     of = walled(tmp_path)
     black, grey, sheet = (
-        seen(with_board(of, **fields), Setup("board"))
+        seen(with_board(of, **fields), SceneState("board"))
         for fields in (
             {"rim_mm": 12.0},
             {"rim_mm": 12.0, "rim_reflectance": 0.2},
@@ -253,6 +255,6 @@ def test_a_picture_lies_on_the_wall_as_the_camera_sees_it(axis: int, tmp_path: P
     Pillow.fromarray(greys).save(tmp_path / "wall.png")
     around = surroundings_surface(of)
     assert around is not None
-    seen = Background(of, around).albedo(Setup("nothing"))
+    seen = Background(of, around).albedo(SceneState("nothing"))
     inside = slice(3, -3), slice(3, -3)
     np.testing.assert_allclose(seen[inside], 0.5 * greys[inside] / 255, atol=0.004)

@@ -13,7 +13,7 @@ from scipy.ndimage import map_coordinates
 from scipy.special import erf, j1
 
 from fpplab.core.conventions import Floats, Lattice, mirror_centres
-from sim.mirror_spread import STEPS, TAPS, Spread
+from sim.mirror_spread import STEPS, TAPS, MirrorPointSpread
 from sim.texture import MirrorTexture, Texels
 
 
@@ -87,7 +87,7 @@ def test_a_sharp_lens_shows_the_mirror_s_edges(blur: float, fill: float) -> None
     np.testing.assert_allclose(light, expected, atol=2e-4)
 
 
-def light_at(places: Floats, light: Floats, spread: Spread) -> Floats:
+def light_at(places: Floats, light: Floats, spread: MirrorPointSpread) -> Floats:
     """Light at places (n, 2) by the plain sum over square mirrors at whole places, discs by many points."""
     turns = np.arange(500 if spread.circle else 1) + 0.5
     radius, angle = spread.circle / 2 * np.sqrt(turns / len(turns)), turns * np.pi * (3 - np.sqrt(5))
@@ -146,7 +146,7 @@ def test_the_light_of_fringes_is_that_of_blurred_squares(
     assert weights is not None
     offset = texture.affine[:, 2]
     texels = texture.filtered(light.astype(np.float32), (circle,))[0]
-    expected = light_at(places, light, Spread(blur, texture.fill, circle))
+    expected = light_at(places, light, MirrorPointSpread(blur, texture.fill, circle))
     np.testing.assert_allclose(interpolated(texels, weights[0], places + offset), expected, atol=1e-3)
     fine = map_coordinates(
         texture.fine(light.astype(np.float32), circle).astype(np.float64),

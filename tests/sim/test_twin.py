@@ -20,8 +20,8 @@ from fpplab.patterns.curve import Curve
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import Pattern, make_patterns, uniform_patterns
 from fpplab.patterns.plan import Plan
-from sim.build import Setup
-from sim.light import Light, Show
+from sim.build import SceneState
+from sim.light import Light, ShownPattern
 from sim.parameters import TwinParameters
 from sim.sensor import SensorModel
 from sim.twin import Twin
@@ -89,7 +89,7 @@ def test_expected_levels_are_the_mean_of_the_bench_s_frames() -> None:
     levels = twin.expected(2, patterns, SETTINGS)
     light, sensor = Light(of, Blender("bench"), analytic=True), SensorModel.of(of)
     for n in range(len(patterns)):
-        picture = light.irradiance(Setup("board", 2), Show(patterns, n))
+        picture = light.irradiance(SceneState("board", 2), ShownPattern(patterns, n))
         frames = np.stack([sensor.expose(picture, SETTINGS, k) for k in range(60)]).astype(np.float64)
         lit = picture > 0.02
         error = (frames.mean(axis=0) - levels[n])[lit]
@@ -120,8 +120,8 @@ def test_rendered_light_at_some_pixels_agrees_with_the_whole_image(blender: Blen
     light, size = Light(of, blender, analytic=True), of.projector.size
     patterns = tuple(uniform_patterns([255, 64], size))
     pixels = np.arange(40, 80), np.arange(90, 130)
-    found = light.irradiance_at(Setup("pillars"), patterns, pixels)
-    whole = [light.irradiance(Setup("pillars"), Show(patterns, n)) for n in range(2)]
+    found = light.irradiance_at(SceneState("pillars"), patterns, pixels)
+    whole = [light.irradiance(SceneState("pillars"), ShownPattern(patterns, n)) for n in range(2)]
     np.testing.assert_array_equal(found, [one[pixels] for one in whole])
     assert found[0].min() > 2 * found[1].max() > 0
 
@@ -267,13 +267,14 @@ def test_slopes_by_the_board_s_place_add_up_to_the_change_of_level() -> None:
 def test_light_of_a_displaced_board_agrees_with_a_moved_one(twin: Twin) -> None:
     twin = twin.with_parameters(replace(_twin(_bent()).parameters, vibration_mm=0.0))
     patterns, pose = _patterns(twin)[:1], twin.parameters.poses[1]
-    light, still, step = twin._light, Setup("board", held=pose), 0.003
+    light, still, step = twin._light, SceneState("board", held=pose), 0.003
     with_slopes = light.differentiated(still)
     assert with_slopes is not None
-    here = light.irradiance(still, Show(patterns, 0))
+    here = light.irradiance(still, ShownPattern(patterns, 0))
     for axis, move in enumerate(step * np.eye(3)):
         ends = [
-            light.irradiance(Setup("board", held=pose.moved(by * move)), Show(patterns, 0)) for by in (1, -1)
+            light.irradiance(SceneState("board", held=pose.moved(by * move)), ShownPattern(patterns, 0))
+            for by in (1, -1)
         ]
         wanted = 0.5 * (ends[0] - ends[1])
         (picture,) = with_slopes.displaced(patterns, move[None])
@@ -329,7 +330,7 @@ def test_a_body_is_scanned_in_the_given_pose(blender: Blender) -> None:
     patterns = _patterns(twin)
     pose = RigidTransform.from_vectors(np.array([np.pi, 0.0, 0.02]), np.array([3.0, -2.0, 455.0]))
     frames = twin.scan("pillars", pose, patterns, SETTINGS)
-    picture = Light(of, blender).irradiance(Setup("pillars", held=pose), Show(patterns, 1))
+    picture = Light(of, blender).irradiance(SceneState("pillars", held=pose), ShownPattern(patterns, 1))
     expected = SensorModel.of(of).expected(picture, SETTINGS)
     sigma = np.sqrt(np.maximum(expected, 1) * SensorModel.of(of).gain(SETTINGS)) + 1
     assert np.percentile(np.abs(frames[1] - expected) / sigma, 99.9) < 5

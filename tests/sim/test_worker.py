@@ -19,9 +19,9 @@ from fpplab.core.errors import DeviceError, DeviceTimeoutError, DisconnectedErro
 from fpplab.devices import CameraSettings, State
 from fpplab.patterns.fringes import uniform_patterns
 from sim.bench import VirtualBench
-from sim.build import Setup, build_scene
+from sim.build import SceneState, build_scene
 from sim.devices import SimCamera, SimFixture, SimProjector
-from sim.scene import Effort, SubpixelView
+from sim.scene import RenderSettings, SubpixelView
 from sim.worker import Blender, missing_library
 from tests.sim.conftest import plain, world, write_world
 
@@ -104,7 +104,7 @@ def test_closing_leaves_no_process_memory_or_descriptor(tmp_path: Path) -> None:
     before, memory = descriptors(), shared_memory()
     blender = Blender("bench")
     of = world()
-    blender.render(build_scene(of, Setup("card"))[0], None, MIDDLE, Effort(), 60)
+    blender.render(build_scene(of, SceneState("card"))[0], None, MIDDLE, RenderSettings(), 60)
     pid = blender.pid
     assert pid is not None
     blender.close()
@@ -119,11 +119,11 @@ def test_closing_leaves_no_process_memory_or_descriptor(tmp_path: Path) -> None:
 def test_too_slow_a_render_is_ended() -> None:
     blender = Blender("bench")
     of = world(render={"samples": 4096, "bounces": 8, "subpixels": 8})
-    scene, _ = build_scene(of, Setup("pillars"))
+    scene, _ = build_scene(of, SceneState("pillars"))
     blender.start()
     pid = blender.pid
     with pytest.raises(DeviceTimeoutError, match="did not answer within"):
-        blender.render(scene, None, MIDDLE, Effort(4096, 8), 0.3)
+        blender.render(scene, None, MIDDLE, RenderSettings(4096, 8), 0.3)
     assert pid is not None
     assert gone(pid)
     assert blender.pid is None
@@ -135,7 +135,7 @@ def test_interruption_ends_the_process_and_the_next_render_starts_another(
 ) -> None:
     blender = Blender("bench")
     of = world()
-    scene, _ = build_scene(of, Setup("card"))
+    scene, _ = build_scene(of, SceneState("card"))
     blender.start()
     pid = blender.pid
 
@@ -144,10 +144,10 @@ def test_interruption_ends_the_process_and_the_next_render_starts_another(
 
     monkeypatch.setattr(blender._connection, "poll", interrupted, raising=False)
     with pytest.raises(KeyboardInterrupt):
-        blender.render(scene, None, MIDDLE, Effort(), 60)
+        blender.render(scene, None, MIDDLE, RenderSettings(), 60)
     assert pid is not None
     assert gone(pid)
-    assert blender.render(scene, None, MIDDLE, Effort(), 60).max() > 0
+    assert blender.render(scene, None, MIDDLE, RenderSettings(), 60).max() > 0
     blender.close()
 
 
@@ -156,15 +156,15 @@ def test_blender_ends_with_the_process_that_started_it() -> None:
     """Killed outright in the middle of a long render, the parent takes Blender with it."""
     script = """
 import sys
-from sim.build import Setup, build_scene
-from sim.scene import Effort, SubpixelView
+from sim.build import SceneState, build_scene
+from sim.scene import RenderSettings, SubpixelView
 from sim.worker import Blender
 from tests.sim.conftest import world
 blender, of = Blender("bench"), world(render={"subpixels": 8})
-scene, _ = build_scene(of, Setup("pillars"))
+scene, _ = build_scene(of, SceneState("pillars"))
 blender.start()
 print(blender.pid, flush=True)
-blender.render(scene, None, [SubpixelView((0.0, 0.0))], Effort(4096, 8), 600)
+blender.render(scene, None, [SubpixelView((0.0, 0.0))], RenderSettings(4096, 8), 600)
 """
     before = shared_memory()
     parent = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True, cwd=ROOT)
@@ -181,11 +181,11 @@ blender.render(scene, None, [SubpixelView((0.0, 0.0))], Effort(4096, 8), 600)
 def test_failure_inside_blender_is_reported_and_the_process_lives_on() -> None:
     blender = Blender("bench")
     of = world()
-    scene, _ = build_scene(of, Setup("card"))
+    scene, _ = build_scene(of, SceneState("card"))
     with pytest.raises(DeviceError, match="Blender failed"):
-        blender.render(scene, None, MIDDLE, Effort("few"), 60)  # type: ignore[arg-type]
+        blender.render(scene, None, MIDDLE, RenderSettings("few"), 60)  # type: ignore[arg-type]
     pid = blender.pid
-    assert blender.render(scene, None, MIDDLE, Effort(), 60).max() > 0
+    assert blender.render(scene, None, MIDDLE, RenderSettings(), 60).max() > 0
     assert blender.pid == pid
     blender.close()
 

@@ -16,7 +16,7 @@ from fpplab.core.conventions import Lattice
 from fpplab.core.errors import ConfigError
 from fpplab.core.geometry import RigidTransform
 from fpplab.targets import Target
-from sim.build import Setup, build_scene
+from sim.build import SceneState, build_scene
 from sim.items import item_poses
 from sim.world import Binning, World
 from tests.sim.conftest import plain, world, write_world
@@ -146,7 +146,7 @@ def test_unknown_artefact_and_target_are_refused() -> None:
         item_poses(world(items={"board": {"target": "target_none.yaml"}}), "board")
     of = world(items={"vase": {"artefact": "vase", "pose": pose}})
     with pytest.raises(ConfigError, match="no artefact 'vase'"):
-        build_scene(of, Setup("vase"))
+        build_scene(of, SceneState("vase"))
 
 
 def _measured(of: World) -> Calibration:
@@ -175,7 +175,7 @@ def test_a_calibration_takes_the_place_of_the_nominal_geometry(tmp_path: Path) -
     np.testing.assert_allclose(
         moved.inverse().translation - pose.inverse().translation, [10, 0, 0], atol=1e-9
     )
-    scene = build_scene(of, Setup("board"))[0]
+    scene = build_scene(of, SceneState("board"))[0]
     np.testing.assert_allclose(scene.camera.matrix, measured.camera.matrix, rtol=1e-12)
 
 
@@ -230,7 +230,7 @@ def test_a_calibration_that_is_not_there_or_no_calibration_is_named(tmp_path: Pa
 def test_a_board_has_its_own_reflectances_or_its_target_s() -> None:
     def printed(**own: float) -> tuple[float, float]:
         of = world(items={"board": {"target": "target_paper.yaml", **own}})
-        surface = build_scene(of, Setup("board"))[0].surfaces[0]
+        surface = build_scene(of, SceneState("board"))[0].surfaces[0]
         assert surface.picture is not None
         assert (surface.picture.min(), surface.picture.max()) == (0, 255)
         return surface.paint.reflectance, surface.paint.ink

@@ -19,7 +19,7 @@ from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
 from fpplab.reconstruction.points import points_of
 from sim.bench import VirtualBench
-from sim.build import Setup
+from sim.build import SceneState
 from sim.prediction import Discrepancy, MeasuredFigures, figures_of, predict
 from sim.prediction.discrepancy import Deviation
 from sim.prediction.figures import seen_surface
@@ -125,7 +125,7 @@ def test_rows_are_those_of_whole_frames(rig: Rig) -> None:
 def test_ambient_light_of_rows_is_that_of_whole_frames(rig: Rig) -> None:
     assert isinstance(rig.simulation, VirtualBench)
     rows = np.arange(180, 240, 7)
-    whole = rig.simulation.light.irradiance(Setup(ITEM), None)[rows]
+    whole = rig.simulation.light.irradiance(SceneState(ITEM), None)[rows]
     assert whole.max() > 0.005
     part = FramePart(ITEM, rows, np.arange(whole.shape[1]))
     np.testing.assert_allclose(rig.simulation.sampler()._ambient(part), whole, atol=2e-4)
