@@ -67,7 +67,7 @@ class OutsideLimits(NamedTuple):
     """Share of the pixels with fringes from which on a warning is given. Chosen."""
 
 
-class NoiseLimits(NamedTuple):
+class PhaseNoiseLimits(NamedTuple):
     """Limits of the estimate of noise."""
 
     sample_rows: int = 32
@@ -139,5 +139,5 @@ class CommonErrorLimits(NamedTuple):
 
 ORDERS = OrderLimits()
 OUTSIDE = OutsideLimits()
-NOISE = NoiseLimits()
+NOISE = PhaseNoiseLimits()
 COMMON_ERRORS = CommonErrorLimits()

@@ -74,8 +74,8 @@ class CodedMaps(NamedTuple):
 Ray = tuple[float, float, float, float, float, float]
 """In the projector's frame: direction of a camera ray, for a depth of 1, and the camera's place in mm."""
 
-Residuals = tuple[float, float, float, float, float, float, float, float, float, float]
-"""Residuals u, v; derivatives u, v; coordinates u, v; slopes x, y, and the same distorted."""
+CoordinateResiduals = tuple[float, float, float, float, float, float, float, float, float, float]
+"""CoordinateResiduals u, v; derivatives u, v; coordinates u, v; slopes x, y, and the same distorted."""
 
 
 class ProjectorModel(NamedTuple):
@@ -324,7 +324,7 @@ def _linear_depth(x: float, y: float, ray: Ray, weights: tuple[float, float]) ->
 @njit(inline="always")
 def _residuals(
     z: float, ray: Ray, u: float, v: float, weights: tuple[float, float], projector: Numbers
-) -> Residuals:
+) -> CoordinateResiduals:
     """Weighted residuals of both coordinates at a depth, their derivatives by it, and the image there."""
     dx, dy, dz, tx, ty, tz = ray
     fx, fy, cx, cy = projector[0], projector[1], projector[2], projector[3]
