@@ -1,4 +1,4 @@
-"""How a bench looks beside what numbers tell, as its recordings show it."""
+"""How a bench looks in its recordings, in addition to its numbers."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class BoardSheet:
 
 @dataclass(frozen=True, eq=False)
 class Appearance:
-    """The sheet of the board, and what stands beside it."""
+    """The sheet of the board, and what stands next to it."""
 
     sheet: BoardSheet = BoardSheet()  # of the board
     surroundings: BenchSurroundings | None = None  # none where nothing is known

@@ -218,10 +218,10 @@ class VirtualBench:
         if self.world.render.device == "CPU" or not self.world.items:
             return
         scene, _ = build_scene(self.world, SceneState(next(iter(self.world.items))))
-        one = replace(scene, window=(0, 0, 1, 1))
+        pixel = replace(scene, window=(0, 0, 1, 1))
         try:
             self.blender.render(
-                one,
+                pixel,
                 None,
                 [SubpixelView((0.0, 0.0))],
                 RenderSettings(device=self.world.render.device),

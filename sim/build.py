@@ -17,7 +17,7 @@ from sim.world import World
 NOTHING = "nothing"
 """What the empty fixture holds."""
 CIRCLE_STEP_TEXELS, CIRCLE_RATIO = 0.75, 1.3
-"""Spacing of the circles of confusion that textures are made for: so many texels, or this factor if more."""
+"""Spacing of the circles of confusion that textures are made for: texels, or this factor if more."""
 
 
 @dataclass(frozen=True)
@@ -43,14 +43,14 @@ def build_scene(
     surfaces = _mounted(world, setup)
     if around is not None:
         surfaces = (*surfaces, *_frame(world, setup), around)
-    return _scene(world, setup, surfaces, np.concatenate([_bounding_box(one) for one in surfaces]))
+    return _scene(world, setup, surfaces, np.concatenate([_bounding_box(surface) for surface in surfaces]))
 
 
 def build_background(world: World, setup: SceneState, around: Surface) -> tuple[RenderScene, MirrorTexture]:
     """Build the scene in which the surroundings are seen behind the mounted item and in its shadow."""
     at_rest = replace(setup, vibration_mm=(0.0, 0.0, 0.0))
     surfaces = (around, *_frame(world, at_rest), *_mounted(world, at_rest))
-    return _scene(world, setup, surfaces, np.concatenate([_bounding_box(one) for one in surfaces]))
+    return _scene(world, setup, surfaces, np.concatenate([_bounding_box(surface) for surface in surfaces]))
 
 
 def _mounted(world: World, setup: SceneState) -> tuple[Surface, ...]:
@@ -81,7 +81,7 @@ def _scene(
 
 
 def is_lit_in_view(world: World, setup: SceneState) -> bool:
-    """Tell whether some point of the item lies in the images of both camera and projector; shadows aside."""
+    """Return whether some point of the item is in the images of both camera and projector; shadows aside."""
     vertices, faces = item_shape(world, setup.item)
     held = setup.held or item_poses(world, setup.item)[setup.pose]
     points = held.apply(_spread_points(vertices[faces]))
@@ -126,11 +126,11 @@ def _circles(aperture: Aperture, scale: float, depths: Floats) -> tuple[float, .
     """List diameters in texels that suffice for these depths, rising."""
     near, far = max(float(depths.min()), 1.0), max(float(depths.max()), 1.0)
     ends = scale * aperture.circle_per_px(np.array([near, far]))
-    least, most = float(ends.min()), float(ends.max())
+    smallest, largest = float(ends.min()), float(ends.max())
     if near < aperture.focus_mm < far:
-        least = 0.0
-    drawn = [least]
-    while drawn[-1] < most:
+        smallest = 0.0
+    drawn = [smallest]
+    while drawn[-1] < largest:
         drawn.append(max(drawn[-1] + CIRCLE_STEP_TEXELS, drawn[-1] * CIRCLE_RATIO))
     return tuple(drawn)
 

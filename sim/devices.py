@@ -47,7 +47,7 @@ from sim.world import BoardItem
 DARK = "dark"
 """Pattern id of a frame taken with the projector blank."""
 
-LEAST_EXPOSURE_S = {
+MIN_EXPOSURE_S = {
     1: 235e-6, 2: 700e-6, 3: 1570e-6, 4: 1700e-6, 5: 2000e-6, 6: 2500e-6, 7: 4500e-6, 8: 8333e-6,
 }  # fmt: skip
 """Least pattern exposure by bit depth, as of the DLP LightCrafter 4500 that the projector stands in for."""
@@ -157,7 +157,7 @@ class SimProjector(Projector):
     def _caps(self) -> ProjectorCaps:
         projector = self._bench.world.projector
         return ProjectorCaps(
-            projector.size, projector.lattice, LEAST_EXPOSURE_S, 0, 1000, period_s=projector.period_s
+            projector.size, projector.lattice, MIN_EXPOSURE_S, 0, 1000, period_s=projector.period_s
         )
 
     def _load(self, patterns: Sequence[Pattern]) -> Sequence[Pattern]:

@@ -36,7 +36,7 @@ BAND = 0.28
 WIDEST_BLUR, WIDEST_CIRCLE = 1.0, 1.5
 """Blur and circle of confusion, in mirrors, above which the filter alone widens the light further: images are
 then weaker than 1e-4."""
-LEAST_BLUR = 0.25
+MIN_BLUR = 0.25
 """Least blur for which `TAPS` mirrors hold all the light that reaches a place; a sharper lens shows edges."""
 
 _FREQUENCIES = np.arange(65) / 128
@@ -55,7 +55,7 @@ _MIRRORS = np.arange(-12, 13)
 class MirrorPointSpread:
     """What widens the light of a mirror, in units of the lattice."""
 
-    blur: float  # standard deviation of the lens's point spread, at least `LEAST_BLUR`
+    blur: float  # standard deviation of the lens's point spread, at least `MIN_BLUR`
     fill: float = 1.0  # side of the mirror
     circle: float = 0.0  # diameter of the circle of confusion
 
@@ -63,7 +63,7 @@ class MirrorPointSpread:
     def interpolated(self) -> MirrorPointSpread:
         """The part of it that the interpolation takes, rounded; the filter does the rest."""
         blur = _rounded(min(self.blur, WIDEST_BLUR))
-        return MirrorPointSpread(max(blur, LEAST_BLUR), self.fill, _rounded(min(self.circle, WIDEST_CIRCLE)))
+        return MirrorPointSpread(max(blur, MIN_BLUR), self.fill, _rounded(min(self.circle, WIDEST_CIRCLE)))
 
     def modulation(self, frequency: Floats) -> Floats:
         """Compute by how much waves along an axis are weakened."""
@@ -99,8 +99,8 @@ def interpolation(spread: MirrorPointSpread) -> Interpolation:
     """Choose interpolation and filter for a spread."""
     weights, gain = _interpolation(spread.interpolated)
     wider = math.sqrt(max(spread.blur**2 - WIDEST_BLUR**2, 0.0))
-    wanted = spread.modulation(_FREQUENCIES) / gain
-    return Interpolation(weights.astype(np.float32), _filter(wanted, 8 + math.ceil(5 * wider)))
+    gain_of_filter = spread.modulation(_FREQUENCIES) / gain
+    return Interpolation(weights.astype(np.float32), _filter(gain_of_filter, 8 + math.ceil(5 * wider)))
 
 
 @lru_cache(maxsize=1024)
@@ -113,19 +113,19 @@ def _interpolation(spread: MirrorPointSpread) -> tuple[Floats, Floats]:
     it is even only where mirrors fill their squares.
     """
     places = np.arange(STEPS // 2 + 1) / STEPS
-    near, wanted = _waves(spread, places)
+    near, goal = _waves(spread, places)
     count, size = len(places), len(places) * TAPS
     share = np.where(_FREQUENCIES <= BAND, 1.0, _REST)
     squares = np.einsum("f,fpa,fpb->pab", share + _PULL, near.conj(), near).real
-    along = np.einsum("fpa,fp->fpa", near.conj(), wanted).real.reshape(-1, size)
+    along = np.einsum("fpa,fp->fpa", near.conj(), goal).real.reshape(-1, size)
     system = np.zeros((size + count, size + count))
     for p in range(count):
         place = slice(p * TAPS, (p + 1) * TAPS)
         system[place, place] = squares[p]
         system[size + p, place] = system[place, size + p] = 1.0
-    power = (np.abs(wanted) ** 2).sum(axis=1)
+    power = (np.abs(goal) ** 2).sum(axis=1)
     system[:size, :size] -= (along.T * (share / power)) @ along
-    solved = np.linalg.solve(system, np.append(_PULL * along.sum(axis=0), wanted[0].real))[:size]
+    solved = np.linalg.solve(system, np.append(_PULL * along.sum(axis=0), goal[0].real))[:size]
     half = solved.reshape(-1, TAPS)
     return np.concatenate([half[:0:-1, ::-1], half]), along @ solved / power * spread.modulation(_FREQUENCIES)
 
@@ -134,14 +134,14 @@ def _waves(
     spread: MirrorPointSpread, places: Floats
 ) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
     """Give waves of all frequencies at the nearest mirrors, and the light `spread` makes of them."""
-    # returns near (frequencies, places, TAPS), wanted (frequencies, places)
+    # returns near (frequencies, places, TAPS), goal (frequencies, places)
 
     def wave(mirrors: NDArray[np.intp]) -> NDArray[np.complex128]:
         turns = _FREQUENCIES[:, None, None] * (mirrors - places[:, None])
         return np.asarray(np.exp(2j * np.pi * turns))
 
-    wanted = (spread.profile(places[:, None] - _MIRRORS) * wave(_MIRRORS)).sum(axis=-1)
-    return wave(np.arange(TAPS) - TAPS // 2), wanted
+    goal = (spread.profile(places[:, None] - _MIRRORS) * wave(_MIRRORS)).sum(axis=-1)
+    return wave(np.arange(TAPS) - TAPS // 2), goal
 
 
 def _rounded(size: float) -> float:
@@ -163,30 +163,32 @@ def disc_filter(circle: float) -> Floats | None:
     once = x >= y
     x, y = x[once], y[once]
     narrow = min(circle, WIDEST_CIRCLE)
-    wanted = _disc_modulation(circle * np.hypot(x, y))
-    wanted /= _disc_modulation(narrow * x) * _disc_modulation(narrow * y)
+    modulation = _disc_modulation(circle * np.hypot(x, y))
+    modulation /= _disc_modulation(narrow * x) * _disc_modulation(narrow * y)
     weight = np.where(np.maximum(x, y) <= BAND, 1.0, math.sqrt(_REST))
     across, down = (axis.ravel() for axis in np.mgrid[-reach : reach + 1, -reach : reach + 1])
     near, far = np.sort(np.abs([across, down]), axis=0)
-    alike = near + far * (far + 1) // 2  # one number for all places that are alike in a square
-    waves = np.zeros((len(x), alike.max() + 1))
-    np.add.at(waves.T, alike, np.cos(2 * np.pi * (np.outer(across, x) + np.outer(down, y))))
-    solved = np.linalg.lstsq(waves * weight[:, None], wanted * weight, rcond=None)[0]
-    kernel = solved[alike].reshape(2 * reach + 1, 2 * reach + 1)
+    orbit = (
+        near + far * (far + 1) // 2
+    )  # one number for all places that symmetries of the square map to each other
+    waves = np.zeros((len(x), orbit.max() + 1))
+    np.add.at(waves.T, orbit, np.cos(2 * np.pi * (np.outer(across, x) + np.outer(down, y))))
+    solved = np.linalg.lstsq(waves * weight[:, None], modulation * weight, rcond=None)[0]
+    kernel = solved[orbit].reshape(2 * reach + 1, 2 * reach + 1)
     return np.asarray(kernel / kernel.sum())
 
 
 def _disc_modulation(periods: Floats) -> Floats:
-    """Compute by how much a disc weakens waves of so many periods across it."""
+    """Compute by how much a disc weakens waves with the given number of periods across it."""
     x = np.pi * np.asarray(periods, np.float64)
     return np.divide(2 * j1(x), x, out=np.ones_like(x), where=np.abs(x) > 1e-9)
 
 
-def _filter(wanted: Floats, reach: int) -> Floats:
+def _filter(modulation: Floats, reach: int) -> Floats:
     """Fit a symmetric filter (2 reach + 1,) to a gain at each frequency."""
     order = np.arange(reach + 1)
     cosines = np.where(order == 0, 1.0, 2.0) * np.cos(2 * np.pi * np.outer(_FREQUENCIES, order))
     weight = np.where(_FREQUENCIES <= BAND, 1.0, math.sqrt(_REST))[:, None]
-    half = np.linalg.lstsq(cosines * weight, wanted * weight[:, 0], rcond=None)[0]
+    half = np.linalg.lstsq(cosines * weight, modulation * weight[:, 0], rcond=None)[0]
     whole = np.concatenate([half[:0:-1], half])
     return np.asarray(whole / whole.sum())

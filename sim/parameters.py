@@ -41,9 +41,9 @@ class FitRange:
     """How a number is fitted."""
 
     step: float  # of the finite difference, in the number's unit
-    lower: float  # least value that a world accepts
+    lower: float  # minimum that a world accepts
     upper: float  # greatest value that a world accepts
-    may_be_at_lower_bound: bool = False  # whether a device may well have the least value
+    may_be_at_lower_bound: bool = False  # whether a device may well have the minimum
 
 
 @dataclass(frozen=True)
@@ -268,9 +268,11 @@ class TwinParameters:
         """RMS displacement of the item along an axis by all of its vibration."""
         return float(np.sqrt(self.vibration_mm**2 + np.mean(np.square(self.vibration_line_mm))))
 
-    def sigma_with(self, **known: float) -> dict[str, float]:
+    def sigma_with(self, **replaced: float) -> dict[str, float]:
         """Give the standard uncertainties with some replaced; one of 0 is left out."""
-        return {name: value for name, value in {**self.sigma, **known}.items() if value or name not in known}
+        return {
+            name: value for name, value in {**self.sigma, **replaced}.items() if value or name not in replaced
+        }
 
     def with_pose(self, index: int, pose: RigidTransform) -> TwinParameters:
         """Replace one of the poses."""
@@ -278,17 +280,17 @@ class TwinParameters:
 
 
 TABLE: dict[str, ParameterEntry] = {
-    known.name: known.metadata["parameter"]
-    for known in fields(TwinParameters)
-    if "parameter" in known.metadata
+    entry.name: entry.metadata["parameter"]
+    for entry in fields(TwinParameters)
+    if "parameter" in entry.metadata
 }
 """What is known of every parameter that is a number or a tuple of numbers, by name."""
 UNCERTAIN = {
     "g": "projector.response.g",
     **{
-        name: known.path
-        for name, known in TABLE.items()
-        if known.path and not known.parts and not known.in_binned_px
+        name: entry.path
+        for name, entry in TABLE.items()
+        if entry.path and not entry.parts and not entry.in_binned_px
     },
 }
 """Paths in a world of numbers whose uncertainty holds for every measurement, by name."""
@@ -296,7 +298,7 @@ UNCERTAIN = {
 
 def named_numbers(parameters: TwinParameters) -> dict[str, float | None]:
     """Give every parameter that is a number by its name, then the numbers of tuples."""
-    alone = {name: getattr(parameters, name) for name, known in TABLE.items() if not known.parts}
+    alone = {name: getattr(parameters, name) for name, entry in TABLE.items() if not entry.parts}
     tuples = {
         part: value
         for name in ("projector_falloff", "vibration_line_mm")
@@ -342,7 +344,7 @@ def _part(name: str, index: int, fit: FitRange) -> AdjustableParameter:
         return float(getattr(parameters, name)[index])
 
     def set_(parameters: TwinParameters, value: float) -> TwinParameters:
-        values = tuple(value if n == index else one for n, one in enumerate(getattr(parameters, name)))
+        values = tuple(value if n == index else kept for n, kept in enumerate(getattr(parameters, name)))
         changes: dict[str, Any] = {name: values}
         return replace(parameters, **changes)
 
@@ -350,12 +352,12 @@ def _part(name: str, index: int, fit: FitRange) -> AdjustableParameter:
 
 
 ADJUSTABLE: dict[str, AdjustableParameter] = {
-    **{name: _number(name, known.fit) for name, known in TABLE.items() if known.fit and not known.parts},
+    **{name: _number(name, entry.fit) for name, entry in TABLE.items() if entry.fit and not entry.parts},
     **{
-        part: _part(name, index, known.fit)
-        for name, known in TABLE.items()
-        if known.fit
-        for index, part in enumerate(known.parts)
+        part: _part(name, index, entry.fit)
+        for name, entry in TABLE.items()
+        if entry.fit
+        for index, part in enumerate(entry.parts)
     },
     # The inverse of the lamp's distance, in 1/m: light changes evenly with it, and far away it is 0.
     "lamp_nearness": AdjustableParameter(
@@ -407,28 +409,28 @@ def parameters_of(world: World, board: str, target: Target) -> TwinParameters:
 
 def _numbers_of(world: World, brightest: float) -> dict[str, Any]:
     """Read the numbers that stand in a world's document; those that it has not keep their default."""
-    defaults = {known.name: known.default for known in fields(TwinParameters)}
-    found: dict[str, Any] = {}
-    for name, known in TABLE.items():
-        if known.path is None:
+    defaults = {entry.name: entry.default for entry in fields(TwinParameters)}
+    numbers: dict[str, Any] = {}
+    for name, entry in TABLE.items():
+        if entry.path is None:
             continue
-        value = _value_at(world, known.path)
+        value = _value_at(world, entry.path)
         if value is None and defaults[name] is not MISSING:
             continue
-        if known.per_white:
+        if entry.per_white:
             value = value / brightest
-        if known.in_binned_px:
+        if entry.in_binned_px:
             value = value / world.camera.binning
-        found[name] = value
-    return found
+        numbers[name] = value
+    return numbers
 
 
 def _value_at(world: World, path: str) -> Any:
     """Look up what a world has at a path; None where it has no such section."""
-    found: Any = world
+    value: Any = world
     for name in path.split("."):
-        found = found.get(name) if isinstance(found, Mapping) else getattr(found, name, None)
-    return found
+        value = value.get(name) if isinstance(value, Mapping) else getattr(value, name, None)
+    return value
 
 
 def world_of(nominal: World, board: str, parameters: TwinParameters) -> World:
@@ -456,9 +458,9 @@ def _write_numbers(data: dict[str, Any], parameters: TwinParameters, binning: in
     """Write the numbers that stand in a world's document; a section is left out without its effect."""
     data["lamps"].pop(ROOM, None)
     data |= {BANDS: None, LINE: None}
-    for name, known in TABLE.items():
-        path = known.path
-        if path is None or not known.is_present(parameters):
+    for name, entry in TABLE.items():
+        path = entry.path
+        if path is None or not entry.is_present(parameters):
             continue
         value = getattr(parameters, name)
         *sections, last = path.split(".")
@@ -467,17 +469,17 @@ def _write_numbers(data: dict[str, Any], parameters: TwinParameters, binning: in
             if section.get(part) is None:
                 section[part] = {}
             section = section[part]
-        section[last] = list(value) if known.parts else value * binning if known.in_binned_px else value
+        section[last] = list(value) if entry.parts else value * binning if entry.in_binned_px else value
 
 
 def _uncertainty(world: World, parameters: TwinParameters) -> dict[str, float]:
     """Give the standard uncertainties that a fit has stated by the world's own fields."""
     sigma = parameters.sigma
-    known = {UNCERTAIN[name]: value for name, value in sigma.items() if name in UNCERTAIN}
+    stated = {UNCERTAIN[name]: value for name, value in sigma.items() if name in UNCERTAIN}
     leds = world.projector.leds if "white" in sigma else {}
     relative = sigma.get("white", 0.0) / parameters.white
-    known |= {f"projector.leds.{name}.lumens": relative * led.lumens for name, led in leds.items()}
-    return {path: value for path, value in known.items() if world.number(path) is not None}
+    stated |= {f"projector.leds.{name}.lumens": relative * led.lumens for name, led in leds.items()}
+    return {path: value for path, value in stated.items() if world.number(path) is not None}
 
 
 def white_level_per_s(world: World) -> float:

@@ -1,4 +1,4 @@
-"""What the surface of a part does to light, as it is matched to a scan and told to a simulation."""
+"""What the surface of a part does to light, as it is matched to a scan and given to a simulation."""
 
 from __future__ import annotations
 

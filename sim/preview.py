@@ -70,26 +70,31 @@ def bench_of_rig(rig: Rig) -> VirtualBench:
     return rig.simulation
 
 
-def make_preview(rig: Rig, wanted: Arrangement, step: int = 0) -> Preview:
+def make_preview(rig: Rig, arrangement: Arrangement, step: int = 0) -> Preview:
     """Describe what the camera of a simulated rig sees."""
-    bench, plan = bench_of_rig(rig), wanted.fringes()
-    world, setup = bench.world, arranged_setup(bench.world, wanted)
-    if not 0 <= step < wanted.steps:
-        raise ConfigError(f"step {step}: must be 0 to {wanted.steps - 1}, for there are {wanted.steps} steps")
+    bench, plan = bench_of_rig(rig), arrangement.fringes()
+    world, setup = bench.world, arranged_setup(bench.world, arrangement)
+    if not 0 <= step < arrangement.steps:
+        raise ConfigError(
+            f"step {step}: must be 0 to {arrangement.steps - 1}, for there are {arrangement.steps} steps"
+        )
     caps = rig.projector.caps
     patterns = rig.projector.load(make_patterns(plan, caps.size, caps.lattice))
     settings = rig.camera_settings(plan.exposure_s)
     return Preview(
         rig=rig.file.name,
-        shown=f"{setup.item}, {wanted.stripes:g} stripes along {wanted.axis}, step {step} of {wanted.steps}",
+        shown=(
+            f"{setup.item}, {arrangement.stripes:g} stripes along {arrangement.axis}, "
+            f"step {step} of {arrangement.steps}"
+        ),
         render=bench.light.pattern_render(setup, patterns[step]),
         grey_scale=SensorModel.of(world).grey_scale(settings),
     )
 
 
-def save_preview(rig: Rig, wanted: Arrangement, step: int, path: Path) -> None:
+def save_preview(rig: Rig, arrangement: Arrangement, step: int, path: Path) -> None:
     """Write what `make_preview` describes."""
-    preview = make_preview(rig, wanted, step)
+    preview = make_preview(rig, arrangement, step)
     write_atomic(path, lambda stream: write_preview(preview, stream))
 
 
@@ -99,11 +104,11 @@ def stage_for_baseline(world: World, baseline_mm: float | None) -> float:
         return 0.0
     at_zero = world.T_projector_camera().inverse().translation
     along = float(at_zero @ world.stage.offset(1.0))
-    beside = float(at_zero @ at_zero) - along**2
-    root = math.sqrt(max(baseline_mm**2 - beside, 0.0))
+    across_squared = float(at_zero @ at_zero) - along**2
+    root = math.sqrt(max(baseline_mm**2 - across_squared, 0.0))
     position = round(math.copysign(root, along) - along, 6)
     low, high = world.stage.travel_mm
-    if baseline_mm**2 < beside or not low <= position <= high:
+    if baseline_mm**2 < across_squared or not low <= position <= high:
         ends = baseline_range_mm(world)
         raise ConfigError(
             f"baseline {baseline_mm:g} mm: the stage reaches {ends[0]:.1f} to {ends[1]:.1f} mm "
@@ -117,14 +122,14 @@ def baseline_range_mm(world: World) -> tuple[float, float]:
     at_zero = world.T_projector_camera().inverse().translation
     low, high = world.stage.travel_mm
     nearest = float(np.clip(-float(at_zero @ world.stage.offset(1.0)), low, high))
-    least, *ends = (float(np.linalg.norm(at_zero + world.stage.offset(mm))) for mm in (nearest, low, high))
-    return least, max(ends)
+    shortest, *ends = (float(np.linalg.norm(at_zero + world.stage.offset(mm))) for mm in (nearest, low, high))
+    return shortest, max(ends)
 
 
-def arrangement_summary(rig: Rig, wanted: Arrangement) -> dict[str, object]:
-    """Tell what was arranged, and between what an operator can choose."""
+def arrangement_summary(rig: Rig, arrangement: Arrangement) -> dict[str, object]:
+    """Give what was arranged, and between what an operator can choose."""
     world = bench_of_rig(rig).world
-    setup = arranged_setup(world, wanted)
+    setup = arranged_setup(world, arrangement)
     return {
         "rig": rig.file.name,
         "item": setup.item,
@@ -136,12 +141,14 @@ def arrangement_summary(rig: Rig, wanted: Arrangement) -> dict[str, object]:
     }
 
 
-def arranged_setup(world: World, wanted: Arrangement) -> SceneState:
+def arranged_setup(world: World, arrangement: Arrangement) -> SceneState:
     """Find the state of the moving parts."""
-    item = world.mounted if wanted.item is None else wanted.item
+    item = world.mounted if arrangement.item is None else arrangement.item
     if item == "nothing":
         raise ConfigError(f"world: nothing is mounted; name an item of {', '.join(world.items)}")
     poses = len(item_poses(world, item))
-    if not 0 <= wanted.pose < poses:
-        raise ConfigError(f"pose {wanted.pose}: '{item}' has the poses 0 to {poses - 1}")
-    return replace(SceneState(item, wanted.pose), stage_mm=stage_for_baseline(world, wanted.baseline_mm))
+    if not 0 <= arrangement.pose < poses:
+        raise ConfigError(f"pose {arrangement.pose}: '{item}' has the poses 0 to {poses - 1}")
+    return replace(
+        SceneState(item, arrangement.pose), stage_mm=stage_for_baseline(world, arrangement.baseline_mm)
+    )

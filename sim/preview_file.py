@@ -1,4 +1,4 @@
-"""What the Blender extension is told of a rig, and its file: an NPZ archive without pickled objects.
+"""What the Blender extension needs to know of a rig, and its file: an NPZ archive without pickled objects.
 
 The extension has this file too, so it needs nothing but NumPy.
 """
@@ -65,10 +65,10 @@ def read_preview(path: Path | str) -> Preview:
     with np.load(path, allow_pickle=False) as archive:
         if _TREE not in archive:
             raise ValueError(f"{path} describes no rig")
-        found = _restored(json.loads(str(archive[_TREE])), archive)
-    if not isinstance(found, Preview):
+        preview = _restored(json.loads(str(archive[_TREE])), archive)
+    if not isinstance(preview, Preview):
         raise ValueError(f"{path} describes no rig")
-    return found
+    return preview
 
 
 def _plain(value: Any, arrays: dict[str, NDArray[Any]]) -> Any:

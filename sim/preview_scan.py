@@ -14,7 +14,7 @@ from sim.preview import Arrangement, arranged_setup, bench_of_rig
 
 def record_scan(
     rig: Rig,
-    wanted: Arrangement,
+    arrangement: Arrangement,
     out: Path,
     *,
     calibration: Calibration | None = None,
@@ -23,10 +23,10 @@ def record_scan(
 ) -> ScanResult:
     """Measure on a simulated rig, and leave the session with its cloud and no report."""
     bench = bench_of_rig(rig)
-    setup = arranged_setup(bench.world, wanted)
-    plan = wanted.plan()
-    if wanted.baseline_mm is not None:
+    setup = arranged_setup(bench.world, arrangement)
+    plan = arrangement.plan()
+    if arrangement.baseline_mm is not None:
         plan = plan.model_copy(update={"stage_mm": setup.stage_mm})
-    known = calibration or bench.studio().calibration(setup.stage_mm)
+    used_calibration = calibration or bench.studio().calibration(setup.stage_mm)
     mount = (setup.item, setup.pose)
-    return scan(rig, plan, known, out, mount, force=force, report=False, progress=progress)
+    return scan(rig, plan, used_calibration, out, mount, force=force, report=False, progress=progress)

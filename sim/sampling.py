@@ -89,17 +89,17 @@ class SimSampler:
         where = FramePart(item, rows, np.arange(self._world.camera.size[0]) if columns is None else columns)
         still, *moved = self._pictures(where, tuple(patterns))
         sensor, random = SensorModel.of(self._world), np.random.default_rng([self._world.seed, seed])
-        found, changes = [], Fluctuation.of(self._world, seed)
+        taken, changes = [], Fluctuation.of(self._world, seed)
         size_mm, phase = self._world.moves_mm or 1.0, wave_phase(self._world, seed)
         for n in range(len(patterns)):
             picture, steps = still[n], displacement_mm(self._world, random, n, phase) / size_mm
-            for there, step in zip(moved, steps, strict=False):
-                picture = picture + np.float32(step) * (there[n] - still[n])
+            for shifted, step in zip(moved, steps, strict=False):
+                picture = picture + np.float32(step) * (shifted[n] - still[n])
             frame = len(patterns) * seed + n
             if changes is not None:
                 picture = changes.applied(picture, self._ambient(where), rows, frame)
-            found.append(sensor.expose(np.maximum(picture, 0), settings, frame))
-        return found
+            taken.append(sensor.expose(np.maximum(picture, 0), settings, frame))
+        return taken
 
     def _ambient(self, where: FramePart) -> PatternLevels:
         """Irradiance (R, C) of the item without the projector, from two patterns: light is linear."""
@@ -109,8 +109,8 @@ class SimSampler:
         size, response = self._world.projector.size, self._world.projector.response
         black, white = (Pattern(f"even {level}", np.full(size[::-1], level, np.uint8)) for level in (0, 255))
         setup = SceneState(where.item, held=item_poses(self._world, where.item)[0])
-        least, most = self._light.irradiance_at(setup, (black, white), where.pixels)
-        dark: PatternLevels = least - np.float32(response.b / response.a) * (most - least)
+        under_black, under_white = self._light.irradiance_at(setup, (black, white), where.pixels)
+        dark: PatternLevels = under_black - np.float32(response.b / response.a) * (under_white - under_black)
         return dark.reshape(where.shape)
 
     def _pictures(self, where: FramePart, patterns: tuple[Pattern, ...]) -> PatternLevels:
@@ -121,5 +121,5 @@ class SimSampler:
         pose, step = item_poses(self._world, where.item)[0], self._world.moves_mm
         still = SceneState(where.item, held=pose)
         setups = (still, *displaced(still, pose, step)) if step else (still,)
-        seen = np.stack([self._light.irradiance_at(one, patterns, where.pixels) for one in setups])
-        return seen.reshape(len(setups), len(patterns), *where.shape)
+        irradiance = np.stack([self._light.irradiance_at(setup, patterns, where.pixels) for setup in setups])
+        return irradiance.reshape(len(setups), len(patterns), *where.shape)

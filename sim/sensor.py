@@ -55,8 +55,10 @@ class SensorModel:
         """Compute how mean grey levels follow from irradiance."""
         full, gain = full_scale(settings.bits), self.gain(settings)
         black = self.sensor.black_level * full
-        most = black + gain * self.sensor.full_well_e * self.binning**2
-        return GreyScale(black, gain * self.electrons(1.0, settings.exposure_s), min(most, float(full)), full)
+        saturated = black + gain * self.sensor.full_well_e * self.binning**2
+        return GreyScale(
+            black, gain * self.electrons(1.0, settings.exposure_s), min(saturated, float(full)), full
+        )
 
     def expose(self, irradiance: NDArray[np.float32], settings: CameraSettings, counter: int) -> Image:
         """Expose one frame."""

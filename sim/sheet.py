@@ -64,14 +64,14 @@ def drawn_sheet(
     """Draw the reflectance of a sheet."""
     key = (ground.shape, target, margins_mm, texture, texture and _changed_ns(texture))
     if key not in _DRAWN:
-        if len(_DRAWN) >= MOST_DRAWN:
+        if len(_DRAWN) >= MAX_DRAWN:
             _DRAWN.clear()
         _DRAWN[key] = _draw(ground, target, margins_mm, texture)
     return _DRAWN[key]
 
 
 _DRAWN: dict[Any, tuple[NDArray[np.uint8], float]] = {}
-MOST_DRAWN = 16
+MAX_DRAWN = 16
 """Sheets that are kept."""
 
 

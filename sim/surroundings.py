@@ -41,7 +41,7 @@ def _surface(
 
 def _grey(surroundings: BenchSurroundings) -> tuple[NDArray[np.uint8], float]:
     """The reflectance as a picture, and that of its white."""
-    white = max(float(surroundings.reflectance.max()), LEAST_REFLECTANCE)
+    white = max(float(surroundings.reflectance.max()), MIN_REFLECTANCE)
     return np.rint(surroundings.reflectance * np.float32(255 / white)).astype(np.uint8), white
 
 
@@ -55,7 +55,7 @@ def save_surroundings(surroundings: BenchSurroundings, folder: Path) -> Surround
     return SurroundingsSection(mesh=str(mesh), picture=str(picture), reflectance=white)
 
 
-LEAST_REFLECTANCE = 1e-3
+MIN_REFLECTANCE = 1e-3
 """Of what is white in the picture; below it surroundings are black."""
 
 

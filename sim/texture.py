@@ -60,7 +60,7 @@ class MirrorTexture:
 
     size: tuple[int, int]  # (columns, rows) of mirrors
     lattice: Lattice  # how the mirrors are arranged
-    blur: float  # standard deviation of the lens's point spread in mirrors, 0 or at least `LEAST_BLUR`
+    blur: float  # standard deviation of the lens's point spread in mirrors, 0 or at least `MIN_BLUR`
     fill_factor: float = 1.0  # share of its square that a mirror fills
     widest: float = 0.0  # diameter of the greatest circle of confusion that will be asked for, in texels
 

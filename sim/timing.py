@@ -54,7 +54,7 @@ def plane_durations(bits: int) -> Floats:
 
 
 def is_whole(exposure_s: float, period_s: float) -> bool:
-    """Tell whether the exposure is one or more whole periods within rounding, so that every weight is 1."""
+    """Return whether the exposure is one or more whole periods within rounding, so that every weight is 1."""
     turns = exposure_s / period_s
     return round(turns) >= 1 and abs(turns - round(turns)) <= WHOLE * turns
 

@@ -1,7 +1,7 @@
 """`python -m sim.warmup`: compile the kernels once, so that no measurement waits for it.
 
 A small plane is encoded, decoded, triangulated and compared, and a measurement is predicted; numba keeps
-what it compiled beside the sources. The set-up runs this, and after a change of the sources the next
+what it compiled next to the sources. The set-up runs this, and after a change of the sources the next
 measurement does.
 """
 
@@ -50,13 +50,13 @@ def frames_of_plane(plan: Plan, rig: Calibration, bits: int) -> list[Image]:
     u, v = np.meshgrid(np.arange(SIZE[0], dtype=float), np.arange(SIZE[1], dtype=float))
     slopes = rig.camera.normalise(np.stack([u, v], axis=-1))
     points = DISTANCE_MM * np.concatenate([slopes, np.ones((*slopes.shape[:2], 1))], axis=-1)
-    seen = rig.projector.project(points, rig.T_projector_camera)
-    return [_frame(plan, i, n, seen, rig.projector.size, bits) for i, n, _ in plan.steps()]
+    coordinates = rig.projector.project(points, rig.T_projector_camera)
+    return [_frame(plan, i, n, coordinates, rig.projector.size, bits) for i, n, _ in plan.steps()]
 
 
-def _frame(plan: Plan, index: int, step: int, seen: Floats, size: tuple[int, int], bits: int) -> Image:
+def _frame(plan: Plan, index: int, step: int, coordinates: Floats, size: tuple[int, int], bits: int) -> Image:
     fringe = plan.fringes[index]
-    coordinate = seen[..., 0 if fringe.axis == "x" else 1]
+    coordinate = coordinates[..., 0 if fringe.axis == "x" else 1]
     phase = phase_of_coordinate(coordinate, fringe.stripes, axis_length(size, fringe.axis))
     level = 0.1 + 0.8 * fringe.wave(phase, step)
     image: Image = np.rint(level * full_scale(bits)).astype(raw_dtype(bits))

@@ -44,9 +44,9 @@ def add_room_lamps(stage: Any, lamps: Sequence[PointLamp]) -> None:
     Surfaces that are to throw no shadow of them must be there already.
     """
     without_shadow = bpy.data.collections.new("no shadow of room lamps")
-    for one in stage.collection.objects:
-        if not one.get(SHADES_ROOM, True):
-            without_shadow.objects.link(one)
+    for shape in stage.collection.objects:
+        if not shape.get(SHADES_ROOM, True):
+            without_shadow.objects.link(shape)
     for linked in without_shadow.collection_objects:
         linked.light_linking.link_state = "EXCLUDE"
     for lamp in lamps:

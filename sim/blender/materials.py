@@ -175,8 +175,8 @@ def _under_ambient(nodes: Nodes, shader: Any, reflectance: Any, ambient: float) 
     """Add what the surface reflects of ambient light, to rays from the camera alone."""
     glow, total = nodes.add("ShaderNodeEmission"), nodes.add("ShaderNodeAddShader")
     nodes.join(reflectance, glow.inputs["Color"])
-    seen = nodes.add("ShaderNodeLightPath").outputs["Is Camera Ray"]
-    nodes.join(nodes.times(seen, ambient), glow.inputs["Strength"])
+    from_camera = nodes.add("ShaderNodeLightPath").outputs["Is Camera Ray"]
+    nodes.join(nodes.times(from_camera, ambient), glow.inputs["Strength"])
     nodes.join(shader, total.inputs[0])
     nodes.join(glow.outputs[0], total.inputs[1])
     return total.outputs[0]

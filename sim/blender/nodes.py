@@ -30,9 +30,9 @@ class Nodes:
         """Add an operation on vectors that gives a vector."""
         return self._operate("ShaderNodeVectorMath", operation, values).outputs["Vector"]
 
-    def dot(self, one: Any, other: Any) -> Any:
+    def dot(self, vector: Any, other: Any) -> Any:
         """Add the scalar product of two vectors."""
-        return self._operate("ShaderNodeVectorMath", "DOT_PRODUCT", (one, other)).outputs["Value"]
+        return self._operate("ShaderNodeVectorMath", "DOT_PRODUCT", (vector, other)).outputs["Value"]
 
     def scaled(self, vector: Any, factor: Any) -> Any:
         """Add the product of a vector and a number."""

@@ -30,13 +30,13 @@ def show_preview(stage: Any, preview: Preview) -> None:
 
     The rendered view then shows grey levels over full scale, but for the sensor's black level.
     """
-    wanted = preview.render
-    camera = add_scene(stage, wanted.scene, wanted.textures, compile_shader(), wanted.ambient)
-    add_room_lamps(stage, wanted.room_lamps)
-    aim(camera, wanted.scene.camera, _middle(wanted))
-    make_linear(stage, wanted.settings)
-    stage.cycles.device = "CPU" if wanted.settings.device == "CPU" else "GPU"
-    stage.cycles.samples = stage.cycles.preview_samples = VIEWING_SAMPLES * wanted.settings.samples
+    pattern = preview.render
+    camera = add_scene(stage, pattern.scene, pattern.textures, compile_shader(), pattern.ambient)
+    add_room_lamps(stage, pattern.room_lamps)
+    aim(camera, pattern.scene.camera, _middle(pattern))
+    make_linear(stage, pattern.settings)
+    stage.cycles.device = "CPU" if pattern.settings.device == "CPU" else "GPU"
+    stage.cycles.samples = stage.cycles.preview_samples = VIEWING_SAMPLES * pattern.settings.samples
     stage.cycles.filter_width = 1.0
     stage.cycles.use_preview_denoising = stage.cycles.use_preview_adaptive_sampling = False
     _show_grey_levels(stage, preview.grey_scale)
@@ -47,21 +47,21 @@ def show_preview(stage: Any, preview: Preview) -> None:
 def take_picture(stage: Any, preview: Preview) -> PreviewPixels:
     """Render what the twin's camera sees on average, without noise, through the twin's own sub-pixels."""
     # returns (height, width)
-    wanted = preview.render
-    left, top, right, bottom = wanted.scene.window
-    width, height = wanted.scene.camera.size
+    pattern = preview.render
+    left, top, right, bottom = pattern.scene.window
+    width, height = pattern.scene.camera.size
     irradiance = np.zeros((height, width), np.float32)
     seen = irradiance[top:bottom, left:right]
     if seen.size:
-        with _for_pictures(stage, wanted), tempfile.TemporaryDirectory(prefix="fpplab-") as folder:
+        with _for_pictures(stage, pattern), tempfile.TemporaryDirectory(prefix="fpplab-") as folder:
             stage.render.filepath = str(Path(folder) / "view.exr")
-            for view in wanted.views:
-                aim(stage.camera.data, wanted.scene.camera, view)
+            for view in pattern.views:
+                aim(stage.camera.data, pattern.scene.camera, view)
                 seen += _under_all_lights(stage)
-            aim(stage.camera.data, wanted.scene.camera, _middle(wanted))
-        seen /= np.float32(len(wanted.views))
-    if wanted.falloff is not None:
-        irradiance *= wanted.falloff
+            aim(stage.camera.data, pattern.scene.camera, _middle(pattern))
+        seen /= np.float32(len(pattern.views))
+    if pattern.falloff is not None:
+        irradiance *= pattern.falloff
     return preview.grey_scale.levels(irradiance)
 
 
@@ -70,23 +70,23 @@ def _under_all_lights(stage: Any) -> PreviewPixels:
 
     Each of them holds what glows by itself, which must count once.
     """
-    lights = [one for one in stage.objects if one.type == "LIGHT"]
+    lights = [light for light in stage.objects if light.type == "LIGHT"]
     if len(lights) == 1:
         return _rendered(stage)
     total: PreviewPixels = (1 - len(lights)) * _with_only(stage, lights, None)
-    for one in lights:
-        total += _with_only(stage, lights, one)
+    for light in lights:
+        total += _with_only(stage, lights, light)
     return total
 
 
 def _with_only(stage: Any, lights: list[Any], shown: Any) -> PreviewPixels:
     try:
-        for one in lights:
-            one.hide_render = one is not shown
+        for light in lights:
+            light.hide_render = light is not shown
         return _rendered(stage)
     finally:
-        for one in lights:
-            one.hide_render = False
+        for light in lights:
+            light.hide_render = False
 
 
 def _rendered(stage: Any) -> PreviewPixels:
@@ -94,7 +94,7 @@ def _rendered(stage: Any) -> PreviewPixels:
     return _red(stage.render.filepath)
 
 
-def _middle(wanted: PatternRender) -> SubpixelView:
+def _middle(pattern: PatternRender) -> SubpixelView:
     """The pixel's middle; Blender's own sampling spreads from there. The lens is a pinhole then."""
     return SubpixelView((0.0, 0.0))
 
@@ -107,12 +107,12 @@ def _show_grey_levels(stage: Any, grey_scale: GreyScale) -> None:
 
 
 @contextmanager
-def _for_pictures(stage: Any, wanted: PatternRender) -> Iterator[None]:
+def _for_pictures(stage: Any, pattern: PatternRender) -> Iterator[None]:
     """Set the scene to render linear light at one point of every pixel, into a file of floats."""
     cycles, render = stage.cycles, stage.render
     before = [(of, name, getattr(of, name)) for of, name in _changed(stage)]
     try:
-        cycles.samples, cycles.filter_width = wanted.settings.samples, 0.01
+        cycles.samples, cycles.filter_width = pattern.settings.samples, 0.01
         render.image_settings.file_format = "OPEN_EXR"
         render.image_settings.color_depth, render.image_settings.exr_codec = "32", "ZIP"
         yield

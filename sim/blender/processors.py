@@ -23,8 +23,8 @@ def choose_device(stage: Any, device: str) -> None:
         stage.cycles.device = CPU
         return
     preferences = _preferences()
-    found = _devices(preferences, device)
-    if not found:
+    devices = _devices(preferences, device)
+    if not devices:
         raise RenderRefused(
             f"'render.device' is {device}, but there is no {device} device that Cycles can use; "
             "set it to CPU, or install the device's driver"

@@ -136,6 +136,6 @@ def _within_mirror(nodes: Nodes, lamp: Lamp, column: Any, row: Any, colour: Any)
     """Darken the gaps between mirrors that do not fill their squares, without changing the mean."""
     scale = 1.0 / lamp.fill**2
     for place in (column, row):
-        beside = nodes.math("ABSOLUTE", nodes.math("SUBTRACT", place, nodes.math("ROUND", place)))
-        scale = nodes.times(nodes.math("LESS_THAN", beside, lamp.fill / 2), scale)
+        from_centre = nodes.math("ABSOLUTE", nodes.math("SUBTRACT", place, nodes.math("ROUND", place)))
+        scale = nodes.times(nodes.math("LESS_THAN", from_centre, lamp.fill / 2), scale)
     return nodes.scaled(colour, scale)

@@ -1,4 +1,4 @@
-"""`fpplab compare-rigs`: a bench beside its twin, on one scan."""
+"""`fpplab compare-rigs`: a bench and its twin on one scan."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def compare_rigs_command(
 ) -> None:
     """Compare a bench with its twin on one scan: what was predicted, what was measured, calibrations crossed.
 
-    Each figure stands beside its predicted interval of 95 %. Then the frames of bench and twin are
+    Each figure is shown next to its predicted interval of 95 %. Then the frames of bench and twin are
     triangulated by either calibration: where the other's is as good as its own, both describe the same bench.
     The true shape is aligned with the points. The item should stand on the bench as in the twin's
     world.
@@ -38,22 +38,22 @@ def compare_rigs_command(
     from fpplab.sessions.session import Session
     from sim.matching.judging.compared_rigs import compare_rigs
 
-    scan, known = Session.open(session), Calibration.load(calibration)
+    scan, bench_calibration = Session.open(session), Calibration.load(calibration)
     with Rig.load(rig) as twin, console.progress("Comparing"):
-        answer = compare_rigs(twin, scan, item, known).summary()
+        answer = compare_rigs(twin, scan, item, bench_calibration).summary()
     console.print_result(answer, json, lambda: _show(answer))
 
 
 def _show(answer: dict[str, Any]) -> None:
     rows = [
-        [name, *(f"{one[key]:.4g}" for key in ("measured", "predicted", "low", "high"))]
-        for name, one in answer["figures"].items()
+        [name, *(f"{figure[key]:.4g}" for key in ("measured", "predicted", "low", "high"))]
+        for name, figure in answer["figures"].items()
     ]
     columns = ["figure", "measured", "predicted", "at least", "at most"]
-    console.table(f"The bench's {answer['item']} beside its twin's", columns, rows)
+    console.table(f"The bench's {answer['item']} and its twin's", columns, rows)
     crossed = [
-        [name.replace("_", " "), f"{one['distance_um']:.4g}", f"{one['noise_um']:.4g}"]
-        for name, one in answer["crossed"].items()
+        [name.replace("_", " "), f"{figure['distance_um']:.4g}", f"{figure['noise_um']:.4g}"]
+        for name, figure in answer["crossed"].items()
     ]
     console.table("Frames by calibration", ["", "distance in µm", "noise in µm"], crossed)
     if answer["outside"]:

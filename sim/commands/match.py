@@ -37,7 +37,7 @@ def match_command(
         str,
         typer.Option(
             "--twin",
-            help="Rig file of the nominal twin: what data sheets tell.",
+            help="Rig file of the nominal twin: values from data sheets.",
             autocompletion=names_of("rig"),
         ),
     ],
@@ -82,9 +82,9 @@ def match_command(
         ),
     ] = None,
     item: Annotated[str, typer.Option("--item", help="What the twin's fixture calls the board.")] = "board",
-    epochs: Annotated[int, typer.Option("--epochs", min=1, help="At most so many.")] = 25,
+    epochs: Annotated[int, typer.Option("--epochs", min=1, help="Maximum number of epochs.")] = 25,
     seconds: Annotated[
-        float, typer.Option("--seconds", min=1, help="At most so long, without the comparison at the end.")
+        float, typer.Option("--seconds", min=1, help="Maximum duration, without the comparison at the end.")
     ] = 900.0,
     alpha: Annotated[float, typer.Option("--alpha", min=0, help="Of log(1 + |ε_d|) in the loss.")] = 0.2,
     beta: Annotated[float, typer.Option("--beta", min=0, help="Of 1 - SSIM in the loss.")] = 0.8,
@@ -100,7 +100,7 @@ def match_command(
     matched twin (`rig.yaml`, which every command takes), `match.jsonl` with every epoch, and `report.html`.
     `verdict` says whether to believe the twin, `findings` why not; a useless one is not written, and the exit
     code is 4. The same command continues an interrupted matching, and with `--accept CAUSE` a refused one;
-    every command that uses the twin then tells what was accepted.
+    every command that uses the twin then says what was accepted.
 
     Example: `fpplab match --twin rig_twin --reference board/ --gamma response.yaml --scan pyramid=pyramid
     --out matched`
@@ -172,15 +172,15 @@ class ConsoleMatchObserver(MatchObserver):
 
 
 def _observe_matching(
-    context: typer.Context, wanted: bool, keep_open: bool, out: Path
+    context: typer.Context, with_viewer: bool, keep_open: bool, out: Path
 ) -> ConsoleMatchObserver:
     """Make what follows a matching: the terminal, and the viewer where it is asked for."""
-    if not (wanted or keep_open):
+    if not (with_viewer or keep_open):
         return ConsoleMatchObserver()
     from fpplab.core.session_names import RECORDING
     from sim.matching.view import MatchingView
 
-    return ConsoleMatchObserver(open_viewer(context, MatchingView, wanted, keep_open, out / RECORDING))
+    return ConsoleMatchObserver(open_viewer(context, MatchingView, with_viewer, keep_open, out / RECORDING))
 
 
 def _matching_request(
@@ -214,25 +214,25 @@ def _matching_request(
 
 def _show_surfaces(surfaces: list[dict[str, Any]]) -> None:
     rows = [
-        [one["item"], one["kind"], name, one[name], sigma]
-        for one in surfaces
-        for name, sigma in one["sigma"].items()
+        [surface["item"], surface["kind"], name, surface[name], sigma]
+        for surface in surfaces
+        for name, sigma in surface["sigma"].items()
     ]
     console.table("Surfaces", ["item", "kind", "property", "value", "standard uncertainty"], rows)
 
 
-def _scans(words: list[str], option: str) -> dict[str, Any]:
+def _scans(arguments: list[str], option: str) -> dict[str, Any]:
     from fpplab.sessions.session import Session
 
-    found = {}
-    for word in words:
-        name, equals, path = word.partition("=")
+    scans = {}
+    for argument in arguments:
+        name, equals, path = argument.partition("=")
         if not (name and equals and path):
-            raise ConfigError(f"{option}: '{word}' must be ITEM=SESSION, such as pyramid=scans/pyramid")
-        if name in found:
+            raise ConfigError(f"{option}: '{argument}' must be ITEM=SESSION, such as pyramid=scans/pyramid")
+        if name in scans:
             raise ConfigError(f"{option}: {name} is given twice")
-        found[name] = Session.open(Path(path))
-    return found
+        scans[name] = Session.open(Path(path))
+    return scans
 
 
 YES = {True: "yes", False: "no"}
@@ -246,7 +246,7 @@ def _show(result: dict[str, Any]) -> None:
     console.table("Matching", ["refined", "gamma", "SSIM", "on the board", "ε_d px", "loss"], rows)
     if result["artefacts"]:
         columns = ["item", "bench_um", "twin_um", "delta_um", "delta_percent"]
-        scans = [[one[name] for name in columns] for one in result["artefacts"]]
+        scans = [[scan[name] for name in columns] for scan in result["artefacts"]]
         console.table("Artefacts", ["item", "bench µm", "twin µm", "Δ µm", "Δ %"], scans)
     if result["surfaces"]:
         _show_surfaces(result["surfaces"])

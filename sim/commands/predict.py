@@ -31,7 +31,7 @@ def predict_command(
     """Predict a measurement without making it: distance, noise, completeness, wrong orders and time.
 
     Each figure has an interval of 95 %: of the scatter of the noise, of the uncertainty of the calibration,
-    and of what twin and bench differ by, which `fpplab match` leaves beside the rig file
+    and of what twin and bench differ by, which `fpplab match` writes next to the rig file
     (`discrepancy.yaml`). A sample of the image's rows is simulated.
 
     Example: `fpplab predict --rig matched/rig.yaml --plan plan_paper --item pyramid`
@@ -41,11 +41,11 @@ def predict_command(
     from fpplab.patterns.plan import Plan
     from sim.prediction import predict
 
-    wanted = Plan.load(plan)
-    known = None if calibration is None else Calibration.load(calibration)
+    projected = Plan.load(plan)
+    loaded = None if calibration is None else Calibration.load(calibration)
     with console.stopwatch() as elapsed, Rig.load(rig) as bench, console.progress("Predicting"):
-        found = predict(bench, wanted, item, known)
-        answer = {**found.summary(), "predicted_in_s": elapsed()}
+        prediction = predict(bench, projected, item, loaded)
+        answer = {**prediction.summary(), "predicted_in_s": elapsed()}
     console.print_result(answer, json, lambda: _show(answer))
 
 
@@ -62,18 +62,18 @@ UNITS = {
 
 def _show(answer: dict[str, Any]) -> None:
     rows = []
-    for name, (words, unit, scale) in UNITS.items():
-        one = answer[name]
-        values = [f"{scale * one[key]:.3g} {unit}".strip() for key in ("value", "low", "high")]
-        if unit == "µm" and one["high"] > MAX_FACTOR * one["low"]:
+    for name, (label, unit, scale) in UNITS.items():
+        figure = answer[name]
+        values = [f"{scale * figure[key]:.3g} {unit}".strip() for key in ("value", "low", "high")]
+        if unit == "µm" and figure["high"] > MAX_FACTOR * figure["low"]:
             values[1:] = ["unknown", "unknown"]
-        rows.append([words, *values])
+        rows.append([label, *values])
     console.table(
         f"Prediction for the {answer['item']}", ["figure", "predicted", "at least", "at most"], rows
     )
     if not answer["matched"]:
         console.log_status(
-            "no discrepancy.yaml beside the rig file: what the simulation lacks is not in the intervals"
+            "no discrepancy.yaml next to the rig file: what the simulation lacks is not in the intervals"
         )
     if answer["matched"] and answer["surface"] is None:
         item = answer["item"]
@@ -85,7 +85,7 @@ def _show(answer: dict[str, Any]) -> None:
         console.log_status(
             f"fringes are finer than those of {answer['compared_stripes']:g} stripes by which bench and twin "
             "were compared, so that their contrast is uncertain: `fpplab match --scan ITEM=SESSION` with a "
-            "scan by such a plan tells it"
+            "scan by such a plan measures it"
         )
     if answer["looks_like"]:
         console.log_status(

@@ -89,12 +89,12 @@ def describe_rig(
 
     need_suffix(out, ".npz")
     refuse_existing(out, force)
-    wanted = _arrangement(item, pose, baseline, axis, stripes, steps, exposure)
+    arrangement = _arrangement(item, pose, baseline, axis, stripes, steps, exposure)
     with _simulated(rig) as bench:
         from sim.preview import arrangement_summary, save_preview
 
-        save_preview(bench, wanted, step, out)
-        summary = arrangement_summary(bench, wanted)
+        save_preview(bench, arrangement, step, out)
+        summary = arrangement_summary(bench, arrangement)
     console.print_result({"preview": str(out), **summary}, json)
 
 
@@ -123,14 +123,14 @@ def export_rig(
 
     need_suffix(out, ".blend")
     refuse_existing(out, force)
-    wanted = _arrangement(item, pose, baseline, axis, stripes, steps, exposure)
+    arrangement = _arrangement(item, pose, baseline, axis, stripes, steps, exposure)
     with _simulated(rig) as bench:
         from sim.export import export_preview
         from sim.preview import arrangement_summary, make_preview
 
         with console.progress("Exporting"):
-            export_preview(make_preview(bench, wanted, step), out)
-        summary = arrangement_summary(bench, wanted)
+            export_preview(make_preview(bench, arrangement, step), out)
+        summary = arrangement_summary(bench, arrangement)
     console.print_result({"blend": str(out), **summary}, json)
 
 
@@ -161,19 +161,19 @@ def record_on_twin(
     from fpplab.calibration.model import Calibration
     from fpplab.sessions.session import require_session_folder
 
-    known = Calibration.load(calibration) if calibration else None
+    loaded = Calibration.load(calibration) if calibration else None
     require_session_folder(out)
-    wanted = _arrangement(item, pose, baseline, axis, stripes, steps, exposure)
+    arrangement = _arrangement(item, pose, baseline, axis, stripes, steps, exposure)
     with _simulated(rig) as bench, console.stopwatch() as seconds:
         from fpplab.pipeline import CLOUD
         from sim.preview import arrangement_summary
         from sim.preview_scan import record_scan
 
-        summary = arrangement_summary(bench, wanted)
+        summary = arrangement_summary(bench, arrangement)
         with console.progress("Scanning") as report:
-            scan = record_scan(bench, wanted, out, calibration=known, force=force, progress=report)
+            scan = record_scan(bench, arrangement, out, calibration=loaded, force=force, progress=report)
     figures = scan.figures()
-    results = {"points": figures["points"], "images": wanted.plan().images, "seconds": seconds()}
+    results = {"points": figures["points"], "images": arrangement.plan().images, "seconds": seconds()}
     console.print_result({"session": str(out), "cloud": str(out / CLOUD), **results, **summary}, json)
 
 

@@ -103,10 +103,10 @@ def _is_empty(folder: Path) -> bool:
 
 def _check_same(folder: Path, card: dict[str, Any]) -> None:
     """Refuse to continue a data set with another card: `ConfigError`."""
-    there = read_card(folder)
-    for key, wanted in json.loads(json.dumps(card)).items():
-        if (found := there.get(key)) != wanted:
-            shown = f" ({found}, now {wanted})" if isinstance(wanted, int | str) else ""
+    existing = read_card(folder)
+    for key, value in json.loads(json.dumps(card)).items():
+        if (current := existing.get(key)) != value:
+            shown = f" ({current}, now {value})" if isinstance(value, int | str) else ""
             raise ConfigError(
                 f"{folder}: holds a data set begun with another '{key}'{shown}; name another output, or ask "
                 f"for the same again, see {folder / CARD}"

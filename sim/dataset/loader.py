@@ -31,14 +31,14 @@ class Dataset:
     def __init__(self, folder: Path | str, fields: Iterable[str] | None = None) -> None:
         self.folder = Path(folder)
         self.card = read_card(self.folder)
-        known = [field["name"] for field in self.card["fields"]]
-        self.fields = tuple(known if fields is None else fields)
+        available = [field["name"] for field in self.card["fields"]]
+        self.fields = tuple(available if fields is None else fields)
         for name in self.fields:
-            if name not in known:
-                raise ConfigError(f"{self.folder}: has no field '{name}'; it has {', '.join(known)}")
+            if name not in available:
+                raise ConfigError(f"{self.folder}: has no field '{name}'; it has {', '.join(available)}")
         size = self.card["shard_size"]
-        there = {n for n in range(self.card["shards"]) if (self.folder / shard_name(n)).is_dir()}
-        self.indices = [k for k in range(self.card["samples"]) if k // size in there]
+        complete = {n for n in range(self.card["shards"]) if (self.folder / shard_name(n)).is_dir()}
+        self.indices = [k for k in range(self.card["samples"]) if k // size in complete]
 
     def split(self, name: str) -> Self:
         """Select the samples of one split."""
@@ -88,5 +88,5 @@ def _read(path: Path, row: int) -> np.ndarray[Any, Any]:
         return np.array(np.load(path, mmap_mode="r")[row])
     except (OSError, ValueError, IndexError) as error:
         raise DataError(
-            f"{path}: is missing or damaged ({error}); `Dataset.check` tells which files are"
+            f"{path}: is missing or damaged ({error}); `Dataset.check` lists which files are"
         ) from error

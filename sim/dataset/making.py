@@ -160,11 +160,11 @@ def _check_ranges(rig: Rig, scenes: SceneRanges) -> None:
         "exposure_s": (rig.camera.caps.exposure_s, "the camera's exposure"),
         "stage_mm": (travel, "the stage's travel" if rig.stage is not None else "a rig without a stage"),
     }
-    for name, ((least, most), what) in limits.items():
+    for name, ((lower, upper), what) in limits.items():
         low, high = getattr(scenes, name)
-        if not least <= low <= high <= most:
+        if not lower <= low <= high <= upper:
             raise ConfigError(
-                f"scenes: '{name}' is [{low:g}, {high:g}]: outside {what}, {least:g} to {most:g}"
+                f"scenes: '{name}' is [{low:g}, {high:g}]: outside {what}, {lower:g} to {upper:g}"
             )
 
 

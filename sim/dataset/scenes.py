@@ -35,7 +35,7 @@ Interval = tuple[float, float]
 def _within(low: float, high: float) -> AfterValidator:
     def check(ends: Interval) -> Interval:
         if not low <= ends[0] <= ends[1] <= high:
-            raise ValueError(f"must be the least and the greatest, within {low:g} to {high:g}")
+            raise ValueError(f"must be the minimum and the maximum, within {low:g} to {high:g}")
         return ends
 
     return AfterValidator(check)
@@ -46,7 +46,7 @@ Shares = Annotated[Interval, _within(0.0, 1.0)]
 
 
 class SceneRanges(Document):
-    """What scenes are drawn from; an interval is [least, greatest], drawn from uniformly.
+    """What scenes are drawn from; an interval is [minimum, maximum], drawn from uniformly.
 
     Artefacts and targets are all equally likely.
     """
@@ -109,11 +109,11 @@ class SceneRanges(Document):
     @classmethod
     def load(cls, path: Path | str) -> SceneRanges:
         """Read a file of ranges."""
-        found = config.find_config(path, "dataset")
-        scenes = config.load_document(found, cls)
+        file = config.find_config(path, "dataset")
+        scenes = config.load_document(file, cls)
         for name in scenes.artefacts:
             artefacts.make(name)
-        targets = tuple(_target_file(name, found.parent) for name in scenes.targets)
+        targets = tuple(_target_file(name, file.parent) for name in scenes.targets)
         for name in targets:
             Target.load(name)
         return scenes.model_copy(update={"targets": targets})

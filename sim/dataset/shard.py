@@ -27,7 +27,7 @@ from fpplab.core.strict_json import parse_object
 from sim.dataset.fields import Arrays, FieldSpec
 
 CHECKSUMS, SCENES = "sha256.json", "scenes.jsonl"
-"""Beside the arrays: checksums of all other files, and one line for each sample with all that was drawn."""
+"""Files besides the arrays: checksums of all others, and a line for each sample with all that was drawn."""
 
 MAX_SUMS_BYTES = 1_000_000
 """Greatest size of the file of checksums."""
@@ -54,8 +54,8 @@ def claim_shard(folder: Path, number: int) -> Iterator[Path | None]:
             yield None
             return
         draft.mkdir(exist_ok=True)
-        for left in draft.iterdir():
-            left.unlink()
+        for remnant in draft.iterdir():
+            remnant.unlink()
         try:
             yield draft
             flush_folder(draft)

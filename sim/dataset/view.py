@@ -31,7 +31,7 @@ class SampleView(CommandView):
         """Arrange the views."""
         import rerun.blueprint as rrb
 
-        maps = [layouts.image(words, f"/sample/{name}") for name, (words, *_) in SHOWN.items()]
+        maps = [layouts.image(title, f"/sample/{name}") for name, (title, *_) in SHOWN.items()]
         images = [
             layouts.image("Camera", "/sample/camera"),
             *maps,
@@ -51,15 +51,15 @@ class SampleView(CommandView):
         image = arrays[FRAMES].astype(np.float32)
         bright = max(float(np.percentile(image, 99.8)), 1.0)
         self.canvas.map("sample/camera", image, ColourScale("Raw level", "", "gray", 0.0, bright))
-        for name, (words, unit, colours) in SHOWN.items():
-            scale = ColourScale.spanning(words, unit, colours, arrays[name])
+        for name, (title, unit, colours) in SHOWN.items():
+            scale = ColourScale.spanning(title, unit, colours, arrays[name])
             if name == "wrapped_phase":
-                scale = ColourScale(words, unit, colours, 0.0, TWO_PI)
+                scale = ColourScale(title, unit, colours, 0.0, TWO_PI)
             self.canvas.map(f"sample/{name}", arrays[name], scale)
         normals = np.nan_to_num(arrays["normals"], nan=0.0)
         self.canvas.picture("sample/normals", (127.5 * (normals + 1.0)).astype(np.uint8))
-        words = json.dumps(record["scene"], indent=1, ensure_ascii=False)
-        self.canvas.text("words/scene", f"**Sample {record['index']}**\n\n```\n{words}\n```", static=False)
+        scene = json.dumps(record["scene"], indent=1, ensure_ascii=False)
+        self.canvas.text("words/scene", f"**Sample {record['index']}**\n\n```\n{scene}\n```", static=False)
 
 
 def sample_observer(viewer: Viewer[SampleView]) -> SampleObserver:

@@ -47,12 +47,14 @@ class Deviation(Document):
     @classmethod
     def of_kinds(cls, kinds: Sequence[Sequence[float]], fitted: bool) -> Deviation:
         """Summarise comparisons of several kinds, each of which counts the same however many it has."""
-        there = [np.asarray(one, np.float64) for one in kinds if len(one)]
-        means, count = np.array([one.mean() for one in there]), sum(len(one) for one in there)
+        present = [np.asarray(values, np.float64) for values in kinds if len(values)]
+        means, count = np.array([values.mean() for values in present]), sum(len(values) for values in present)
         if count == 1:
             return cls(mean=float(means[0]), spread=2.0 * abs(float(means[0])), count=1, fitted=fitted)
-        within = sum(float(np.sum((one - one.mean()) ** 2)) for one in there) / max(count - len(there), 1)
-        between = float(means.var(ddof=1)) if len(there) > 1 else 0.0
+        within = sum(float(np.sum((values - values.mean()) ** 2)) for values in present) / max(
+            count - len(present), 1
+        )
+        between = float(means.var(ddof=1)) if len(present) > 1 else 0.0
         spread = float(np.sqrt(within + between))
         return cls(mean=float(means.mean()), spread=spread, count=count, fitted=fitted)
 
@@ -106,7 +108,7 @@ class ScanEffects:
 
 
 class Discrepancy(Document):
-    """What is left between a matched twin and its bench, as its predictions need it."""
+    """What still differs between a matched twin and its bench, as its predictions need it."""
 
     noise: Deviation | None = None
     """Of the logarithm of the noise: of the coordinate on the board, and of the points of scans."""
@@ -121,7 +123,7 @@ class Discrepancy(Document):
     looks_like: str | None = None
     """What the difference looks like, where it is large."""
     not_for: str | None = None
-    """For which measurements the twin must not be believed."""
+    """For which measurements the twin must not be trusted."""
 
     def save(self, folder: Path) -> None:
         """Write the file."""
@@ -135,12 +137,12 @@ class Discrepancy(Document):
 
 
 def named_effects(
-    found: Discrepancy,
+    discrepancy: Discrepancy,
     board_noise: Sequence[float],
     part_noise: Sequence[float],
     scans: Sequence[ScanEffects] = (),
 ) -> tuple[str | None, str | None]:
-    """Name what a large discrepancy looks like, and what the twin must not be believed for.
+    """Name what a large discrepancy looks like, and what the twin must not be trusted for.
 
     Points that are further from the surface than the twin's, with the same noise, have an error that is
     no noise: something reaches the camera on another way than the twin's light.
@@ -148,8 +150,8 @@ def named_effects(
     pairs = [
         *_of_scans(scans),
         *_of_noise(board_noise),
-        *_of_parts(found, part_noise),
-        *_of_levels(found.levels),
+        *_of_parts(discrepancy, part_noise),
+        *_of_levels(discrepancy.levels),
     ]
     looks_like, not_for = (
         (list(dict.fromkeys(each)) for each in zip(*pairs, strict=True)) if pairs else ([], [])
@@ -158,17 +160,17 @@ def named_effects(
 
 
 def _of_scans(scans: Sequence[ScanEffects]) -> Iterator[tuple[str, str]]:
-    for one in scans:
-        if one.contrast < -LARGE_CONTRAST:
-            less = f"{-100 * one.contrast:.0f} % less contrast"
+    for scan in scans:
+        if scan.contrast < -LARGE_CONTRAST:
+            less = f"{-100 * scan.contrast:.0f} % less contrast"
             yield (
-                f"interreflection, or light below the surface of the {one.item}: its fine fringes have "
+                f"interreflection, or light below the surface of the {scan.item}: its fine fringes have "
                 f"{less} than the projector's sharpness on the board allows",
                 "parts of another material than the twin's",
             )
-        if one.um_per_frame is not None:
+        if scan.um_per_frame is not None:
             yield (
-                f"parts that moved: the {one.item} by {one.um_per_frame:+.1f} µm from frame to frame, away "
+                f"parts that moved: the {scan.item} by {scan.um_per_frame:+.1f} µm from frame to frame, away "
                 "from the camera",
                 "parts that do not stand still",
             )
@@ -182,8 +184,8 @@ def _of_noise(board_noise: Sequence[float]) -> Iterator[tuple[str, str]]:
         )
 
 
-def _of_parts(found: Discrepancy, part_noise: Sequence[float]) -> Iterator[tuple[str, str]]:
-    apart = found.distance is not None and found.distance.mean > LARGE_DISTANCE
+def _of_parts(discrepancy: Discrepancy, part_noise: Sequence[float]) -> Iterator[tuple[str, str]]:
+    apart = discrepancy.distance is not None and discrepancy.distance.mean > LARGE_DISTANCE
     noisier = abs(float(np.mean(part_noise))) if part_noise else 0.0
     if apart and part_noise and noisier < LARGE_NOISE:
         yield (

@@ -40,7 +40,7 @@ class MeasuredFigures:
 
 def median_figures(measured: Sequence[MeasuredFigures]) -> MeasuredFigures:
     """Give the median of every figure."""
-    every = np.array([list(one.summary().values()) for one in measured])
+    every = np.array([list(figures.summary().values()) for figures in measured])
     return MeasuredFigures(*np.median(every, axis=0).tolist())
 
 
@@ -70,14 +70,14 @@ def figures_of(
     mesh: trimesh.Trimesh,
     calibration: Calibration,
     plan: Plan,
-    seen: tuple[Mask, Mask],
+    surface: tuple[Mask, Mask],
     bounds: Mapping[Axis, PossibleCoordinates] | None = None,
 ) -> MeasuredFigures:
     """Compute the figures of a measurement."""
-    # decoded (height, width); seen (height, width)
+    # decoded (height, width); surface: what `seen_surface` gives, (height, width)
     assert cloud.pixels is not None
     u, v = cloud.pixels.T
-    on_shape, lit = seen
+    on_shape, lit = surface
     counted = on_shape[v, u]
     if not counted.any():
         raise DataError("no point lies on the true shape: check the item's pose, light and exposure")

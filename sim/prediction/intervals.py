@@ -48,10 +48,12 @@ def figure_intervals(
     medians of their draws. The noise of a surface is at most inversely proportional to its reflectance.
     """
     # by_calibration (K,)
-    values = {name: np.array([getattr(one, name) for one in draws]) for name in draws[0].summary()}
+    values = {name: np.array([getattr(drawn, name) for drawn in draws]) for name in draws[0].summary()}
     # Of one measurement about the middle of the draws.
-    spread = {name: float(one.std(ddof=1) * np.sqrt(1.0 + 1.0 / len(one))) for name, one in values.items()}
-    usual = {name: float(np.median(one)) for name, one in values.items()}
+    spread = {
+        name: float(drawn.std(ddof=1) * np.sqrt(1.0 + 1.0 / len(drawn))) for name, drawn in values.items()
+    }
+    usual = {name: float(np.median(drawn)) for name, drawn in values.items()}
     relative = {name: spread[name] / max(usual[name], 1e-12) for name in usual}
     contrast = discrepancy.contrast.sigma(stripes) if discrepancy.contrast else 0.0
     light = float(np.hypot(of_surface, contrast))

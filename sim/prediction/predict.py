@@ -59,16 +59,16 @@ class Prediction:
 
     def summary(self) -> dict[str, Any]:
         """Give plain values, as the command line prints them."""
-        known = self.discrepancy
+        discrepancy = self.discrepancy
         return {
             "item": self.item,
-            **{name: one.summary() for name, one in self.figures.items()},
+            **{name: figure.summary() for name, figure in self.figures.items()},
             "images": self.images,
             "pixels": self.pixels,
-            "matched": known is not None,
+            "matched": discrepancy is not None,
             "surface": self.surface.summary() if self.surface else None,
-            "looks_like": known.looks_like if known else None,
-            "not_for": known.not_for if known else None,
+            "looks_like": discrepancy.looks_like if discrepancy else None,
+            "not_for": discrepancy.not_for if discrepancy else None,
             "compared_stripes": self._compared_stripes,
         }
 
@@ -85,22 +85,22 @@ def predict(
     if not isinstance(rig.simulation, VirtualBench):
         raise ConfigError(f"{rig.source}: is no simulation that can predict; name a twin's rig file")
     sampler, folder = rig.simulation.sampler(), Path(rig.source).parent
-    known = calibration or _with_uncertainty_beside(sampler.calibration, folder)
+    used_calibration = calibration or _with_uncertainty_beside(sampler.calibration, folder)
     mesh = sampler.mesh(item)
-    seen, lit = seen_surface(mesh, known)
+    seen, lit = seen_surface(mesh, used_calibration)
     if not lit.any():
         raise ConfigError(f"{rig.source}: no pixel sees lit surface of the item '{item}'")
     rows, inner = sampled_rows(seen, pixels)
     counted = np.zeros_like(seen)
     counted[inner] = True
-    study = _Sampled(rig, plan, item, known, sampler, mesh, rows, (seen & counted, lit & counted))
+    study = _Sampled(rig, plan, item, used_calibration, sampler, mesh, rows, (seen & counted, lit & counted))
     draws = [study.measured(seed) for seed in range(DRAWS)]
     _, decoded, cloud = draws[0]
     discrepancy = Discrepancy.beside(Path(rig.source))
     surface = sampler.surface(item)
     figures = figure_intervals(
-        [one for one, _, _ in draws],
-        distance_factors(cloud, seen & counted, mesh, known, coordinate_noise(decoded)),
+        [measured for measured, _, _ in draws],
+        distance_factors(cloud, seen & counted, mesh, used_calibration, coordinate_noise(decoded)),
         discrepancy or Discrepancy(),
         surface.relative_sigma if surface else 0.0,
         plan.most_stripes,
@@ -151,7 +151,7 @@ class _Sampled:
     sampler: SimSampler
     mesh: trimesh.Trimesh
     rows: Rows
-    seen: tuple[Mask, Mask]
+    surface: tuple[Mask, Mask]  # pixels that see the item, and those where it is lit as well
 
     def __post_init__(self) -> None:
         caps = self.rig.projector.caps
@@ -170,7 +170,9 @@ class _Sampled:
         recording = Recording(frames, self.plan, size, settings.bits, name)
         decoded = self._placed(decode(recording, bounds=of_rows))
         decoded, cloud = points_of(decoded, self.calibration, self.plan)
-        figures = figures_of(decoded, cloud, self.mesh, self.calibration, self.plan, self.seen, self._bounds)
+        figures = figures_of(
+            decoded, cloud, self.mesh, self.calibration, self.plan, self.surface, self._bounds
+        )
         return figures, decoded, cloud
 
     def _bounds_of_rows(self) -> dict[Axis, PossibleCoordinates] | None:
@@ -178,9 +180,10 @@ class _Sampled:
             return None
         return {
             axis: PossibleCoordinates(
-                np.ascontiguousarray(one.least[self.rows]), np.ascontiguousarray(one.most[self.rows])
+                np.ascontiguousarray(coordinates.least[self.rows]),
+                np.ascontiguousarray(coordinates.most[self.rows]),
             )
-            for axis, one in self._bounds.items()
+            for axis, coordinates in self._bounds.items()
         }
 
     def _placed(self, decoded: Decoded) -> Decoded:

@@ -41,7 +41,7 @@ class Sensor(Document):
     def _ranges_rise(self) -> Sensor:
         for name, (low, high) in (("exposure_s", self.exposure_s), ("gain_db", self.gain_db)):
             if low > high:
-                raise ValueError(f"'{name}' is {[low, high]}: must be the least and the greatest")
+                raise ValueError(f"'{name}' is {[low, high]}: must be the minimum and the maximum")
         return self
 
 

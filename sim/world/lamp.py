@@ -1,4 +1,4 @@
-"""A lamp of the room: light beside the projector that falls on surfaces from one side."""
+"""A lamp of the room: light other than the projector's that falls on surfaces from one side."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from fpplab.core.config import Document
 from fpplab.core.conventions import Floats
 
 NEAREST_MM = 100.0
-"""Least distance of a lamp from the point that it is aimed at."""
+"""Minimum distance of a lamp from the point that it is aimed at."""
 
 
 class RoomLamp(Document):
@@ -34,6 +34,6 @@ class RoomLamp(Document):
     def offset(self) -> Floats:
         """Place (3,) of the lamp from the point it is given from, in mm in the camera's frame."""
         angle, azimuth = np.radians([self.angle_deg, self.azimuth_deg])
-        beside = np.sin(angle)
-        towards = [beside * np.cos(azimuth), beside * np.sin(azimuth), -np.cos(angle)]
+        lateral = np.sin(angle)
+        towards = [lateral * np.cos(azimuth), lateral * np.sin(azimuth), -np.cos(angle)]
         return self.distance_mm * np.array(towards)

@@ -11,7 +11,7 @@ from fpplab.core.config import Document, Positive
 from fpplab.core.conventions import Lattice
 from fpplab.core.geometry import Pinhole
 from fpplab.patterns.curve import Curve
-from sim.mirror_spread import LEAST_BLUR
+from sim.mirror_spread import MIN_BLUR
 from sim.texture import MirrorTexture
 from sim.world.numbers import NotNegative, PixelSize, Share
 
@@ -32,7 +32,7 @@ class ResponseSection(Document):
     """Coefficients of a monotone cubic spline in place of `I_in^g`, as in a response file."""
 
     @model_validator(mode="after")
-    def _spline_is_one(self) -> ResponseSection:
+    def _spline_is_valid(self) -> ResponseSection:
         self.curve()
         return self
 
@@ -107,8 +107,8 @@ class ProjectorWorld(Document):
 
     @model_validator(mode="after")
     def _blur_can_be_drawn(self) -> ProjectorWorld:
-        if 0 < self.blur < LEAST_BLUR:
-            raise ValueError(f"'blur' is {self.blur:g}: must be 0 (ideal mirrors) or at least {LEAST_BLUR:g}")
+        if 0 < self.blur < MIN_BLUR:
+            raise ValueError(f"'blur' is {self.blur:g}: must be 0 (ideal mirrors) or at least {MIN_BLUR:g}")
         if self.blur == 0 and self.focus_mm is not None:
             raise ValueError("'blur' is 0, ideal mirrors, which have no 'focus_mm': remove one of the two")
         return self

@@ -9,14 +9,14 @@ from sim.part_surface import PartSurface
 from sim.world.materials.base import Material
 
 KEPT = {"diffuse": {"roughness", "ridges", "grain"}, "glossy": {"roughness", "ridges", "grain"}}
-"""What a scan's brightness does not tell and the part keeps, by kind of the new material."""
+"""What a scan's brightness does not show and the part keeps, by kind of the new material."""
 RELIEF = {"ridges", "grain"}
 
 
 def with_surface(material: Material, surface: PartSurface) -> dict[str, Any]:
     """Give a part the surface that was matched; relief and roughness of its body stay as they were."""
-    known = config.plain(material)
-    kept = {name: known[name] for name in KEPT.get(surface.kind, RELIEF) if name in known}
+    section = config.plain(material)
+    kept = {name: section[name] for name in KEPT.get(surface.kind, RELIEF) if name in section}
     return {"kind": surface.kind, **kept, **surface.numbers(), "sigma": dict(surface.sigma)}
 
 

@@ -25,9 +25,9 @@ from sim.world.projector import ProjectorWorld
 from sim.world.render import LightPath, Render
 from sim.world.surroundings import SurroundingsSection
 
-MOST_VIBRATION_MM = 10
+MAX_VIBRATION_MM = 10
 """Greatest displacement by vibration."""
-MOST_DRAWS = 1000
+MAX_DRAWS = 1000
 """How often a number is drawn until its field allows it."""
 
 
@@ -60,7 +60,7 @@ class AmbientBands(Document):
     ripple: Annotated[float, Field(ge=0, le=1)]
     """Amplitude, as a share of the ambient light."""
     period_px: Annotated[float, Field(gt=1, le=8e5)]
-    """From band to band, in rows of the sensor without binning; far more than it has where all are alike."""
+    """From band to band, in unbinned rows of the sensor; far more than it has if all rows are equal."""
     cycles_per_frame: Annotated[float, Field(ge=-0.5, le=0.5)] | None = None
     """Share of a period by which bands move from frame to frame, for frames at regular intervals; None where
     they are at another place in each frame."""
@@ -70,7 +70,7 @@ class VibrationLine(Document):
     """Vibration to and fro along a line, as of a table; a share of it may have one frequency, as of a fan."""
 
     rms_mm: tuple[float, float, float]
-    """Root mean square displacement along the camera's axes, in mm, with signs that tell the direction."""
+    """Root mean square displacement along the camera's axes, in mm, with signs that give the direction."""
     periodic: Annotated[float, Field(ge=0, le=1)] = 0.0
     """Share of the variance that has one frequency; the rest is another in each frame."""
     cycles_per_frame: Annotated[float, Field(ge=0, le=0.5)] = 0.0
@@ -79,10 +79,8 @@ class VibrationLine(Document):
     @field_validator("rms_mm")
     @classmethod
     def _is_small(cls, rms_mm: tuple[float, float, float]) -> tuple[float, float, float]:
-        if max(map(abs, rms_mm)) > MOST_VIBRATION_MM:
-            raise ValueError(
-                f"is {list(rms_mm)}: must be between -{MOST_VIBRATION_MM} and {MOST_VIBRATION_MM}"
-            )
+        if max(map(abs, rms_mm)) > MAX_VIBRATION_MM:
+            raise ValueError(f"is {list(rms_mm)}: must be between -{MAX_VIBRATION_MM} and {MAX_VIBRATION_MM}")
         return rms_mm
 
 
@@ -111,17 +109,17 @@ class World(Document):
     materials: Annotated[dict[str, MaterialSection], Field(default_factory=dict)]
     """Further materials, by name."""
     surroundings: SurroundingsSection | None = None
-    """What is seen and lit beside the items."""
+    """What is seen and lit besides the items."""
     ambient: Annotated[float, Field(ge=0, le=10)] = 0.0
     """Uniform ambient light on everything in view, relative to the projector's white."""
     lamps: Annotated[dict[str, RoomLamp], Field(default_factory=dict)]
     """Lamps of the room by name, whose light has a direction."""
     ambient_bands: AmbientBands | None = None
     """Bands of ambient light and lamps; None where these are steady."""
-    vibration_mm: Annotated[NotNegative, Field(le=MOST_VIBRATION_MM)] = 0.0
+    vibration_mm: Annotated[NotNegative, Field(le=MAX_VIBRATION_MM)] = 0.0
     """Standard deviation of the item's displacement along each axis from frame to frame, in mm."""
     vibration_line: VibrationLine | None = None
-    """Vibration along a line beside that; None where there is none."""
+    """Vibration along a line in addition; None where there is none."""
     render: Render = Render()
     """How pictures are rendered."""
     uncertainty: Annotated[dict[str, NotNegative], Field(default_factory=dict)]
@@ -140,10 +138,12 @@ class World(Document):
     @model_validator(mode="after")
     def _materials_are_there(self) -> World:
         for name, item in self.items.items():
-            wanted = None if isinstance(item, BoardItem) else item.material
-            if wanted is not None and wanted not in self.materials:
-                known = ", ".join(self.materials) or "none"
-                raise ValueError(f"'items.{name}.material' is '{wanted}': must be of 'materials' ({known})")
+            material = None if isinstance(item, BoardItem) else item.material
+            if material is not None and material not in self.materials:
+                choices = ", ".join(self.materials) or "none"
+                raise ValueError(
+                    f"'items.{name}.material' is '{material}': must be of 'materials' ({choices})"
+                )
         return self
 
     @model_validator(mode="after")
@@ -159,23 +159,23 @@ class World(Document):
     def _calibration_fits(self) -> World:
         if self.calibration is None:
             return self
-        given, lattice = self.calibration, self.projector.lattice
+        calibration, lattice = self.calibration, self.projector.lattice
         for device, size in (("camera", self.camera.size), ("projector", self.projector.size)):
-            found = getattr(given, device).size
-            if found != size:
+            calibrated_size = getattr(calibration, device).size
+            if calibrated_size != size:
                 raise ValueError(
-                    f"'calibration' is for a {device} of {found[0]} x {found[1]}: must be {size[0]} x "
-                    f"{size[1]} as the world's"
+                    f"'calibration' is for a {device} of {calibrated_size[0]} x {calibrated_size[1]}: "
+                    f"must be {size[0]} x {size[1]} as the world's"
                 )
-        if given.projector.lattice is not lattice:
+        if calibration.projector.lattice is not lattice:
             raise ValueError(
-                f"'calibration' is for a projector on a {given.projector.lattice} lattice: must be "
+                f"'calibration' is for a projector on a {calibration.projector.lattice} lattice: must be "
                 f"{lattice} as the world's"
             )
         if not has_rays(self.camera_model()):
             raise ValueError(
-                f"'calibration' has the camera distortion {list(given.camera.distortion)}: it folds or has "
-                "a pole before the image's corner; must leave a ray to every pixel"
+                f"'calibration' has the camera distortion {list(calibration.camera.distortion)}: it folds or "
+                "has a pole before the image's corner; must leave a ray to every pixel"
             )
         return self
 
@@ -224,23 +224,23 @@ class World(Document):
     def load(cls, path: Path | str) -> World:
         """Read a world file.
 
-        A relative name of a mesh, picture, target or calibration file is looked for beside the world file
+        A relative name of a mesh, picture, target or calibration file is looked for next to the world file
         first.
         """
-        found = config.find_config(path, "world")
-        data = config.parse_yaml(config.read_text(found), found)
+        file = config.find_config(path, "world")
+        data = config.parse_yaml(config.read_text(file), file)
         if isinstance(data, dict) and isinstance(name := data.get("calibration"), str):
             measured = config.load_document(
-                config.find_config(config.resolve_beside(name, found.parent)), CalibrationFile
+                config.find_config(config.resolve_beside(name, file.parent)), CalibrationFile
             )
             data["calibration"] = config.plain(measured)
-        world = config.validate(data, cls, found)
-        items = {name: with_file_beside(item, found.parent) for name, item in world.items.items()}
-        around = world.surroundings and world.surroundings.beside(found.parent)
+        world = config.validate(data, cls, file)
+        items = {name: with_file_beside(item, file.parent) for name, item in world.items.items()}
+        around = world.surroundings and world.surroundings.beside(file.parent)
         return world.model_copy(update={"items": items, "surroundings": around})
 
     def save(self, folder: Path, name: str = "world.yaml") -> Path:
-        """Write the world file, with a calibration beside it as `calibration.yaml`.
+        """Write the world file, with a calibration next to it as `calibration.yaml`.
 
         Names of mesh and target files stay as they are.
         """
@@ -259,13 +259,13 @@ class World(Document):
 
     def number(self, path: str) -> float | None:
         """Look up a number of the world's file."""
-        found: Any = self
+        value: Any = self
         for name in path.split("."):
-            if isinstance(found, Document):
-                found = getattr(found, name) if name in type(found).model_fields else None
+            if isinstance(value, Document):
+                value = getattr(value, name) if name in type(value).model_fields else None
             else:
-                found = found.get(name) if isinstance(found, dict) else None
-        return float(found) if isinstance(found, int | float) and not isinstance(found, bool) else None
+                value = value.get(name) if isinstance(value, dict) else None
+        return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
 
     def drawn(self, draw: int) -> World:
         """Draw a world that this one could as well be, within its uncertainty.
@@ -274,17 +274,17 @@ class World(Document):
         """
         world, random = self, np.random.default_rng(draw)
         for path, sigma in sorted(self.uncertainty.items()) if draw else ():
-            for tried in range(MOST_DRAWS):
+            for tried in range(MAX_DRAWS):
                 data = section = world.model_dump(mode="json")
                 *sections, name = path.split(".")
-                for one in sections:
-                    section = section[one]
+                for part in sections:
+                    section = section[part]
                 section[name] += sigma * float(random.standard_normal())
                 try:
                     world = config.validate(data, World, "a draw of the world")
                     break
                 except ConfigError:
-                    if tried == MOST_DRAWS - 1:
+                    if tried == MAX_DRAWS - 1:
                         raise
         return world
 

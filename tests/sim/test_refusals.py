@@ -131,11 +131,11 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "exposures": (
         {"camera": {"sensor": {"exposure_s": [1.0, 0.1]}}},
-        "in 'camera.sensor' 'exposure_s' is [1.0, 0.1]: must be the least and the greatest",
+        "in 'camera.sensor' 'exposure_s' is [1.0, 0.1]: must be the minimum and the maximum",
     ),
     "gains": (
         {"camera": {"sensor": {"gain_db": [24.0, 0.0]}}},
-        "in 'camera.sensor' 'gain_db' is [24.0, 0.0]: must be the least and the greatest",
+        "in 'camera.sensor' 'gain_db' is [24.0, 0.0]: must be the minimum and the maximum",
     ),
 }
 

@@ -19,8 +19,8 @@ CLASSES = (ExtensionPreferences, RigSettings, *OPERATORS, RigPanel)
 
 def register() -> None:
     """Add operators, panel and preferences to Blender."""
-    for one in CLASSES:
-        bpy.utils.register_class(one)
+    for class_ in CLASSES:
+        bpy.utils.register_class(class_)
     attach_settings()
 
 
@@ -29,5 +29,5 @@ def unregister() -> None:
     jobs.end_all()
     data.remove_all()
     detach_settings()
-    for one in reversed(CLASSES):
-        bpy.utils.unregister_class(one)
+    for class_ in reversed(CLASSES):
+        bpy.utils.unregister_class(class_)

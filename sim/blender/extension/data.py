@@ -23,7 +23,7 @@ _PREVIOUS = "fpplab_previous"
 def all_data() -> dict[int, Any]:
     """List every data-block of the open file."""
     kinds = (p.identifier for p in bpy.data.bl_rna.properties if p.type == "COLLECTION")
-    return {one.session_uid: one for kind in kinds for one in getattr(bpy.data, kind)}
+    return {block.session_uid: block for kind in kinds for block in getattr(bpy.data, kind)}
 
 
 @contextmanager
@@ -33,9 +33,9 @@ def tagged(owner: str) -> Iterator[None]:
     try:
         yield
     finally:
-        for number, one in all_data().items():
+        for number, block in all_data().items():
             if number not in before:
-                one[TAG] = owner
+                block[TAG] = owner
 
 
 def rig_scene() -> Any:
@@ -60,7 +60,7 @@ def enter_rig_scene() -> Any:
 
 def remove(*owners: str) -> None:
     """Remove tagged data, but not the scene."""
-    bpy.data.batch_remove([one for one in all_data().values() if one.get(TAG) in owners])
+    bpy.data.batch_remove([block for block in all_data().values() if block.get(TAG) in owners])
 
 
 def remove_all() -> None:
@@ -69,7 +69,7 @@ def remove_all() -> None:
     scene, window = rig_scene(), bpy.context.window
     if scene is None:
         return
-    others = [one for one in bpy.data.scenes if one != scene] or [bpy.data.scenes.new("Scene")]
+    others = [other for other in bpy.data.scenes if other != scene] or [bpy.data.scenes.new("Scene")]
     if window and window.scene == scene:
         window.scene = bpy.data.scenes.get(scene[_PREVIOUS]) or others[0]
     bpy.data.scenes.remove(scene)

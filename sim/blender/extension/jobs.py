@@ -30,12 +30,12 @@ class Job:
 
     def __init__(self, interpreter: str, arguments: list[str]) -> None:
         self.folder = Path(tempfile.mkdtemp(prefix="fpplab-"))
-        words = [word.replace("{folder}", str(self.folder)) for word in arguments]
+        command = [argument.replace("{folder}", str(self.folder)) for argument in arguments]
         environment = {**os.environ, **dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(self.folder))}
         try:
             with self._out.open("wb") as out, self._err.open("wb") as err:
                 self._process = subprocess.Popen(
-                    [interpreter, "-P", "-m", "fpplab", *words, "--json"],
+                    [interpreter, "-P", "-m", "fpplab", *command, "--json"],
                     stdin=subprocess.DEVNULL,
                     stdout=out,
                     stderr=err,
@@ -62,7 +62,7 @@ class Job:
         """Wait until the command has ended."""
         self._process.wait()
 
-    def last_words(self) -> str:
+    def last_line(self) -> str:
         """Give the last line that the command said about its progress."""
         lines = self._err.read_text(encoding="utf-8", errors="replace").split("\n")
         return next((line.strip() for line in reversed(lines) if line.strip()), "")
@@ -70,14 +70,14 @@ class Job:
     def answer(self) -> dict[str, Any]:
         """Give the result of the command, which has ended."""
         try:
-            found = json.loads(self._out.read_text(encoding="utf-8"))
+            output = json.loads(self._out.read_text(encoding="utf-8"))
         except ValueError:
-            found = {}
-        if self._process.returncode == 0 and isinstance(found, dict) and found:
-            return found
-        said = found.get("error") if isinstance(found, dict) else None
+            output = {}
+        if self._process.returncode == 0 and isinstance(output, dict) and output:
+            return output
+        said = output.get("error") if isinstance(output, dict) else None
         raise JobFailedError(
-            str(said or self.last_words() or f"fpplab ended with exit code {self._process.returncode}")
+            str(said or self.last_line() or f"fpplab ended with exit code {self._process.returncode}")
         )
 
     def close(self) -> None:

@@ -64,7 +64,7 @@ class _CommandOperator:
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
         if not self._job.is_done():
-            context.workspace.status_text_set(f"{self._job.last_words()} (Esc cancels)")
+            context.workspace.status_text_set(f"{self._job.last_line()} (Esc cancels)")
             return {"RUNNING_MODAL"}
         self._leave(context)
         return self._finish(context)
@@ -127,14 +127,18 @@ class TakePicture(bpy.types.Operator):  # type: ignore[misc]
         assert preview is not None
         data.remove(data.PICTURE)
         with data.tagged(data.PICTURE):
-            clouds = [one for one in stage.objects if one.get(data.TAG) == data.CLOUD and not one.hide_render]
-            for one in clouds:
-                one.hide_render = True
+            clouds = [
+                cloud
+                for cloud in stage.objects
+                if cloud.get(data.TAG) == data.CLOUD and not cloud.hide_render
+            ]
+            for cloud in clouds:
+                cloud.hide_render = True
             try:
                 levels = take_picture(stage, preview)
             finally:
-                for one in clouds:
-                    one.hide_render = False
+                for cloud in clouds:
+                    cloud.hide_render = False
             path = bpy.path.abspath(settings_of(context).picture)
             try:
                 show_picture(levels / preview.grey_scale.full_scale, path)
@@ -188,8 +192,8 @@ class FitTwin(_CommandOperator, bpy.types.Operator):  # type: ignore[misc]
     def _arguments(self, settings: Any) -> list[str]:
         reference = _needed(settings.reference, "the folder of the bench's recordings")
         matched = _needed(settings.matched, "a folder for the matched twin")
-        given = ["--twin", _path(settings.rig), "--reference", reference, "--out", matched]
-        return ["match", *given, "--epochs", str(settings.epochs)]
+        paths = ["--twin", _path(settings.rig), "--reference", reference, "--out", matched]
+        return ["match", *paths, "--epochs", str(settings.epochs)]
 
     def _use(self, context: Any, answer: dict[str, Any]) -> None:
         settings_of(context).rig = answer["rig"]

@@ -4,7 +4,7 @@ from typing import Any
 
 import bpy
 
-from .settings import settings_of, told_of_rig
+from .settings import rig_summary, settings_of
 
 
 class RigPanel(bpy.types.Panel):  # type: ignore[misc]
@@ -18,14 +18,16 @@ class RigPanel(bpy.types.Panel):  # type: ignore[misc]
 
     def draw(self, context: Any) -> None:
         """Draw the panel."""
-        settings, told = settings_of(context), told_of_rig()
+        settings, summary = settings_of(context), rig_summary()
         shown = self._box(
             settings, "Rig", "rig", "item", "pose", "axis", "stripes", "steps", "step", "baseline", "exposure"
         )
-        if told:
-            low, high = told["baseline_range_mm"]
-            shown.label(text=f"Baseline {told['baseline_mm']:.2f} mm of {low:.1f} to {high:.1f}")
-            shown.label(text=f"Poses 0 to {told['poses'] - 1}, camera {told['size'][0]} x {told['size'][1]}")
+        if summary:
+            low, high = summary["baseline_range_mm"]
+            shown.label(text=f"Baseline {summary['baseline_mm']:.2f} mm of {low:.1f} to {high:.1f}")
+            shown.label(
+                text=f"Poses 0 to {summary['poses'] - 1}, camera {summary['size'][0]} x {summary['size'][1]}"
+            )
         shown.operator("fpplab.show_rig")
         shown.operator("fpplab.remove_rig")
         self._box(settings, "Picture", "picture").operator("fpplab.take_picture")

@@ -17,13 +17,13 @@ from bpy.props import (
 from ...preview_file import Preview
 
 _shown: dict[str, Any] = {}
-"""What is shown, and what fpplab told of its rig; until the extension or Blender ends."""
+"""What is shown, and fpplab's summary of its rig; until the extension or Blender ends."""
 
 
-def remember(preview: Preview, told: dict[str, Any]) -> None:
+def remember(preview: Preview, summary: dict[str, Any]) -> None:
     """Remember what is shown, without its textures, which are in the scene."""
     render = replace(preview.render, textures=np.zeros((0, 0, 0), np.float32))
-    _shown.update(preview=replace(preview, render=render), told=told)
+    _shown.update(preview=replace(preview, render=render), summary=summary)
 
 
 def shown_preview() -> Preview | None:
@@ -31,9 +31,9 @@ def shown_preview() -> Preview | None:
     return _shown.get("preview")
 
 
-def told_of_rig() -> dict[str, Any]:
-    """Give what fpplab told of the rig on show."""
-    return dict(_shown.get("told", {}))
+def rig_summary() -> dict[str, Any]:
+    """Give fpplab's summary of the rig on show."""
+    return dict(_shown.get("summary", {}))
 
 
 def forget_shown() -> None:
@@ -42,7 +42,7 @@ def forget_shown() -> None:
 
 
 def _items(settings: Any, context: Any, typed: str) -> list[str]:
-    return [name for name in told_of_rig().get("items", []) if typed.lower() in name.lower()]
+    return [name for name in rig_summary().get("items", []) if typed.lower() in name.lower()]
 
 
 class RigSettings(bpy.types.PropertyGroup):  # type: ignore[misc]
@@ -98,7 +98,7 @@ class RigSettings(bpy.types.PropertyGroup):  # type: ignore[misc]
         "matched": StringProperty(
             name="Matched twin", description="Folder for the matched twin", subtype="DIR_PATH"
         ),
-        "epochs": IntProperty(name="Epochs", description="At most so many", default=25, min=1),
+        "epochs": IntProperty(name="Epochs", description="Maximum number of epochs", default=25, min=1),
     }
 
 

@@ -27,7 +27,7 @@ class Material(Document):
 
     @abstractmethod
     def paint(self) -> Paint:
-        """Translate the material into what the Blender process is told of it.
+        """Translate the material into what the Blender process needs to know of it.
 
         Called for every scene that is built with an item of this material.
 

@@ -12,7 +12,7 @@ from sim.world.numbers import Share
 
 
 class Translucent(Material):
-    """A body that light enters, is scattered in, and leaves beside where it entered."""
+    """A body that light enters, is scattered in, and leaves next to where it entered."""
 
     subsurface: ClassVar[bool] = True
 

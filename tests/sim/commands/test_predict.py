@@ -56,7 +56,7 @@ def test_a_measurement_is_predicted(fpplab: Command, folder: Path) -> None:
     shown = fpplab(*call)
     assert shown.code == 0, shown.err
     assert "noise" in shown.out
-    assert "no discrepancy.yaml beside the rig file" in shown.err
+    assert "no discrepancy.yaml next to the rig file" in shown.err
     Discrepancy(noise=Deviation.of([0.3], fitted=False), looks_like="wax", not_for="wax").save(folder)
     try:
         told = fpplab(*call, "--json")

@@ -443,7 +443,10 @@ def test_a_rig_that_is_no_simulation_is_refused_before_it_opens(name: str) -> No
 @pytest.mark.parametrize(
     ("change", "named"),
     [
-        ({"reflectance": [0.9, 0.3]}, "'reflectance' is .*must be the least and the greatest, within 0 to 1"),
+        (
+            {"reflectance": [0.9, 0.3]},
+            "'reflectance' is .*must be the minimum and the maximum, within 0 to 1",
+        ),
         ({"artefacts": [], "targets": []}, "both empty"),
         ({"artefacts": ["cube"]}, "there is no artefact 'cube'"),
         ({"targets": ["nowhere.yaml"]}, "nowhere.yaml: there is no such file"),
