@@ -11,24 +11,24 @@ from fpplab.calibration.model import Uncertainty
 from fpplab.core.conventions import Floats
 
 
-def error_modes(known: Uncertainty) -> Floats:
+def error_modes(uncertainty: Uncertainty) -> Floats:
     """Compute independent modes of error, each with the size of one standard deviation."""
     # returns (n, n)
-    scale, variances, directions = _of_correlations(known)
+    scale, variances, directions = _of_correlations(uncertainty)
     return np.asarray(scale[:, None] * directions * np.sqrt(np.maximum(variances, 0.0)))
 
 
-def chi_square(known: Uncertainty, off: Floats) -> float:
+def chi_square(uncertainty: Uncertainty, off: Floats) -> float:
     """Compute χ² of differences of the parameters: n on average where the covariance holds."""
     # off (n,)
-    scale, variances, directions = _of_correlations(known)
+    scale, variances, directions = _of_correlations(uncertainty)
     along = directions.T @ (off / scale)
     smallest = 1e-12 * variances[-1]  # chosen near rounding: no mode is known better
     return float(np.sum(along**2 / np.maximum(variances, smallest)))
 
 
-def _of_correlations(known: Uncertainty) -> tuple[Floats, Floats, Floats]:
+def _of_correlations(uncertainty: Uncertainty) -> tuple[Floats, Floats, Floats]:
     """Standard uncertainties (n,), and variances (n,), rising, and directions (n, n) of the correlations."""
-    scale = np.sqrt(np.diag(known.covariance))
-    variances, directions = np.linalg.eigh(known.covariance / np.outer(scale, scale))
+    scale = np.sqrt(np.diag(uncertainty.covariance))
+    variances, directions = np.linalg.eigh(uncertainty.covariance / np.outer(scale, scale))
     return scale, variances, directions

@@ -140,14 +140,14 @@ def from_opencv(
 
 def _gathered(paths: Sequence[Path]) -> _Entries:
     """Collect all entries that are known, under the names of this module."""
-    known = {name: what for what, names in NAMES.items() for name in names}
+    meanings = {name: what for what, names in NAMES.items() for name in names}
     entries: _Entries = {}
     alone = 0
     for path in paths:
-        found = _read(path)
-        alone += bool(ALONE.keys() & found.keys())
-        for name, value in found.items():
-            what = known.get(name) or (f"{ALONE[name]}{alone}" if name in ALONE else None)
+        contents = _read(path)
+        alone += bool(ALONE.keys() & contents.keys())
+        for name, value in contents.items():
+            what = meanings.get(name) or (f"{ALONE[name]}{alone}" if name in ALONE else None)
             if what is None:
                 continue
             if what in entries:
@@ -205,10 +205,10 @@ def _matrix(entry: _Entry) -> Floats:
 def _distortion(entry: _Entry) -> Floats:
     modelled = len(DISTORTION)
     expected = f"4, 5 or 8 coefficients ({', '.join(DISTORTION)})"
-    found = _numbers(entry, expected)
-    if found.ndim > 2 or found.size != max(found.shape) or found.size not in COEFFICIENTS:
-        raise ConfigError(f"{entry.where} has the shape {_shape(found)}; expected {expected}")
-    flat = found.ravel()
+    values = _numbers(entry, expected)
+    if values.ndim > 2 or values.size != max(values.shape) or values.size not in COEFFICIENTS:
+        raise ConfigError(f"{entry.where} has the shape {_shape(values)}; expected {expected}")
+    flat = values.ravel()
     if np.any(flat[modelled:]):
         raise ConfigError(
             f"{entry.where} has {flat.size} coefficients and those beyond the eighth are not zero; expected "
@@ -265,12 +265,12 @@ def _size(
         raise ConfigError(f"{source}: does not say the size in px; add {option} WIDTH HEIGHT")
     if not np.array_equal(pair, np.rint(pair)):
         raise ConfigError(f"{where} is {pair[0]:g} x {pair[1]:g}; expected whole px")
-    found = int(pair[0]), int(pair[1])
-    if stated is not None and stated != found:
+    size_px = int(pair[0]), int(pair[1])
+    if stated is not None and stated != size_px:
         raise ConfigError(
-            f"{where} says {found[0]} x {found[1]} px but {option} {stated[0]} {stated[1]}; leave one out"
+            f"{where} says {size_px[0]} x {size_px[1]} px but {option} {stated[0]} {stated[1]}; leave one out"
         )
-    return found
+    return size_px
 
 
 def _lattice(entries: _Entries, stated: Lattice | None, source: str) -> Lattice:
@@ -284,10 +284,10 @@ def _lattice(entries: _Entries, stated: Lattice | None, source: str) -> Lattice:
         return stated
     if entry.value not in tuple(Lattice):
         raise ConfigError(f"{entry.where} is {entry.value!r}; expected {' or '.join(Lattice)}")
-    found = Lattice(entry.value)
-    if stated is not None and stated is not found:
-        raise ConfigError(f"{entry.where} says {found} but --lattice {stated}; leave the option out")
-    return found
+    lattice = Lattice(entry.value)
+    if stated is not None and stated is not lattice:
+        raise ConfigError(f"{entry.where} says {lattice} but --lattice {stated}; leave the option out")
+    return lattice
 
 
 def _check_ranges(calibration: Calibration, source: str) -> None:

@@ -52,8 +52,8 @@ class Uncertainty:
         return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
 
 
-_GREATEST_COEFFICIENT = 1e9
-_GREATEST_SIGMA = dict.fromkeys(("fx", "fy", "cx", "cy", *POSE), 1e6)
+_MAX_COEFFICIENT = 1e9
+_MAX_SIGMA = dict.fromkeys(("fx", "fy", "cx", "cy", *POSE), 1e6)
 """Standard uncertainties beyond which a number is damage and not knowledge, in px, mm, and rad or degrees."""
 
 
@@ -71,8 +71,11 @@ def _no_covariance(names: tuple[str, ...], covariance: Floats) -> str | None:
     if not np.all(np.isfinite(covariance)) or np.any(scale == 0):
         return "'covariance' must be finite, and above zero on its diagonal"
     for name, sigma in zip(names, scale.tolist(), strict=True):
-        if sigma > (most := _GREATEST_SIGMA.get(name.rpartition(".")[2], _GREATEST_COEFFICIENT)):
-            return f"'covariance' of '{name}' means a standard uncertainty of {sigma:.3g}, more than {most:g}"
+        if sigma > (max_sigma := _MAX_SIGMA.get(name.rpartition(".")[2], _MAX_COEFFICIENT)):
+            return (
+                f"'covariance' of '{name}' means a standard uncertainty of {sigma:.3g}, more than "
+                f"{max_sigma:g}"
+            )
     correlation = covariance / np.outer(scale, scale)
     if not np.allclose(correlation, correlation.T, rtol=0, atol=1e-9):
         return "'covariance' must be symmetric"
@@ -267,10 +270,10 @@ class Calibration:
         return config.load_document(path, CalibrationFile).calibration()
 
 
-def _check(what: str, found: tuple[int, int], expected: tuple[int, int], source: Path | str) -> None:
-    if tuple(found) != tuple(expected):
+def _check(what: str, size: tuple[int, int], expected: tuple[int, int], source: Path | str) -> None:
+    if tuple(size) != tuple(expected):
         raise CalibrationError(
-            f"{source}: {what} are {found[0]} x {found[1]} but the calibration is for "
+            f"{source}: {what} are {size[0]} x {size[1]} but the calibration is for "
             f"{expected[0]} x {expected[1]}; characterise this rig, or name the calibration that fits"
         )
 
@@ -408,20 +411,20 @@ class CalibrationFile(Document):
     @classmethod
     def of(cls, calibration: Calibration) -> CalibrationFile:
         """Convert a calibration to its form in a file."""
-        known = calibration.uncertainty
+        uncertainty = calibration.uncertainty
         return cls(
             camera=PinholeFile.of(calibration.camera),
             projector=PinholeFile.of(calibration.projector),
             T_projector_camera=PoseFile.of(calibration.T_projector_camera),
             rms_px=calibration.rms_px,
-            uncertainty=UncertaintyFile.of(known) if known else None,
+            uncertainty=UncertaintyFile.of(uncertainty) if uncertainty else None,
             board=FittedBoardFile.of(calibration.board) if calibration.board else None,
             origin=calibration.origin,
         )
 
     def calibration(self) -> Calibration:
         """Convert to a calibration."""
-        known = self.uncertainty.uncertainty() if self.uncertainty else None
+        uncertainty = self.uncertainty.uncertainty() if self.uncertainty else None
         pose, board = self.T_projector_camera.transform(), self.board.board() if self.board else None
         devices = self.camera.model(), self.projector.model()
-        return Calibration(*devices, pose, dict(self.rms_px), known, board, self.origin)
+        return Calibration(*devices, pose, dict(self.rms_px), uncertainty, board, self.origin)

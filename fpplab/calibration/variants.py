@@ -56,8 +56,8 @@ def layout_of(path: Path) -> str:
     for name, (suffixes, _) in LAYOUTS.items():
         if path.suffix.lower() in suffixes:
             return name
-    known = [suffix for suffixes, _ in LAYOUTS.values() for suffix in suffixes if suffix]
-    raise ConfigError(f"{path}: its name must end in one of {', '.join(dict.fromkeys(known))}")
+    all_suffixes = [suffix for suffixes, _ in LAYOUTS.values() for suffix in suffixes if suffix]
+    raise ConfigError(f"{path}: its name must end in one of {', '.join(dict.fromkeys(all_suffixes))}")
 
 
 def parameter_rows(calibration: Calibration) -> list[Row]:
@@ -65,8 +65,8 @@ def parameter_rows(calibration: Calibration) -> list[Row]:
     pose = calibration.T_projector_camera
     values = {
         f"{name}.{term}": value
-        for name, one in (("camera", calibration.camera), ("projector", calibration.projector))
-        for term, value in zip(INTRINSICS, _intrinsics(one), strict=True)
+        for name, device in (("camera", calibration.camera), ("projector", calibration.projector))
+        for term, value in zip(INTRINSICS, _intrinsics(device), strict=True)
     }
     turned = (*np.degrees(pose.rotation_vector), *pose.translation)
     values |= {f"T_projector_camera.{term}": value for term, value in zip(POSE, turned, strict=True)}
@@ -80,20 +80,20 @@ def parameter_rows(calibration: Calibration) -> list[Row]:
     return rows
 
 
-def _intrinsics(one: Pinhole) -> list[float]:
-    matrix = one.matrix
-    found = [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *one.coefficients]
-    return [float(value) for value in found] + [0.0] * (len(INTRINSICS) - len(found))
+def _intrinsics(device: Pinhole) -> list[float]:
+    matrix = device.matrix
+    values = [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *device.coefficients]
+    return [float(value) for value in values] + [0.0] * (len(INTRINSICS) - len(values))
 
 
-def _five(one: Pinhole, layout: str) -> NDArray[np.float64]:
+def _five(device: Pinhole, layout: str) -> NDArray[np.float64]:
     """The coefficients of the polynomial model, for layouts that have no others."""
-    if np.any(one.coefficients[POLYNOMIAL:]):
+    if np.any(device.coefficients[POLYNOMIAL:]):
         raise ConfigError(
             f"layout: '{layout}' has no place for rational distortion (k4, k5, k6); use opencv or ros, or "
             "characterise without it"
         )
-    return np.asarray(one.coefficients[:POLYNOMIAL], np.float64)
+    return np.asarray(device.coefficients[:POLYNOMIAL], np.float64)
 
 
 def _write_opencv(calibration: Calibration, path: Path) -> None:
@@ -106,9 +106,9 @@ def _write_slstudio(calibration: Calibration, path: Path) -> None:
         "", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY | cv2.FILE_STORAGE_FORMAT_XML
     )
     pose, rms = calibration.T_projector_camera, calibration.rms_px
-    for letter, one in (("c", calibration.camera), ("p", calibration.projector)):
-        storage.write(f"K{letter}", one.matrix)
-        storage.write(f"k{letter}", _five(one, "slstudio").reshape(-1, 1))
+    for letter, device in (("c", calibration.camera), ("p", calibration.projector)):
+        storage.write(f"K{letter}", device.matrix)
+        storage.write(f"k{letter}", _five(device, "slstudio").reshape(-1, 1))
     storage.write("Rp", pose.rotation)
     storage.write("Tp", pose.translation.reshape(3, 1))
     for entry, name in (("cam_error", "camera"), ("proj_error", "projector"), ("stereo_error", "joint")):
@@ -122,9 +122,9 @@ def _write_slstudio(calibration: Calibration, path: Path) -> None:
 def _write_matlab(calibration: Calibration, path: Path) -> None:
     """The arguments of `stereoParametersFromOpenCV` by their names, and the projector's size."""
     entries: dict[str, Any] = {}
-    for number, one in enumerate((calibration.camera, calibration.projector), 1):
-        entries[f"intrinsicMatrix{number}"] = one.matrix
-        entries[f"distortionCoefficients{number}"] = _five(one, "matlab")
+    for number, device in enumerate((calibration.camera, calibration.projector), 1):
+        entries[f"intrinsicMatrix{number}"] = device.matrix
+        entries[f"distortionCoefficients{number}"] = _five(device, "matlab")
     entries["rotationOfCamera2"] = calibration.T_projector_camera.rotation
     entries["translationOfCamera2"] = calibration.T_projector_camera.translation
     entries["imageSize"] = np.array(calibration.camera.size[::-1], np.float64)  # rows, then columns
@@ -135,10 +135,10 @@ def _write_matlab(calibration: Calibration, path: Path) -> None:
 def _write_bouguet(calibration: Calibration, path: Path) -> None:
     """The names of the toolbox's `Calib_Results_stereo.mat`: left is the camera, right the projector."""
     entries: dict[str, Any] = {}
-    for side, one in (("left", calibration.camera), ("right", calibration.projector)):
-        matrix = one.matrix
+    for side, device in (("left", calibration.camera), ("right", calibration.projector)):
+        matrix = device.matrix
         entries |= {f"fc_{side}": np.diag(matrix)[:2], f"cc_{side}": matrix[:2, 2], f"KK_{side}": matrix}
-        entries |= {f"alpha_c_{side}": 0.0, f"kc_{side}": _five(one, "bouguet")}
+        entries |= {f"alpha_c_{side}": 0.0, f"kc_{side}": _five(device, "bouguet")}
     pose = calibration.T_projector_camera
     entries |= {"om": pose.rotation_vector, "R": pose.rotation, "T": pose.translation}
     entries["nx"], entries["ny"] = (float(side) for side in calibration.camera.size)
@@ -167,19 +167,19 @@ def _write_ros(calibration: Calibration, path: Path) -> None:
     make_directory(path, fill)
 
 
-def _camera_info(name: str, one: Pinhole) -> dict[str, Any]:
-    coefficients = one.coefficients
+def _camera_info(name: str, device: Pinhole) -> dict[str, Any]:
+    coefficients = device.coefficients
     is_rational = bool(np.any(coefficients[POLYNOMIAL:]))
     lens = coefficients if is_rational else coefficients[:POLYNOMIAL]
     return {
-        "image_width": int(one.size[0]),
-        "image_height": int(one.size[1]),
+        "image_width": int(device.size[0]),
+        "image_height": int(device.size[1]),
         "camera_name": name,
-        "camera_matrix": _ros_matrix(one.matrix),
+        "camera_matrix": _ros_matrix(device.matrix),
         "distortion_model": "rational_polynomial" if is_rational else "plumb_bob",
         "distortion_coefficients": _ros_matrix(lens.reshape(1, -1)),
         "rectification_matrix": _ros_matrix(np.eye(3)),
-        "projection_matrix": _ros_matrix(np.c_[one.matrix, np.zeros(3)]),
+        "projection_matrix": _ros_matrix(np.c_[device.matrix, np.zeros(3)]),
     }
 
 

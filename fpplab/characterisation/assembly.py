@@ -19,7 +19,7 @@ def calibration_of(
     sizes: ErrorSizes,
     model: Model,
     rms_px: dict[str, float],
-    known: Uncertainty,
+    uncertainty: Uncertainty,
 ) -> Calibration:
     """Make a calibration."""
     assert model.image_sizes is not None
@@ -37,6 +37,6 @@ def calibration_of(
         Pinhole(projector_size, matrix_of(solution.projector), solution.projector[4:], lattice),
         transform(solution.T_projector_camera),
         rms_px,
-        known,
+        uncertainty,
         FittedBoard(config.plain(target), solution.board, errors),
     )

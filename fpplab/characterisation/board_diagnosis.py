@@ -36,7 +36,7 @@ def find_description_error(
         for description, (off, other) in flat.items()
         if off <= 1.5 * flattest
     }
-    description = min(fits, key=lambda one: fits[one], default="")
+    description = min(fits, key=lambda text: fits[text], default="")
     clearly_flatter = flattest < _off_plane(observations, target) / limits.min_description_gain
     fits_far_better = fits and fits[description] < rms_px / limits.min_description_gain < np.inf
     is_likely = fits and fits[description] < limits.max_description_rms_px
@@ -49,9 +49,9 @@ def _off_plane(observations: Sequence[Observation], target: Target) -> float:
     """Return the RMS distance in px of the camera's points from the best views of a flat board."""
     errors = []
     for observation in observations:
-        found = Detection(observation.ids, observation.camera_px)
-        seen = apply_homography(homography(target, found), target.points()[observation.ids, :2])
-        errors.append(seen - observation.camera_px)
+        detection = Detection(observation.ids, observation.camera_px)
+        projected = apply_homography(homography(target, detection), target.points()[observation.ids, :2])
+        errors.append(projected - observation.camera_px)
     return rms(errors)
 
 
@@ -59,9 +59,9 @@ def _camera_rms(observations: Sequence[Observation], target: Target, size: Image
     """Return the RMS in px of the camera calibrated alone; infinite when the poses do not determine it."""
     points = target.points()
     try:
-        found, _, _ = zhang(
+        rms_px, _, _ = zhang(
             "camera", [points[o.ids] for o in observations], [o.camera_px for o in observations], size
         )
     except CalibrationError:
         return np.inf
-    return found
+    return rms_px

@@ -87,11 +87,11 @@ def adjust_bundle(
     vector = _descend(problem, problem.pack(start))
     for _ in range(0 if sizes else ROUNDS):
         near = problem.unpack(vector)
-        found = variance_components(replace(problem, near=near), vector)
+        estimated = variance_components(replace(problem, near=near), vector)
         change = np.log(
-            np.array(astuple(found)[:ERROR_KINDS]) / np.array(astuple(problem.sizes)[:ERROR_KINDS])
+            np.array(astuple(estimated)[:ERROR_KINDS]) / np.array(astuple(problem.sizes)[:ERROR_KINDS])
         )
-        problem = replace(problem, near=near, sizes=found)
+        problem = replace(problem, near=near, sizes=estimated)
         if np.abs(change).max() < MAX_SETTLED_CHANGE:
             break
         vector = _descend(problem, vector)
@@ -116,8 +116,8 @@ def variance_components(problem: Problem, vector: Floats) -> ErrorSizes:
     # vector (n,)
     inverse = inverse_of(problem, problem.normal_equations(vector, HUBER_LIMIT)[0])
     of_camera, _ = problem.normal_equations(vector, HUBER_LIMIT, camera_alone=True)
-    known, _, sigmas = problem.priors
-    held = np.diag(inverse)[known] / sigmas**2
+    with_prior, _, sigmas = problem.priors
+    held = np.diag(inverse)[with_prior] / sigmas**2
     used_by_camera = float(np.sum(inverse * of_camera))
     used_by_projector = len(vector) - used_by_camera - float(held.sum())
     effects = pose_effects(problem, vector, inverse, HUBER_LIMIT)
@@ -203,21 +203,21 @@ def fits_without_each_pose(
     vector, (_, _, carried, first, _) = problem.pack(best), problem.vector_offsets
     parts = [problem.pose_equations(index, vector, HUBER_LIMIT) for index in range(len(observations))]
     normal, gradient = problem.normal_equations(vector, HUBER_LIMIT)
-    found = []
+    solutions = []
     for index, (own, pull) in enumerate(parts):
         others = np.delete(np.arange(len(vector)), np.arange(first + 6 * index, first + 6 * index + 6))
-        left = (normal - own)[np.ix_(others, others)]
-        scale = 1.0 / np.sqrt(np.diag(left))
+        remaining = (normal - own)[np.ix_(others, others)]
+        scale = 1.0 / np.sqrt(np.diag(remaining))
         try:
-            scaled = left * np.outer(scale, scale) + INITIAL_DAMPING**2 * np.eye(len(left))
+            scaled = remaining * np.outer(scale, scale) + INITIAL_DAMPING**2 * np.eye(len(remaining))
             factor = np.linalg.cholesky(scaled)
         except np.linalg.LinAlgError as error:
             raise UndeterminedError(UNDETERMINED) from error
         moved = vector.copy()
         moved[others] -= scale * cho_solve((factor, True), scale * (gradient - pull)[others])
         moved[carried] = np.clip(moved[carried], 0.0, 1.0)
-        found.append(problem.unpack(moved))
-    return found
+        solutions.append(problem.unpack(moved))
+    return solutions
 
 
 def inverse_of(problem: Problem, normal: Floats) -> Floats:

@@ -52,9 +52,9 @@ def board_grid(size_mm: tuple[float, float], rim_mm: float = 0.0) -> Floats:
 def share_seen(calibration: Calibration, places: Floats) -> Floats:
     """Compute the share of points that camera and projector both see."""
     # places (..., K, 3) mm
-    seen: Mask = calibration.camera.sees(places)
-    seen &= calibration.projector.sees(places, calibration.T_projector_camera)
-    return np.asarray(seen.mean(axis=-1))
+    visible: Mask = calibration.camera.sees(places)
+    visible &= calibration.projector.sees(places, calibration.T_projector_camera)
+    return np.asarray(visible.mean(axis=-1))
 
 
 def candidate_poses(
@@ -69,9 +69,9 @@ def candidate_poses(
     """
     # size_mm (width, height) mm
     grid = board_grid(size_mm, RIM_MM)
-    for least in (1.0, MIN_VISIBLE_SHARE):
-        if found := list(_seen_poses(calibration, grid, depth_mm, least)):
-            return found
+    for min_share in (1.0, MIN_VISIBLE_SHARE):
+        if poses := list(_seen_poses(calibration, grid, depth_mm, min_share)):
+            return poses
     raise CalibrationError(
         f"a board of {size_mm[0]:g} x {size_mm[1]:g} mm is not seen by both devices from "
         f"{depth_mm[0]:.0f} to {depth_mm[1]:.0f} mm from the camera; use a smaller board, or turn both "
@@ -83,14 +83,14 @@ def _seen_poses(
     calibration: Calibration,
     grid: Floats,
     depth_mm: DepthInterval,
-    least: float,
+    min_share: float,
 ) -> Iterator[RigidTransform]:
-    tilts = [np.eye(3), *(tilted_away(one, TILT_DEG) for one in DIRECTIONS)]
+    tilts = [np.eye(3), *(tilted_away(direction, TILT_DEG) for direction in DIRECTIONS)]
     for z, rotation in product(np.linspace(*depth_mm, DEPTH_LEVELS), tilts):
         board = grid @ rotation.T
         paths = _paths(calibration, float(z))
         share = share_seen(calibration, paths[:, :, None] + board)
-        good = (share >= least) & _faces_projector(calibration, rotation, paths)
+        good = (share >= min_share) & _faces_projector(calibration, rotation, paths)
         last = np.where(good.any(axis=1), STEPS - np.argmax(good[:, ::-1], axis=1), -1)
         placed = {tuple(paths[k, step]) for k, step in enumerate(last) if step >= 0}
         yield from (RigidTransform(rotation, np.array(place)) for place in sorted(placed))
@@ -102,13 +102,13 @@ def _paths(calibration: Calibration, z: float) -> Floats:
     (width, height), shares = camera.size, np.linspace(0.0, 1.0, 9)
     pixels = np.stack(np.meshgrid(shares * (width - 1), shares * (height - 1)), axis=-1).reshape(-1, 2)
     places = z * np.column_stack([camera.normalise(pixels), np.ones(len(pixels))])
-    seen = calibration.projector.sees(places, calibration.T_projector_camera)
-    middle = pixels[seen].mean(axis=0) if seen.any() else pixels.mean(axis=0)
+    in_view = calibration.projector.sees(places, calibration.T_projector_camera)
+    middle = pixels[in_view].mean(axis=0) if in_view.any() else pixels.mean(axis=0)
     size = np.array([width - 1.0, height - 1.0])
-    ends = np.array([middle, *(0.5 * size * (1.0 + np.array(one)) for one in DIRECTIONS)])
+    ends = np.array([middle, *(0.5 * size * (1.0 + np.array(direction)) for direction in DIRECTIONS)])
     # Towards an edge, not the middle of it: the other coordinate stays.
-    for k, one in enumerate(DIRECTIONS, 1):
-        ends[k] = np.where(np.array(one) == 0, middle, ends[k])
+    for k, direction in enumerate(DIRECTIONS, 1):
+        ends[k] = np.where(np.array(direction) == 0, middle, ends[k])
     steps = np.linspace(0.0, 1.0, STEPS + 1)[:, None]
     along = middle + steps * (ends - middle)[:, None]
     slopes = camera.normalise(along.reshape(-1, 2)).reshape(along.shape)

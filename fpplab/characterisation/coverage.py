@@ -45,11 +45,11 @@ def spread_of_tilts(poses: Sequence[RigidTransform]) -> float:
 
 
 def _about_tilts(poses: Sequence[RigidTransform], limits: CharacterisationLimits) -> Iterator[str]:
-    most = max(float(np.degrees(np.arccos(min(abs(T.rotation[2, 2]), 1.0)))) for T in poses)
-    if most < limits.min_tilt_deg:
+    max_tilt_deg = max(float(np.degrees(np.arccos(min(abs(T.rotation[2, 2]), 1.0)))) for T in poses)
+    if max_tilt_deg < limits.min_tilt_deg:
         yield (
-            f"no board is tilted by more than {most:.0f}°, which leaves focal lengths and principal points "
-            "uncertain; add poses tilted by 20 to 35°"
+            f"no board is tilted by more than {max_tilt_deg:.0f}°, which leaves focal lengths and principal "
+            "points uncertain; add poses tilted by 20 to 35°"
         )
     elif (apart := spread_of_tilts(poses)) < limits.min_tilt_spread_deg:
         yield (

@@ -14,9 +14,9 @@ from fpplab.targets import Target
 def explain_missing_board(image: NDArray[Any], target: Target) -> str | None:
     """Find the mistake in a board's description by detecting it under another."""
     # image (height, width)
-    for words, other in similar_descriptions(target):
+    for description, other in similar_descriptions(target):
         if other.detect(image) is not None:
-            return f"but it is there {words}"
+            return f"but it is there {description}"
     if target.layout.shows_mirroring and target.detect(np.ascontiguousarray(image[:, ::-1])) is not None:
         return "but its mirror image is; the print, or the camera's picture, is mirrored"
     return None
@@ -30,8 +30,8 @@ def similar_descriptions(target: Target) -> Iterator[tuple[str, Target]]:
         # A board large enough for any of them; its size is not used here.
         return target.model_copy(update={"size_mm": (1e4, 1e4), **changes})
 
-    for words, changes in target.layout.confusable():
-        yield words, other(**changes)
+    for description, changes in target.layout.confusable():
+        yield description, other(**changes)
     if columns != rows:
         yield (
             f"with rows and columns exchanged: 'counts' should be [{rows}, {columns}]",

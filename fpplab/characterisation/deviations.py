@@ -39,24 +39,24 @@ def _depths(rays: Floats, projector_px: Floats, calibration: Calibration) -> Flo
     return np.asarray((away * across).sum(axis=1) / (across**2).sum(axis=1))
 
 
-def board_deviation(found: Characterisation) -> tuple[Floats, Floats]:
+def board_deviation(characterisation: Characterisation) -> tuple[Floats, Floats]:
     """Compute how far the refined board differs from the board as drawn.
 
     Position, rotation and scale of the board do not count; no image can tell the scale from the distance.
     """
     # returns (K, 3) mm
-    if found.drawn is None:
+    if characterisation.drawn is None:
         raise DataError("the board was taken as it is drawn; there is no shape to show")
-    seen = np.unique(np.concatenate([o.ids for o in found.observations]))
-    drawn = found.drawn[seen]
-    return drawn, 1e3 * (align_similarity(found.board[seen], drawn) - drawn)
+    detected = np.unique(np.concatenate([o.ids for o in characterisation.observations]))
+    drawn = characterisation.drawn[detected]
+    return drawn, 1e3 * (align_similarity(characterisation.board[detected], drawn) - drawn)
 
 
 def align_similarity(points: Floats, onto: Floats) -> Floats:
     """Align points with others by the least-squares rotation, translation and scale."""
     # points (K, 3); onto (K, 3); returns (K, 3)
-    centre, there = points.mean(axis=0), onto.mean(axis=0)
-    u, sizes, vt = np.linalg.svd((onto - there).T @ (points - centre))
+    centre, target_centre = points.mean(axis=0), onto.mean(axis=0)
+    u, sizes, vt = np.linalg.svd((onto - target_centre).T @ (points - centre))
     handed = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
     scale = (sizes * handed).sum() / ((points - centre) ** 2).sum()
-    return np.asarray(scale * (points - centre) @ ((u * handed) @ vt).T + there)
+    return np.asarray(scale * (points - centre) @ ((u * handed) @ vt).T + target_centre)

@@ -39,12 +39,12 @@ class JointEstimate:
     def calibration(self) -> Calibration:
         """Both devices with their covariance, and the board."""
         with threadpool_limits(limits=1, user_api="blas"):
-            known = uncertainty(self.observations, self.solution, self.model, self.sizes)
+            covariance = uncertainty(self.observations, self.solution, self.model, self.sizes)
         pairs = [self.solution.residuals(k, o) for k, o in enumerate(self.observations)]
         cameras, projectors = zip(*pairs, strict=True)
         figures = {"camera": rms(cameras), "projector": rms(projectors), "joint": rms(cameras + projectors)}
         return calibration_of(
-            self.target, self.lattice, self.solution, self.sizes, self.model, figures, known
+            self.target, self.lattice, self.solution, self.sizes, self.model, figures, covariance
         )
 
     @cached_property

@@ -50,14 +50,18 @@ class RoughView:
     @classmethod
     def of(
         cls, observations: Sequence[Observation], target: Target, sizes: tuple[ImageSize, ImageSize],
-        known: RigidTransform | None = None,
+        known_pose: RigidTransform | None = None,
     ) -> RoughView:  # fmt: skip
         """Estimate the camera's focal length and the first pose."""
         # sizes (width, height) px
         first, points = observations[0], target.points()[observations[0].ids]
         middle = (0.5 * (sizes[0][0] - 1), 0.5 * (sizes[0][1] - 1))
         centred = [(target.points()[o.ids], o.camera_px - middle) for o in observations]
-        focal = _focal(centred) if known is None else _focal_of_known(known.apply(points), centred[0][1])
+        focal = (
+            _focal(centred)
+            if known_pose is None
+            else _focal_of_known(known_pose.apply(points), centred[0][1])
+        )
         focal = focal if MIN_FOCAL * max(sizes[0]) < focal < MAX_FOCAL * max(sizes[0]) else (
             FOCAL_GUESS * max(sizes[0])
         )  # fmt: skip
@@ -109,15 +113,16 @@ def _focal_of_known(places: Floats, centred_px: Floats) -> float:
 
 def _focal(views: Sequence[tuple[Floats, Floats]]) -> float:
     """Focal length in px by the homographies of tilted boards; NaN where they do not tell it."""
-    left, right = [], []
+    coefficients, constants = [], []
     for points, pixels in views:
-        found, _ = cv2.findHomography(points[:, :2], pixels)
-        if found is None:
+        homography, _ = cv2.findHomography(points[:, :2], pixels)
+        if homography is None:
             continue
-        h = found / np.linalg.norm(found[2, :2]) if np.linalg.norm(found[2, :2]) > 0 else found
+        scale = np.linalg.norm(homography[2, :2])
+        h = homography / scale if scale > 0 else homography
         (a, b), (c, d), (e, f) = h[0, :2], h[1, :2], h[2, :2]
-        left += [a * b + c * d, a * a + c * c - b * b - d * d]
-        right += [-e * f, f * f - e * e]
-    squares = float(np.dot(left, left))
-    inverse = float(np.dot(left, right)) / squares if squares > 0 else np.nan
+        coefficients += [a * b + c * d, a * a + c * c - b * b - d * d]
+        constants += [-e * f, f * f - e * e]
+    squares = float(np.dot(coefficients, coefficients))
+    inverse = float(np.dot(coefficients, constants)) / squares if squares > 0 else np.nan
     return float(1.0 / np.sqrt(inverse)) if inverse > 0 else np.nan

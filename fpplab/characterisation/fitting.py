@@ -105,18 +105,18 @@ def _characterised(
     kept, fit, rejected = _without_outliers(kept, fit, model)
     solution, sizes = fit
     # A model with few coefficients would hide that tilts are missing, so k1 to k3 are estimated here.
-    most = model if len(chosen.terms) > len(DEFAULT_LEVEL.terms) else replace(model, level=DEFAULT_LEVEL)
-    _determined(solution, uncertainty(kept, solution, most, sizes).sigma, model.limits)
+    richest = model if len(chosen.terms) > len(DEFAULT_LEVEL.terms) else replace(model, level=DEFAULT_LEVEL)
+    _determined(solution, uncertainty(kept, solution, richest, sizes).sigma, model.limits)
     few = compares_levels and len(kept) <= MIN_POSES
     without = _without_each_pose(kept, fit, model)
     tried = {
-        one: _tried(kept, fit, model, one, without)
-        for one in _candidates(chosen, compares_levels and not few)
+        level: _tried(kept, fit, model, level, without)
+        for level in _candidates(chosen, compares_levels and not few)
     }
-    known = uncertainty(kept, solution, model, sizes)
+    covariance = uncertainty(kept, solution, model, sizes)
     proof = compare_with_fewer_poses(kept, solution, model, sizes, without) if without else None
     cameras, projectors = zip(*(solution.residuals(i, o) for i, o in enumerate(kept)), strict=True)
-    calibration = calibration_of(target, lattice, solution, sizes, model, tried[chosen].fitted_px, known)
+    calibration = calibration_of(target, lattice, solution, sizes, model, tried[chosen].fitted_px, covariance)
     poses = tuple(transform(p) for p in solution.poses)
     return Characterisation(
         calibration,
@@ -128,7 +128,7 @@ def _characterised(
         tried[chosen].held_out_px,
         solution.board,
         missing,
-        known.sigma,
+        covariance.sigma,
         chosen,
         tuple(tried.values()),
         tuple(rejected),
@@ -155,8 +155,8 @@ def model_of(
 ) -> Model:
     """State what is fitted to poses of a board."""
     # image_sizes (width, height) px
-    given = target.scale_tolerance
-    scale = DEFAULT_SCALE_TOLERANCE if given is None else given
+    tolerance = target.scale_tolerance
+    scale = DEFAULT_SCALE_TOLERANCE if tolerance is None else tolerance
     return Model(level, target.points(), refined, target.tolerance_mm, scale, image_sizes, limits)
 
 
@@ -164,12 +164,12 @@ def _motion(observations: Sequence[Observation], fit: Fit, model: Model) -> tupl
     """Name the poses in which the board moved, by more than noise and the other poses explain."""
     if not model.refined or len(observations) <= MIN_POSES:
         return ()
-    found = motions_in_poses(observations, fit[0], model, fit[1])
+    shifts = motions_in_poses(observations, fit[0], model, fit[1])
     return tuple(
-        f"{o.name}: the projector's coordinates of the whole board are off by {one.shift_px:.2f} px, as if "
+        f"{o.name}: the projector's coordinates of the whole board are off by {shift.shift_px:.2f} px, as if "
         "the board had moved while this pose was taken; hold it still, and take the pose again"
-        for o, one in zip(observations, found, strict=True)
-        if one.chance < model.limits.max_chance / len(observations)
+        for o, shift in zip(observations, shifts, strict=True)
+        if shift.chance < model.limits.max_chance / len(observations)
     )
 
 
@@ -224,10 +224,10 @@ def _without_outliers(
     limits, rejected = model.limits, list[Rejected]()
     rejectable = outliers.rejectable_points(observations, limits)
     while True:
-        observations, found = outliers.reject_points(observations, fit[0], rejectable, limits)
-        if not found:
+        observations, newly_rejected = outliers.reject_points(observations, fit[0], rejectable, limits)
+        if not newly_rejected:
             return observations, fit, rejected
-        rejected += found
+        rejected += newly_rejected
         fit = adjust_bundle(observations, fit[0], model, first=fit[1])
 
 
@@ -260,11 +260,11 @@ def _without_each_pose(observations: Sequence[Observation], fit: Fit, model: Mod
     """Fit all poses but one, for each in turn; nothing where too few would remain."""
     if len(observations) <= MIN_POSES:
         return []
-    found = []
+    solutions = []
     for held, first in enumerate(fits_without_each_pose(observations, fit[0], model, fit[1])):
         others = [o for i, o in enumerate(observations) if i != held]
-        found.append(adjust_bundle(others, without_poses(first, held), model, fit[1])[0])
-    return found
+        solutions.append(adjust_bundle(others, without_poses(first, held), model, fit[1])[0])
+    return solutions
 
 
 def _held_out(observation: Observation, near: Solution, start: Floats) -> Residuals:

@@ -56,10 +56,12 @@ class PoseFit:
 
     camera: Errors  # of the two devices, with only the board's pose fitted
     projector: Errors  # of the two devices, with only the board's pose fitted
-    odd: str | None = None  # name of an earlier pose that is in the wrong instead of this one
+    outlying_pose: str | None = (
+        None  # name of an earlier pose that contradicts the others instead of this one
+    )
 
     @property
-    def far(self) -> tuple[str, ...]:
+    def contradicting_devices(self) -> tuple[str, ...]:
         """Devices in which the residuals are far beyond those predicted."""
         pairs = (("camera", self.camera), ("projector", self.projector))
         return tuple(n for n, e in pairs if e.contradicts and e.rms_px > MAX_RESIDUAL_RATIO * e.predicted_px)
@@ -131,8 +133,8 @@ class Guide:
     def _candidates(self) -> list[RigidTransform]:
         assert self.estimate is not None
         assert self.depth_mm is not None
-        found = candidate_poses(self.estimate.calibration, self.target.size_mm, self.depth_mm)
-        return [one for one in found if not any(_similar(one, other) for other in self._excluded)]
+        poses = candidate_poses(self.estimate.calibration, self.target.size_mm, self.depth_mm)
+        return [pose for pose in poses if not any(_similar(pose, other) for other in self._excluded)]
 
     def _filling(self, candidates: list[RigidTransform]) -> list[RigidTransform]:
         """Those that bring points into a part of an image that has none."""
@@ -141,26 +143,26 @@ class Guide:
         bare = uncovered_regions(self.observations, centres, self.estimate.calibration)
         if not any(part.any() for part in bare.values()):
             return []
-        sizes, found = dict(zip(bare, self.sizes, strict=True)), []
+        sizes, filling = dict(zip(bare, self.sizes, strict=True)), []
         for pose in candidates:
-            seen = expected_observation(self.estimate, pose)
-            if any((bare[d] & covered_regions([seen], d, sizes[d])).any() for d in bare):
-                found.append(pose)
-        return found
+            observation = expected_observation(self.estimate, pose)
+            if any((bare[d] & covered_regions([observation], d, sizes[d])).any() for d in bare):
+                filling.append(pose)
+        return filling
 
-    def exclude(self, wanted: WantedPose) -> None:
+    def exclude(self, pose: WantedPose) -> None:
         """Never ask for this pose or similar ones again."""
-        if wanted.T_camera_target is not None:
-            self._excluded.append(wanted.T_camera_target)
+        if pose.T_camera_target is not None:
+            self._excluded.append(pose.T_camera_target)
 
     def judged(self, observation: Observation) -> PoseFit | None:
         """Compare the residuals of a pose with those that the poses before predict."""
         if self.estimate is None:
             return None
-        found = judge(self.estimate.calibration, [observation]).poses[0]
-        fit = PoseFit(found.camera, found.projector)
-        odd = self._odd(observation) if fit.far else None
-        return PoseFit(found.camera, found.projector, odd)
+        judged_pose = judge(self.estimate.calibration, [observation]).poses[0]
+        fit = PoseFit(judged_pose.camera, judged_pose.projector)
+        outlying_pose = self._outlying_pose(observation) if fit.contradicting_devices else None
+        return PoseFit(judged_pose.camera, judged_pose.projector, outlying_pose)
 
     def add(self, observation: Observation) -> dict[str, str]:
         """Add a pose to the estimate."""
@@ -171,15 +173,15 @@ class Guide:
         if len(self.observations) < len(FIRST_POSES):
             return {}
         try:
-            found, odd = first_estimate(
+            estimate, outlying = first_estimate(
                 self.observations, self.target, self.sizes, self.lattice, self.level, self.refined
             )
         except UndeterminedError:
             if len(self.observations) >= CERTAIN_POSES:
                 raise
             return {}
-        self.estimate, self.observations = found, list(found.observations)
-        return odd
+        self.estimate, self.observations = estimate, list(estimate.observations)
+        return outlying
 
     def drop(self, name: str) -> None:
         """Take a pose out again."""
@@ -196,20 +198,24 @@ class Guide:
             return {}
         index = [o.name for o in self.observations].index(name)
         pair = self.estimate.solution.residuals(index, self.observations[index])
-        return {device: rms([one]) for device, one in zip(("camera", "projector"), pair, strict=True)}
+        return {
+            device: rms([residuals]) for device, residuals in zip(("camera", "projector"), pair, strict=True)
+        }
 
-    def _odd(self, observation: Observation) -> str | None:
+    def _outlying_pose(self, observation: Observation) -> str | None:
         """Which of a few poses is in the wrong, if it is not the new one."""
         assert self.estimate is not None
         if len(self.observations) >= CERTAIN_POSES:
             return None
         try:
             joint = self.estimate.with_pose(observation)
-            left = [joint.without_pose(k).calibration.rms_px["joint"] for k in range(len(joint.observations))]
+            remaining_rms = [
+                joint.without_pose(k).calibration.rms_px["joint"] for k in range(len(joint.observations))
+            ]
         except CalibrationError:
             return None
-        odd = joint.observations[int(np.argmin(left))].name
-        return None if odd == observation.name else odd
+        outlying_pose = joint.observations[int(np.argmin(remaining_rms))].name
+        return None if outlying_pose == observation.name else outlying_pose
 
     def _view(self) -> RoughView:
         return RoughView.of(self.observations, self.target, self.sizes, self.first_known)
@@ -221,6 +227,6 @@ class Guide:
         return WantedPose(describe_pose(pose, camera, first_mm), pose, outline, form_mm)
 
 
-def _similar(one: RigidTransform, other: RigidTransform) -> bool:
-    turn = np.degrees(np.linalg.norm((one @ other.inverse()).rotation_vector))
-    return bool(np.linalg.norm(one.translation - other.translation) < SIMILAR_MM and turn < SIMILAR_DEG)
+def _similar(pose: RigidTransform, other: RigidTransform) -> bool:
+    turn = np.degrees(np.linalg.norm((pose @ other.inverse()).rotation_vector))
+    return bool(np.linalg.norm(pose.translation - other.translation) < SIMILAR_MM and turn < SIMILAR_DEG)

@@ -140,7 +140,11 @@ def judge(
     predictions = [_prediction(judged, o) for o in kept]
     camera, projector = (_errors(predictions, d) for d in (0, 1))
     return Judgement(
-        tuple(_judged_pose(one) for one in predictions), camera, projector, tuple(rejected), left_out or {}
+        tuple(_judged_pose(prediction) for prediction in predictions),
+        camera,
+        projector,
+        tuple(rejected),
+        left_out or {},
     )
 
 
@@ -166,12 +170,12 @@ class _Judged:
 
     @classmethod
     def of(cls, calibration: Calibration, source: str) -> _Judged:
-        fitted, known = judged_board(calibration, source), calibration.uncertainty
-        assert known is not None
-        free = sum(name.startswith("camera.") for name in known.names)
-        levels = [one for one in DistortionModel if len(one.terms) == free]
+        fitted, uncertainty = judged_board(calibration, source), calibration.uncertainty
+        assert uncertainty is not None
+        free = sum(name.startswith("camera.") for name in uncertainty.names)
+        levels = [level for level in DistortionModel if len(level.terms) == free]
         names = parameter_names(levels[0]) if levels else ()
-        if set(names) != set(known.names):
+        if set(names) != set(uncertainty.names):
             raise CalibrationError(
                 f"{source}: 'uncertainty.names' are not those of a characterisation; characterise again"
             )
@@ -182,10 +186,10 @@ class _Judged:
         lenses = [np.append(lens, np.zeros(len(INTRINSICS) - len(lens))) for lens in lenses]
         pair = vectors_of(calibration.T_projector_camera)
         devices = Solution(lenses[0], lenses[1], pair, np.zeros((1, 6)), fitted.points, fitted.errors.carried)
-        order = [known.names.index(name) for name in names]
+        order = [uncertainty.names.index(name) for name in names]
         # No image shows the board's scale: with it, all lengths would grow.
         longer = np.append(np.zeros(len(names) - 3), fitted.errors.scale * pair[3:])
-        covariance = known.covariance[np.ix_(order, order)] - np.outer(longer, longer)
+        covariance = uncertainty.covariance[np.ix_(order, order)] - np.outer(longer, longer)
         values, vectors = np.linalg.eigh(covariance)
         return cls(devices, fitted.errors, levels[0], vectors * np.sqrt(np.maximum(values, 0.0)))
 
@@ -229,25 +233,27 @@ def _prediction(judged: _Judged, observation: Observation) -> _Prediction:
     fitted, _ = np.linalg.qr(slopes[:, n : n + 6])
     shared = np.repeat([judged.errors.camera_shared_px, judged.errors.projector_shared_px], 2 * FUNCTIONS)
     every = np.hstack([np.eye(rows), effects_of_pose(problem, 0, at) * shared, slopes[:, :n] @ judged.factor])
-    left = problem.unwhitened(0, every - fitted @ (fitted.T @ every), at.carried)
-    of_device = left.reshape(2, rows // 2, -1)
+    remaining = problem.unwhitened(0, every - fitted @ (fitted.T @ every), at.carried)
+    of_device = remaining.reshape(2, rows // 2, -1)
     residuals = np.stack([part.ravel() for part in at.residuals(0, observation)])
     return _Prediction(observation.name, residuals, of_device[..., :-n], of_device[..., -n:])
 
 
-def _judged_pose(one: _Prediction) -> JudgedPose:
-    camera, projector = (_errors([one], d) for d in (0, 1))
-    return JudgedPose(one.name, one.residuals.shape[1] // 2, camera, projector)
+def _judged_pose(prediction: _Prediction) -> JudgedPose:
+    camera, projector = (_errors([prediction], d) for d in (0, 1))
+    return JudgedPose(prediction.name, prediction.residuals.shape[1] // 2, camera, projector)
 
 
 def _errors(predictions: Sequence[_Prediction], device: int) -> Errors:
     """Errors of one device in some poses, which share those of the devices."""
-    seen = [one.residuals[device].reshape(-1, 2) for one in predictions]
-    parts = [(one.own[device], one.common[device]) for one in predictions]
+    residuals = [prediction.residuals[device].reshape(-1, 2) for prediction in predictions]
+    parts = [(prediction.own[device], prediction.common[device]) for prediction in predictions]
     mean = sum(float(np.sum(own**2) + np.sum(common**2)) for own, common in parts)
     # tr C² of the covariance C = diag(own ownᵀ) + common commonᵀ.
     square = sum(np.sum((own.T @ own) ** 2) + 2.0 * np.sum((own.T @ common) ** 2) for own, common in parts)
     square += np.sum(sum(common.T @ common for _, common in parts) ** 2)
     freedom = mean**2 / float(square)
-    total, points = float(sum(np.sum(r**2) for r in seen)), sum(len(r) for r in seen)
-    return Errors(rms(seen), float(np.sqrt(mean / points)), float(chi2.sf(freedom * total / mean, freedom)))
+    total, points = float(sum(np.sum(r**2) for r in residuals)), sum(len(r) for r in residuals)
+    return Errors(
+        rms(residuals), float(np.sqrt(mean / points)), float(chi2.sf(freedom * total / mean, freedom))
+    )

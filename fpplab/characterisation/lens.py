@@ -22,8 +22,8 @@ def scales_of_poses(
     The projector's coordinates tell where the board is, so that its distance does not explain another scale.
     """
     # returns scales (M,), sigmas (M,)
-    found = [_scale(k, one, solution, sizes) for k, one in enumerate(observations)]
-    scales, sigmas = np.array(found).T
+    estimates = [_scale(k, observation, solution, sizes) for k, observation in enumerate(observations)]
+    scales, sigmas = np.array(estimates).T
     return scales, sigmas
 
 

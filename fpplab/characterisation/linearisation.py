@@ -47,15 +47,17 @@ def pose_slopes(
     # returns residuals (4 K,) px, by_pose (4 K, 6), shared (4 K, 2 free + 6), by_point (4 K, 3)
     points, pose = solution.board[observation.ids], solution.poses[index]
     chained, (by_pose, by_pair) = chain(pose, solution.T_projector_camera)
-    at_camera, seen = view(points, pose, solution.camera)
+    at_camera, imaged = view(points, pose, solution.camera)
     at_projector, projected = view(points, chained, solution.projector)
     raw = np.concatenate([at_camera - observation.camera_px, at_projector - observation.projector_px])
-    rows, n = len(seen), free
+    rows, n = len(imaged), free
     shared = np.zeros((2 * rows, 2 * n + 6))
-    shared[:rows, :n] = seen[:, 6 : 6 + n]
+    shared[:rows, :n] = imaged[:, 6 : 6 + n]
     shared[rows:, n : 2 * n] = projected[:, 6 : 6 + n]
     shared[rows:, 2 * n :] = projected[:, :6] @ by_pair
-    own = np.concatenate([seen[:, :6], projected[:, :6] @ by_pose])
+    own = np.concatenate([imaged[:, :6], projected[:, :6] @ by_pose])
     # Moving a point by δ moves it by R δ in the device's frame, as a translation would.
-    by_point = [part[:, 3:6] @ cv2.Rodrigues(at[:3])[0] for part, at in ((seen, pose), (projected, chained))]
+    by_point = [
+        part[:, 3:6] @ cv2.Rodrigues(at[:3])[0] for part, at in ((imaged, pose), (projected, chained))
+    ]
     return raw.ravel(), own, shared, np.concatenate(by_point)

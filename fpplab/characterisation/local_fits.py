@@ -32,12 +32,14 @@ def coordinates_at_points(maps: Floats, modulation: Map, target: Target, detecti
     # maps (height, width, 2) px; modulation (height, width); returns (K, 2)
     board = target.points()[detection.ids, :2]
     frames = local_frames(homography(target, detection), board)
-    found = np.full((len(board), 2), np.nan)
+    coordinates = np.full((len(board), 2), np.nan)
     inverses = np.ascontiguousarray(np.linalg.inv(frames))
     half_mm = WINDOW_PITCHES * min(target.spacing_mm)
     reaches = half_mm * np.abs(frames).sum(axis=2).max(axis=1)
-    _fit_all(maps, modulation, np.ascontiguousarray(detection.pixels), inverses, half_mm, reaches, found)
-    return found
+    _fit_all(
+        maps, modulation, np.ascontiguousarray(detection.pixels), inverses, half_mm, reaches, coordinates
+    )
+    return coordinates
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
@@ -48,11 +50,12 @@ def _fit_all(
     inverses: Floats,
     half: float,
     reaches: Floats,
-    found: Floats,
+    coordinates: Floats,
 ) -> None:
     for i in prange(len(pixels)):
         rows, columns = window_pixels(modulation, pixels[i], inverses[i], half)
-        basis, seen, weight, n = np.empty((len(rows), 6)), np.empty((len(rows), 2)), np.empty(len(rows)), 0
+        basis, observed = np.empty((len(rows), 6)), np.empty((len(rows), 2))
+        weight, n = np.empty(len(rows)), 0
         for j in range(len(rows)):
             values, sure = maps[rows[j], columns[j]], float(modulation[rows[j], columns[j]])
             if not (np.isfinite(values[0]) and np.isfinite(values[1]) and sure > 0.0):
@@ -60,36 +63,38 @@ def _fit_all(
             x, y = (columns[j] - pixels[i, 0]) / reaches[i], (rows[j] - pixels[i, 1]) / reaches[i]
             row = basis[n]
             row[0], row[1], row[2], row[3], row[4], row[5] = 1.0, x, y, x * x, x * y, y * y
-            seen[n, 0], seen[n, 1], weight[n], n = values[0], values[1], sure, n + 1
-        _value_at_centre(basis[:n], seen[:n], weight[:n], found[i])
+            observed[n, 0], observed[n, 1], weight[n], n = values[0], values[1], sure, n + 1
+        _value_at_centre(basis[:n], observed[:n], weight[:n], coordinates[i])
 
 
 @njit(cache=True, error_model="numpy")
-def _value_at_centre(basis: Floats, seen: Floats, weight: Floats, found: Floats) -> None:
+def _value_at_centre(basis: Floats, observed: Floats, weight: Floats, centre_value: Floats) -> None:
     """Fit a quadric without outliers; its value at the origin is written, or NaN."""
     used, coefficients = np.ones(len(basis), np.bool_), np.empty((2, 6))
-    misfit = np.empty(seen.shape)
+    misfit = np.empty(observed.shape)
     for _ in range(ROUNDS):
         middle = np.hypot(basis[used, 1].mean(), basis[used, 2].mean()) if used.any() else np.inf
         if (
             used.sum() < MIN_FIT_PIXELS
             or middle > MAX_OFF_CENTRE
-            or not _fit(basis, seen, weight, used, coefficients)
+            or not _fit(basis, observed, weight, used, coefficients)
         ):
-            found[:] = np.nan
+            centre_value[:] = np.nan
             return
         agree = np.ones(len(basis), np.bool_)
         for k in range(2):
-            misfit[:, k] = np.abs(seen[:, k] - basis @ coefficients[k]) * weight
+            misfit[:, k] = np.abs(observed[:, k] - basis @ coefficients[k]) * weight
             agree &= misfit[:, k] <= OUTLIER * np.median(misfit[used, k]) + 1e-9
         if np.array_equal(agree, used):
             break
         used = agree
-    found[:] = coefficients[:, 0]
+    centre_value[:] = coefficients[:, 0]
 
 
 @njit(cache=True, error_model="numpy")
-def _fit(basis: Floats, seen: Floats, weight: Floats, used: NDArray[np.bool_], coefficients: Floats) -> bool:
+def _fit(
+    basis: Floats, observed: Floats, weight: Floats, used: NDArray[np.bool_], coefficients: Floats
+) -> bool:
     """Weighted least squares over the pixels used, into `coefficients` (2, 6); whether they determine it."""
     normal, right = np.zeros((6, 6)), np.zeros((2, 6))
     for j in range(len(basis)):
@@ -98,7 +103,7 @@ def _fit(basis: Floats, seen: Floats, weight: Floats, used: NDArray[np.bool_], c
             for p in range(6):
                 for q in range(p + 1):
                     normal[p, q] += sure * basis[j, p] * basis[j, q]
-                right[0, p] += sure * basis[j, p] * seen[j, 0]
-                right[1, p] += sure * basis[j, p] * seen[j, 1]
+                right[0, p] += sure * basis[j, p] * observed[j, 0]
+                right[1, p] += sure * basis[j, p] * observed[j, 1]
     first = solve_positive(normal, right[0], 0.0, coefficients[0])
     return first and solve_positive(normal, right[1], 0.0, coefficients[1])

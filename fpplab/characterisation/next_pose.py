@@ -39,13 +39,13 @@ def expected_observation(estimate: JointEstimate, pose: RigidTransform) -> Obser
     """Predict what a pose will show, without errors."""
     best, calibration = estimate.solution, estimate.calibration
     vector, places = vectors_of(pose), pose.apply(estimate.solution.board)
-    seen = calibration.camera.sees(places) & calibration.projector.sees(
+    visible = calibration.camera.sees(places) & calibration.projector.sees(
         places, calibration.T_projector_camera
     )
-    points = best.board[seen]
+    points = best.board[visible]
     camera_px = view(points, vector, best.camera)[0]
     projector_px = view(points, chain(vector, best.T_projector_camera)[0], best.projector)[0]
-    return Observation("next", np.flatnonzero(seen), camera_px, projector_px)
+    return Observation("next", np.flatnonzero(visible), camera_px, projector_px)
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +55,7 @@ class Design:
     estimate: JointEstimate  # of the poses so far
     information: Floats  # (y, y) normal equations of devices and board
     shared: Floats  # (y, y) covariance of their right-hand side by errors that the points of one pose share
-    wanted: Floats  # (y, k) mm
+    point_slopes: Floats  # (y, k) mm, factors of the derivatives of points and their form by the devices
 
     @classmethod
     def of(cls, estimate: JointEstimate, volume: WorkingVolume) -> Design:
@@ -74,9 +74,9 @@ class Design:
         factors = [
             np.asarray(np.linalg.qr(slopes, mode="r")).T for slopes in volume.slopes(best, thin.model.level)
         ]
-        wanted = np.zeros((len(information), sum(f.shape[1] for f in factors)))
-        wanted[: len(factors[0])] = np.hstack(factors)
-        return cls(thin, information, shared, wanted)
+        point_slopes = np.zeros((len(information), sum(f.shape[1] for f in factors)))
+        point_slopes[: len(factors[0])] = np.hstack(factors)
+        return cls(thin, information, shared, point_slopes)
 
     def predicted_mm(self, pose: RigidTransform | None = None) -> tuple[float, float]:
         """Predict the standard uncertainty of form with one more pose."""
@@ -88,7 +88,7 @@ class Design:
             information, shared = information + added[0], shared + added[1]
         scale = 1.0 / np.sqrt(np.diag(information))
         factor = np.linalg.cholesky(information * np.outer(scale, scale))
-        half = solve_triangular(factor, scale[:, None] * self.wanted, lower=True)
+        half = solve_triangular(factor, scale[:, None] * self.point_slopes, lower=True)
         solved = scale[:, None] * solve_triangular(factor, half, lower=True, trans="T")
         variances = (half**2).sum(axis=0) + (solved * (shared @ solved)).sum(axis=0)
         place, form = np.sqrt(variances.reshape(2, -1).sum(axis=1)).tolist()
@@ -96,11 +96,11 @@ class Design:
 
     def _added_by(self, pose: RigidTransform) -> tuple[Floats, Floats] | None:
         """What a pose would add to `information` and `shared`."""
-        seen = expected_observation(self.estimate, pose)
-        if len(seen.ids) < TARGET_LIMITS.min_points:
+        observation = expected_observation(self.estimate, pose)
+        if len(observation.ids) < TARGET_LIMITS.min_points:
             return None
         near = replace(self.estimate.solution, poses=vectors_of(pose)[None])
-        problem = Problem((seen,), self.estimate.model, self.estimate.sizes, near)
+        problem = Problem((observation,), self.estimate.model, self.estimate.sizes, near)
         matrix, _ = problem.pose_equations(0, problem.pack(near))
         basis = effects_of_pose(problem, 0, near) * _shared_px(self.estimate.sizes)
         return _eliminated(problem, matrix, problem.transposed(0, near, basis))
@@ -121,9 +121,9 @@ def _eliminated(problem: Problem, matrix: Floats, through: Floats) -> tuple[Floa
     others = np.delete(np.arange(len(matrix)), np.arange(first, board))
     carried = np.linalg.solve(matrix[poses, poses], np.hstack([matrix[poses][:, others], through[poses]]))
     across = matrix[others][:, poses]
-    left = np.hstack([matrix[np.ix_(others, others)], through[others]]) - across @ carried
-    reached = left[:, len(others) :]
-    return left[:, : len(others)], reached @ reached.T
+    reduced = np.hstack([matrix[np.ix_(others, others)], through[others]]) - across @ carried
+    reached = reduced[:, len(others) :]
+    return reduced[:, : len(others)], reached @ reached.T
 
 
 def _shared_px(sizes: ErrorSizes) -> Floats:
@@ -143,14 +143,14 @@ def _thinned(estimate: JointEstimate) -> JointEstimate:
     row = np.full(count, -1)
     row[kept] = np.arange(len(kept))
     observations = []
-    for one in estimate.observations:
-        there = row[one.ids] >= 0
+    for observation in estimate.observations:
+        selected = row[observation.ids] >= 0
         observations.append(
             replace(
-                one,
-                ids=row[one.ids[there]],
-                camera_px=one.camera_px[there],
-                projector_px=one.projector_px[there],
+                observation,
+                ids=row[observation.ids[selected]],
+                camera_px=observation.camera_px[selected],
+                projector_px=observation.projector_px[selected],
             )
         )
     solution: Solution = replace(estimate.solution, board=estimate.solution.board[kept])

@@ -68,11 +68,11 @@ def observe(
     repaired = 0.0
     if periods_px is not None:
         maps, repaired = _with_corrected_orders(name, maps, target, detection, np.array(periods_px), limits)
-    found = coordinates_at_points(maps, decoded.modulation, target, detection)
-    kept = np.isfinite(found).all(axis=1)
+    coordinates = coordinates_at_points(maps, decoded.modulation, target, detection)
+    kept = np.isfinite(coordinates).all(axis=1)
     if kept.sum() < TARGET_LIMITS.min_points:
         raise CalibrationError(f"{name}: only {kept.sum()} points of the board are illuminated well enough")
-    return Observation(name, detection.ids[kept], detection.pixels[kept], found[kept], repaired)
+    return Observation(name, detection.ids[kept], detection.pixels[kept], coordinates[kept], repaired)
 
 
 def _part(name: str, image: NDArray[Any], target: Target) -> Detection:
@@ -81,12 +81,12 @@ def _part(name: str, image: NDArray[Any], target: Target) -> Detection:
     if cause := explain_missing_board(image, target):
         raise CalibrationError(f"{missing}, {cause}")
     try:
-        found = detect_part(target.layout, image)
+        detection = detect_part(target.layout, image)
     except UnclearPart as error:
         raise CalibrationError(f"{missing}: {error}") from error
-    if found is None:
+    if detection is None:
         raise CalibrationError(missing)
-    return found
+    return detection
 
 
 def _steep(modulation: Map, max_gradient: float) -> NDArray[np.bool_]:
@@ -116,16 +116,16 @@ def _with_corrected_orders(
     v, u = np.nonzero(lit & _board_area(maps.shape[:2], target, detection))
     if len(u) < MIN_FIT_PIXELS * TARGET_LIMITS.min_points:
         raise CalibrationError(f"{name}: too little of the board is illuminated by the projector")
-    pixels, seen = np.stack([u, v], axis=-1).astype(np.float64), maps[v, u] / periods
+    pixels, coordinates = np.stack([u, v], axis=-1).astype(np.float64), maps[v, u] / periods
     step = max(len(u) // 4000, 1)
-    plane, inliers = cv2.findHomography(pixels[::step], seen[::step], cv2.RANSAC, 0.25)
+    plane, inliers = cv2.findHomography(pixels[::step], coordinates[::step], cv2.RANSAC, 0.25)
     if plane is None or inliers.mean() < limits.min_plane_share:
         raise CalibrationError(f"{name}: the projector's coordinates on the board do not fit a plane")
     expected = cv2.perspectiveTransform(pixels[None], plane)[0]
-    orders = np.rint(seen - expected)
-    off = np.abs(seen - expected - orders)
+    orders = np.rint(coordinates - expected)
+    off = np.abs(coordinates - expected - orders)
     clear = (off[:, 0] < 0.4) & (off[:, 1] < 0.4)
-    corrected[v[clear], u[clear]] = ((seen - orders) * periods)[clear]
+    corrected[v[clear], u[clear]] = ((coordinates - orders) * periods)[clear]
     return corrected, float(np.any(orders[clear], axis=1).mean())
 
 
@@ -136,6 +136,6 @@ def _board_area(shape: tuple[int, ...], target: Target, detection: Detection) ->
     low, high = (f(target.points()[detection.ids, :2], axis=0) for f in (np.min, np.max))
     (left, top), (right, bottom) = low - half, high + half
     corners = np.array([[[left, top], [right, top], [right, bottom], [left, bottom]]])
-    seen = cv2.perspectiveTransform(corners, homography(target, detection))
-    cv2.fillConvexPoly(area, np.asarray(np.rint(seen[0]), np.int32), (1,))
+    outline = cv2.perspectiveTransform(corners, homography(target, detection))
+    cv2.fillConvexPoly(area, np.asarray(np.rint(outline[0]), np.int32), (1,))
     return np.asarray(area, np.bool_)

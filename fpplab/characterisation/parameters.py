@@ -70,9 +70,9 @@ class Solution:
         """Compute the reprojection errors of one pose."""
         # returns camera (K, 2) px, projector (K, 2) px
         points, pose = self.board[observation.ids], self.poses[index]
-        seen = view(points, pose, self.camera)[0] - observation.camera_px
+        camera_errors = view(points, pose, self.camera)[0] - observation.camera_px
         chained, _ = chain(pose, self.T_projector_camera)
-        return seen, view(points, chained, self.projector)[0] - observation.projector_px
+        return camera_errors, view(points, chained, self.projector)[0] - observation.projector_px
 
 
 @dataclass(frozen=True, eq=False)

@@ -43,7 +43,8 @@ class PoseEffects:
     """How effects of the poses reach residuals and estimate; E effects, n parameters."""
 
     scores: Floats  # (E,) weighted products of the effects' derivatives, in 1/px, and the residuals
-    seen: Floats  # (E, E) derivatives of the scores by the effects; the scores' covariance if there are none
+    # (E, E) derivatives of the scores by the effects; the scores' covariance if there are none
+    information: Floats
     passed: Floats  # (n, E) derivatives of the estimate by the effects
     device: NDArray[np.intp]  # (E,) 0 for effects on the camera's points, 1 on the projector's
     leaked: Floats  # (4, E) by kind of independent errors and effect
@@ -55,25 +56,27 @@ class PoseEffects:
 
     def without(self, rows: NDArray[np.intp]) -> PoseEffects:
         """Leave effects out."""
-        left = np.delete(np.arange(len(self.scores)), rows)
+        remaining = np.delete(np.arange(len(self.scores)), rows)
         return PoseEffects(
-            self.scores[left],
-            self.seen[np.ix_(left, left)],
-            self.passed[:, left],
-            self.device[left],
-            self.leaked[:, left],
+            self.scores[remaining],
+            self.information[np.ix_(remaining, remaining)],
+            self.passed[:, remaining],
+            self.device[remaining],
+            self.leaked[:, remaining],
         )
 
     def variances(self) -> tuple[Floats, Floats]:
         """Estimate the variance of the effects in each device by the method of moments."""
         # returns variances (2,), uncertainties (2,)
         groups = self.groups
-        squares = np.array([np.sum(self.scores[g] ** 2) - np.trace(self.seen[np.ix_(g, g)]) for g in groups])
-        design = np.array([[np.sum(self.seen[np.ix_(g, h)] ** 2) for h in groups] for g in groups])
+        squares = np.array(
+            [np.sum(self.scores[g] ** 2) - np.trace(self.information[np.ix_(g, g)]) for g in groups]
+        )
+        design = np.array([[np.sum(self.information[np.ix_(g, h)] ** 2) for h in groups] for g in groups])
         scale = 1.0 / np.sqrt(np.diag(design))
-        found, _ = nnls(design * np.outer(scale, scale), squares * scale)
-        variances = found * scale
-        spread = self.seen + self.seen * variances[self.device] @ self.seen
+        scaled, _ = nnls(design * np.outer(scale, scale), squares * scale)
+        variances = scaled * scale
+        spread = self.information + self.information * variances[self.device] @ self.information
         noise = np.array([[2.0 * np.sum(spread[np.ix_(g, h)] ** 2) for h in groups] for g in groups])
         inverse = np.linalg.inv(design)
         return variances, np.sqrt(np.diag(inverse @ noise @ inverse.T))
@@ -89,19 +92,22 @@ class PoseShift:
 
 def pose_shifts(effects: PoseEffects) -> list[PoseShift]:
     """Estimate by how much the board of each pose moved between its image and its fringes."""
-    found, size = [], 4 * FUNCTIONS
+    shifts, size = [], 4 * FUNCTIONS
     for pose in range(len(effects.scores) // size):
         own = np.arange(pose * size, (pose + 1) * size)
         variances, _ = effects.without(own).variances()
         shift = own[[2 * FUNCTIONS, 3 * FUNCTIONS]]
-        seen = effects.seen[np.ix_(shift, shift)]
-        expected = seen + effects.seen[shift] * variances[effects.device] @ effects.seen[:, shift]
+        information = effects.information[np.ix_(shift, shift)]
+        expected = (
+            information
+            + effects.information[shift] * variances[effects.device] @ effects.information[:, shift]
+        )
         score = effects.scores[shift]
         square = float(score @ np.linalg.solve(expected, score))
-        found.append(
-            PoseShift(float(np.linalg.norm(np.linalg.solve(seen, score))), float(chi2.sf(square, 2)))
+        shifts.append(
+            PoseShift(float(np.linalg.norm(np.linalg.solve(information, score))), float(chi2.sf(square, 2)))
         )
-    return found
+    return shifts
 
 
 def pose_effects(problem: Problem, vector: Floats, inverse: Floats, limit: float) -> PoseEffects:
@@ -142,15 +148,15 @@ def effects_of_pose(problem: Problem, index: int, solution: Solution) -> Floats:
 
 def _leaked(problem: Problem, vector: Floats, bases: list[Floats], passed: Floats) -> Floats:
     """Sums of squares (4, E) of the whitened residuals of each kind of errors by effect."""
-    solution, known = problem.unpack(vector), problem.priors
+    solution, priors = problem.unpack(vector), problem.priors
     total = np.zeros((ERROR_KINDS, passed.shape[1]))
     for index, basis in enumerate(bases):
-        left = problem.applied(index, solution, passed)
+        residuals = problem.applied(index, solution, passed)
         own = slice(index * basis.shape[1], (index + 1) * basis.shape[1])
-        left[:, own] += basis
-        total[:2] += np.sum(left.reshape(2, -1, passed.shape[1]) ** 2, axis=1)
+        residuals[:, own] += basis
+        total[:2] += np.sum(residuals.reshape(2, -1, passed.shape[1]) ** 2, axis=1)
     for kind, rows in zip((2, 3), problem.board_rows, strict=True):
-        total[kind] = np.sum((passed[known[0][rows]] / known[2][rows, None]) ** 2, axis=0)
+        total[kind] = np.sum((passed[priors[0][rows]] / priors[2][rows, None]) ** 2, axis=0)
     return total
 
 

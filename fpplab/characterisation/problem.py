@@ -96,14 +96,14 @@ class Problem:
     @cached_property
     def _carry(self) -> list[Floats]:
         """By pose: A (K, 2, 2)."""
-        found = []
+        carries = []
         for index, observation in enumerate(self.observations):
             *_, by_point = pose_slopes(self.near, index, observation, self._free)
             camera, projector = by_point.reshape(2, -1, 2, 3)
             (a, b), (c, d) = np.moveaxis(camera[..., :2], 0, -1)
             adjugate = np.moveaxis(np.array([[d, -b], [-c, a]]), -1, 0)
-            found.append(projector[..., :2] @ adjugate / (a * d - b * c)[:, None, None])
-        return found
+            carries.append(projector[..., :2] @ adjugate / (a * d - b * c)[:, None, None])
+        return carries
 
     @property
     def board_rows(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
@@ -155,27 +155,27 @@ class Problem:
         """Multiply rows of one pose by the transposed derivatives of its whitened residuals."""
         # rows (4 K, E); returns (n, E)
         columns, slopes, by_point = self.slopes(index, solution)
-        found = np.zeros(
+        product = np.zeros(
             (self.vector_offsets[-1] + self.model.refined * self.model.drawn.size, rows.shape[1])
         )
-        found[columns] = slopes.T @ rows
+        product[columns] = slopes.T @ rows
         if self.model.refined:
             shape = (2, len(by_point) // 4, 2)
-            found[self._own(index)] = np.einsum(
+            product[self._own(index)] = np.einsum(
                 "dkui,dkue->kie", by_point.reshape(*shape, 3), rows.reshape(*shape, -1)
             )
-        return found
+        return product
 
     def applied(self, index: int, solution: Solution, change: Floats) -> Floats:
         """Multiply changes of the parameters by the derivatives of the whitened residuals of one pose."""
         # change (n, E); returns (4 K, E)
         columns, slopes, by_point = self.slopes(index, solution)
-        found = slopes @ change[columns]
+        product = slopes @ change[columns]
         if self.model.refined:
             shape = (2, len(by_point) // 4, 2)
             moved = np.einsum("dkui,kie->dkue", by_point.reshape(*shape, 3), change[self._own(index)])
-            found += moved.reshape(found.shape)
-        return np.asarray(found)
+            product += moved.reshape(product.shape)
+        return np.asarray(product)
 
     def _own(self, index: int) -> NDArray[np.intp]:
         """Where the points (K, 3) of a pose are in the vector."""
@@ -229,11 +229,11 @@ class Problem:
         for index in range(len(self.observations)):
             self._add_pose(matrix, gradient, index, solution, limit, camera_alone)
         if not camera_alone:
-            known, _, sigmas = self.priors
+            with_prior, _, sigmas = self.priors
             prior_residuals = self.prior_residuals(vector)
             weight = huber_weights(prior_residuals, 1.0, limit) / sigmas
-            matrix[known, known] += weight / sigmas
-            gradient[known] += weight * prior_residuals
+            matrix[with_prior, with_prior] += weight / sigmas
+            gradient[with_prior] += weight * prior_residuals
         return matrix, gradient
 
     def pose_equations(self, index: int, vector: Floats, limit: float = np.inf) -> tuple[Floats, Floats]:

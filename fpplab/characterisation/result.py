@@ -115,14 +115,14 @@ class Characterisation:
 
 def _repeats(repeats: tuple[Repeat, ...]) -> dict[str, dict[str, float | str]]:
     return {
-        one.quantity: {
-            "unit": one.unit,
-            "stated": one.stated,
-            "changed": one.changed,
-            "predicted": one.predicted,
-            "chance": one.chance,
+        repeat.quantity: {
+            "unit": repeat.unit,
+            "stated": repeat.stated,
+            "changed": repeat.changed,
+            "predicted": repeat.predicted,
+            "chance": repeat.chance,
         }
-        for one in repeats
+        for repeat in repeats
     }
 
 

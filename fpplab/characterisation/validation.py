@@ -67,11 +67,12 @@ class Validation:
     def warnings(self) -> tuple[str, ...]:
         """Sentences on uncertainties that are too small."""
         return tuple(
-            f"{how} changes the {_NAMES[one.quantity]} {one.ratio:.1f} times as much as predicted: its true "
-            "uncertainty is greater than stated; look for a pose in which something moved, or take more poses"
+            f"{how} changes the {_NAMES[repeat.quantity]} {repeat.ratio:.1f} times as much as predicted: its "
+            "true uncertainty is greater than stated; look for a pose in which something moved, or take more "
+            "poses"
             for how, repeats in (("leaving poses out", self.jackknife), ("halving the poses", self.halves))
-            for one in repeats
-            if one.chance < self.max_chance
+            for repeat in repeats
+            if repeat.chance < self.max_chance
         )
 
 
@@ -100,8 +101,8 @@ def compare_with_fewer_poses(
     share = (count - 1) / count
     around = np.array(changes) - np.mean(changes, axis=0)
     jackknife = tuple(
-        _repeat(one, covariance, share * around.T @ around, share * np.sum(spreads, axis=0), count - 1)
-        for one in quantities
+        _repeat(quantity, covariance, share * around.T @ around, share * np.sum(spreads, axis=0), count - 1)
+        for quantity in quantities
     )
     return Validation(jackknife, _halves(whole, quantities, covariance), model.limits.max_chance)
 
@@ -126,28 +127,31 @@ class _Quantity:
         return float(np.trace(spread) ** 2 / np.sum(spread**2))
 
 
-def _repeat(one: _Quantity, covariance: Floats, changed: Floats, predicted: Floats, repeats: int) -> Repeat:
-    was, expected = one.size(changed), one.size(predicted)
-    freedom = repeats * one.freedom(predicted)
+def _repeat(
+    quantity: _Quantity, covariance: Floats, changed: Floats, predicted: Floats, repeats: int
+) -> Repeat:
+    was, expected = quantity.size(changed), quantity.size(predicted)
+    freedom = repeats * quantity.freedom(predicted)
     chance = float(chi2.sf(freedom * (was / expected) ** 2, freedom))
-    return Repeat(one.name, one.unit, one.size(covariance), was, expected, chance)
+    return Repeat(quantity.name, quantity.unit, quantity.size(covariance), was, expected, chance)
 
 
 def _halves(whole: _Fit, quantities: Sequence[_Quantity], covariance: Floats) -> tuple[Repeat, ...]:
     observations, best, model, sizes = whole
     if len(observations) < 2 * MIN_POSES_OF_HALF:
         return ()
-    found, spread = [], []
+    devices, spread = [], []
     for first in (0, 1):
         chosen = np.arange(first, len(observations), 2)
         start = without_poses(best, np.setdiff1d(np.arange(len(observations)), chosen).tolist())
         half = [observations[k] for k in chosen]
         solution, _ = adjust_bundle(half, start, model, sizes)
-        found.append(_devices(solution, model))
+        devices.append(_devices(solution, model))
         spread.append(_covariance((half, solution, model, sizes)))
-    change = found[1] - found[0]
+    change = devices[1] - devices[0]
     return tuple(
-        _repeat(one, covariance, np.outer(change, change), spread[0] + spread[1], 1) for one in quantities
+        _repeat(quantity, covariance, np.outer(change, change), spread[0] + spread[1], 1)
+        for quantity in quantities
     )
 
 
@@ -200,16 +204,18 @@ def projected_uncertainty(
     be told from one another. So the best common rotation is removed.
     """
     # pixels (m, 2) px; returns (m,) px
-    known, lens = calibration.uncertainty, getattr(calibration, device)
-    if known is None:
+    uncertainty, lens = calibration.uncertainty, getattr(calibration, device)
+    if uncertainty is None:
         raise CalibrationError("the calibration does not say how uncertain it is; characterise again")
     places = distance_mm * np.column_stack([lens.normalise(pixels), np.ones(len(pixels))])
     intrinsics = np.append(lens.matrix[[0, 1, 0, 1], [0, 1, 2, 2]], lens.coefficients)
     intrinsics = np.append(intrinsics, np.zeros(len(INTRINSICS) - len(intrinsics)))
     slopes = view(places, np.zeros(6), intrinsics)[1]
-    own = [k for k, name in enumerate(known.names) if name.startswith(f"{device}.")]
-    terms = [6 + INTRINSICS.index(known.names[k].removeprefix(f"{device}.")) for k in own]
+    own = [k for k, name in enumerate(uncertainty.names) if name.startswith(f"{device}.")]
+    terms = [6 + INTRINSICS.index(uncertainty.names[k].removeprefix(f"{device}.")) for k in own]
     turned, _ = np.linalg.qr(slopes[:, :3])
-    left = slopes[:, terms] - turned @ (turned.T @ slopes[:, terms])
-    variance = np.einsum("ri,ij,rj->r", left, known.covariance[np.ix_(own, own)], left).reshape(-1, 2)
+    remaining = slopes[:, terms] - turned @ (turned.T @ slopes[:, terms])
+    variance = np.einsum(
+        "ri,ij,rj->r", remaining, uncertainty.covariance[np.ix_(own, own)], remaining
+    ).reshape(-1, 2)
     return np.asarray(np.sqrt(variance.mean(axis=1)))

@@ -33,13 +33,13 @@ class WorkingVolume:
         slopes = slopes[np.isfinite(slopes).all(axis=1)]
         rays = np.column_stack([slopes, np.ones(len(slopes))])
         points = (np.linspace(*depth_mm, DEPTHS)[:, None, None] * rays).reshape(-1, 3)
-        seen = points[calibration.projector.sees(points, calibration.T_projector_camera)]
-        if len(seen) < 2 * DEPTHS:
+        visible = points[calibration.projector.sees(points, calibration.T_projector_camera)]
+        if len(visible) < 2 * DEPTHS:
             raise CalibrationError(
                 f"camera and projector see next to nothing in common from {depth_mm[0]:.0f} to "
                 f"{depth_mm[1]:.0f} mm from the camera; turn both to one place, or correct the range"
             )
-        return cls(seen)
+        return cls(visible)
 
     def slopes(self, solution: Solution, level: DistortionModel) -> tuple[Floats, Floats]:
         """Differentiate what is measured here by the devices' parameters."""

@@ -45,7 +45,10 @@ def calibrate_separately(
 def check_not_mirrored(poses: Floats, projector_poses: Floats) -> None:
     """Refuse boards that a device sees from behind: a mirrored flat board fits so, too."""
     # poses (M, 6); projector_poses (M, 6)
-    behind = [np.mean([_from_behind(pose) for pose in seen]) > 0.5 for seen in (poses, projector_poses)]
+    behind = [
+        np.mean([_from_behind(pose) for pose in device_poses]) > 0.5
+        for device_poses in (poses, projector_poses)
+    ]
     if all(behind):
         raise CalibrationError(
             "the board is mirrored: camera and projector see its points in the order they have from behind; "
@@ -89,7 +92,7 @@ def _zhang_from(
     guess: tuple[float, float], boards: BoardPixels, pixels: BoardPixels, size: ImageSize
 ) -> tuple[float, Floats, Floats] | None:
     flat = [b.astype(np.float32) for b in boards]
-    seen = [p.astype(np.float32) for p in pixels]
+    image_points = [p.astype(np.float32) for p in pixels]
     centre = 0.5 * (np.array(size) - 1)
     moved = [(p - guess + centre).astype(np.float32) for p in pixels]
     matrix: Any = np.asarray(cv2.initCameraMatrix2D(flat, moved, size, 0), np.float64)
@@ -101,7 +104,7 @@ def _zhang_from(
     flags = cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_K3
     try:
         rms, matrix, distortion, turns, shifts = cv2.calibrateCamera(
-            flat, seen, size, matrix, np.zeros(5), flags=flags
+            flat, image_points, size, matrix, np.zeros(5), flags=flags
         )
     except cv2.error:
         return None

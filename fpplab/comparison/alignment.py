@@ -157,16 +157,16 @@ class _SurfaceDirections:
         self._detail = detail_mm
         points, faces = trimesh.sample.sample_surface(mesh, LIMITS.direction_points, seed=0)
         cells, cell = np.unique(self._cells(points), return_inverse=True)
-        self._known = cells
+        self._sampled_cells = cells
         self._facing = np.zeros((len(cells), 3))
         np.add.at(self._facing, cell, mesh.face_normals[faces])
 
     def at(self, points: Floats, otherwise: Floats) -> Floats:
         """Look up directions (N, 3) at points of the surface; `otherwise` where it was not sampled."""
         cells = self._cells(points)
-        place = np.minimum(np.searchsorted(self._known, cells), len(self._known) - 1)
-        known = self._known[place] == cells
-        return np.where(known[:, None], self._facing[place], otherwise)
+        place = np.minimum(np.searchsorted(self._sampled_cells, cells), len(self._sampled_cells) - 1)
+        sampled = self._sampled_cells[place] == cells
+        return np.where(sampled[:, None], self._facing[place], otherwise)
 
     def _cells(self, points: Floats) -> NDArray[np.int64]:
         """Compute the cell number of points, unique within 2^20 cells along each axis."""
@@ -223,8 +223,8 @@ def _axis_poses(points: Floats, mesh: trimesh.Trimesh, random: np.random.Generat
     for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
         rotation = (to_axes[:, list(order)] * np.array(signs)) @ from_axes.T
         if np.linalg.det(rotation) > 0.0:
-            seen = surface[normals @ (rotation @ view) < 0.0]
-            to_middle = _middle(seen if len(seen) else surface, to_axes)
+            visible = surface[normals @ (rotation @ view) < 0.0]
+            to_middle = _middle(visible if len(visible) else surface, to_axes)
             poses.append(RigidTransform(rotation, to_middle - rotation @ (from_middle + before)))
     return poses
 

@@ -167,7 +167,7 @@ class Comparison:
         for length in self.lengths:
             if length.error_um is not None:
                 rows[length.name] = f"{length.error_um:+.1f} ± {length.sigma_um:.1f} µm"
-        rows |= {f"warning {i}": words for i, words in enumerate(self.warnings(), 1)}
+        rows |= {f"warning {i}": warning for i, warning in enumerate(self.warnings(), 1)}
         return html_table("Comparison", rows)
 
     def plot(self, axes: Axes | None = None) -> Axes:
@@ -410,22 +410,24 @@ def visible_samples(
         )
     samples, faces = trimesh.sample.sample_surface(mesh, count, face_weight=area, seed=seed)
     samples = np.asarray(samples, np.float64)
-    seen = np.logical_and.reduce([shape.inclination_deg(c, samples, faces) <= STEEPEST_DEG for c in centres])
-    turned = np.count_nonzero(seen)
+    visible = np.logical_and.reduce(
+        [shape.inclination_deg(c, samples, faces) <= STEEPEST_DEG for c in centres]
+    )
+    turned = np.count_nonzero(visible)
     if calibration is not None:
-        seen &= calibration.camera.sees(samples)
+        visible &= calibration.camera.sees(samples)
         if illuminated:
-            seen &= calibration.projector.sees(samples, calibration.T_projector_camera)
-    out_of_view = 1.0 - np.count_nonzero(seen) / max(turned, 1)
+            visible &= calibration.projector.sees(samples, calibration.T_projector_camera)
+    out_of_view = 1.0 - np.count_nonzero(visible) / max(turned, 1)
     if calibration is not None:
         for centre in centres:
-            seen[seen] = shape.unoccluded(centre, samples[seen])
-    if not seen.any():
+            visible[visible] = shape.unoccluded(centre, samples[visible])
+    if not visible.any():
         raise UnseenMeshError(
             "true mesh: both devices see nothing of it; check that cloud and mesh are in the camera's frame, "
             "or align them (--align)"
         )
-    return VisibleSurface(samples[seen], float(np.mean(seen) * area.sum() / mesh.area), out_of_view)
+    return VisibleSurface(samples[visible], float(np.mean(visible) * area.sum() / mesh.area), out_of_view)
 
 
 def _camera_rays_meet(shape: RayTracedShape, points: Floats) -> Mask:

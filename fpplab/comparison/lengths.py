@@ -97,14 +97,14 @@ def measure_lengths(
 def _measure(points: Floats, camera: Floats, length: FeatureLength) -> MeasuredLength:
     first, second = length.first, length.second
     if isinstance(first, FlatFace) and isinstance(second, FlatFace):
-        found = _distance_of_planes(points, first, second)
+        estimate = _distance_of_planes(points, first, second)
     elif isinstance(first, SphereFace) and isinstance(second, SphereFace):
-        found = _distance_of_places([_fit_centre(points, camera, one) for one in (first, second)])
+        estimate = _distance_of_places([_fit_centre(points, camera, sphere) for sphere in (first, second)])
     elif isinstance(first, Corner) and isinstance(second, Corner):
-        found = _distance_of_corners(points, first, second)
+        estimate = _distance_of_corners(points, first, second)
     else:
         raise TypeError(f"{length.name}: its two features are of different kinds")
-    value, sigma = found or (None, None)
+    value, sigma = estimate or (None, None)
     return MeasuredLength(length.name, length.true_mm, value, None if sigma is None else 1e3 * sigma)
 
 
@@ -126,10 +126,10 @@ def _distance_of_planes(points: Floats, first: FlatFace, second: FlatFace) -> tu
     )
     cells = [_cells(q) for q in along]
     cell = np.concatenate([cells[0], cells[0].max() + 1 + cells[1]])
-    found = _robust_fit(rows, np.concatenate([q[:, 2] for q in along]), cell)
-    if found is None:
+    fit = _robust_fit(rows, np.concatenate([q[:, 2] for q in along]), cell)
+    if fit is None:
         return None
-    (a, b, low, high), covariance = found
+    (a, b, low, high), covariance = fit
     stretch = np.sqrt(1.0 + a * a + b * b)
     by_offset = np.array([0.0, 0.0, -1.0, 1.0]) / stretch
     return abs(high - low) / stretch, float(np.sqrt(by_offset @ covariance @ by_offset))
@@ -141,10 +141,10 @@ def _distance_of_corners(points: Floats, first: Corner, second: Corner) -> tuple
     fits = [_fit_plane(points, face) for face in faces]
     if any(fit is None for fit in fits):
         return None
-    known = [fit for fit in fits if fit is not None]
-    values = np.concatenate([parameters for parameters, _ in known])
+    planes = [fit for fit in fits if fit is not None]
+    values = np.concatenate([parameters for parameters, _ in planes])
     covariance = np.zeros((len(values), len(values)))
-    for k, (_, part) in enumerate(known):
+    for k, (_, part) in enumerate(planes):
         covariance[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = part
 
     def distance(parameters: Floats) -> float:
@@ -164,9 +164,15 @@ def _distance_of_corners(points: Floats, first: Corner, second: Corner) -> tuple
 def _corner(planes: list[tuple[FlatFace, Floats]]) -> Floats:
     """Intersect three fitted planes."""
     normals = np.stack(
-        [face.axes[2] - found[0] * face.axes[0] - found[1] * face.axes[1] for face, found in planes]
+        [
+            face.axes[2] - parameters[0] * face.axes[0] - parameters[1] * face.axes[1]
+            for face, parameters in planes
+        ]
     )
-    offsets = [normal @ face.origin + found[2] for normal, (face, found) in zip(normals, planes, strict=True)]
+    offsets = [
+        normal @ face.origin + parameters[2]
+        for normal, (face, parameters) in zip(normals, planes, strict=True)
+    ]
     return np.asarray(np.linalg.solve(normals, offsets))
 
 
@@ -194,10 +200,10 @@ def _fit_centre(points: Floats, camera: Floats, sphere: SphereFace) -> Estimate 
         local = away - moved[:3]
         length = np.linalg.norm(local, axis=1)
         rows = np.column_stack([local / length[:, None], np.ones(len(local))])
-        found = _robust_fit(rows, length - sphere.radius - moved[3], cell)
-        if found is None:
+        fit = _robust_fit(rows, length - sphere.radius - moved[3], cell)
+        if fit is None:
             return None
-        step, covariance = found
+        step, covariance = fit
         moved = moved + step
         if np.abs(step).max() < 1e-9:
             break
@@ -239,7 +245,7 @@ def _robust_fit(rows: Floats, values: Floats, cell: NDArray[np.int64]) -> Estima
         return None
     weight = np.ones(len(values))
     for _ in range(LIMITS.fit_rounds):
-        found = np.linalg.lstsq(rows * np.sqrt(weight)[:, None], values * np.sqrt(weight), rcond=None)[0]
-        rest = values - rows @ found
+        solution = np.linalg.lstsq(rows * np.sqrt(weight)[:, None], values * np.sqrt(weight), rcond=None)[0]
+        rest = values - rows @ solution
         weight = huber_weights(rest, robust_spread(rest))
-    return found, clustered_covariance(rows, weight * rest, weight == 1.0, cell)
+    return solution, clustered_covariance(rows, weight * rest, weight == 1.0, cell)

@@ -22,14 +22,17 @@ from fpplab.diagnosis.limits import DiagnosisLimits, LimitsSection
 @cache
 def known_causes() -> MappingProxyType[str, FaultCause]:
     """List all causes by their keys."""
-    found: dict[str, FaultCause] = {}
+    by_key: dict[str, FaultCause] = {}
     for entry in iter_modules(causes.__path__):
         module = import_module(f"{causes.__name__}.{entry.name}")
         # A module that reports another's cause imports it: the same object.
-        for one in vars(module).values():
-            if isinstance(one, FaultCause) and found.setdefault(one.key, one) is not one:
-                raise TypeError(f"two causes have the key '{one.key}'; one is of {module.__name__}")
-    return MappingProxyType(dict(sorted(found.items())))
+        for candidate in vars(module).values():
+            if (
+                isinstance(candidate, FaultCause)
+                and by_key.setdefault(candidate.key, candidate) is not candidate
+            ):
+                raise TypeError(f"two causes have the key '{candidate.key}'; one is of {module.__name__}")
+    return MappingProxyType(dict(sorted(by_key.items())))
 
 
 def cause_named(key: str) -> FaultCause:
@@ -42,7 +45,10 @@ def cause_named(key: str) -> FaultCause:
 def limit_sections() -> dict[str, type[LimitsSection]]:
     """List the sections of a file of limits."""
     known_causes()
-    return {one.section: one for one in sorted(LimitsSection.__subclasses__(), key=lambda one: one.section)}
+    return {
+        limits.section: limits
+        for limits in sorted(LimitsSection.__subclasses__(), key=lambda limits: limits.section)
+    }
 
 
 def load_limits(path: Path) -> DiagnosisLimits:

@@ -62,14 +62,14 @@ class Criterion:
 
     def summary(self) -> dict[str, object]:
         """Collect what is printed."""
-        least = {"least" if self.at_least else "most": self.limit}
-        return {"name": self.name, "value": self.value, **least, "unit": self.unit, "met": self.is_met}
+        bound = {"least" if self.at_least else "most": self.limit}
+        return {"name": self.name, "value": self.value, **bound, "unit": self.unit, "met": self.is_met}
 
 
 def criteria_of(sample: FrameSample, decoded: Decoded, cloud: Cloud) -> tuple[Criterion, ...]:
     """Measure what a verdict is given by."""
     criteria = (*_of_points(sample, decoded, cloud), *_of_fringes(sample, decoded))
-    return tuple(one for one in criteria if math.isfinite(one.value))
+    return tuple(criterion for criterion in criteria if math.isfinite(criterion.value))
 
 
 def _of_points(sample: FrameSample, decoded: Decoded, cloud: Cloud) -> Iterator[Criterion]:
@@ -107,8 +107,8 @@ def _of_fringes(sample: FrameSample, decoded: Decoded) -> Iterator[Criterion]:
     noise = math.sqrt(float(sample.errors.noise.variance(best))) / best
     planned = noise * coordinate_spread(plan, plan.axes[0], sample.recording.projector_size)
     sigma = decoded.sigma[:: sample.step, :: sample.step]
-    known = sigma[np.isfinite(sigma)]
-    if known.size and planned > 0.0:
+    finite = sigma[np.isfinite(sigma)]
+    if finite.size and planned > 0.0:
         meaning = "the noise of the coordinate beside that which the plan has on a white surface"
-        ratio = float(np.median(known)) / planned
+        ratio = float(np.median(finite)) / planned
         yield Criterion("uncertainty", meaning, ratio, limits.max_noise_ratio)

@@ -16,20 +16,22 @@ def find_causes(
     evidence: Evidence, stages: Iterable[DetectionStage] = tuple(DetectionStage)
 ) -> list[Finding]:
     """Look for causes stage by stage, but for stages that a finding makes meaningless."""
-    found: list[Finding] = []
+    findings: list[Finding] = []
     for stage in sorted(stages):
-        if not _is_possible(stage, evidence) or any(stage in one.cause.invalidates for one in found):
+        if not _is_possible(stage, evidence) or any(
+            stage in finding.cause.invalidates for finding in findings
+        ):
             continue
-        before = tuple(found)
+        before = tuple(findings)
         for cause in known_causes().values():
             for detector in cause.detectors:
                 if detector.stage is not stage:
                     continue
                 new = list(detector.find(evidence, before))
                 if detector.replaces and new:
-                    found = [one for one in found if one.cause != cause]
-                found += new
-    return found
+                    findings = [finding for finding in findings if finding.cause != cause]
+                findings += new
+    return findings
 
 
 def _is_possible(stage: DetectionStage, evidence: Evidence) -> bool:

@@ -36,8 +36,8 @@ def changes_along_image(coordinate: Map, calibration: Calibration, axis: Axis, s
     here = coordinate[:-1:stride, :-1:stride].astype(np.float64)
     right = coordinate[:-1:stride, 1::stride][:, : here.shape[1]] - here
     down = coordinate[1::stride, :-1:stride][: here.shape[0]] - here
-    wanted = _change_along_image(calibration)["xy".index(axis)]
-    return np.asarray((right * wanted[0] + down * wanted[1]) / (wanted @ wanted))
+    expected = _change_along_image(calibration)["xy".index(axis)]
+    return np.asarray((right * expected[0] + down * expected[1]) / (expected @ expected))
 
 
 def _change_along_image(calibration: Calibration) -> Floats:
@@ -45,5 +45,5 @@ def _change_along_image(calibration: Calibration) -> Floats:
     camera, pose = calibration.camera, calibration.T_projector_camera
     pixels = np.array(camera.size) / 2.0 + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
     rays = np.concatenate([camera.normalise(pixels), np.ones((3, 1))], axis=1)
-    seen = calibration.projector.project(DISTANCE_BASELINES * calibration.baseline_mm * rays, pose)
-    return np.stack([seen[1] - seen[0], seen[2] - seen[0]], axis=1)
+    projected = calibration.projector.project(DISTANCE_BASELINES * calibration.baseline_mm * rays, pose)
+    return np.stack([projected[1] - projected[0], projected[2] - projected[0]], axis=1)

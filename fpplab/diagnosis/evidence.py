@@ -48,13 +48,13 @@ class Evidence:
 
     def has(self, needed: Needs) -> bool:
         """Tell whether there is what a picture needs."""
-        known = {
+        available = {
             Needs.FINDING: True,
             Needs.FRAMES: self.recording is not None,
             Needs.POINTS: self.recording is not None and self.has_points,
             Needs.MARKER: self.marker is not None and bool(self.runs),
         }
-        return known[needed]
+        return available[needed]
 
     @property
     def has_points(self) -> bool:

@@ -42,11 +42,11 @@ def phase_deviations(sample: FrameSample) -> Iterator[tuple[int, Floats, Floats]
     recording, limits = sample.recording, sample.limits.of(FringeShapeLimits)
     for k, fringe in enumerate(recording.plan.fringes):
         finest = recording.plan.fringes[recording.plan.finest_set(fringe.axis)]
-        known = sample.coordinates.get(fringe.axis)
-        if known is None or fringe.stripes > 0.5 * finest.stripes:
+        coordinate = sample.coordinates.get(fringe.axis)
+        if coordinate is None or fringe.stripes > 0.5 * finest.stripes:
             continue
         size = axis_length(recording.projector_size, fringe.axis)
-        position = (known[:: sample.step, :: sample.step].astype(np.float64) + 0.5) / size
+        position = (coordinate[:: sample.step, :: sample.step].astype(np.float64) + 0.5) / size
         used = sample.measured & np.isfinite(position)
         if used.sum() < limits.min_pixels:
             continue
@@ -66,10 +66,10 @@ def ripples(sample: FrameSample) -> Iterator[float]:
         fringe = plan.fringes[k]
         if fringe.images != plan.fringes[plan.finest_set(fringe.axis)].images:
             continue
-        known = np.isfinite(deviation)
-        wave = np.exp(1j * fringe.images * expected[known])
+        finite = np.isfinite(deviation)
+        wave = np.exp(1j * fringe.images * expected[finite])
         if np.abs(wave.mean()) < limits.max_unevenness:
-            off = deviation[known]
+            off = deviation[finite]
             yield float(math.sqrt(2.0) * np.abs(np.mean((off - off.mean()) * wave)))
 
 

@@ -40,17 +40,17 @@ class DiagnosisLimits:
 
     def of(self, kind: type[L]) -> L:
         """Look up the limits of one section."""
-        return next((one for one in self.changed if isinstance(one, kind)), None) or kind()
+        return next((limits for limits in self.changed if isinstance(limits, kind)), None) or kind()
 
     def changes(self) -> dict[str, dict[str, Any]]:
         """List the limits that are not the usual ones, by section and name."""
-        found = {}
-        for one in self.changed:
-            usual = type(one)()
-            values = {n: v for n, v in one.model_dump().items() if v != getattr(usual, n)}
+        by_section = {}
+        for limits in self.changed:
+            usual = type(limits)()
+            values = {n: v for n, v in limits.model_dump().items() if v != getattr(usual, n)}
             if values:
-                found[one.section] = values
-        return found
+                by_section[limits.section] = values
+        return by_section
 
 
 USUAL_LIMITS = DiagnosisLimits()

@@ -78,11 +78,11 @@ def draw_errors_by_phase(sample: FrameSample) -> Figure:
         if fringe.images > 3 and used.any():
             a, b = sample.recording.plan.set_starts[k : k + 2]
             angles = fit.phase[used] - fringe.phase_shifts()[:, None]
-            seen = (sample.spread[a:b, used] - fit.offset[used]) / fit.modulation[used]
-            left.plot(*_binned(angles, seen - np.cos(angles)), linewidth=1.2, label=f"set {k + 1}")
+            normalised = (sample.spread[a:b, used] - fit.offset[used]) / fit.modulation[used]
+            left.plot(*_binned(angles, normalised - np.cos(angles)), linewidth=1.2, label=f"set {k + 1}")
     for k, expected, deviation in phase_deviations(sample):
-        known = np.isfinite(deviation)
-        right.plot(*_binned(expected[known], deviation[known]), linewidth=1.2, label=f"set {k + 1}")
+        finite = np.isfinite(deviation)
+        right.plot(*_binned(expected[finite], deviation[finite]), linewidth=1.2, label=f"set {k + 1}")
     limit = sample.limits.of(FringeShapeLimits).min_harmonic_rad
     right.axhspan(-limit, limit, color=SECOND, alpha=0.2, linewidth=0)
     left.set(xlabel="phase in rad", ylabel="image − sinusoid, of the modulation")
@@ -110,9 +110,9 @@ def draw_brightness_by_frame(sample: FrameSample, max_scatter: float) -> Figure:
     figure, axes = single_axes(HALF, CURVE_HEIGHT)
     sets = sample.recording.plan.fringes
     # The mean of a frame of few stripes depends on their phase.
-    least = min(sample.limits.of(BrightnessLimits).min_stripes, max(fringe.stripes for fringe in sets))
+    min_stripes = min(sample.limits.of(BrightnessLimits).min_stripes, max(fringe.stripes for fringe in sets))
     for k, fringe in enumerate(sets):
-        if fringe.stripes < least:
+        if fringe.stripes < min_stripes:
             continue
         own = np.arange(starts[k], starts[k + 1])
         off = 100.0 * (levels[own] / levels[own].mean() - 1.0)

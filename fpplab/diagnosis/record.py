@@ -36,7 +36,7 @@ class FindingFile(Document):
 
     @field_validator("cause")
     @classmethod
-    def _known(cls, cause: str) -> str:
+    def _known_cause(cls, cause: str) -> str:
         try:
             return cause_named(cause).key
         except ConfigError as error:
@@ -79,27 +79,33 @@ class DiagnosisFile(Origin):
     def diagnosis(self) -> Diagnosis:
         """Convert to a diagnosis."""
         findings = tuple(
-            Finding(cause_named(one.cause), one.evidence, one.excess, one.remedy) for one in self.findings
+            Finding(cause_named(finding.cause), finding.evidence, finding.excess, finding.remedy)
+            for finding in self.findings
         )
-        criteria = tuple(Criterion(**one.model_dump()) for one in self.criteria)
+        criteria = tuple(Criterion(**criterion.model_dump()) for criterion in self.criteria)
         return Diagnosis(self.verdict, self.reason, findings, self.not_checked, criteria, self.limits or {})
 
 
 def save_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
     """Write the verdict into a session."""
     findings = tuple(
-        FindingFile(cause=one.cause.key, evidence=one.evidence, remedy=one.remedy, excess=_finite(one.excess))
-        for one in diagnosis.findings
+        FindingFile(
+            cause=finding.cause.key,
+            evidence=finding.evidence,
+            remedy=finding.remedy,
+            excess=_finite(finding.excess),
+        )
+        for finding in diagnosis.findings
     )
-    given = DiagnosisFile.now(
+    file = DiagnosisFile.now(
         verdict=diagnosis.verdict,
         reason=diagnosis.reason,
         findings=findings,
         not_checked=tuple(diagnosis.unknown),
-        criteria=tuple(CriterionFile(**asdict(one)) for one in diagnosis.criteria),
+        criteria=tuple(CriterionFile(**asdict(criterion)) for criterion in diagnosis.criteria),
         limits={name: dict(values) for name, values in diagnosis.changed_limits.items()} or None,
     )
-    write_text(folder / VERDICT, config.dump(given))
+    write_text(folder / VERDICT, config.dump(file))
 
 
 def load_diagnosis(folder: Path) -> DiagnosisFile | None:

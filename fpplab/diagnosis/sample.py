@@ -67,8 +67,8 @@ class FrameSample:
         cls, recording: Recording, decoded: Decoded | None, limits: DiagnosisLimits = USUAL_LIMITS
     ) -> FrameSample:
         """Take the pixels of a recording, with their coordinates where it is decoded."""
-        known = {axis: decoded.coordinate(axis) for axis in recording.plan.axes} if decoded else {}
-        return cls(recording, known, limits)
+        coordinates = {axis: decoded.coordinate(axis) for axis in recording.plan.axes} if decoded else {}
+        return cls(recording, coordinates, limits)
 
     @cached_property
     def _limits(self) -> SampleLimits:
@@ -171,8 +171,8 @@ class FrameSample:
         """Compute the standard deviation of the modulation of the widest fringes."""
         steps, model = self.recording.plan.fringes[self._widest].images, self.errors.noise
         # Motion and flicker pass for noise in the model, which compares frames, but not between neighbours.
-        seen = float(model.variance(float(self.offsets_in_tiles.mean())))
-        share = min(1.0, self.noise_level**2 / max(seen, 1e-12))
+        variance = float(model.variance(float(self.offsets_in_tiles.mean())))
+        share = min(1.0, self.noise_level**2 / max(variance, 1e-12))
         return np.asarray(np.sqrt(2.0 / steps * np.maximum(share * model.variance(offset), 1.0 / 12.0)))
 
     def phase_noise(self, index: int) -> float:

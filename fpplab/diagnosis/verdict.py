@@ -74,7 +74,7 @@ class Diagnosis:
 
     def summary(self) -> dict[str, object]:
         """Collect what is printed."""
-        criteria = {"criteria": [one.summary() for one in self.criteria]} if self.criteria else {}
+        criteria = {"criteria": [criterion.summary() for criterion in self.criteria]} if self.criteria else {}
         limits = {"limits": self.changed_limits} if self.changed_limits else {}
         return {
             "verdict": self.verdict.value,
@@ -119,7 +119,7 @@ def diagnosis_of(
     def is_useless(finding: Finding) -> bool:
         return finding.excess >= useless_from.get(finding.cause, math.inf)
 
-    in_order = sorted(findings, key=lambda one: (not is_useless(one), -one.excess))
+    in_order = sorted(findings, key=lambda finding: (not is_useless(finding), -finding.excess))
     if not in_order:
         return Diagnosis(Verdict.GOOD, good, (), tuple(unknown))
     verdict = Verdict.USELESS if is_useless(in_order[0]) else Verdict.DOUBTFUL
@@ -180,7 +180,7 @@ def diagnose_poses(
 
 
 def _worst(of_poses: Sequence[tuple[str, Finding]], poses: int) -> Finding:
-    name, worst = max(of_poses, key=lambda one: one[1].excess)
+    name, worst = max(of_poses, key=lambda pose: pose[1].excess)
     return replace(worst, evidence=f"{name}: {worst.evidence}; in {len(of_poses)} of {poses} poses")
 
 
@@ -194,9 +194,11 @@ def _judged(
     counted = f"{len(cloud)} points of {seeing:.0f} pixels that see the fringes"
     if share < limits.min_points_of_lit or len(cloud) < limits.min_points_of_image * pixels:
         return Diagnosis(Verdict.USELESS, counted, findings, unknown)
-    useless = [one for one in findings if one.excess >= one.cause.useless_from]
+    useless = [finding for finding in findings if finding.excess >= finding.cause.useless_from]
     useless += [
-        one for one in findings[:1] if one.ruins_points or one.excess >= one.cause.useless_if_first_from
+        finding
+        for finding in findings[:1]
+        if finding.ruins_points or finding.excess >= finding.cause.useless_if_first_from
     ]
     if useless:
         return Diagnosis(Verdict.USELESS, useless[0].evidence, findings, unknown)
@@ -208,7 +210,7 @@ def _judged(
 def _by_criteria(judged: Diagnosis, criteria: tuple[Criterion, ...]) -> Diagnosis:
     """Doubt a result without findings whose figures are not those of a good one."""
     judged = replace(judged, criteria=criteria)
-    unmet = [one for one in criteria if not one.is_met]
+    unmet = [criterion for criterion in criteria if not criterion.is_met]
     if judged.verdict is not Verdict.GOOD or not unmet:
         return judged
     return replace(judged, verdict=Verdict.DOUBTFUL, reason=unmet[0].sentence)

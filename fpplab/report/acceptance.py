@@ -52,49 +52,51 @@ class _Drawn:
     pixels: NDArray[np.int32] | None
 
     @classmethod
-    def of(cls, found: MeasuredFeature) -> tuple[_Drawn, NDArray[np.float32]]:
+    def of(cls, feature: MeasuredFeature) -> tuple[_Drawn, NDArray[np.float32]]:
         """Select the points that were kept, and their signed distances in mm."""
-        pixels = None if found.pixels is None else found.pixels[found.kept]
-        return cls(found.points[found.kept], pixels), found.distances[found.kept].astype(np.float32)
+        pixels = None if feature.pixels is None else feature.pixels[feature.kept]
+        return cls(feature.points[feature.kept], pixels), feature.distances[feature.kept].astype(np.float32)
 
 
 def write_acceptance_report(path: Path, result: AcceptanceResult) -> None:
     """Write the acceptance test as one HTML file."""
-    found = result.acceptance
-    rule = found.standard.evaluation
+    acceptance = result.acceptance
+    rule = acceptance.standard.evaluation
     facts = {
-        "Standard": found.standard.name,
-        "Result": VERDICTS[found.passed],
+        "Standard": acceptance.standard.name,
+        "Result": VERDICTS[acceptance.passed],
         "Method": "following VDI/VDE 2634 part 2, from single views",
         "Cap of the spheres": f"angle of incidence up to {rule.cap_deg:g}°; less gives better figures",
         "Edges": f"{rule.edge_mm:g} mm inside silhouettes and edges are left out",
         "Form error PF, F": f"{CONVENTIONS['PF']} (judged)",
         "Form error PF_all, F_all": CONVENTIONS["PF_all"],
     }
-    sections = [_bar_section(bar, k + 1) for k, bar in enumerate(found.bars)]
-    sections += [_plane_section(plane, k + 1) for k, plane in enumerate(found.planes)]
+    sections = [_bar_section(bar, k + 1) for k, bar in enumerate(acceptance.bars)]
+    sections += [_plane_section(plane, k + 1) for k, plane in enumerate(acceptance.planes)]
     basis = PageBasis((PageVerdict.of(result.diagnosis),), result.provenance, result.summary())
-    write_page(path, "Acceptance test", _summary(found), sections, facts, basis=basis)
+    write_page(path, "Acceptance test", _summary(acceptance), sections, facts, basis=basis)
 
 
-def _summary(found: Acceptance) -> list[ReportTable]:
+def _summary(acceptance: Acceptance) -> list[ReportTable]:
     judged = tuple(
         (
             f"{QUANTITIES[name]} {name}",
             str(j.positions),
-            str(j.least_positions),
+            str(j.min_positions),
             _signed(name, j.worst_um),
             "–" if j.worst_all_um is None else f"{j.worst_all_um:.1f}",
             f"{j.reference_uncertainty_um:g}",
             "–" if j.mpe_um is None else f"{j.mpe_um:g}",
             VERDICTS[j.passed],
         )
-        for name, j in found.judgements().items()
+        for name, j in acceptance.judgements().items()
     )
     tables = [
-        ReportTable(JUDGED, judged, " ".join([RULE, *(f"{n[:1].upper()}{n[1:]}." for n in found.notices())]))
+        ReportTable(
+            JUDGED, judged, " ".join([RULE, *(f"{n[:1].upper()}{n[1:]}." for n in acceptance.notices())])
+        )
     ]
-    if found.bars:
+    if acceptance.bars:
         columns = (
             "Ball bar",
             "PF 1 / 2 in µm",
@@ -104,8 +106,8 @@ def _summary(found: Acceptance) -> list[ReportTable]:
             "RMS 1 / 2 in µm",
             "Cap in sr",
         )
-        tables.append(ReportTable(columns, tuple(_bar_row(bar) for bar in found.bars)))
-    if found.planes:
+        tables.append(ReportTable(columns, tuple(_bar_row(bar) for bar in acceptance.bars)))
+    if acceptance.planes:
         rows = tuple(
             (
                 p.source,
@@ -115,7 +117,7 @@ def _summary(found: Acceptance) -> list[ReportTable]:
                 f"{p.area_mm2:.0f}",
                 f"{len(p.measured.points)}",
             )
-            for p in found.planes
+            for p in acceptance.planes
         )
         tables.append(
             ReportTable(("Plane", "F in µm", "F_all in µm", "RMS in µm", "Area in mm²", "Points"), rows)
@@ -124,15 +126,15 @@ def _summary(found: Acceptance) -> list[ReportTable]:
 
 
 def _bar_row(bar: BallBarTest) -> tuple[str, ...]:
-    one, two = bar.spheres
+    first, second = bar.spheres
     return (
         bar.source,
-        f"{one.form_um:.1f} / {two.form_um:.1f}",
-        f"{one.measured.span_all_um:.1f} / {two.measured.span_all_um:.1f}",
-        f"{one.size_um:+.1f} / {two.size_um:+.1f}",
+        f"{first.form_um:.1f} / {second.form_um:.1f}",
+        f"{first.measured.span_all_um:.1f} / {second.measured.span_all_um:.1f}",
+        f"{first.size_um:+.1f} / {second.size_um:+.1f}",
         f"{bar.spacing_error_um:+.1f}",
-        f"{one.measured.rms_um:.1f} / {two.measured.rms_um:.1f}",
-        f"{one.solid_angle_sr:.2f} / {two.solid_angle_sr:.2f}",
+        f"{first.measured.rms_um:.1f} / {second.measured.rms_um:.1f}",
+        f"{first.solid_angle_sr:.2f} / {second.solid_angle_sr:.2f}",
     )
 
 
@@ -154,8 +156,8 @@ def _plane_section(plane: PlaneTest, number: int) -> ReportSection:
         f"{plane.plane.point[2]:.0f} mm from the camera. Grey: not measured, or not evaluated."
     )
     caption = "Signed distance of every evaluated point from the fitted plane; red is towards the camera."
-    found, distances = _Drawn.of(plane.measured)
-    drawn = ReportFigure.of(error_map(found, distances), "Map of the plane's signed errors", caption, True)
+    points, distances = _Drawn.of(plane.measured)
+    drawn = ReportFigure.of(error_map(points, distances), "Map of the plane's signed errors", caption, True)
     return ReportSection(f"Plane, position {number}", text, figures=(drawn,))
 
 
@@ -168,8 +170,8 @@ def sphere_errors(spheres: tuple[SphereTest, SphereTest]) -> Sheet:
     drawn = [_Drawn.of(test.measured) for test in spheres]
     limit = error_limit(1e3 * np.concatenate([distances for _, distances in drawn]))
     figure, panels = side_by_side(0.44 * FULL, (1.0, 1.0))
-    for axes, test, (found, distances) in zip(panels, spheres, drawn, strict=True):
-        grid = raster_of(found)
+    for axes, test, (points, distances) in zip(panels, spheres, drawn, strict=True):
+        grid = raster_of(points)
         mapped, extent = rasterise(grid, 1e3 * distances[:, None])
         mappable = draw_map(axes, mapped[..., 0], "RdBu_r", (-limit, limit), extent)
         axes.set(xlabel=grid.names[0], ylabel=grid.names[1])

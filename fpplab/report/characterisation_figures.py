@@ -57,9 +57,9 @@ BOARD = (
 
 
 @as_png
-def epipolar_figure(found: Characterisation) -> Figure:
+def epipolar_figure(characterisation: Characterisation) -> Figure:
     """Draw the epipolar distances of all points as a histogram, and by pose."""
-    poses = [epipolar_distances(o, found.calibration) for o in found.observations]
+    poses = [epipolar_distances(o, characterisation.calibration) for o in characterisation.observations]
     distances = np.concatenate(poses)
     rms = float(np.sqrt(np.mean(distances**2)))
     figure, (left, right) = side_by_side(2.9, (1.0, 1.5))
@@ -70,7 +70,7 @@ def epipolar_figure(found: Characterisation) -> Figure:
     beyond = int(np.sum(np.abs(distances) > reach))
     more = f", {beyond} outside the plot" if beyond else ""
     left.set_title(f"RMS {rms:.3g} px, {len(distances)} points{more}", fontsize=8.5)
-    _by_pose(right, [o.name for o in found.observations], poses, reach)
+    _by_pose(right, [o.name for o in characterisation.observations], poses, reach)
     return figure
 
 
@@ -89,12 +89,14 @@ def _by_pose(axes: Axes, names: Sequence[str], poses: Sequence[Floats], reach: f
 
 
 @as_png
-def scales_by_pose(found: Characterisation) -> Figure:
+def scales_by_pose(characterisation: Characterisation) -> Figure:
     """Draw the scale of the camera's image in each pose, which a lens that is not locked changes."""
-    assert found.solution is not None
-    assert found.sizes is not None
-    scales, sigmas = scales_of_poses(found.observations, found.solution, found.sizes)
-    names, places = [o.name for o in found.observations], np.arange(len(scales))
+    assert characterisation.solution is not None
+    assert characterisation.sizes is not None
+    scales, sigmas = scales_of_poses(
+        characterisation.observations, characterisation.solution, characterisation.sizes
+    )
+    names, places = [o.name for o in characterisation.observations], np.arange(len(scales))
     figure, axes = single_axes(HALF, 2.9)
     limit = 100 * USUAL_LIMITS.max_focus_breathing
     axes.axhspan(-limit, limit, color=SECOND, alpha=0.2, linewidth=0)
@@ -108,9 +110,9 @@ def scales_by_pose(found: Characterisation) -> Figure:
 
 
 @as_png
-def board_shape(found: Characterisation) -> Figure:
+def board_shape(characterisation: Characterisation) -> Figure:
     """Draw the refined board: height above the drawn plane as a map, displacement within it as arrows."""
-    place, deviation = board_deviation(found)
+    place, deviation = board_deviation(characterisation)
     (x, y), along, height = place[:, :2].T, deviation[:, :2], deviation[:, 2]
     sides = np.ptp(place[:, :2], axis=0)
     figure = new_figure(FULL, map_height((int(sides[1]) + 1, int(sides[0]) + 1), 0.5 * FULL) + 0.4)
@@ -138,16 +140,16 @@ def _rms(values: Floats) -> float:
 
 
 @as_png
-def uncertainty_maps(found: Characterisation) -> Figure:
+def uncertainty_maps(characterisation: Characterisation) -> Figure:
     """Draw how uncertain the pixel is at which each device sees a place, over its image."""
-    calibration, grid = found.calibration, (24, 32)
+    calibration, grid = characterisation.calibration, (24, 32)
     figure, both = side_by_side(3.4, (1.0, 1.0))
-    to_projector = [calibration.T_projector_camera @ pose for pose in found.poses]
-    seen = (
-        ("camera", [o.camera_px for o in found.observations], found.poses),
-        ("projector", [o.projector_px for o in found.observations], to_projector),
+    to_projector = [calibration.T_projector_camera @ pose for pose in characterisation.poses]
+    devices = (
+        ("camera", [o.camera_px for o in characterisation.observations], characterisation.poses),
+        ("projector", [o.projector_px for o in characterisation.observations], to_projector),
     )
-    for axes, (device, pixels, poses) in zip(both, seen, strict=True):
+    for axes, (device, pixels, poses) in zip(both, devices, strict=True):
         size = getattr(calibration, device).size
         u, v = (np.linspace(0, n - 1, k) for n, k in zip(size, grid[::-1], strict=True))
         places = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
@@ -166,16 +168,16 @@ def uncertainty_maps(found: Characterisation) -> Figure:
 
 
 @as_png
-def judged_errors(found: Judgement) -> Figure:
+def judged_errors(judgement: Judgement) -> Figure:
     """Draw the errors of poses that were not fitted, with those predicted."""
     figure, both = side_by_side(2.6, (1.0, 1.0))
-    places, names = np.arange(len(found.poses)), [pose.name for pose in found.poses]
+    places, names = np.arange(len(judgement.poses)), [pose.name for pose in judgement.poses]
     for axes, device in zip(both, ("camera", "projector"), strict=True):
-        errors = [getattr(pose, device) for pose in found.poses]
-        colours = [SECOND if one.contradicts else ACCENT for one in errors]
-        axes.bar(places, [one.rms_px for one in errors], width=0.7, color=colours)
+        errors = [getattr(pose, device) for pose in judgement.poses]
+        colours = [SECOND if error.contradicts else ACCENT for error in errors]
+        axes.bar(places, [error.rms_px for error in errors], width=0.7, color=colours)
         axes.hlines(
-            [one.predicted_px for one in errors], places - 0.42, places + 0.42, color=INK, linewidth=1.6
+            [error.predicted_px for error in errors], places - 0.42, places + 0.42, color=INK, linewidth=1.6
         )
         rotated = len(names) > CROWDED
         axes.set_xticks(places, names, rotation=35 if rotated else 0, ha="right" if rotated else "center")

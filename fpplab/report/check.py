@@ -53,14 +53,14 @@ def _make_folder(path: Path) -> None:
         raise DataError(f"{path}: cannot be made: {error}; choose another --out") from error
 
 
-def check_verdict(found: RigCheck) -> PageVerdict:
+def check_verdict(check: RigCheck) -> PageVerdict:
     """Say whether a rig is fit to measure with."""
-    if not found.findings:
+    if not check.findings:
         said = "Nothing is wrong with what was checked."
-        return PageVerdict("", "good", "In order", said, unknown=found.unknown)
-    label = "1 finding" if len(found.findings) == 1 else f"{len(found.findings)} findings"
+        return PageVerdict("", "good", "In order", said, unknown=check.unknown)
+    label = "1 finding" if len(check.findings) == 1 else f"{len(check.findings)} findings"
     reason = "Measure only after what follows is fixed, the first finding first."
-    return PageVerdict("", "doubtful", label, reason, listed(found.findings), found.unknown)
+    return PageVerdict("", "doubtful", label, reason, listed(check.findings), check.unknown)
 
 
 def evidence_of(result: CheckResult) -> Evidence:
@@ -70,43 +70,43 @@ def evidence_of(result: CheckResult) -> Evidence:
     return Evidence(check.recording, check.decoded, check.cloud, result.calibration, check.shown, runs)
 
 
-def _sections(found: RigCheck, evidence: Evidence) -> list[ReportSection]:
+def _sections(check: RigCheck, evidence: Evidence) -> list[ReportSection]:
     sections = []
-    if shown := evidence_report(found.findings, evidence):
+    if shown := evidence_report(check.findings, evidence):
         sections.append(ReportSection("What shows it", figures=shown))
-    if found.recording is not None:
-        drawn = figures.camera_image(found.recording.mean_image())
+    if check.recording is not None:
+        drawn = figures.camera_image(check.recording.mean_image())
         alt, caption = "Camera image, the mean of all frames with fringes", "Mean of the frames with fringes."
         sections.append(
             ReportSection("What the camera sees", figures=(ReportFigure.of(drawn, alt, caption),))
         )
-    runs = {run.how: run.levels for run in found.runs}
+    runs = {run.how: run.levels for run in check.runs}
     if runs:
-        known = any(np.isfinite(levels).any() for levels in runs.values())
-        pictures = (_marker_figure(found),) if known else ()
-        sections.append(ReportSection("Synchronisation", _settling(found), (_levels(found),), pictures))
+        measured = any(np.isfinite(levels).any() for levels in runs.values())
+        pictures = (_marker_figure(check),) if measured else ()
+        sections.append(ReportSection("Synchronisation", _settling(check), (_levels(check),), pictures))
     return sections
 
 
-def _settling(found: RigCheck) -> str:
+def _settling(check: RigCheck) -> str:
     text = "Uniform grey-level images, each of which must appear in its own frame."
-    if found.settle_s is not None:
-        text += f" A stepped plan needs a settling time of {found.settle_s:g} s."
+    if check.settle_s is not None:
+        text += f" A stepped plan needs a settling time of {check.settle_s:g} s."
     return text
 
 
-def _marker_figure(found: RigCheck) -> ReportFigure:
-    drawn = marker_levels(found.shown, {run.how: run.levels for run in found.runs})
+def _marker_figure(check: RigCheck) -> ReportFigure:
+    drawn = marker_levels(check.shown, {run.how: run.levels for run in check.runs})
     caption = "Levels seen in each frame, and those expected of frames in step."
     return ReportFigure.of(drawn, "Levels seen frame by frame", caption, wide=True)
 
 
-def _levels(found: RigCheck) -> ReportTable:
+def _levels(check: RigCheck) -> ReportTable:
     rows = tuple(
-        (str(k), str(shown), *(_level(run.levels[k]) for run in found.runs))
-        for k, shown in enumerate(found.shown.tolist())
+        (str(k), str(shown), *(_level(run.levels[k]) for run in check.runs))
+        for k, shown in enumerate(check.shown.tolist())
     )
-    columns = ("Frame", "Level shown, of 255", *(f"Seen, {run.how}" for run in found.runs))
+    columns = ("Frame", "Level shown, of 255", *(f"Seen, {run.how}" for run in check.runs))
     return ReportTable(columns, rows, "Levels seen as shares of full scale.")
 
 

@@ -24,7 +24,7 @@ from fpplab.core.conventions import Floats
 from fpplab.core.drawing import as_png, colour_bar, single_axes
 from fpplab.report.wording import count_words
 
-MOST_POINTS = 60_000
+MAX_POINTS = 60_000
 """Points of a view; a page with several shares twice as many among them."""
 TILT_DEG, TURN_DEG = 50.0, 25.0
 """The view at first: tilted away from the camera's own by this, and turned about the camera's axis."""
@@ -59,11 +59,11 @@ class CloudQuantity:
     ) -> CloudQuantity:
         """Choose the range of colours from the values."""
         # values (N,)
-        known = values[np.isfinite(values)]
+        finite = values[np.isfinite(values)]
         if symmetric:
-            high = max(float(np.percentile(np.abs(known), 98)), 1e-6)
+            high = max(float(np.percentile(np.abs(finite), 98)), 1e-6)
             return cls(name, unit, values.astype(np.float32), -high, high, colours)
-        low, high = (float(x) for x in np.percentile(known, (1, 99)))
+        low, high = (float(x) for x in np.percentile(finite, (1, 99)))
         return cls(name, unit, values.astype(np.float32), low, max(high, low + 1e-6), colours)
 
     @property
@@ -91,11 +91,11 @@ class CloudView:
 
 
 def cloud_view(
-    name: str, cloud: Cloud, comparison: Comparison | None = None, most: int = MOST_POINTS
+    name: str, cloud: Cloud, comparison: Comparison | None = None, max_points: int = MAX_POINTS
 ) -> CloudView:
     """Prepare a cloud for a page."""
     errors = None if comparison is None else np.where(comparison.counted, comparison.distances_mm, np.nan)
-    kept = decimate(cloud, most)
+    kept = decimate(cloud, max_points)
     shown = cloud.only(kept)
     quantities = _quantities(shown, None if errors is None else errors[kept])
     centre, radius = _centre_and_radius(shown.points)
@@ -114,21 +114,21 @@ def cloud_view(
     )
 
 
-def decimate(cloud: Cloud, most: int) -> NDArray[np.bool_]:
+def decimate(cloud: Cloud, max_points: int) -> NDArray[np.bool_]:
     """Choose points that represent a cloud: every k-th column and row of the camera, or every k-th point."""
     # returns (N,)
     near = _near(cloud.points)
     if cloud.pixels is not None:
         u, v = cloud.pixels.T
-        for step in range(max(1, int(np.sqrt(near.sum() / most))), 1 << 16):
+        for step in range(max(1, int(np.sqrt(near.sum() / max_points))), 1 << 16):
             kept = near & (u % step == 0) & (v % step == 0)
-            if 0 < kept.sum() <= most:
+            if 0 < kept.sum() <= max_points:
                 return np.asarray(kept)
             if not kept.any():
                 break
     rows = np.flatnonzero(near)
     kept = np.zeros(len(cloud), np.bool_)
-    kept[rows[:: -(-len(rows) // most)]] = True
+    kept[rows[:: -(-len(rows) // max_points)]] = True
     return kept
 
 
@@ -140,16 +140,18 @@ def _near(points: NDArray[np.float32]) -> NDArray[np.bool_]:
 
 
 def _quantities(cloud: Cloud, errors_mm: NDArray[Any] | None) -> list[CloudQuantity]:
-    found = []
+    quantities = []
     if errors_mm is not None and np.isfinite(errors_mm).any():
-        found.append(CloudQuantity.of("Signed error", "µm", 1e3 * errors_mm, "RdBu_r", symmetric=True))
-    found.append(CloudQuantity.of("Height: distance from the camera", "mm", cloud.points[:, 2], "viridis_r"))
+        quantities.append(CloudQuantity.of("Signed error", "µm", 1e3 * errors_mm, "RdBu_r", symmetric=True))
+    quantities.append(
+        CloudQuantity.of("Height: distance from the camera", "mm", cloud.points[:, 2], "viridis_r")
+    )
     sigma = cloud.sigma_along_ray_mm if cloud.sigma_mm is None else cloud.sigma_mm
     if sigma is not None and np.isfinite(sigma).any():
-        found.append(CloudQuantity.of("Standard uncertainty", "µm", 1e3 * sigma, "cividis"))
+        quantities.append(CloudQuantity.of("Standard uncertainty", "µm", 1e3 * sigma, "cividis"))
     if cloud.colour is not None:
-        found.append(CloudQuantity.of("Intensity", "grey levels", cloud.colour, "gray"))
-    return found
+        quantities.append(CloudQuantity.of("Intensity", "grey levels", cloud.colour, "gray"))
+    return quantities
 
 
 def _centre_and_radius(points: NDArray[np.float32]) -> tuple[Floats, float]:
@@ -180,14 +182,14 @@ def _described(cloud: Cloud, quantities: list[CloudQuantity], centre: Floats, ra
             "normals": cloud.normals is not None,
             "quantities": [
                 {
-                    "label": one.label,
-                    "name": one.name,
-                    "unit": one.unit,
-                    "low": one.low,
-                    "high": one.high,
-                    "colours": _colours(one.colours),
+                    "label": quantity.label,
+                    "name": quantity.name,
+                    "unit": quantity.unit,
+                    "low": quantity.low,
+                    "high": quantity.high,
+                    "colours": _colours(quantity.colours),
                 }
-                for one in quantities
+                for quantity in quantities
             ],
         }
     ).replace("<", "\\u003c")
@@ -212,7 +214,7 @@ def _packed(cloud: Cloud, quantities: list[CloudQuantity]) -> bytes:
     low, high = cloud.points.min(axis=0), cloud.points.max(axis=0)
     share = (cloud.points - low) / np.maximum(high - low, 1e-9)
     parts = [np.rint(share * STEPS).astype("<u2").tobytes()]
-    parts += [one.quantised().tobytes() for one in quantities]
+    parts += [quantity.quantised().tobytes() for quantity in quantities]
     if cloud.normals is not None:
         parts.append(np.rint(127 * cloud.normals).astype(np.int8).tobytes())
     return b"".join(parts)

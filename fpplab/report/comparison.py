@@ -80,19 +80,23 @@ def comparison_verdict(result: ComparisonResult) -> PageVerdict:
     return PageVerdict("Comparison", "none", f"{number_words(mean)} µm from the true shape", headline)
 
 
-def _figures(found: Comparison) -> ReportTable:
-    scale = NOT_KNOWN if found.scale is None else f"{found.scale.ppm:+.0f} ± {found.scale.sigma_ppm:.0f} ppm"
+def _figures(comparison: Comparison) -> ReportTable:
+    scale = (
+        NOT_KNOWN
+        if comparison.scale is None
+        else f"{comparison.scale.ppm:+.0f} ± {comparison.scale.sigma_ppm:.0f} ppm"
+    )
     rows = (
-        ("Surface SMCD", f"{number_words(found.surface_smcd_um)} µm"),
-        ("Surface RMS", f"{number_words(found.surface_rms_um)} µm"),
-        ("Surface P95", f"{number_words(found.surface_p95_um)} µm"),
-        ("Completeness", percent_words(found.completeness)),
-        ("Points compared", count_words(found.points)),
-        ("Points beside the object", count_words(found.off_part)),
-        (f"Outliers, beyond {found.outlier_mm:g} mm", count_words(found.outliers)),
+        ("Surface SMCD", f"{number_words(comparison.surface_smcd_um)} µm"),
+        ("Surface RMS", f"{number_words(comparison.surface_rms_um)} µm"),
+        ("Surface P95", f"{number_words(comparison.surface_p95_um)} µm"),
+        ("Completeness", percent_words(comparison.completeness)),
+        ("Points compared", count_words(comparison.points)),
+        ("Points beside the object", count_words(comparison.off_part)),
+        (f"Outliers, beyond {comparison.outlier_mm:g} mm", count_words(comparison.outliers)),
         ("Scale", scale),
-        ("SMCD", f"{number_words(found.smcd_um)} µm"),
-        ("SMCD floor", f"{number_words(found.smcd_floor_um)} µm"),
-        ("Mesh moved onto the cloud", "no" if found.alignment is None else "yes, rigidly"),
+        ("SMCD", f"{number_words(comparison.smcd_um)} µm"),
+        ("SMCD floor", f"{number_words(comparison.smcd_floor_um)} µm"),
+        ("Mesh moved onto the cloud", "no" if comparison.alignment is None else "yes, rigidly"),
     )
     return ReportTable(("Figure", "Value"), rows, FLOOR)

@@ -16,6 +16,6 @@ def write_demo_report(result: DemoResult) -> None:
         facts=result.characterisation.facts(),
         response=(result.response, result.levels),
         characterisation=result.characterisation,
-        scans=[scan_section(one.scan, one.comparison) for one in result.scans],
+        scans=[scan_section(scan.scan, scan.comparison) for scan in result.scans],
         basis=PageBasis(answer=result.summary()),
     )

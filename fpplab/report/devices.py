@@ -43,36 +43,44 @@ JUDGED_CAPTION = (
 )
 
 
-def summary_table(found: Characterisation) -> ReportTable:
+def summary_table(characterisation: Characterisation) -> ReportTable:
     """Make the table at the top of the page."""
     return ReportTable(
-        CHARACTERISED, tuple(_device_row(found, d) for d in ("camera", "projector")), REPROJECTION
+        CHARACTERISED, tuple(_device_row(characterisation, d) for d in ("camera", "projector")), REPROJECTION
     )
 
 
-def _device_row(found: Characterisation, name: str) -> tuple[str, ...]:
-    calibration, held = found.calibration, found.leave_one_out_px or {}
+def _device_row(characterisation: Characterisation, name: str) -> tuple[str, ...]:
+    calibration, held = characterisation.calibration, characterisation.leave_one_out_px or {}
     matrix = (calibration.camera if name == "camera" else calibration.projector).matrix
-    focal = (_with_sigma(found, matrix[i, i], f"{name}.{key}") for i, key in enumerate(("fx", "fy")))
-    centre = (_with_sigma(found, matrix[i, 2], f"{name}.{key}") for i, key in enumerate(("cx", "cy")))
+    focal = (
+        _with_sigma(characterisation, matrix[i, i], f"{name}.{key}") for i, key in enumerate(("fx", "fy"))
+    )
+    centre = (
+        _with_sigma(characterisation, matrix[i, 2], f"{name}.{key}") for i, key in enumerate(("cx", "cy"))
+    )
     return (
         name.capitalize(),
         f"{calibration.rms_px[name]:.3f}",
         f"{held[name]:.3f}" if held else NOT_KNOWN,
-        f"{found.separate_px[name]:.3f}",
+        f"{characterisation.separate_px[name]:.3f}",
         " / ".join(focal),
         " / ".join(centre),
     )
 
 
-def _with_sigma(found: Characterisation, value: float, name: str) -> str:
-    return f"{value:.1f} ± {found.sigma[name]:.1f}" if name in found.sigma else f"{value:.1f}"
+def _with_sigma(characterisation: Characterisation, value: float, name: str) -> str:
+    return (
+        f"{value:.1f} ± {characterisation.sigma[name]:.1f}"
+        if name in characterisation.sigma
+        else f"{value:.1f}"
+    )
 
 
-def characterisation_section(found: Characterisation) -> ReportSection:
+def characterisation_section(characterisation: Characterisation) -> ReportSection:
     """Show a characterisation: residuals, coverage, the board, and the uncertainty put to the test."""
-    calibration, observations = found.calibration, found.observations
-    rms = found.pose_rms_px
+    calibration, observations = characterisation.calibration, characterisation.observations
+    rms = characterisation.pose_rms_px
     bars = figures.pose_rms(
         list(rms), [r["camera"] for r in rms.values()], [r["projector"] for r in rms.values()]
     )
@@ -82,18 +90,18 @@ def characterisation_section(found: Characterisation) -> ReportSection:
         )
     ]
     cameras, projectors = [o.camera_px for o in observations], [o.projector_px for o in observations]
-    seen = (
-        ("camera", calibration.camera.size, cameras, found.camera_residuals),
-        ("projector", calibration.projector.size, projectors, found.projector_residuals),
+    devices = (
+        ("camera", calibration.camera.size, cameras, characterisation.camera_residuals),
+        ("projector", calibration.projector.size, projectors, characterisation.projector_residuals),
     )
-    for device, size, pixels, residuals in seen:
+    for device, size, pixels, residuals in devices:
         picture = figures.residuals_figure(np.concatenate(pixels), np.concatenate(residuals), size, device)
         caption = (
             f"Reprojection errors of the {device}, model minus observation: over its pixels, and as a "
             "scatter plot."
         )
         pictures.append(ReportFigure.of(picture, f"Reprojection errors of the {device}", caption, wide=True))
-    for device, size, pixels, _ in seen:
+    for device, size, pixels, _ in devices:
         picture = figures.coverage(pixels, size, device)
         caption = (
             f"Where the board's points were on the {device}, one colour per pose. No share of the image is "
@@ -101,75 +109,79 @@ def characterisation_section(found: Characterisation) -> ReportSection:
         )
         pictures.append(ReportFigure.of(picture, f"Points of the board over the {device}'s pixels", caption))
     pictures.append(
-        ReportFigure.of(drawn.epipolar_figure(found), "Epipolar distances by pose", drawn.EPIPOLAR, wide=True)
+        ReportFigure.of(
+            drawn.epipolar_figure(characterisation), "Epipolar distances by pose", drawn.EPIPOLAR, wide=True
+        )
     )
-    if found.solution is not None and found.sizes is not None:
-        scales = drawn.scales_by_pose(found)
+    if characterisation.solution is not None and characterisation.sizes is not None:
+        scales = drawn.scales_by_pose(characterisation)
         pictures.append(ReportFigure.of(scales, "Scale of the camera's image by pose", drawn.SCALES))
-    if found.drawn is not None:
-        shape = drawn.board_shape(found)
+    if characterisation.drawn is not None:
+        shape = drawn.board_shape(characterisation)
         pictures.append(ReportFigure.of(shape, "Shape of the board as refined", drawn.BOARD, wide=True))
     joint, baseline = calibration.rms_px["joint"], calibration.baseline_mm
-    text = f"{found.points} points in {len(observations)} poses; joint RMS {joint:.3f} px."
+    text = f"{characterisation.points} points in {len(observations)} poses; joint RMS {joint:.3f} px."
     text += f" Baseline {baseline:.2f} mm."
     if calibration.uncertainty:
         pictures.append(
-            ReportFigure.of(drawn.uncertainty_maps(found), "Projected uncertainty", drawn.MAPS, wide=True)
+            ReportFigure.of(
+                drawn.uncertainty_maps(characterisation), "Projected uncertainty", drawn.MAPS, wide=True
+            )
         )
-    left_out = tuple(found.left_out.items())
+    left_out = tuple(characterisation.left_out.items())
     tables = (ReportTable(("Pose left out", "Why"), left_out, words=True),) if left_out else ()
-    return ReportSection("Characterisation", text, (*_validation(found), *tables), tuple(pictures))
+    return ReportSection("Characterisation", text, (*_validation(characterisation), *tables), tuple(pictures))
 
 
-def _validation(found: Characterisation) -> tuple[ReportTable, ...]:
+def _validation(characterisation: Characterisation) -> tuple[ReportTable, ...]:
     """Compare calibrations from fewer poses with what is predicted."""
-    if found.validation is None:
+    if characterisation.validation is None:
         return ()
-    both = ((JACKKNIFE, found.validation.jackknife), (HALVES, found.validation.halves))
+    both = ((JACKKNIFE, characterisation.validation.jackknife), (HALVES, characterisation.validation.halves))
     return tuple(
-        ReportTable(columns, tuple(_repeat_row(one) for one in repeats), caption)
+        ReportTable(columns, tuple(_repeat_row(repeat) for repeat in repeats), caption)
         for (columns, caption), repeats in both
         if repeats
     )
 
 
-def _repeat_row(one: Repeat) -> tuple[str, ...]:
-    figures_of = (one.changed, one.predicted, one.stated)
+def _repeat_row(repeat: Repeat) -> tuple[str, ...]:
+    figures_of = (repeat.changed, repeat.predicted, repeat.stated)
     return (
-        f"{one.quantity} in {one.unit}",
+        f"{repeat.quantity} in {repeat.unit}",
         *(f"{x:.3g}" for x in figures_of),
-        f"{one.ratio:.2f}",
-        "greater than chance" if one.chance < USUAL_LIMITS.max_chance else "",
+        f"{repeat.ratio:.2f}",
+        "greater than chance" if repeat.chance < USUAL_LIMITS.max_chance else "",
     )
 
 
-def judgement_verdict(found: Judgement) -> PageVerdict:
+def judgement_verdict(judgement: Judgement) -> PageVerdict:
     """Say whether later poses contradict a calibration."""
-    sentence = found.verdict[0].upper() + found.verdict[1:] + "."
-    if found.contradicted:
+    sentence = judgement.verdict[0].upper() + judgement.verdict[1:] + "."
+    if judgement.contradicted:
         return PageVerdict("", "useless", "Contradicted", sentence)
     return PageVerdict("", "good", "Confirmed", sentence)
 
 
-def judgement_section(found: Judgement) -> ReportSection:
+def judgement_section(judgement: Judgement) -> ReportSection:
     """Show the errors of poses that were not fitted, with those predicted."""
-    rows = [(p.name, str(p.points), p.camera, p.projector) for p in found.poses]
-    rows.append(("all", str(sum(p.points for p in found.poses)), found.camera, found.projector))
+    rows = [(p.name, str(p.points), p.camera, p.projector) for p in judgement.poses]
+    rows.append(("all", str(sum(p.points for p in judgement.poses)), judgement.camera, judgement.projector))
     cells = tuple(
         (name, points, *(f"{x:.3f}" for e in (camera, projector) for x in (e.rms_px, e.predicted_px)),
          "contradicts" if camera.contradicts or projector.contradicts else "")
         for name, points, camera, projector in rows
     )  # fmt: skip
     picture = ReportFigure.of(
-        drawn.judged_errors(found),
+        drawn.judged_errors(judgement),
         "Bars: errors of each pose, with those predicted",
         drawn.JUDGED,
         wide=True,
     )
-    left_out = tuple(found.left_out.items())
+    left_out = tuple(judgement.left_out.items())
     tables = [ReportTable(JUDGED, cells, JUDGED_CAPTION)]
     if left_out:
         tables.append(ReportTable(("Pose left out", "Why"), left_out, words=True))
     return ReportSection(
-        "Judgement", found.verdict[0].upper() + found.verdict[1:] + ".", tuple(tables), (picture,)
+        "Judgement", judgement.verdict[0].upper() + judgement.verdict[1:] + ".", tuple(tables), (picture,)
     )

@@ -10,26 +10,28 @@ from fpplab.diagnosis.evidence import Evidence
 from fpplab.report.parts import ReportFigure
 
 
-def evidence_pictures(findings: Sequence[Finding], given: Evidence) -> list[tuple[Finding, bytes]]:
+def evidence_pictures(findings: Sequence[Finding], evidence: Evidence) -> list[tuple[Finding, bytes]]:
     """Draw what shows each finding."""
-    pictures = [(one, _drawn(one, given)) for one in findings]
-    return [(one, picture) for one, picture in pictures if picture is not None]
+    pictures = [(finding, _drawn(finding, evidence)) for finding in findings]
+    return [(finding, picture) for finding, picture in pictures if picture is not None]
 
 
-def _drawn(finding: Finding, given: Evidence) -> bytes | None:
+def _drawn(finding: Finding, evidence: Evidence) -> bytes | None:
     picture = finding.cause.picture
-    if picture is None or not given.has(picture.needs):
+    if picture is None or not evidence.has(picture.needs):
         return None
     with common_style():
-        figure = picture.draw(given, finding)
+        figure = picture.draw(evidence, finding)
         return None if figure is None else encode_png(figure)
 
 
-def evidence_report(findings: Sequence[Finding], given: Evidence) -> tuple[ReportFigure, ...]:
+def evidence_report(findings: Sequence[Finding], evidence: Evidence) -> tuple[ReportFigure, ...]:
     """Draw what shows each finding, as figures of a page."""
     return tuple(
-        ReportFigure.of(picture, f"What shows {_name(one)}", f"{_name(one).capitalize()}: {one.evidence}.")
-        for one, picture in evidence_pictures(findings, given)
+        ReportFigure.of(
+            picture, f"What shows {_name(finding)}", f"{_name(finding).capitalize()}: {finding.evidence}."
+        )
+        for finding, picture in evidence_pictures(findings, evidence)
     )
 
 

@@ -72,8 +72,8 @@ def coordinate_map(values: Map, axis: Axis) -> Figure:
     bar = colour_bar(figure, axes, mappable, f"projector {'u' if axis == 'x' else 'v'} in px")
     coarse, (height, width) = block_mean(values, CONTOUR_COLUMNS), values.shape
     levels = mpl.ticker.MaxNLocator(14).tick_values(*limits)
-    known = coarse[np.isfinite(coarse)]
-    levels = [level for level in levels if len(known) and known.min() < level < known.max()]
+    finite = coarse[np.isfinite(coarse)]
+    levels = [level for level in levels if len(finite) and finite.min() < level < finite.max()]
     if levels:
         u, v = np.linspace(0, width - 1, coarse.shape[1]), np.linspace(0, height - 1, coarse.shape[0])
         lines = axes.contour(u, v, coarse, levels=levels, colors="white", linewidths=0.6, alpha=0.75)
@@ -137,10 +137,10 @@ def shading(points: Map) -> Map:
     """Compute the brightness of an illuminated, slightly glossy surface."""
     # points (h, w, 3) mm
     coarse = block_mean(points, RELIEF_COLUMNS)
-    known = np.isfinite(coarse[..., 0])
-    if min(known.shape) < 2:  # one line of pixels has no normals
-        return np.where(known, np.float32(0.5), np.float32(np.nan))
-    weight = cv2.GaussianBlur(known.astype(np.float32), (0, 0), 1.2)
+    measured = np.isfinite(coarse[..., 0])
+    if min(measured.shape) < 2:  # one line of pixels has no normals
+        return np.where(measured, np.float32(0.5), np.float32(np.nan))
+    weight = cv2.GaussianBlur(measured.astype(np.float32), (0, 0), 1.2)
     smooth = cv2.GaussianBlur(np.nan_to_num(coarse), (0, 0), 1.2) / np.maximum(weight, 1e-6)[..., None]
     normals = np.cross(np.gradient(smooth, axis=1), np.gradient(smooth, axis=0))
     normals /= np.maximum(np.linalg.norm(normals, axis=2, keepdims=True), 1e-12)
@@ -149,7 +149,7 @@ def shading(points: Map) -> Map:
     halfway = (light + [0.0, 0.0, -1.0]) / np.linalg.norm(light + [0.0, 0.0, -1.0])
     matt, gloss = np.clip(normals @ light, 0, 1), np.clip(normals @ halfway, 0, 1) ** 24
     bright = 0.08 + 0.80 * matt + 0.12 * gloss
-    return np.where(known, bright, np.nan).astype(np.float32)
+    return np.where(measured, bright, np.nan).astype(np.float32)
 
 
 @as_png
@@ -167,16 +167,18 @@ def error_map(
     errors = 1e3 * np.asarray(distances_mm, np.float32)
     if counted is not None:
         errors = np.where(counted, errors, np.float32(np.nan))
-    known = errors[np.isfinite(errors)]
-    if len(errors) != len(cloud.points) or not len(known):
-        raise DataError(f"{len(cloud.points)} points were given with {len(known)} distances; nothing to draw")
+    finite = errors[np.isfinite(errors)]
+    if len(errors) != len(cloud.points) or not len(finite):
+        raise DataError(
+            f"{len(cloud.points)} points were given with {len(finite)} distances; nothing to draw"
+        )
     grid, limit = raster_of(cloud), error_limit(errors)
     mapped, extent = rasterise(grid, errors[:, None])
     figure, (left, right) = side_by_side(map_height(mapped.shape, 0.64 * FULL), (2.15, 1.0))
     mappable = draw_map(left, mapped[..., 0], ERROR_COLOURS, (-limit, limit), extent)
     left.set(xlabel=grid.names[0], ylabel=grid.names[1])
     colour_bar(figure, left, mappable, f"{quantity} in µm (range ±{limit:.3g}, 98 % of points)")
-    _distribution(right, known, limit, quantity)
+    _distribution(right, finite, limit, quantity)
     return figure
 
 

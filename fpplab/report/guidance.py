@@ -29,7 +29,7 @@ FIGURE = (
 
 def guided_section(run: GuidedRun) -> ReportSection:
     """Show the poses of a guided characterisation in their order."""
-    rows = tuple(_row(k, one) for k, one in enumerate(run.attempts, 1))
+    rows = tuple(_row(k, attempt) for k, attempt in enumerate(run.attempts, 1))
     picture = ReportFigure.of(sequence_figure(run), "Uncertainty and residuals by pose", FIGURE, wide=True)
     text = run.sentence[0].upper() + run.sentence[1:] + "."
     return ReportSection(
@@ -49,8 +49,10 @@ def sequence_figure(run: GuidedRun) -> Figure:
 
 
 def _draw_form(axes: Axes, run: GuidedRun) -> None:
-    known = [(k, 1e3 * one.form_mm) for k, one in enumerate(run.attempts, 1) if one.form_mm is not None]
-    axes.plot(*np.array(known).reshape(-1, 2).T, "o-", color=ACCENT, markersize=4)
+    forms = [
+        (k, 1e3 * attempt.form_mm) for k, attempt in enumerate(run.attempts, 1) if attempt.form_mm is not None
+    ]
+    axes.plot(*np.array(forms).reshape(-1, 2).T, "o-", color=ACCENT, markersize=4)
     if run.until_mm is not None:
         axes.axhline(1e3 * run.until_mm, color=SECOND, linewidth=1.2, linestyle="--")
         axes.annotate("asked for", (1.0, 1e3 * run.until_mm), xytext=(-4, 3), textcoords="offset points",
@@ -65,25 +67,27 @@ def _draw_form(axes: Axes, run: GuidedRun) -> None:
 
 
 def _draw_residuals(axes: Axes, attempts: Sequence[PoseAttempt], device: str) -> None:
-    for k, one in enumerate(attempts, 1):
-        look = {"color": ACCENT} if one.accepted else {"color": SECOND, "hatch": "///", "fill": False}
-        axes.bar(k, one.rms_px.get(device, 0.0), width=0.7, **look)
-        if one.fit is not None:
-            axes.hlines(getattr(one.fit, device).predicted_px, k - 0.42, k + 0.42, color=INK, linewidth=1.6)
+    for k, attempt in enumerate(attempts, 1):
+        look = {"color": ACCENT} if attempt.accepted else {"color": SECOND, "hatch": "///", "fill": False}
+        axes.bar(k, attempt.rms_px.get(device, 0.0), width=0.7, **look)
+        if attempt.fit is not None:
+            axes.hlines(
+                getattr(attempt.fit, device).predicted_px, k - 0.42, k + 0.42, color=INK, linewidth=1.6
+            )
     axes.set(ylabel=f"{device} in px", xlim=(0.4, len(attempts) + 0.6))
     axes.set_xticks(range(1, len(attempts) + 1))
     if device == "projector":
         axes.set_xlabel("pose")
 
 
-def _row(number: int, one: PoseAttempt) -> tuple[str, ...]:
+def _row(number: int, attempt: PoseAttempt) -> tuple[str, ...]:
     cells = []
     for device in ("camera", "projector"):
-        expected = f" ({getattr(one.fit, device).predicted_px:.3f})" if one.fit else ""
-        cells.append(f"{one.rms_px[device]:.3f}{expected}" if device in one.rms_px else NOT_KNOWN)
-    form = f"{1e3 * one.form_mm:.3g}" if one.form_mm is not None else NOT_KNOWN
-    said = "; ".join(finding.sentence for finding in one.findings)
-    outcome = "accepted" if one.accepted else f"rejected: {said}; {one.findings[0].remedy}"
-    if one.accepted and said:
+        expected = f" ({getattr(attempt.fit, device).predicted_px:.3f})" if attempt.fit else ""
+        cells.append(f"{attempt.rms_px[device]:.3f}{expected}" if device in attempt.rms_px else NOT_KNOWN)
+    form = f"{1e3 * attempt.form_mm:.3g}" if attempt.form_mm is not None else NOT_KNOWN
+    said = "; ".join(finding.sentence for finding in attempt.findings)
+    outcome = "accepted" if attempt.accepted else f"rejected: {said}; {attempt.findings[0].remedy}"
+    if attempt.accepted and said:
         outcome += f", as the pose before it: {said}"
-    return (f"{number}: {one.name}", one.words, *cells, form, outcome)
+    return (f"{number}: {attempt.name}", attempt.words, *cells, form, outcome)

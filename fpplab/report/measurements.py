@@ -10,7 +10,7 @@ from fpplab.characterisation import Characterisation, Judgement
 from fpplab.core.conventions import Floats
 from fpplab.patterns.response import Response
 from fpplab.report import devices
-from fpplab.report.cloud_view import MOST_POINTS
+from fpplab.report.cloud_view import MAX_POINTS
 from fpplab.report.guidance import guided_section
 from fpplab.report.page import PageBasis, write_page
 from fpplab.report.parts import PageVerdict
@@ -34,7 +34,7 @@ def write_report(
 ) -> None:
     """Write the report of measurements as one HTML file. If it fails, an earlier file is unchanged."""
     # facts (rig, plan, operator); response (K, 2)
-    given = basis or PageBasis()
+    page_basis = basis or PageBasis()
     alone = len(scans) == 1
     verdicts = [PageVerdict.of(s.diagnosis, "" if alone else s.name) for s in scans if s.diagnosis]
     sources = {s.name: s.provenance for s in scans if s.provenance}
@@ -45,10 +45,12 @@ def write_report(
         sections.append(devices.characterisation_section(characterisation))
     if judgement:
         sections.append(devices.judgement_section(judgement))
-    share = MOST_POINTS // max(len(scans), 1)
+    share = MAX_POINTS // max(len(scans), 1)
     sections = [section_of(scan, share) for scan in scans] + sections
     if response:
         sections.append(response_section(*response))
     summary = [devices.summary_table(characterisation)] if characterisation else []
-    whole = PageBasis((*given.verdicts, *verdicts), {**given.provenance, **sources}, given.answer)
+    whole = PageBasis(
+        (*page_basis.verdicts, *verdicts), {**page_basis.provenance, **sources}, page_basis.answer
+    )
     write_page(path, title, [*scan_tables(scans), *summary], sections, facts, when, whole)

@@ -59,25 +59,25 @@ def write_optimisation_report(path: Path, result: OptimisationResult) -> None:
     write_page(path, f"Search: {search.study.name}", _summary(search), sections, _facts(search), basis=basis)
 
 
-def _how_scored(found: SearchResult) -> str:
-    if not found.screened:
+def _how_scored(search: SearchResult) -> str:
+    if not search.screened:
         return "measured whole"
     return "predicted from bands of rows; what has figures of other seeds was measured whole with these"
 
 
-def _facts(found: SearchResult) -> dict[str, str]:
-    failed = sum(not trial.measured for trial in found.trials)
+def _facts(search: SearchResult) -> dict[str, str]:
+    failed = sum(not trial.measured for trial in search.trials)
     facts = {
-        "Rig": found.rig,
-        "Artefacts": ", ".join(found.study.artefacts),
-        "Method": found.study.method.kind,
-        "Ended": found.ended,
-        "Scores": _how_scored(found),
-        "Candidates": f"{len(found.trials)}, with {len(found.study.seeds)} seeds each; {failed} failed",
+        "Rig": search.rig,
+        "Artefacts": ", ".join(search.study.artefacts),
+        "Method": search.study.method.kind,
+        "Ended": search.ended,
+        "Scores": _how_scored(search),
+        "Candidates": f"{len(search.trials)}, with {len(search.study.seeds)} seeds each; {failed} failed",
     }
-    if found.refused:
-        facts["Refused"] = "; ".join(f"{reason} ({count})" for reason, count in found.refused.items())
-    if gain := found.gain:
+    if search.refused:
+        facts["Refused"] = "; ".join(f"{reason} ({count})" for reason, count in search.refused.items())
+    if gain := search.gain:
         spread = "" if gain.uncertainty_um is None else f" ± {gain.uncertainty_um:.2g}"
         facts["Gain"] = (
             f"{gain.down_um:.2f}{spread} µm, {gain.down_percent:.1f} %, "
@@ -86,11 +86,11 @@ def _facts(found: SearchResult) -> dict[str, str]:
     return facts
 
 
-def _summary(found: SearchResult) -> list[ReportTable]:
-    rows = [_row("start", found.start, found), _row("found", found.optimum, found)]
-    if len(found.front) > 1:
-        rows += [_row(f"front {i}", trial, found) for i, trial in enumerate(found.front, 1)]
-    objectives = _objectives_in_order(found)
+def _summary(search: SearchResult) -> list[ReportTable]:
+    rows = [_row("start", search.start, search), _row("found", search.optimum, search)]
+    if len(search.front) > 1:
+        rows += [_row(f"front {i}", trial, search) for i, trial in enumerate(search.front, 1)]
+    objectives = _objectives_in_order(search)
     columns = (*PLAN_COLUMNS, *(objective.label for objective in objectives), *OTHER_COLUMNS)
     caption = (
         "Means over artefacts and seeds, ± standard deviation over the seeds. "
@@ -101,22 +101,22 @@ def _summary(found: SearchResult) -> list[ReportTable]:
     return [ReportTable(columns, tuple(rows), caption)]
 
 
-def _objectives_in_order(found: SearchResult) -> list[Objective]:
+def _objectives_in_order(search: SearchResult) -> list[Objective]:
     """List all objectives, those of the study first."""
-    asked = {objective.key: objective for objective in found.ranking.objectives}
+    asked = {objective.key: objective for objective in search.ranking.objectives}
     return list((asked | registered_objectives()).values())
 
 
-def _row(name: str, trial: MeasuredCandidate, found: SearchResult) -> tuple[str, ...]:
+def _row(name: str, trial: MeasuredCandidate, search: SearchResult) -> tuple[str, ...]:
     figures, candidate = trial.figures, trial.candidate
-    again = found.rescored.get(candidate)
+    again = search.rescored.get(candidate)
     stage = candidate.stage_mm
     return (
         name,
         ", ".join(f"{f.stripes:g}" for f in candidate.fringes),
         ", ".join(str(f.steps) for f in candidate.fringes),
         "" if stage is None else f"{stage:g}",
-        *(objective.text(trial) for objective in _objectives_in_order(found)),
+        *(objective.text(trial) for objective in _objectives_in_order(search)),
         _with_spread(CandidateFigures.of(again)) if again else "",
         f"{figures.smcd_um:.1f} ({figures.smcd_floor_um:.1f})",
         f"{100 * figures.wrong_orders:.3f} %",
@@ -131,40 +131,53 @@ def _with_spread(figures: CandidateFigures) -> str:
 
 def _confirmed_section(confirmed: Sequence[ConfirmedPlan]) -> ReportSection:
     rows = []
-    for one in confirmed:
-        known = one.confirmation
-        parts = (known.gain, known.uncertainty, known.by_repeat, known.by_sample, known.by_calibration)
-        means = (f"{_mean_um(figures):.2f}" for figures in (known.before, known.after))
-        rows.append((one.plan.name, str(one.images), *means, *(f"{100 * part:.2f} %" for part in parts)))
+    for confirmed_plan in confirmed:
+        confirmation = confirmed_plan.confirmation
+        parts = (
+            confirmation.gain,
+            confirmation.uncertainty,
+            confirmation.by_repeat,
+            confirmation.by_sample,
+            confirmation.by_calibration,
+        )
+        means = (f"{_mean_um(figures):.2f}" for figures in (confirmation.before, confirmation.after))
+        rows.append(
+            (
+                confirmed_plan.plan.name,
+                str(confirmed_plan.images),
+                *means,
+                *(f"{100 * part:.2f} %" for part in parts),
+            )
+        )
     text = f"The artefacts, measured on '{confirmed[0].rig}' with the start's plan and with each plan found."
     return ReportSection("Confirmation", text, tables=(ReportTable(CONFIRMED, tuple(rows)),))
 
 
 def _mean_um(measured: Mapping[str, Sequence[ArtefactFigures]]) -> float:
-    return float(np.mean([one.surface_smcd_um for figures in measured.values() for one in figures]))
+    return float(np.mean([artefact.surface_smcd_um for figures in measured.values() for artefact in figures]))
 
 
 def _wide_section(title: str, png: bytes, shows: str, caption: str) -> ReportSection:
     return ReportSection(title, figures=(ReportFigure.of(png, shows, caption, wide=True),))
 
 
-def _convergence_section(found: SearchResult) -> ReportSection:
+def _convergence_section(search: SearchResult) -> ReportSection:
     return _wide_section(
         "Convergence",
-        convergence_figure(found),
+        convergence_figure(search),
         "Distance and images by candidate",
         "Every candidate in the order measured, and the best so far; crosses exceed a limit.",
     )
 
 
 @as_png
-def convergence_figure(found: SearchResult) -> Sheet:
+def convergence_figure(search: SearchResult) -> Sheet:
     """Draw every candidate's distance and another objective if one differs, and the best so far."""
-    measured = [(i, trial) for i, trial in enumerate(found.trials) if trial.measured]
-    best = [(epoch.measured - 1, epoch.best) for epoch in found.epochs]
+    measured = [(i, trial) for i, trial in enumerate(search.trials) if trial.measured]
+    best = [(epoch.measured - 1, epoch.best) for epoch in search.epochs]
     distance, images = (registered_objectives()[key] for key in ("surface_smcd_um", "images"))
-    others = [*(one for one in found.ranking.objectives if one.key != distance.key), images]
-    differing = [one for one in others if len({one.value(trial) for _, trial in measured}) > 1]
+    others = [*(other for other in search.ranking.objectives if other.key != distance.key), images]
+    differing = [other for other in others if len({other.value(trial) for _, trial in measured}) > 1]
     shown = [distance, *differing[:1]]
     panels: tuple[Axes, ...]
     if differing:
@@ -177,7 +190,7 @@ def convergence_figure(found: SearchResult) -> Sheet:
             chosen = [
                 (i, objective.value(trial))
                 for i, trial in measured
-                if found.ranking.is_acceptable(trial) is keeps
+                if search.ranking.is_acceptable(trial) is keeps
             ]
             axes.plot(*_columns(chosen), mark, color=colour, markersize=3)
         bests = [(i, objective.value(trial)) for i, trial in best]
@@ -211,11 +224,11 @@ def _ratios(axis: Axis, scale: Callable[[str], None]) -> None:
         formatter(LogFormatter(labelOnlyBase=False, minor_thresholds=(2, 0.7)))
 
 
-def _front_section(found: SearchResult) -> ReportSection:
-    down, across = found.ranking.objectives[:2]
+def _front_section(search: SearchResult) -> ReportSection:
+    down, across = search.ranking.objectives[:2]
     return _wide_section(
         "Pareto front",
-        pareto_front(found),
+        pareto_front(search),
         f"Front of {across.title.lower()} and {down.title.lower()}",
         "Plans that no other plan surpasses in every objective, with the spread over seeds that the search "
         "did not use.",
@@ -223,11 +236,11 @@ def _front_section(found: SearchResult) -> ReportSection:
 
 
 @as_png
-def pareto_front(found: SearchResult) -> Sheet:
+def pareto_front(search: SearchResult) -> Sheet:
     """Draw the first two objectives: all candidates, and the Pareto front with its spread."""
-    down, across = found.ranking.objectives[:2]
+    down, across = search.ranking.objectives[:2]
     figure, axes = single_axes(FULL, 3.6)
-    measured = [trial for trial in found.trials if trial.measured]
+    measured = [trial for trial in search.trials if trial.measured]
     for keeps, mark, colour, label in (
         (True, ".", GREY, "measured"),
         (False, "x", SECOND, "exceeds a limit"),
@@ -235,15 +248,15 @@ def pareto_front(found: SearchResult) -> Sheet:
         chosen = [
             (across.value(trial), down.value(trial))
             for trial in measured
-            if found.ranking.is_acceptable(trial) is keeps
+            if search.ranking.is_acceptable(trial) is keeps
         ]
         axes.plot(*_columns(chosen), mark, color=colour, markersize=3, label=label)
-    front = [(across.value(trial), down.value(trial)) for trial in found.front]
+    front = [(across.value(trial), down.value(trial)) for trial in search.front]
     axes.plot(*_columns(front), "o-", color=ACCENT, markersize=4, label="front")
     again = [
         (across.value(trial), replace(trial, scores=scores))
-        for trial in found.front
-        if (scores := found.rescored[trial.candidate])
+        for trial in search.front
+        if (scores := search.rescored[trial.candidate])
     ]
     axes.errorbar(
         [place for place, _ in again],
@@ -254,7 +267,7 @@ def pareto_front(found: SearchResult) -> Sheet:
         capsize=2,
         label="front, other seeds",
     )
-    start = found.start
+    start = search.start
     axes.plot(across.value(start), down.value(start), "s", color=ALARM, markersize=5, label="start")
     axes.set(xlabel=_axis_label(across), ylabel=_axis_label(down))
     _from_least(axes, [down.value(trial) for trial in measured])
@@ -262,16 +275,16 @@ def pareto_front(found: SearchResult) -> Sheet:
     return figure
 
 
-def _parameter_section(found: SearchResult, angles: Mapping[float, float]) -> ReportSection:
+def _parameter_section(search: SearchResult, angles: Mapping[float, float]) -> ReportSection:
     figures = []
-    for i, parameter in enumerate(found.space.parameters):
+    for i, parameter in enumerate(search.space.parameters):
         caption = (
             f"Every candidate against {parameter.name}, with the spread over its seeds; "
             "crosses exceed a limit."
         )
         figures.append(
             ReportFigure.of(
-                distance_by_parameter(found, i, parameter), f"Distance against {parameter.name}", caption
+                distance_by_parameter(search, i, parameter), f"Distance against {parameter.name}", caption
             )
         )
         if parameter.group == "geometry":
@@ -282,7 +295,7 @@ def _parameter_section(found: SearchResult, angles: Mapping[float, float]) -> Re
             along_angle = angles if parameter.name == "stage_mm" else {}
             figures.append(
                 ReportFigure.of(
-                    completeness_by_parameter(found, i, parameter, along_angle),
+                    completeness_by_parameter(search, i, parameter, along_angle),
                     f"Shadow against {parameter.name}",
                     caption,
                 )
@@ -292,21 +305,21 @@ def _parameter_section(found: SearchResult, angles: Mapping[float, float]) -> Re
 
 @as_png
 def completeness_by_parameter(
-    found: SearchResult, i: int, parameter: Parameter, angles: Mapping[float, float]
+    search: SearchResult, i: int, parameter: Parameter, angles: Mapping[float, float]
 ) -> Sheet:
     """Draw completeness and RMS of every candidate against one parameter of the geometry, or its angle."""
     figure, axes = single_axes(HALF, 3.0)
     rms = axes.twinx()
-    measured = sorted((t for t in found.trials if t.measured), key=lambda t: t.point[i])
+    measured = sorted((t for t in search.trials if t.measured), key=lambda t: t.point[i])
 
     def place(trial: MeasuredCandidate) -> float:
         return angles.get(trial.point[i], trial.point[i])
 
     values = [place(trial) for trial in measured]
-    mark = ".-" if len(found.space.parameters) == 1 else "."
+    mark = ".-" if len(search.space.parameters) == 1 else "."
     axes.plot(values, [100 * t.figures.completeness for t in measured], mark, color=ACCENT, linewidth=0.8)
     rms.plot(values, [t.figures.surface_rms_um for t in measured], mark, color=SECOND, linewidth=0.8)
-    for trial, colour in ((found.start, ALARM), (found.optimum, ACCENT)):
+    for trial, colour in ((search.start, ALARM), (search.optimum, ACCENT)):
         axes.axvline(place(trial), color=colour, linewidth=0.8, linestyle=":")
     axes.set_xlabel("angle of triangulation, degrees" if angles else parameter.name)
     axes.set_ylabel("completeness, %", color=ACCENT)
@@ -315,12 +328,12 @@ def completeness_by_parameter(
 
 
 @as_png
-def distance_by_parameter(found: SearchResult, i: int, parameter: Parameter) -> Sheet:
+def distance_by_parameter(search: SearchResult, i: int, parameter: Parameter) -> Sheet:
     """Draw the mean distance of every candidate against one parameter, with the spread over seeds."""
     figure, axes = single_axes(HALF, 3.0)
-    measured = [trial for trial in found.trials if trial.measured]
+    measured = [trial for trial in search.trials if trial.measured]
     for keeps, mark, colour in ((True, ".", GREY), (False, "x", SECOND)):
-        chosen = [trial for trial in measured if found.ranking.is_acceptable(trial) is keeps]
+        chosen = [trial for trial in measured if search.ranking.is_acceptable(trial) is keeps]
         axes.errorbar(
             [trial.point[i] for trial in chosen],
             [trial.figures.surface_smcd_um for trial in chosen],
@@ -330,8 +343,8 @@ def distance_by_parameter(found: SearchResult, i: int, parameter: Parameter) -> 
             elinewidth=0.6,
             markersize=4,
         )
-    for trial, colour, words in ((found.start, ALARM, "start"), (found.optimum, ACCENT, "found")):
-        axes.plot(trial.point[i], trial.figures.surface_smcd_um, "o", color=colour, markersize=5, label=words)
+    for trial, colour, label in ((search.start, ALARM, "start"), (search.optimum, ACCENT, "found")):
+        axes.plot(trial.point[i], trial.figures.surface_smcd_um, "o", color=colour, markersize=5, label=label)
     axes.set(xlabel=parameter.name, ylabel=DISTANCE)
     if parameter.is_logarithmic:
         _ratios(axes.xaxis, axes.set_xscale)
@@ -343,10 +356,10 @@ def distance_by_parameter(found: SearchResult, i: int, parameter: Parameter) -> 
 def _map_section(name: str, before: MeasuredArtefact, after: MeasuredArtefact) -> ReportSection:
     figures = tuple(
         ReportFigure.of(
-            error_map(one.cloud, one.comparison.distances_mm, one.comparison.counted),
+            error_map(artefact.cloud, artefact.comparison.distances_mm, artefact.comparison.counted),
             f"Errors of the {name}, {plan}",
             f"{plan.capitalize()}: signed distance from the surface.",
         )
-        for one, plan in ((before, "with the start's plan"), (after, "with the plan found"))
+        for artefact, plan in ((before, "with the start's plan"), (after, "with the plan found"))
     )
     return ReportSection(f"Artefact {name}", figures=figures)

@@ -48,21 +48,21 @@ def write_page(
     basis: PageBasis | None = None,
 ) -> None:
     """Write verdicts, tables and sections as one HTML file. If it fails, an earlier file is unchanged."""
-    given = basis or PageBasis()
+    page_basis = basis or PageBasis()
     environment = _environment()
     viewed = any(section.views for section in sections)
     script = environment.get_template("cloud_view.js").render() if viewed else ""
-    sources = _provenance_table(given.provenance) if given.provenance else None
+    sources = _provenance_table(page_basis.provenance) if page_basis.provenance else None
     tables = [*summary, *(table for section in sections for table in section.tables)]
     page = environment.get_template("report.html.j2").render(
         title=title,
         when=(when or datetime.now().astimezone()).strftime("%Y-%m-%d %H:%M %Z").strip(),
-        facts={**_head(given.provenance), **(facts or {})},
-        verdicts=given.verdicts,
+        facts={**_head(page_basis.provenance), **(facts or {})},
+        verdicts=page_basis.verdicts,
         summary=summary,
         sections=sections,
         provenance=sources,
-        data=data_link("application/json", _as_json(title, given, tables)),
+        data=data_link("application/json", _as_json(title, page_basis, tables)),
         script=script,
         script_hash=base64.b64encode(hashlib.sha256(script.encode("utf-8")).digest()).decode("ascii"),
         version=__version__,

@@ -31,14 +31,16 @@ class PageVerdict:
     def of(cls, diagnosis: Diagnosis, name: str = "") -> PageVerdict:
         """Take over the verdict on a scan or a characterisation."""
         word = diagnosis.verdict.value
-        words = (name, word, word.capitalize(), diagnosis.reason)
+        texts = (name, word, word.capitalize(), diagnosis.reason)
         findings = listed(diagnosis.findings)
-        return cls(*words, findings, diagnosis.unknown, criteria=diagnosis.criteria)
+        return cls(*texts, findings, diagnosis.unknown, criteria=diagnosis.criteria)
 
 
 def listed(findings: Sequence[Finding]) -> tuple[tuple[str, str, str], ...]:
     """Put findings into words."""
-    return tuple((one.cause.key.replace("_", " "), one.evidence, one.remedy) for one in findings)
+    return tuple(
+        (finding.cause.key.replace("_", " "), finding.evidence, finding.remedy) for finding in findings
+    )
 
 
 @dataclass(frozen=True)

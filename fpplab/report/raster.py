@@ -54,7 +54,7 @@ def raster_of(cloud: CloudLike) -> Raster:
     left, top, right, bottom = _box(x, y)
     wide, high = right - left, bottom - top
     pitch = max(float(np.sqrt(wide * high / len(x))), (wide + high) / 4000, 1e-9)
-    columns, rows = (np.rint((c - least) / pitch).astype(np.int64) for c, least in ((x, left), (y, top)))
+    columns, rows = (np.rint((c - lower) / pitch).astype(np.int64) for c, lower in ((x, left), (y, top)))
     return Raster(columns, rows, (left, top), pitch, ("x in mm", "y in mm"))
 
 
@@ -82,9 +82,9 @@ def block_mean(values: Map, columns: int) -> Map:
         return values
     height, width = (n // step * step for n in values.shape[:2])
     blocks = values[:height, :width].reshape(height // step, step, width // step, step, *values.shape[2:])
-    known: Mask = np.isfinite(blocks)
-    count = known.sum((1, 3))
-    total = np.where(known, blocks, 0.0).sum((1, 3), dtype=np.float64)
+    finite: Mask = np.isfinite(blocks)
+    count = finite.sum((1, 3))
+    total = np.where(finite, blocks, 0.0).sum((1, 3), dtype=np.float64)
     mean = np.where(2 * count >= step * step, total / np.maximum(count, 1), np.nan)
     return cast(Map, mean.astype(np.float32))
 

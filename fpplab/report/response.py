@@ -28,7 +28,9 @@ def write_response_report(path: Path, result: ResponseResult) -> None:
         reason=judgement.sentence,
     )
     errors = (judgement.by_steps, judgement.corrected_by_steps, judgement.rounding_by_steps)
-    rows = tuple((steps, *(f"{1e3 * one[steps]:.3g}" for one in errors)) for steps in judgement.by_steps)
+    rows = tuple(
+        (steps, *(f"{1e3 * values[steps]:.3g}" for values in errors)) for steps in judgement.by_steps
+    )
     table = ReportTable(("Steps", "As they are", "Corrected", "Rounding alone"), rows, JUDGEMENT_CAPTION)
     section = response_section(result.response, result.levels)
     section = replace(section, tables=(*section.tables, table))

@@ -61,7 +61,7 @@ class ResponseLike(Protocol):
 def response_curve(response: ResponseLike, levels: Floats) -> Figure:
     """Draw levels measured and fitted, and the residuals."""
     # levels (K, 2)
-    shown, seen = levels.T
+    shown, measured = levels.T
     axis = np.linspace(0, 1, 200)
     figure, (left, right) = side_by_side(3.2, (1.3, 1.0))
     left.plot(
@@ -71,15 +71,15 @@ def response_curve(response: ResponseLike, levels: Floats) -> Figure:
         linewidth=1.5,
         label=_formula(response),
     )
-    left.plot(shown, seen, "o", color=ACCENT, markersize=4, label="measured")
+    left.plot(shown, measured, "o", color=ACCENT, markersize=4, label="measured")
     left.set(
         xlabel="level shown, of full scale",
         ylabel="level seen, of full scale",
         xlim=(-0.02, 1.02),
-        ylim=(min(0.0, float(seen.min())), None),
+        ylim=(min(0.0, float(measured.min())), None),
     )
     left.legend(loc="upper left")
-    rest = 255 * (seen - response.apply(shown))
+    rest = 255 * (measured - response.apply(shown))
     right.axhline(0, color=SECOND, linewidth=1.2)
     right.vlines(shown, 0, rest, color=ACCENT, linewidth=1.0)
     right.plot(shown, rest, "o", color=ACCENT, markersize=4)
@@ -99,7 +99,7 @@ def response_fit(response: Response) -> Figure:
     """
     if not response.measured or not response.regions:
         raise DataError("the response holds no levels and regions to draw; measure it with `fpplab gamma`")
-    shown, seen, rest = np.array([(p.shown, p.seen, p.residual) for p in response.measured]).T
+    shown, measured, rest = np.array([(p.shown, p.seen, p.residual) for p in response.measured]).T
     error = 2 * np.array([p.sigma or 0.0 for p in response.measured])
     figure = new_figure(FULL, 3.8)
     grid = figure.add_gridspec(2, 2, width_ratios=(1.6, 1.0), height_ratios=(1.7, 1.0))
@@ -108,7 +108,7 @@ def response_fit(response: Response) -> Figure:
     curve.plot(axis, response.apply(axis), color=SECOND, linewidth=1.5, label=_formula(response))
     curve.errorbar(
         shown,
-        seen,
+        measured,
         error,
         fmt="o",
         color=ACCENT,
@@ -150,10 +150,10 @@ def _region_exponents(axes: Axes, response: Response) -> None:
 
 
 @as_png
-def marker_levels(shown: NDArray[np.integer[Any]], seen: Mapping[str, Floats]) -> Figure:
+def marker_levels(shown: NDArray[np.integer[Any]], runs: Mapping[str, Floats]) -> Figure:
     """Draw the levels seen of a marker frame by frame, and those expected of synchronous frames."""
     # shown (K,); seen of (K,)
-    return draw_marker_levels(shown, seen)
+    return draw_marker_levels(shown, runs)
 
 
 def _formula(response: ResponseLike) -> str:

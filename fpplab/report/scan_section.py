@@ -16,7 +16,7 @@ from fpplab.phase import Decoded, Wrapped
 from fpplab.reconstruction.depth_range import DepthRange
 from fpplab.reconstruction.filtering import removal
 from fpplab.report import figures, uncertainty
-from fpplab.report.cloud_view import MOST_POINTS, cloud_view
+from fpplab.report.cloud_view import MAX_POINTS, cloud_view
 from fpplab.report.parts import ReportFigure, ReportSection, ReportTable
 from fpplab.report.wording import NOT_KNOWN, count_words, number_words, percent_words
 from fpplab.results.provenance import Provenance
@@ -89,25 +89,31 @@ def scan_tables(scans: Sequence[ScanSection]) -> list[ReportTable]:
     return tables
 
 
-def _compared_row(scan: ScanSection, cloud: Cloud, found: Comparison) -> tuple[str, ...]:
+def _compared_row(scan: ScanSection, cloud: Cloud, comparison: Comparison) -> tuple[str, ...]:
     lengths = (
-        found.surface_rms_um,
-        found.surface_p95_um,
-        found.surface_smcd_um,
-        found.smcd_um,
-        found.smcd_floor_um,
+        comparison.surface_rms_um,
+        comparison.surface_p95_um,
+        comparison.surface_smcd_um,
+        comparison.smcd_um,
+        comparison.smcd_floor_um,
     )
-    outliers = f"{count_words(found.outliers)} ({percent_words(found.outliers / found.points)})"
+    outliers = (
+        f"{count_words(comparison.outliers)} ({percent_words(comparison.outliers / comparison.points)})"
+    )
     head = (scan.name, str(scan.images), count_words(len(cloud)))
-    scale = NOT_KNOWN if found.scale is None else f"{found.scale.ppm:+.0f} ± {found.scale.sigma_ppm:.0f}"
-    return (*head, *map(number_words, lengths), percent_words(found.completeness), outliers, scale)
+    scale = (
+        NOT_KNOWN
+        if comparison.scale is None
+        else f"{comparison.scale.ppm:+.0f} ± {comparison.scale.sigma_ppm:.0f}"
+    )
+    return (*head, *map(number_words, lengths), percent_words(comparison.completeness), outliers, scale)
 
 
-def section_of(scan: ScanSection, points: int = MOST_POINTS) -> ReportSection:
+def section_of(scan: ScanSection, points: int = MAX_POINTS) -> ReportSection:
     """Show a scan."""
-    name, found = scan.name, scan.comparison
-    views = () if scan.cloud is None else (cloud_view(name, scan.cloud, found, points),)
-    tables = () if found is None else lengths_tables(found)
+    name, comparison = scan.name, scan.comparison
+    views = () if scan.cloud is None else (cloud_view(name, scan.cloud, comparison, points),)
+    tables = () if comparison is None else lengths_tables(comparison)
     title = name[:1].upper() + name[1:]
     return ReportSection(title, _text(scan), tables, tuple(_pictures(scan)), views)
 
@@ -124,7 +130,7 @@ def _text(scan: ScanSection) -> str:
         near, far = scan.depth.mm
         text += f" Only distances from {near:g} to {far:g} mm count, by {scan.depth.source}."
         text += "".join(
-            f" Warning: {one}." for one in (decoded.outside.warnings() if decoded.outside else ())
+            f" Warning: {warning}." for warning in (decoded.outside.warnings() if decoded.outside else ())
         )
     if (removed := removal(decoded)) is not None:
         share = removed.pop("share")
@@ -198,21 +204,23 @@ def sigma_figures(name: str, cloud: Cloud, plan: Plan | None = None) -> list[Rep
     return [ReportFigure.of(drawn, alt, uncertainty.sigma_caption(cloud, plan), wide)]
 
 
-def error_figure(name: str, cloud: Cloud, found: Comparison) -> ReportFigure:
+def error_figure(name: str, cloud: Cloud, comparison: Comparison) -> ReportFigure:
     """Draw the signed errors of a cloud."""
-    alt = f"Signed error of the {name}, with its distribution; RMS {number_words(found.surface_rms_um)} µm"
+    alt = (
+        f"Signed error of the {name}, with its distribution; RMS {number_words(comparison.surface_rms_um)} µm"
+    )
     caption = (
         f"Signed distance of every compared point from the true surface; red is outside the "
-        f"true shape. {count_words(found.off_part)} points beside the object are left out."
+        f"true shape. {count_words(comparison.off_part)} points beside the object are left out."
     )
-    drawn = figures.error_map(cloud, found.distances_mm, found.counted)
+    drawn = figures.error_map(cloud, comparison.distances_mm, comparison.counted)
     return ReportFigure.of(drawn, alt, caption, wide=True)
 
 
-def lengths_tables(found: Comparison) -> tuple[ReportTable, ...]:
+def lengths_tables(comparison: Comparison) -> tuple[ReportTable, ...]:
     """Tabulate measured and true lengths, with what contradicts the distances below."""
-    rows = tuple((m.name, *m.texts()) for m in found.lengths)
-    said = found.warnings()
+    rows = tuple((m.name, *m.texts()) for m in comparison.lengths)
+    said = comparison.warnings()
     columns = ("Length", "True in mm", "Measured in mm", "Error in µm", "Standard uncertainty in µm")
     caption = " ".join(f"{warning[:1].upper()}{warning[1:]}." for warning in said)
     return (ReportTable(columns, rows, caption),) if rows or said else ()

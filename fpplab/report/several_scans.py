@@ -15,7 +15,7 @@ from fpplab.clouds import Cloud
 from fpplab.core.drawing import value_range
 from fpplab.core.errors import DataError
 from fpplab.report import figures
-from fpplab.report.cloud_view import MOST_POINTS, cloud_view
+from fpplab.report.cloud_view import MAX_POINTS, cloud_view
 from fpplab.report.page import PageBasis, write_page
 from fpplab.report.parts import PageVerdict, ReportFigure, ReportSection, ReportTable
 from fpplab.report.scan_section import ROUGHNESS
@@ -64,8 +64,8 @@ def _figures(scans: Sequence[ScanRecord]) -> ReportTable:
 
 
 def _surfaces(scans: Sequence[ScanRecord]) -> ReportSection:
-    share = MOST_POINTS // len(scans)
-    views = tuple(cloud_view(scan.name, scan.cloud, most=share) for scan in scans if scan.cloud)
+    share = MAX_POINTS // len(scans)
+    views = tuple(cloud_view(scan.name, scan.cloud, max_points=share) for scan in scans if scan.cloud)
     return ReportSection("Surfaces", "", views=views)
 
 
@@ -77,11 +77,11 @@ def _maps(scans: Sequence[ScanRecord]) -> list[ReportSection]:
         for scan in scans
         if scan.cloud and (sigma := _sigma(scan.cloud)) is not None
     }
-    wanted: tuple[tuple[str, Mapping[str, tuple[Cloud, NDArray[Any]]], str, str], ...] = (
+    quantities: tuple[tuple[str, Mapping[str, tuple[Cloud, NDArray[Any]]], str, str], ...] = (
         ("Distance from the camera", depths, "viridis_r", "distance z from the camera in mm"),
         ("Uncertainty", sigmas, "cividis", "standard uncertainty in µm"),
     )
-    return [_map_section(*one) for one in wanted if one[1]]
+    return [_map_section(*quantity) for quantity in quantities if quantity[1]]
 
 
 def _sigma(cloud: Cloud) -> NDArray[np.float32] | None:
@@ -91,44 +91,47 @@ def _sigma(cloud: Cloud) -> NDArray[np.float32] | None:
 def _map_section(
     title: str, values: Mapping[str, tuple[Cloud, NDArray[Any]]], colours: str, label: str
 ) -> ReportSection:
-    limits = value_range(np.concatenate([one for _, one in values.values()]), 1, 99)
+    limits = value_range(np.concatenate([scalars for _, scalars in values.values()]), 1, 99)
     drawn = tuple(
         ReportFigure.of(
-            figures.point_map(cloud, one, colours, label, limits),
+            figures.point_map(cloud, scalars, colours, label, limits),
             f"Map of the {label.rpartition(' in ')[0]} of {name}",
-            f"{name}: median {number_words(float(np.median(one)))} {label.rpartition(' in ')[2]}",
+            f"{name}: median {number_words(float(np.median(scalars)))} {label.rpartition(' in ')[2]}",
         )
-        for name, (cloud, one) in values.items()
+        for name, (cloud, scalars) in values.items()
     )
     return ReportSection(title, "All on one scale of colours. Grey: not measured.", figures=drawn)
 
 
-def _differences(found: Sequence[CloudDifference], scans: Mapping[str, ScanRecord]) -> list[ReportSection]:
+def _differences(
+    differences: Sequence[CloudDifference], scans: Mapping[str, ScanRecord]
+) -> list[ReportSection]:
     """Maps of the differences, and the figures of all."""
-    if not found:
+    if not differences:
         return []
     drawn = tuple(
         ReportFigure.of(
-            figures.error_map(cloud, one.distances_mm, quantity="difference"),
-            f"Map of the difference of {one.scan} from {one.reference}, with its distribution",
-            f"{one.scan} minus {one.reference} along the camera's rays; red is farther from the camera.",
+            figures.error_map(cloud, difference.distances_mm, quantity="difference"),
+            f"Map of the difference of {difference.scan} from {difference.reference}, with its distribution",
+            f"{difference.scan} minus {difference.reference} along the camera's rays; red is farther from "
+            "the camera.",
             wide=True,
         )
-        for one in found
-        if one.distances_mm is not None and (cloud := scans[one.scan].cloud)
+        for difference in differences
+        if difference.distances_mm is not None and (cloud := scans[difference.scan].cloud)
     )
-    rows = tuple(_difference_row(one.summary()) for one in found)
+    rows = tuple(_difference_row(difference.summary()) for difference in differences)
     columns = ("Difference", "Pixels in both", "Median in µm", "RMS in µm", "95 % within µm", "")
     text = "They tell of the surface only where neither the object nor the rig was moved between the scans."
     return [ReportSection("Differences", text, (ReportTable(columns, rows),), drawn)]
 
 
-def _difference_row(one: Mapping[str, Any]) -> tuple[str, ...]:
-    name = f"{one['scan']} minus {one['reference']}"
-    if "not_compared" in one:
-        return (name, *4 * (NOT_KNOWN,), one["not_compared"])
-    values = (number_words(one[key]) for key in ("median_um", "rms_um", "p95_um"))
-    return (name, count_words(one["pixels"]), *values, "")
+def _difference_row(figures: Mapping[str, Any]) -> tuple[str, ...]:
+    name = f"{figures['scan']} minus {figures['reference']}"
+    if "not_compared" in figures:
+        return (name, *4 * (NOT_KNOWN,), figures["not_compared"])
+    values = (number_words(figures[key]) for key in ("median_um", "rms_um", "p95_um"))
+    return (name, count_words(figures["pixels"]), *values, "")
 
 
 def _images(scans: Sequence[ScanRecord]) -> list[ReportSection]:

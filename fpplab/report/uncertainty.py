@@ -37,17 +37,17 @@ PARTS = {
 @as_png
 def sigma_maps(cloud: Cloud) -> Figure:
     """Draw the points' standard uncertainties in µm, a map with its median for each known part."""
-    known = {
+    sigmas = {
         title: 1e3 * sigma for name, title in PARTS.items() if (sigma := getattr(cloud, name)) is not None
     }
-    if not known:
+    if not sigmas:
         raise DataError("the cloud holds no uncertainty of its points; nothing to draw")
     grid = raster_of(cloud)
-    mapped, extent = rasterise(grid, np.stack(list(known.values()), axis=1))
-    width = FULL / len(known) if len(known) > 1 else HALF
-    figure = new_figure(width * len(known), map_height(mapped.shape, width) + 0.3)
-    sheets = cast(Any, figure.subplots(1, len(known), squeeze=False))[0]
-    for axes, (title, sigma), values in zip(sheets, known.items(), np.moveaxis(mapped, 2, 0), strict=True):
+    mapped, extent = rasterise(grid, np.stack(list(sigmas.values()), axis=1))
+    width = FULL / len(sigmas) if len(sigmas) > 1 else HALF
+    figure = new_figure(width * len(sigmas), map_height(mapped.shape, width) + 0.3)
+    sheets = cast(Any, figure.subplots(1, len(sigmas), squeeze=False))[0]
+    for axes, (title, sigma), values in zip(sheets, sigmas.items(), np.moveaxis(mapped, 2, 0), strict=True):
         mappable = draw_map(axes, values, "cividis", value_range(values, 1, 99), extent)
         colour_bar(figure, axes, mappable, "standard uncertainty in µm")
         axes.set_title(f"{title}\nmedian {np.median(sigma):.3g} µm", fontsize=8.5)
@@ -69,9 +69,9 @@ def sigma_caption(cloud: Cloud, plan: Plan | None = None) -> str:
         return f"{noise} The calibration says nothing of its own uncertainty."
     of_form = f"{noise} Calibration: from the covariance of its parameters, common to all points, so that it "
     of_form += "moves and rotates the cloud far more than it deforms it."
-    known = "noise, phase error" if cloud.sigma_phase_error_mm is not None else "noise"
+    parts = "noise, phase error" if cloud.sigma_phase_error_mm is not None else "noise"
     place = (
-        f"Place of the points in the camera's frame: {known} and calibration, added in squares, median "
+        f"Place of the points in the camera's frame: {parts} and calibration, added in squares, median "
         f"{1e3 * float(np.median(cloud.sigma_mm)):.3g} µm; it holds where positions in that frame matter, "
         "such as between scans from several places."
     )
@@ -80,7 +80,7 @@ def sigma_caption(cloud: Cloud, plan: Plan | None = None) -> str:
         return f"{of_form} {place}"
     return (
         f"{of_form} The last map is without the best-fitting rigid motion of the whole cloud: the "
-        f"calibration's part in errors of form. Shape: {known} and form, added in squares, median "
+        f"calibration's part in errors of form. Shape: {parts} and form, added in squares, median "
         f"{1e3 * float(np.median(shape)):.3g} µm; it is the figure for lengths and form on this part, and "
         f"for a comparison with a true shape after an alignment. {place}"
     )

@@ -27,13 +27,14 @@ class ComparisonResult:
     @property
     def headline(self) -> str:
         """What matters, in one line."""
-        found = self.comparison
-        mean_um, kind = found.surface_smcd_um, "surface SMCD"
+        comparison = self.comparison
+        mean_um, kind = comparison.surface_smcd_um, "surface SMCD"
         if mean_um is None:
-            mean_um, kind = found.smcd_um, "SMCD"
+            mean_um, kind = comparison.smcd_um, "SMCD"
         return (
-            f"{mean_um:.1f} µm from the true shape ({kind}), {found.surface_rms_um:.1f} µm RMS, "
-            f"{100 * found.completeness:.1f} % complete, {'aligned' if found.alignment else 'not aligned'}"
+            f"{mean_um:.1f} µm from the true shape ({kind}), {comparison.surface_rms_um:.1f} µm RMS, "
+            f"{100 * comparison.completeness:.1f} % complete, "
+            f"{'aligned' if comparison.alignment else 'not aligned'}"
         )
 
     def figures(self) -> dict[str, Any]:

@@ -60,7 +60,9 @@ class DemoResult:
             "characterisation": {**self.characterisation.summary(), "left_out": left_out},
             "scans": [scan.summary() for scan in self.scans],
             # Every cloud of the demonstration lies on a pixel grid, so that every distance is known.
-            "mean_surface_smcd_um": float(np.mean([one for one in distances if one is not None])),
+            "mean_surface_smcd_um": float(
+                np.mean([distance for distance in distances if distance is not None])
+            ),
             "seconds": self.seconds,
             "report": str(self.report_file),
         }

@@ -107,7 +107,7 @@ def poses_provenance(
     """Describe which poses of a board a calibration was made from, or is judged by."""
     first = session_provenance(poses[0], calibration, file)
     times = [taken_at(pose) for pose in poses]
-    began, ended = ([one[k] for one in times if one] for k in (0, 1))
+    began, ended = ([period[k] for period in times if period] for k in (0, 1))
     whole = len(began) == len(poses)
     taken = f"{local_time(min(began))}, in {duration_words(max(ended) - min(began))}" if whole else None
     folder = f"{poses[0].path.parent}, {len(poses)} poses"
@@ -167,10 +167,10 @@ def source_provenance(
     source: Path, calibration: Calibration | None = None, file: Path | None = None
 ) -> Provenance:
     """Describe where a cloud or a session comes from."""
-    beside = (source if source.is_dir() else source.parent) / CALIBRATION
-    used = calibration or (Calibration.load(beside) if beside.is_file() else None)
+    adjacent = (source if source.is_dir() else source.parent) / CALIBRATION
+    used = calibration or (Calibration.load(adjacent) if adjacent.is_file() else None)
     if source.is_dir():
-        return session_provenance(Session.open(source), used, file or beside)
+        return session_provenance(Session.open(source), used, file or adjacent)
     return cloud_provenance(source, used)
 
 
@@ -202,8 +202,8 @@ def plan_words(plan: Plan) -> str:
     axes = []
     for axis in plan.axes:
         sets = [plan.fringes[i] for i in plan.sets_along(axis)]
-        stripes = ", ".join(f"{one.stripes:g}" for one in sets)
-        axes.append(f"{axis}: {stripes} stripes in {', '.join(str(one.images) for one in sets)} steps")
+        stripes = ", ".join(f"{fringe.stripes:g}" for fringe in sets)
+        axes.append(f"{axis}: {stripes} stripes in {', '.join(str(fringe.images) for fringe in sets)} steps")
     corrected = ", corrected for the response" if plan.response else ""
     return f"{'; '.join(axes)}; {plan.unwrapping}; {plan.trigger}{corrected}"
 
@@ -215,12 +215,12 @@ def local_time(when: datetime) -> str:
 
 def duration_words(length: timedelta) -> str:
     """Write a duration in its two greatest units."""
-    left = length.total_seconds()
-    if left < 60:
-        return f"{left:.1f} s"
+    remaining = length.total_seconds()
+    if remaining < 60:
+        return f"{remaining:.1f} s"
     parts = []
     for unit, seconds in (("d", 86400), ("h", 3600), ("min", 60), ("s", 1)):
-        count, left = divmod(left, seconds)
+        count, remaining = divmod(remaining, seconds)
         parts.append(f"{count:.0f} {unit}")
     first = next(k for k, part in enumerate(parts) if not part.startswith("0 "))
     return " ".join(parts[first : first + 2])
@@ -233,23 +233,23 @@ def written_now() -> dict[str, str | None]:
 
 
 def _age(length: timedelta) -> str:
-    words = duration_words(abs(length))
-    return words if length >= timedelta() else f"none, it was made {words} after the measurement began"
+    text = duration_words(abs(length))
+    return text if length >= timedelta() else f"none, it was made {text} after the measurement began"
 
 
 def _compared(calibration: CalibrationOrigin, measured: SessionOrigin | None) -> str | None:
     """The calibration's devices, and whether they are those of the measurement."""
-    known = [one for one in (calibration.camera, calibration.projector) if one]
-    if not known:
+    devices = [device for device in (calibration.camera, calibration.projector) if device]
+    if not devices:
         return None
-    words = "; ".join(one.words for one in known)
+    text = "; ".join(device.words for device in devices)
     if measured is None:
-        return words
+        return text
     if others := other_devices(calibration, measured):
-        return f"{words}; the {' and the '.join(others)} that measured is ANOTHER"
-    if not all(one.serial for one in known):
-        return f"{words}; without serial numbers nothing tells whether they are those that measured"
-    return f"{words}; the same that measured"
+        return f"{text}; the {' and the '.join(others)} that measured is ANOTHER"
+    if not all(device.serial for device in devices):
+        return f"{text}; without serial numbers nothing tells whether they are those that measured"
+    return f"{text}; the same that measured"
 
 
 def _device_values(rig: Mapping[str, object], origin: SessionOrigin | None) -> dict[str, str | None]:
@@ -272,11 +272,11 @@ def _settings(session: Session) -> dict[str, str | None]:
         return {"exposure": None, "gain": None, "bits": str(session.bits)}
     records = session.records
     return {
-        "exposure": _all_of([f"{1e3 * one.exposure_s:.4g} ms" for one in records]),
-        "gain": _all_of([f"{one.gain_db:g} dB" for one in records]),
-        "bits": _all_of([str(one.bits) for one in records]),
+        "exposure": _all_of([f"{1e3 * record.exposure_s:.4g} ms" for record in records]),
+        "gain": _all_of([f"{record.gain_db:g} dB" for record in records]),
+        "bits": _all_of([str(record.bits) for record in records]),
     }
 
 
-def _all_of(words: Sequence[str]) -> str:
-    return ", ".join(dict.fromkeys(words))
+def _all_of(texts: Sequence[str]) -> str:
+    return ", ".join(dict.fromkeys(texts))

@@ -146,7 +146,7 @@ class ScanResult:
 
 
 def scan_result(
-    found: Reconstruction,
+    reconstruction: Reconstruction,
     provenance: Provenance,
     seconds: float,
     *,
@@ -156,12 +156,12 @@ def scan_result(
 ) -> ScanResult:
     """Complete a reconstruction by where it comes from and goes to."""
     return ScanResult(
-        session=found.session,
-        calibration=found.calibration,
-        decoded=found.decoded,
-        cloud=found.cloud,
-        depth=found.depth,
-        diagnosis=found.diagnosis,
+        session=reconstruction.session,
+        calibration=reconstruction.calibration,
+        decoded=reconstruction.decoded,
+        cloud=reconstruction.cloud,
+        depth=reconstruction.depth,
+        diagnosis=reconstruction.diagnosis,
         provenance=provenance,
         seconds=seconds,
         images=images,

@@ -55,5 +55,5 @@ class OptimisationResult:
             "seconds": self.seconds,
             "plans": [] if self.diagnosis.is_useless else [str(path) for path in self.search.plans],
             "report": str(self.report_file),
-            "provenance": {name: one.summary() for name, one in self.compared.provenance.items()},
+            "provenance": {name: origin.summary() for name, origin in self.compared.provenance.items()},
         }

@@ -21,8 +21,8 @@ def roughness_um(cloud: Cloud) -> float | None:
     if cloud.pixels is None:
         return None
     distances = np.abs(local_quadric_distance(cloud))
-    known = distances[np.isfinite(distances)]
-    return 1e3 * float(np.median(known)) if len(known) else None
+    finite = distances[np.isfinite(distances)]
+    return 1e3 * float(np.median(finite)) if len(finite) else None
 
 
 def noise_um(cloud: Cloud) -> float | None:
@@ -68,13 +68,13 @@ class CloudDifference:
         names = {"scan": self.scan, "reference": self.reference}
         if self.distances_mm is None:
             return {**names, "not_compared": self.reason}
-        known = 1e3 * self.distances_mm[np.isfinite(self.distances_mm)].astype(np.float64)
+        finite = 1e3 * self.distances_mm[np.isfinite(self.distances_mm)].astype(np.float64)
         return {
             **names,
-            "pixels": len(known),
-            "median_um": float(np.median(known)),
-            "rms_um": float(np.sqrt(np.mean(known**2))),
-            "p95_um": float(np.percentile(np.abs(known), 95)),
+            "pixels": len(finite),
+            "median_um": float(np.median(finite)),
+            "rms_um": float(np.sqrt(np.mean(finite**2))),
+            "p95_um": float(np.percentile(np.abs(finite), 95)),
         }
 
 

@@ -86,9 +86,9 @@ def test_a_moved_board_is_far_from_what_is_predicted_and_a_good_one_is_not(five:
     good, bad = (guide.judged(o) for o in (seen(pose, "good"), moved(seen(pose, "bad"))))
     assert good is not None
     assert bad is not None
-    assert good.far == ()
-    assert "projector" in bad.far
-    assert bad.odd is None
+    assert good.contradicting_devices == ()
+    assert "projector" in bad.contradicting_devices
+    assert bad.outlying_pose is None
     assert good.camera.rms_px == pytest.approx(good.camera.predicted_px, rel=0.35)
 
 
@@ -104,7 +104,7 @@ def test_good_poses_are_hardly_ever_far() -> None:
             observation = seen(pose, f"pose_{k}", seed)
             fit = guide.judged(observation)
             assert fit is not None
-            far += fit.far
+            far += fit.contradicting_devices
             guide.add(observation)
     assert not far
 
@@ -120,9 +120,9 @@ def test_an_early_pose_that_was_bad_is_found_by_later_ones() -> None:
         observation = seen(pose, f"pose_{k}")
         fit = guide.judged(observation)
         assert fit is not None
-        if fit.odd is not None:
-            assert fit.odd == "pose_1"
-            guide.drop(fit.odd)
+        if fit.outlying_pose is not None:
+            assert fit.outlying_pose == "pose_1"
+            guide.drop(fit.outlying_pose)
             break
         guide.add(observation)
     assert "pose_1" not in [o.name for o in guide.observations]

@@ -107,7 +107,7 @@ def _show(result: Acceptance, out: Path) -> None:
     rows = [
         [
             name,
-            f"{judgement.positions} of {judgement.least_positions}",
+            f"{judgement.positions} of {judgement.min_positions}",
             judgement.worst_um,
             "–" if judgement.worst_all_um is None else judgement.worst_all_um,
             judgement.mpe_um or "–",

@@ -162,7 +162,7 @@ class AcceptanceJudgement:
     mpe_um: float | None  # maximum permissible error in µm, None where none is stated
     reference_uncertainty_um: float  # uncertainty of the standard itself in µm
     positions: int  # number of values that were measured
-    least_positions: int  # number of values that the standard's file asks for
+    min_positions: int  # number of values that the standard's file asks for
     worst_all_um: float | None = None  # for errors of form
 
     @property
@@ -180,7 +180,7 @@ class AcceptanceJudgement:
             "mpe_um": self.mpe_um,
             "standard_known_to_um": self.reference_uncertainty_um,
             "values": self.positions,
-            "least_values": self.least_positions,
+            "least_values": self.min_positions,
             "passed": self.passed,
         }
 
@@ -234,12 +234,12 @@ class Acceptance:
         """List what limits the significance of the result."""
         judged = self.judgements()
         said = [
-            f"{name}: measured in {found.positions} of at least {found.least_positions} positions; add "
-            "positions, spread over the measuring volume"
-            for name, found in judged.items()
-            if found.positions < found.least_positions
+            f"{name}: measured in {judgement.positions} of at least {judgement.min_positions} positions; "
+            "add positions, spread over the measuring volume"
+            for name, judgement in judged.items()
+            if judgement.positions < judgement.min_positions
         ]
-        unjudged = [name for name, found in judged.items() if found.passed is None]
+        unjudged = [name for name, judgement in judged.items() if judgement.passed is None]
         if unjudged:
             said.append(f"no maximum permissible error is stated for {', '.join(unjudged)}: not judged")
         return said
@@ -252,7 +252,7 @@ class Acceptance:
             "cap_deg": self.standard.evaluation.cap_deg,
             "edge_mm": self.standard.evaluation.edge_mm,
             "conventions": CONVENTIONS,
-            "quantities": {name: found.summary() for name, found in self.judgements().items()},
+            "quantities": {name: judgement.summary() for name, judgement in self.judgements().items()},
             "spheres": [
                 {"source": bar.source, **test.summary()} for bar in self.bars for test in bar.spheres
             ],

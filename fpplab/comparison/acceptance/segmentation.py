@@ -94,8 +94,8 @@ def find_spheres(points: Floats, normals: Floats, radius: float, count: int, sou
     the sphere.
     """
     # points (N, 3) mm; normals (N, 3); returns (3,) mm
-    known = np.any(normals != 0.0, axis=1)
-    votes = points[known] - radius * normals[known]
+    has_normal = np.any(normals != 0.0, axis=1)
+    votes = points[has_normal] - radius * normals[has_normal]
     free = np.ones(len(votes), bool)
     centres: list[Floats] = []
     while len(centres) < count:
@@ -103,9 +103,9 @@ def find_spheres(points: Floats, normals: Floats, radius: float, count: int, sou
         if centre is None:
             raise DataError(_not_found(source, radius, len(centres), count))
         centre = _fit_centre(points, centre, radius)
-        seen = np.abs(_ray_distance(points, centre)) <= LIMITS.inner_radius * radius
-        near = np.abs(np.linalg.norm(points[seen] - centre, axis=1) - radius) <= LIMITS.sphere_reach * radius
-        if not seen.any() or near.mean() < LIMITS.min_near_share:
+        inner = np.abs(_ray_distance(points, centre)) <= LIMITS.inner_radius * radius
+        near = np.abs(np.linalg.norm(points[inner] - centre, axis=1) - radius) <= LIMITS.sphere_reach * radius
+        if not inner.any() or near.mean() < LIMITS.min_near_share:
             raise DataError(_not_found(source, radius, len(centres), count))
         centres.append(centre)
         free &= np.linalg.norm(votes - centre, axis=1) > radius
@@ -214,10 +214,10 @@ def _solid_angle(points: Floats, centre: Floats, radius: float, reach: float) ->
     return float(covered * TWO_PI * (1.0 - edge))
 
 
-def _not_found(source: str, radius: float, found: int, count: int) -> str:
+def _not_found(source: str, radius: float, centres_found: int, count: int) -> str:
     return (
-        f"{source}: {found} of {count} spheres of {2 * radius:g} mm were found; check that both are in view "
-        "and well measured, and that the standard's file has the right diameters"
+        f"{source}: {centres_found} of {count} spheres of {2 * radius:g} mm were found; check that both are "
+        "in view and well measured, and that the standard's file has the right diameters"
     )
 
 
@@ -233,7 +233,7 @@ def find_plane(points: Floats, length: float, source: str) -> Plane:
         if len(points) <= LIMITS.max_votes
         else points[random.choice(len(points), LIMITS.max_votes, replace=False)]
     )
-    near, best, most = LIMITS.plane_reach * length, None, 0
+    near, best, best_count = LIMITS.plane_reach * length, None, 0
     for _ in range(LIMITS.plane_trials):
         corners = sample[random.choice(len(sample), 3, replace=False)] if len(sample) >= 3 else sample[:0]
         if len(corners) < 3:
@@ -243,9 +243,9 @@ def find_plane(points: Floats, length: float, source: str) -> Plane:
         if size < 1e-9:
             continue
         count = int((np.abs((sample - corners[0]) @ normal) <= near * size).sum())
-        if count > most:
-            best, most = Plane(corners[0], normal / size), count
-    if best is None or most < 0.05 * len(sample):
+        if count > best_count:
+            best, best_count = Plane(corners[0], normal / size), count
+    if best is None or best_count < 0.05 * len(sample):
         raise DataError(f"{source}: no plane was found; check that the standard is in view and well measured")
     for _ in range(5):
         best = fit_plane(points[np.abs(best.distances(points)) <= near])
@@ -316,8 +316,8 @@ def _outline(places: Floats, low: Floats, cell: float, shape: NDArray[np.intp]) 
 def _refuse_larger(filled: Mask, cell: float, size: tuple[float, float], source: str) -> None:
     corners = np.argwhere(filled).astype(np.float32)
     sides = sorted((float((side + 1) * cell) for side in cv2.minAreaRect(corners)[1]), reverse=True)
-    for side, given in zip(sides, sorted(size, reverse=True), strict=True):
-        if side > LIMITS.max_side_ratio * given + 2 * cell:
+    for side, stated in zip(sides, sorted(size, reverse=True), strict=True):
+        if side > LIMITS.max_side_ratio * stated + 2 * cell:
             raise DataError(
                 f"{source}: the plane found measures {sides[0]:.0f} x {sides[1]:.0f} mm, but the standard is "
                 f"{size[0]:g} x {size[1]:g} mm; check the standard's file, and for other flat areas"

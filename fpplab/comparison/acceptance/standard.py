@@ -44,10 +44,10 @@ class BallBarStandard(Document):
 
     @model_validator(mode="after")
     def _spheres_stand_apart(self) -> BallBarStandard:
-        least = sum(self.diameters_mm) / 2
-        if self.spacing_mm <= least:
+        min_spacing = sum(self.diameters_mm) / 2
+        if self.spacing_mm <= min_spacing:
             raise ValueError(
-                f"'spacing_mm' is {self.spacing_mm:g}: must exceed {least:g}, where the spheres touch"
+                f"'spacing_mm' is {self.spacing_mm:g}: must exceed {min_spacing:g}, where the spheres touch"
             )
         small, large = sorted(self.diameters_mm)
         if large > 1.1 * small:
@@ -157,10 +157,10 @@ class Standard(Document):
             if getattr(self.items, field) and getattr(self, field) is None:
                 raise ValueError(f"'items.{field}' is given, but '{field}' is not described")
         for name in QUANTITIES:
-            permitted, known = self.permitted_um(name), self.reference_uncertainty_um(name)
-            if permitted is not None and permitted <= known:
+            permitted, uncertainty = self.permitted_um(name), self.reference_uncertainty_um(name)
+            if permitted is not None and permitted <= uncertainty:
                 raise ValueError(
-                    f"'mpe_um.{name}' is {permitted:g}: must exceed {known:g}, the standard's own "
+                    f"'mpe_um.{name}' is {permitted:g}: must exceed {uncertainty:g}, the standard's own "
                     "uncertainty, or no measurement could pass"
                 )
         return self
@@ -197,7 +197,7 @@ def _by_quantity(
     assignments: Iterable[str], option: str, example: str, number: Callable[[str], float]
 ) -> dict[str, float]:
     """Read assignments of numbers to `QUANTITIES`. Raises `ConfigError`, naming the option."""
-    found = {}
+    numbers = {}
     for assignment in assignments:
         quantity, _, value = assignment.partition("=")
         if quantity.strip() not in QUANTITIES:
@@ -205,8 +205,8 @@ def _by_quantity(
                 f"{option}: '{assignment}' must be one of {', '.join(QUANTITIES)}, =, and a number: {example}"
             )
         try:
-            found[quantity.strip()] = number(value)
+            numbers[quantity.strip()] = number(value)
         except ValueError:
             kind = "whole number" if number is int else "number"
             raise ConfigError(f"{option}: '{assignment}' has no {kind} after =, such as {example}") from None
-    return found
+    return numbers

@@ -53,14 +53,14 @@ def verify(standard: Standard, bars: Clouds = (), planes: Clouds = ()) -> Accept
 
     Clouds are taken from the iterables one after the other, so that they need not all be in memory.
     """
-    found = Acceptance(
+    acceptance = Acceptance(
         standard,
         tuple(verify_ball_bar(cloud, standard, source) for source, cloud in bars),
         tuple(verify_plane(cloud, standard, source) for source, cloud in planes),
     )
-    if not (found.bars or found.planes):
+    if not (acceptance.bars or acceptance.planes):
         raise ConfigError("there is nothing to verify; give clouds of a ball bar, of a plane, or both")
-    return found
+    return acceptance
 
 
 def verify_ball_bar(cloud: Cloud, standard: Standard, source: str) -> BallBarTest:
@@ -86,10 +86,10 @@ def verify_ball_bar(cloud: Cloud, standard: Standard, source: str) -> BallBarTes
 
 def verify_plane(cloud: Cloud, standard: Standard, source: str) -> PlaneTest:
     """Measure the flatness of a plane."""
-    known = _described(standard.plane, "plane", standard)
+    description = _described(standard.plane, "plane", standard)
     points = np.asarray(cloud.points, np.float64)
-    found = find_plane(points, max(known.size_mm), source)
-    face = plane_face(points, found, known.size_mm, standard.evaluation, source)
+    coarse_plane = find_plane(points, max(description.size_mm), source)
+    face = plane_face(points, coarse_plane, description.size_mm, standard.evaluation, source)
     plane, measured = MeasuredFeature.fitted(cloud, face.index, fit_plane)
     return PlaneTest(source, plane, face.area_mm2, measured)
 
@@ -111,9 +111,9 @@ def _described(standard: S | None, what: str, of: Standard) -> S:
     return standard
 
 
-def _refuse_other(what: str, found: float, calibrated: float, source: str) -> None:
-    if abs(found - calibrated) > 0.1 * calibrated:  # chosen: no error of measurement is as large
+def _refuse_other(what: str, measured: float, calibrated: float, source: str) -> None:
+    if abs(measured - calibrated) > 0.1 * calibrated:  # chosen: no error of measurement is as large
         raise DataError(
-            f"{source}: {what} measures {found:.3g} mm, but the standard's is {calibrated:.3g} mm; "
+            f"{source}: {what} measures {measured:.3g} mm, but the standard's is {calibrated:.3g} mm; "
             "check that this is the standard that its file describes"
         )

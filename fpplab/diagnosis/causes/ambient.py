@@ -60,9 +60,9 @@ def _draw(evidence: Evidence, _: Finding) -> Figure:
     share = np.where(
         sample.measured, (fit.offset - fit.modulation) / np.maximum(fit.modulation, 1e-3), np.nan
     )
-    most = max(2.0 * limit, value_range(share, 0, 95)[1]) if sample.measured.any() else 1.0
+    upper = max(2.0 * limit, value_range(share, 0, 95)[1]) if sample.measured.any() else 1.0
     label = f"other light over modulation (limit {limit:g})"
-    return draw_sample_map(share, sample, "magma", (0.0, most), label)
+    return draw_sample_map(share, sample, "magma", (0.0, upper), label)
 
 
 AMBIENT = FaultCause(

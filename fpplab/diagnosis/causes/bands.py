@@ -80,10 +80,10 @@ def _evenly_spread_sets(sample: FrameSample, rows: NDArray[np.intp]) -> list[int
 
     Where a row has few phases, harmonics of the response change its brightness from frame to frame too.
     """
-    used, most = sample.measured[rows], sample.limits.of(FringeShapeLimits).max_unevenness
-    spread = [unevenness(fit.phase[rows], used) < most for fit in sample.fits]
-    least = sample.limits.of(BandsLimits).min_even_rows
-    return [k for k, even in enumerate(spread) if np.mean(even) >= least]
+    used, max_unevenness = sample.measured[rows], sample.limits.of(FringeShapeLimits).max_unevenness
+    spread = [unevenness(fit.phase[rows], used) < max_unevenness for fit in sample.fits]
+    min_share = sample.limits.of(BandsLimits).min_even_rows
+    return [k for k, even in enumerate(spread) if np.mean(even) >= min_share]
 
 
 def _from_frames(sample: FrameSample, rows: NDArray[np.intp], sets: Sequence[int]) -> list[Floats]:
@@ -135,8 +135,8 @@ def _draw(evidence: Evidence, _: Finding) -> Figure | None:
     if gains is None:
         return None
     figure, axes = single_axes(HALF, 3.0)
-    most = max(float(np.percentile(np.abs(100 * gains), 99)), 1.0)
-    shown = axes.imshow(100.0 * gains.T, aspect="auto", cmap="RdBu", vmin=-most, vmax=most)
+    limit = max(float(np.percentile(np.abs(100 * gains), 99)), 1.0)
+    shown = axes.imshow(100.0 * gains.T, aspect="auto", cmap="RdBu", vmin=-limit, vmax=limit)
     colour_bar(figure, axes, shown, "brightness beside the fit, in %")
     axes.set(xlabel="frame", ylabel="lit row of the sample")
     return figure

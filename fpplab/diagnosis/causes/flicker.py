@@ -58,9 +58,9 @@ def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
     offset = float(np.median(fit.offset[sample.measured] / fit.modulation[sample.measured]))
     power = max(float(errors.variance(offset)) - np.nan_to_num(errors.harmonic_rad) ** 2, 0.0)
     what = "frames of unequal brightness"
-    found = phase_error_finding(sample, FLICKER, math.sqrt(power), limits.min_phase_error_rad, what)
-    if found is not None:
-        yield found
+    finding = phase_error_finding(sample, FLICKER, math.sqrt(power), limits.min_phase_error_rad, what)
+    if finding is not None:
+        yield finding
 
 
 def _scatter_of_gains(sample: FrameSample) -> float:
@@ -81,8 +81,12 @@ def _scatter_of_gains(sample: FrameSample) -> float:
     if freedom >= sample.limits.of(FlickerLimits).min_gains:
         return math.sqrt(total / freedom)
     # Gains ε_n of N frames that are independent: the mean of |Σ ε_n exp(iδ_n)|² is N times their variance.
-    known = [one.gain_first**2 / one.images for one in sample.errors.sets if not math.isnan(one.gain_first)]
-    return math.sqrt(np.mean(known)) if known else _scatter_without_fringes(sample)
+    variances = [
+        errors.gain_first**2 / errors.images
+        for errors in sample.errors.sets
+        if not math.isnan(errors.gain_first)
+    ]
+    return math.sqrt(np.mean(variances)) if variances else _scatter_without_fringes(sample)
 
 
 def _scatter_without_fringes(sample: FrameSample) -> float:

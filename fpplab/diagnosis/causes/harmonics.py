@@ -23,8 +23,8 @@ def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
         return
     what = f"harmonics that no power law explains ({harmonics_of_power_law_rad(sample):.3f} rad)"
     min_rad = evidence.limits.of(FringeShapeLimits).min_harmonic_rad
-    if (found := phase_error_finding(sample, HARMONICS, rad, min_rad, what)) is not None:
-        yield found
+    if (finding := phase_error_finding(sample, HARMONICS, rad, min_rad, what)) is not None:
+        yield finding
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure:

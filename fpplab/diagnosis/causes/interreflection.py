@@ -72,20 +72,20 @@ def _find_stray_light(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Find
 
 def _stray_rad(sample: FrameSample, k: int, expected: Floats, deviation: Floats) -> float:
     """RMS that neighbours share, without what a phase alone explains as harmonics and gains do."""
-    known = np.isfinite(deviation)
+    finite = np.isfinite(deviation)
     orders = (0, 1, sample.recording.plan.fringes[k].images)
-    waves = np.concatenate([[np.cos(m * expected[known]), np.sin(m * expected[known])] for m in orders])
+    waves = np.concatenate([[np.cos(m * expected[finite]), np.sin(m * expected[finite])] for m in orders])
     residuals = np.full(deviation.shape, np.nan)
-    strengths = np.linalg.lstsq(waves.T, deviation[known], rcond=1e-6)[0]
-    residuals[known] = deviation[known] - strengths @ waves
+    strengths = np.linalg.lstsq(waves.T, deviation[finite], rcond=1e-6)[0]
+    residuals[finite] = deviation[finite] - strengths @ waves
     side = PHASE_BLOCK
     rows, columns = (n // side * side for n in residuals.shape)
     blocks = residuals[:rows, :columns].reshape(rows // side, side, columns // side, side)
     blocks = blocks.transpose(0, 2, 1, 3).reshape(-1, side * side)
     halves = blocks[:, ::2], blocks[:, 1::2]
     # Where light of two surfaces is mixed, many pixels are masked.
-    least = sample.limits.of(InterreflectionLimits).min_known_share
-    whole = np.logical_and(*(np.isfinite(half).mean(axis=1) >= least for half in halves))
+    min_share = sample.limits.of(InterreflectionLimits).min_known_share
+    whole = np.logical_and(*(np.isfinite(half).mean(axis=1) >= min_share for half in halves))
     if whole.sum() < 2 * side:
         return 0.0
     # Noise is independent in the medians of two halves, and edges are few.
@@ -93,13 +93,13 @@ def _stray_rad(sample: FrameSample, k: int, expected: Floats, deviation: Floats)
     return math.sqrt(max(float(np.mean(halves[0] * halves[1])), 0.0))
 
 
-def _find_mirrors(evidence: Evidence, found: Sequence[Finding]) -> Iterator[Finding]:
+def _find_mirrors(evidence: Evidence, findings: Sequence[Finding]) -> Iterator[Finding]:
     """Mirrored light, and whether light by way of other surfaces makes the points useless."""
     sample, limits = evidence.frames, evidence.limits.of(InterreflectionLimits)
     calibration = evidence.points.calibration
     backward = {axis: _runs_backward(sample, calibration, axis) for axis in sample.coordinates}
     share = max((part for _, part in backward.values()), default=0.0)
-    candidates = [one for one in found if one.cause == INTERREFLECTION]
+    candidates = [finding for finding in findings if finding.cause == INTERREFLECTION]
     if share > limits.max_mirrored_share:
         text = (
             f"in {100 * share:.0f} % of the image with fringes the coordinate runs backwards (at most "
@@ -108,7 +108,7 @@ def _find_mirrors(evidence: Evidence, found: Sequence[Finding]) -> Iterator[Find
         candidates.append(Finding(INTERREFLECTION, text, share / limits.max_mirrored_share))
     if not candidates:
         return
-    worst = max(candidates, key=lambda one: one.excess)
+    worst = max(candidates, key=lambda finding: finding.excess)
     error = max((_phase_error(sample, axis, where) for axis, (where, _) in backward.items()), default=0.0)
     ruins = share >= limits.useless_mirrored_share or error >= limits.useless_phase_error
     more = f"; it makes errors some {error:.0f} times those of noise" if np.isfinite(error) and ruins else ""
@@ -158,8 +158,8 @@ def _phase_error(sample: FrameSample, axis: Axis, backward: Mask) -> float:
         return 0.0
     fine, coarse = sample.fits[finest], sample.fits[wide]
     contrast = np.where(used, fine.modulation / np.where(used, coarse.modulation, 1.0), 0.0)
-    known = np.maximum(uniform_filter(used.astype(np.float64), SMOOTHED), 1e-9)
-    off = np.abs(contrast * known / np.maximum(uniform_filter(contrast, SMOOTHED), 1e-9) - 1.0)
+    coverage = np.maximum(uniform_filter(used.astype(np.float64), SMOOTHED), 1e-9)
+    off = np.abs(contrast * coverage / np.maximum(uniform_filter(contrast, SMOOTHED), 1e-9) - 1.0)
     return float(np.median(np.where(backward, np.inf, off)[used])) / MEDIAN / sample.phase_noise(finest)
 
 
@@ -171,9 +171,9 @@ def _draw(evidence: Evidence, _: Finding) -> Figure | None:
     deviations = [deviation for _, _, deviation in phase_deviations(sample)]
     if not deviations:
         return None
-    worst = max(deviations, key=lambda one: float(np.nanstd(one)))
-    most = max(float(np.nanpercentile(np.abs(worst), 98)), 0.05)
-    return draw_sample_map(worst, sample, "RdBu", (-most, most), "phase of wide − fine fringes in rad")
+    worst = max(deviations, key=lambda values: float(np.nanstd(values)))
+    limit = max(float(np.nanpercentile(np.abs(worst), 98)), 0.05)
+    return draw_sample_map(worst, sample, "RdBu", (-limit, limit), "phase of wide − fine fringes in rad")
 
 
 INTERREFLECTION = FaultCause(

@@ -40,8 +40,8 @@ class MissingColourLimits(LimitsSection):
 
 
 def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
-    if (found := missing_colour(evidence.frames)) is not None:
-        yield found
+    if (finding := missing_colour(evidence.frames)) is not None:
+        yield finding
 
 
 def missing_colour(sample: FrameSample) -> Finding | None:

@@ -26,21 +26,26 @@ def light_elsewhere(excess: float) -> Finding:
 
 
 def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
-    seen = evidence.visibility
-    limit, share = seen.limits.min_lit_share, seen.lit_share
-    if seen.tiny_part_share is not None:
+    visibility = evidence.visibility
+    limit, share = visibility.limits.min_lit_share, visibility.lit_share
+    if visibility.tiny_part_share is not None:
         advice = (
             "check whether the part is as large as it should be (a mesh is in mm), near enough, and where "
             "camera and projector both look"
         )
-        yield Finding(NO_OVERLAP, _words(seen.tiny_part_share, limit), limit / seen.tiny_part_share, advice)
-    elif seen.is_dark:
-        yield light_elsewhere(darkness_excess(seen))
-    elif not seen.is_weak and share < limit:
-        yield Finding(NO_OVERLAP, _words(share, limit), limit / max(share, 1e-4))
+        yield Finding(
+            NO_OVERLAP,
+            _evidence(visibility.tiny_part_share, limit),
+            limit / visibility.tiny_part_share,
+            advice,
+        )
+    elif visibility.is_dark:
+        yield light_elsewhere(darkness_excess(visibility))
+    elif not visibility.is_weak and share < limit:
+        yield Finding(NO_OVERLAP, _evidence(share, limit), limit / max(share, 1e-4))
 
 
-def _words(share: float, limit: float) -> str:
+def _evidence(share: float, limit: float) -> str:
     return f"the fringes light {100 * share:.2g} % of the image (at least {100 * limit:g} %)"
 
 

@@ -29,11 +29,11 @@ def draw_marker_levels(shown: NDArray[np.integer[Any]], runs: Mapping[str, Float
     figure = new_figure(FULL, 2.6)
     panels = np.atleast_1d(figure.subplots(1, len(runs), sharey=True))
     for axes, (how, levels) in zip(panels, runs.items(), strict=True):
-        known = np.flatnonzero(np.isfinite(levels))
-        expected = np.sort(levels[known])[np.argsort(np.argsort(shown[known]))]
-        axes.plot(known, expected, color=SECOND, linewidth=1.2, label="expected")
-        axes.plot(known, levels[known], "o", color=ACCENT, markersize=4, label="seen")
-        mismatched = known[np.abs(levels[known] - expected) > 0.05 * np.ptp(levels[known])]
+        frames = np.flatnonzero(np.isfinite(levels))
+        expected = np.sort(levels[frames])[np.argsort(np.argsort(shown[frames]))]
+        axes.plot(frames, expected, color=SECOND, linewidth=1.2, label="expected")
+        axes.plot(frames, levels[frames], "o", color=ACCENT, markersize=4, label="seen")
+        mismatched = frames[np.abs(levels[frames] - expected) > 0.05 * np.ptp(levels[frames])]
         axes.plot(
             mismatched, levels[mismatched], "o", color=ALARM, markersize=4, label="seen, of another image"
         )
@@ -63,7 +63,7 @@ def _draw_brightness(evidence: Evidence, _: Finding) -> Figure:
 
 MARKER_PICTURE = Picture(Needs.MARKER, _draw_marker)
 RATE_PICTURE = Picture(Needs.FINDING, _draw_rate)
-DEVICES_WORDS = "what the device reports"
+DEVICE_REPORT = "what the device reports"
 
 DEVICE = FaultCause(
     key="device",
@@ -72,7 +72,7 @@ DEVICE = FaultCause(
     measured="what a device reports",
     limit="any error",
     seen_in="check",
-    shown_by=DEVICES_WORDS,
+    shown_by=DEVICE_REPORT,
 )
 NO_TRIGGER = FaultCause(
     key="no_trigger",
@@ -138,7 +138,7 @@ NO_PERMISSION = FaultCause(
     measured="whether the system refuses to open a device",
     limit="any refusal",
     seen_in="check",
-    shown_by=DEVICES_WORDS,
+    shown_by=DEVICE_REPORT,
 )
 SLOW_LINK = FaultCause(
     key="slow_link",

@@ -13,19 +13,19 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def darkness_excess(seen: Visibility) -> float:
+def darkness_excess(visibility: Visibility) -> float:
     """Compute how far the strongest modulation is below that of fringes."""
-    return seen.limits.min_fringe_sigmas / max(seen.strength, 0.01)
+    return visibility.limits.min_fringe_sigmas / max(visibility.strength, 0.01)
 
 
 def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
-    seen = evidence.visibility
-    if seen.is_dark and seen.tiny_part_share is None:
+    visibility = evidence.visibility
+    if visibility.is_dark and visibility.tiny_part_share is None:
         text = (
             f"the fringes' modulation is {evidence.frames.strongest:.2g} of 255 grey levels, "
-            f"{seen.strength:.1f} times its noise (at least {seen.limits.min_fringe_sigmas:g})"
+            f"{visibility.strength:.1f} times its noise (at least {visibility.limits.min_fringe_sigmas:g})"
         )
-        yield Finding(PROJECTOR_DARK, text, darkness_excess(seen))
+        yield Finding(PROJECTOR_DARK, text, darkness_excess(visibility))
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure:

@@ -67,9 +67,9 @@ def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
     rad = max(harmonics_of_power_law_rad(sample), max(ripples(sample), default=0.0))
     min_rad = evidence.limits.of(FringeShapeLimits).min_harmonic_rad
     if (
-        found := phase_error_finding(sample, RESPONSE, rad, min_rad, "harmonics of the response")
+        finding := phase_error_finding(sample, RESPONSE, rad, min_rad, "harmonics of the response")
     ) is not None:
-        yield found
+        yield finding
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure:

@@ -63,10 +63,10 @@ def _draw(evidence: Evidence, _: Finding) -> Figure | None:
     values = np.full((height, width), np.nan)
     u, v = points.cloud.pixels.T
     values[v, u] = off
-    most = max(float(np.nanpercentile(np.abs(values), 98)), 2.0 * limit)
+    range_px = max(float(np.nanpercentile(np.abs(values), 98)), 2.0 * limit)
     figure, axes = map_axes(values.shape)
     label = f"distance in projector px (limit {limit:g})"
-    colour_bar(figure, axes, draw_map(axes, values, "RdBu", (-most, most)), label)
+    colour_bar(figure, axes, draw_map(axes, values, "RdBu", (-range_px, range_px)), label)
     return figure
 
 

@@ -17,16 +17,16 @@ if TYPE_CHECKING:
 
 def _find_weak_fringes(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
     """Fringes that can hardly be told from the dark."""
-    seen, sample = evidence.visibility, evidence.frames
-    if seen.is_dark or not seen.is_weak or seen.tiny_part_share is not None:
+    visibility, sample = evidence.visibility, evidence.frames
+    if visibility.is_dark or not visibility.is_weak or visibility.tiny_part_share is not None:
         return
     text = (
-        f"the fringes' modulation is {sample.strongest:.2g} of 255 grey levels, {seen.strength:.1f} times "
-        f"its noise (at least {seen.limits.min_clear_sigmas:g})"
+        f"the fringes' modulation is {sample.strongest:.2g} of 255 grey levels, {visibility.strength:.1f} "
+        f"times its noise (at least {visibility.limits.min_clear_sigmas:g})"
     )
     best = evidence.limits.of(GreyLevelLimits).best_peak_share
     factor = best * 255.0 / max(2.0 * sample.strongest, 1.0)
-    yield Finding(UNDEREXPOSED, text, seen.limits.min_clear_sigmas / seen.strength, factor=factor)
+    yield Finding(UNDEREXPOSED, text, visibility.limits.min_clear_sigmas / visibility.strength, factor=factor)
 
 
 def _find_low_peaks(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:

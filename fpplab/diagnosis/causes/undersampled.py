@@ -49,7 +49,7 @@ def _draw(evidence: Evidence, _: Finding) -> Figure:
     k = plan.finest_set()
     frame = sample.recording.frames[plan.set_starts[k]]
     rows, columns = np.nonzero(sample.lit)
-    row, column = (int(np.median(one)) * sample.step for one in (rows, columns))
+    row, column = (int(np.median(indices)) * sample.step for indices in (rows, columns))
     along_u = plan.fringes[k].axis == "x"
     line, middle = (frame[row], column) if along_u else (frame[:, column], row)
     shown = np.arange(max(middle - 30, 0), min(middle + 30, len(line)))

@@ -48,16 +48,16 @@ def displacements_px(sample: FrameSample) -> list[tuple[float, float]]:
     return [_displacement(first, other) for other in others]
 
 
-def _displacement(one: Floats, other: Floats) -> tuple[float, float]:
+def _displacement(reference: Floats, other: Floats) -> tuple[float, float]:
     """Displacement in px between pictures (T, rows, columns), and its uncertainty, by least squares."""
-    v, u = (np.gradient(one, axis=k)[:, 1:-1, 1:-1] for k in (1, 2))
-    inner, change = one[:, 1:-1, 1:-1], (other - one)[:, 1:-1, 1:-1]
+    v, u = (np.gradient(reference, axis=k)[:, 1:-1, 1:-1] for k in (1, 2))
+    inner, change = reference[:, 1:-1, 1:-1], (other - reference)[:, 1:-1, 1:-1]
     basis = np.stack([u.ravel(), v.ravel(), inner.ravel(), np.ones(inner.size)], axis=1)
     normal = basis.T @ basis + 1e-9 * np.eye(4)
     best = np.linalg.solve(normal, basis.T @ change.ravel())
     residuals = change.ravel() - basis @ best
-    known = np.linalg.inv(normal)[:2, :2] * residuals.var()
-    return float(np.hypot(*best[:2])), float(np.sqrt(np.trace(known)))
+    covariance = np.linalg.inv(normal)[:2, :2] * residuals.var()
+    return float(np.hypot(*best[:2])), float(np.sqrt(np.trace(covariance)))
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure:
@@ -69,8 +69,8 @@ def _draw(evidence: Evidence, _: Finding) -> Figure:
     worst = int(np.argmax(moved))
     change = (sample.offsets_in_tiles[worst + 1] - sample.offsets_in_tiles[0])[0]
     figure, (left, right) = side_by_side(3.0, (1.0, 1.4))
-    most = max(float(np.abs(change).max()), 1.0)
-    shown = left.imshow(change, cmap="RdBu", vmin=-most, vmax=most)
+    max_change = max(float(np.abs(change).max()), 1.0)
+    shown = left.imshow(change, cmap="RdBu", vmin=-max_change, vmax=max_change)
     colour_bar(figure, left, shown, f"set {worst + 2} − set 1, grey levels")
     left.set(xlabel="px", ylabel="px")
     sets = np.arange(2, len(moved) + 2)

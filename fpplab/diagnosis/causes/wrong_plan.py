@@ -48,7 +48,7 @@ class WrongPlanLimits(LimitsSection):
     of the limits: bent responses make sets disagree."""
 
 
-def _find(evidence: Evidence, found: Sequence[Finding]) -> Iterator[Finding]:
+def _find(evidence: Evidence, findings: Sequence[Finding]) -> Iterator[Finding]:
     """A plan that is not that of the images.
 
     A coordinate that runs against the calibration is always noticed. Other plans are tried where it does,
@@ -58,7 +58,7 @@ def _find(evidence: Evidence, found: Sequence[Finding]) -> Iterator[Finding]:
     assert recording is not None
     assert decoded is not None
     assert calibration is not None
-    limits, named = evidence.limits.of(WrongPlanLimits), {one.cause for one in found}
+    limits, named = evidence.limits.of(WrongPlanLimits), {finding.cause for finding in findings}
     against = _runs_against(decoded, calibration, recording.plan.axes, evidence)
     if against is None and not _is_suspicious(evidence, decoded, limits):
         return
@@ -106,12 +106,12 @@ def _runs_against(
     decoded: Decoded, calibration: Calibration, axes: tuple[Axis, ...], evidence: Evidence
 ) -> Axis | None:
     """Find the axis along which the coordinate changes as on no surface that both devices see."""
-    least_pixels = evidence.limits.of(WrongPlanLimits).min_directed_pixels
+    min_pixels = evidence.limits.of(WrongPlanLimits).min_directed_pixels
     min_change = evidence.limits.of(DirectionLimits).min_change
     for axis in axes:
         shares = changes_along_image(decoded.coordinate(axis), calibration, axis, DIRECTION_STRIDE)
-        known = np.isfinite(shares)
-        if known.sum() >= least_pixels and np.median(shares[known]) < min_change:
+        finite = np.isfinite(shares)
+        if finite.sum() >= min_pixels and np.median(shares[finite]) < min_change:
             return axis
     return None
 

@@ -80,20 +80,22 @@ def _find_moire(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
 def _find_other_lattice(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
     """A projector whose focal lengths do not belong to the lattice of mirrors that is stated."""
     projector, limits = evidence.points.calibration.projector, evidence.limits.of(WrongResolutionLimits)
-    aspect, wanted = float(projector.matrix[1, 1] / projector.matrix[0, 0]), ASPECTS[projector.lattice]
-    off = abs(aspect / wanted - 1.0)
+    aspect, nominal = float(projector.matrix[1, 1] / projector.matrix[0, 0]), ASPECTS[projector.lattice]
+    off = abs(aspect / nominal - 1.0)
     if off > limits.max_stretch:
         text = (
             f"by the calibration a column of the projector's picture is {aspect:.2f} times as wide as a row "
-            f"is high, but {wanted:g} times with the lattice '{projector.lattice.value}' (at most "
+            f"is high, but {nominal:g} times with the lattice '{projector.lattice.value}' (at most "
             f"{100 * limits.max_stretch:g} % off)"
         )
         yield Finding(WRONG_RESOLUTION, text, min(off / limits.max_stretch, limits.max_aspect_severity))
 
 
 def _strongest_moire(sample: FrameSample) -> tuple[Floats, Floats] | None:
-    spectra = [one for axis in sample.coordinates if (one := moire_spectrum(sample, axis)) is not None]
-    return max(spectra, key=lambda one: float(one[1].max())) if spectra else None
+    spectra = [
+        spectrum for axis in sample.coordinates if (spectrum := moire_spectrum(sample, axis)) is not None
+    ]
+    return max(spectra, key=lambda spectrum: float(spectrum[1].max())) if spectra else None
 
 
 def moire_spectrum(sample: FrameSample, axis: Axis) -> tuple[Floats, Floats] | None:
@@ -107,7 +109,7 @@ def moire_spectrum(sample: FrameSample, axis: Axis) -> tuple[Floats, Floats] | N
     span = float(np.ptp(np.percentile(position, (1, 99))))
     cycles = np.arange(limits.min_cycles, limits.max_cycles, 0.5 / max(span, 100.0))
     size = axis_length(sample.recording.projector_size, axis)
-    sets = [one.stripes / size for one in sample.recording.plan.fringes if one.axis == axis]
+    sets = [fringe.stripes / size for fringe in sample.recording.plan.fringes if fringe.axis == axis]
     fine = [own for own in sets if own >= 0.02]
     for own in fine:
         cycles = cycles[np.abs(cycles / own - np.rint(cycles / own)) * own > limits.min_distance_cycles]
@@ -134,7 +136,7 @@ def _fringe_harmonics(
     cycles = [m * own for own in fine for m in range(1, limits.fringe_harmonics + 1)]
     if not fine and (finest := max(sets)) * span >= limits.min_fringes:
         cycles = [m * finest for m in range(1, int(limits.max_cycles / finest) + 1)]
-    return [one for one in cycles if one < limits.max_cycles]
+    return [frequency for frequency in cycles if frequency < limits.max_cycles]
 
 
 def _explained_by_fringes(
@@ -166,10 +168,10 @@ def _roughness(coordinate: Map, even: Mask, step: int) -> tuple[Floats, Floats]:
     if rows.shape[1] <= 2 * SMOOTHED_PX:
         return np.empty(0), np.empty(0)
     sums = np.cumsum(np.pad(np.nan_to_num(rows), ((0, 0), (1, 0))), axis=1)
-    known = np.cumsum(np.pad(np.isfinite(rows).astype(np.float64), ((0, 0), (1, 0))), axis=1)
+    counts = np.cumsum(np.pad(np.isfinite(rows).astype(np.float64), ((0, 0), (1, 0))), axis=1)
     window = 2 * half + 1
     mean = (sums[:, window:] - sums[:, :-window]) / window
-    whole = known[:, window:] - known[:, :-window] == window
+    whole = counts[:, window:] - counts[:, :-window] == window
     middle = rows[:, half : half + mean.shape[1]]
     rough = middle - mean
     whole &= (np.abs(rough) < 1.0) & smooth[:, half : half + mean.shape[1]]

@@ -82,34 +82,38 @@ def check_plan_fit(recording: Recording, limits: DiagnosisLimits = USUAL_LIMITS)
     if sample is None:
         return None
     few = replace(recording, frames=[np.ascontiguousarray(f[sample.rows]) for f in recording.frames])
-    given = disagreement(few, recording.plan, sample)
-    if given.median > own.max_agreeing and (found := _better(few, sets, sample, given)):
-        return found
-    return _orientation(sets, sample, given.median)
+    stated = disagreement(few, recording.plan, sample)
+    if stated.median > own.max_agreeing and (better := _better(few, sets, sample, stated)):
+        return better
+    return _orientation(sets, sample, stated.median)
 
 
-def _better(few: Recording, sets: Sets, sample: PhaseSample, given: Disagreement) -> PlanCheck | None:
+def _better(few: Recording, sets: Sets, sample: PhaseSample, stated: Disagreement) -> PlanCheck | None:
     """Find the simplest of the plans that fit much better."""
     limits = sample.limits
     tried = [(edit, disagreement(few, edit.plan(few.plan), sample)) for edit in edits(sets, sample)]
     fitting = [
-        (edit, found.median)
-        for edit, found in tried
-        if found.median <= min(limits.max_better_ratio * given.median, limits.max_proposed)
-        and found.lower <= limits.max_better_ratio * given.lower
+        (edit, misfit.median)
+        for edit, misfit in tried
+        if misfit.median <= min(limits.max_better_ratio * stated.median, limits.max_proposed)
+        and misfit.lower <= limits.max_better_ratio * stated.lower
     ]
     if not fitting:
         return None
-    least = min(d for _, d in fitting)
-    good = [(edit, d) for edit, d in fitting if d <= limits.max_equal_ratio * max(least, 1.0)]
+    lowest = min(d for _, d in fitting)
+    good = [(edit, d) for edit, d in fitting if d <= limits.max_equal_ratio * max(lowest, 1.0)]
     # Reversed and late steps differ in the direction of the fringes alone.
-    standing = [one for one in good if _orientation(one[0].sets, sample, one[1]).unusual is None]
-    return PlanCheck(given.median, *(standing or good)[0])
+    standing = [
+        candidate
+        for candidate in good
+        if _orientation(candidate[0].sets, sample, candidate[1]).unusual is None
+    ]
+    return PlanCheck(stated.median, *(standing or good)[0])
 
 
-def _orientation(sets: Sets, sample: PhaseSample, given: float) -> PlanCheck:
-    seen = directions(sample, finest_of(sets))
-    return PlanCheck(given, unusual=upright(sets, seen), mirrored=is_mirrored(sets, sample))
+def _orientation(sets: Sets, sample: PhaseSample, stated: float) -> PlanCheck:
+    observed = directions(sample, finest_of(sets))
+    return PlanCheck(stated, unusual=upright(sets, observed), mirrored=is_mirrored(sets, sample))
 
 
 def disagreement(few: Recording, plan: Plan, sample: PhaseSample) -> Disagreement:
@@ -122,8 +126,8 @@ def disagreement(few: Recording, plan: Plan, sample: PhaseSample) -> Disagreemen
     except ConfigError:
         return Disagreement(np.inf, np.inf)
     assert decoded.disagreement is not None
-    found = np.nan_to_num(decoded.disagreement[sample.lit], nan=np.inf, posinf=np.inf)
-    return Disagreement(*np.quantile(found, (sample.limits.lower_quantile, 0.5), method="higher").tolist())
+    values = np.nan_to_num(decoded.disagreement[sample.lit], nan=np.inf, posinf=np.inf)
+    return Disagreement(*np.quantile(values, (sample.limits.lower_quantile, 0.5), method="higher").tolist())
 
 
 def _shown(value: float) -> str:

@@ -24,21 +24,25 @@ class Edit:
     remedy: str  # what to write in it
     sets: Sets  # the fringe sets of the plan that is right then
 
-    def plan(self, given: Plan) -> Plan:
+    def plan(self, stated: Plan) -> Plan:
         """Give the whole plan."""
-        return given.model_copy(update={"fringes": self.sets})
+        return stated.model_copy(update={"fringes": self.sets})
 
 
 def edits(sets: Sets, sample: PhaseSample) -> Iterator[Edit]:
     """Go through the plans next to one, the simplest first."""
     yield from _other_steps(sets)
     finest = finest_of(sets)
-    seen = directions(sample, finest)
-    for found in (_other_axes(sets, seen, finest), _other_order(sets, seen), _other_signs(sets, seen)):
-        if found is not None:
-            yield found
-            yield from _with_origins_too(found, sample)
-    yield from _other_stripes(sets, seen, sample)
+    observed = directions(sample, finest)
+    for edit in (
+        _other_axes(sets, observed, finest),
+        _other_order(sets, observed),
+        _other_signs(sets, observed),
+    ):
+        if edit is not None:
+            yield edit
+            yield from _with_origins_too(edit, sample)
+    yield from _other_stripes(sets, observed, sample)
     if (moved := _other_origins(sets, sample)) is not None:
         yield moved
 
@@ -65,10 +69,10 @@ def _other_steps(sets: Sets) -> Iterator[Edit]:
         )
 
 
-def _other_axes(sets: Sets, seen: list[Direction], finest: int) -> Edit | None:
+def _other_axes(sets: Sets, observed: list[Direction], finest: int) -> Edit | None:
     """Sets whose fringes run along the other axis than the plan says, relative to the finest."""
     own = sets[finest].axis
-    axes: list[Axis] = [own if each.parallel else _other(own) for each in seen]
+    axes: list[Axis] = [own if each.parallel else _other(own) for each in observed]
     wrong = [k for k, axis in enumerate(axes) if axis != sets[k].axis]
     if not wrong:
         return None
@@ -80,12 +84,12 @@ def _other_axes(sets: Sets, seen: list[Direction], finest: int) -> Edit | None:
     )
 
 
-def _other_order(sets: Sets, seen: list[Direction]) -> Edit | None:
+def _other_order(sets: Sets, observed: list[Direction]) -> Edit | None:
     """Along each axis the same stripes, in the order in which the images have them."""
     stripes = [s.stripes for s in sets]
     for axis in AXES:
         along = indices_along(sets, axis)
-        for k, other in zip(sorted(along, key=lambda k: seen[k].speed), along, strict=True):
+        for k, other in zip(sorted(along, key=lambda k: observed[k].speed), along, strict=True):
             stripes[k] = sets[other].stripes
     if stripes == [s.stripes for s in sets]:
         return None
@@ -96,16 +100,16 @@ def _other_order(sets: Sets, seen: list[Direction]) -> Edit | None:
     )
 
 
-def _other_signs(sets: Sets, seen: list[Direction]) -> Edit | None:
+def _other_signs(sets: Sets, observed: list[Direction]) -> Edit | None:
     """Sets whose phase runs against that of the finest set of their axis."""
     wrong = []
     for axis in AXES:
         along = indices_along(sets, axis)
         if along:
-            level = sum(abs(seen[k].right) - abs(seen[k].down) for k in along) >= 0
-            ways = {k: sets[k].shift_sign * seen[k].way(level) for k in along}
-            most = np.sign(sum(ways.values())) or ways[along[-1]]
-            wrong += [k for k in sorted(along) if ways[k] != most]
+            level = sum(abs(observed[k].right) - abs(observed[k].down) for k in along) >= 0
+            ways = {k: sets[k].shift_sign * observed[k].way(level) for k in along}
+            majority = np.sign(sum(ways.values())) or ways[along[-1]]
+            wrong += [k for k in sorted(along) if ways[k] != majority]
     if not wrong:
         return None
     return Edit(
@@ -115,18 +119,18 @@ def _other_signs(sets: Sets, seen: list[Direction]) -> Edit | None:
     )
 
 
-def _other_stripes(sets: Sets, seen: list[Direction], sample: PhaseSample) -> Iterator[Edit]:
+def _other_stripes(sets: Sets, observed: list[Direction], sample: PhaseSample) -> Iterator[Edit]:
     """Other numbers of stripes in one set, by the others of its axis, or in every set that differs."""
     first: dict[int, float] = {}
-    for k, one in enumerate(sets):
-        others = [j for j in indices_along(sets, one.axis) if j != k]
+    for k, fringe in enumerate(sets):
+        others = [j for j in indices_along(sets, fringe.axis) if j != k]
         if not others:
             continue
-        about = seen[k].speed / float(np.median([seen[j].speed / sets[j].stripes for j in others]))
-        if abs(about / one.stripes - 1.0) <= sample.limits.max_equal_stripes:
+        about = observed[k].speed / float(np.median([observed[j].speed / sets[j].stripes for j in others]))
+        if abs(about / fringe.stripes - 1.0) <= sample.limits.max_equal_stripes:
             continue
         for stripes in _stripes_near(sets, others, k, about, sample):
-            if one.stripes > 1.0:
+            if fringe.stripes > 1.0:
                 first.setdefault(k, stripes)
             yield _with_stripes(sets, {k: stripes})
     if len(first) > 1:
@@ -199,16 +203,16 @@ def _with_origins_too(edit: Edit, sample: PhaseSample) -> Iterator[Edit]:
 
 def with_origins(sets: Sets, sample: PhaseSample) -> Sets:
     """Give each set the phase origin with which it continues the coarser ones of its axis."""
-    found = list(sets)
+    edited = list(sets)
     for axis in AXES:
         along = indices_along(sets, axis)
         for last, (coarse, fine) in enumerate(pairwise(along), 1):
-            predicted = unwrapped(found, along[:last], sample) * sets[fine].stripes / sets[coarse].stripes
-            left = phases_of(found, sample)[fine] - predicted
-            origin = float(np.angle(np.mean(np.exp(1j * left))))
+            predicted = unwrapped(edited, along[:last], sample) * sets[fine].stripes / sets[coarse].stripes
+            residual = phases_of(edited, sample)[fine] - predicted
+            origin = float(np.angle(np.mean(np.exp(1j * residual))))
             if abs(origin) > sample.limits.min_origin_rad:
-                found[fine] = _moved(found[fine], origin)
-    return tuple(found)
+                edited[fine] = _moved(edited[fine], origin)
+    return tuple(edited)
 
 
 def phases_of(sets: Sequence[Sinusoid], sample: PhaseSample) -> Floats:
@@ -223,19 +227,19 @@ def unwrapped(sets: Sequence[Sinusoid], along: Sequence[int], sample: PhaseSampl
     """Unwrap the finest of some sets by the coarser ones."""
     # returns (P,) rad
     ranked = sorted(along, key=lambda k: sets[k].stripes)
-    seen = phases_of(sets, sample)
-    phase = seen[ranked[0]] % TWO_PI
+    phases = phases_of(sets, sample)
+    phase = phases[ranked[0]] % TWO_PI
     for coarse, fine in pairwise(ranked):
         predicted = phase * sets[fine].stripes / sets[coarse].stripes
-        phase = predicted + wrapped(seen[fine] - predicted)
+        phase = predicted + wrapped(phases[fine] - predicted)
     return np.asarray(phase)
 
 
-def upright(sets: Sets, seen: list[Direction]) -> Edit | None:
+def upright(sets: Sets, observed: list[Direction]) -> Edit | None:
     """Give axes and signs by which columns run to the right in the image and rows down."""
-    axes: list[Axis] = ["x" if each.level else "y" for each in seen]
+    axes: list[Axis] = ["x" if each.level else "y" for each in observed]
     other_axes = [k for k, axis in enumerate(axes) if axis != sets[k].axis]
-    other_signs = [k for k, each in enumerate(seen) if each.way(each.level) != sets[k].shift_sign]
+    other_signs = [k for k, each in enumerate(observed) if each.way(each.level) != sets[k].shift_sign]
     if not other_axes and not other_signs:
         return None
     mistakes, remedies = [], []
@@ -246,7 +250,7 @@ def upright(sets: Sets, seen: list[Direction]) -> Edit | None:
         mistakes.append(f"the phase of {_named(sets, other_signs)} rises to the left or upwards")
         remedies.append(_written(sets, other_signs, "shift_sign", lambda k: -sets[k].shift_sign))
     edited = tuple(
-        s.model_copy(update={"axis": axes[k], "shift_sign": seen[k].way(seen[k].level)})
+        s.model_copy(update={"axis": axes[k], "shift_sign": observed[k].way(observed[k].level)})
         for k, s in enumerate(sets)
     )
     return Edit(", and ".join(mistakes), "; ".join(remedies), edited)
@@ -265,13 +269,13 @@ def is_mirrored(sets: Sets, sample: PhaseSample) -> bool:
     return bool(np.median(x[:, 0] * y[:, 1] - x[:, 1] * y[:, 0]) < 0)
 
 
-def _moved(one: Sinusoid, by: float) -> Sinusoid:
-    origin = float(wrapped(np.asarray(one.phase_origin_rad + by)))
-    return one.model_copy(update={"phase_origin_rad": origin})
+def _moved(fringe: Sinusoid, by: float) -> Sinusoid:
+    origin = float(wrapped(np.asarray(fringe.phase_origin_rad + by)))
+    return fringe.model_copy(update={"phase_origin_rad": origin})
 
 
-def _turned(one: Sinusoid) -> Sinusoid:
-    return one.model_copy(update={"shift_sign": -one.shift_sign})
+def _turned(fringe: Sinusoid) -> Sinusoid:
+    return fringe.model_copy(update={"shift_sign": -fringe.shift_sign})
 
 
 def _other(axis: Axis) -> Axis:
@@ -282,11 +286,11 @@ def _named(sets: Sets, which: Sequence[int]) -> str:
     """Name sets by index and stripes, or all along an axis at once."""
     names = []
     for axis in AXES:
-        wanted = [k for k in which if sets[k].axis == axis]
-        if len(wanted) == len(indices_along(sets, axis)) > 1:
+        indices = [k for k in which if sets[k].axis == axis]
+        if len(indices) == len(indices_along(sets, axis)) > 1:
             names.append(f"every set along {axis}")
         else:
-            names += [f"'fringes[{k}]' ({axis}, {sets[k].stripes:g} stripes)" for k in wanted]
+            names += [f"'fringes[{k}]' ({axis}, {sets[k].stripes:g} stripes)" for k in indices]
     return " and ".join(names)
 
 

@@ -66,9 +66,9 @@ def guess_plan(
         coarsest = max(sets[along[0]].stripes for axis in AXES if (along := indices_along(sets, axis)))
         method = Hierarchical.name if coarsest <= 1.0 else Heterodyne.name
         plan = Plan(fringes=with_origins(sets, sample) if coarsest <= 1.0 else sets, unwrapping=method)
-        found = disagreement(few, plan, sample).median
-        if not found > sample.limits.max_agreeing:
-            return PlanGuess(plan, found, _assumed(coarsest, finest))
+        misfit = disagreement(few, plan, sample).median
+        if not misfit > sample.limits.max_agreeing:
+            return PlanGuess(plan, misfit, _assumed(coarsest, finest))
     raise DataError(
         f"the images show sets of {str(images)[1:-1]} steps, but how many stripes they have across the whole "
         "projector cannot be told; say with --finest how many the finest set has"
@@ -97,7 +97,11 @@ def set_sizes(frames: Sequence[Image], full: int) -> list[int]:
     cost, last = [0.0] + [np.inf] * count, [0] * (count + 1)
     for end in range(MIN_STEPS, count + 1):
         for start in range(end - MIN_STEPS + 1):
-            worth = cost[start] + _left(moments[start:end, start:end]) / USUAL_MISFIT**2 + MIN_SQUARES_PER_SET
+            worth = (
+                cost[start]
+                + _residual_squares(moments[start:end, start:end]) / USUAL_MISFIT**2
+                + MIN_SQUARES_PER_SET
+            )
             if worth < cost[end]:
                 cost[end], last[end] = worth, start
     sizes: list[int] = []
@@ -106,8 +110,10 @@ def set_sizes(frames: Sequence[Image], full: int) -> list[int]:
         sizes.insert(0, end - last[end])
         end = last[end]
     starts = np.cumsum([0, *sizes])
-    left = sum(_left(moments[a : a + n, a : a + n]) for a, n in zip(starts, sizes, strict=False))
-    if np.sqrt(left / max(count - 2 * len(sizes), 1)) > MAX_MISFIT:
+    misfit = sum(
+        _residual_squares(moments[a : a + n, a : a + n]) for a, n in zip(starts, sizes, strict=False)
+    )
+    if np.sqrt(misfit / max(count - 2 * len(sizes), 1)) > MAX_MISFIT:
         named = name_other_patterns(frames, full) or "leave out white, black and other images by --skip"
         raise DataError(
             f"the {count} images are not made up of sets of phase-shifted sinusoids with equal steps, one "
@@ -131,7 +137,7 @@ def _moments(frames: Sequence[Image], full: int) -> Floats:
     return np.asarray(ripple @ ripple.T / ripple.shape[1])
 
 
-def _left(moments: Floats) -> float:
+def _residual_squares(moments: Floats) -> float:
     """What a sinusoid around the mean of all images leaves of a run of images, in squares of modulation."""
     shift = phase_steps(len(moments))
     waves = np.stack([np.cos(shift), np.sin(shift)]) * np.sqrt(2.0 / len(moments))
@@ -141,13 +147,13 @@ def _left(moments: Floats) -> float:
 def _axes_and_signs(images: list[int], sample: PhaseSample, size: tuple[int, int]) -> Sets:
     """Sets with the axes and signs of devices that stand upright; stripes as fast as in the image."""
     reference = int(np.argmax(np.median(np.hypot(*np.moveaxis(sample.gradients, -1, 0)), axis=1)))
-    seen = directions(sample, reference)
-    own, other = AXES if seen[reference].level else AXES[::-1]
+    observed = directions(sample, reference)
+    own, other = AXES if observed[reference].level else AXES[::-1]
     sets = tuple(
         Sinusoid(axis=own if each.parallel else other, stripes=each.speed, steps=n, projector_size=size)
-        for each, n in zip(seen, images, strict=True)
+        for each, n in zip(observed, images, strict=True)
     )
-    standing = upright(sets, seen)
+    standing = upright(sets, observed)
     return sets if standing is None else standing.sets
 
 
@@ -156,14 +162,14 @@ def _with_stripes(sets: Sets, sample: PhaseSample, finest: float | None) -> Iter
     by_axis = [along for axis in AXES if (along := indices_along(sets, axis))]
     scaled = [_scaled(_ratios(sets, along), _turns_seen(sample, along[0]), finest) for along in by_axis]
     for numbers in zip(*scaled, strict=False):
-        found = list(sets)
+        edited = list(sets)
         for along, stripes in zip(by_axis, numbers, strict=True):
             for k, number in zip(along, stripes, strict=True):
-                found[k] = found[k].model_copy(update={"stripes": float(number)})
+                edited[k] = edited[k].model_copy(update={"stripes": float(number)})
             for k in along[1:] if stripes[0] <= 1.0 else []:
-                exact = refined_stripes(tuple(found), along, k, found[k].stripes, sample)
-                found[k] = found[k].model_copy(update={"stripes": exact})
-        yield tuple(found)
+                exact = refined_stripes(tuple(edited), along, k, edited[k].stripes, sample)
+                edited[k] = edited[k].model_copy(update={"stripes": exact})
+        yield tuple(edited)
 
 
 def _ratios(sets: Sets, along: Sequence[int]) -> Floats:

@@ -35,13 +35,13 @@ def name_other_patterns(frames: Sequence[Image], full: int, sizes: Sequence[int]
     if levels is None:
         return None
     kinds = _kinds(levels)
-    found = [f"{_listed(numbers)} {text}" for text, numbers in _by_words(kinds).items()]
-    if found:
+    descriptions = [f"{_listed(numbers)} {text}" for text, numbers in _by_description(kinds).items()]
+    if descriptions:
         others = [k for k, kind in enumerate(kinds) if kind is not None]
         ranges = ",".join(_range(run) for run in _runs(others))
         return (
-            f"{'; '.join(found)}: only phase-shifted sinusoids are decoded; leave these images out with "
-            f"'--skip {ranges}', where the sinusoids alone suffice, and count them from 0"
+            f"{'; '.join(descriptions)}: only phase-shifted sinusoids are decoded; leave these images out "
+            f"with '--skip {ranges}', where the sinusoids alone suffice, and count them from 0"
         )
     return _unequal(levels, sizes)
 
@@ -60,7 +60,7 @@ def _lit_levels(frames: Sequence[Image], full: int) -> Floats | None:
 
 
 STRIPES = "black and white stripes, as of Gray code"
-WORDS = {
+DESCRIPTIONS = {
     "white": ("is white", "are white"),
     "black": ("is black", "are black"),
     "binary": (f"has {STRIPES}", f"have {STRIPES}"),
@@ -86,13 +86,13 @@ def _beside_another(kinds: Sequence[str | None], k: int) -> bool:
     return any(kinds[n] not in (None, kinds[k]) for n in (k - 1, k + 1) if 0 <= n < len(kinds))
 
 
-def _by_words(kinds: Sequence[str | None]) -> dict[str, list[int]]:
-    found = {}
-    for kind, (one, several) in WORDS.items():
+def _by_description(kinds: Sequence[str | None]) -> dict[str, list[int]]:
+    by_text = {}
+    for kind, (singular, plural) in DESCRIPTIONS.items():
         numbers = [k for k, own in enumerate(kinds) if own == kind]
         if numbers:
-            found[one if len(numbers) == 1 else several] = numbers
-    return found
+            by_text[singular if len(numbers) == 1 else plural] = numbers
+    return by_text
 
 
 def _runs(numbers: Sequence[int]) -> list[tuple[int, int]]:
@@ -119,9 +119,9 @@ def _unequal(levels: Floats, sizes: Sequence[int]) -> str | None:
             continue
         if not _fits_badly(levels[start : start + count]):
             continue
-        wanted = np.degrees(phase_steps(count))
-        turned = min((shifts, -shifts % 360.0), key=lambda one: _worst(one, wanted))
-        if _worst(np.sort(turned), wanted) <= MAX_STEP_ERROR_DEG:
+        expected = np.degrees(phase_steps(count))
+        turned = min((shifts, -shifts % 360.0), key=lambda candidate: _worst(candidate, expected))
+        if _worst(np.sort(turned), expected) <= MAX_STEP_ERROR_DEG:
             continue  # equal steps in another order, of which others tell which images were exchanged
         degrees = ", ".join(f"{shift:.0f}" for shift in turned)
         sentences.append(f"the images of 'fringes[{k}]' have unequal phase steps, at {degrees} degrees")
@@ -144,8 +144,8 @@ def _fits_badly(levels: Floats) -> bool:
     return equal > max(MIN_EQUAL_MISFIT * total, MIN_MISFIT_RATIO * free)
 
 
-def _worst(shifts: Floats, wanted: Floats) -> float:
-    return float(np.max(np.abs((shifts - wanted + 180.0) % 360.0 - 180.0)))
+def _worst(shifts: Floats, expected: Floats) -> float:
+    return float(np.max(np.abs((shifts - expected + 180.0) % 360.0 - 180.0)))
 
 
 def phase_shifts_seen(levels: Floats) -> Floats | None:

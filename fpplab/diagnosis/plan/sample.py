@@ -58,12 +58,12 @@ class PhaseSample:
             return None
         gradients = np.zeros((*here[:, lit].shape, 2))
         for axis in (0, 1):
-            known = np.ones(len(images), np.bool_)
+            usable = np.ones(len(images), np.bool_)
             for lag in lags:
-                there = _phasors(frames, images, rows, (0, lag) if axis == 0 else (lag, 0))
-                turn = np.angle(there[:, lit] * here[:, lit].conj())
-                known &= (np.median(np.abs(turn), axis=1) <= limits.max_turn_rad) | (lag == lags[0])
-                gradients[known, :, axis] = turn[known] / lag
+                shifted = _phasors(frames, images, rows, (0, lag) if axis == 0 else (lag, 0))
+                turn = np.angle(shifted[:, lit] * here[:, lit].conj())
+                usable &= (np.median(np.abs(turn), axis=1) <= limits.max_turn_rad) | (lag == lags[0])
+                gradients[usable, :, axis] = turn[usable] / lag
         return cls(np.angle(here)[:, lit], gradients, rows, lit, limits)
 
 
@@ -128,9 +128,9 @@ def directions(sample: PhaseSample, reference: int) -> list[Direction]:
     """Compare the gradients of all sets with those of one."""
     u, v = sample.gradients[reference].T
     square = np.maximum(u * u + v * v, 1e-12)
-    found = []
+    compared = []
     for gradient in sample.gradients:
         right, down = gradient.T
         along, across = (right * u + down * v) / square, (down * u - right * v) / square
-        found.append(Direction(*(float(np.median(each)) for each in (along, across, right, down))))
-    return found
+        compared.append(Direction(*(float(np.median(each)) for each in (along, across, right, down))))
+    return compared

@@ -182,8 +182,10 @@ class _Loop:
             return False
         fit = self._guide.judged(observation)
         misfit = residual_finding(fit)
-        if fit is not None and fit.odd is not None:
-            self._reject_later(fit.odd, f"the poses agree without it, and not with {fit.odd}")
+        if fit is not None and fit.outlying_pose is not None:
+            self._reject_later(
+                fit.outlying_pose, f"the poses agree without it, and not with {fit.outlying_pose}"
+            )
             misfit = None
         if misfit is not None or (findings and not self._usual(findings)):
             # Frames tell the cause of residuals, where they show one.

@@ -53,12 +53,12 @@ def residual_finding(fit: PoseFit | None) -> Finding | None:
     Where the camera's are as predicted and the projector's are not, the board has moved between the image in
     which it is found and the fringes.
     """
-    if fit is None or not fit.far:
+    if fit is None or not fit.contradicting_devices:
         return None
     residuals = [
         f"{name}: {errors.rms_px:.3f} px RMS where the other poses predict {errors.predicted_px:.3f} px"
         for name, errors in (("camera", fit.camera), ("projector", fit.projector))
     ]
     excess = max(e.rms_px / e.predicted_px for e in (fit.camera, fit.projector))
-    cause = BOARD_MOVED if fit.far == ("projector",) else POSE_MISFIT
+    cause = BOARD_MOVED if fit.contradicting_devices == ("projector",) else POSE_MISFIT
     return Finding(cause, "; ".join(residuals), excess)

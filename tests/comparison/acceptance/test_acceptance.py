@@ -250,7 +250,7 @@ def test_the_worst_value_keeps_its_sign_and_few_positions_are_told() -> None:
     assert judged["PS"].worst_um == pytest.approx(-30.0, abs=0.1)
     assert (judged["PS"].positions, judged["SD"].positions) == (4, 2)
     assert found.passed is False
-    assert {name: j.least_positions for name, j in judged.items()} == {"PF": 10, "PS": 10, "SD": 7}
+    assert {name: j.min_positions for name, j in judged.items()} == {"PF": 10, "PS": 10, "SD": 7}
     assert any("SD: measured in 2 of at least 7" in notice for notice in found.notices())
     fewer = standard(ball_bar=bar).with_positions(["PF=4", "PS=4", " SD = 2"])
     again = verify(fewer, [(name, spheres_over_a_wall()) for name in ("one", "two")])
