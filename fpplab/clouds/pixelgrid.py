@@ -52,7 +52,18 @@ class PixelGrid:
         _clear(index, a, b, w, noise)
         none = np.empty(0, np.float32)
         one, other = (*sigmas_mm, none, none)[:2]
-        _scatter(points, pixels, one, other, NOISE_SIGMAS / np.sqrt(2.0), index, a, b, w, noise)
+        _scatter(
+            points=points,
+            pixels=pixels,
+            sigma=one,
+            other_sigma=other,
+            weight=NOISE_SIGMAS / np.sqrt(2.0),
+            index=index,
+            a=a,
+            b=b,
+            w=w,
+            noise=noise,
+        )
         return cls(index, a, b, w, noise, len(points))
 
     def normals(self) -> GridPoints:

@@ -48,7 +48,18 @@ def nearest(queries: Floats, points: Floats) -> tuple[Floats, Indices]:
         return _by_tree(queries, points)
     turn, _ = _sort_by_cell(sought, low, 1.0 / cell, shape)
     distance, index = np.empty(len(queries)), np.empty(len(queries), np.int64)
-    _search(sought, turn, places[order], order, starts, low, cell, shape, distance, index)
+    _search(
+        queries=sought,
+        turn=turn,
+        points=places[order],
+        order=order,
+        starts=starts,
+        low=low,
+        cell=cell,
+        shape=shape,
+        distance=distance,
+        index=index,
+    )
     far = np.flatnonzero(index < 0)
     if len(far):
         distance[far], index[far] = _by_tree(queries[far], points)

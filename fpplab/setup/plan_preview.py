@@ -44,16 +44,16 @@ def preview_plan(rig: Rig, plan: Plan, source: Path | str) -> tuple[PlanPreview,
     rig.projector.load(patterns)
     timing = planned_timing(rig, plan, patterns, exposure_s)
     found = PlanPreview(
-        plan.trigger,
-        plan.images,
-        len(ends),
-        sum(p.bit_depth for p in patterns),
-        rig.projector.loads.images,
-        exposure_s,
-        timing.light_s,
-        timing.period_s - timing.light_s,
-        timing.period_s,
-        timing.limit,
-        len(patterns) * timing.period_s,
+        trigger=plan.trigger,
+        images=plan.images,
+        end_markers=len(ends),
+        bit_planes=sum(p.bit_depth for p in patterns),
+        loads=rig.projector.loads.images,
+        exposure_s=exposure_s,
+        light_s=timing.light_s,
+        dark_s=timing.period_s - timing.light_s,
+        period_s=timing.period_s,
+        period_set_by=timing.limit,
+        least_s=len(patterns) * timing.period_s,
     )
     return found, patterns

@@ -99,17 +99,17 @@ class Bodies:
         camera, lamp = scene.camera, scene.lamp
         starts, directions = np.empty((len(rows), 3)), np.empty((len(rows), 3))
         _rays(
-            columns,
-            rows,
-            camera.size[1],
-            np.array([*view.shift, *view.lens], np.float64),
-            camera.matrix,
-            camera.distortion,
-            self._reach,
-            0.5 * scene.aperture.diameter_mm,
-            scene.aperture.focus_mm,
-            starts,
-            directions,
+            columns=columns,
+            rows=rows,
+            height=camera.size[1],
+            view=np.array([*view.shift, *view.lens], np.float64),
+            matrix=camera.matrix,
+            lens=camera.distortion,
+            reach=self._reach,
+            radius=0.5 * scene.aperture.diameter_mm,
+            focus=scene.aperture.focus_mm,
+            starts=starts,
+            directions=directions,
         )
         faces = shape.first_face(starts, directions)
         hit = np.flatnonzero(faces >= 0)
@@ -117,16 +117,16 @@ class Bodies:
         centre = lamp.T_camera_projector[:3, 3]
         points, direct = np.empty((len(hit), 3)), np.empty(len(hit))
         _meet(
-            starts[hit],
-            directions[hit],
-            shape.triangles[faces, 0],
-            shape.normals[faces],
-            centre,
-            lamp.T_camera_projector[:3, 2],
-            np.cos(lamp.half_angle),
-            lamp.distance_mm,
-            points,
-            direct,
+            starts=starts[hit],
+            directions=directions[hit],
+            corners=shape.triangles[faces, 0],
+            normals=shape.normals[faces],
+            lamp=centre,
+            axis=lamp.T_camera_projector[:3, 2],
+            cosine=np.cos(lamp.half_angle),
+            distance=lamp.distance_mm,
+            points=points,
+            direct=direct,
         )
         reflectance = self._reflectance(faces, points)
         direct *= reflectance
