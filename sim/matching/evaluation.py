@@ -49,11 +49,11 @@ class TwinEvaluation:
         return figures
 
 
-def _rms_of_poses(found: Characterisation) -> dict[str, float]:
+def _rms_of_poses(characterisation: Characterisation) -> dict[str, float]:
     """Joint RMS reprojection error in px by name of pose."""
     return {
         name: float(np.hypot(of["camera"], of["projector"]) / np.sqrt(2.0))
-        for name, of in found.pose_rms_px.items()
+        for name, of in characterisation.pose_rms_px.items()
     }
 
 
@@ -82,18 +82,18 @@ def evaluate(
                 wait(observed)  # so that no more than two poses' frames are held
                 observed.append(pool.submit(_observed, reference, pose, frames))
             progress((pose + 1) / len(every))
-    seen: list[Observation] = []
+    observations: list[Observation] = []
     left_out: dict[str, str] = {}
-    for pose, one in enumerate(observed):
+    for pose, future in enumerate(observed):
         try:
-            seen.append(one.result())
+            observations.append(future.result())
         except CalibrationError as error:
             left_out[reference.sessions[pose].path.name] = str(error)
-    similarity = Similarity(*(np.array(one) for one in zip(*pairs, strict=True)))
-    found = _characterised(reference, seen, left_out) if epsilon_v is None else None
-    own = found.calibration.rms_px["joint"] if found else epsilon_v
+    similarity = Similarity(*(np.array(future) for future in zip(*pairs, strict=True)))
+    characterisation = _characterised(reference, observations, left_out) if epsilon_v is None else None
+    own = characterisation.calibration.rms_px["joint"] if characterisation else epsilon_v
     assert own is not None
-    return TwinEvaluation(Loss(weights, reference.epsilon_r, own, similarity), found)
+    return TwinEvaluation(Loss(weights, reference.epsilon_r, own, similarity), characterisation)
 
 
 def pose_similarity(reference: Reference, twin: Twin, pose: int) -> list[tuple[float, float]]:
@@ -119,20 +119,20 @@ def _observed(reference: Reference, pose: int, frames: Sequence[Image]) -> Obser
 
 
 def _characterised(
-    reference: Reference, seen: Sequence[Observation], left_out: Mapping[str, str]
+    reference: Reference, observations: Sequence[Observation], left_out: Mapping[str, str]
 ) -> Characterisation:
-    found, (size, lattice) = reference.characterisation, reference.projector
+    bench, (size, lattice) = reference.characterisation, reference.projector
     width, height, _ = reference.sessions[0].format
     try:
         return characterise(
-            seen,
+            observations,
             reference.target,
             (width, height),
             size,
             lattice,
             left_out=left_out,
-            level=found.level,
-            refine_board=found.drawn is not None,
+            level=bench.level,
+            refine_board=bench.drawn is not None,
         )
     except CalibrationError as error:
         raise CalibrationError(f"the twin's own frames cannot be characterised: {error}") from error

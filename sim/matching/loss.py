@@ -33,7 +33,7 @@ SURROUNDINGS_PX = 3
 HUBER_LIMIT = 3.0
 """Residuals beyond this many robust standard deviations count linearly (Huber)."""
 ROUNDING_SIGMA = 0.29
-"""Standard deviation of rounding to integers, the least that residuals can have."""
+"""Standard deviation of rounding to integers, the minimum that residuals can have."""
 
 
 class Weights(Document):
@@ -123,9 +123,9 @@ def rectangle_mask(
     """Find the pixels that see a rectangle on a board."""
     # low, high (2,) mm
     along = np.linspace(-1.0, 1.0, EDGE_POINTS, endpoint=False)
-    one = np.ones_like(along)
+    edge = np.ones_like(along)
     square = np.stack(
-        [np.concatenate([along, one, -along, -one]), np.concatenate([-one, along, one, -along])]
+        [np.concatenate([along, edge, -along, -edge]), np.concatenate([-edge, along, edge, -along])]
     )
     places = 0.5 * (low + high) + 0.5 * (high - low) * square.T
     outline = camera.project(np.pad(places, ((0, 0), (0, 1))), T_camera_board)

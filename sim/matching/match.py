@@ -64,7 +64,7 @@ class MatchingLimits(Document):
     epochs: int = 25
     """Greatest number of epochs."""
     seconds: float = 900.0
-    """Greatest duration of the epochs in s, of all runs together. A step that lasts longer is given up: the
+    """Greatest duration of the epochs in s, of all runs together. A step that lasts longer is abandoned: the
     record then ends with the epoch before.
     """
     patience: int = 1
@@ -109,7 +109,7 @@ class _StepWatch:
     limits: MatchingLimits
     progress: Progress
     tell: Say
-    words: str = ""
+    label: str = ""
     number: int = 0
     images: int = 0
     may_end: bool = False
@@ -118,17 +118,17 @@ class _StepWatch:
     def seconds(self) -> float:
         return time.monotonic() - self.started
 
-    def begin(self, number: int, words: str, may_end: bool = True) -> None:
-        self.number, self.words, self.images, self.may_end = number, words, 0, may_end
+    def begin(self, number: int, label: str, may_end: bool = True) -> None:
+        self.number, self.label, self.images, self.may_end = number, label, 0, may_end
 
     def __call__(self) -> None:
-        left = self.limits.seconds - self.seconds
-        if self.may_end and left < 0:
+        remaining = self.limits.seconds - self.seconds
+        if self.may_end and remaining < 0:
             raise _TimeOver
         done = self.number - np.exp(-self.images / LIMITS.usual_images)
         self.images += 1
         self.progress(min(1.0, float(done + 1.0) / (_usual_steps() + 2)))
-        self.tell(f"{self.words}, {max(left, 0.0):.0f} s left at most" if self.may_end else self.words)
+        self.tell(f"{self.label}, {max(remaining, 0.0):.0f} s left at most" if self.may_end else self.label)
 
 
 @dataclass(eq=False)
@@ -188,9 +188,9 @@ def match_twin(
     watch.begin(_usual_steps() + 1, "judging the result", may_end=False)
     best = state.best.parameters.parameters()
     at = replace(at, samples=_samples_of_poses(reference, best)).with_parameters(best)
-    left = _difference(at)
-    explained = explained_shares(state.epochs) | _changing_shares(at, left**2)
-    return MatchedTwin(best, tuple(state.epochs), explained, left, ended)
+    unexplained = _difference(at)
+    explained = explained_shares(state.epochs) | _changing_shares(at, unexplained**2)
+    return MatchedTwin(best, tuple(state.epochs), explained, unexplained, ended)
 
 
 def _best(epochs: Sequence[MatchingEpoch]) -> MatchingEpoch:
@@ -203,14 +203,14 @@ def explained_shares(epochs: Sequence[MatchingEpoch]) -> dict[str, float]:
 
     Shadows need relief: a flat board has none, so `shadowing` explains nothing.
     """
-    found, last = {"shadowing": 0.0}, epochs[0]
+    shares, last = {"shadowing": 0.0}, epochs[0]
     for epoch in epochs[1:]:
         if epoch.step in EXPLAINS.keys() - CHANGING and last.difference > 0:
             gained = 1.0 - (epoch.difference / last.difference) ** 2
-            found[epoch.step] = gained if epoch.accepted else 0.0
+            shares[epoch.step] = gained if epoch.accepted else 0.0
         if epoch.accepted:
             last = epoch
-    return found
+    return shares
 
 
 def _samples_of_poses(reference: Reference, parameters: TwinParameters) -> list[PixelSample]:
@@ -228,7 +228,11 @@ def _run(state: _State, limits: MatchingLimits, observe: EpochObserver) -> str:
     for number, step in enumerate(FIRST_STEPS, 1):
         if ended := _step_within(state, limits, observe, number, step):
             return ended
-    idle, number, repeated = 0, len(FIRST_STEPS), [one for one in REPEATED_STEPS if one.applies(state.at)]
+    idle, number, repeated = (
+        0,
+        len(FIRST_STEPS),
+        [repeatable for repeatable in REPEATED_STEPS if repeatable.applies(state.at)],
+    )
     while idle < limits.patience:
         before = _best(state.epochs[: number + 1])
         for step in _worth_trying(repeated, state.epochs[: number + 1]):
@@ -278,7 +282,11 @@ def _changed(before: MatchingEpoch, after: MatchingEpoch, limits: MatchingLimits
     if moved_um(old, new) > max(limits.poses_um, 0.5 * new.sigma.get("poses_um", 0.0)):
         return True
     for name in new.sigma.keys() & ADJUSTABLE.keys():
-        values = [ADJUSTABLE[name].read(one) for one in (old, new) if getattr(one, name, 0.0) is not None]
+        values = [
+            ADJUSTABLE[name].read(parameters)
+            for parameters in (old, new)
+            if getattr(parameters, name, 0.0) is not None
+        ]
         if len(values) < 2 or abs(values[1] - values[0]) > max(
             new.sigma[name], LIMITS.min_relative_change * abs(values[0])
         ):
@@ -304,8 +312,8 @@ def _take_step(state: _State, step: MatchingStep, observe: EpochObserver) -> Non
     if step.same_images and (refused or not step.characterises):
         loss, difference = best.loss, best.difference
     else:
-        known = None if step.characterises and not refused else best.loss["epsilon_v_px"]
-        loss = _evaluated(state, tried, known).loss.summary()
+        epsilon_v = None if step.characterises and not refused else best.loss["epsilon_v_px"]
+        loss = _evaluated(state, tried, epsilon_v).loss.summary()
         samples = _samples_of_poses(at.reference, tried.twin.parameters)
         state.at = replace(state.at, samples=samples)
         difference = _difference(replace(tried, samples=samples))
@@ -332,7 +340,7 @@ def _difference(at: MatchingContext) -> float:
     return float(np.sqrt(light_fit.mean_square_difference(at.reference, at.twin, at.samples)))
 
 
-def _changing_shares(at: MatchingContext, left: float) -> dict[str, float]:
+def _changing_shares(at: MatchingContext, mean_square: float) -> dict[str, float]:
     """Shares of what is left that flicker, bands, vibration and the sensor's noise make."""
     now, whole = at.twin.parameters, _noise(at)
     without = {
@@ -345,8 +353,8 @@ def _changing_shares(at: MatchingContext, left: float) -> dict[str, float]:
     shares = dict.fromkeys(without, 0.0)
     for step, steady in without.items():
         if steady is not None:
-            shares[step] = (whole - _noise(at.with_parameters(steady))) / left
-    return {**shares, "noise": whole / left - sum(shares.values())}
+            shares[step] = (whole - _noise(at.with_parameters(steady))) / mean_square
+    return {**shares, "noise": whole / mean_square - sum(shares.values())}
 
 
 def _noise(at: MatchingContext) -> float:

@@ -18,7 +18,7 @@ class MatchObserver(Observer):
     """Follows a matching. Each method may be overridden; here they do nothing."""
 
     def work(self, name: str) -> AbstractContextManager[tuple[Progress, Say]]:
-        """Enter long work, which reports the share that is done and, in words, what is being done.
+        """Enter long work, which reports the share that is done and, as text, what is being done.
 
         Parameters
         ----------

@@ -48,61 +48,61 @@ SHOWN_POSES = 5
 
 def write_matching_report(
     path: Path,
-    found: MatchingResult,
+    matching: MatchingResult,
     twin: Twin,
     answer: Mapping[str, Any] | None = None,
     provenance: Mapping[str, Provenance] | None = None,
 ) -> None:
     """Write a matching as one HTML file."""
-    sections = [_epochs_section(found)]
-    if found.gamma:
-        sections.append(_gamma_section(found.gamma))
-    if found.appearance:
-        sections.append(_appearance_section(found.appearance))
-    sections += [_poses_section(found), _images_section(found, twin), _parameters_section(found)]
-    if found.surfaces:
-        sections.append(_surfaces_section(found.surfaces))
-    sections += [_artefact_section(one) for one in found.artefacts]
+    sections = [_epochs_section(matching)]
+    if matching.gamma:
+        sections.append(_gamma_section(matching.gamma))
+    if matching.appearance:
+        sections.append(_appearance_section(matching.appearance))
+    sections += [_poses_section(matching), _images_section(matching, twin), _parameters_section(matching)]
+    if matching.surfaces:
+        sections.append(_surfaces_section(matching.surfaces))
+    sections += [_artefact_section(artefact) for artefact in matching.artefacts]
     facts = {
-        "Ended": found.matched.ended,
-        "Poses": str(len(found.matched.parameters.poses)),
-        "Unexplained difference": f"{found.matched.unexplained:.2f} levels RMS over the board",
+        "Ended": matching.matched.ended,
+        "Poses": str(len(matching.matched.parameters.poses)),
+        "Unexplained difference": f"{matching.matched.unexplained:.2f} levels RMS over the board",
     }
-    basis = PageBasis((PageVerdict.of(found.diagnosis),), provenance or {}, answer or {})
-    write_page(path, "Matching of a twin", _summary(found), sections, facts, basis=basis)
+    basis = PageBasis((PageVerdict.of(matching.diagnosis),), provenance or {}, answer or {})
+    write_page(path, "Matching of a twin", _summary(matching), sections, facts, basis=basis)
 
 
-def matching_provenance(found: MatchingResult, scans: Mapping[str, Session]) -> dict[str, Provenance]:
-    """Tell which recordings a twin was matched to and judged by."""
-    known = found.reference.characterisation.calibration
-    poses = poses_provenance(found.reference.sessions, known)
-    return {"poses": poses, **{item: session_provenance(scan, known) for item, scan in scans.items()}}
+def matching_provenance(matching: MatchingResult, scans: Mapping[str, Session]) -> dict[str, Provenance]:
+    """State which recordings a twin was matched to and judged by."""
+    calibration = matching.reference.characterisation.calibration
+    poses = poses_provenance(matching.reference.sessions, calibration)
+    return {"poses": poses, **{item: session_provenance(scan, calibration) for item, scan in scans.items()}}
 
 
-def _summary(found: MatchingResult) -> list[ReportTable]:
+def _summary(matching: MatchingResult) -> list[ReportTable]:
     rows = tuple(
         (
             "yes" if row.refined else "no",
             "matched" if row.gamma else "nominal",
             *(f"{row.loss[k]:.4f}" for k in ("ssim", "ssim_board", "epsilon_d_px", "loss", "loss_board")),
         )
-        for row in found.rows
+        for row in matching.rows
     )
     tables = [
         ReportTable(
             COLUMNS, rows, "L = α log(1 + |ε_d|) + β (1 − SSIM); the twin's images contain its noise."
         )
     ]
-    if found.artefacts:
+    if matching.artefacts:
         judged = tuple(
             (
-                one.item,
-                f"{one.reference_um:.1f}",
-                f"{one.twin_um:.1f}",
-                f"{one.delta_um:+.1f}",
-                f"{one.summary()['delta_percent']:.1f}",
+                artefact.item,
+                f"{artefact.reference_um:.1f}",
+                f"{artefact.twin_um:.1f}",
+                f"{artefact.delta_um:+.1f}",
+                f"{artefact.summary()['delta_percent']:.1f}",
             )
-            for one in found.artefacts
+            for artefact in matching.artefacts
         )
         columns = ("Artefact", "Bench in µm", "Twin in µm", "Difference in µm", "Difference in %")
         tables.append(
@@ -111,7 +111,7 @@ def _summary(found: MatchingResult) -> list[ReportTable]:
     return tables
 
 
-def _epochs_section(found: MatchingResult) -> ReportSection:
+def _epochs_section(matching: MatchingResult) -> ReportSection:
     columns = ("Epoch", "Step", "SSIM", "over the board", "ε_d in px", "Loss", "over the board", "Accepted")
     rows = tuple(
         (
@@ -124,36 +124,36 @@ def _epochs_section(found: MatchingResult) -> ReportSection:
             f"{epoch.loss['loss_board']:.4f}",
             "yes" if epoch.accepted else "no",
         )
-        for epoch in found.matched.epochs
+        for epoch in matching.matched.epochs
     )
     explained = tuple(
         (step, f"{100 * share:.1f} %", EXPLAINS.get(step, "a flat board casts no shadow"))
-        for step, share in found.matched.explained.items()
+        for step, share in matching.matched.explained.items()
     )
-    words = ReportTable(
+    effects = ReportTable(
         ("Effect", "Share", "What it is"),
         explained,
         "Share of the images' mean square difference before the step of each effect that it removed.",
     )
     drawn = ReportFigure.of(
-        loss_curve(found.matched.epochs),
+        loss_curve(matching.matched.epochs),
         "Loss by epoch",
         "Loss with its spread over the images, and RMS difference, by epoch. Hollow: rejected epochs.",
         wide=True,
     )
-    return ReportSection("Epochs", tables=(ReportTable(columns, rows), words), figures=(drawn,))
+    return ReportSection("Epochs", tables=(ReportTable(columns, rows), effects), figures=(drawn,))
 
 
-def _appearance_section(found: AppearanceTrial) -> ReportSection:
+def _appearance_section(trial: AppearanceTrial) -> ReportSection:
     rows = tuple(
         (name, f"{part.ssim_without:.4f}", f"{part.ssim_with:.4f}", "yes" if part.accepted else "no")
-        for name, part in (("Board's sheet", found.sheet), ("Surroundings", found.surroundings))
+        for name, part in (("Board's sheet", trial.sheet), ("Surroundings", trial.surroundings))
     )
-    words = (
-        f"SSIM in {found.pose}, from which they were not found: of the sheet over the board, of the "
+    note = (
+        f"SSIM in {trial.pose}, from which they were not found: of the sheet over the board, of the "
         "surroundings over whole images. What is accepted is part of the twin."
     )
-    table = ReportTable(("Part", "SSIM without", "SSIM with", "Accepted"), rows, words)
+    table = ReportTable(("Part", "SSIM without", "SSIM with", "Accepted"), rows, note)
     return ReportSection("Sheet and surroundings", tables=(table,))
 
 
@@ -162,9 +162,9 @@ def loss_curve(epochs: Sequence[MatchingEpoch]) -> Sheet:
     """Draw loss and difference by epoch; rejected ones are hollow, the band is the images' spread."""
     figure, (left, right) = side_by_side(3.0, (1.4, 1.0))
     numbers = [epoch.epoch for epoch in epochs]
-    for key, colour, words in (("loss", ACCENT, "whole image"), ("loss_board", SECOND, "over the board")):
+    for key, colour, label in (("loss", ACCENT, "whole image"), ("loss_board", SECOND, "over the board")):
         values = np.array([epoch.loss[key] for epoch in epochs])
-        left.plot(numbers, values, "-", color=colour, linewidth=1.2, label=words)
+        left.plot(numbers, values, "-", color=colour, linewidth=1.2, label=label)
         for epoch, value in zip(epochs, values, strict=True):
             fill = colour if epoch.accepted else "white"
             left.plot(epoch.epoch, value, "o", color=colour, markerfacecolor=fill, markersize=4)
@@ -178,7 +178,7 @@ def loss_curve(epochs: Sequence[MatchingEpoch]) -> Sheet:
     return figure
 
 
-def _gamma_section(found: GammaMatch) -> ReportSection:
+def _gamma_section(gamma: GammaMatch) -> ReportSection:
     rows = tuple(
         (
             str(number),
@@ -188,13 +188,13 @@ def _gamma_section(found: GammaMatch) -> ReportSection:
             f"{epoch.parameters.response.g:.4f}",
             f"{epoch.sum_of_squares:.2g}",
         )
-        for number, epoch in enumerate(found.epochs)
+        for number, epoch in enumerate(gamma.epochs)
     )
     table = ReportTable(
         ("Epoch", "W", "a", "b", "g", "Sum of squares"), rows, "a + b = 1; W is the scale of all levels."
     )
     drawn = ReportFigure.of(
-        gamma_curves(found),
+        gamma_curves(gamma),
         "Response by epoch",
         "Levels seen by bench and twin by epoch, and their difference.",
         True,
@@ -203,14 +203,14 @@ def _gamma_section(found: GammaMatch) -> ReportSection:
 
 
 @as_png
-def gamma_curves(found: GammaMatch) -> Sheet:
+def gamma_curves(gamma: GammaMatch) -> Sheet:
     """Draw the levels seen against the levels shown, of the bench and of the twin in every epoch."""
     figure, (left, right) = side_by_side(3.0, (1.2, 1.0))
-    for number, epoch in enumerate(found.epochs):
-        shade = 0.25 + 0.75 * (number + 1) / len(found.epochs)
-        left.plot(found.shown, epoch.levels, "-", color=ACCENT, alpha=shade, label=f"twin, epoch {number}")
-        right.plot(found.shown, 255 * (epoch.levels - found.seen), "-", color=ACCENT, alpha=shade)
-    left.plot(found.shown, found.seen, "o", color=SECOND, markersize=3.5, label="bench")
+    for number, epoch in enumerate(gamma.epochs):
+        shade = 0.25 + 0.75 * (number + 1) / len(gamma.epochs)
+        left.plot(gamma.shown, epoch.levels, "-", color=ACCENT, alpha=shade, label=f"twin, epoch {number}")
+        right.plot(gamma.shown, 255 * (epoch.levels - gamma.recorded), "-", color=ACCENT, alpha=shade)
+    left.plot(gamma.shown, gamma.recorded, "o", color=SECOND, markersize=3.5, label="bench")
     left.set(xlabel="level shown, of full scale", ylabel="level seen, of full scale")
     left.legend(loc="upper left")
     right.axhline(0, color=SECOND, linewidth=1.0)
@@ -218,18 +218,18 @@ def gamma_curves(found: GammaMatch) -> Sheet:
     return figure
 
 
-def _poses_section(found: MatchingResult) -> ReportSection:
+def _poses_section(matching: MatchingResult) -> ReportSection:
     keys = ("ssim", "ssim_board", "epsilon_d_px")
-    words = ("SSIM", "SSIM over the board", "ε_d in px")
+    titles = ("SSIM", "SSIM over the board", "ε_d in px")
     rows = tuple(
         (
-            one["pose"],
-            *(_figure(one.get(f"{key}_{when}")) for key in keys for when in ("before", "after")),
+            figures["pose"],
+            *(_figure(figures.get(f"{key}_{when}")) for key in keys for when in ("before", "after")),
         )
-        for one in found.by_pose()
+        for figures in matching.by_pose()
     )
-    columns = ("Pose", *(f"{word} {when}" for word in words for when in ("before", "after")))
-    return ReportSection("Poses", tables=(ReportTable(columns, rows, _flatness(found.reference)),))
+    columns = ("Pose", *(f"{title} {when}" for title in titles for when in ("before", "after")))
+    return ReportSection("Poses", tables=(ReportTable(columns, rows, _flatness(matching.reference)),))
 
 
 def _figure(value: float | None) -> str:
@@ -238,24 +238,24 @@ def _figure(value: float | None) -> str:
 
 def _flatness(reference: Reference) -> str:
     """State how far the bench's board is from flat, since the twin's is flat."""
-    found = reference.characterisation
-    if found.drawn is None:
+    characterisation = reference.characterisation
+    if characterisation.drawn is None:
         return "ε_d: the bench's RMS reprojection error less the twin's."
-    heights = 1e3 * (found.board[:, 2] - found.drawn[:, 2])
+    heights = 1e3 * (characterisation.board[:, 2] - characterisation.drawn[:, 2])
     return (
         f"The bench's board deviates from its plane by {np.sqrt(np.mean(heights**2)):.0f} µm RMS, "
         f"{np.ptp(heights):.0f} µm from lowest to highest point; the twin's board is flat."
     )
 
 
-def _images_section(found: MatchingResult, twin: Twin) -> ReportSection:
-    reference, figures = found.reference, []
+def _images_section(matching: MatchingResult, twin: Twin) -> ReportSection:
+    reference, figures = matching.reference, []
     images = reference.finest[:1]
-    looks = found.appearance.found if found.appearance else Appearance()
+    looks = matching.appearance.appearance if matching.appearance else Appearance()
     for pose in reference.spread_poses(SHOWN_POSES):
         before, after = (
             _seen(reference, twin, *at, pose, images)
-            for at in ((found.nominal, Appearance()), (found.matched.parameters, looks))
+            for at in ((matching.nominal, Appearance()), (matching.matched.parameters, looks))
         )
         real = reference.frames(pose, images)[0]
         name = reference.sessions[pose].path.name
@@ -297,10 +297,10 @@ def difference_images(real: GreyPicture, before: GreyPicture, after: GreyPicture
     return figure
 
 
-def _parameters_section(found: MatchingResult) -> ReportSection:
-    before, after = found.nominal, found.matched.parameters
+def _parameters_section(matching: MatchingResult) -> ReportSection:
+    before, after = matching.nominal, matching.matched.parameters
 
-    def word(name: str, value: float | None) -> str:
+    def text(name: str, value: float | None) -> str:
         if value is None:
             return "another in each frame" if name == "band_advance" else "sharp at all depths"
         return f"{value:.4g}"
@@ -310,49 +310,49 @@ def _parameters_section(found: MatchingResult) -> ReportSection:
 
     numbers, matched = named_numbers(before), named_numbers(after)
     rows = [
-        (name, word(name, value), word(name, matched[name]), sigma(name))
+        (name, text(name, value), text(name, matched[name]), sigma(name))
         for name, value in numbers.items()
         if _is_reported(name, before, after)
     ]
     rows += [
-        (f"response {k}", word(k, getattr(before.response, k)), word(k, getattr(after.response, k)), sigma(k))
+        (f"response {k}", text(k, getattr(before.response, k)), text(k, getattr(after.response, k)), sigma(k))
         for k in "abg"
     ]
-    baselines = [f"{one.calibration.baseline_mm:.3f}" for one in (before, after)]
+    baselines = [f"{parameters.calibration.baseline_mm:.3f}" for parameters in (before, after)]
     rows.append(("baseline in mm", baselines[0], baselines[1], ""))
     if "poses_um" in after.sigma:
         rows.append(("poses of the board in µm", "", "", sigma("poses_um")))
     columns = ("Parameter", "Before", "Matched", "Standard uncertainty")
-    notes = "; ".join(found.notes)
+    notes = "; ".join(matching.notes)
     return ReportSection("Parameters", notes, (ReportTable(columns, tuple(rows)),))
 
 
 def _is_reported(name: str, *twins: TwinParameters) -> bool:
     """Whether a parameter belongs to an effect that one of the twins has, such as a lamp of the room."""
-    known = next(one for key, one in TABLE.items() if name in (key, *one.parts))
-    return known.reported_at_zero or any(known.is_present(one) for one in twins)
+    entry = next(twin for key, twin in TABLE.items() if name in (key, *twin.parts))
+    return entry.reported_at_zero or any(entry.is_present(twin) for twin in twins)
 
 
 def _surfaces_section(surfaces: Sequence[SurfaceMatch]) -> ReportSection:
     columns = ("Part", "Kind", "Property", "Value", "Standard uncertainty", "Explained", "Left of the levels")
     rows = tuple(
         (
-            one.scan.item,
-            one.surface.kind,
+            match.scan.item,
+            match.surface.kind,
             name,
-            f"{getattr(one.surface, name):.4g}",
+            f"{getattr(match.surface, name):.4g}",
             f"{sigma:.2g}",
-            f"{100 * one.explained:.0f} %",
-            f"{100 * one.unexplained:.1f} %",
+            f"{100 * match.explained:.0f} %",
+            f"{100 * match.unexplained:.1f} %",
         )
-        for one in surfaces
-        for name, sigma in one.surface.sigma.items()
+        for match in surfaces
+        for name, sigma in match.surface.sigma.items()
     )
     note = "Explained: share of the mean square difference to the surface of the twin's own file."
     return ReportSection("Surfaces of parts", note, (ReportTable(columns, rows),))
 
 
-def _artefact_section(one: ArtefactComparison) -> ReportSection:
+def _artefact_section(artefact: ArtefactComparison) -> ReportSection:
     figures = tuple(
         ReportFigure.of(
             error_map(cloud, comparison.distances_mm, comparison.counted),
@@ -360,8 +360,8 @@ def _artefact_section(one: ArtefactComparison) -> ReportSection:
             f"{who.capitalize()}: signed distance from the true shape.",
         )
         for who, cloud, comparison in (
-            ("bench", one.reference_cloud, one.reference),
-            ("twin", one.twin_cloud, one.twin),
+            ("bench", artefact.reference_cloud, artefact.reference),
+            ("twin", artefact.twin_cloud, artefact.twin),
         )
     )
-    return ReportSection(f"Artefact {one.item}", figures=figures)
+    return ReportSection(f"Artefact {artefact.item}", figures=figures)

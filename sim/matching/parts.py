@@ -32,11 +32,11 @@ def fit_scans(
 
 def match_surfaces(twin: Twin, scans: Sequence[BenchScan], tell: Say = ignore) -> list[SurfaceMatch]:
     """Match the surfaces of parts."""
-    found = []
+    matches = []
     for scan in scans:
         tell(f"matching the surface of the {scan.item}")
-        found.append(match_surface(twin, scan))
-    return found
+        matches.append(match_surface(twin, scan))
+    return matches
 
 
 def match_parts(
@@ -58,10 +58,10 @@ def match_parts(
     tell("comparing the scans with the parts' shapes")
     fitted = fit_scans(twin, scans, twin.parameters.calibration, refusals)
     progress(0.3)
-    found = match_surfaces(twin, fitted, tell)
+    matches = match_surfaces(twin, fitted, tell)
     progress(0.9)
-    known = Discrepancy.beside(rig)
-    if known is not None:
-        known.save(folder)
-    twin.with_parameters(with_surfaces(twin.parameters, found)).save(folder, [*notes, *refusals.notes])
-    return found
+    discrepancy = Discrepancy.beside(rig)
+    if discrepancy is not None:
+        discrepancy.save(folder)
+    twin.with_parameters(with_surfaces(twin.parameters, matches)).save(folder, [*notes, *refusals.notes])
+    return matches

@@ -43,14 +43,14 @@ class _ParametersForm(Document):
 
     def parameters(self) -> TwinParameters:
         """Convert back to parameters."""
-        known = dict(self)
+        values = dict(self)
         return TwinParameters(
-            calibration=known["calibration"].calibration(),
-            poses=tuple(pose.transform() for pose in known["poses"]),
-            response=known["response"],
-            placed={name: pose.transform() for name, pose in known["placed"].items()},
-            sigma=known["sigma"],
-            **{name: known[name] for name in TABLE},
+            calibration=values["calibration"].calibration(),
+            poses=tuple(pose.transform() for pose in values["poses"]),
+            response=values["response"],
+            placed={name: pose.transform() for name, pose in values["placed"].items()},
+            sigma=values["sigma"],
+            **{name: values[name] for name in TABLE},
         )
 
 
@@ -68,14 +68,14 @@ def _fields_of_form() -> dict[str, Any]:
     }
     hints = get_type_hints(TwinParameters)
     form: dict[str, Any] = {}
-    for one in fields(TwinParameters):
-        if one.name in plain:
-            form[one.name] = plain[one.name]
-        elif one.name in TABLE:
-            may_be_left_out = one.default is not MISSING or hints[one.name] == float | None
-            default = None if one.default is MISSING else one.default
-            about = Field(... if not may_be_left_out else default, description=TABLE[one.name].doc)
-            form[one.name] = (hints[one.name], about)
+    for parameter in fields(TwinParameters):
+        if parameter.name in plain:
+            form[parameter.name] = plain[parameter.name]
+        elif parameter.name in TABLE:
+            may_be_left_out = parameter.default is not MISSING or hints[parameter.name] == float | None
+            default = None if parameter.default is MISSING else parameter.default
+            about = Field(... if not may_be_left_out else default, description=TABLE[parameter.name].doc)
+            form[parameter.name] = (hints[parameter.name], about)
     return form
 
 

@@ -107,23 +107,23 @@ class Reference:
     @cached_property
     def finest(self) -> tuple[int, ...]:
         """Two images of the finest set along each axis, a quarter of a period apart: not both extreme."""
-        wanted = {self.plan.finest_set(axis) for axis in self.plan.axes}
+        sets = {self.plan.finest_set(axis) for axis in self.plan.axes}
         return tuple(
             index
             for index, (fringes, step, _) in enumerate(self.plan.steps())
-            if fringes in wanted and step in (0, max(1, round(self.plan.fringes[fringes].images / 4)))
+            if fringes in sets and step in (0, max(1, round(self.plan.fringes[fringes].images / 4)))
         )
 
     @cached_property
     def finest_spread(self) -> tuple[int, ...]:
         """Up to `finest_images` images of the finest set along every axis, evenly spaced over the period."""
-        wanted = {self.plan.finest_set(axis) for axis in self.plan.axes}
-        found = []
+        sets = {self.plan.finest_set(axis) for axis in self.plan.axes}
+        images = []
         for index, (fringes, step, _) in enumerate(self.plan.steps()):
             every = max(1, self.plan.fringes[fringes].images // LIMITS.finest_images)
-            if fringes in wanted and step % every == 0 and step // every < LIMITS.finest_images:
-                found.append(index)
-        return tuple(found)
+            if fringes in sets and step % every == 0 and step // every < LIMITS.finest_images:
+                images.append(index)
+        return tuple(images)
 
     def shown(self, images: Sequence[int]) -> tuple[Pattern, ...]:
         """Give the patterns of some images."""

@@ -1,7 +1,7 @@
 """Reasons to refuse a matching, and what an operator accepts all the same.
 
 What is accepted stays with the twin: it is a note of its rig file, which every command that opens the rig
-tells.
+prints.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ ACCEPTABLE = (
 """Causes for which a matching is refused unless they are accepted."""
 
 
-def acceptable_causes(words: Iterable[str]) -> frozenset[FaultCause]:
+def acceptable_causes(keys: Iterable[str]) -> frozenset[FaultCause]:
     """Read causes as an operator names them."""
-    known = {cause.key: cause for cause in ACCEPTABLE}
-    for word in words:
-        if word not in known:
+    causes = {cause.key: cause for cause in ACCEPTABLE}
+    for key in keys:
+        if key not in causes:
             raise ConfigError(
-                f"--accept: '{word}' is no cause that can be accepted; there are {', '.join(known)}"
+                f"--accept: '{key}' is no cause that can be accepted; there are {', '.join(causes)}"
             )
-    return frozenset(known[word] for word in words)
+    return frozenset(causes[key] for key in keys)
 
 
 class Refusals:
@@ -44,8 +44,8 @@ class Refusals:
         self.accepted = frozenset(accepted)
         self.notes: list[str] = []
 
-    def refuse(self, cause: FaultCause, words: str) -> None:
+    def refuse(self, cause: FaultCause, message: str) -> None:
         """Refuse for a cause, or note it where it was accepted."""
         if cause not in self.accepted:
-            raise CalibrationError(f"{words} (--accept {cause} matches the twin all the same)")
-        self.notes.append(f"{cause} accepted: {words}")
+            raise CalibrationError(f"{message} (--accept {cause} matches the twin all the same)")
+        self.notes.append(f"{cause} accepted: {message}")

@@ -47,7 +47,7 @@ class MatchingFigures:
 
     def by_pose(self) -> list[dict[str, Any]]:
         """Give the figures of every pose before and after the matching."""
-        before, after = (one.by_pose_name(self.reference) for one in (self.before, self.final))
+        before, after = (evaluation.by_pose_name(self.reference) for evaluation in (self.before, self.final))
         return [
             {
                 "pose": name,

@@ -76,8 +76,8 @@ class MatchingResult(MatchingFigures):
 
     def summary(self) -> dict[str, Any]:
         """Give the figures as plain data, as the command line prints them."""
-        loss, found = self.final.loss.summary(), self.matched.parameters
-        light = {name: getattr(found, name) for name in TABLE}
+        loss, parameters = self.final.loss.summary(), self.matched.parameters
+        light = {name: getattr(parameters, name) for name in TABLE}
         return {
             **self.diagnosis.summary(),
             **loss,
@@ -87,14 +87,14 @@ class MatchingResult(MatchingFigures):
             "rows": [{"refined": r.refined, "with_gamma": r.gamma, **r.loss} for r in self.rows],
             "explained": self.matched.explained,
             "unexplained_levels": self.matched.unexplained,
-            "parameters": {**light, "response": found.response.model_dump()},
-            "sigma": dict(found.sigma),
+            "parameters": {**light, "response": parameters.response.model_dump()},
+            "sigma": dict(parameters.sigma),
             "notes": list(self.notes),
             "appearance": self.appearance.summary() if self.appearance else None,
-            "baseline_mm": found.calibration.baseline_mm,
+            "baseline_mm": parameters.calibration.baseline_mm,
             "poses": self.by_pose(),
-            "artefacts": [one.summary() for one in self.artefacts],
-            "surfaces": [one.summary() for one in self.surfaces],
+            "artefacts": [part.summary() for part in self.artefacts],
+            "surfaces": [part.summary() for part in self.surfaces],
         }
 
 
@@ -145,7 +145,7 @@ def match_sessions(
     tell: Say = ignore,
     prepared: Callable[[Reference], object] = ignore,
 ) -> MatchingResult:
-    """Match a twin to recorded sessions of a board, and save it unless nobody should use it.
+    """Match a twin to recorded sessions of a board, and save it unless it must not be used.
 
     Continues where a record in `folder` ends.
     """
@@ -190,16 +190,18 @@ def _prepare(
 ) -> _Prepared:
     """Characterise the bench, find parts in their scans, and match the response."""
     listener.tell("characterising the bench")
-    found = characterise_sessions(sessions, target, listener.between(0.0, 0.1))
-    plausibility.check_geometry(found.calibration, twin.parameters.calibration, refusals)
+    characterisation = characterise_sessions(sessions, target, listener.between(0.0, 0.1))
+    plausibility.check_geometry(characterisation.calibration, twin.parameters.calibration, refusals)
     if request.response is not None:
         plausibility.check_response(request.response, sessions, refusals)
     listener.tell("comparing the scans with the artefacts' shapes")
-    scans = fit_scans(twin, request.scans, found.calibration, refusals)
-    parts = fit_scans(twin, request.surfaces, found.calibration, refusals)
-    reference = Reference.of(sessions, target, found, request.response)
+    scans = fit_scans(twin, request.scans, characterisation.calibration, refusals)
+    parts = fit_scans(twin, request.surfaces, characterisation.calibration, refusals)
+    reference = Reference.of(sessions, target, characterisation, request.response)
     listener.prepared(reference)
-    placed = _placed(with_reference_geometry(twin.parameters, found), request, found, twin)
+    placed = _placed(
+        with_reference_geometry(twin.parameters, characterisation), request, characterisation, twin
+    )
     nominal = twin.with_parameters(request.start(placed))
     if request.response is None:
         return _Prepared(reference, scans, parts, nominal, nominal, None)
@@ -225,7 +227,7 @@ def _compared(
     twin = twin.with_parameters(with_surfaces(twin.parameters, surfaces))
     listener.tell("matching the board's sheet and the surroundings")
     appearance = match_appearance(reference, twin)
-    twin = twin.with_appearance(appearance.found)
+    twin = twin.with_appearance(appearance.appearance)
     listener.tell("judging the result")
     # Only now: grain of the print moves what is found of the board, on the twin as on the bench.
     final = evaluate(reference, twin, request.weights, progress=listener.between(0.84, 0.88))
@@ -262,20 +264,22 @@ def _check_inputs(twin: Twin, sessions: Sequence[Session], target: Target, reque
 
 
 def _placed(
-    nominal: TwinParameters, request: MatchingRequest, found: Characterisation, twin: Twin
+    nominal: TwinParameters, request: MatchingRequest, characterisation: Characterisation, twin: Twin
 ) -> TwinParameters:
     """Put the grey card where the bench's scan of it shows it."""
     if request.card_scan is None:
         return nominal
-    pose = card_pose(request.card_scan, found.calibration, twin.pose_of(request.card))
+    pose = card_pose(request.card_scan, characterisation.calibration, twin.pose_of(request.card))
     return replace(nominal, placed={**nominal.placed, request.card: pose})
 
 
-def with_reference_geometry(nominal: TwinParameters, found: Characterisation) -> TwinParameters:
+def with_reference_geometry(nominal: TwinParameters, characterisation: Characterisation) -> TwinParameters:
     """Put the twin into the geometry that the bench's own characterisation found."""
-    known = found.calibration
-    calibration = Calibration(known.camera, known.projector, known.T_projector_camera, {}, known.uncertainty)
-    return replace(nominal, calibration=calibration, poses=found.poses)
+    measured = characterisation.calibration
+    calibration = Calibration(
+        measured.camera, measured.projector, measured.T_projector_camera, {}, measured.uncertainty
+    )
+    return replace(nominal, calibration=calibration, poses=characterisation.poses)
 
 
 def _table(

@@ -60,7 +60,7 @@ class PixelSample:
     pose: int  # index of the pose
     images: tuple[int, ...]  # indices of the n images in the plan
     pixels: PixelIndices  # rows and columns of the P pixels
-    seen: Floats  # raw levels (n, P) of the reference
+    levels: Floats  # raw levels (n, P) of the reference
 
     @property
     def tiles(self) -> NDArray[np.int64]:
@@ -80,15 +80,15 @@ class PixelSample:
         patterns = reference.shown(self.images)
         here = twin.expected_at(self.pose, patterns, reference.settings, self.pixels).astype(np.float64)
         # Where there is no light there is hardly any noise, and all levels are rounded to the same side.
-        lit = self.seen > reference.darkest_level + DARK_LEVELS
-        valid = lit & (self.seen < reference.full_scale) & (here < reference.full_scale)
-        return np.where(valid, self.seen - here, 0.0).ravel()
+        lit = self.levels > reference.darkest_level + DARK_LEVELS
+        valid = lit & (self.levels < reference.full_scale) & (here < reference.full_scale)
+        return np.where(valid, self.levels - here, 0.0).ravel()
 
 
 def tile_numbers(pixels: PixelIndices) -> NDArray[np.int64]:
     """Number the tiles of a grid over some pixels."""
     # returns (P,)
-    row, column = (TILES * (one - one.min()) // (np.ptp(one) + 1) for one in pixels)
+    row, column = (TILES * (index - index.min()) // (np.ptp(index) + 1) for index in pixels)
     return np.asarray(TILES * row + column, np.int64)
 
 
@@ -102,7 +102,7 @@ def sample_pixels(
             parameters.calibration.camera, parameters.poses[pose], reference.target, -SURROUNDINGS_PX
         )
         pixels = subsample_pixels(area, MAX_PIXELS)
-        seen = reference.frames(pose, images)[:, *pixels].astype(np.float64)
-        return PixelSample(pose, tuple(images), pixels, seen)
+        levels = reference.frames(pose, images)[:, *pixels].astype(np.float64)
+        return PixelSample(pose, tuple(images), pixels, levels)
 
     return [one(pose) for pose in poses]

@@ -84,7 +84,7 @@ class MatchingContext:
         return (self.white, "ink", "ambient", *black, *response, *more)
 
     @property
-    def _most_black(self) -> float:
+    def _max_black(self) -> float:
         """The greatest black level that the recordings allow, relative to full scale.
 
         The darkest places may have been rounded down by half a level.
@@ -93,15 +93,15 @@ class MatchingContext:
 
     @property
     def _black_is_held(self) -> bool:
-        return abs(self.twin.parameters.black_level - self._most_black) < 1e-9
+        return abs(self.twin.parameters.black_level - self._max_black) < 1e-9
 
     def fit(self, *names: str) -> TwinParameters:
         """Fit parameters of light and sharpness to the samples; the darkest places limit the black level."""
-        found = light_fit.fit_light(self.reference, self.twin, names, self.samples)
-        if "black_level" not in names or found.black_level <= self._most_black:
-            return found
+        fitted = light_fit.fit_light(self.reference, self.twin, names, self.samples)
+        if "black_level" not in names or fitted.black_level <= self._max_black:
+            return fitted
         # Light that the parameters lack was taken for black: held, black leaves it to the ambient light.
-        held = self.twin.with_parameters(replace(found, black_level=self._most_black))
+        held = self.twin.with_parameters(replace(fitted, black_level=self._max_black))
         others = [name for name in names if name != "black_level"]
         return light_fit.fit_light(self.reference, held, others, self.samples)
 
@@ -123,13 +123,13 @@ class MatchingContext:
     def fit_projector_sharpness(self) -> TwinParameters:
         """Fit blur, focus and aperture of the projector to contrasts, or without them to the board's images.
 
-        Together, what the twin lacks of the light on the board would decide: it is most of what is left.
+        Together, what the twin lacks of the light on the board would decide: it is most of the residual.
         """
         names = ("projector_blur", *self.projector_focus)
         if not self.contrasts:
             return light_fit.fit_light(self.reference, self.twin, names, self.samples)
-        found = light_fit.fit_light(self.reference, self.twin, names, self.contrasts)
-        return with_common_error(self.reference, self.twin.with_parameters(found), names, self.contrasts)
+        fitted = light_fit.fit_light(self.reference, self.twin, names, self.contrasts)
+        return with_common_error(self.reference, self.twin.with_parameters(fitted), names, self.contrasts)
 
 
 @dataclass(frozen=True)
@@ -160,12 +160,12 @@ def _projector_defocus(at: MatchingContext) -> TwinParameters:
 
 def _focus_by_contrasts(at: MatchingContext) -> TwinParameters:
     """Fit the sharpness without a focus, and from several: contrasts are many times quicker than images."""
-    start, found = at.twin.parameters, []
+    start, candidates = at.twin.parameters, []
     for focus in (None, *start_search.focus_distances(start, "projector_focus_mm")):
         tried = at.with_parameters(replace(start, projector_focus_mm=focus)).fit_projector_sharpness()
-        there = at.twin.with_parameters(tried)
-        found.append((light_fit.mean_square_difference(at.reference, there, at.contrasts), tried))
-    return min(found, key=lambda one: one[0])[1]
+        refocused = at.twin.with_parameters(tried)
+        candidates.append((light_fit.mean_square_difference(at.reference, refocused, at.contrasts), tried))
+    return min(candidates, key=lambda candidate: candidate[0])[1]
 
 
 def _depth_of_field(at: MatchingContext) -> TwinParameters:
@@ -231,9 +231,9 @@ def _room_lamp(at: MatchingContext) -> TwinParameters:
     start = start_search.search_lamp(at.reference, without.twin, at.samples, linear)
     if start.lamp_irradiance:
         lit = without.with_parameters(start)
-        found = lit.with_parameters(lit.fit(*lit.light_parameters(*ROOM_LAMP)))
-        if _evidence_for_lamp(found) < _evidence_for_lamp(without):
-            return found.twin.parameters
+        with_lamp = lit.with_parameters(lit.fit(*lit.light_parameters(*ROOM_LAMP)))
+        if _evidence_for_lamp(with_lamp) < _evidence_for_lamp(without):
+            return with_lamp.twin.parameters
     return without.twin.parameters
 
 

@@ -62,9 +62,9 @@ class MatchingView(CommandView):
         figures = {**epoch.loss, "difference": epoch.difference}
         for key in CURVES:
             self.canvas.value(f"match/{key}", figures[key])
-        known = epoch.parameters.parameters()
-        show_devices(self.canvas, known.calibration)
-        places = np.array([board.translation for board in known.poses])
+        parameters = epoch.parameters.parameters()
+        show_devices(self.canvas, parameters.calibration)
+        places = np.array([board.translation for board in parameters.poses])
         self.canvas.cloud("world/boards", places, np.full((len(places), 3), 220, np.uint8))
         self.canvas.open_on("rig", "world/boards", places)
         if "loss_spread" in epoch.loss:
@@ -94,7 +94,7 @@ class MatchingView(CommandView):
 def show_twin(viewer: Viewer[MatchingView], reference: Reference, twin: Twin) -> None:
     """Show one image of the bench and of a twin."""
     pose, images = reference.spread_poses(1)[0], reference.finest[:1]
-    seen: Any = twin.expected(pose, reference.shown(images), reference.settings)[0]
+    expected: Any = twin.expected(pose, reference.shown(images), reference.settings)[0]
     real: Any = reference.frames(pose, images)[0]
-    bench, own = (np.asarray(subsampled(np.asarray(one)), np.float32) for one in (real, seen))
+    bench, own = (np.asarray(subsampled(np.asarray(image)), np.float32) for image in (real, expected))
     viewer.show(MatchingView.images, bench, own)

@@ -53,7 +53,7 @@ class MatchResult:
     matching: MatchingResult
     provenance: Mapping[str, Provenance]  # of the recordings, by what was recorded
     seconds: float
-    rig_file: Path | None  # the matched twin; None where nobody should use it
+    rig_file: Path | None  # the matched twin; None where it must not be used
     report_file: Path
 
     def summary(self) -> dict[str, Any]:
@@ -127,16 +127,16 @@ def match(request: MatchRequest, observer: MatchObserver | None = None) -> Match
             (request.out / name).unlink(missing_ok=True)
     with request.twin as rig:
         twin = twin_of(rig, request.matching.board)
-        found = _match(request, twin, follow)
+        matching = _match(request, twin, follow)
         result = MatchResult(
-            matching=found,
-            provenance=matching_provenance(found, {**request.matching.scans, **request.matching.surfaces}),
+            matching=matching,
+            provenance=matching_provenance(matching, {**request.matching.scans, **request.matching.surfaces}),
             seconds=stopwatch.seconds,
-            rig_file=None if found.diagnosis.is_useless else request.out / RIG,
+            rig_file=None if matching.diagnosis.is_useless else request.out / RIG,
             report_file=request.out / REPORT,
         )
         with follow.stage("Drawing the report"):
-            write_matching_report(result.report_file, found, twin, result.summary(), result.provenance)
+            write_matching_report(result.report_file, matching, twin, result.summary(), result.provenance)
     return result
 
 
@@ -205,7 +205,7 @@ def match_surfaces_alone(request: SurfacesRequest, observer: MatchObserver | Non
     with request.twin as rig:
         refusals, earlier = Refusals(request.accepted), rig.file.notes or ()
         with follow.work("Matching") as (progress, tell):
-            found = match_parts(
+            surfaces = match_parts(
                 twin_of(rig, request.board),
                 request.scans,
                 out,
@@ -215,4 +215,4 @@ def match_surfaces_alone(request: SurfacesRequest, observer: MatchObserver | Non
                 progress=progress,
                 tell=tell,
             )
-    return SurfacesResult(found, [*earlier, *refusals.notes], stopwatch.seconds, out / RIG)
+    return SurfacesResult(surfaces, [*earlier, *refusals.notes], stopwatch.seconds, out / RIG)

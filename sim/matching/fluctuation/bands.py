@@ -66,14 +66,16 @@ class Bands:
     @classmethod
     def of(cls, rests: Sequence[FringeResidual]) -> Bands | None:
         """Compute the power of waves from `min_period_px` to the board's height."""
-        shown = tuple(one for one in rests if one.shows_bands)
+        shown = tuple(rest for rest in rests if rest.shows_bands)
         if not shown:
             return None
-        height = max(float(np.ptp(one.rows)) for one in shown)
+        height = max(float(np.ptp(rest.rows)) for rest in shown)
         steps = max(2, int(LIMITS.steps_per_period * height / LIMITS.min_period_px))
         frequency = np.linspace(1.0 / height, 1.0 / LIMITS.min_period_px, steps)
-        power = np.array([np.sum(np.abs(one.waves(frequency)) ** 2, axis=0) / one.freedom for one in shown])
-        return cls(shown, frequency, power, np.array([float(one.freedom) for one in shown]), height)
+        power = np.array(
+            [np.sum(np.abs(rest.waves(frequency)) ** 2, axis=0) / rest.freedom for rest in shown]
+        )
+        return cls(shown, frequency, power, np.array([float(rest.freedom) for rest in shown]), height)
 
     @cached_property
     def floor(self) -> Floats:
@@ -114,8 +116,8 @@ class Bands:
         squares, noise = [], []
         for _, group in groupby(range(len(self.rests)), lambda n: self.rests[n].pose):
             sets = list(group)
-            found, strength = _one_wave([self._waves(n, frequency) for n in sets], advance)
-            squares.append(abs(found) ** 2)
+            amplitude, strength = _one_wave([self._waves(n, frequency) for n in sets], advance)
+            squares.append(abs(amplitude) ** 2)
             noise.append(float(self.floor[sets, index].mean()) / strength)
         return Variances(np.array(squares), np.array(noise), np.full(len(squares), 2.0))
 
@@ -145,9 +147,9 @@ class Bands:
         for _, group in groupby(range(len(self.rests)), lambda n: self.rests[n].pose):
             waves = [self._waves(n, frequency) for n in group]
             for n, advance in enumerate(tried.tolist()):
-                found, strength = _one_wave(waves, advance)
-                explained[n] += strength * abs(found) ** 2
-            whole += sum(float(np.sum(np.abs(seen) ** 2)) for _, seen in waves)
+                amplitude, strength = _one_wave(waves, advance)
+                explained[n] += strength * abs(amplitude) ** 2
+            whole += sum(float(np.sum(np.abs(measured) ** 2)) for _, measured in waves)
         best = int(np.argmax(explained))
         return float(tried[best]), float(explained[best]) / max(whole, 1e-30)
 
@@ -158,45 +160,46 @@ def _one_wave(sets: Sequence[tuple[FringeResidual, Complex]], advance: float) ->
     sets: with the waves (N,) of their frames.
     """
     right, strength = 0j, 0.0
-    for one, waves in sets:
-        seen = one.beyond @ np.exp(2j * np.pi * advance * one.frames)
-        right += complex(np.vdot(seen, waves))
-        strength += float(np.vdot(seen, seen).real)
+    for residual, waves in sets:
+        expected = residual.beyond @ np.exp(2j * np.pi * advance * residual.frames)
+        right += complex(np.vdot(expected, waves))
+        strength += float(np.vdot(expected, expected).real)
     return right / max(strength, 1e-9), max(strength, 1e-9)
 
 
-def ripple_in_step(seen: Sequence[FrameTerms]) -> Ripple:
+def ripple_in_step(terms: Sequence[FrameTerms]) -> Ripple:
     """Take light of the room that changes from frame to frame, equally in all rows."""
-    found = fit_fluctuation([one.series(ROOM) for one in seen])
-    oscillates = bool(found.oscillation.any())
-    rms = abs(float(found.oscillation[0])) if oscillates else found.random.isotropic
-    advance = found.cycles_per_frame if oscillates else None
-    return Ripple(float(np.sqrt(2.0)) * rms, found.sigma, IN_STEP_PX, 0.0, advance, found.gained)
+    fluctuation = fit_fluctuation([pose.series(ROOM) for pose in terms])
+    oscillates = bool(fluctuation.oscillation.any())
+    rms = abs(float(fluctuation.oscillation[0])) if oscillates else fluctuation.random.isotropic
+    advance = fluctuation.cycles_per_frame if oscillates else None
+    return Ripple(float(np.sqrt(2.0)) * rms, fluctuation.sigma, IN_STEP_PX, 0.0, advance, fluctuation.gained)
 
 
 def match_bands(
-    now: TwinParameters, seen: Sequence[FrameTerms], rests: Sequence[FringeResidual]
+    now: TwinParameters, terms: Sequence[FrameTerms], rests: Sequence[FringeResidual]
 ) -> TwinParameters:
     """Give a twin the rippling light of the bench's room: bands along the rows, or light that is in step."""
-    share = float(np.mean([one.room_share for one in seen]))
+    share = float(np.mean([pose.room_share for pose in terms]))
     steady = now.sigma_with(ambient_ripple=0.0, band_period_px=0.0)
     still = replace(now, ambient_ripple=0.0, band_period_px=0.0, band_advance=None, sigma=steady)
     if share <= 0:
         return still
     bands = Bands.of(rests)
-    found = max(
-        [ripple_in_step(seen), *([bands.rolling(share)] if bands else [])], key=lambda ripple: ripple.gained
+    strongest = max(
+        [ripple_in_step(terms), *([bands.rolling(share)] if bands else [])], key=lambda ripple: ripple.gained
     )
-    if found.gained <= 0 or not found.amplitude:
+    if strongest.gained <= 0 or not strongest.amplitude:
         return still
-    ripple = min(found.amplitude, 1.0)
+    ripple = min(strongest.amplitude, 1.0)
     sigma = now.sigma_with(
-        ambient_ripple=ripple * found.amplitude_sigma, band_period_px=found.period_px * found.period_sigma
+        ambient_ripple=ripple * strongest.amplitude_sigma,
+        band_period_px=strongest.period_px * strongest.period_sigma,
     )
     return replace(
         now,
         ambient_ripple=ripple,
-        band_period_px=found.period_px,
-        band_advance=found.advance,
+        band_period_px=strongest.period_px,
+        band_advance=strongest.advance,
         sigma=sigma,
     )

@@ -54,9 +54,9 @@ class FrameTerms:
         """Take some of the terms."""
         of = list(columns)
         # A fringe that the twin has elsewhere in all frames looks like a motion, but not like more light.
-        known = self.noise if columns == GAIN else self.covariance
-        least = MIN_GAIN**2 if columns == GAIN else 0.0
-        covariance = known[:, of][:, :, of] + least * np.eye(len(of))
+        measured = self.noise if columns == GAIN else self.covariance
+        min_variance = MIN_GAIN**2 if columns == GAIN else 0.0
+        covariance = measured[:, of][:, :, of] + min_variance * np.eye(len(of))
         return Series(self.frames, self.sets, self.values[:, of], covariance)
 
 
@@ -78,11 +78,11 @@ def terms_of_pose(reference: Reference, twin: Twin, pose: int) -> FrameTerms:
     bases = [np.column_stack([light, other, slope]) for light, slope in zip(projected, slopes, strict=True)]
     differences = frames - expected - change_by_bend(reference, now, pose, pixels, slopes)
     fits = [_fit(off, basis) for off, basis in zip(differences, bases, strict=True)]
-    values = np.array([found for found, _ in fits])
-    left, tiles = np.array([rest for _, rest in fits]), tile_numbers(pixels)
+    values = np.array([coefficients for coefficients, _ in fits])
+    residuals, tiles = np.array([rest for _, rest in fits]), tile_numbers(pixels)
     both = [
-        np.array([_covariance(rest, basis, tiles) for rest, basis in zip(one, bases, strict=True)])
-        for one in (left, _changing(left, reference.plan, sets))
+        np.array([_covariance(rest, basis, tiles) for rest, basis in zip(residual, bases, strict=True)])
+        for residual in (residuals, _changing(residuals, reference.plan, sets))
     ]
     room_share = share if share > MIN_ROOM_SHARE else 0.0
     return FrameTerms(pose, np.array(images, np.float64), sets, values, both[0], both[1], room_share)
@@ -90,8 +90,8 @@ def terms_of_pose(reference: Reference, twin: Twin, pose: int) -> FrameTerms:
 
 def _finest(plan: Plan) -> tuple[tuple[int, ...], NDArray[np.int64]]:
     """Numbers (n,) and sets (n,) of the images of the finest sets."""
-    wanted = {plan.finest_set(axis) for axis in plan.axes}
-    steps = [(n, index) for n, (index, _, _) in enumerate(plan.steps()) if index in wanted]
+    finest = {plan.finest_set(axis) for axis in plan.axes}
+    steps = [(n, index) for n, (index, _, _) in enumerate(plan.steps()) if index in finest]
     images, sets = zip(*steps, strict=True)
     return images, np.array(sets, np.int64)
 
@@ -99,8 +99,8 @@ def _finest(plan: Plan) -> tuple[tuple[int, ...], NDArray[np.int64]]:
 def _fit(off: Floats, basis: Floats) -> tuple[Floats, Floats]:
     """Fit differences (P,) by a basis (P, 5); the coefficients (5,), and what they leave (P,)."""
     size = _sizes(basis)
-    found = np.linalg.lstsq(basis / size, off, rcond=1e-6)[0] / size
-    return found, off - basis @ found
+    coefficients = np.linalg.lstsq(basis / size, off, rcond=1e-6)[0] / size
+    return coefficients, off - basis @ coefficients
 
 
 def _sizes(basis: Floats) -> Floats:
@@ -108,23 +108,25 @@ def _sizes(basis: Floats) -> Floats:
     return np.asarray(np.where(size == 0, 1.0, size))
 
 
-def _changing(left: Floats, plan: Plan, sets: NDArray[np.int64]) -> Floats:
+def _changing(residuals: Floats, plan: Plan, sets: NDArray[np.int64]) -> Floats:
     """Take off what of each pixel (n, P) is in every frame of a set: another offset, or another fringe."""
-    changing = left.copy()
-    for one in np.unique(sets):
-        of, shift = sets == one, plan.fringes[one].phase_shifts()
+    changing = residuals.copy()
+    for number in np.unique(sets):
+        of, shift = sets == number, plan.fringes[number].phase_shifts()
         beyond = beyond_fringe(shift)
         freedom = max(float(np.trace(beyond)), 1.0)
-        changing[of] = np.sqrt(len(shift) / freedom) * (beyond @ left[of]) if freedom > 1 else left[of]
+        changing[of] = (
+            np.sqrt(len(shift) / freedom) * (beyond @ residuals[of]) if freedom > 1 else residuals[of]
+        )
     return changing
 
 
-def _covariance(left: Floats, basis: Floats, tiles: NDArray[np.int64]) -> Floats:
+def _covariance(residual: Floats, basis: Floats, tiles: NDArray[np.int64]) -> Floats:
     """Covariance (5, 5) of coefficients, by residuals (P,) that may depend on each other within a tile."""
     size = _sizes(basis)
     scaled = basis / size
     inverse = np.linalg.pinv(scaled.T @ scaled, rcond=1e-10)
-    scores = np.array([np.bincount(tiles, column, TILES**2) for column in (scaled * left[:, None]).T])
+    scores = np.array([np.bincount(tiles, column, TILES**2) for column in (scaled * residual[:, None]).T])
     covariance = inverse @ (scores @ scores.T) @ inverse
-    least = np.eye(len(size)) * 1e-12 * max(float(np.trace(covariance)), 1e-300)
-    return np.asarray((covariance + least) / np.outer(size, size))
+    min_covariance = np.eye(len(size)) * 1e-12 * max(float(np.trace(covariance)), 1e-300)
+    return np.asarray((covariance + min_covariance) / np.outer(size, size))

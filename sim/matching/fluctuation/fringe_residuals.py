@@ -67,7 +67,7 @@ def fringe_residuals(
     reference: Reference, parameters: TwinParameters, poses: Sequence[int]
 ) -> list[FringeResidual]:
     """Fit the fringe sets of some poses."""
-    return [one for pose in poses for one in _of_pose(reference, parameters, pose)]
+    return [residual for pose in poses for residual in _of_pose(reference, parameters, pose)]
 
 
 def _of_pose(reference: Reference, parameters: TwinParameters, pose: int) -> Iterator[FringeResidual]:
@@ -79,7 +79,7 @@ def _of_pose(reference: Reference, parameters: TwinParameters, pose: int) -> Ite
             continue
         images = range(plan.set_starts[index], plan.set_starts[index + 1])
         frames = reference.frames(pose, images)
-        slopes = np.stack([one[pixels] for one in np.gradient(frames.mean(axis=0))]) / grey
+        slopes = np.stack([slope[pixels] for slope in np.gradient(frames.mean(axis=0))]) / grey
         levels = frames[:, *pixels].astype(np.float64)
         clear = levels.max(axis=0) < reference.full_scale
         yield residual_of_set(
@@ -103,11 +103,12 @@ def residual_of_set(
     shift, count = fringe.phase_shifts(), len(levels)
     fitted, beyond = fit_sinusoids(levels, fringe), beyond_fringe(shift)
     offset, (light, across) = fitted[0], fringe_levels(fitted, shift)
-    print_moves = [light * one / np.maximum(offset, 1.0) for one in slopes]
+    print_moves = [light * values / np.maximum(offset, 1.0) for values in slopes]
     size = np.sqrt(np.mean(light**2))
-    tilts = [across * (one - one.mean()) for one in pixels]
+    tilts = [across * (values - values.mean()) for values in pixels]
     moves = (
-        size / max(float(np.sqrt(np.mean(one**2))), 1e-9) * one for one in (across, *tilts, *print_moves)
+        size / max(float(np.sqrt(np.mean(values**2))), 1e-9) * values
+        for values in (across, *tilts, *print_moves)
     )
     regressors = [light, *moves]
     # Frame n has its own coefficients; what of them fits the pixel's own fringe is not seen.
@@ -124,8 +125,8 @@ def residual_of_set(
 def _inverse(normal: Floats) -> Floats:
     """Pseudo-inverse of a symmetric matrix, without directions that are not determined."""
     strength, vectors = np.linalg.eigh(normal)
-    known = strength > 1e-4 * max(strength[-1], 1e-12)
-    return np.asarray((vectors[:, known] / strength[known]) @ vectors[:, known].T)
+    determined = strength > 1e-4 * max(strength[-1], 1e-12)
+    return np.asarray((vectors[:, determined] / strength[determined]) @ vectors[:, determined].T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,15 +145,15 @@ class Variances:
     @cached_property
     def further(self) -> float:
         """The most likely further variance, not negative."""
-        most = float(self.squares.max())
-        if self.misfit(0.0) <= self.misfit(1e-6 * most):
+        largest = float(self.squares.max())
+        if self.misfit(0.0) <= self.misfit(1e-6 * largest):
             return 0.0
-        found = minimize_scalar(
+        minimum = minimize_scalar(
             lambda logarithm: self.misfit(float(np.exp(logarithm))),
-            bounds=(np.log(1e-6 * most), np.log(most)),
+            bounds=(np.log(1e-6 * largest), np.log(largest)),
             method="bounded",
         )
-        return float(np.exp(found.x))
+        return float(np.exp(minimum.x))
 
     @property
     def relative_sigma(self) -> float:

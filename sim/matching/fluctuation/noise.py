@@ -111,7 +111,7 @@ def _read_noise(
 ) -> float:
     """Read noise that adds `excess` to the variance at black, by what a probe adds to it."""
     now = twin.parameters
-    before = float(np.mean([one.constant for one in own]))
+    before = float(np.mean([model.constant for model in own]))
     probe_e, added = max(LIMITS.probe_e, now.read_noise_e), 0.0
     while added < 0.5 * abs(excess) and probe_e < LIMITS.max_probe_e:
         probe_e *= LIMITS.probe_factor
@@ -159,7 +159,7 @@ def noise_misfit(reference: Reference, twin: Twin, poses: Sequence[int]) -> floa
 def _spreads(frames: LevelStack, shift: Floats, classes: NDArray[np.int64]) -> Floats:
     """Standard deviations (LIMITS.levels, 2) of what the phase fit leaves, fine and coarse."""
     rest = np.einsum("mn,nvu->mvu", beyond_fringe(shift), frames)
-    coarse = np.stack([cv2.GaussianBlur(one.astype(np.float32), (0, 0), LIMITS.fine_px) for one in rest])
+    coarse = np.stack([cv2.GaussianBlur(frame.astype(np.float32), (0, 0), LIMITS.fine_px) for frame in rest])
     parts = (rest - coarse, coarse)
     freedom = len(shift) / (len(shift) - 3)
     return np.array(

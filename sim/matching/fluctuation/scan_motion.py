@@ -60,13 +60,13 @@ class ScanMotion:
 def motion_of_scan(twin: Twin, scan: BenchScan) -> ScanMotion | None:
     """Estimate how fast a part moved."""
     inner = lit_inside(twin, scan)
-    sets = [index for index, one in enumerate(scan.session.plan.fringes) if one.images > 3]
+    sets = [index for index, motion in enumerate(scan.session.plan.fringes) if motion.images > 3]
     if not sets or np.count_nonzero(inner) < LIMITS.min_pixels:
         return None
     pixels = subsample_pixels(inner, LIMITS.pixels)
     turns = {axis: _turns(twin, scan, pixels, axis) for axis in scan.session.plan.axes}
-    seen = [_SetMotion.of(twin, scan, pixels, index, turns) for index in sets]
-    parts = [one for one in seen if one is not None]
+    motions = [_SetMotion.of(twin, scan, pixels, index, turns) for index in sets]
+    parts = [motion for motion in motions if motion is not None]
     return _joined(parts, twin.parameters) if parts else None
 
 
@@ -101,7 +101,7 @@ class _SetMotion:
         steady = _Steady.of(beyond, light, shift, np.hypot(cosine, sine), np.arctan2(sine, cosine))
         frames = np.arange(len(shift)) - 0.5 * (len(shift) - 1)
         shown = np.stack(
-            [steady.without(np.outer(column, one)) for column, one in zip(beyond.T, by_mm, strict=True)]
+            [steady.without(np.outer(column, values)) for column, values in zip(beyond.T, by_mm, strict=True)]
         )
         tiles = tile_numbers((pixels[0][clear], pixels[1][clear]))
         return cls(steady.without(beyond @ levels), np.tensordot(frames, shown, 1), shown, tiles)
@@ -119,9 +119,9 @@ class _Steady:
 
     @classmethod
     def of(cls, beyond: Floats, light: Floats, shift: Floats, amplitude: Floats, phase: Floats) -> _Steady:
-        gains = [np.outer(column, one) for column, one in zip(beyond.T, light, strict=True)]
+        gains = [np.outer(column, values) for column, values in zip(beyond.T, light, strict=True)]
         second = [beyond @ (amplitude * wave(2 * (shift[:, None] - phase))) for wave in (np.cos, np.sin)]
-        columns = np.stack([one.ravel() for one in (*gains, *second)], axis=1)
+        columns = np.stack([values.ravel() for values in (*gains, *second)], axis=1)
         return cls(columns, np.linalg.pinv(columns.T @ columns, rcond=1e-9, hermitian=True))
 
     def without(self, values: Floats) -> Floats:
@@ -133,38 +133,38 @@ class _Steady:
 
 def _turns(twin: Twin, scan: BenchScan, pixels: PixelIndices, axis: Axis) -> Floats:
     """Change (P,) of a projector coordinate, as a share of its axis, for 1 mm along the camera's axis."""
-    known = twin.parameters.calibration
+    calibration = twin.parameters.calibration
     points, normals = part_surface_seen(twin, scan, pixels)
     along = points * (normals[:, 2] / np.einsum("pi,pi->p", normals, points))[:, None]
     ends = [
-        known.projector.project(points + side * LIMITS.step_mm * along, known.T_projector_camera)
+        calibration.projector.project(points + side * LIMITS.step_mm * along, calibration.T_projector_camera)
         for side in (-0.5, 0.5)
     ]
     column = 0 if axis == "x" else 1
     return np.asarray(
-        (ends[1] - ends[0])[:, column] / LIMITS.step_mm / axis_length(known.projector.size, axis)
+        (ends[1] - ends[0])[:, column] / LIMITS.step_mm / axis_length(calibration.projector.size, axis)
     )
 
 
 def _joined(parts: Sequence[_SetMotion], now: TwinParameters) -> ScanMotion:
     """Fit one speed to all sets, robustly."""
-    rest = np.concatenate([one.rest.ravel() for one in parts])
-    speed = np.concatenate([one.speed.ravel() for one in parts])
+    rest = np.concatenate([part.rest.ravel() for part in parts])
+    speed = np.concatenate([part.speed.ravel() for part in parts])
     weight = np.ones_like(rest)
     for _ in range(LIMITS.rounds):
         strength = float(np.sum(weight * speed**2))
         v = float(np.sum(weight * speed * rest)) / max(strength, 1e-12)
-        left = rest - v * speed
-        weight = huber_weights(left, robust_spread(left))
-    tiles = np.concatenate([np.tile(one.tiles, len(one.rest)) for one in parts])
-    scores = (weight * speed * left)[:, None]
+        residual = rest - v * speed
+        weight = huber_weights(residual, robust_spread(residual))
+    tiles = np.concatenate([np.tile(part.tiles, len(part.rest)) for part in parts])
+    scores = (weight * speed * residual)[:, None]
     by_rest = float(multiway_covariance(np.array([[1.0 / max(strength, 1e-12)]]), scores, [tiles])[0, 0])
     # The speed that a displacement of a single frame looks like, whose sizes vibration draws.
-    ends = np.cumsum([0, *(one.rest.size for one in parts)])
+    ends = np.cumsum([0, *(part.rest.size for part in parts)])
     looks_like = [
         np.sum((weight * speed)[first:end] * shown.ravel()) / max(strength, 1e-12)
-        for one, first, end in zip(parts, ends[:-1], ends[1:], strict=True)
-        for shown in one.shown
+        for part, first, end in zip(parts, ends[:-1], ends[1:], strict=True)
+        for shown in part.shown
     ]
     along = now.vibration_mm**2 + now.vibration_line_mm[2] ** 2
     by_vibration = along * float(np.sum(np.square(looks_like)))

@@ -17,36 +17,36 @@ from sim.matching.fluctuation.frame_terms import GAIN, MOVES, FrameTerms
 from sim.parameters import NO_LINE, TwinParameters
 
 
-def match_vibration(now: TwinParameters, seen: Sequence[FrameTerms]) -> TwinParameters:
+def match_vibration(now: TwinParameters, terms: Sequence[FrameTerms]) -> TwinParameters:
     """Give a twin the vibration of the bench."""
-    found = fit_fluctuation([one.series(MOVES) for one in seen])
+    motion = fit_fluctuation([pose.series(MOVES) for pose in terms])
     sigma = now.sigma_with(
-        vibration_mm=found.random.isotropic * found.sigma, vibration_cycles_per_frame=found.cycles_sigma
+        vibration_mm=motion.random.isotropic * motion.sigma, vibration_cycles_per_frame=motion.cycles_sigma
     )
-    line = _line(found)
+    line = _line(motion)
     x, y, z = line.tolist()
     whole = float(line @ line)
     return replace(
         now,
-        vibration_mm=found.random.isotropic,
+        vibration_mm=motion.random.isotropic,
         vibration_line_mm=(x, y, z) if whole else NO_LINE,
-        vibration_periodic=min(float(found.oscillation @ found.oscillation) / whole, 1.0) if whole else 0.0,
-        vibration_cycles_per_frame=found.cycles_per_frame,
+        vibration_periodic=min(float(motion.oscillation @ motion.oscillation) / whole, 1.0) if whole else 0.0,
+        vibration_cycles_per_frame=motion.cycles_per_frame,
         sigma=sigma,
     )
 
 
-def _line(found: FrameFluctuation) -> Floats:
+def _line(motion: FrameFluctuation) -> Floats:
     """RMS displacement (3,) along the line, of random numbers and oscillation together."""
-    random, oscillation = found.random.axis, found.oscillation
+    random, oscillation = motion.random.axis, motion.oscillation
     whole = np.outer(random, random) + np.outer(oscillation, oscillation)
     strength, directions = np.linalg.eigh(whole)
     return np.asarray(np.sqrt(max(float(strength.sum()), 0.0)) * directions[:, -1])
 
 
-def match_flicker(now: TwinParameters, seen: Sequence[FrameTerms]) -> TwinParameters:
+def match_flicker(now: TwinParameters, terms: Sequence[FrameTerms]) -> TwinParameters:
     """Give a twin the flicker of the bench's projector."""
-    found = fit_fluctuation([one.series(GAIN) for one in seen], oscillates=False)
-    flicker = found.random.isotropic
-    sigma = now.sigma_with(projector_flicker=flicker * found.sigma)
+    fluctuation = fit_fluctuation([pose.series(GAIN) for pose in terms], oscillates=False)
+    flicker = fluctuation.random.isotropic
+    sigma = now.sigma_with(projector_flicker=flicker * fluctuation.sigma)
     return replace(now, projector_flicker=flicker, sigma=sigma)

@@ -41,9 +41,9 @@ def bend_moves(reference: Reference, parameters: TwinParameters, pose: int, pixe
     """Compute by how much the bend moves the board's surface where pixels see it."""
     # returns (P, 3) mm
     points = np.stack(pixels[::-1], axis=-1).astype(np.float64)
-    there = parameters.poses[pose]
-    places = surface_and_projector_points(points, parameters.calibration, there)[:, :2]
-    return np.outer(bend_mm(reference.characterisation.board, places), there.rotation[:, 2])
+    board = parameters.poses[pose]
+    places = surface_and_projector_points(points, parameters.calibration, board)[:, :2]
+    return np.outer(bend_mm(reference.characterisation.board, places), board.rotation[:, 2])
 
 
 def change_by_bend(

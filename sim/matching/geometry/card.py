@@ -54,9 +54,9 @@ def moved_into_plane(pose: RigidTransform, centre: Floats, normal: Floats) -> Ri
     """Turn and move a pose so that its x and y axes lie in a plane, as little as possible."""
     # centre, normal (3,) mm
     axis = pose.rotation[:, 2]
-    wanted = normal * np.sign(axis @ normal or 1.0)
-    across = np.cross(axis, wanted)
-    angle = np.arctan2(np.linalg.norm(across), axis @ wanted)
+    facing = normal * np.sign(axis @ normal or 1.0)
+    across = np.cross(axis, facing)
+    angle = np.arctan2(np.linalg.norm(across), axis @ facing)
     turn = across / max(float(np.linalg.norm(across)), 1e-12) * angle
     rotation = RigidTransform.from_vectors(turn, np.zeros(3)).rotation @ pose.rotation
     return RigidTransform(rotation, pose.translation + ((centre - pose.translation) @ normal) * normal)

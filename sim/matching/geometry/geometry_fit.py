@@ -56,49 +56,51 @@ NUISANCE_PARAMETERS = 6
 
 
 def contradiction(reference: Reference, parameters: TwinParameters) -> float:
-    """Tell how far a geometry is from the points that the reference's characterisation is found from.
+    """Compute how far a geometry is from the points that the reference's characterisation is found from.
 
     Points are centres of marks: blur, grain of the print and uneven light hardly move them, while a fit of
     images takes for geometry whatever else the twin lacks. So images are believed as far as points allow.
     """
-    found = reference.characterisation
-    known = found.calibration.uncertainty
-    if known is None:
+    characterisation = reference.characterisation
+    uncertainty = characterisation.calibration.uncertainty
+    if uncertainty is None:
         return 0.0
-    free = len(found.level.terms)
-    off = _shared(parameters.calibration, free) - _shared(found.calibration, free)
-    return chi_square(known, off) / float(len(off) + LIMITS.max_sigmas * np.sqrt(2.0 * len(off)))
+    free = len(characterisation.level.terms)
+    off = _shared(parameters.calibration, free) - _shared(characterisation.calibration, free)
+    return chi_square(uncertainty, off) / float(len(off) + LIMITS.max_sigmas * np.sqrt(2.0 * len(off)))
 
 
-def _shared(known: Calibration, free: int) -> Floats:
-    pair = vectors_of(known.T_projector_camera)
-    return np.concatenate([_intrinsics(known.camera)[:free], _intrinsics(known.projector)[:free], pair])
+def _shared(calibration: Calibration, free: int) -> Floats:
+    pair = vectors_of(calibration.T_projector_camera)
+    return np.concatenate(
+        [_intrinsics(calibration.camera)[:free], _intrinsics(calibration.projector)[:free], pair]
+    )
 
 
 def solution_of(parameters: TwinParameters, board: Floats) -> Solution:
     """Convert the twin's geometry to the form of the bundle adjustment."""
     # board (P, 3) mm
-    known = parameters.calibration
+    calibration = parameters.calibration
     return Solution(
-        _intrinsics(known.camera),
-        _intrinsics(known.projector),
-        vectors_of(known.T_projector_camera),
+        _intrinsics(calibration.camera),
+        _intrinsics(calibration.projector),
+        vectors_of(calibration.T_projector_camera),
         np.stack([vectors_of(pose) for pose in parameters.poses]),
         board,
     )
 
 
-def with_solution(parameters: TwinParameters, found: Solution) -> TwinParameters:
+def with_solution(parameters: TwinParameters, solution: Solution) -> TwinParameters:
     """Replace the geometry by the solution of a bundle adjustment."""
-    known = parameters.calibration
+    before = parameters.calibration
     calibration = Calibration(
-        replace(known.camera, matrix=matrix_of(found.camera), distortion=found.camera[4:]),
-        replace(known.projector, matrix=matrix_of(found.projector), distortion=found.projector[4:]),
-        transform(found.T_projector_camera),
+        replace(before.camera, matrix=matrix_of(solution.camera), distortion=solution.camera[4:]),
+        replace(before.projector, matrix=matrix_of(solution.projector), distortion=solution.projector[4:]),
+        transform(solution.T_projector_camera),
         {},
-        known.uncertainty,
+        before.uncertainty,
     )
-    return replace(parameters, calibration=calibration, poses=tuple(transform(p) for p in found.poses))
+    return replace(parameters, calibration=calibration, poses=tuple(transform(p) for p in solution.poses))
 
 
 def _intrinsics(device: Pinhole) -> Floats:
@@ -106,10 +108,12 @@ def _intrinsics(device: Pinhole) -> Floats:
     return np.array([k[0, 0], k[1, 1], k[0, 2], k[1, 2], *device.distortion])
 
 
-def refine_by_reprojection(parameters: TwinParameters, found: Characterisation) -> TwinParameters:
+def refine_by_reprojection(parameters: TwinParameters, characterisation: Characterisation) -> TwinParameters:
     """Refine the geometry by bundle adjustment of the points observed in camera and projector."""
-    model = Model(found.level, found.board)
-    adjusted, _ = adjust_bundle(found.observations, solution_of(parameters, found.board), model)
+    model = Model(characterisation.level, characterisation.board)
+    adjusted, _ = adjust_bundle(
+        characterisation.observations, solution_of(parameters, characterisation.board), model
+    )
     return with_solution(parameters, adjusted)
 
 
@@ -240,11 +244,11 @@ class PoseResidual:
         points = np.stack(self.pixels[::-1], axis=-1).astype(np.float64)
         places = points_jacobian(points, at.calibration, at.poses[self.pose], free)
         across, down = ((points - points.mean(axis=0)) / np.ptp(points, axis=0)).T
-        for seen, laplacian, level_gradient in zip(
+        for levels, laplacian, level_gradient in zip(
             self.expected, self.laplacian, self.level_gradient, strict=True
         ):
             geometric = np.einsum("pk,pkc->pc", level_gradient, places)
-            other = [seen, seen * across, seen * down, np.ones_like(seen), seen**2, laplacian]
+            other = [levels, levels * across, levels * down, np.ones_like(levels), levels**2, laplacian]
             yield np.column_stack([geometric, *other])
 
 
@@ -254,27 +258,27 @@ def _residual_of_pose(reference: Reference, twin: Twin, pose: int) -> PoseResidu
     pixels = subsample_pixels(
         looked_at, min(LIMITS.max_pixels, LIMITS.max_pixels_of_all_poses // len(start.poses))
     )
-    seen, patterns = reference.frames(pose, images)[:, *pixels], reference.shown(images)
+    recorded, patterns = reference.frames(pose, images)[:, *pixels], reference.shown(images)
 
     def picked(levels: ExpectedLevels) -> Floats:
         return np.asarray(levels[:, *pixels], np.float64)
 
     whole = twin.expected(pose, patterns, reference.settings)
     here = picked(whole)
-    laplacian = picked(np.stack([cv2.Laplacian(one, cv2.CV_32F) for one in whole]))
+    laplacian = picked(np.stack([cv2.Laplacian(image, cv2.CV_32F) for image in whole]))
     _, gradient = levels_with_gradient(reference, twin, pose, images, pixels)
     slopes = slopes_by_move(pixels, start.calibration, start.poses[pose], gradient)
     bent = change_by_bend(reference, start, pose, pixels, slopes)
     # Where there is no light there is no noise either, and rounding errors are all the same.
     dark = start.black_level * reference.full_scale + 1.0
-    valid = (seen < reference.full_scale) & (here < reference.full_scale) & (here > dark)
+    valid = (recorded < reference.full_scale) & (here < reference.full_scale) & (here > dark)
     return PoseResidual(
         pose,
         tuple(images),
         pixels,
         valid,
         here,
-        np.where(valid, seen - here - bent, 0.0),
+        np.where(valid, recorded - here - bent, 0.0),
         laplacian * valid,
         gradient * valid[..., None],
     )
@@ -295,8 +299,8 @@ def levels_with_gradient(
 
     here = seen_by(twin)
     gradient = [
-        sign * (seen_by(twin.with_parameters(there)) - here) / by
-        for there, by, sign in _shifted(twin.parameters, pose)
+        sign * (seen_by(twin.with_parameters(moved)) - here) / by
+        for moved, by, sign in _shifted(twin.parameters, pose)
     ]
     return here, np.stack(gradient, axis=-1)
 
@@ -307,14 +311,14 @@ def _shifted(start: TwinParameters, pose: int) -> list[tuple[TwinParameters, flo
     With each, how far, and the sign with which the point seen moves.
     """
     held = start.poses[pose]
-    found = []
+    shifted = []
     for axis in range(2):
-        there = held.moved(LIMITS.shift_mm * held.rotation[:, axis])
-        found.append((start.with_pose(pose, there), LIMITS.shift_mm, -1.0))
+        moved_board = held.moved(LIMITS.shift_mm * held.rotation[:, axis])
+        shifted.append((start.with_pose(pose, moved_board), LIMITS.shift_mm, -1.0))
     for axis in range(2):
-        known = start.calibration
-        matrix = known.projector.matrix.copy()
+        calibration = start.calibration
+        matrix = calibration.projector.matrix.copy()
         matrix[axis, 2] += LIMITS.shift_px
-        moved = replace(known, projector=replace(known.projector, matrix=matrix))
-        found.append((replace(start, calibration=moved), LIMITS.shift_px, 1.0))
-    return found
+        moved = replace(calibration, projector=replace(calibration.projector, matrix=matrix))
+        shifted.append((replace(start, calibration=moved), LIMITS.shift_px, 1.0))
+    return shifted

@@ -14,21 +14,21 @@ from fpplab.core.conventions import Floats, PixelIndices
 from fpplab.core.geometry import Pinhole, RigidTransform, distort
 
 
-def surface_and_projector_points(pixels: Floats, known: Calibration, pose: RigidTransform) -> Floats:
+def surface_and_projector_points(pixels: Floats, calibration: Calibration, pose: RigidTransform) -> Floats:
     """Compute what pixels see of a board."""
     # pixels (P, 2) px; returns (P, 4) mm
-    points = _points(known.camera.normalise(pixels), pose)
-    lit = known.projector.project(points, known.T_projector_camera)
+    points = _points(calibration.camera.normalise(pixels), pose)
+    lit = calibration.projector.project(points, calibration.T_projector_camera)
     return np.concatenate([pose.inverse().apply(points)[:, :2], lit], axis=-1)
 
 
-def points_jacobian(pixels: Floats, known: Calibration, pose: RigidTransform, free: int) -> Floats:
+def points_jacobian(pixels: Floats, calibration: Calibration, pose: RigidTransform, free: int) -> Floats:
     """Differentiate what pixels see of a board by every parameter."""
     # pixels (P, 2) px; returns (P, 4, 2 free + 12) rad
-    camera, projector, pair = known.camera, known.projector, known.T_projector_camera
+    camera, projector, pair = calibration.camera, calibration.projector, calibration.T_projector_camera
     slopes = camera.normalise(pixels)
     points = _points(slopes, pose)
-    by_point, by_local = _by_point(points, known, pose)
+    by_point, by_local = _by_point(points, calibration, pose)
     rays = points / points[:, 2:]
     normal = pose.rotation[:, 2]
     fall = rays @ normal
@@ -61,14 +61,14 @@ def _by_move(points: Floats, by_point: Floats, pose: RigidTransform) -> Floats:
 
 
 def slopes_by_move(
-    pixels: PixelIndices, known: Calibration, pose: RigidTransform, gradient: Floats
+    pixels: PixelIndices, calibration: Calibration, pose: RigidTransform, gradient: Floats
 ) -> Floats:
     """Differentiate levels by a displacement of the board."""
     # gradient (n, P, 4); returns (n, P, 3)
     points = np.stack(pixels[::-1], axis=-1).astype(np.float64)
-    seen = _points(known.camera.normalise(points), pose)
-    by_point, _ = _by_point(seen, known, pose)
-    return np.asarray(np.einsum("npk,pka->npa", gradient, _by_move(seen, by_point, pose)))
+    surface = _points(calibration.camera.normalise(points), pose)
+    by_point, _ = _by_point(surface, calibration, pose)
+    return np.asarray(np.einsum("npk,pka->npa", gradient, _by_move(surface, by_point, pose)))
 
 
 def _points(slopes: Floats, pose: RigidTransform) -> Floats:
@@ -78,9 +78,9 @@ def _points(slopes: Floats, pose: RigidTransform) -> Floats:
     return np.asarray(rays * ((normal @ pose.translation) / (rays @ normal))[:, None])
 
 
-def _by_point(points: Floats, known: Calibration, pose: RigidTransform) -> tuple[Floats, Floats]:
+def _by_point(points: Floats, calibration: Calibration, pose: RigidTransform) -> tuple[Floats, Floats]:
     """Differentiate places (P, 4, 3) by the point, and u, v (P, 2, 3) by it in the projector's frame."""
-    projector, pair = known.projector, known.T_projector_camera
+    projector, pair = calibration.projector, calibration.T_projector_camera
     x, y, z = pair.apply(points).T
     _, _, xx, xy, yy = distort(x / z, y / z, projector.distortion)
     bent = np.stack([np.stack([xx, xy], axis=-1), np.stack([xy, yy], axis=-1)], axis=-2)

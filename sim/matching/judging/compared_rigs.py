@@ -63,7 +63,8 @@ class RigComparison:
             },
             "outside": outside,
             "crossed": {
-                f"{frames}_by_{known}": found.summary() for (frames, known), found in self.crossed.items()
+                f"{frames}_by_{calibration}": figures.summary()
+                for (frames, calibration), figures in self.crossed.items()
             },
         }
 
@@ -80,9 +81,11 @@ def compare_rigs(rig: Rig, session: Session, item: str, calibration: Calibration
     rows = np.arange(rig.camera.caps.size[1])
     frames = sampler.frames(item, tuple(make_patterns(plan, size, lattice)), settings, rows, 0)
     own = Recording(frames, plan, size, settings.bits, f"the twin's {item}")
-    known = {"bench": calibration, "twin": sampler.calibration}
-    crossed = {("bench", name): measured_figures(session, one, mesh) for name, one in known.items()}
-    crossed |= {("twin", name): recorded_figures(own, one, mesh, depth) for name, one in known.items()}
+    calibrations = {"bench": calibration, "twin": sampler.calibration}
+    crossed = {("bench", name): measured_figures(session, used, mesh) for name, used in calibrations.items()}
+    crossed |= {
+        ("twin", name): recorded_figures(own, used, mesh, depth) for name, used in calibrations.items()
+    }
     return RigComparison(predict(rig, plan, item), crossed)
 
 

@@ -52,8 +52,8 @@ def discrepancy_of(reference: Reference, twin: Twin, scans: Sequence[BenchScan])
     levels = level_differences(reference, twin)
     part_noise = [float(np.log(a.noise_um / b.noise_um)) for a, b in pairs]
     contrasts = sample_contrasts(twin, scans, reference.plan)
-    off = {one.number: one.relative_residual(reference, twin) for one in contrasts}
-    found = Discrepancy(
+    off = {sample.number: sample.relative_residual(reference, twin) for sample in contrasts}
+    discrepancy = Discrepancy(
         noise=Deviation.of_kinds([noise, part_noise], fitted=not others),
         distance=_deviation([float(np.log(a.distance_um / b.distance_um)) for a, b in pairs]),
         completeness=_deviation([a.completeness - b.completeness for a, b in pairs]),
@@ -61,8 +61,8 @@ def discrepancy_of(reference: Reference, twin: Twin, scans: Sequence[BenchScan])
         levels=levels.model_copy(update={"left_out": tuple(_name(reference, pose) for pose in others)}),
     )
     effects = [_effects(twin, scan, off.get(number)) for number, scan in enumerate(scans)]
-    looks_like, not_for = named_effects(found, noise, part_noise, effects)
-    return found.model_copy(update={"looks_like": looks_like, "not_for": not_for})
+    looks_like, not_for = named_effects(discrepancy, noise, part_noise, effects)
+    return discrepancy.model_copy(update={"looks_like": looks_like, "not_for": not_for})
 
 
 def level_differences(reference: Reference, twin: Twin) -> LevelDifferences:
@@ -76,10 +76,12 @@ def level_differences(reference: Reference, twin: Twin) -> LevelDifferences:
         for total, n in zip(np.sum(tiles, axis=0).tolist(), count.tolist(), strict=True)
     ]
     return LevelDifferences(
-        by_pose={_name(reference, pose): float(np.sqrt(one.mean())) for pose, one in enumerate(by_image)},
+        by_pose={
+            _name(reference, pose): float(np.sqrt(values.mean())) for pose, values in enumerate(by_image)
+        },
         by_pattern={
-            reference.patterns[index].id: float(np.sqrt(one))
-            for index, one in zip(images, np.mean(by_image, axis=0), strict=True)
+            reference.patterns[index].id: float(np.sqrt(values))
+            for index, values in zip(images, np.mean(by_image, axis=0), strict=True)
         },
         by_place=tuple(tuple(places[row : row + TILES]) for row in range(0, TILES**2, TILES)),
     )
@@ -91,12 +93,13 @@ def _relative_squares(
     """Mean square over the board of every image (n,), and sum and number of pixels of the tiles (TILES²,)."""
     now = twin.parameters
     pixels = subsample_pixels(board_mask(now.calibration.camera, now.poses[pose], reference.target), PIXELS)
-    seen = reference.frames(pose, images)[:, *pixels].astype(np.float64)
+    recorded = reference.frames(pose, images)[:, *pixels].astype(np.float64)
     expected = twin.expected_at(pose, reference.shown(images), reference.settings, pixels)
-    square = ((seen - expected) / seen.mean()) ** 2
+    square = ((recorded - expected) / recorded.mean()) ** 2
     tiles, every = tile_numbers(pixels), square.mean(axis=0)
     sums, counts = (
-        np.asarray(np.bincount(tiles, one, TILES**2), np.float64) for one in (every, np.ones_like(every))
+        np.asarray(np.bincount(tiles, weights, TILES**2), np.float64)
+        for weights in (every, np.ones_like(every))
     )
     return square.mean(axis=1), sums, counts
 
@@ -136,8 +139,8 @@ def _contrast_deviation(
 ) -> ContrastDeviation:
     """Of the finest fringes of all recordings: those on parts where they are finer than the board's."""
     if finer:
-        stripes = max(fringe.stripes for one in finer for fringe in one.sets)
-        differences = np.concatenate([off[one.number] for one in finer])
+        stripes = max(fringe.stripes for sample in finer for fringe in sample.sets)
+        differences = np.concatenate([off[sample.number] for sample in finer])
     else:
         stripes = reference.plan.finest.stripes
         differences = board_contrasts(reference, twin, poses)
@@ -150,7 +153,7 @@ def scan_figures(
     """Compute the figures of a scan on the bench, and of such scans on the twin."""
     placed = placed_part(twin, scan)
     real = measured_figures(scan.session, reference.characterisation.calibration, placed)
-    session, known = scan.session, twin.parameters.calibration
+    session, calibration = scan.session, twin.parameters.calibration
     plan, (size, lattice) = session.plan, session.projector()
     settings = session.records[0].settings
     patterns, depth = make_patterns(plan, size, lattice), depth_range_of(session)
@@ -158,7 +161,7 @@ def scan_figures(
     for _ in range(TWIN_SCANS):
         frames = twin.scan(scan.item, scan.T_camera_item, patterns, settings)
         recording = Recording(frames, plan, size, settings.bits, f"the twin's {scan.item}")
-        own.append(expected_figures(recording, known, placed, depth))
+        own.append(expected_figures(recording, calibration, placed, depth))
     return real, median_figures(own)
 
 

@@ -28,24 +28,24 @@ from sim.prediction.form import distance_factors
 
 def measured_figures(session: Session, calibration: Calibration, mesh: trimesh.Trimesh) -> MeasuredFigures:
     """Compute the figures of a scan."""
-    found = reconstruct_points(session, calibration)
-    return _figures(found, calibration, mesh, session.plan, depth_range_of(session))[0]
+    points = reconstruct_points(session, calibration)
+    return _figures(points, calibration, mesh, session.plan, depth_range_of(session))[0]
 
 
 def recorded_figures(
     recording: Recording, calibration: Calibration, mesh: trimesh.Trimesh, depth: DepthRange | None = None
 ) -> MeasuredFigures:
     """Compute the figures of frames that are in no session, as those of a twin."""
-    found = _points(recording, calibration, depth)
-    return _figures(found, calibration, mesh, recording.plan, depth)[0]
+    points = _points(recording, calibration, depth)
+    return _figures(points, calibration, mesh, recording.plan, depth)[0]
 
 
 def expected_figures(
     recording: Recording, calibration: Calibration, mesh: trimesh.Trimesh, depth: DepthRange | None = None
 ) -> MeasuredFigures:
     """Compute the figures of frames as a bench would see them, whose calibration is in error."""
-    found = decoded, cloud = _points(recording, calibration, depth)
-    figures, placed, on_shape = _figures(found, calibration, mesh, recording.plan, depth)
+    points = decoded, cloud = _points(recording, calibration, depth)
+    figures, placed, on_shape = _figures(points, calibration, mesh, recording.plan, depth)
     factors = distance_factors(cloud, on_shape, placed, calibration, coordinate_noise(decoded))
     return replace(figures, distance_um=figures.distance_um * float(np.median(factors)))
 
@@ -58,14 +58,14 @@ def _points(
 
 
 def _figures(
-    found: tuple[Decoded, Cloud],
+    points: tuple[Decoded, Cloud],
     calibration: Calibration,
     mesh: trimesh.Trimesh,
     plan: Plan,
     depth: DepthRange | None,
 ) -> tuple[MeasuredFigures, trimesh.Trimesh, Mask]:
     """The figures, the shape where its points are, and the pixels that see it."""
-    T_camera_mesh = align_mesh(found[1].points.astype(float), mesh).transform
+    T_camera_mesh = align_mesh(points[1].points.astype(float), mesh).transform
     placed = mesh.copy().apply_transform(T_camera_mesh.matrix)
-    bounds, seen = depth_bounds(plan, calibration, depth), seen_surface(placed, calibration)
-    return figures_of(*found, placed, calibration, plan, seen, bounds), placed, seen[0]
+    bounds, surface = depth_bounds(plan, calibration, depth), seen_surface(placed, calibration)
+    return figures_of(*points, placed, calibration, plan, surface, bounds), placed, surface[0]

@@ -44,7 +44,7 @@ class PlausibilityLimits:
     min_edge_gradient: float = 0.3  # share of the steepest gradient on an edge (chosen)
     brightness_share: float = 0.1  # of the board's side: width over which brightness is averaged (chosen)
     min_ssim: float = 0.8  # over the board (chosen)
-    max_image_difference: float = 3.0  # excess from which nobody should use the twin (chosen)
+    max_image_difference: float = 3.0  # excess from which the twin must not be used (chosen)
     max_harmonic_difference: float = 0.02  # of the fringe; 0.06 of an exponent near 1 (derived)
 
 
@@ -53,18 +53,20 @@ LIMITS = PlausibilityLimits()
 
 def check_devices(twin: Twin, session: Session) -> None:
     """Refuse a session of another camera or projector."""
-    known = twin.parameters.calibration
+    calibration = twin.parameters.calibration
     width, height, _ = session.format
     size, lattice = session.projector()
-    if (width, height) != known.camera.size:
+    if (width, height) != calibration.camera.size:
         raise ConfigError(
             f"{session.path}: the bench's camera has {width} x {height} pixels, the twin's "
-            f"{known.camera.size[0]} x {known.camera.size[1]}; name this bench's twin, or set its binning"
+            f"{calibration.camera.size[0]} x {calibration.camera.size[1]}; name this bench's twin, or set "
+            "its binning"
         )
-    if size != known.projector.size or lattice is not known.projector.lattice:
+    if size != calibration.projector.size or lattice is not calibration.projector.lattice:
         raise ConfigError(
             f"{session.path}: the bench's projector has {size[0]} x {size[1]} mirrors, {lattice}, the twin's "
-            f"{known.projector.size[0]} x {known.projector.size[1]}, {known.projector.lattice}; name this "
+            f"{calibration.projector.size[0]} x {calibration.projector.size[1]}, "
+            f"{calibration.projector.lattice}; name this "
             "bench's twin"
         )
 
@@ -73,21 +75,21 @@ def check_board(twin: Twin, target: Target, source: str) -> None:
     """Refuse a target that is not the twin's board."""
     own = twin.target
     for name in ("kind", "counts", "spacing_mm", *OWN_FIELDS, "size_mm"):
-        if (given := getattr(target, name)) != (has := getattr(own, name)):
+        if (value := getattr(target, name)) != (has := getattr(own, name)):
             raise ConfigError(
-                f"{source}: '{name}' is {given} but the twin's board has {has}; give both the same board"
+                f"{source}: '{name}' is {value} but the twin's board has {has}; give both the same board"
             )
 
 
-def check_geometry(found: Calibration, nominal: Calibration, refusals: Refusals) -> None:
+def check_geometry(measured: Calibration, nominal: Calibration, refusals: Refusals) -> None:
     """Refuse a bench whose geometry is far from that of the twin's file.
 
     A board of another pitch changes only the scale of the scene, not its images: the baseline shows it.
     """
     pairs = {
-        "camera's focal length": (found.camera.matrix[0, 0], nominal.camera.matrix[0, 0], "px"),
-        "projector's focal length": (found.projector.matrix[0, 0], nominal.projector.matrix[0, 0], "px"),
-        "baseline": (found.baseline_mm, nominal.baseline_mm, "mm"),
+        "camera's focal length": (measured.camera.matrix[0, 0], nominal.camera.matrix[0, 0], "px"),
+        "projector's focal length": (measured.projector.matrix[0, 0], nominal.projector.matrix[0, 0], "px"),
+        "baseline": (measured.baseline_mm, nominal.baseline_mm, "mm"),
     }
     for name, (is_, should, unit) in pairs.items():
         if abs(is_ / should - 1.0) > MAX_RELATIVE_DIFFERENCE[name]:
@@ -96,9 +98,11 @@ def check_geometry(found: Calibration, nominal: Calibration, refusals: Refusals)
                 if name == "baseline"
                 else "another lens, or another binning"
             )
-            words = f"the {name} is {is_:.4g} {unit} on the bench and {should:.4g} {unit} in the twin: {why}"
-            refusals.refuse(STALE_CALIBRATION, words)
-    turn = found.T_projector_camera.rotation @ nominal.T_projector_camera.rotation.T
+            message = (
+                f"the {name} is {is_:.4g} {unit} on the bench and {should:.4g} {unit} in the twin: {why}"
+            )
+            refusals.refuse(STALE_CALIBRATION, message)
+    turn = measured.T_projector_camera.rotation @ nominal.T_projector_camera.rotation.T
     angle = float(np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1))))
     if angle > LIMITS.max_rotation_deg:
         refusals.refuse(
@@ -115,17 +119,17 @@ def check_response(response: Response, sessions: Sequence[Session], refusals: Re
     images shows it without any twin.
     """
     plan = sessions[0].plan
-    wide = [k for k, one in enumerate(plan.fringes) if one.images > 3]
+    wide = [k for k, session in enumerate(plan.fringes) if session.images > 3]
     if not wide:
         return
     widest = min(wide, key=lambda k: plan.fringes[k].stripes)
-    recordings = [replace(one.recording(verify=False), response=None) for one in sessions]
-    seen = float(np.median([error_model_of(one).sets[widest].harmonics[0] for one in recordings]))
+    recordings = [replace(session.recording(verify=False), response=None) for session in sessions]
+    measured = float(np.median([error_model_of(session).sets[widest].harmonics[0] for session in recordings]))
     should = float(relative_harmonics(response, plan.response, 2)[2])
-    if not abs(seen - should) <= LIMITS.max_harmonic_difference:
+    if not abs(measured - should) <= LIMITS.max_harmonic_difference:
         refusals.refuse(
             RESPONSE,
-            f"the second harmonic of the fringes on the board is {100 * seen:.1f} % of the fringe, but "
+            f"the second harmonic of the fringes on the board is {100 * measured:.1f} % of the fringe, but "
             f"{100 * should:.1f} % by the response file: it is another rig's, or the projector's gamma was "
             "changed; measure it again with `fpplab gamma`",
         )
@@ -144,12 +148,12 @@ def sharpness_finding(reference: Reference, twin: Twin) -> Finding | None:
     if abs(off) <= LIMITS.max_contrast_difference:
         return None
     word, name = "softer" if off < 0 else "sharper", reference.sessions[worst].path.name
-    words = (
+    evidence = (
         f"{name}: at the same brightness its edges are {100 * abs(off):.0f} % {word}, relative to the "
         f"matched twin's, than those of the other poses (at most {100 * LIMITS.max_contrast_difference:.0f} "
         "%): the bench's focus moved, or the board moved"
     )
-    return Finding(LENS_NOT_LOCKED, words, abs(off) / LIMITS.max_contrast_difference)
+    return Finding(LENS_NOT_LOCKED, evidence, abs(off) / LIMITS.max_contrast_difference)
 
 
 def edge_contrast(reference: Reference, twin: Twin) -> Floats:
@@ -166,14 +170,15 @@ def _contrast(reference: Reference, twin: Twin, pose: int, images: Sequence[int]
     part = np.s_[y : y + height, x : x + width]
     board = whole[part]
     share = _mean_nearby(np.ones(board.shape, np.float32), board)
-    seen = twin.expected(pose, reference.shown(images), reference.settings)
+    expected = twin.expected(pose, reference.shown(images), reference.settings)
     real = reference.frames(pose, images)
     products, squares = 0.0, 0.0
-    for pair in zip(real, seen, strict=True):
-        there, here = (_at_even_brightness(one[part], board, share) for one in pair)
+    for pair in zip(real, expected, strict=True):
+        on_bench, on_twin = (_at_even_brightness(image[part], board, share) for image in pair)
         for axis in ((1, 0), (0, 1)):
             a, b = (
-                cv2.Sobel(one, cv2.CV_32F, *axis, ksize=3)[board].astype(np.float64) for one in (there, here)
+                cv2.Sobel(image, cv2.CV_32F, *axis, ksize=3)[board].astype(np.float64)
+                for image in (on_bench, on_twin)
             )
             edge = np.abs(b) > LIMITS.min_edge_gradient * np.abs(b).max()
             products, squares = products + float(a[edge] @ b[edge]), squares + float(b[edge] @ b[edge])
@@ -199,8 +204,10 @@ def similarity_finding(ssim: float, unexplained: float) -> Finding | None:
     """Find that a matching's result is not similar to the reference."""
     if ssim >= LIMITS.min_ssim:
         return None
-    words = (
+    evidence = (
         f"SSIM over the board is {ssim:.3f} at best, but at least {LIMITS.min_ssim:g} is needed; "
         f"{unexplained:.1f} levels of difference are left"
     )
-    return Finding(UNLIKE_IMAGES, words, LIMITS.max_image_difference * (1.0 - ssim) / (1.0 - LIMITS.min_ssim))
+    return Finding(
+        UNLIKE_IMAGES, evidence, LIMITS.max_image_difference * (1.0 - ssim) / (1.0 - LIMITS.min_ssim)
+    )

@@ -45,39 +45,39 @@ RUINOUS = {
     UNLIKE_IMAGES: PLAUSIBLE.max_image_difference,
     LENS_NOT_LOCKED: 1.0,
 }
-"""Excess from which on nobody should use the twin, unless the cause is accepted."""
+"""Excess from which on the twin must not be used, unless the cause is accepted."""
 
 
-def diagnose_matching(found: MatchingFigures) -> Diagnosis:
+def diagnose_matching(figures: MatchingFigures) -> Diagnosis:
     """Judge a matched twin."""
-    recorded = diagnose_poses(_recordings(found.reference.sessions), (), {}).findings
-    ruinous = {cause: excess for cause, excess in RUINOUS.items() if cause not in found.accepted}
-    unknown = [] if found.artefacts else ["artefact_misfit: no --scan of an artefact was given"]
-    if found.gamma and not found.card_measured:
+    recorded = diagnose_poses(_recordings(figures.reference.sessions), (), {}).findings
+    ruinous = {cause: excess for cause, excess in RUINOUS.items() if cause not in figures.accepted}
+    unknown = [] if figures.artefacts else ["artefact_misfit: no --scan of an artefact was given"]
+    if figures.gamma and not figures.card_measured:
         unknown.append("the grey card stands where the twin's file says: no --card ITEM=SESSION was given")
-    poses = len(found.reference.sessions)
+    poses = len(figures.reference.sessions)
     good = (
-        f"its images differ from the bench's by {found.matched.unexplained:.2f} levels RMS in {poses} poses"
+        f"its images differ from the bench's by {figures.matched.unexplained:.2f} levels RMS in {poses} poses"
     )
-    return diagnosis_of([*recorded, *_own_findings(found)], good, unknown, ruinous)
+    return diagnosis_of([*recorded, *_own_findings(figures)], good, unknown, ruinous)
 
 
-def accepted_findings(found: MatchingFigures) -> tuple[str, ...]:
+def accepted_findings(figures: MatchingFigures) -> tuple[str, ...]:
     """List what would have made the twin useless, had it not been accepted."""
     return tuple(
-        f"{one.cause} accepted: {one.evidence}"
-        for one in _own_findings(found)
-        if one.cause in found.accepted and one.excess >= RUINOUS.get(one.cause, np.inf)
+        f"{finding.cause} accepted: {finding.evidence}"
+        for finding in _own_findings(figures)
+        if finding.cause in figures.accepted and finding.excess >= RUINOUS.get(finding.cause, np.inf)
     )
 
 
-def _own_findings(found: MatchingFigures) -> list[Finding]:
+def _own_findings(figures: MatchingFigures) -> list[Finding]:
     return [
-        *found.late,
-        *_of_fit(found),
-        *_of_poses(found),
-        *_at_borders(found),
-        *_of_artefacts(found),
+        *figures.late,
+        *_of_fit(figures),
+        *_of_poses(figures),
+        *_at_borders(figures),
+        *_of_artefacts(figures),
     ]
 
 
@@ -86,43 +86,44 @@ def _recordings(sessions: Sequence[Session]) -> Iterator[tuple[str, Recording]]:
         yield session.path.name, session.recording(verify=False)
 
 
-def _of_fit(found: MatchingFigures) -> Iterator[Finding]:
-    matched = found.matched
-    final, before = found.final.loss, found.before.loss
+def _of_fit(figures: MatchingFigures) -> Iterator[Finding]:
+    matched = figures.matched
+    final, before = figures.final.loss, figures.before.loss
     if final.board - before.board > STEPS.equal_loss:
-        words = f"the loss over the board is {final.board:.4f}, and was {before.board:.4f} before"
-        yield Finding(NO_GAIN, words, final.board / before.board)
+        evidence = f"the loss over the board is {final.board:.4f}, and was {before.board:.4f} before"
+        yield Finding(NO_GAIN, evidence, final.board / before.board)
     if matched.ended != CONVERGED:
-        words = f"the matching ended {matched.ended}, before its loss had converged"
+        evidence = f"the matching ended {matched.ended}, before its loss had converged"
         advice = "name another --out, and give more --epochs or --seconds"
-        yield Finding(ENDED_EARLY, words, 1.0, advice)
+        yield Finding(ENDED_EARLY, evidence, 1.0, advice)
     noise = min(max(sum(matched.explained.get(name, 0.0) for name in ("vibration", "noise")), 0.0), 1.0)
-    left = matched.unexplained * float(np.sqrt(1.0 - noise))
-    most = LIMITS.max_rms_difference * found.reference.full_scale
-    if left > most:
-        words = (
-            f"the images differ over the board by {left:.1f} levels RMS without noise (at most {most:.1f})"
+    unexplained = matched.unexplained * float(np.sqrt(1.0 - noise))
+    max_rms = LIMITS.max_rms_difference * figures.reference.full_scale
+    if unexplained > max_rms:
+        evidence = (
+            f"the images differ over the board by {unexplained:.1f} levels RMS without noise (at most "
+            f"{max_rms:.1f})"
         )
-        yield Finding(UNLIKE_IMAGES, words, left / most)
+        yield Finding(UNLIKE_IMAGES, evidence, unexplained / max_rms)
     if abs(final.epsilon_d) > LIMITS.max_reprojection_difference_px:
-        words = (
+        evidence = (
             f"the reprojection errors of bench and twin differ by {abs(final.epsilon_d):.3f} px "
             f"(at most {LIMITS.max_reprojection_difference_px:g})"
         )
-        yield Finding(POINTS_MISFIT, words, abs(final.epsilon_d) / LIMITS.max_reprojection_difference_px)
+        yield Finding(POINTS_MISFIT, evidence, abs(final.epsilon_d) / LIMITS.max_reprojection_difference_px)
 
 
-def _of_poses(found: MatchingFigures) -> Iterator[Finding]:
-    ssim = {one["pose"]: float(one["ssim_board_after"]) for one in found.by_pose()}
+def _of_poses(figures: MatchingFigures) -> Iterator[Finding]:
+    ssim = {pose["pose"]: float(pose["ssim_board_after"]) for pose in figures.by_pose()}
     usual = float(np.median(list(ssim.values())))
     worst = min(ssim, key=lambda name: ssim[name])
     if usual - ssim[worst] > LIMITS.max_ssim_drop:
-        words = f"{worst}: SSIM over the board {ssim[worst]:.3f}, of all poses {usual:.3f} in the median"
-        yield Finding(POSE_MISFIT, words, (usual - ssim[worst]) / LIMITS.max_ssim_drop)
+        evidence = f"{worst}: SSIM over the board {ssim[worst]:.3f}, of all poses {usual:.3f} in the median"
+        yield Finding(POSE_MISFIT, evidence, (usual - ssim[worst]) / LIMITS.max_ssim_drop)
 
 
-def _at_borders(found: MatchingFigures) -> Iterator[Finding]:
-    now, start = found.matched.parameters, found.start
+def _at_borders(figures: MatchingFigures) -> Iterator[Finding]:
+    now, start = figures.matched.parameters, figures.start
     for name, parameter in ADJUSTABLE.items():
         if getattr(now, name, 0.0) is None:  # a focus that was not searched
             continue
@@ -131,14 +132,17 @@ def _at_borders(found: MatchingFigures) -> Iterator[Finding]:
         below = value - fit.lower <= span and not fit.may_be_at_lower_bound
         moved = getattr(start, name, 0.0) is None or value != parameter.read(start)
         if moved and (below or fit.upper - value <= span):
-            words = f"{name} is {value:.4g}, and may be from {fit.lower:g} to {fit.upper:g}"
+            evidence = f"{name} is {value:.4g}, and may be from {fit.lower:g} to {fit.upper:g}"
             advice = "correct what the twin's file says of lamp, lens or board, and match again"
-            yield Finding(AT_BORDER, words, 1.0, advice)
+            yield Finding(AT_BORDER, evidence, 1.0, advice)
 
 
-def _of_artefacts(found: MatchingFigures) -> Iterator[Finding]:
-    for one in found.artefacts:
-        share = abs(one.delta_um) / max(one.reference_um, 1e-9)
-        if share > LIMITS.max_artefact_share and abs(one.delta_um) > LIMITS.max_artefact_um:
-            words = f"{one.item}: {one.twin_um:.1f} µm in the twin, {one.reference_um:.1f} µm on the bench"
-            yield Finding(ARTEFACT_MISFIT, words, share / LIMITS.max_artefact_share)
+def _of_artefacts(figures: MatchingFigures) -> Iterator[Finding]:
+    for artefact in figures.artefacts:
+        share = abs(artefact.delta_um) / max(artefact.reference_um, 1e-9)
+        if share > LIMITS.max_artefact_share and abs(artefact.delta_um) > LIMITS.max_artefact_um:
+            evidence = (
+                f"{artefact.item}: {artefact.twin_um:.1f} µm in the twin, {artefact.reference_um:.1f} µm "
+                "on the bench"
+            )
+            yield Finding(ARTEFACT_MISFIT, evidence, share / LIMITS.max_artefact_share)

@@ -71,7 +71,7 @@ class ContrastSample:
         What is left of a contrast reaches over a face of the part, and so over many tiles.
         """
         tiles = TILES**2 * self.number + tile_numbers(self.pixels)
-        row, column = (np.tile(one, len(self.sets)) for one in (tiles // TILES, tiles % TILES))
+        row, column = (np.tile(index, len(self.sets)) for index in (tiles // TILES, tiles % TILES))
         sets = np.repeat(np.arange(len(self.sets)), len(tiles))
         return np.array([row, TILES * self.number + column, len(self.sets) * self.number + sets], np.int64)
 
@@ -84,10 +84,10 @@ class ContrastSample:
         own = _fitted(levels.astype(np.float64), self.sets)
         above, scale = np.maximum(own[0] - black, 1e-9), self._scale(reference)
         brightness = (self.offset - black) / above
-        left = np.nan_to_num(scale * (self.amplitude - brightness * own[1])).ravel()
+        difference = np.nan_to_num(scale * (self.amplitude - brightness * own[1])).ravel()
         per_offset = scale * own[1] / above * np.isfinite(self.offset)
-        turned = np.stack([(per_offset * one).ravel() for one in self.normals.T[:2]], axis=1)
-        return _without(left, turned)
+        turned = np.stack([(per_offset * slope).ravel() for slope in self.normals.T[:2]], axis=1)
+        return _without(difference, turned)
 
     def relative_residual(self, reference: Reference, twin: Twin) -> Floats:
         """Compare contrasts by the tiles of the part."""
@@ -104,7 +104,7 @@ class ContrastSample:
 
     def _scale(self, reference: Reference) -> Floats:
         """Factors (S, 1) that give amplitudes the noise of one image, in levels of the reference."""
-        images = np.array([[one.images] for one in self.sets])
+        images = np.array([[fringe.images] for fringe in self.sets])
         return np.asarray(reference.full_scale / full_scale(self.settings.bits) * np.sqrt(0.5 * images))
 
 
@@ -125,16 +125,16 @@ def board_contrasts(reference: Reference, twin: Twin, poses: Sequence[int]) -> F
 
     def of_pose(pose: int) -> list[float]:
         board = board_mask(now.calibration.camera, now.poses[pose], reference.target)
-        pixels, found = subsample_pixels(board, LIMITS.pixels), []
+        pixels, ratios = subsample_pixels(board, LIMITS.pixels), []
         for index in sets:
             images = range(*plan.set_starts[index : index + 2])
-            seen = reference.frames(pose, images)[:, *pixels].astype(np.float64)
+            recorded = reference.frames(pose, images)[:, *pixels].astype(np.float64)
             shown = reference.shown(images)
             own = twin.expected_at(pose, shown, reference.settings, pixels).astype(np.float64)
-            clear = np.maximum(seen.max(axis=0), own.max(axis=0)) < CLIPPED * reference.full_scale
-            ratio = contrast(seen[:, clear], index) / contrast(own[:, clear], index)
-            found.append(float(np.median(np.log(ratio))))
-        return found
+            clear = np.maximum(recorded.max(axis=0), own.max(axis=0)) < CLIPPED * reference.full_scale
+            ratio = contrast(recorded[:, clear], index) / contrast(own[:, clear], index)
+            ratios.append(float(np.median(np.log(ratio))))
+        return ratios
 
     return np.array([of_pose(pose) for pose in poses])
 
@@ -149,22 +149,23 @@ def with_common_error(
 
     A fit of one scan takes for sharpness what all its pixels have in common, whatever it comes from.
     """
-    found = twin.parameters
+    parameters = twin.parameters
     slopes = level_slopes(reference, twin, names, samples, light_residuals(reference, twin, samples))
-    by_tile = np.concatenate([one.relative_residual(reference, twin) for one in samples])
-    common = np.sqrt(np.mean(by_tile**2)) * np.concatenate([one.level(reference) for one in samples])
+    by_tile = np.concatenate([sample.relative_residual(reference, twin) for sample in samples])
+    common = np.sqrt(np.mean(by_tile**2)) * np.concatenate([sample.level(reference) for sample in samples])
     scale = np.maximum(np.linalg.norm(slopes, axis=0), 1e-12)
     shift = np.linalg.lstsq(slopes / scale, common, rcond=1e-6)[0] / scale
     sigma = {
-        name: float(np.hypot(found.sigma.get(name, 0.0), by)) for name, by in zip(names, shift, strict=True)
+        name: float(np.hypot(parameters.sigma.get(name, 0.0), by))
+        for name, by in zip(names, shift, strict=True)
     }
-    return replace(found, sigma={**found.sigma, **sigma})
+    return replace(parameters, sigma={**parameters.sigma, **sigma})
 
 
 def _samples(twin: Twin, scans: Sequence[BenchScan], stripes: float) -> Iterator[ContrastSample]:
     for number, scan in enumerate(scans):
         plan, settings = scan.session.plan, scan.session.records[0].settings
-        finer = [index for index, one in enumerate(plan.fringes) if one.stripes > stripes]
+        finer = [index for index, fringe in enumerate(plan.fringes) if fringe.stripes > stripes]
         inner = lit_inside(twin, scan)
         if not finer or np.count_nonzero(inner) < LIMITS.min_pixels:
             continue
@@ -193,15 +194,16 @@ def _without(values: Floats, columns: Floats) -> Floats:
     weight = np.ones_like(values)
     for _ in range(LIMITS.rounds):
         weighted = weight[:, None] * columns
-        left = values - columns @ (np.linalg.pinv(weighted.T @ columns) @ (weighted.T @ values))
-        weight = huber_weights(left, robust_spread(left))
-    return np.asarray(left)
+        residual = values - columns @ (np.linalg.pinv(weighted.T @ columns) @ (weighted.T @ values))
+        weight = huber_weights(residual, robust_spread(residual))
+    return np.asarray(residual)
 
 
 def _fitted(levels: Floats, sets: Sequence[FringeSet]) -> tuple[Floats, Floats]:
     """Offsets and amplitudes (S, P) of sets whose images (n, P) follow one another."""
-    ends = np.cumsum([0, *(one.images for one in sets)]).tolist()
-    found = [
-        fit_sinusoids(levels[first:end], one) for one, (first, end) in zip(sets, pairwise(ends), strict=True)
+    ends = np.cumsum([0, *(fringe.images for fringe in sets)]).tolist()
+    fits = [
+        fit_sinusoids(levels[first:end], fringe)
+        for fringe, (first, end) in zip(sets, pairwise(ends), strict=True)
     ]
-    return np.stack([a for a, _, _ in found]), np.stack([np.hypot(c, s) for _, c, s in found])
+    return np.stack([a for a, _, _ in fits]), np.stack([np.hypot(c, s) for _, c, s in fits])

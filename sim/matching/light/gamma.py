@@ -49,7 +49,7 @@ class GammaMatch:
     """Result of a gamma matching."""
 
     shown: Floats  # levels (L,) shown on the bench, as shares of full scale
-    seen: Floats  # mean levels (L,) that the bench's camera saw, as shares of full scale
+    recorded: Floats  # mean levels (L,) that the bench's camera saw, as shares of full scale
     epochs: tuple[GammaEpoch, ...]  # all evaluations in their order; the last is the best
 
     @property
@@ -59,12 +59,12 @@ class GammaMatch:
 
     def summary(self) -> dict[str, float]:
         """Give the figures that reports and the command line print."""
-        found = self.parameters
+        parameters = self.parameters
         return {
-            "W": found.white,
-            "a": found.response.a,
-            "b": found.response.b,
-            "g": found.response.g,
+            "W": parameters.white,
+            "a": parameters.response.a,
+            "b": parameters.response.b,
+            "g": parameters.response.g,
             "sum_of_squares": self.epochs[-1].sum_of_squares,
             "epochs": len(self.epochs),
         }
@@ -77,25 +77,25 @@ def match_gamma(twin: Twin, response: Response, item: str, settings: CameraSetti
     """
     if len(response.measured) == 0:
         raise CalibrationError("the response file holds no levels; measure it again with `fpplab gamma`")
-    shown, seen = _measured(response)
+    shown, recorded = _measured(response)
     start = replace(twin.parameters, response=_normalised_response(response))
     card = GreyCard(twin.with_parameters(start), item, settings, response)
     card = card.with_parameters(_with_matched_dark(card, response))
-    epochs = [_epoch(card, shown, seen)]
+    epochs = [_epoch(card, shown, recorded)]
     while len(epochs) < LIMITS.max_epochs:
-        card = card.with_parameters(_fitted_parameters(card, epochs[-1], shown, seen))
-        epochs.append(_epoch(card, shown, seen))
+        card = card.with_parameters(_fitted_parameters(card, epochs[-1], shown, recorded))
+        epochs.append(_epoch(card, shown, recorded))
         if epochs[-2].sum_of_squares - epochs[-1].sum_of_squares < LIMITS.min_gain:
             break
     if epochs[-1].sum_of_squares > epochs[-2].sum_of_squares:
         epochs.pop()
     if epochs[-1].sum_of_squares > LIMITS.max_sum_of_squares:
         raise CalibrationError(
-            f"gamma: no response of the twin fits the bench's levels: the least sum of squares is "
+            f"gamma: no response of the twin fits the bench's levels: the smallest sum of squares is "
             f"{epochs[-1].sum_of_squares:.2g}, but {LIMITS.max_sum_of_squares:g} is needed; make sure that "
             "both look at a white card"
         )
-    return GammaMatch(shown, seen, tuple(epochs))
+    return GammaMatch(shown, recorded, tuple(epochs))
 
 
 def with_level_of_card(twin: Twin, response: Response, item: str, settings: CameraSettings) -> TwinParameters:
@@ -105,10 +105,10 @@ def with_level_of_card(twin: Twin, response: Response, item: str, settings: Came
     the board's reflectance alone would make up for that: every other part would be too dark or too bright.
     """
     now, card = twin.parameters, GreyCard(twin, item, settings, response)
-    shown, seen = _measured(response)
+    shown, recorded = _measured(response)
     own_dark = card.dark_level()
     own = card.levels(shown) - own_dark
-    lit = seen - (response.dark[0] if response.dark else own_dark)
+    lit = recorded - (response.dark[0] if response.dark else own_dark)
     # No board reflects more than all light.
     factor = max(float(own @ lit / (own @ own)), now.paper)
     scaled = {name: now.sigma[name] / factor for name in ("paper", "ink") if name in now.sigma}
@@ -123,8 +123,8 @@ def with_level_of_card(twin: Twin, response: Response, item: str, settings: Came
 
 def _measured(response: Response) -> tuple[Floats, Floats]:
     """Levels (L,) shown and seen."""
-    return np.array([one.shown for one in response.measured]), np.array(
-        [one.seen for one in response.measured]
+    return np.array([level.shown for level in response.measured]), np.array(
+        [level.seen for level in response.measured]
     )
 
 
@@ -157,15 +157,15 @@ class GreyCard:
         for region in self.response.regions:
             chosen[region.row * GRID + region.column] = True
         chosen |= not chosen.any()
-        found = []
+        means = []
         for pattern in patterns:
             image = self.twin.expected_of(self.item, [pattern], self.settings)[0] / full_scale(
                 self.settings.bits
             )
             weight = pixels_of_regions(image)[chosen]
             # The image is in shares of full scale already; the full scale of one bit is 1.
-            found.append(statistics(image, 1)[MEAN, chosen] @ weight / weight.sum())
-        return np.array(found)
+            means.append(statistics(image, 1)[MEAN, chosen] @ weight / weight.sum())
+        return np.array(means)
 
 
 def _normalised_response(response: Response) -> Curve:
@@ -182,20 +182,20 @@ def _with_matched_dark(card: GreyCard, response: Response) -> TwinParameters:
     if response.dark is None:
         return now
     without = card.with_parameters(replace(now, ambient=0.0)).dark_level()
-    wanted = response.dark[0]
-    if wanted < without:
-        return replace(now, ambient=0.0, black_level=max(0.0, now.black_level - (without - wanted)))
+    dark = response.dark[0]
+    if dark < without:
+        return replace(now, ambient=0.0, black_level=max(0.0, now.black_level - (without - dark)))
     probe = 0.05
     per_ambient = (card.with_parameters(replace(now, ambient=probe)).dark_level() - without) / probe
-    return replace(now, ambient=(wanted - without) / per_ambient if per_ambient > 0 else now.ambient)
+    return replace(now, ambient=(dark - without) / per_ambient if per_ambient > 0 else now.ambient)
 
 
-def _epoch(card: GreyCard, shown: Floats, seen: Floats) -> GammaEpoch:
+def _epoch(card: GreyCard, shown: Floats, recorded: Floats) -> GammaEpoch:
     levels = card.levels(shown)
-    return GammaEpoch(card.twin.parameters, levels, float(np.sum((seen - levels) ** 2)))
+    return GammaEpoch(card.twin.parameters, levels, float(np.sum((recorded - levels) ** 2)))
 
 
-def _fitted_parameters(card: GreyCard, last: GammaEpoch, shown: Floats, seen: Floats) -> TwinParameters:
+def _fitted_parameters(card: GreyCard, last: GammaEpoch, shown: Floats, recorded: Floats) -> TwinParameters:
     """Fit W, b, g with the scale from light to level of the last epoch; the dark level is held."""
     now = last.parameters
     dark_level = card.dark_level()
@@ -203,7 +203,7 @@ def _fitted_parameters(card: GreyCard, last: GammaEpoch, shown: Floats, seen: Fl
     factor = float(light @ (last.levels - dark_level) / (light @ light))
 
     def misfit(unknown: Floats) -> Floats:
-        return np.asarray(dark_level + factor * unknown[0] * response_of(unknown).apply(shown) - seen)
+        return np.asarray(dark_level + factor * unknown[0] * response_of(unknown).apply(shown) - recorded)
 
     def response_of(unknown: Floats) -> Curve:
         # A spline's shape is that of the measured levels already; only black and white are left.
@@ -212,6 +212,6 @@ def _fitted_parameters(card: GreyCard, last: GammaEpoch, shown: Floats, seen: Fl
 
     start, bounds = [1.0, shape.b, shape.g], ([0.01, 0.0, 0.2], [100.0, 0.5, 5.0])
     free = 2 if shape.spline else 3
-    found = least_squares(misfit, start[:free], bounds=(bounds[0][:free], bounds[1][:free])).x
-    white = float(found[0])
-    return replace(now, white=now.white * white, response=response_of(found), ambient=now.ambient / white)
+    fitted = least_squares(misfit, start[:free], bounds=(bounds[0][:free], bounds[1][:free])).x
+    white = float(fitted[0])
+    return replace(now, white=now.white * white, response=response_of(fitted), ambient=now.ambient / white)

@@ -48,15 +48,15 @@ def mean_square_difference(reference: Reference, twin: Twin, samples: Sequence[L
 def information_criterion(
     reference: Reference, twin: Twin, samples: Sequence[PixelSample], free: int
 ) -> float:
-    """Compute Schwarz's criterion (BIC) of a twin; the least is the best.
+    """Compute Schwarz's criterion (BIC) of a twin; the lowest is the best.
 
     Residuals of one tile of an image count as one, for neighbours share what a fit leaves. They have the
     weights of the fit: what the twin lacks at the board's edge says nothing of the light on it.
     """
     count = sum(len(sample.images) * len(np.unique(sample.tiles)) for sample in samples)
     residual = light_residuals(reference, twin, samples)
-    left = float(np.mean(level_weights(residual)[0] * residual**2))
-    return float(count * np.log(max(left, 1e-12)) + free * np.log(count))
+    mean_square = float(np.mean(level_weights(residual)[0] * residual**2))
+    return float(count * np.log(max(mean_square, 1e-12)) + free * np.log(count))
 
 
 def fit_light(
@@ -107,7 +107,7 @@ def _round(
 
 
 def _bounded_step(normal: Floats, gradient: Floats, lower: Floats, upper: Floats) -> Floats:
-    """Solve normal equations (C, C) for the step (C,) of the least cost between bounds.
+    """Solve normal equations (C, C) for the step (C,) of the lowest cost between bounds.
 
     A step that is cut at a bound is not the best for the other parameters: they would go along with a
     parameter that does not.
@@ -136,8 +136,8 @@ def level_slopes(
         knob = ADJUSTABLE[name]
         value = knob.read(start)
         by = knob.fit.step if value + knob.fit.step <= knob.fit.upper else -knob.fit.step
-        there = twin.with_parameters(knob.set(start, value + by))
-        slopes.append((residual - light_residuals(reference, there, samples)) / by)
+        moved = twin.with_parameters(knob.set(start, value + by))
+        slopes.append((residual - light_residuals(reference, moved, samples)) / by)
     return np.stack(slopes, axis=1)
 
 
@@ -170,5 +170,5 @@ def _step_candidates(
         for name, by in zip(names, step.tolist(), strict=True):
             knob = ADJUSTABLE[name]
             tried = knob.with_value(tried, knob.read(start) + by / 2**halving)
-        there = twin.with_parameters(tried)
-        yield there, light_residuals(reference, there, samples)
+        stepped = twin.with_parameters(tried)
+        yield stepped, light_residuals(reference, stepped, samples)

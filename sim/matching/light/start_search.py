@@ -38,7 +38,7 @@ def search_lamp(
     residual = light_residuals(reference, dark, samples)
     weight = np.sqrt(level_weights(residual)[0])
     others = level_slopes(reference, dark, names, samples, residual)
-    best, least = start, np.inf
+    best, lowest = start, np.inf
     lower = np.array([*np.full(len(names), -np.inf), 0.0])
     for angle in ANGLES_DEG:
         for azimuth in AZIMUTHS_DEG:
@@ -52,11 +52,11 @@ def search_lamp(
             scale = np.sqrt(np.sum(matrix**2, axis=0))
             scale[scale == 0] = 1.0
             root = np.linalg.cholesky((matrix / scale).T @ (matrix / scale) + 1e-9 * np.eye(len(scale)))
-            wanted = np.linalg.solve(root, (matrix / scale).T @ (weight * residual))
-            found = lsq_linear(root.T, wanted, (lower, np.inf))
-            if found.cost - 0.5 * wanted @ wanted < least:
-                least = found.cost - 0.5 * wanted @ wanted
-                best = _stepped(lamp, names, found.x / scale)
+            right = np.linalg.solve(root, (matrix / scale).T @ (weight * residual))
+            solution = lsq_linear(root.T, right, (lower, np.inf))
+            if solution.cost - 0.5 * right @ right < lowest:
+                lowest = solution.cost - 0.5 * right @ right
+                best = _stepped(lamp, names, solution.x / scale)
     return best
 
 
@@ -90,11 +90,11 @@ def search_focus_grid(
     start = twin.parameters
     own = float(getattr(start, aperture))
     grid = [(depth, own * opening) for depth in focus_distances(start, focus) for opening in apertures]
-    best, least = start, mean_square_difference(reference, twin, samples)
+    best, lowest = start, mean_square_difference(reference, twin, samples)
     for depth, opening in grid:
         changes: dict[str, Any] = {focus: depth, aperture: opening}
         tried = replace(start, **changes)
-        found = mean_square_difference(reference, twin.with_parameters(tried), samples)
-        if found < least:
-            best, least = tried, found
+        mean_square = mean_square_difference(reference, twin.with_parameters(tried), samples)
+        if mean_square < lowest:
+            best, lowest = tried, mean_square
     return best

@@ -52,7 +52,7 @@ class AppearanceTrial:
     pose: str  # name of the pose that was left out
     sheet: PartTrial  # of the board's sheet; SSIM over the board as the target outlines it
     surroundings: PartTrial  # SSIM of whole images
-    found: Appearance  # what the twin has
+    appearance: Appearance  # what the twin has
 
     @property
     def accepted(self) -> bool:
@@ -61,7 +61,7 @@ class AppearanceTrial:
 
     def summary(self) -> dict[str, Any]:
         """Give plain values."""
-        sheet, around = self.found.sheet, self.found.surroundings
+        sheet, around = self.appearance.sheet, self.appearance.surroundings
         return {
             "pose": self.pose,
             "sheet": {
@@ -95,9 +95,9 @@ def match_appearance(reference: Reference, twin: Twin, progress: Progress = no_p
     before = _similarity(reference, twin, held, Appearance(sheet))[0]
     after = _similarity(reference, twin, held, Appearance(sheet, around))[0] if around else before
     around_trial = PartTrial(before, after)
-    found = _of_all(reference, twin, [*others, held], sheet_trial, around_trial)
+    appearance = _of_all(reference, twin, [*others, held], sheet_trial, around_trial)
     progress(1.0)
-    return AppearanceTrial(reference.sessions[held].path.name, sheet_trial, around_trial, found)
+    return AppearanceTrial(reference.sessions[held].path.name, sheet_trial, around_trial, appearance)
 
 
 def _of_all(
@@ -106,11 +106,11 @@ def _of_all(
     """Find what was accepted once more, from all poses; nothing without either."""
     if not (sheet.accepted or around.accepted):
         return Appearance()
-    found = find_sheet(reference, twin, poses)
-    bare = replace(found, texture=None)
-    found = sharpened_sheet(reference, twin, found, poses) if sheet.accepted else bare
-    around_all = rebuild_surroundings(reference, twin, found, poses) if around.accepted else None
-    return Appearance(found, around_all)
+    final = find_sheet(reference, twin, poses)
+    bare = replace(final, texture=None)
+    final = sharpened_sheet(reference, twin, final, poses) if sheet.accepted else bare
+    around_all = rebuild_surroundings(reference, twin, final, poses) if around.accepted else None
+    return Appearance(final, around_all)
 
 
 def _similarity(

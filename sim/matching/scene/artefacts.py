@@ -94,9 +94,9 @@ class ArtefactComparison:
         }
 
 
-def _surface(found: Comparison) -> float:
-    assert found.surface_smcd_um is not None  # every cloud of a scan lies on a pixel grid
-    return found.surface_smcd_um
+def _surface(comparison: Comparison) -> float:
+    assert comparison.surface_smcd_um is not None  # every cloud of a scan lies on a pixel grid
+    return comparison.surface_smcd_um
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,15 +171,15 @@ def _aligned(cloud: Cloud, mesh: trimesh.Trimesh, nominal: RigidTransform) -> Ri
 
     A highlight leaves holes, without which a stepped part fits in more places than one.
     """
-    points, found = cloud.points.astype(float), []
+    points, poses = cloud.points.astype(float), []
     for start in (nominal, RigidTransform.identity()):
         with suppress(DataError):
             near = align_mesh(points, mesh.copy().apply_transform(start.matrix))
-            found.append((near.rms_um, near.transform @ start))
-    if not found:
+            poses.append((near.rms_um, near.transform @ start))
+    if not poses:
         raise DataError("no pose of the true shape fits the points")
-    best = min(rms for rms, _ in found)
-    return next(pose for rms, pose in found if rms <= LIMITS.max_rms_ratio * best)
+    best = min(rms for rms, _ in poses)
+    return next(pose for rms, pose in poses if rms <= LIMITS.max_rms_ratio * best)
 
 
 def compare_artefacts(
@@ -189,13 +189,13 @@ def compare_artefacts(
     progress: Progress = no_progress,
 ) -> list[ArtefactComparison]:
     """Scan artefacts with the twin and compare its errors with those of recorded scans."""
-    found = []
+    comparisons = []
     for number, scan in enumerate(scans, 1):
         own = _scanned(twin, scan.item, scan.session, scan.T_camera_item, twin_calibration)
         judged = compare(own, placed_part(twin, scan), twin_calibration, align=True)
-        found.append(ArtefactComparison(scan.item, scan.comparison, judged, scan.cloud, own))
+        comparisons.append(ArtefactComparison(scan.item, scan.comparison, judged, scan.cloud, own))
         progress(number / len(scans))
-    return found
+    return comparisons
 
 
 def _scanned(

@@ -72,7 +72,9 @@ def find_sheet(
     wide = twin.with_appearance(Appearance(BoardSheet((reach, reach, reach, reach))))
     compared = _compare_all(reference, wide, poses, progress)
     margins = _margins(reference, twin, compared, reach)
-    beyond = [[_beside(reference, twin, one, one.ratio, margins, k) for k in range(4)] for one in compared]
+    beyond = [
+        [_beyond_side(reference, twin, pose, pose.ratio, margins, k) for k in range(4)] for pose in compared
+    ]
     rim = _rim_mm(beyond, reach)
     sheet = BoardSheet(margins, rim, _rim_reflectance(beyond, rim, twin.parameters.paper))
     return replace(sheet, texture=_texture(reference, twin, compared, margins))
@@ -129,36 +131,36 @@ def _compare(reference: Reference, twin: Twin, pose: int) -> _Compared:
 
 def _margins(reference: Reference, twin: Twin, compared: Sequence[_Compared], reach: float) -> Margins:
     """How far the sheet goes on beyond each side of the target."""
-    found = []
+    margins = []
     for side in range(4):
         widths = []
-        for one in compared:
-            away, values = _beside(reference, twin, one, one.as_sheet, NO_MARGINS, side)
+        for pose in compared:
+            away, values = _beyond_side(reference, twin, pose, pose.as_sheet, NO_MARGINS, side)
             widths.append(_until(away, values > LIMITS.min_blank_share, reach))
-        known = [width for width in widths if width is not None]
-        found.append(float(np.median(known)) if known else 0.0)
-    return found[0], found[1], found[2], found[3]
+        measured = [width for width in widths if width is not None]
+        margins.append(float(np.median(measured)) if measured else 0.0)
+    return margins[0], margins[1], margins[2], margins[3]
 
 
 def _rim_mm(beyond: Sequence[Sequence[_Strip]], reach: float) -> float:
     """Width of the frame: as far as it is dark beyond the sheet on all sides; a shadow falls to one alone."""
-    found = []
+    of_poses = []
     for sides in beyond:
         widths = [
             _until(away, ratio < LIMITS.max_dark_share, reach, LIMITS.blurred_mm) for away, ratio in sides
         ]
-        known = [width for width in widths if width is not None]
-        if known:
-            width = min(known)
-            found.append(width if width > LIMITS.blurred_mm else 0.0)
-    return float(np.median(found)) if found else 0.0
+        measured = [width for width in widths if width is not None]
+        if measured:
+            width = min(measured)
+            of_poses.append(width if width > LIMITS.blurred_mm else 0.0)
+    return float(np.median(of_poses)) if of_poses else 0.0
 
 
 def _rim_reflectance(beyond: Sequence[Sequence[_Strip]], rim_mm: float, paper: float) -> float:
     """Reflectance of the frame, whose light the ratios compare with that of blank paper in its place."""
     within = (LIMITS.blurred_mm, rim_mm - LIMITS.blurred_mm)
-    found = [ratio[(away > within[0]) & (away < within[1])] for sides in beyond for away, ratio in sides]
-    ratios = np.concatenate(found)
+    within_rim = [ratio[(away > within[0]) & (away < within[1])] for sides in beyond for away, ratio in sides]
+    ratios = np.concatenate(within_rim)
     return float(np.clip(np.median(ratios) * paper, 0.0, 1.0)) if len(ratios) else 0.0
 
 
@@ -173,8 +175,8 @@ def _until(away_mm: Floats, holds: Mask, reach: float, first: float = 0.0) -> fl
     return None
 
 
-def _beside(
-    reference: Reference, twin: Twin, one: _Compared, values: LevelStack, margins: Margins, side: int
+def _beyond_side(
+    reference: Reference, twin: Twin, compared: _Compared, values: LevelStack, margins: Margins, side: int
 ) -> _Strip:
     """Distances in mm beyond a side of the sheet, and the values of pixels that see its plane lit there."""
     rows, columns = np.nonzero(np.isfinite(values))
@@ -182,9 +184,9 @@ def _beside(
         np.stack([columns, rows], axis=-1).astype(np.float64)
     )
     rays = np.column_stack([slopes, np.ones(len(slopes))])
-    normal = one.pose.rotation[:, 2]
-    depth = (normal @ one.pose.translation) / (rays @ normal)
-    x, y, _ = one.pose.inverse().apply(depth[:, None] * rays).T
+    normal = compared.pose.rotation[:, 2]
+    depth = (normal @ compared.pose.translation) / (rays @ normal)
+    x, y, _ = compared.pose.inverse().apply(depth[:, None] * rays).T
     half_x, half_y = 0.5 * np.array(reference.target.size_mm)
     away = (-x - half_x, -y - half_y, x - half_x, y - half_y)[side] - margins[side]
     along = (np.abs(y) < half_y) if side % 2 == 0 else (np.abs(x) < half_x)
@@ -197,7 +199,7 @@ def _texture(
 ) -> NDArray[np.float32]:
     """Median over the poses of the factor, relative to that of the whole sheet; 1 where it is not known."""
     camera = twin.parameters.calibration.camera
-    nearest = min(float(one.pose.translation[2]) for one in compared)
+    nearest = min(float(pose.pose.translation[2]) for pose in compared)
     per_mm = float(camera.matrix[0, 0]) / nearest / LIMITS.texture_px
     width, height = reference.target.size_mm
     left, top, right, bottom = margins
@@ -205,10 +207,10 @@ def _texture(
     y = np.arange(-0.5 * height - top, 0.5 * height + bottom, 1.0 / per_mm) + 0.5 / per_mm
     places = np.stack([*np.meshgrid(x, y), np.zeros((len(y), len(x)))], axis=-1)
     factors = []
-    for one in compared:
-        pixels = camera.project(places.reshape(-1, 3), one.pose).astype(np.float32)
+    for pose in compared:
+        pixels = camera.project(places.reshape(-1, 3), pose.pose).astype(np.float32)
         u, v = pixels.reshape(len(y), len(x), 2).transpose(2, 0, 1)
-        factors.append(cv2.remap(one.ratio, u, v, cv2.INTER_LINEAR, borderValue=(np.nan,)))
+        factors.append(cv2.remap(pose.ratio, u, v, cv2.INTER_LINEAR, borderValue=(np.nan,)))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # a place that is lit in no pose
         factor: LevelStack = np.nanmedian(np.stack(factors), axis=0)

@@ -73,10 +73,10 @@ class SurfaceMatch:
         }
 
 
-def with_surfaces(parameters: TwinParameters, found: Sequence[SurfaceMatch]) -> TwinParameters:
+def with_surfaces(parameters: TwinParameters, matches: Sequence[SurfaceMatch]) -> TwinParameters:
     """Give a twin the surfaces of parts, and put the parts where their scans show them."""
-    surfaces = {one.scan.item: one.surface for one in found}
-    placed = {one.scan.item: one.scan.T_camera_item for one in found}
+    surfaces = {match.scan.item: match.surface for match in matches}
+    placed = {match.scan.item: match.scan.T_camera_item for match in matches}
     return replace(
         parameters,
         surfaces={**parameters.surfaces, **surfaces},
@@ -131,16 +131,16 @@ class _Fit:
 
 
 def _searched_width(view: _View) -> tuple[_Fit, float]:
-    """Search the width of the coat with the least cost, which the nearest of the starts encloses."""
-    known = {width: view.fitted(view.glossy(width)) for width in WIDTHS}
+    """Search the width of the coat with the lowest cost, which the nearest of the starts encloses."""
+    fits = {width: view.fitted(view.glossy(width)) for width in WIDTHS}
 
     def cost(logarithm: float) -> float:
         width = float(np.exp(logarithm))
-        known[width] = view.fitted(view.glossy(width))
-        return view.cost(known[width])
+        fits[width] = view.fitted(view.glossy(width))
+        return view.cost(fits[width])
 
     def best() -> float:
-        return min(known, key=lambda width: view.cost(known[width]))
+        return min(fits, key=lambda width: view.cost(fits[width]))
 
     ends = [LIMITS.min_width, *WIDTHS, LIMITS.max_width]
     place = ends.index(best())
@@ -148,9 +148,9 @@ def _searched_width(view: _View) -> tuple[_Fit, float]:
     minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": LIMITS.tolerance, "maxiter": 6})
     for _ in range(LIMITS.newton_steps):
         width = best()
-        further = view.width_step(known[width], width)
+        further = view.width_step(fits[width], width)
         cost(float(np.log(np.clip(width + further, LIMITS.min_width, LIMITS.max_width))))
-    return known[best()], best()
+    return fits[best()], best()
 
 
 class _View:
@@ -171,7 +171,7 @@ class _View:
         if np.mean(self.clipped) > 0.95:
             raise DataError(f"{session.path}: is saturated; expose it shorter")
         self.black = self._now.black_level * self.full
-        self.seen: Floats = levels - self.black
+        self.above_black: Floats = levels - self.black
         # Shot noise and faults of the light both grow with the level: highlights must not decide alone.
         mean = np.maximum(frames.mean(axis=0) - self.black, 1.0)
         self.precision: Floats = np.tile(1.0 / mean, len(frames))
@@ -182,7 +182,7 @@ class _View:
         if np.count_nonzero(inner) < LIMITS.min_pixels:
             raise DataError(
                 f"{self.scan.session.path}: {np.count_nonzero(inner)} pixels see lit surface of the "
-                f"{self.scan.item} away from its edges; it takes {LIMITS.min_pixels} to tell its surface"
+                f"{self.scan.item} away from its edges; it takes {LIMITS.min_pixels} to determine its surface"
             )
         return subsample_pixels(inner, LIMITS.pixels)
 
@@ -214,7 +214,7 @@ class _View:
         keep, weight = ~self.clipped, self.precision
         for _ in range(LIMITS.rounds):
             root = np.sqrt(weight[keep])
-            coefficients, _ = nnls(columns[keep] * root[:, None], self.seen[keep] * root)
+            coefficients, _ = nnls(columns[keep] * root[:, None], self.above_black[keep] * root)
             fit = self._fit(coefficients, columns)
             scaled = fit.residual * np.sqrt(self.precision)
             spread = robust_spread(scaled[~self.clipped])
@@ -223,9 +223,9 @@ class _View:
         return self._fit(coefficients, columns)
 
     def _fit(self, coefficients: Floats, columns: Floats) -> _Fit:
-        residual = self.seen - columns @ coefficients
+        residual = self.above_black - columns @ coefficients
         residual = np.where(self.clipped, np.maximum(residual, 0.0), residual)
-        return _Fit(coefficients, columns, residual, self.precision, float(self.seen.mean()))
+        return _Fit(coefficients, columns, residual, self.precision, float(self.above_black.mean()))
 
     def cost(self, fit: _Fit, spread: float | None = None) -> float:
         """Mean of Huber's function of the residuals."""
@@ -252,11 +252,11 @@ class _View:
         body, share = fit.coefficients.tolist()
         share = min(share, 0.999)
         covariance = self._covariance(fit, self._slopes(fit, width))
-        left = 1.0 - share
-        of_reflectance = np.array([1.0 / left, body / left**2, 0.0])
+        below_coat = 1.0 - share
+        of_reflectance = np.array([1.0 / below_coat, body / below_coat**2, 0.0])
         reflectance = float(np.sqrt(of_reflectance @ covariance @ of_reflectance))
         return PartSurface(
-            min(body / left, 1.0),
+            min(body / below_coat, 1.0),
             share,
             width,
             sigma={
@@ -274,15 +274,16 @@ class _View:
 
     def _slopes(self, fit: _Fit, width: float) -> Floats:
         """Derivatives (n P, 3) by body, share and width of the coat."""
-        there = self.glossy(width * LIMITS.step_factor)[:, 1]
-        by_width = fit.coefficients[1] * (there - fit.columns[:, 1]) / (width * (LIMITS.step_factor - 1.0))
+        wider = self.glossy(width * LIMITS.step_factor)[:, 1]
+        by_width = fit.coefficients[1] * (wider - fit.columns[:, 1]) / (width * (LIMITS.step_factor - 1.0))
         return np.column_stack([fit.columns, by_width])
 
     def _with_white(self, sigma: float, fit: _Fit) -> float:
         """Add the uncertainty of the white level, which the board determined."""
-        known = self._now
+        parameters = self._now
         relative = [
-            known.sigma.get(name, 0.0) / max(getattr(known, name), 1e-6) for name in ("white", "paper")
+            parameters.sigma.get(name, 0.0) / max(getattr(parameters, name), 1e-6)
+            for name in ("white", "paper")
         ]
         return float(np.hypot(sigma, fit.coefficients[0] * max(relative)))
 

@@ -72,33 +72,35 @@ def rebuild_surroundings(
     backdrop = backdrop_mesh(LIMITS.backdrop_factor * float(np.nanmax(depths)), camera)
     mesh = cast(trimesh.Trimesh, trimesh.util.concatenate([grid_mesh(continued(depths), camera), backdrop]))
     width, height = camera.size
-    found = BenchSurroundings(mesh, np.full((height, width), LIMITS.trial_reflectance, np.float32))
-    trial = twin.with_appearance(Appearance(sheet, found))
+    surroundings = BenchSurroundings(mesh, np.full((height, width), LIMITS.trial_reflectance, np.float32))
+    trial = twin.with_appearance(Appearance(sheet, surroundings))
     painted = _reflectance(reference, trial, sheet, poses, lambda share: progress(0.6 + 0.4 * share))
-    return replace(found, reflectance=painted) if painted.any() else None
+    return replace(surroundings, reflectance=painted) if painted.any() else None
 
 
 def _depths(
     reference: Reference, twin: Twin, sheet: BoardSheet, poses: Sequence[int], progress: Progress
 ) -> Floats:
     """Median depth of the surroundings over poses in cells of pixels, NaN where nothing is known."""
-    found = []
+    of_poses = []
     parameters = twin.parameters
     for done, pose in enumerate(poses):
         try:
             _, cloud = reconstruct_points(reference.sessions[pose], parameters.calibration, as_recorded=True)
         except FppError:  # a pose that shows too little to be triangulated
             continue
-        found.append(_cells(cloud, _is_beside(cloud, parameters.poses[pose], reference.target, sheet)))
+        of_poses.append(
+            _cells(cloud, _is_outside_sheet(cloud, parameters.poses[pose], reference.target, sheet))
+        )
         progress((done + 1) / len(poses))
-    if not found:
+    if not of_poses:
         return np.full((1, 1), np.nan)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # a cell that is known in no pose
-        return np.asarray(np.nanmedian(np.stack(found), axis=0))
+        return np.asarray(np.nanmedian(np.stack(of_poses), axis=0))
 
 
-def _is_beside(cloud: Cloud, pose: RigidTransform, target: Target, sheet: BoardSheet) -> Mask:
+def _is_outside_sheet(cloud: Cloud, pose: RigidTransform, target: Target, sheet: BoardSheet) -> Mask:
     """Tell which points (N,) are neither on the board nor near it, and so do not move with it."""
     x, y, z = pose.inverse().apply(cloud.points.astype(np.float64)).T
     low, high = sheet_outline(target, sheet, LIMITS.near_board_mm)
@@ -156,17 +158,17 @@ def continued(depths: Floats) -> Floats:
     """
     # depths (rows, columns) mm
     inverse = 1.0 / depths
-    least, most = np.nanmin(inverse), np.nanmax(inverse)
+    lower, upper = np.nanmin(inverse), np.nanmax(inverse)
     for _ in range(LIMITS.continued_cells):
         known = np.isfinite(inverse)
         ring = cv2.dilate(known.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(np.bool_) & ~known
         if not ring.any():
             break
-        inverse[ring] = np.clip(_linear_fits(inverse, known, ring), least, most)
+        inverse[ring] = np.clip(_linear_fits(inverse, known, ring), lower, upper)
     return np.asarray(1.0 / inverse)
 
 
-def _linear_fits(values: Floats, known: Mask, wanted: Mask) -> Floats:
+def _linear_fits(values: Floats, known: Mask, unknown: Mask) -> Floats:
     """Values (N,) of wanted cells by linear fits to the known ones around each."""
     weight = known.astype(np.float64)
     filled = np.where(known, values, 0.0)
@@ -175,7 +177,7 @@ def _linear_fits(values: Floats, known: Mask, wanted: Mask) -> Floats:
     def moment(of: Floats, x: int, y: int) -> Floats:
         """Sum over the window of a value times powers of the distance from its middle."""
         sums = cv2.sepFilter2D(of, -1, away**x, away**y, borderType=cv2.BORDER_CONSTANT)
-        return np.asarray(sums[wanted])
+        return np.asarray(sums[unknown])
 
     n, x, y, xx, xy, yy = (moment(weight, *k) for k in ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)))
     right = np.stack([moment(filled, *k) for k in ((0, 0), (1, 0), (0, 1))], axis=-1)
@@ -217,8 +219,8 @@ def _smoothed(depths: Floats) -> Floats:
     enough = np.isfinite(windows).mean(axis=(2, 3)) >= LIMITS.min_known_share
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # a window of unknown cells
-        found = np.nanmedian(windows, axis=(2, 3))
-    return np.where(enough, found, np.nan)
+        medians = np.nanmedian(windows, axis=(2, 3))
+    return np.where(enough, medians, np.nan)
 
 
 def _reflectance(

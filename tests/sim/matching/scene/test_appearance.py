@@ -96,13 +96,13 @@ def test_both_parts_prove_themselves(matched: tuple[Twin, AppearanceTrial]) -> N
 
 
 def test_margins_and_frame_are_found(matched: tuple[Twin, AppearanceTrial]) -> None:
-    sheet = matched[1].found.sheet
+    sheet = matched[1].appearance.sheet
     np.testing.assert_allclose(sheet.margins_mm, MARGINS, atol=1.0)
     assert sheet.rim_mm == pytest.approx(RIM, abs=1.5)
 
 
 def test_the_texture_is_the_bench_s(bench: tuple[World, Path], matched: tuple[Twin, AppearanceTrial]) -> None:
-    sheet = matched[1].found.sheet
+    sheet = matched[1].appearance.sheet
     assert sheet.texture is not None
     true = np.asarray(Pillow.open(bench[1] / "texture.png"), np.float32) / 128
     shown = np.asarray(
@@ -114,7 +114,7 @@ def test_the_texture_is_the_bench_s(bench: tuple[World, Path], matched: tuple[Tw
 
 
 def test_the_wall_is_where_it_stands(matched: tuple[Twin, AppearanceTrial]) -> None:
-    around = matched[1].found.surroundings
+    around = matched[1].appearance.surroundings
     assert around is not None
     off: Floats = WALL.inverse().apply(np.asarray(around.mesh.vertices))[:, 2]
     assert np.median(np.abs(off)) < 0.5
@@ -122,7 +122,7 @@ def test_the_wall_is_where_it_stands(matched: tuple[Twin, AppearanceTrial]) -> N
 
 
 def test_the_wall_reflects_as_it_does(matched: tuple[Twin, AppearanceTrial]) -> None:
-    around = matched[1].found.surroundings
+    around = matched[1].appearance.surroundings
     assert around is not None
     left, right = around.reflectance[:, : SIZE[0] // 2 - 8], around.reflectance[:, SIZE[0] // 2 + 8 :]
     assert float(np.median(left[left > 0])) == pytest.approx(0.4, rel=0.04)
@@ -143,5 +143,5 @@ def test_nothing_is_added_where_there_is_nothing(tmp_path: Path) -> None:
     found = match_appearance(reference_of(of, tmp_path, twin), twin)
     assert not found.sheet.accepted
     assert not found.surroundings.accepted
-    assert found.found.surroundings is None
-    assert found.found.sheet.texture is None
+    assert found.appearance.surroundings is None
+    assert found.appearance.sheet.texture is None
