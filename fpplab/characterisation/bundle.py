@@ -151,7 +151,7 @@ def _ratio(residuals: Floats, redundancy: float, leaked: float) -> float:
     if redundancy < 1e-3 * len(residuals):
         return 1.0
     squares = float(np.sum(np.minimum(residuals**2, HUBER_LIMIT**2))) / CLIPPED_MEAN_SQUARE
-    # Residuals far beyond the clip must still tell that their size was taken too small.
+    # Residuals far beyond the clip must still show that their size was taken too small.
     unclipped = max(squares, robust_spread(residuals, 0.0) ** 2 * residuals.size)
     return float(np.sqrt(max(squares - leaked, MIN_INDEPENDENT_SHARE * unclipped) / redundancy))
 

@@ -53,8 +53,8 @@ def _about_tilts(poses: Sequence[RigidTransform], limits: CharacterisationLimits
         )
     elif (apart := spread_of_tilts(poses)) < limits.min_tilt_spread_deg:
         yield (
-            f"all boards are tilted alike, to within {apart:.0f}°; tilt the board to the other side as well, "
-            "and about its other axis"
+            f"all boards have the same tilt, to within {apart:.0f}°; tilt the board to the other side as "
+            "well, and about its other axis"
         )
 
 

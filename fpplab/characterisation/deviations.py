@@ -42,7 +42,7 @@ def _depths(rays: Floats, projector_px: Floats, calibration: Calibration) -> Flo
 def board_deviation(characterisation: Characterisation) -> tuple[Floats, Floats]:
     """Compute how far the refined board differs from the board as drawn.
 
-    Position, rotation and scale of the board do not count; no image can tell the scale from the distance.
+    Position, rotation and scale of the board do not count; no image can separate the scale from the distance.
     """
     # returns (K, 3) mm
     if characterisation.drawn is None:

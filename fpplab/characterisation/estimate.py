@@ -1,4 +1,4 @@
-"""What the poses so far tell of camera and projector: an estimate that grows by one pose at a time."""
+"""What the poses so far determine of camera and projector: an estimate that grows by one pose at a time."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class JointEstimate:
 
     @cached_property
     def covariance(self) -> Floats:
-        """Covariance (n, n) of the devices without the board's scale, which no pose tells."""
+        """Covariance (n, n) of the devices without the board's scale, which no pose determines."""
         exact = replace(self.model, scale_tolerance=0.0)
         with threadpool_limits(limits=1, user_api="blas"):
             return uncertainty(self.observations, self.solution, exact, self.sizes).covariance

@@ -32,7 +32,7 @@ DEPTH_SHARE = 0.055
 """Half the range of depths, as a share of the first board's distance, where none is stated."""
 
 FOCAL_GUESS, MIN_FOCAL, MAX_FOCAL = 2.0, 0.5, 20.0
-"""Focal length in sizes of the image that is taken where a view does not tell it, and the range believed."""
+"""Focal length, in sizes of the image, taken where a view does not determine it, and the range believed."""
 
 EDGE_SHARE = 0.06
 """Rim of the projector's image that is avoided: the homography holds for the first board's plane alone."""
@@ -40,7 +40,7 @@ EDGE_SHARE = 0.06
 
 @dataclass(frozen=True, eq=False)
 class RoughView:
-    """What the first poses tell before the devices can be calibrated."""
+    """What the first poses show before the devices can be calibrated."""
 
     camera: Pinhole  # without distortion
     first: RigidTransform  # T_camera_target of the first pose
@@ -112,7 +112,7 @@ def _focal_of_known(places: Floats, centred_px: Floats) -> float:
 
 
 def _focal(views: Sequence[tuple[Floats, Floats]]) -> float:
-    """Focal length in px by the homographies of tilted boards; NaN where they do not tell it."""
+    """Focal length in px by the homographies of tilted boards; NaN where they do not determine it."""
     coefficients, constants = [], []
     for points, pixels in views:
         homography, _ = cv2.findHomography(points[:, :2], pixels)

@@ -28,7 +28,7 @@ from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.targets import Target
 
 MAX_RESIDUAL_RATIO = 2.0
-"""Residuals of a pose beside those predicted, above which it is rejected if chance does not explain them
+"""Residuals of a pose relative to those predicted, above which it is rejected if chance does not explain them
 either. Chosen."""
 
 CERTAIN_POSES = 6
@@ -52,13 +52,11 @@ class WantedPose:
 
 @dataclass(frozen=True, eq=False)
 class PoseFit:
-    """Residuals of one pose beside those that the other poses predict."""
+    """Residuals of one pose compared with those that the other poses predict."""
 
     camera: Errors  # of the two devices, with only the board's pose fitted
     projector: Errors  # of the two devices, with only the board's pose fitted
-    outlying_pose: str | None = (
-        None  # name of an earlier pose that contradicts the others instead of this one
-    )
+    outlying_pose: str | None = None  # name of an earlier pose, where that is the outlier
 
     @property
     def contradicting_devices(self) -> tuple[str, ...]:

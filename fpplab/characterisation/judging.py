@@ -1,4 +1,4 @@
-"""Judge a calibration by poses that it was not fitted to: their errors, beside those that it predicts.
+"""Judge a calibration by poses that it was not fitted to: their errors, compared with those that it predicts.
 
 Only the pose of the board is fitted to each capture. What is left should be no more than noise, what the
 errors of one pose share, and the uncertainty of the devices, less what the pose takes up. The square sum of a

@@ -19,7 +19,7 @@ def scales_of_poses(
 ) -> tuple[Floats, Floats]:
     """Estimate by how much the camera's image of each pose is larger than the calibration says.
 
-    The projector's coordinates tell where the board is, so that its distance does not explain another scale.
+    The projector's coordinates show where the board is, so that its distance does not explain another scale.
     """
     # returns scales (M,), sigmas (M,)
     estimates = [_scale(k, observation, solution, sizes) for k, observation in enumerate(observations)]

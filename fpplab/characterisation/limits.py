@@ -27,20 +27,20 @@ class CharacterisationLimits(Document):
     max_description_rms_px: Positive = 3.0
     """RMS in px of the camera above which another description of the board is wrong as well. Chosen."""
     max_pose_rms_ratio: Positive = 4.0
-    """RMS of a pose beside the median of all, above which it is left out. Chosen: the board, the rig or the
-    focus changed."""
+    """RMS of a pose relative to the median of all, above which it is left out. Chosen: the board, the rig or
+    the focus changed."""
     max_residual_sigmas: Positive = 5.0
     """Standard deviations beyond which a point is rejected. Derived: noise alone exceeds them once in 270
     000."""
     min_rejected_px: Positive = 0.02
     """Error in px of a point that is rejected, however small the others' scatter. Chosen."""
     max_rejected_share: PartOfOne = 0.1
-    """PartOfOne of a pose's points that may be rejected. Chosen: if more are wrong, the pose itself is."""
+    """Share of a pose's points that may be rejected. Chosen: if more are wrong, the pose itself is."""
     max_modulation_gradient: Positive = 0.12
     """Relative gradient of the modulation in 1/px. Derived: blur shifts the phase by its square times the
     gradient, and steeper pixels mix the phases of two surfaces."""
     min_plane_share: PartOfOne = 0.5
-    """PartOfOne of the board's pixels whose fringe orders must fit one plane. Chosen."""
+    """Share of the board's pixels whose fringe orders must fit one plane. Chosen."""
     max_chance: Chance = 1e-4
     """Probability below which chance does not explain what was seen: the motion of a board, another scale
     in some poses, an uncertainty that is too small. Chosen: chance

@@ -1,7 +1,7 @@
 """Choice of the next pose: that which lessens the uncertainty of form and place in the working volume most.
 
-What a pose will tell is known before it is taken: the derivatives of its points by all parameters, and the
-sizes of the errors that the poses so far show. Added to the normal equations of these they give the
+What a pose will contribute is known before it is taken: the derivatives of its points by all parameters, and
+the sizes of the errors that the poses so far show. Added to the normal equations of these they give the
 covariance that will be (I-optimal design: least mean variance of what is to be predicted; F. Pukelsheim,
 "Optimal design of experiments", 1993). What counts is the product of the uncertainties of form and of place:
 the best pose for form alone would leave the place of everything poorly known, and the reverse.
@@ -59,7 +59,7 @@ class Design:
 
     @classmethod
     def of(cls, estimate: JointEstimate, volume: WorkingVolume) -> Design:
-        """Collect what the poses so far tell."""
+        """Collect what the poses so far contribute."""
         thin = _thinned(estimate)
         problem = Problem(thin.observations, thin.model, thin.sizes, thin.solution)
         vector, best = problem.pack(thin.solution), thin.solution
@@ -132,7 +132,7 @@ def _shared_px(sizes: ErrorSizes) -> Floats:
 
 
 def _thinned(estimate: JointEstimate) -> JointEstimate:
-    """Keep so many points of the board that the choice is quick, each in place of several."""
+    """Keep few enough points of the board for a quick choice, each in place of several."""
     count = len(estimate.solution.board)
     kept = np.arange(0, count, -(-count // MAX_POINTS))
     if len(kept) == count:

@@ -23,7 +23,7 @@ reads 0.02 mm verifies over 100 mm."""
 
 
 class DistortionModel(StrEnum):
-    """How many distortion coefficients are estimated, in both devices alike; the others are zero."""
+    """How many distortion coefficients are estimated in each device; the others are zero."""
 
     K1 = "k1"
     K2 = "k2"
@@ -83,7 +83,9 @@ class Model:
     drawn: Floats  # (P, 3) points of the board as drawn, in mm
     refined: bool = False  # whether the board's shape is estimated; otherwise it is taken as exact
     tolerance_mm: float | None = None  # from which the estimate of the errors of the board's points starts
-    scale_tolerance: float = 0.0  # relative standard uncertainty of the board's scale, which no image tells
+    scale_tolerance: float = (
+        0.0  # relative standard uncertainty of the board's scale, which no image determines
+    )
     image_sizes: tuple[ImageSize, ImageSize] | None = None  # (width, height) px
     limits: CharacterisationLimits = USUAL_LIMITS  # by which the fit is judged
 

@@ -1,4 +1,4 @@
-"""Calibrations from fewer poses beside what the covariance predicts, to test the stated uncertainty.
+"""Calibrations from fewer poses compared with what the covariance predicts, to test the stated uncertainty.
 
 Leaving out each pose in turn (jackknife) and fitting the two halves of the poses (as mrcal's documentation
 does) changes the result. How much it should change follows from the covariances: what is estimated from some
@@ -60,7 +60,7 @@ class Validation:
     """The stated uncertainty, put to the test."""
 
     jackknife: tuple[Repeat, ...]  # each pose left out in turn
-    halves: tuple[Repeat, ...] = ()  # every other pose beside the rest; empty with fewer than 8 poses
+    halves: tuple[Repeat, ...] = ()  # every other pose compared with the rest; empty with fewer than 8 poses
     max_chance: float = USUAL_LIMITS.max_chance  # probability below which an uncertainty is too small
 
     @property
@@ -201,7 +201,7 @@ def projected_uncertainty(
     """Compute how uncertain the pixel is at which a device sees a place, over its image.
 
     That a device might be turned as a whole does not count: a rotation and a shifted principal point cannot
-    be told from one another. So the best common rotation is removed.
+    be distinguished from one another. So the best common rotation is removed.
     """
     # pixels (m, 2) px; returns (m,) px
     uncertainty, lens = calibration.uncertainty, getattr(calibration, device)

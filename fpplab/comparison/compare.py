@@ -5,7 +5,7 @@ distance to the nearest point of the other set, averaged over both directions. I
 even a perfect measurement has the SMCD of the samples' spacing, `smcd_floor_um`. The surface figures
 compare with surfaces (cloud to true mesh, truth to the surface over the pixel grid) and have no floor.
 After a rigid alignment both are nearly blind to scale and shear, so the scale of the best-fit similarity and
-the lengths of the artefact are given beside them.
+the lengths of the artefact are given with them.
 
 What is evaluated is decided before any distance is computed. Of the truth: what both devices see, that
 is, inside both images, not occluded, and inclined to both views by no more than `STEEPEST_DEG`

@@ -2,7 +2,7 @@
 
 A cloud that is too large by 1000 ppm lies, after a rigid alignment, nearly as close to its true shape as
 one that is not, wherever the surface is parallel to the error: a plate moves within its own plane. So after
-the rigid alignment a similarity is fitted, by the same point-to-plane error, and its scale is stated beside
+the rigid alignment a similarity is fitted, by the same point-to-plane error, and its scale is stated with
 the distances.
 
 The standard uncertainty follows from the residuals. Errors of neighbouring points correlate, because of
@@ -114,7 +114,7 @@ def fit_scale(points: Floats, target: AlignmentMesh, seed: int = 0) -> FittedSca
 def _clear_of_edges(points: Floats, target: AlignmentMesh) -> NDArray[np.bool_]:
     """Find the points (N,) whose face would be the same if noise had moved them in or out.
 
-    Beside an edge the nearest face depends on the noise, always in favour of the smaller distance; at the
+    Next to an edge the nearest face depends on the noise, always in favour of the smaller distance; at the
     convex edges of a part that makes it look larger.
     """
     distance, placed, normals = target.residuals(points, RigidTransform.identity())

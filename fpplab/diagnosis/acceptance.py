@@ -107,7 +107,7 @@ def _of_lengths(acceptance: Acceptance, limits: AcceptanceTestLimits) -> list[Fi
     evidence = f"lengths are wrong by {100 * mean:+.3f} % on average over {len(acceptance.bars)} positions"
     if permitted > 1.0:
         evidence = f"{_described(acceptance, 'SD')}; {evidence}"
-    # One position cannot tell a scale from what depends on the place; the simpler one is named.
+    # One position cannot distinguish a scale from what depends on the place; the simpler one is named.
     cause = SCALE if abs(mean) > limits.min_scale_sigmas * sigma else UNEVEN_LENGTHS
     return [Finding(cause, evidence, excess)]
 

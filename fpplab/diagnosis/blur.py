@@ -1,4 +1,4 @@
-"""How blurred fringes and edges are, by which two lenses out of focus are told apart."""
+"""How blurred fringes and edges are, by which two lenses out of focus are distinguished."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class BlurLimits(LimitsSection):
 class Blur:
     """Blur of fringes along the axis that loses most contrast, and of edges."""
 
-    contrast: float  # of the finest fringes beside the widest
+    contrast: float  # of the finest fringes relative to the widest
     sharp_contrast: float  # the same of a rig in focus
     fringes_px: float  # blur in projector px
     edges_px: float | None  # blur in camera px; None where the image has no edges
@@ -76,7 +76,7 @@ class Blur:
 
 
 def measured_blur(sample: FrameSample, projector_px_per_px: float | None) -> Blur | None:
-    """Measure the blur of fringes and edges; None where the fringe sets do not tell it."""
+    """Measure the blur of fringes and edges; None where the fringe sets do not determine it."""
     limits = sample.limits.of(BlurLimits)
     measured = []
     for axis in sample.recording.plan.axes:
@@ -100,7 +100,7 @@ def measured_blur(sample: FrameSample, projector_px_per_px: float | None) -> Blu
 
 
 def fringe_blur_px(sample: FrameSample, axis: Axis) -> tuple[float, float] | None:
-    """Estimate the blur of the fringes from the modulation of the finest set beside the widest."""
+    """Estimate the blur of the fringes from the modulation of the finest set relative to the widest."""
     plan, size = sample.recording.plan, axis_length(sample.recording.projector_size, axis)
     sets = [k for k, fringe in enumerate(plan.fringes) if fringe.axis == axis]
     frequency = {k: plan.fringes[k].stripes / size for k in sets}
@@ -133,7 +133,7 @@ def edge_blur_px(sample: FrameSample) -> float | None:
 
 
 def phase_error_of_blur(sample: FrameSample, blur_px: float) -> float:
-    """Typical error of the phase of the finest fringes beside its noise, by a blur of the camera's image.
+    """Typical phase error of the finest fringes relative to its noise, by a blur of the camera's image.
 
     A blur by σ mixes neighbours whose phase and brightness differ: the phase is off by σ² ∇φ ∇ln A.
     """

@@ -1,4 +1,4 @@
-"""The named criteria of a verdict: what was measured on a scan, beside what a good one has."""
+"""The named criteria of a verdict: what was measured on a scan, compared with what a good one has."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ class CriteriaLimits(LimitsSection):
     max_uncertain_share: Positive = 0.2
     """Share of the pixels that see the fringes whose fringe order is too uncertain. Chosen."""
     max_noise_ratio: Positive = 15.0
-    """Noise of the coordinate beside that on a white surface, exposed as well as it can be. Chosen: dark
-    parts have more than white ones."""
+    """Noise of the coordinate compared with that on a white surface, exposed as well as it can be. Chosen:
+    dark parts have more than white ones."""
 
 
 @dataclass(frozen=True)
@@ -109,6 +109,6 @@ def _of_fringes(sample: FrameSample, decoded: Decoded) -> Iterator[Criterion]:
     sigma = decoded.sigma[:: sample.step, :: sample.step]
     finite = sigma[np.isfinite(sigma)]
     if finite.size and planned > 0.0:
-        meaning = "the noise of the coordinate beside that which the plan has on a white surface"
+        meaning = "the noise of the coordinate compared with that which the plan has on a white surface"
         ratio = float(np.median(finite)) / planned
         yield Criterion("uncertainty", meaning, ratio, limits.max_noise_ratio)

@@ -1,4 +1,4 @@
-"""The direction in which a coordinate changes along the image, beside that which the calibration tells."""
+"""The direction in which a coordinate changes along the image, compared with the one that is predicted."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ class DirectionLimits(LimitsSection):
 
 
 def changes_along_image(coordinate: Map, calibration: Calibration, axis: Axis, stride: int) -> Floats:
-    """Compare the change of the coordinate along the image with that which the calibration tells.
+    """Compare the change of the coordinate along the image with that which the calibration predicts.
 
-    On a surface at constant depth the calibration tells how the coordinate changes along the image. A slope
-    of the surface makes it change faster or slower, but never backwards: both devices see its front.
+    On a surface at constant depth the calibration predicts how the coordinate changes along the image. A
+    slope of the surface makes it change faster or slower, but never backwards: both devices see its front.
     """
     # coordinate (height, width) px; returns (rows, columns)
     here = coordinate[:-1:stride, :-1:stride].astype(np.float64)

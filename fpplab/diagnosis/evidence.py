@@ -89,7 +89,7 @@ class Evidence:
 
     @cached_property
     def blur(self) -> Blur | None:
-        """How blurred fringes and edges are; None where the sets do not tell."""
+        """How blurred fringes and edges are; None where the sets do not determine it."""
         scale = None
         if self.has_points:
             scale = float(self.points.projector_px_per_px["xy".index(self.plan.axes[0])])

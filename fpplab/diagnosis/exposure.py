@@ -24,8 +24,8 @@ class GreyLevelLimits(LimitsSection):
     best_peak_share: ShareLimit = 0.9
     """Share of full scale that the brightest lit pixels reach at the best exposure. Chosen."""
     brightest_percentile: PercentileLimit = 90.0
-    """Percentile of the lit pixels' mean level from which on they tell how far an exposure must be lowered.
-    Chosen."""
+    """Percentile of the lit pixels' mean level from which on they determine how far an exposure must be
+    lowered. Chosen."""
     min_dimming: Positive = 0.1
     """Least factor of an exposure that saturates. Chosen: two steps correct one that is eight times too
     long."""
@@ -37,7 +37,7 @@ def dimming_factor(sample: FrameSample) -> float:
     """Estimate the factor of the exposure by which the brightest lit pixels reach their best level.
 
     A fringe that swings from dark to p times full scale is saturated for the share s of its phases with 1/p
-    = (1 + cos πs)/2. Where all images of a pixel are saturated nothing tells by how much.
+    = (1 + cos πs)/2. Where all images of a pixel are saturated it is unknown by how much.
     """
     limits = sample.limits.of(GreyLevelLimits)
     levels = sample.spread[:, sample.lit]

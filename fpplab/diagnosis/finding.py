@@ -89,7 +89,7 @@ class Finding:
     excess: float  # measured value over its limit, 1 or more, by which findings are ranked
     advice: str | None = None  # what to do in this very case; by default the remedy of the cause
     factor: float | None = None  # by which to multiply the plan's exposure
-    ruins_points: bool = False  # whether nobody should use the points
+    ruins_points: bool = False  # whether the points must not be used
     behind: FaultCause | None = None  # a cause that was found too and may be all that shows here
 
     @property

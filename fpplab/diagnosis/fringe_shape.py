@@ -1,4 +1,4 @@
-"""Phases of wide fringes beside those that the coordinate gives, and what errors of the phase cost."""
+"""Phases of wide fringes compared with those that the coordinate gives, and what errors of the phase cost."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Limits of the diagnosis as one value, which is passed to whatever judges.
 
-Each cause, and each measurement that several causes share, states its limits beside its code as a
+Each cause, and each measurement that several causes share, states its limits next to its code as a
 `LimitsSection`. The sentence beneath a limit ends in where its value comes from: derived (from what),
 measured (on what) or chosen. "Benches of the limits" are the simulated benches of the seeds that are listed
 in `benchmarks.diagnosis`; on others, 100 scans without a fault had no finding.

@@ -49,7 +49,7 @@ def draw_limit(axes: Any, value: float, what: str) -> None:
 
 
 def draw_rate(excess: float) -> Figure:
-    """Draw how many frames per second a plan takes beside what is possible."""
+    """Draw how many frames per second a plan takes compared with what is possible."""
     figure, axes = single_axes(HALF, 1.5)
     axes.barh(["possible", "needed"], [1.0, excess], color=[SECOND, ALARM], height=0.6)
     axes.axvline(1.0, color=SECOND, linewidth=1.2)
@@ -105,7 +105,7 @@ def _binned(angles: Floats, values: Floats) -> tuple[Floats, Floats]:
 
 
 def draw_brightness_by_frame(sample: FrameSample, max_scatter: float) -> Figure:
-    """Draw the brightness of each frame beside the mean of its fringe set, and the limit of its scatter."""
+    """Draw the brightness of each frame relative to the mean of its set, and the limit of its scatter."""
     levels, starts = frame_levels(sample), sample.recording.plan.set_starts
     figure, axes = single_axes(HALF, CURVE_HEIGHT)
     sets = sample.recording.plan.fringes
@@ -118,6 +118,6 @@ def draw_brightness_by_frame(sample: FrameSample, max_scatter: float) -> Figure:
         off = 100.0 * (levels[own] / levels[own].mean() - 1.0)
         axes.plot(own + 1, off, "o-", markersize=3, linewidth=0.8, label=f"{fringe.stripes:g} stripes")
     axes.axhspan(-100 * max_scatter, 100 * max_scatter, color=SECOND, alpha=0.2, linewidth=0)
-    axes.set(xlabel="frame", ylabel="brightness beside that\nof the set, in % (band: limit)")
+    axes.set(xlabel="frame", ylabel="brightness relative to\nthat of the set, in % (band: limit)")
     axes.legend(loc="best", ncols=3)
     return figure

@@ -9,7 +9,7 @@ from fpplab.diagnosis.causes.stale_calibration import STALE_CALIBRATION, USELESS
 from fpplab.diagnosis.finding import FaultCause, Finding
 
 MAX_SIDE_EFFECT = 0.9
-"""Excess of a side effect beside that of its cause, at most. Chosen: it ranks behind the cause."""
+"""Maximum excess of a side effect relative to that of its cause. Chosen: it ranks behind the cause."""
 
 
 def ranked(findings: Iterable[Finding]) -> tuple[Finding, ...]:

@@ -42,7 +42,7 @@ class Verdict(StrEnum):
     DOUBTFUL = "doubtful"
     """It is worse than the rig and the plan would allow."""
     USELESS = "useless"
-    """Nobody should use it."""
+    """It must not be used."""
 
 
 @dataclass(frozen=True)
@@ -64,11 +64,11 @@ class Diagnosis:
 
     @property
     def is_useless(self) -> bool:
-        """Whether nobody should use the result."""
+        """Whether the result must not be used."""
         return self.verdict is Verdict.USELESS
 
     def require_usable(self, name: str, figures: Mapping[str, object] | None = None) -> None:
-        """Refuse a result that nobody should use."""
+        """Refuse a result that must not be used."""
         if self.is_useless:
             raise UselessScanError(name, self, figures)
 
@@ -87,7 +87,7 @@ class Diagnosis:
 
 
 class UselessScanError(DataError):
-    """A result that nobody should use; it is not written."""
+    """A result that must not be used; it is not written."""
 
     def __init__(self, name: str, diagnosis: Diagnosis, figures: Mapping[str, object] | None = None) -> None:
         self.name, self.diagnosis, self._figures = name, diagnosis, dict(figures or {})

@@ -14,7 +14,7 @@ from fpplab.diagnosis.sample import FrameSample
 
 
 class VisibilityLimits(LimitsSection):
-    """From when on fringes are seen, which darkness, weak light and a small field are told apart by."""
+    """When fringes count as seen; distinguishes darkness, weak light and a small field."""
 
     section: ClassVar[str] = "visibility"
 
@@ -43,7 +43,7 @@ class Visibility:
     strength: float  # modulation of the strongest fringes as a multiple of its noise
     lit_share: float  # share of the image that sees fringes
     is_dark: bool  # whether there are no fringes
-    is_weak: bool  # whether they cannot be told from the dark in most of the image
+    is_weak: bool  # whether they cannot be distinguished from the dark in most of the image
     tiny_part_share: float | None  # share of the image with clear fringes where all else is dark or weak
     limits: VisibilityLimits
 

@@ -26,7 +26,7 @@ REPROJECTION = (
 )
 JACKKNIFE = (
     ("Each pose left out", "Changed", "Predicted", "Stated uncertainty", "Changed over predicted", ""),
-    "Changed: standard deviation that the calibrations without each pose in turn tell (jackknife). "
+    "Changed: standard deviation that the calibrations without each pose in turn have (jackknife). "
     "Predicted: the same by the covariances, with and without the pose. Place and form: of points where the "
     "boards stood, root mean square; form without rigid motion. Without the board's scale, as "
     "every pose has the same.",
@@ -129,7 +129,7 @@ def characterisation_section(characterisation: Characterisation) -> ReportSectio
             )
         )
     left_out = tuple(characterisation.left_out.items())
-    tables = (ReportTable(("Pose left out", "Why"), left_out, words=True),) if left_out else ()
+    tables = (ReportTable(("Pose left out", "Why"), left_out, has_sentences=True),) if left_out else ()
     return ReportSection("Characterisation", text, (*_validation(characterisation), *tables), tuple(pictures))
 
 
@@ -181,7 +181,7 @@ def judgement_section(judgement: Judgement) -> ReportSection:
     left_out = tuple(judgement.left_out.items())
     tables = [ReportTable(JUDGED, cells, JUDGED_CAPTION)]
     if left_out:
-        tables.append(ReportTable(("Pose left out", "Why"), left_out, words=True))
+        tables.append(ReportTable(("Pose left out", "Why"), left_out, has_sentences=True))
     return ReportSection(
         "Judgement", judgement.verdict[0].upper() + judgement.verdict[1:] + ".", tuple(tables), (picture,)
     )

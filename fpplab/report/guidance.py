@@ -33,7 +33,7 @@ def guided_section(run: GuidedRun) -> ReportSection:
     picture = ReportFigure.of(sequence_figure(run), "Uncertainty and residuals by pose", FIGURE, wide=True)
     text = run.sentence[0].upper() + run.sentence[1:] + "."
     return ReportSection(
-        "Sequence of poses", text, (ReportTable(COLUMNS, rows, CAPTION, words=True),), (picture,)
+        "Sequence of poses", text, (ReportTable(COLUMNS, rows, CAPTION, has_sentences=True),), (picture,)
     )
 
 

@@ -114,7 +114,7 @@ def _provenance_table(sources: Mapping[str, Provenance]) -> ReportTable:
     if len(sources) > 1:
         caption += " Marked: what is not the same for all." if apart else " The same for all."
     columns = ("", *sources) if len(sources) > 1 else ("", "As recorded")
-    return ReportTable(columns, rows, caption, words=True, marked=apart)
+    return ReportTable(columns, rows, caption, has_sentences=True, marked=apart)
 
 
 def _as_json(title: str, basis: PageBasis, tables: Sequence[ReportTable]) -> str:

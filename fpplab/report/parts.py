@@ -65,7 +65,7 @@ class ReportTable:
     columns: tuple[str, ...]  # heads; the first column names the rows
     rows: tuple[tuple[str, ...], ...]  # cells, as many as columns
     caption: str = ""  # below the table
-    words: bool = False  # whether cells hold sentences
+    has_sentences: bool = False  # whether cells hold sentences
     marked: frozenset[int] = frozenset()  # rows that are highlighted
 
     @property

@@ -122,7 +122,7 @@ def _differences(
     )
     rows = tuple(_difference_row(difference.summary()) for difference in differences)
     columns = ("Difference", "Pixels in both", "Median in µm", "RMS in µm", "95 % within µm", "")
-    text = "They tell of the surface only where neither the object nor the rig was moved between the scans."
+    text = "They describe the surface only where neither the object nor the rig was moved between the scans."
     return [ReportSection("Differences", text, (ReportTable(columns, rows),), drawn)]
 
 

@@ -248,7 +248,7 @@ def _compared(calibration: CalibrationOrigin, measured: SessionOrigin | None) ->
     if others := other_devices(calibration, measured):
         return f"{text}; the {' and the '.join(others)} that measured is ANOTHER"
     if not all(device.serial for device in devices):
-        return f"{text}; without serial numbers nothing tells whether they are those that measured"
+        return f"{text}; without serial numbers it is unknown whether they are those that measured"
     return f"{text}; the same that measured"
 
 

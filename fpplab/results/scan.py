@@ -97,7 +97,7 @@ class ScanResult:
             return getattr(self.cloud, name)
 
     def require_usable(self) -> None:
-        """Refuse a result that nobody should use.
+        """Refuse a result that must not be used.
 
         Raises
         ------

@@ -170,7 +170,7 @@ def test_small_tilts_are_warned_of() -> None:
 @pytest.mark.whole
 def test_tilts_that_are_alike_are_warned_of() -> None:
     found = warned(spread_poses([(25, 5), (32, 9), (28, -4), (22, 6)]))
-    assert "tilted alike" in found
+    assert "the same tilt" in found
     assert "no board is tilted" not in found
 
 

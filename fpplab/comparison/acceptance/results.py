@@ -66,7 +66,7 @@ class MeasuredFeature:
         return 1e3 * float(np.sqrt(np.mean(self.distances[self.kept] ** 2)))
 
     def summary(self) -> dict[str, Any]:
-        """Collect counts and the root mean square, which tells how much of a span is noise."""
+        """Collect counts and the root mean square, which shows how much of a span is noise."""
         return {
             "rms_um": self.rms_um,
             "points": len(self.points),

@@ -24,8 +24,8 @@ class AmbientLimits(LimitsSection):
     section: ClassVar[str] = "ambient"
 
     max_ratio: Positive = 1.0
-    """Other light beside the fringes' modulation. Derived: photon noise grows by the root of both, here to
-    1.4 times."""
+    """Other light relative to the fringes' modulation. Derived: photon noise grows by the root of both, here
+    to 1.4 times."""
     min_level: Positive = 8.0
     """Grey levels of 255 below which what does not change may be the camera's own black level. Chosen."""
 
@@ -51,7 +51,7 @@ def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure:
-    """The light that does not change beside the modulation."""
+    """The light that does not change, relative to the modulation."""
     from fpplab.core.drawing import value_range
     from fpplab.diagnosis.pictures import draw_sample_map
 
@@ -70,7 +70,7 @@ AMBIENT = FaultCause(
     meaning="There is light that does not come from the projector.",
     remedy="shade the scene, switch the room's lights off, or put a filter of the lamp's colour before the "
     "lens",
-    measured="light that does not change, beside the modulation of the widest fringes",
+    measured="light that does not change, compared with the modulation of the widest fringes",
     limit="equal: photon noise is then 1.4 times as large; and "
     f"{AmbientLimits().min_level:g} grey levels of 255",
     seen_in="frames",

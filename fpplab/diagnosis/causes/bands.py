@@ -107,7 +107,7 @@ def _from_frames(sample: FrameSample, rows: NDArray[np.intp], sets: Sequence[int
 
 
 def _even_waves(residuals: Floats, modulation: Floats, angles: Floats, used: NDArray[np.bool_]) -> Floats:
-    """What harmonics of the response leave beside the sinusoid, with one strength in all used pixels."""
+    """What harmonics of the response leave besides the sinusoid, with one strength in all used pixels."""
     total, shown = np.zeros_like(residuals), np.where(used, modulation, 0.0)
     for wave in harmonic_waves(angles):
         shape = shown * wave
@@ -128,7 +128,7 @@ def _between_sets(sample: FrameSample, rows: NDArray[np.intp], sets: Sequence[in
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure | None:
-    """The brightness of rows in each frame beside the fit of the fringes."""
+    """The brightness of rows in each frame compared with the fit of the fringes."""
     from fpplab.core.drawing import HALF, colour_bar, single_axes
 
     gains = row_gains(evidence.frames)
@@ -137,7 +137,7 @@ def _draw(evidence: Evidence, _: Finding) -> Figure | None:
     figure, axes = single_axes(HALF, 3.0)
     limit = max(float(np.percentile(np.abs(100 * gains), 99)), 1.0)
     shown = axes.imshow(100.0 * gains.T, aspect="auto", cmap="RdBu", vmin=-limit, vmax=limit)
-    colour_bar(figure, axes, shown, "brightness beside the fit, in %")
+    colour_bar(figure, axes, shown, "brightness relative to the fit, in %")
     axes.set(xlabel="frame", ylabel="lit row of the sample")
     return figure
 

@@ -1,4 +1,4 @@
-"""Edges and fringes are blurred alike."""
+"""Edges and fringes are equally blurred."""
 
 from __future__ import annotations
 
@@ -33,7 +33,8 @@ CAMERA_FOCUS = FaultCause(
     key="camera_focus",
     meaning="The camera is out of focus: edges are as blurred as fringes.",
     remedy="focus the camera at the part's distance, or close its aperture; then characterise again",
-    measured="contrast of the finest fringes beside the widest, where edges in the image are blurred as much",
+    measured="contrast of the finest fringes compared with the widest, where edges in the image "
+    "are blurred as much",
     limit="half of that in focus",
     seen_in="frames",
     detectors=(Detector(DetectionStage.BLUR, _find),),

@@ -20,7 +20,7 @@ from fpplab.diagnosis.sample import FrameSample
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-GAIN_PIXELS = 10_000  # that tell the brightness of a frame: their noise changes it by less than 0.1 %
+GAIN_PIXELS = 10_000  # that give the brightness of a frame: their noise changes it by less than 0.1 %
 
 
 class FlickerLimits(LimitsSection):
@@ -46,7 +46,7 @@ def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
         return
     fit, errors = sample.widest, sample.errors.sets[sample.recording.plan.finest_set()]
     scatter = _scatter_of_gains(sample)
-    # Where a scene is even, all its pixels are rounded alike.
+    # Where a scene is even, all its pixels are rounded equally.
     rounding = float(sample.recording.grey) / math.sqrt(12.0) / float(np.median(fit.offset[sample.measured]))
     limit = max(limits.max_scatter, rounding)
     if scatter > limit:
@@ -107,7 +107,7 @@ def _scatter_without_fringes(sample: FrameSample) -> float:
 
 
 def _gains_left(sample: FrameSample, k: int) -> Floats | None:
-    """Gain (N,) of each frame of a set that the fit of a sinusoid leaves, beside harmonics of the response.
+    """Gain (N,) of each frame of a set that the fit of a sinusoid leaves, besides harmonics of the response.
 
     None where the pixels' phases are few or unevenly spread, so that harmonics look like gains.
     """

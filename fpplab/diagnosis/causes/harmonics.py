@@ -38,8 +38,8 @@ HARMONICS = FaultCause(
     meaning="The fringes are bent as no power law bends them.",
     remedy="switch off the projector's picture enhancement and tone curves, or use a plan of five steps or "
     "more; 'fpplab gamma' fits a power law, which does not correct this",
-    measured="phase error N times in a period of fringes of N images, N > 3, beside what the second harmonic "
-    "explains by a power law",
+    measured="phase error N times in a period of fringes of N images, N > 3, compared with what the second "
+    "harmonic explains by a power law",
     limit=f"{FringeShapeLimits().min_harmonic_rad:g} rad, the noise, and twice that",
     seen_in="coordinates",
     detectors=(Detector(DetectionStage.FRAMES, _find),),

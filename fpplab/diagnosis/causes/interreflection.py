@@ -59,7 +59,7 @@ def _find_stray_light(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Find
     """Light that arrives by way of other surfaces, with the phase of those."""
     sample = evidence.frames
     worst = max((_stray_rad(sample, k, e, d) for k, e, d in phase_deviations(sample)), default=0.0)
-    # Flicker and harmonics of the finest set look alike.
+    # Flicker and harmonics of the finest set look the same.
     explained_rad = harmonics_of_power_law_rad(sample)
     limit = max(evidence.limits.of(InterreflectionLimits).max_phase_error_rad, 1.5 * explained_rad)
     if worst > limit:
@@ -146,7 +146,7 @@ def _is_backward(blocks: Floats, min_change: float, min_sigmas: float) -> Mask:
 
 
 def _phase_error(sample: FrameSample, axis: Axis, backward: Mask) -> float:
-    """Typical error of the phase of the finest fringes beside its noise.
+    """Typical error of the phase of the finest fringes compared with its noise.
 
     Other light of the same fringes with another phase adds to them here and takes from them there, and
     shifts their phase by as much. Points that mirrored light has made are wrong altogether.
@@ -179,11 +179,11 @@ def _draw(evidence: Evidence, _: Finding) -> Figure | None:
 INTERREFLECTION = FaultCause(
     key="interreflection",
     meaning="Parts of the scene light each other.",
-    remedy="coat or turn the part so that its faces do not light each other, cover what stands beside it, "
+    remedy="coat or turn the part so that its faces do not light each other, cover what stands next to it, "
     "or use a plan of many fine stripes alone",
-    measured="phase of wide fringes beside that of fine ones, as far as neighbours share it and no phase "
-    "explains it; share of the image in which the coordinate runs against the calibration, as the image of "
-    "a surface in a mirror does",
+    measured="phase of wide fringes compared with that of fine ones, as far as neighbours share it and no "
+    "phase explains it; share of the image in which the coordinate runs against the calibration, as the "
+    "image of a surface in a mirror does",
     limit=f"{InterreflectionLimits().max_phase_error_rad:g} rad RMS; "
     f"{100 * InterreflectionLimits().max_mirrored_share:g} %",
     seen_in="coordinates",

@@ -9,11 +9,11 @@ from fpplab.diagnosis.finding import FaultCause
 from fpplab.diagnosis.limits import LimitsSection, ShareLimit
 
 SHOWN_BY = "the page of the acceptance test"
-USELESS_ERROR = 10.0  # as a multiple of the permissible one, from which on nobody should use the system
+USELESS_ERROR = 10.0  # as a multiple of the permissible one, from which on the system must not be used
 
 
 class AcceptanceTestLimits(LimitsSection):
-    """How errors of an acceptance test are told apart."""
+    """How errors of an acceptance test are distinguished."""
 
     section: ClassVar[str] = "acceptance_test"
 
@@ -31,7 +31,7 @@ FEW_POSITIONS = FaultCause(
     key="few_positions",
     meaning="A standard was measured in fewer positions than an acceptance test needs.",
     remedy="measure the standard in more positions, spread over the measuring volume",
-    measured="positions of a standard beside those that its file asks for",
+    measured="positions of a standard compared with those that its file asks for",
     limit="all of them",
     seen_in="verify",
     shown_by=SHOWN_BY,
@@ -50,7 +50,7 @@ FORM = FaultCause(
     meaning="A measured sphere or plane is bent: neighbouring pixels share the error.",
     remedy="measure the response with 'fpplab gamma', take more steps, and characterise again with poses "
     "over the whole volume; coat shiny standards",
-    measured="PF and F beside what is permitted, where neighbouring pixels share the error",
+    measured="PF and F compared with what is permitted, where neighbouring pixels share the error",
     limit="the permissible error; half of the variance shared",
     seen_in="verify",
     shown_by=SHOWN_BY,
@@ -60,7 +60,7 @@ NOISE = FaultCause(
     key="noise",
     meaning="A measured sphere or plane is rough: neighbouring pixels do not share the error.",
     remedy="expose longer or open the aperture, take more steps or more stripes, and shade the scene",
-    measured="PF and F beside what is permitted, where neighbouring pixels do not share the error",
+    measured="PF and F compared with what is permitted, where neighbouring pixels do not share the error",
     limit="the permissible error; half of the variance shared",
     seen_in="verify",
     shown_by=SHOWN_BY,

@@ -11,8 +11,8 @@ LENS_NOT_LOCKED = FaultCause(
     meaning="The image's scale differs between the poses of a characterisation.",
     remedy="lock focus and aperture of both lenses, let them warm up, and take all poses again",
     measured="scatter of the scale of the camera's image between poses, of which the projector's "
-    "coordinates tell the place; without the worst pose. In a matching the steepness of a pose's edges "
-    "beside that of the others",
+    "coordinates give the place; without the worst pose. In a matching the steepness of a pose's edges "
+    "compared with that of the others",
     limit="0.01 %, and what noise explains once in 10,000 times; 12 %",
     seen_in="characterise, match",
     shown_by=SHOWN_BY,
@@ -31,8 +31,8 @@ BOARD_MOVED = FaultCause(
     key="board_moved",
     meaning="The board was not at rest while a pose was taken.",
     remedy="lean the board against something, or clamp it, and take the hands away until the pose is taken",
-    measured="residuals of a pose in the projector, beside those that the other poses predict, where the "
-    "camera's are as predicted",
+    measured="residuals of a pose in the projector, compared with those that the other poses predict, where "
+    "the camera's are as predicted",
     limit="twice those predicted, and a chance of 0.001",
     seen_in="poses, `--guide`",
     shown_by=SHOWN_BY,
@@ -41,8 +41,8 @@ POSE_MISFIT = FaultCause(
     key="pose_misfit",
     meaning="A pose fits far worse than the others.",
     remedy="take the pose again; keep the board flat, and camera, projector and lenses as they are",
-    measured="residuals of a pose in the camera, beside those that the other poses predict; SSIM of a pose "
-    "over the board below the median",
+    measured="residuals of a pose in the camera, compared with those that the other poses predict; SSIM of a "
+    "pose over the board below the median",
     limit="twice those predicted, and a chance of 0.001; 0.1",
     seen_in="poses, `--guide`, match",
     shown_by=SHOWN_BY,

@@ -28,7 +28,8 @@ NO_GAIN = FaultCause(
     key="no_gain",
     meaning="The result is not better than where it started from.",
     remedy="start from another point, or keep the original",
-    measured="loss beside that before; distance to the surface beside the start's, with other seeds",
+    measured="loss compared with that before; distance to the surface compared with the start's, with "
+    "other seeds",
     limit="2 standard uncertainties",
     seen_in="match, optimise",
     shown_by=SHOWN_BY,
@@ -47,7 +48,7 @@ POINTS_MISFIT = FaultCause(
     key="points_misfit",
     meaning="Points of the board fit in the twin's images as they do not in the bench's.",
     remedy="take the poses again with the board at rest, and check the board against its target file",
-    measured="reprojection error of the twin beside the bench's",
+    measured="reprojection error of the twin compared with the bench's",
     limit="0.1 px",
     seen_in="match",
     shown_by=SHOWN_BY,
@@ -57,17 +58,17 @@ ARTEFACT_MISFIT = FaultCause(
     meaning="The twin measures an artefact better or worse than the bench does.",
     remedy="give the artefact's true shape and material in the twin's world, and measure the response with "
     "'fpplab gamma'",
-    measured="distance of an artefact's points from its surface, in the twin beside the bench",
+    measured="distance of an artefact's points from its surface, in the twin compared with the bench",
     limit="30 %, and 2 µm",
     seen_in="match",
     shown_by=SHOWN_BY,
 )
 FLAT_OPTIMUM = FaultCause(
     key="flat_optimum",
-    meaning="The optimum of a search cannot be told from its neighbours.",
+    meaning="The optimum of a search cannot be distinguished from its neighbours.",
     remedy="measure with more --seeds, or take any of these plans",
-    measured="distance to the surface of candidates a tenth of the ranges away, beside the optimum's, seed "
-    "by seed",
+    measured="distance to the surface of candidates a tenth of the ranges away, compared with the optimum's, "
+    "seed by seed",
     limit="2 standard uncertainties",
     seen_in="optimise",
     shown_by=SHOWN_BY,

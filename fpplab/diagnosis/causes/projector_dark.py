@@ -43,7 +43,8 @@ PROJECTOR_DARK = FaultCause(
     key="projector_dark",
     meaning="There are no fringes in the image.",
     remedy="switch the lamp and its LEDs on, and take off the lens cap; try 'fpplab check'",
-    measured="modulation of the widest fringes beside its noise, and whether neighbouring pixels agree",
+    measured="modulation of the widest fringes compared with its noise, and whether neighbouring pixels "
+    "agree",
     limit=f"{VisibilityLimits().min_fringe_sigmas:g} times the noise, "
     f"{VisibilityLimits().min_modulation:g} grey levels",
     seen_in="frames",

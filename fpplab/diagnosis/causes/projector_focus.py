@@ -29,7 +29,7 @@ PROJECTOR_FOCUS = FaultCause(
     meaning="The projector is out of focus: fringes are blurred, edges are not.",
     remedy="focus the projector at the part's distance, then characterise again; or use a plan with fewer "
     "stripes",
-    measured="contrast of the finest fringes beside the widest, where edges are sharper than that",
+    measured="contrast of the finest fringes compared with the widest, where edges are sharper than that",
     limit="half of that in focus",
     seen_in="frames",
     detectors=(Detector(DetectionStage.BLUR, _find),),

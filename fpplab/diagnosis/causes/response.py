@@ -31,7 +31,7 @@ class ResponseLimits(LimitsSection):
     max_harmonics_share: Positive = 0.15
     """Harmonics as a share of the fringes. Derived: beyond it pixels are masked as no sinusoids."""
     unexplained_harmonics_ratio: Positive = 2.0
-    """Phase error by harmonics beside what a power law explains, from which on 'fpplab gamma' does not
+    """Phase error by harmonics compared with what a power law explains, from which on 'fpplab gamma' does not
     correct it. Measured on benches of the limits."""
 
 
@@ -45,7 +45,7 @@ def unexplained_harmonics_rad(sample: FrameSample) -> float | None:
     """Measure the phase error of harmonics where these are not those of a power law."""
     limits = sample.limits.of(ResponseLimits)
     plan, error = sample.recording.plan, max(ripples(sample), default=0.0)
-    # Three images do not tell a second harmonic, as of a power law, from others.
+    # Three images do not separate a second harmonic, as of a power law, from others.
     if plan.fringes[plan.finest_set()].images <= 3:
         return None
     explained = limits.unexplained_harmonics_ratio * harmonics_of_power_law_rad(sample)

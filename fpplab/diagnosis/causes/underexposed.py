@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def _find_weak_fringes(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
-    """Fringes that can hardly be told from the dark."""
+    """Fringes that can hardly be distinguished from the dark."""
     visibility, sample = evidence.visibility, evidence.frames
     if visibility.is_dark or not visibility.is_weak or visibility.tiny_part_share is not None:
         return

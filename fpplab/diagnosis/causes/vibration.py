@@ -43,7 +43,7 @@ def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
 
 
 def displacements_px(sample: FrameSample) -> list[tuple[float, float]]:
-    """Measure how far the scene is displaced in each fringe set beside the first."""
+    """Measure how far the scene is displaced in each fringe set compared with the first."""
     first, *others = sample.offsets_in_tiles
     return [_displacement(first, other) for other in others]
 
@@ -76,7 +76,7 @@ def _draw(evidence: Evidence, _: Finding) -> Figure:
     sets = np.arange(2, len(moved) + 2)
     right.bar(sets, moved, color=ACCENT, width=0.6)
     right.axhline(limit, color=ALARM, linewidth=1.2, label=f"limit {limit:g} px")
-    right.set(xlabel="fringe set", ylabel="displacement beside set 1 in px", xticks=sets)
+    right.set(xlabel="fringe set", ylabel="displacement from set 1 in px", xticks=sets)
     right.legend(loc="best")
     return figure
 

@@ -138,9 +138,9 @@ WRONG_PLAN = FaultCause(
     key="wrong_plan",
     meaning="The plan does not describe the images.",
     remedy="correct the plan; 'fpplab plan guess' writes one for images of another program",
-    measured="disagreement of the fringe sets by the plan, beside that by the plans next to it; the "
-    "direction of the fringes beside the calibration's. Looked at where less than half of the lit pixels "
-    f"become points, or the sets disagree by {WrongPlanLimits().max_disagreement:g} times their noise",
+    measured="disagreement of the fringe sets by the plan, compared with that by the plans next to it; the "
+    "direction of the fringes compared with the calibration's. Looked at where less than half of the lit "
+    f"pixels become points, or the sets disagree by {WrongPlanLimits().max_disagreement:g} times their noise",
     limit=f"{PlanCheckLimits().max_better_ratio:g} of it",
     seen_in="frames",
     detectors=(Detector(DetectionStage.PLAN, _find),),

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 ASPECTS = {Lattice.SQUARE: 1.0, Lattice.DIAMOND: 2.0}
-"""Distance of columns beside that of rows, by lattice."""
+"""Distance of columns as a multiple of that of rows, by lattice."""
 
 MOIRE_POINTS = 60_000  # coordinates at most that a moiré is looked for in
 SMOOTHED_PX = 24  # camera px over which a surface is taken as straight
@@ -49,7 +49,7 @@ class WrongResolutionLimits(LimitsSection):
     """Change of brightness from pixel to pixel, as a share, of an even scene. Measured on benches of the
     limits."""
     min_fringes: Positive = 4.0
-    """Periods of a set that have to be seen for its harmonics to be told from a moiré. Chosen."""
+    """Periods of a set that have to be seen for its harmonics to be distinguished from a moiré. Chosen."""
     max_stretch: Positive = 0.05
     """Share by which a projector's picture may be stretched. Chosen: lenses differ by less."""
     max_aspect_severity: Positive = 1.5
@@ -129,7 +129,7 @@ def moire_spectrum(sample: FrameSample, axis: Axis) -> tuple[Floats, Floats] | N
 def _fringe_harmonics(
     sets: list[float], fine: list[float], span: float, limits: WrongResolutionLimits
 ) -> list[float]:
-    """Cycles per px of harmonics that are told from a moiré by a fit.
+    """Cycles per px of harmonics that a fit distinguishes from a moiré.
 
     All those of coarse fringes lie among its frequencies, too close together to be left out.
     """
@@ -208,7 +208,7 @@ WRONG_RESOLUTION = FaultCause(
     remedy="set the display to the projector's native resolution, without scaling, keystone or overscan, "
     "and state the projector's lattice as it is",
     measured="error of the coordinate that repeats along the projector's pixels, but not with the fringes; "
-    "the calibration's ratio of focal lengths beside that of the lattice",
+    "the calibration's ratio of focal lengths compared with that of the lattice",
     limit=f"{WrongResolutionLimits().max_moire_px:g} px; {100 * WrongResolutionLimits().max_stretch:g} %",
     seen_in="coordinates, points",
     detectors=(

@@ -1,7 +1,7 @@
 """Decide whether a plan describes its images, and which plan next to it does better.
 
 A plan whose sets have wrong stripes, order, signs or origins decodes to positions on which the sets do not
-agree. One figure alone does not tell: a right heterodyne plan with a bent response may disagree more than a
+agree. One figure alone does not decide: a right heterodyne plan with a bent response may disagree more than a
 wrong one of few stripes. So the plans next to it are tried too, and a plan is called wrong only where another
 one fits much better. Signs and axes that are wrong in all sets mirror or turn the result without any
 disagreement; with both axes coded a mirrored one is impossible, with one axis it is unusual.

@@ -157,7 +157,7 @@ def _stripes_near(
 
 
 def refined_stripes(sets: Sets, along: Sequence[int], k: int, about: float, sample: PhaseSample) -> float:
-    """Measure the stripes of a set by the positions that coarser sets tell."""
+    """Measure the stripes of a set by the positions that coarser sets give."""
     others = [j for j in along if j != k and sets[j].stripes < about]
     position = unwrapped(sets, others, sample) / sets[max(others, key=lambda j: sets[j].stripes)].stripes
     phase = phases_of(sets, sample)[k]
@@ -257,7 +257,7 @@ def upright(sets: Sets, observed: list[Direction]) -> Edit | None:
 
 
 def is_mirrored(sets: Sets, sample: PhaseSample) -> bool:
-    """Tell whether the plan has the scene mirrored, which no camera beside a projector sees.
+    """Tell whether the plan has the scene mirrored, which no camera next to a projector sees.
 
     Both look at the same side of a surface, so columns and rows of the projector turn in the same sense in
     the image.

@@ -1,8 +1,8 @@
 """Guess a plan from images alone: sets, steps, axes, stripes, signs.
 
-What images cannot tell is taken as usual: sinusoids with equal steps, columns that run to the right in the
-image and rows down, a coarsest set of one stripe (or whole numbers of stripes that fit the ratios measured)
-whose phase has no origin.
+What images cannot show is assumed to be usual: sinusoids with equal steps, columns that run to the right in
+the image and rows down, a coarsest set of one stripe (or whole numbers of stripes that fit the measured
+ratios) whose phase has no origin.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class PlanGuess:
 
     plan: Plan  # the plan
     disagreement: float  # of its sets, in units of what noise explains
-    assumed: tuple[str, ...]  # what the images do not tell, one sentence each
+    assumed: tuple[str, ...]  # what the images do not show, one sentence each
 
 
 def guess_plan(
@@ -71,7 +71,7 @@ def guess_plan(
             return PlanGuess(plan, misfit, _assumed(coarsest, finest))
     raise DataError(
         f"the images show sets of {str(images)[1:-1]} steps, but how many stripes they have across the whole "
-        "projector cannot be told; say with --finest how many the finest set has"
+        "projector cannot be determined; say with --finest how many the finest set has"
     )
 
 

@@ -17,7 +17,7 @@ BINARY_SHARE = 0.85
 UNIFORM_SHARE = 0.97
 """Share of the pixels that are bright in a white image, or dark in a black one."""
 MIN_RANGE = 0.05
-"""Range of a pixel, as a share of full scale, that tells something."""
+"""Range of a pixel, as a share of full scale, from which it carries information."""
 MAX_RANK_MISFIT = 0.1
 """What two waves may leave of sinusoids of any steps, as a share of their mean square."""
 MIN_EQUAL_MISFIT = 0.05
@@ -77,10 +77,12 @@ def _kinds(levels: Floats) -> list[str | None]:
             kinds.append("black")
         else:
             kinds.append("binary" if bright + dark > BINARY_SHARE else None)
-    return [kind if kind == "binary" or _beside_another(kinds, k) else None for k, kind in enumerate(kinds)]
+    return [
+        kind if kind == "binary" or _has_other_neighbour(kinds, k) else None for k, kind in enumerate(kinds)
+    ]
 
 
-def _beside_another(kinds: Sequence[str | None], k: int) -> bool:
+def _has_other_neighbour(kinds: Sequence[str | None], k: int) -> bool:
     """Whether a neighbour is of another kind."""
     # Of wide fringes on a small part one image may be all dark or bright, but never two neighbours.
     return any(kinds[n] not in (None, kinds[k]) for n in (k - 1, k + 1) if 0 <= n < len(kinds))
@@ -122,7 +124,7 @@ def _unequal(levels: Floats, sizes: Sequence[int]) -> str | None:
         expected = np.degrees(phase_steps(count))
         turned = min((shifts, -shifts % 360.0), key=lambda candidate: _worst(candidate, expected))
         if _worst(np.sort(turned), expected) <= MAX_STEP_ERROR_DEG:
-            continue  # equal steps in another order, of which others tell which images were exchanged
+            continue  # equal steps in another order, of which other checks say which images were exchanged
         degrees = ", ".join(f"{shift:.0f}" for shift in turned)
         sentences.append(f"the images of 'fringes[{k}]' have unequal phase steps, at {degrees} degrees")
     if not sentences:
@@ -156,12 +158,12 @@ def phase_shifts_seen(levels: Floats) -> Floats | None:
     if np.sum(strength[2:] ** 2) > MAX_RANK_MISFIT * np.sum(strength**2):
         return None
     basis = np.column_stack([np.ones(len(levels)), directions[:, :2] * strength[:2]])
-    # The shifts lie on an ellipse in this plane; pixels of all phases tell its axes.
+    # The shifts lie on an ellipse in this plane; pixels of all phases determine its axes.
     inverse = np.linalg.pinv(basis) @ levels
     second = np.cov(inverse[1:])
     x, y = np.linalg.cholesky(second).T @ basis[:, 1:].T
     (across, down, _), *_ = np.linalg.lstsq(
         np.column_stack([2.0 * x, 2.0 * y, np.ones_like(x)]), x**2 + y**2, rcond=None
-    )  # steps that are not balanced leave the circle beside the images' mean
+    )  # steps that are not balanced shift the circle away from the images' mean
     angles = np.degrees(np.arctan2(y - down, x - across))
     return np.asarray((angles - angles[0]) % 360.0)

@@ -1,7 +1,7 @@
 """Phases of every fringe set at some pixels, and how fast they change along the image.
 
 How fast the phase of a set changes from pixel to pixel depends on its stripes, its axis and the sign of its
-steps, and on no phase origin. Relative to another set's it tells them apart on any surface.
+steps, and on no phase origin. Relative to another set's it distinguishes them on any surface.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ def wrapped(phase: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Direction:
-    """How a set's phase changes beside that of another, the reference."""
+    """How a set's phase changes relative to that of another, the reference."""
 
     along: float  # change along the reference's gradient and across it, as shares of the reference's
     across: float  # change along the reference's gradient and across it, as shares of the reference's
