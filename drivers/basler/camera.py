@@ -90,7 +90,7 @@ class BaslerCamera(GenicamCamera):
         with self._guard("load_features"):
             self._load(text, path)
             self._make_raw()
-            self._known = self._read_caps()
+            self._present_caps = self._read_caps()
 
     def save_features(self, path: Path) -> None:
         """Write all settings of the camera to a .pfs file."""

@@ -75,19 +75,19 @@ class ShowFrame:
 class ScreenFailure:
     """Description of a failure, to be sent to the driver's process."""
 
-    found: str  # what is wrong
+    reason: str  # what is wrong
     remedy: str  # what the operator can do
 
 
 class ScreenError(Exception):
     """The display is not, or no longer, usable as required."""
 
-    def __init__(self, found: str, remedy: str = REMEDY) -> None:
-        super().__init__(found)
-        self.failure = ScreenFailure(found, remedy)
+    def __init__(self, reason: str, remedy: str = REMEDY) -> None:
+        super().__init__(reason)
+        self.failure = ScreenFailure(reason, remedy)
 
 
-def serve_screen(connection: Connection, wanted: int | str, size: tuple[int, int] | None) -> None:
+def serve_screen(connection: Connection, display_id: int | str, size: tuple[int, int] | None) -> None:
     """Drive the display until the connection is closed.
 
     After opening an `OpenedScreen` is sent. The name of the shared memory for frames (red, green, blue of
@@ -97,7 +97,7 @@ def serve_screen(connection: Connection, wanted: int | str, size: tuple[int, int
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the driver's process handles Ctrl-C
     with suppress(EOFError, OSError), libraries_silent():
         try:
-            with open_screen(wanted, size) as screen:
+            with open_screen(display_id, size) as screen:
                 connection.send(OpenedScreen(screen.display, screen.vsync_s))
                 memory = SharedMemory(connection.recv())
                 assert memory.buf is not None
@@ -153,18 +153,18 @@ def _video() -> Iterator[Any]:
 
 
 @contextmanager
-def open_screen(wanted: int | str, size: tuple[int, int] | None = None) -> Iterator[Screen]:
+def open_screen(display_id: int | str, size: tuple[int, int] | None = None) -> Iterator[Screen]:
     """Open a display and show black; the display is released at the end of the context."""
     with _video() as sdl:
-        yield Screen(sdl, wanted, size)
+        yield Screen(sdl, display_id, size)
 
 
 class Screen:
     """A window that covers a whole display."""
 
-    def __init__(self, sdl: Any, wanted: int | str, size: tuple[int, int] | None) -> None:
+    def __init__(self, sdl: Any, display_id: int | str, size: tuple[int, int] | None) -> None:
         self._sdl = sdl
-        self.display = _choose_display(_displays(sdl), wanted, size)
+        self.display = _choose_display(_displays(sdl), display_id, size)
         self._size = self.display.size
         self.frame_bytes = 3 * self._size[0] * self._size[1]
         self._renderer, self._window = self._create_window(self.display.index)
@@ -265,18 +265,18 @@ class Screen:
 
 
 def _choose_display(
-    displays: list[DisplayInfo], wanted: int | str, size: tuple[int, int] | None
+    displays: list[DisplayInfo], display_id: int | str, size: tuple[int, int] | None
 ) -> DisplayInfo:
     """The display that is wanted, or `ScreenError` unless exactly one of the right size matches."""
     listed = ", ".join(map(str, displays))
-    matching = [display for display in displays if wanted in (display.index, display.name)]
+    matching = [display for display in displays if display_id in (display.index, display.name)]
     if not matching:
-        raise ScreenError(f"there is no display {wanted!r}", f"there are {listed}")
+        raise ScreenError(f"there is no display {display_id!r}", f"there are {listed}")
     if len(matching) > 1:
-        raise ScreenError(f"several displays are called {wanted!r}", f"name one by its number: {listed}")
+        raise ScreenError(f"several displays are called {display_id!r}", f"name one by its number: {listed}")
     if size is not None and matching[0].size != size:
         raise ScreenError(
-            "display {!r} is not set to {} x {}".format(wanted, *size), f"set it so; there are {listed}"
+            "display {!r} is not set to {} x {}".format(display_id, *size), f"set it so; there are {listed}"
         )
     return matching[0]
 

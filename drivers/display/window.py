@@ -66,8 +66,8 @@ class SdlDisplay:
     SDL needs the main thread of a process. Frames are passed to it in shared memory.
     """
 
-    def __init__(self, name: str, wanted: int | str, size: tuple[int, int] | None) -> None:
-        self._name, self._wanted, self._size = name, wanted, size
+    def __init__(self, name: str, display_id: int | str, size: tuple[int, int] | None) -> None:
+        self._name, self._display_id, self._size = name, display_id, size
         self.vsync_s = 0.0
         self.info: DisplayInfo | None = None
         self._process: BaseProcess | None = None
@@ -88,7 +88,7 @@ class SdlDisplay:
         try:
             self._process = context.Process(
                 target=screen.serve_screen,
-                args=(theirs, self._wanted, self._size),
+                args=(theirs, self._display_id, self._size),
                 name="display",
                 daemon=True,
             )
@@ -142,7 +142,7 @@ class SdlDisplay:
                 )
             answer = self._connection.recv()
             if isinstance(answer, screen.ScreenFailure):
-                raise DeviceError(self._name, operation, answer.found, answer.remedy)
+                raise DeviceError(self._name, operation, answer.reason, answer.remedy)
             return answer
         except (OSError, EOFError) as error:
             raise self._dead(operation) from error
@@ -165,7 +165,7 @@ def connected_displays() -> list[DisplayInfo]:
     need_extra("sdl2")
     answer = ask_apart(screen.serve_displays, timeout_s=START_S)
     if isinstance(answer, screen.ScreenFailure):
-        raise DeviceError("displays", "list", answer.found, answer.remedy)
+        raise DeviceError("displays", "list", answer.reason, answer.remedy)
     if answer is None:
         raise DeviceError("displays", "list", "SDL does not answer", "check that the graphical session runs")
     listed: list[DisplayInfo] = answer

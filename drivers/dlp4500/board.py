@@ -246,12 +246,12 @@ class ProjectorBoard:
     def _mode(self) -> int:
         return self.link.read(protocol.DISPLAY_MODE)["mode"]
 
-    def _until(self, done: Callable[[], bool], operation: str, found: str, polling: Polling) -> None:
-        """Poll until done, or raise `DeviceTimeoutError` with `found` after the limit."""
+    def _until(self, done: Callable[[], bool], operation: str, reason: str, polling: Polling) -> None:
+        """Poll until done, or raise `DeviceTimeoutError` with `reason` after the limit."""
         for _ in range(round(polling.limit_s / polling.step_s)):
             if done():
                 return
             self._clock.sleep(polling.step_s)
         raise DeviceTimeoutError(
-            self._name, operation, f"{found} after {polling.limit_s:g} s", "switch it off and on"
+            self._name, operation, f"{reason} after {polling.limit_s:g} s", "switch it off and on"
         )

@@ -145,8 +145,8 @@ class OnVideo:
 
     def _display_image(self, image: int) -> None:
         self._displayed_image = None
-        there = [i for i, slot in enumerate(self._slots) if slot.image == image]
-        chosen = slice(there[0], there[-1] + 1)
+        planes = [i for i, slot in enumerate(self._slots) if slot.image == image]
+        chosen = slice(planes[0], planes[-1] + 1)
         self._show_planes(next(pack_images(self._patterns[chosen], self._slots[chosen])))
         self._displayed_image = image
 

@@ -61,6 +61,6 @@ def hardware_faults(hardware: Values) -> list[str]:
     return [description for name, description in HARDWARE_FAULTS.items() if hardware[name]]
 
 
-def validation_messages(validation: Values, known: Mapping[str, str]) -> list[str]:
+def validation_messages(validation: Values, descriptions: Mapping[str, str]) -> list[str]:
     """Describe what a finished validation found."""
-    return [description for name, description in known.items() if validation[name]]
+    return [description for name, description in descriptions.items() if validation[name]]

@@ -324,5 +324,5 @@ class Link:
             "check its power and cable, and open it again",
         )
 
-    def _protocol_error(self, operation: str, found: str) -> ProtocolError:
-        return ProtocolError(self.name, operation, found, "switch the projector off and on")
+    def _protocol_error(self, operation: str, reason: str) -> ProtocolError:
+        return ProtocolError(self.name, operation, reason, "switch the projector off and on")

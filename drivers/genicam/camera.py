@@ -34,10 +34,10 @@ class GenicamCamera(Camera):
         """Make the camera raw, apply the rig file's options, and read what it can do."""
         self._make_raw()
         self._apply_options()
-        self._known = self._read_caps()
+        self._present_caps = self._read_caps()
 
     def _caps(self) -> CameraCaps:
-        return self._known
+        return self._present_caps
 
     def _configure(self, settings: CameraSettings) -> CameraSettings:
         self._forget()  # settings that are refused may have been applied in part
@@ -45,7 +45,7 @@ class GenicamCamera(Camera):
         self._features.write(named.PIXEL_FORMAT, self._format(settings.bits), "configure")
         back_us = self._features.write(named.EXPOSURE_US, exposure_us, "configure", tolerance=exposure_us)
         gain_db = self._gain.set_db(settings.gain_db)
-        self._known = self._read_caps()
+        self._present_caps = self._read_caps()
         return CameraSettings(back_us / US_PER_S, gain_db, settings.bits)
 
     def _make_raw(self) -> None:
@@ -65,8 +65,8 @@ class GenicamCamera(Camera):
         if options.black_level is not None:
             write(named.BLACK_LEVEL, options.black_level, "open", tolerance=0.5)
         if options.shutter is not None and self._features.has(named.SHUTTER):
-            names, known = SHUTTERS[options.shutter], self._features.choices(named.SHUTTER)
-            write(named.SHUTTER, next((name for name in names if name in known), names[0]), "open")
+            names, available = SHUTTERS[options.shutter], self._features.choices(named.SHUTTER)
+            write(named.SHUTTER, next((name for name in names if name in available), names[0]), "open")
 
     def _set_roi(self, roi: tuple[int, int, int, int] | None) -> None:
         write = self._features.write
@@ -126,8 +126,8 @@ class GenicamCamera(Camera):
         return (0.0, readout_s) if resets else (readout_s, 0.0)
 
     def _formats(self, bits: int) -> list[str]:
-        known = self._features.choices(named.PIXEL_FORMAT)
-        return [name for name in self.FORMATS[bits] if name in known]
+        available = self._features.choices(named.PIXEL_FORMAT)
+        return [name for name in self.FORMATS[bits] if name in available]
 
     def _format(self, bits: int) -> str:
         formats = self._formats(bits)

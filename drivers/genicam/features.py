@@ -51,7 +51,7 @@ class Features:
 
     def write(self, feature: FeatureNames, value: Any, operation: str, tolerance: float = 0.0) -> Any:
         """Set a feature and read it back."""
-        name, node = self._found(feature)
+        name, node = self._named_node(feature)
         if not node.IsWritable():
             if node.IsReadable() and node.GetValue() == value:
                 return value
@@ -81,7 +81,7 @@ class Features:
     def ensure(self, feature: FeatureNames, value: Any, operation: str) -> None:
         """Set a feature where the camera has it, and verify it."""
         self.write_if_possible(feature, value)
-        name, read_back = self._found(feature)[0], self.read(feature)
+        name, read_back = self._named_node(feature)[0], self.read(feature)
         if read_back is not None and read_back != value:
             raise SettingError(
                 self._device,
@@ -103,16 +103,16 @@ class Features:
 
     def execute(self, feature: FeatureNames, operation: str) -> None:
         """Carry out a command."""
-        name, node = self._found(feature)
+        name, node = self._named_node(feature)
         if not node.IsWritable():
             raise CapabilityError(self._device, operation, f"the camera does not take {name} at present")
         log_traffic(self._device, "to", name)
         node.Execute()
 
     def _node(self, feature: FeatureNames) -> Any:
-        return self._found(feature)[1]
+        return self._named_node(feature)[1]
 
-    def _found(self, feature: FeatureNames) -> tuple[str, Any]:
+    def _named_node(self, feature: FeatureNames) -> tuple[str, Any]:
         """Return the name by which the camera has a feature, and its node; else the first name."""
         node_map = self._camera.GetNodeMap()
         nodes = [(name, node_map.GetNode(name)) for name in feature]

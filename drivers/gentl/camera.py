@@ -119,7 +119,7 @@ class GentlCamera(GenicamCamera):
         if self._trigger == "software":
             self._await_ready("read")
             self._features.execute(named.SOFTWARE_TRIGGER, "read")
-            self._ready_s = time.monotonic() + (self._known.period_s or 0.0)
+            self._ready_s = time.monotonic() + (self._present_caps.period_s or 0.0)
         frame: GentlFrame | None = self._end.fetch(timeout_s)
         host_time_s = time.time()
         if frame is None:

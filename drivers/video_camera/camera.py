@@ -72,7 +72,7 @@ class VideoCamera(Camera):
         self._make_raw()
         self._exposure, self._gain = self._own_exposure(), self._device.control(GAIN)
         self._set_format(next(iter(self._bits.values())))
-        self._known = self._read_caps()
+        self._present_caps = self._read_caps()
 
     def _close(self) -> None:
         device, self._device = self._device, None
@@ -83,7 +83,7 @@ class VideoCamera(Camera):
         return DeviceInfo("camera", self._card, self._options.device, f"video, {self._bus}")
 
     def _caps(self) -> CameraCaps:
-        return self._known
+        return self._present_caps
 
     def _configure(self, settings: CameraSettings) -> CameraSettings:
         self._forget()  # settings that are refused may have been applied in part
@@ -91,7 +91,7 @@ class VideoCamera(Camera):
         units = round(settings.exposure_s / UNIT_S)
         exposure_s = self._set(EXPOSURE_100_US, units, self._exposure) * UNIT_S
         gain_db = self._set_gain(settings.gain_db)
-        self._known = self._read_caps()
+        self._present_caps = self._read_caps()
         return CameraSettings(exposure_s, gain_db, settings.bits)
 
     def _arm(self, n: int, trigger: Trigger) -> None:

@@ -46,22 +46,22 @@ def acquire(rig: Rig, plan: Plan, session: Session, observe: FrameObserver = ign
     settings = rig.camera_settings(plan.exposure_s, plan.bits)
     caps = rig.projector.caps
     patterns = make_patterns(plan, caps.size, caps.lattice)
-    wanted = session.missing()
-    ends = end_markers(plan, caps.size) if wanted else []
-    _log.info("%d frames are to be taken, %g s each", len(wanted), settings.exposure_s)
+    missing = session.missing()
+    ends = end_markers(plan, caps.size) if missing else []
+    _log.info("%d frames are to be taken, %g s each", len(missing), settings.exposure_s)
     brightness = []
     with (
         write_frames(session, observe) as record,
-        closing(expose(rig, [*(patterns[i] for i in wanted), *ends], settings, plan)) as shots,
+        closing(expose(rig, [*(patterns[i] for i in missing), *ends], settings, plan)) as shots,
     ):
-        for index, shot in zip(wanted, shots, strict=False):
+        for index, shot in zip(missing, shots, strict=False):
             record(shot.showing(patterns[index].id, index))
             if ends:
                 brightness.append(float(shot.image.mean()))
         brightness += [float(shot.image.mean()) for shot in shots]
     if ends and not _ended(brightness):
         raise _out_of_step(rig, session, NO_END_MARKER)
-    if wanted:
+    if missing:
         _prove(rig, session)
 
 

@@ -247,26 +247,26 @@ class _Spaces:
     """The spaces in which frames lie under H hypotheses: orthogonal axes in the space of the K frames.
 
     axes: (H, K, R), zero rows where a frame shows something else. square: (H, R), the axes' squared
-    lengths, of which those that count are `free`. known: (H, K), frames that show a pattern. freedom: (H,),
-    the number of dimensions left to misfit.
+    lengths, of which those that count are `free`. has_pattern: (H, K), frames that show a pattern.
+    freedom: (H,), the number of dimensions left to misfit.
     """
 
     axes: Floats
     square: Floats
     free: Mask
-    known: Floats
+    has_pattern: Floats
     freedom: NDArray[np.int64]
 
     def residual(self, moment: Floats) -> Floats:
         """Residual sum of squares of each hypothesis, (H,)."""
         spread = np.einsum("hkr,hkr->hr", self.axes, np.matmul(moment, self.axes)) / self.square
-        whole = self.known @ np.diag(moment)
+        whole = self.has_pattern @ np.diag(moment)
         return np.asarray(np.maximum(whole - np.where(self.free, spread, 0.0).sum(axis=1), 0.0))
 
     def likelihood(self, moments: Moments) -> Floats:
         """Logarithm of each hypothesis' marginal likelihood per pixel, up to a constant, (H,)."""
         residual = self.residual(moments.all)
-        foreign = self.known.shape[1] - self.known.sum(axis=1)
+        foreign = self.has_pattern.shape[1] - self.has_pattern.sum(axis=1)
         variance = np.maximum(residual / np.maximum(self.freedom, 1), LIMITS.misfit_in_step**2)
         volume = np.where(self.free, np.log(self.square * LIMITS.prior_variance), 0.0).sum(axis=1)
         deviance = self.freedom * np.log(variance) + residual / variance + volume
@@ -284,12 +284,15 @@ def _spaces(
     """The space of frames in step, and then those of the faults named."""
     count = plan.images
     shown: list[list[int | None]] = [list(range(count)), *(fault.shown(count) for fault in named)]
-    known = np.array([[k is not None for k in row] for row in shown], np.float64)
-    waves = _waves(plan, harmonics, own_offsets)[[[k or 0 for k in row] for row in shown]] * known[..., None]
+    has_pattern = np.array([[k is not None for k in row] for row in shown], np.float64)
+    waves = (
+        _waves(plan, harmonics, own_offsets)[[[k or 0 for k in row] for row in shown]]
+        * has_pattern[..., None]
+    )
     square, directions = np.linalg.eigh(waves.transpose(0, 2, 1) @ waves)
     free = square > 1e-9 * count
-    freedom = known.sum(axis=1).astype(int) - free.sum(axis=1)
-    return _Spaces(waves @ directions, np.where(free, square, 1.0), free, known, freedom)
+    freedom = has_pattern.sum(axis=1).astype(int) - free.sum(axis=1)
+    return _Spaces(waves @ directions, np.where(free, square, 1.0), free, has_pattern, freedom)
 
 
 def _decide(moments: Moments, plan: Plan) -> SyncVerdict:

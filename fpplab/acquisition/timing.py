@@ -78,24 +78,24 @@ def pulse_timing(
     light_s = exposure_s + caps.readout_s
     _check_light(camera, projector, patterns, exposure_s)
     end_s = light_s + caps.dark_s
-    least = {PeriodLimit.EXPOSURE: end_s, PeriodLimit.LOADS: projector.loads.period_s}
+    periods_s = {PeriodLimit.EXPOSURE: end_s, PeriodLimit.LOADS: projector.loads.period_s}
     for limit, ready_s in _ready(caps.period_s, end_s, dead_s).items():
-        least[limit] = ready_s * (1 + CLOCK_TOLERANCE)
-    limit = max(least, key=lambda one: least[one])
-    period_s = max(least[limit] + gap_s, end_s, projector.loads.period_s)  # the projector waits for these
+        periods_s[limit] = ready_s * (1 + CLOCK_TOLERANCE)
+    limit = max(periods_s, key=lambda reason: periods_s[reason])
+    period_s = max(periods_s[limit] + gap_s, end_s, projector.loads.period_s)  # the projector waits for these
     if light_s < period_s < light_s + shown.gap_s:
         limit, period_s = PeriodLimit.GAP, light_s + shown.gap_s
     return PulseTiming(light_s, caps.dark_s, period_s, limit)
 
 
-def _ready(told_s: float | None, end_s: float, dead_s: float | None) -> dict[PeriodLimit, float]:
+def _ready(reported_s: float | None, end_s: float, dead_s: float | None) -> dict[PeriodLimit, float]:
     """When the camera takes the next pulse, by who says so: s from the last one, by the camera's clock."""
-    if told_s is None and dead_s is None:
+    if reported_s is None and dead_s is None:
         return {PeriodLimit.UNTOLD: end_s + UNKNOWN_DEAD_S}
-    found = {} if told_s is None else {PeriodLimit.CAMERA: told_s}
+    times_s = {} if reported_s is None else {PeriodLimit.CAMERA: reported_s}
     # A stated time of 0 says nothing about a camera that tells its period.
-    return found | (
-        {PeriodLimit.STATED: end_s + dead_s} if dead_s or (told_s is None and dead_s == 0) else {}
+    return times_s | (
+        {PeriodLimit.STATED: end_s + dead_s} if dead_s or (reported_s is None and dead_s == 0) else {}
     )
 
 

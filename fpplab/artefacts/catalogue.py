@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 def artefact_types() -> dict[str, type[Artefact]]:
     """List the artefacts and standards by name, sorted by `Artefact.order` and then by name."""
-    found: dict[str, type[Artefact]] = {}
+    types: dict[str, type[Artefact]] = {}
     for entry in iter_modules(shapes.__path__):
         module = import_module(f"{shapes.__name__}.{entry.name}")
         defined = [
@@ -34,8 +34,8 @@ def artefact_types() -> dict[str, type[Artefact]]:
             raise TypeError(
                 f"{module.__name__} must define exactly one subclass of Artefact, not {len(defined)}"
             )
-        found[entry.name] = defined[0]
-    return dict(sorted(found.items(), key=lambda item: (item[1].order, item[0])))
+        types[entry.name] = defined[0]
+    return dict(sorted(types.items(), key=lambda item: (item[1].order, item[0])))
 
 
 NAMES = tuple(name for name, shape in artefact_types().items() if not shape.is_standard)
@@ -64,10 +64,10 @@ def usual_sizes(name: str) -> dict[str, Lengths]:
 
 
 def _artefact_type(name: str) -> type[Artefact]:
-    known = artefact_types()
-    if name not in known:
-        raise ConfigError(f"there is no artefact '{name}'; there are {', '.join(known)}")
-    return known[name]
+    types = artefact_types()
+    if name not in types:
+        raise ConfigError(f"there is no artefact '{name}'; there are {', '.join(types)}")
+    return types[name]
 
 
 def save_stl(mesh: trimesh.Trimesh, path: Path) -> None:

@@ -27,14 +27,14 @@ class PlacedArtefact:
 def recognise(mesh: trimesh.Trimesh) -> PlacedArtefact | None:
     """Recognise an artefact or standard of usual size by its mesh, wherever that is placed."""
     for shape in artefact_types().values():
-        known = shape()
-        drawn = np.asarray(known.mesh().triangles, np.float64).reshape(-1, 3)
-        seen = np.asarray(mesh.triangles, np.float64).reshape(-1, 3)
-        if len(drawn) != len(seen):
+        artefact = shape()
+        drawn = np.asarray(artefact.mesh().triangles, np.float64).reshape(-1, 3)
+        triangles = np.asarray(mesh.triangles, np.float64).reshape(-1, 3)
+        if len(drawn) != len(triangles):
             continue
-        turn, _ = Rotation.align_vectors(seen - seen.mean(axis=0), drawn - drawn.mean(axis=0))
+        turn, _ = Rotation.align_vectors(triangles - triangles.mean(axis=0), drawn - drawn.mean(axis=0))
         rotation = turn.as_matrix()
-        pose = RigidTransform(rotation, seen.mean(axis=0) - rotation @ drawn.mean(axis=0))
-        if np.abs(pose.apply(drawn) - seen).max() <= 1e-3:  # mm, chosen: files have 32 bit floats
-            return PlacedArtefact(known, pose)
+        pose = RigidTransform(rotation, triangles.mean(axis=0) - rotation @ drawn.mean(axis=0))
+        if np.abs(pose.apply(drawn) - triangles).max() <= 1e-3:  # mm, chosen: files have 32 bit floats
+            return PlacedArtefact(artefact, pose)
     return None

@@ -124,7 +124,7 @@ def unknown_command(path: str, word: str, commands: Sequence[str]) -> str:
     usable = {
         name: commands_meant
         for name, commands_meant in SYNONYMS.items()
-        if all(one in commands for one in commands_meant)
+        if all(meant_command in commands for meant_command in commands_meant)
     }
     closest = _closest(lower, [*commands, *usable])
     if closest is None:

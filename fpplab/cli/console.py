@@ -54,19 +54,19 @@ def progress(what: str) -> Iterator[Progress]:
 
 @contextmanager
 def telling_progress(what: str) -> Iterator[tuple[Progress, Say]]:
-    """Show a progress bar as `progress` does, whose words change with what is done."""
-    with _words_and_bar(what) as both:
+    """Show a progress bar as `progress` does, whose message changes with what is done."""
+    with _message_and_bar(what) as both:
         yield both
 
 
 @contextmanager
 def _bar(what: str) -> Iterator[Progress]:
-    with _words_and_bar(what) as (report, _):
+    with _message_and_bar(what) as (report, _):
         yield report
 
 
 @contextmanager
-def _words_and_bar(what: str) -> Iterator[tuple[Progress, Say]]:
+def _message_and_bar(what: str) -> Iterator[tuple[Progress, Say]]:
     if not stderr.is_terminal:
         log_status(f"{what} …")
         yield no_progress, ignore
@@ -80,7 +80,7 @@ def _words_and_bar(what: str) -> Iterator[tuple[Progress, Say]]:
         task = bars.add_task(what, total=1.0)
         yield (
             lambda share: bars.update(task, completed=share),
-            lambda words: bars.update(task, description=escape(f"{what}: {words}")),
+            lambda message: bars.update(task, description=escape(f"{what}: {message}")),
         )
 
 
@@ -90,12 +90,12 @@ def log_status(sentence: str) -> None:
         stderr.print(sentence, soft_wrap=True, markup=False)
 
 
-def print_result(result: dict[str, Any], as_json: bool, words: Callable[[], None] | None = None) -> None:
-    """Print the command's result: exactly one JSON object, or words for a person."""
+def print_result(result: dict[str, Any], as_json: bool, show: Callable[[], None] | None = None) -> None:
+    """Print the command's result: exactly one JSON object, or text for a person."""
     if as_json:
         sys.stdout.write(json.dumps(result, default=_plain, allow_nan=False) + "\n")
-    elif words:
-        words()
+    elif show:
+        show()
     else:
         for key, value in result.items():
             if key == "provenance":  # the report shows it as a table
@@ -108,7 +108,7 @@ def print_result(result: dict[str, Any], as_json: bool, words: Callable[[], None
 
 
 def conclude(
-    diagnosis: Diagnosis, name: str, result: dict[str, Any], as_json: bool, words: Callable[[], None]
+    diagnosis: Diagnosis, name: str, result: dict[str, Any], as_json: bool, show: Callable[[], None]
 ) -> None:
     """Print a verdict in the first line, and then the result; refuse one that nobody should use."""
     log_status(diagnosis.sentence)
@@ -116,7 +116,7 @@ def conclude(
         is_reason = finding.sentence == diagnosis.reason  # which the first line has said
         log_status(f"  {finding.remedy}" if is_reason else f"  {finding.sentence}; {finding.remedy}")
     if not (as_json and diagnosis.is_useless):
-        print_result(result, as_json, words)
+        print_result(result, as_json, show)
     diagnosis.require_usable(name, result)
 
 
@@ -159,7 +159,7 @@ def run_program(command: Callable[[], object], as_json: bool) -> NoReturn:
     """
     interrupts.watch_signals()
     try:
-        _check_words(sys.argv[1:])
+        _check_arguments(sys.argv[1:])
         command()
         sys.stdout.flush()
     except BaseException as error:  # noqa: BLE001 - each kind has its own answer
@@ -180,11 +180,11 @@ def _is_answered(error: BaseException) -> bool:
     return isinstance(error, CommandExit) or (isinstance(error, SystemExit) and not error.code)
 
 
-def _check_words(words: Sequence[str]) -> None:
+def _check_arguments(arguments: Sequence[str]) -> None:
     """Refuse names that are no text: nothing could print them, or write them into a record."""
-    for word in words:
-        shown = word.encode("utf-8", "replace").decode("utf-8")
-        if shown != word:
+    for argument in arguments:
+        shown = argument.encode("utf-8", "replace").decode("utf-8")
+        if shown != argument:
             raise ConfigError(f"{shown}: is not text in UTF-8; rename the file")
 
 

@@ -20,24 +20,24 @@ class VariadicOptionsCommand(TyperCommand):
     """Lets the options of `LISTS` be followed by any number of paths."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse the words of the command."""
+        """Parse the arguments of the command."""
         return super().parse_args(ctx, spread(args))
 
 
-def spread(words: Sequence[str]) -> list[str]:
+def spread(arguments: Sequence[str]) -> list[str]:
     """Repeat an option before each of its paths: `--spheres A B` becomes `--spheres A --spheres B`."""
     plain: list[str] = []
     current, followed = "", True
-    for word in [*words, "-"]:
-        if current and not word.startswith("-"):
-            plain += [current, word]
+    for argument in [*arguments, "-"]:
+        if current and not argument.startswith("-"):
+            plain += [current, argument]
             followed = True
         elif not followed:
             raise ConfigError(f"{current} is followed by no path; name the clouds or sessions")
-        elif word in LISTS:
-            current, followed = word, False
+        elif argument in LISTS:
+            current, followed = argument, False
         else:
-            plain.append(word)
+            plain.append(argument)
             current = ""
     return plain[:-1]
 
@@ -46,11 +46,11 @@ GLOBAL, GLOBAL_WITH_VALUE = ("--verbose", "-v", "--trace"), ("--log", "--allow",
 """Options of the program itself, and those of them that are followed by a value."""
 
 
-def global_first(words: Sequence[str]) -> list[str]:
+def global_first(arguments: Sequence[str]) -> list[str]:
     """Put the options of the program before its command: `scan -v` becomes `-v scan`."""
     front: list[str] = []
     rest: list[str] = []
-    remaining = list(words)
+    remaining = list(arguments)
     while remaining and remaining[0] != "--":
         word = remaining.pop(0)
         if word in GLOBAL or word.startswith(tuple(f"{option}=" for option in GLOBAL_WITH_VALUE)):

@@ -28,7 +28,7 @@ class StderrHandler(logging.Handler):
         return "" if record.levelno >= logging.WARNING else f"{record.relativeCreated / 1e3:8.3f} s  "
 
 
-def start_logging(verbose: bool, file: Path | None, words: Sequence[str]) -> None:
+def start_logging(verbose: bool, file: Path | None, arguments: Sequence[str]) -> None:
     """Write what the packages log, as the options say; without options everything stays as Python has it."""
     stop_logging()
     if not (verbose or file):
@@ -45,7 +45,7 @@ def start_logging(verbose: bool, file: Path | None, words: Sequence[str]) -> Non
         logging.getLogger(name).setLevel(logging.DEBUG if file else logging.INFO)
         for handler in _installed:
             logging.getLogger(name).addHandler(handler)
-    _log.info("fpplab %s: %s", __version__, " ".join(words))
+    _log.info("fpplab %s: %s", __version__, " ".join(arguments))
     _log.debug("%s", host_facts())
 
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from fpplab.viewer.measurement import MeasurementView
     from fpplab.viewer.response import ResponseView
     from fpplab.viewer.search import SearchView
-    from fpplab.viewer.server import Shown
+    from fpplab.viewer.server import ViewerPlace
     from fpplab.viewer.viewer import Viewer
 
     V = TypeVar("V", bound=CommandView)
@@ -42,14 +42,14 @@ KeepOpen = Annotated[
 
 
 def open_viewer(
-    context: typer.Context, view: type[V], wanted: bool, keep_open: bool, recording: Path | None
+    context: typer.Context, view: type[V], requested: bool, keep_open: bool, recording: Path | None
 ) -> Viewer[V]:
     """Make the viewer of a command; it is closed when the command has ended, after its answer."""
-    if wanted or keep_open:
+    if requested or keep_open:
         need_extra("rerun")
     from fpplab.viewer.viewer import Viewer
 
-    shown: Shown | None = "anywhere" if wanted or keep_open else None
+    shown: ViewerPlace | None = "anywhere" if requested or keep_open else None
     keep = recording if shown else None
     viewer = Viewer(view, shown, keep, lambda where: console.log_status(f"Watch it at {where}"))
 
@@ -186,57 +186,57 @@ class SearchObserver(ConsoleObserver):
 
 
 def observe_measurement(
-    context: typer.Context, wanted: bool, keep_open: bool, recording: Path | None
+    context: typer.Context, requested: bool, keep_open: bool, recording: Path | None
 ) -> Observer:
     """Make what follows a measurement: the terminal, and the viewer where it is asked for."""
-    if not (wanted or keep_open):
+    if not (requested or keep_open):
         return ConsoleObserver()
     need_extra("rerun")
     from fpplab.viewer.measurement import MeasurementView
 
-    viewer = open_viewer(context, MeasurementView, wanted, keep_open, recording)
+    viewer = open_viewer(context, MeasurementView, requested, keep_open, recording)
     return MeasurementObserver(viewer, MeasurementView)
 
 
 def observe_characterisation(
-    context: typer.Context, wanted: bool, keep_open: bool, recording: Path
+    context: typer.Context, requested: bool, keep_open: bool, recording: Path
 ) -> Observer:
     """Make what follows a characterisation."""
-    if not (wanted or keep_open):
+    if not (requested or keep_open):
         return ConsoleObserver()
     need_extra("rerun")
     from fpplab.viewer.characterisation import CharacterisationView
 
-    viewer = open_viewer(context, CharacterisationView, wanted, keep_open, recording)
+    viewer = open_viewer(context, CharacterisationView, requested, keep_open, recording)
     return CharacterisationObserver(viewer, CharacterisationView)
 
 
-def observe_acceptance(context: typer.Context, wanted: bool, keep_open: bool, recording: Path) -> Observer:
+def observe_acceptance(context: typer.Context, requested: bool, keep_open: bool, recording: Path) -> Observer:
     """Make what follows an acceptance test."""
-    if not (wanted or keep_open):
+    if not (requested or keep_open):
         return ConsoleObserver()
     need_extra("rerun")
     from fpplab.viewer.acceptance import AcceptanceView
 
-    viewer = open_viewer(context, AcceptanceView, wanted, keep_open, recording)
+    viewer = open_viewer(context, AcceptanceView, requested, keep_open, recording)
     return AcceptanceObserver(viewer, AcceptanceView)
 
 
-def observe_response(context: typer.Context, wanted: bool, keep_open: bool, recording: Path) -> Observer:
+def observe_response(context: typer.Context, requested: bool, keep_open: bool, recording: Path) -> Observer:
     """Make what follows a measurement of the response."""
-    if not (wanted or keep_open):
+    if not (requested or keep_open):
         return ConsoleObserver()
     need_extra("rerun")
     from fpplab.viewer.response import ResponseView
 
-    return ResponseObserver(open_viewer(context, ResponseView, wanted, keep_open, recording))
+    return ResponseObserver(open_viewer(context, ResponseView, requested, keep_open, recording))
 
 
-def observe_search(context: typer.Context, wanted: bool, keep_open: bool, recording: Path) -> Observer:
+def observe_search(context: typer.Context, requested: bool, keep_open: bool, recording: Path) -> Observer:
     """Make what follows a search."""
-    if not (wanted or keep_open):
+    if not (requested or keep_open):
         return SearchObserver(None)
     need_extra("rerun")
     from fpplab.viewer.search import SearchView
 
-    return SearchObserver(open_viewer(context, SearchView, wanted, keep_open, recording))
+    return SearchObserver(open_viewer(context, SearchView, requested, keep_open, recording))

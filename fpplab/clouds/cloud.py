@@ -102,10 +102,12 @@ class Cloud:
         return len(self.points)
 
     def __repr__(self) -> str:
-        known = [name for name in ("pixels", "normals", "colour", *SIGMAS) if getattr(self, name) is not None]
+        attributes = [
+            name for name in ("pixels", "normals", "colour", *SIGMAS) if getattr(self, name) is not None
+        ]
         low, high = self.points.min(axis=0), self.points.max(axis=0)
         extent = " x ".join(f"{length:.1f}" for length in high - low)
-        return f"<Cloud: {len(self)} points, {extent} mm{'; ' * bool(known)}{', '.join(known)}>"
+        return f"<Cloud: {len(self)} points, {extent} mm{'; ' * bool(attributes)}{', '.join(attributes)}>"
 
     def _repr_html_(self) -> str:
         low, high = self.points.min(axis=0), self.points.max(axis=0)
@@ -146,9 +148,9 @@ class Cloud:
             values = self._named(values)
         if values.shape != (len(self),):
             raise DataError(f"cloud: values of {values.shape} do not fit {len(self)} points")
-        found = np.full((self.size[1], self.size[0]), np.nan, np.float32)
-        found[self.pixels[:, 1], self.pixels[:, 0]] = values
-        return found
+        arranged = np.full((self.size[1], self.size[0]), np.nan, np.float32)
+        arranged[self.pixels[:, 1], self.pixels[:, 0]] = values
+        return arranged
 
     def plot(self, values: str = "z", axes: Axes | None = None) -> Axes:
         """Draw the cloud, coloured: over the camera's pixels, or from the camera where they are not known.
@@ -193,8 +195,8 @@ class Cloud:
             raise ConfigError(f"values: '{name}' must be one of {', '.join((*_AXES, *_PLOTTED))}")
         values: NDArray[Any] | None = getattr(self, name)
         if values is None:
-            known = [one for one in _PLOTTED if getattr(self, one) is not None]
-            raise DataError(f"cloud: {name} is not known; known are {', '.join((*_AXES, *known))}")
+            available = [attribute for attribute in _PLOTTED if getattr(self, attribute) is not None]
+            raise DataError(f"cloud: {name} is not known; known are {', '.join((*_AXES, *available))}")
         return values
 
     def to_trimesh(self) -> trimesh.Trimesh:
@@ -231,13 +233,13 @@ class Cloud:
         need_extra("open3d")
         from open3d import geometry, utility
 
-        found = geometry.PointCloud(utility.Vector3dVector(self.points.astype(np.float64)))
+        cloud = geometry.PointCloud(utility.Vector3dVector(self.points.astype(np.float64)))
         if self.normals is not None:
-            found.normals = utility.Vector3dVector(self.normals.astype(np.float64))
+            cloud.normals = utility.Vector3dVector(self.normals.astype(np.float64))
         if self.colour is not None:
             grey = np.repeat(self.colour[:, None] / 255.0, 3, axis=1)
-            found.colors = utility.Vector3dVector(grey)
-        return found
+            cloud.colors = utility.Vector3dVector(grey)
+        return cloud
 
     def to_xarray(self) -> Any:
         """Convert to a data set of xarray.
@@ -308,8 +310,10 @@ class Cloud:
         parts: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "size"}
         if kept.shape != (len(self),):
             raise DataError(f"cloud: a selection of {kept.shape} does not fit {len(self)} points")
-        known = [name for name, part in parts.items() if part is not None]
-        chosen: dict[str, Any] = dict(zip(known, select([parts[name] for name in known], kept), strict=True))
+        present = [name for name, part in parts.items() if part is not None]
+        chosen: dict[str, Any] = dict(
+            zip(present, select([parts[name] for name in present], kept), strict=True)
+        )
         return replace(self, **chosen)
 
     def grid(self) -> PixelGrid:
@@ -350,17 +354,17 @@ class Cloud:
         return self.points, self.grid().faces()
 
 
-def _root_of_squares(one: CloudPoints, other: CloudPoints) -> CloudPoints:
+def _root_of_squares(a: CloudPoints, b: CloudPoints) -> CloudPoints:
     """As `np.hypot`, which takes ten times as long, to avoid overflows that no uncertainty comes near."""
-    found = buffers.empty(len(one))
-    _add_in_quadrature(one, other, found)
-    return found
+    root = buffers.empty(len(a))
+    _add_in_quadrature(a, b, root)
+    return root
 
 
 @njit(parallel=True, cache=True)
-def _add_in_quadrature(one: CloudPoints, other: CloudPoints, found: CloudPoints) -> None:
-    for i in prange(len(one)):
-        found[i] = np.sqrt(one[i] * one[i] + other[i] * other[i])
+def _add_in_quadrature(a: CloudPoints, b: CloudPoints, root: CloudPoints) -> None:
+    for i in prange(len(a)):
+        root[i] = np.sqrt(a[i] * a[i] + b[i] * b[i])
 
 
 def local_quadric_distance(cloud: Cloud, window: int = 15) -> CloudPoints:

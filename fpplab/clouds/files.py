@@ -139,10 +139,10 @@ def load_mesh(path: Path | str) -> trimesh.Trimesh:
     return trimesh.Trimesh(vertices, faces)
 
 
-def _known_suffix(path: Path, known: tuple[str, ...]) -> str:
+def _known_suffix(path: Path, suffixes: tuple[str, ...]) -> str:
     suffix = path.suffix.lower()
-    if suffix not in known:
-        raise ConfigError(f"{path}: the suffix must be one of {', '.join(known)}")
+    if suffix not in suffixes:
+        raise ConfigError(f"{path}: the suffix must be one of {', '.join(suffixes)}")
     return suffix
 
 
@@ -152,13 +152,13 @@ def _write_npz(cloud: Cloud, stream: BinaryIO) -> None:
 
 
 def _read_npz(path: Path) -> Cloud:
-    known = load_arrays(path, [f.name for f in fields(Cloud)])
-    if "points" not in known:
+    arrays = load_arrays(path, [f.name for f in fields(Cloud)])
+    if "points" not in arrays:
         raise ValueError("it has no 'points'")
-    if "size" not in known:
-        return Cloud(**known)  # type: ignore[arg-type]
-    width, height = known.pop("size").tolist()
-    return Cloud(**known, size=(int(width), int(height)))
+    if "size" not in arrays:
+        return Cloud(**arrays)  # type: ignore[arg-type]
+    width, height = arrays.pop("size").tolist()
+    return Cloud(**arrays, size=(int(width), int(height)))
 
 
 def _write_xyz(cloud: Cloud, stream: BinaryIO) -> None:

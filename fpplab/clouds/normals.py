@@ -32,7 +32,7 @@ _ROWS = 9 * (_PART + 16)
 
 @njit(parallel=True, cache=True, error_model="numpy")
 def surface_normals(
-    index: NDArray[np.int32], a: Map, b: Map, w: Map, noise: Map, found: NDArray[np.float32]
+    index: NDArray[np.int32], a: Map, b: Map, w: Map, noise: Map, normals: NDArray[np.float32]
 ) -> None:
     """Compute the normals of all points of a pixel grid."""
     # index (height, width); a, b, w, noise (height, width); found (N, 3)
@@ -47,13 +47,13 @@ def surface_normals(
                     low, high = max(0, -shift - first), min(n, width - shift - first)
                     if 0 <= y < height and low < high:
                         here = slice(first + low, first + high)
-                        there = slice(first + low + shift, first + high + shift)
+                        window = slice(first + low + shift, first + high + shift)
                         _add_neighbours(
                             *(a[v, here], b[v, here], w[v, here], noise[v, here]),
-                            *(a[y, there], b[y, there], w[y, there], noise[y, there]),
+                            *(a[y, window], b[y, window], w[y, window], noise[y, window]),
                             *(sums[low:], high - low),
                         )
-            _solve_planes(index[v, first:], a[v, first:], b[v, first:], w[v, first:], sums, n, found)
+            _solve_planes(index[v, first:], a[v, first:], b[v, first:], w[v, first:], sums, n, normals)
 
 
 @njit(error_model="numpy")
@@ -80,7 +80,7 @@ def _add_neighbours(
 
 
 @njit(error_model="numpy")
-def _solve_planes(index: Any, a0: Any, b0: Any, w0: Any, sums: Any, n: int, found: Any) -> None:
+def _solve_planes(index: Any, a0: Any, b0: Any, w0: Any, sums: Any, n: int, normals: Any) -> None:
     """Turn the sums into normals."""
     for j in range(n):
         i = _u(j)
@@ -102,4 +102,4 @@ def _solve_planes(index: Any, a0: Any, b0: Any, w0: Any, sums: Any, n: int, foun
         i = _u(j)
         at = index[i]
         if at >= 0:
-            found[at, 0], found[at, 1], found[at, 2] = sums[i], sums[i + _SA], sums[i + _SB]
+            normals[at, 0], normals[at, 1], normals[at, 2] = sums[i], sums[i + _SA], sums[i + _SB]

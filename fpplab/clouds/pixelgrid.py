@@ -51,12 +51,12 @@ class PixelGrid:
         a, b, w, noise = (buffers.empty(shape) for _ in range(4))
         _clear(index, a, b, w, noise)
         none = np.empty(0, np.float32)
-        one, other = (*sigmas_mm, none, none)[:2]
+        first_sigma, second_sigma = (*sigmas_mm, none, none)[:2]
         _scatter(
             points=points,
             pixels=pixels,
-            sigma=one,
-            other_sigma=other,
+            sigma=first_sigma,
+            other_sigma=second_sigma,
             weight=NOISE_SIGMAS / np.sqrt(2.0),
             index=index,
             a=a,
@@ -69,9 +69,9 @@ class PixelGrid:
     def normals(self) -> GridPoints:
         """Compute normals from the plane through each point and its neighbours."""
         # returns (N, 3)
-        found = buffers.empty((self.count, 3))
-        surface_normals(self.index, self.a, self.b, self.w, self.noise, found)
-        return found
+        vectors = buffers.empty((self.count, 3))
+        surface_normals(self.index, self.a, self.b, self.w, self.noise, vectors)
+        return vectors
 
     def faces(self) -> PixelColumnsRows:
         """Triangulate neighbouring pixels, but not across jumps in depth.
@@ -83,9 +83,9 @@ class PixelGrid:
         planes = self.index, self.a, self.b, self.w, self.noise
         counts = np.zeros(len(self.index), np.int64)
         _faces(*planes, True, counts, np.empty((0, 3), np.int32))
-        found = np.empty((int(counts.sum()), 3), np.int32)
-        _faces(*planes, False, np.cumsum(counts) - counts, found)
-        return found
+        triangles = np.empty((int(counts.sum()), 3), np.int32)
+        _faces(*planes, False, np.cumsum(counts) - counts, triangles)
+        return triangles
 
     def quadric_distances(self, window: int) -> GridPoints:
         """Compute each point's distance from the quadric fitted to its window.
@@ -93,12 +93,12 @@ class PixelGrid:
         The quadric is that of 1/z over the pixels. The point takes part in its own fit.
         """
         # returns (N,) mm
-        found = np.full(self.count, np.nan, np.float32)
+        distances = np.full(self.count, np.nan, np.float32)
         design = _quadric_design(window)
         inverse = np.ascontiguousarray(np.linalg.pinv(design)[:3])
         planes = self.index, self.a, self.b, self.w, self.noise
-        _quadric(*planes, design, inverse, self._slope_per_pixel(), found)
-        return found
+        _quadric(*planes, design, inverse, self._slope_per_pixel(), distances)
+        return distances
 
     def _slope_per_pixel(self) -> tuple[float, float]:
         """Compute the mean change of (a, b) from pixel to pixel; distortion changes it little."""
@@ -151,15 +151,15 @@ def _scatter(
 def at_pixels(values: NDArray[Any], pixels: PixelColumnsRows) -> NDArray[Any]:
     """Select the pixels of a map, on all processors."""
     # values (height, width); pixels (N, 2); returns (N,)
-    found = buffers.empty(len(pixels), values.dtype)
-    _at_pixels(values, pixels, found)
-    return found
+    selected = buffers.empty(len(pixels), values.dtype)
+    _at_pixels(values, pixels, selected)
+    return selected
 
 
 @njit(parallel=True, cache=True)
-def _at_pixels(values: NDArray[Any], pixels: PixelColumnsRows, found: NDArray[Any]) -> None:
+def _at_pixels(values: NDArray[Any], pixels: PixelColumnsRows, selected: NDArray[Any]) -> None:
     for i in prange(len(pixels)):
-        found[i] = values[pixels[i, 1], pixels[i, 0]]
+        selected[i] = values[pixels[i, 1], pixels[i, 0]]
 
 
 @njit(parallel=True, cache=True)
@@ -182,9 +182,9 @@ def _faces(
     noise: Map,
     counting: bool,
     starts: NDArray[np.int64],
-    found: PixelColumnsRows,
+    faces: PixelColumnsRows,
 ) -> None:
-    """Count the faces of each row into `starts`, or fill `found` from there."""
+    """Count the faces of each row into `starts`, or fill `faces` from there."""
     height, width = index.shape
     for v in prange(height - 1):
         at = 0 if counting else starts[v]
@@ -215,7 +215,7 @@ def _faces(
                 if whole:
                     if not counting:
                         for e in range(3):
-                            found[at, e] = index[v + triangle[e] // 2, u + triangle[e] % 2]
+                            faces[at, e] = index[v + triangle[e] // 2, u + triangle[e] % 2]
                     at += 1
         if counting:
             starts[v] = at
@@ -231,7 +231,7 @@ def _quadric(
     design: Floats,
     inverse: Floats,
     slope_per_pixel: tuple[float, float],
-    found: GridPoints,
+    distances: GridPoints,
 ) -> None:
     """Fill the distances from a quadric fitted to each window."""
     height, width = index.shape
@@ -261,7 +261,7 @@ def _quadric(
             gamma = fit[0] - alpha * a[v, u] - beta * b[v, u]
             # 1/fit - z along the ray's z, of which the normal's share is fit/|(α, β, γ)|.
             away = 1.0 - fit[0] / w[v, u]
-            found[i] = away / np.sqrt(alpha * alpha + beta * beta + gamma * gamma)
+            distances[i] = away / np.sqrt(alpha * alpha + beta * beta + gamma * gamma)
 
 
 @njit(cache=True, error_model="numpy")

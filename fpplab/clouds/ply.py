@@ -38,7 +38,7 @@ def write(columns: Mapping[str, NDArray[Any]], comments: list[str], stream: Bina
     lines += [f"property {_NAMES[kind]} {name}" for name, kind in kinds.items()]
     stream.write(("\n".join([*lines, "end_header"]) + "\n").encode("ascii"))
     dtype = np.dtype([(name, "<" + kind) for name, kind in kinds.items()])
-    with ThreadPoolExecutor(1) as beside:  # one half is written while the other is filled
+    with ThreadPoolExecutor(1) as writer:  # one half is written while the other is filled
         written: Future[int] | None = None
         halves = cycle(np.empty((2, _BLOCK), dtype))
         for start in range(0, count, _BLOCK):
@@ -46,7 +46,7 @@ def write(columns: Mapping[str, NDArray[Any]], comments: list[str], stream: Bina
             _fill(records, columns, start)
             if written is not None:
                 written.result()
-            written = beside.submit(stream.write, records.view(np.uint8).data)
+            written = writer.submit(stream.write, records.view(np.uint8).data)
         if written is not None:
             written.result()
 
@@ -69,10 +69,12 @@ def read(path: Path) -> tuple[VertexTable, list[str]]:
         order, count, kinds, comments = _header(stream)
         dtype = np.dtype([(name, (order if order != "=" else "<") + kind) for name, kind in kinds])
         # The number of vertices is believed only where the file has room for them.
-        left = path.stat().st_size - stream.tell()
-        least = max(1, 2 * len(kinds)) if order == "=" else dtype.itemsize
-        if count * least > left + (order == "="):  # the last line may have no end
-            raise ValueError(f"it ends after at most {left // least} of {count} vertices")
+        remaining_bytes = path.stat().st_size - stream.tell()
+        min_vertex_bytes = max(1, 2 * len(kinds)) if order == "=" else dtype.itemsize
+        if count * min_vertex_bytes > remaining_bytes + (order == "="):  # the last line may have no end
+            raise ValueError(
+                f"it ends after at most {remaining_bytes // min_vertex_bytes} of {count} vertices"
+            )
         if order == "=":
             rows = [stream.readline().split() for _ in range(count)]
             return np.array([tuple(map(float, row[: len(kinds)])) for row in rows], dtype), comments

@@ -24,10 +24,10 @@ def select(arrays: Sequence[NDArray[Any]], kept: Mask) -> list[NDArray[Any]]:
     count = int(runs[-1, 2] + runs[-1, 1] - runs[-1, 0]) if len(runs) else 0
     chosen = []
     for values in arrays:
-        found = buffers.empty((count, *values.shape[1:]), values.dtype)
+        selected = buffers.empty((count, *values.shape[1:]), values.dtype)
         width = values.shape[1] if values.ndim > 1 else 1
-        _copy(np.ascontiguousarray(values).reshape(-1), runs, width, found.reshape(-1))
-        chosen.append(found)
+        _copy(np.ascontiguousarray(values).reshape(-1), runs, width, selected.reshape(-1))
+        chosen.append(selected)
     return chosen
 
 
@@ -80,11 +80,11 @@ def _fill_places(runs: Runs, places: NDArray[np.int32]) -> None:
 
 
 @njit(parallel=True, cache=True)
-def _copy(values: NDArray[Any], runs: Runs, width: int, found: NDArray[Any]) -> None:
+def _copy(values: NDArray[Any], runs: Runs, width: int, selected: NDArray[Any]) -> None:
     for r in prange(len(runs)):
         first, to = runs[r, 0] * width, runs[r, 2] * width
         for k in range((runs[r, 1] - runs[r, 0]) * width):
-            found[to + k] = values[first + k]
+            selected[to + k] = values[first + k]
 
 
 @njit(parallel=True, cache=True)

@@ -67,9 +67,9 @@ def load_arrays(path: Path, names: Iterable[str]) -> dict[str, NDArray[Any]]:
         try:
             with zipfile.ZipFile(stream) as archive:
                 check_archive(archive, path.stat().st_size)
-                there = {member.filename: member for member in archive.infolist()}
-                found = {name: there[f"{name}.npy"] for name in names if f"{name}.npy" in there}
-                return {name: _array(archive, member) for name, member in found.items()}
+                members = {member.filename: member for member in archive.infolist()}
+                chosen = {name: members[f"{name}.npy"] for name in names if f"{name}.npy" in members}
+                return {name: _array(archive, member) for name, member in chosen.items()}
         except ValueError:
             raise
         except Exception as error:  # the unpackers raise exceptions of any kind
@@ -81,10 +81,10 @@ def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:
         shape, columns_first, dtype = array_head(inside)
         if dtype.kind not in NUMBERS:
             raise ValueError(f"{member.filename} is an array of {dtype}, not of numbers")
-        there, expected = member.file_size - inside.tell(), math.prod(shape) * dtype.itemsize
-        if there != expected:
-            raise ValueError(f"{member.filename} takes {expected} bytes, and {there} are there")
+        stored_bytes, expected_bytes = member.file_size - inside.tell(), math.prod(shape) * dtype.itemsize
+        if stored_bytes != expected_bytes:
+            raise ValueError(f"{member.filename} takes {expected_bytes} bytes, and {stored_bytes} are there")
         values: NDArray[Any] = np.empty(math.prod(shape), dtype)
-        if inside.readinto(values.view(np.uint8).data) != expected:  # type: ignore[attr-defined]
+        if inside.readinto(values.view(np.uint8).data) != expected_bytes:  # type: ignore[attr-defined]
             raise ValueError(f"{member.filename} is truncated")
     return values.reshape(shape, order="F" if columns_first else "C")

@@ -77,9 +77,9 @@ def _kept(size: int) -> _Block | None:
         while _returned:
             _free.append(_returned.popleft())
         fitting = [block for block in _free if size <= block.nbytes <= LIMITS.max_waste * size]
-        found = min(fitting, key=lambda block: block.nbytes, default=None)
-        kept = [block for block in _free if block is not found]
+        smallest = min(fitting, key=lambda block: block.nbytes, default=None)
+        kept = [block for block in _free if block is not smallest]
         while sum(block.nbytes for block in kept) > LIMITS.max_kept_bytes:
             del kept[0]
         _free[:] = kept
-        return found
+        return smallest

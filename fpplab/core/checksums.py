@@ -67,8 +67,8 @@ def write_recorded(path: Path, text: str, keep: bool = False) -> None:
 
 def check_recorded(path: Path, content: bytes) -> None:
     """Refuse a file that is not what its session wrote."""
-    known = _recorded(path.parent / CHECKSUMS, path.name)
-    if known and _sha256(content) not in known:
+    recorded = _recorded(path.parent / CHECKSUMS, path.name)
+    if recorded and _sha256(content) not in recorded:
         raise DataError(
             f"{path}: was changed since the session wrote it: its checksum is not in {CHECKSUMS}; put back "
             "the file as it was"
@@ -80,13 +80,13 @@ def recorded_files(folder: Path) -> list[RecordedFile]:
     record = folder / CHECKSUMS
     if not record.is_file():
         return []
-    found = []
+    records = []
     for number, line in enumerate(whole_lines(record), 1):
         try:
-            found.append(RecordedFile.of_line(line))
+            records.append(RecordedFile.of_line(line))
         except ValueError as error:
             raise DataError(f"{record} line {number}: is not the checksum of a file") from error
-    return found
+    return records
 
 
 def _sha256(content: bytes) -> str:
@@ -95,4 +95,4 @@ def _sha256(content: bytes) -> str:
 
 def _recorded(record: Path, name: str) -> list[str]:
     """Checksums of everything that was written under a name."""
-    return [one.sha256 for one in recorded_files(record.parent) if one.file == name]
+    return [entry.sha256 for entry in recorded_files(record.parent) if entry.file == name]

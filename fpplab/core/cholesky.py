@@ -9,7 +9,7 @@ from fpplab.core.conventions import Floats
 
 
 @njit(cache=True, error_model="numpy")
-def solve_positive(matrix: Floats, right: Floats, damping: float, found: Floats) -> bool:
+def solve_positive(matrix: Floats, right: Floats, damping: float, solution: Floats) -> bool:
     """Solve normal equations by Cholesky's method."""
     # matrix (n, n); right (n,); found (n,)
     n = len(right)
@@ -28,11 +28,11 @@ def solve_positive(matrix: Floats, right: Floats, damping: float, found: Floats)
     for k in range(n):
         rest = right[k]
         for q in range(k):
-            rest -= lower[k, q] * found[q]
-        found[k] = rest / lower[k, k]
+            rest -= lower[k, q] * solution[q]
+        solution[k] = rest / lower[k, k]
     for k in range(n - 1, -1, -1):
-        rest = found[k]
+        rest = solution[k]
         for q in range(k + 1, n):
-            rest -= lower[q, k] * found[q]
-        found[k] = rest / lower[k, k]
+            rest -= lower[q, k] * solution[q]
+        solution[k] = rest / lower[k, k]
     return True

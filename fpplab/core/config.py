@@ -174,7 +174,7 @@ def to_yaml(data: Any) -> str:
     return yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=100)
 
 
-def resolve_beside(name: str, folder: Path) -> str:
+def resolve_relative_to(name: str, folder: Path) -> str:
     """Resolve a name that a file refers to relative to that file's folder."""
     near = folder / name
     return str(near.resolve()) if name and near.exists() else name
@@ -211,12 +211,12 @@ def find_config(name: str | Path, kind: ConfigKind | None = None) -> Path:
 
 def _suggestion(path: Path, kind: ConfigKind | None) -> str:
     """What may have been meant by the path of a configuration that does not exist."""
-    known = shipped_configs(kind)
+    shipped = shipped_configs(kind)
     if kind is None:
-        known = [name for name in known if name.split("_")[0] == path.name.split("_")[0]] or known
+        shipped = [name for name in shipped if name.split("_")[0] == path.name.split("_")[0]] or shipped
     others = {other for other in get_args(ConfigKind) if other != kind}
     files = [p for p in sorted(path.parent.glob("*.yaml")) if p.name.split("_")[0] not in others or not kind]
-    beside = {p.stem: str(p) for p in files}
-    meant = get_close_matches(path.name.removesuffix(".yaml"), [*beside, *known], n=1, cutoff=0.7)
-    question = f"did you mean {beside.get(meant[0], meant[0])}? " if meant else ""
-    return f"{question}fpplab brings {', '.join(known)}"
+    nearby = {p.stem: str(p) for p in files}
+    meant = get_close_matches(path.name.removesuffix(".yaml"), [*nearby, *shipped], n=1, cutoff=0.7)
+    question = f"did you mean {nearby.get(meant[0], meant[0])}? " if meant else ""
+    return f"{question}fpplab brings {', '.join(shipped)}"

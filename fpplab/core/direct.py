@@ -58,19 +58,21 @@ class DirectWriter(io.BufferedIOBase):
         os.fsync(self._handle)
 
     def _empty_stage(self) -> None:
-        left = self._staged[: self._filled]
-        while left:
-            left = left[os.write(self._handle, left) :]
-            if left:  # what is left does not begin at a block; without the cache the reason would be lost
+        unwritten = self._staged[: self._filled]
+        while unwritten:
+            unwritten = unwritten[os.write(self._handle, unwritten) :]
+            if (
+                unwritten
+            ):  # what is left does not begin at a block; without the cache the reason would be lost
                 _set_direct(self._handle, False)
         self._before += self._filled
         self._filled = 0
 
 
-def _set_direct(handle: int, wanted: bool) -> None:
+def _set_direct(handle: int, direct: bool) -> None:
     """Switch the cache off or on, where the file system knows how; the file's content is the same."""
     if fcntl is None or not hasattr(os, "O_DIRECT"):
         return
     flags = fcntl.fcntl(handle, fcntl.F_GETFL)
     with suppress(OSError):
-        fcntl.fcntl(handle, fcntl.F_SETFL, flags | os.O_DIRECT if wanted else flags & ~os.O_DIRECT)
+        fcntl.fcntl(handle, fcntl.F_SETFL, flags | os.O_DIRECT if direct else flags & ~os.O_DIRECT)

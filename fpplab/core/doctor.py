@@ -65,28 +65,28 @@ def check_packages() -> list[DoctorFinding]:
     """Look for the packages that fpplab always needs, and for those of each extra."""
     lacking = [name for name, extra in required_packages() if not extra and not package_version(name)]
     remedy = "install fpplab again: pip install --force-reinstall fpplab"
-    found = [
+    findings = [
         DoctorFinding("packages", "wrong", f"without {', '.join(lacking)}", remedy)
         if lacking
         else DoctorFinding("packages", "ok", "all that recorded scans need")
     ]
     for extra, modules in EXTRAS.items():
         absent = [name for name in modules if find_spec(name) is None]
-        found.append(
+        findings.append(
             DoctorFinding(extra, "absent", f"without {', '.join(absent)}", f"pip install 'fpplab[{extra}]'")
             if absent
             else DoctorFinding(extra, "ok", "installed")
         )
-    return found
+    return findings
 
 
 def check_libraries() -> list[DoctorFinding]:
     """Look for the system libraries of what is installed."""
-    found = []
+    findings = []
     for name, module, libraries in (("Blender's libraries", "bpy", BLENDER), ("USB", "usb", USB)):
         if find_spec(module) is not None:
             lacking = missing(libraries)
-            found.append(
+            findings.append(
                 DoctorFinding(
                     *(name, "wrong", f"without {', '.join(lacking)}"),
                     f"sudo apt-get install {' '.join(lacking)}",
@@ -94,23 +94,25 @@ def check_libraries() -> list[DoctorFinding]:
                 if lacking
                 else DoctorFinding(name, "ok", "all are there")
             )
-    return found
+    return findings
 
 
 def check_folders(folders: Iterable[Path]) -> list[DoctorFinding]:
     """See whether files can be written where fpplab writes, and how much space is free there."""
-    found = []
+    findings = []
     for folder in dict.fromkeys(path.absolute() for path in (*folders, cache_directory())):
         place = next(path for path in (folder, *folder.parents) if path.exists())
         free = shutil.disk_usage(place).free
-        seen = f"{readable_bytes(free)} are free"
+        observed = f"{readable_bytes(free)} are free"
         if not os.access(place, os.W_OK | os.X_OK):
-            found.append(DoctorFinding(str(folder), "wrong", "cannot be written", "choose another folder"))
+            findings.append(DoctorFinding(str(folder), "wrong", "cannot be written", "choose another folder"))
         elif free < LIMITS.min_free_bytes:
-            found.append(DoctorFinding(str(folder), "wrong", seen, "free some space, or use another disk"))
+            findings.append(
+                DoctorFinding(str(folder), "wrong", observed, "free some space, or use another disk")
+            )
         else:
-            found.append(DoctorFinding(str(folder), "ok", seen))
-    return found
+            findings.append(DoctorFinding(str(folder), "ok", observed))
+    return findings
 
 
 def check_graphics(nodes: Path = RENDER_NODES, nvidia: Path = NVIDIA) -> DoctorFinding:
@@ -141,14 +143,14 @@ def check_disk(folder: Path, size: int = LIMITS.trial_bytes) -> DoctorFinding:
             os.fsync(stream.fileno())
             speed = stream.tell() / (time.perf_counter() - start)
     except OSError as error:
-        seen = f"{folder}: cannot be written ({error.strerror})"
-        return DoctorFinding("disk", "wrong", seen, "free some space")
+        observed = f"{folder}: cannot be written ({error.strerror})"
+        return DoctorFinding("disk", "wrong", observed, "free some space")
     return disk_speed_finding(folder, speed)
 
 
 def disk_speed_finding(folder: Path, speed: float) -> DoctorFinding:
     """Judge the speed of a disk."""
-    seen = f"{folder.absolute()}: {speed / 1e6:.0f} MB/s written"
+    observed = f"{folder.absolute()}: {speed / 1e6:.0f} MB/s written"
     if speed < LIMITS.min_bytes_per_s:
-        return DoctorFinding("disk", "wrong", seen, "measure onto a faster disk, or frames may be lost")
-    return DoctorFinding("disk", "ok", seen)
+        return DoctorFinding("disk", "wrong", observed, "measure onto a faster disk, or frames may be lost")
+    return DoctorFinding("disk", "ok", observed)

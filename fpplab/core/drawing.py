@@ -182,10 +182,10 @@ def display_stride(shape: tuple[int, ...]) -> int:
     return max(1, -(-shape[1] // MAX_COLUMNS))
 
 
-def value_range(values: Map, least: float, most: float) -> tuple[float, float]:
+def value_range(values: Map, lower_percentile: float, upper_percentile: float) -> tuple[float, float]:
     """Compute two percentiles of a map, for the limits of its colours."""
-    known = values[np.isfinite(values)]
-    if not len(known):
+    finite = values[np.isfinite(values)]
+    if not len(finite):
         raise DataError("the map has no measured pixel; nothing to draw")
-    low, high = np.percentile(known, (least, most))
+    low, high = np.percentile(finite, (lower_percentile, upper_percentile))
     return float(low), float(max(high, low + 1e-6))

@@ -21,8 +21,8 @@ class FppError(Exception):
 
     exit_code = 1
 
-    def __init__(self, *words: object) -> None:
-        super().__init__(*words)
+    def __init__(self, *arguments: object) -> None:
+        super().__init__(*arguments)
         self.details: dict[str, object] = {}
 
 

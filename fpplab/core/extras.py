@@ -46,8 +46,8 @@ def how_to_install(module: str) -> str:
     """Say that a module is missing, and how to install it."""
     first = module.partition(".")[0]
     extra = extra_of(module)
-    wanted = f"'fpplab[{extra}]'" if extra else first
-    return f"{first} is not installed; install it with: pip install {wanted}"
+    requirement = f"'fpplab[{extra}]'" if extra else first
+    return f"{first} is not installed; install it with: pip install {requirement}"
 
 
 def missing_extra(error: BaseException) -> MissingExtraError | None:

@@ -32,28 +32,28 @@ def _regular(path: str, flags: int) -> int:
     if not stat.S_ISREG(kind):
         os.close(handle)
         code = errno.EISDIR if stat.S_ISDIR(kind) else errno.EINVAL
-        words = os.strerror(code) if stat.S_ISDIR(kind) else "it is a pipe or a device, not a file"
-        raise OSError(code, words, path)
+        reason = os.strerror(code) if stat.S_ISDIR(kind) else "it is a pipe or a device, not a file"
+        raise OSError(code, reason, path)
     return handle
 
 
-def read_bounded(path: Path, most: int) -> bytes:
+def read_bounded(path: Path, max_bytes: int) -> bytes:
     """Read a small file whole, and refuse to read a large one."""
     with open_regular(path) as stream:
-        content = stream.read(most + 1)
-    if len(content) > most:
-        words = f"it is larger than {readable_bytes(most)}, the most that one of its kind has"
-        raise OSError(errno.EFBIG, words, str(path))
+        content = stream.read(max_bytes + 1)
+    if len(content) > max_bytes:
+        reason = f"it is larger than {readable_bytes(max_bytes)}, the most that one of its kind has"
+        raise OSError(errno.EFBIG, reason, str(path))
     return content
 
 
 def no_such_file(path: Path, *suffixes: str) -> str:
     """Say that a file does not exist, and which one beside it may have been meant."""
-    wanted = suffixes or (path.suffix.lower(),)
-    near = sorted(path.parent.iterdir()) if path.parent.is_dir() else []
-    beside = {one.name: one for one in near if one.suffix.lower() in wanted and one.is_file()}
-    meant = get_close_matches(path.name, beside, n=1, cutoff=0.7)
-    return f"{path}: there is no such file" + (f"; did you mean {beside[meant[0]]}?" if meant else "")
+    accepted = suffixes or (path.suffix.lower(),)
+    entries = sorted(path.parent.iterdir()) if path.parent.is_dir() else []
+    nearby = {file.name: file for file in entries if file.suffix.lower() in accepted and file.is_file()}
+    meant = get_close_matches(path.name, nearby, n=1, cutoff=0.7)
+    return f"{path}: there is no such file" + (f"; did you mean {nearby[meant[0]]}?" if meant else "")
 
 
 def write_atomic(path: Path, write: Callable[[BinaryIO], object]) -> None:

@@ -46,9 +46,9 @@ REFUSED = 3
 Parts = dict[str, NDArray[Any]]
 
 
-def read_apart(kind: str, path: Path, found: BinaryIO | None = None) -> Parts:
+def read_apart(kind: str, path: Path, opened: BinaryIO | None = None) -> Parts:
     """Read a file in a process of its own."""
-    with found or open_regular(path) as stream:
+    with opened or open_regular(path) as stream:
         size = os.fstat(stream.fileno()).st_size
         seconds = LIMITS.seconds + LIMITS.seconds_per_mb * size / 1e6
         command = [

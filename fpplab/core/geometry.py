@@ -124,8 +124,8 @@ class Pinhole:
     lattice: Lattice = Lattice.SQUARE  # arrangement of the pixels; it matters to patterns, not to projection
 
     def __post_init__(self) -> None:
-        given = np.asarray(self.distortion, np.float64)
-        object.__setattr__(self, "distortion", np.pad(given, (0, len(DISTORTION) - len(given))))
+        coefficients = np.asarray(self.distortion, np.float64)
+        object.__setattr__(self, "distortion", np.pad(coefficients, (0, len(DISTORTION) - len(coefficients))))
 
     @classmethod
     def from_focal(
@@ -204,8 +204,8 @@ class Pinhole:
         """
         # pixels (..., 2) px; returns (..., 2)
         (fx, _, cx), (_, fy, cy) = self.matrix[:2]
-        given = np.asarray(pixels, np.float64)
-        aim_x, aim_y = (given[..., 0] - cx) / fx, (given[..., 1] - cy) / fy
+        coordinates = np.asarray(pixels, np.float64)
+        aim_x, aim_y = (coordinates[..., 0] - cx) / fx, (coordinates[..., 1] - cy) / fy
         x, y = aim_x, aim_y
         last = np.zeros_like(x)
         with np.errstate(all="ignore"):

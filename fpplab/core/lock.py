@@ -48,8 +48,8 @@ def try_lock(handle: int, shared: bool = False) -> bool:
 
 def _try_bytes(handle: int, shared: bool) -> bool:
     """As `try_lock`, by single bytes."""
-    wanted = [(FIRST_BYTE + n, 1) for n in range(SHARES)] if shared else [(FIRST_BYTE, SHARES)]
-    return any(_lock_bytes(handle, *bytes_) for bytes_ in wanted)
+    byte_ranges = [(FIRST_BYTE + n, 1) for n in range(SHARES)] if shared else [(FIRST_BYTE, SHARES)]
+    return any(_lock_bytes(handle, *bytes_) for bytes_ in byte_ranges)
 
 
 def _lock_bytes(handle: int, first: int, count: int) -> bool:
@@ -141,7 +141,7 @@ def lock_owner(lock: Path) -> str:
     """Say who holds a lock; it may not have written its name yet."""
     try:
         with lock.open("rb") as file:
-            found = parse_object(file.read(10_000))
-        return "process {pid} on {host} ('{command}', since {since})".format(**found)
+            owner = parse_object(file.read(10_000))
+        return "process {pid} on {host} ('{command}', since {since})".format(**owner)
     except (OSError, ValueError, KeyError, TypeError):
         return "another process"

@@ -10,15 +10,15 @@ _traffic = logging.getLogger("fpplab.traffic")
 _state = {"traced": False}
 
 
-def trace_devices(wanted: bool) -> None:
+def trace_devices(enabled: bool) -> None:
     """Have what is sent to devices, and what they answer, logged; or not any more."""
-    _state["traced"] = wanted
+    _state["traced"] = enabled
 
 
 def log_traffic(device: str, direction: str, data: bytes | str) -> None:
     """Log one message to or from a device, if that was asked for."""
     if _state["traced"]:
-        words = data.rstrip(b"\0").hex() if isinstance(data, bytes) else data
+        message = data.rstrip(b"\0").hex() if isinstance(data, bytes) else data
         _traffic.info(
-            "%s %s: %s", direction, device, words, extra={"device": device, "sent": direction == "to"}
+            "%s %s: %s", direction, device, message, extra={"device": device, "sent": direction == "to"}
         )

@@ -43,10 +43,10 @@ def grey_picture(values: NDArray[Any]) -> bytes:
 
     step = max(1, -(-max(values.shape) // PICTURE_PX))
     shown = np.asarray(values[::step, ::step], np.float64)
-    known = np.isfinite(shown)
-    low, high = np.percentile(shown[known], CUT) if known.any() else (0.0, 1.0)
-    share = np.clip((np.where(known, shown, low) - low) / max(high - low, 1e-12), 0.0, 1.0)
-    layers = np.stack([np.rint(255 * share), 255.0 * known], axis=-1).astype(np.uint8)
+    finite = np.isfinite(shown)
+    low, high = np.percentile(shown[finite], CUT) if finite.any() else (0.0, 1.0)
+    share = np.clip((np.where(finite, shown, low) - low) / max(high - low, 1e-12), 0.0, 1.0)
+    layers = np.stack([np.rint(255 * share), 255.0 * finite], axis=-1).astype(np.uint8)
     stream = io.BytesIO()
     Pixels.fromarray(layers, "LA").save(stream, "PNG")
     return stream.getvalue()
@@ -65,8 +65,8 @@ def plot_map(values: NDArray[Any], label: str, axes: Axes | None = None) -> Axes
     """Draw a map over the camera's pixels, with its scale."""
     # values (height, width)
     chosen = axes_or_new(axes)
-    known = values[np.isfinite(values)]
-    low, high = np.percentile(known, CUT) if known.size else (0.0, 1.0)
+    finite = values[np.isfinite(values)]
+    low, high = np.percentile(finite, CUT) if finite.size else (0.0, 1.0)
     image = chosen.imshow(values, vmin=float(low), vmax=float(high), interpolation="nearest")
     chosen.figure.colorbar(image, ax=chosen, label=label)
     chosen.set(xlabel="camera column, px", ylabel="camera row, px")

@@ -21,7 +21,7 @@ class DeviceIdentity(Document):
     """As the device tells it; empty where it has none."""
 
     @property
-    def words(self) -> str:
+    def description(self) -> str:
         """Model and serial number."""
         return f"{self.model}, serial {self.serial}" if self.serial else f"{self.model}, no serial number"
 

@@ -70,12 +70,14 @@ def load_plugin(group: str, name: str) -> Any:
         No package brings it, or it cannot be imported.
     """
     kind = group.rpartition(".")[2].removesuffix("s")
-    found = entry_points(group=group, name=name)
-    if not found:
-        known = ", ".join(plugin_names(group)) or "none; install fpplab anew, its entry points are missing"
-        raise ConfigError(f"there is no {kind} '{name}'; there are {known}")
+    matching = entry_points(group=group, name=name)
+    if not matching:
+        available = (
+            ", ".join(plugin_names(group)) or "none; install fpplab anew, its entry points are missing"
+        )
+        raise ConfigError(f"there is no {kind} '{name}'; there are {available}")
     try:
-        return next(iter(found)).load()
+        return next(iter(matching)).load()
     except (ImportError, AttributeError) as error:
         if missing := missing_extra(error):
             raise missing from error

@@ -18,9 +18,9 @@ MAX_UNBOUNDED_CLUSTERS = 3
 """Number of clusters up to which their scatter has no finite variance."""
 
 
-def robust_spread(residuals: Floats, least: float = NEGLIGIBLE_RESIDUAL) -> float:
+def robust_spread(residuals: Floats, min_spread: float = NEGLIGIBLE_RESIDUAL) -> float:
     """Estimate the standard deviation of residuals by the median of their sizes."""
-    return max(1.4826 * float(np.median(np.abs(residuals))), least)
+    return max(1.4826 * float(np.median(np.abs(residuals))), min_spread)
 
 
 def huber_weights(residuals: Floats, spread: float, limit: float = HUBER) -> Floats:
@@ -50,8 +50,8 @@ def clustered_covariance(rows: Floats, scores: Floats, within: Mask, cell: NDArr
 
 def error_limit(errors: NDArray[np.floating[Any]]) -> float:
     """Compute the limit of the symmetric colour range of signed errors."""
-    known = np.abs(errors[np.isfinite(errors)])
-    return max(float(np.percentile(known, 98)), 1e-6) if len(known) else 1.0
+    sizes = np.abs(errors[np.isfinite(errors)])
+    return max(float(np.percentile(sizes, 98)), 1e-6) if len(sizes) else 1.0
 
 
 def multiway_covariance(

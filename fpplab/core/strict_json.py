@@ -16,7 +16,7 @@ def parse_json(content: bytes | str) -> Any:
 
 def parse_object(content: bytes | str) -> dict[str, Any]:
     """Parse a JSON object."""
-    found = parse_json(content)
-    if not isinstance(found, dict):
+    parsed = parse_json(content)
+    if not isinstance(parsed, dict):
         raise ValueError("it is not an object with fields")
-    return found
+    return parsed

@@ -68,14 +68,14 @@ class _Loader(yaml.SafeLoader):
 
 
 def _mapping(loader: _Loader, node: yaml.MappingNode) -> dict[Any, Any]:
-    seen: set[Any] = set()
+    keys: set[Any] = set()
     for key_node, _ in node.value:
         if not isinstance(key_node, yaml.ScalarNode):
             raise _refusal("a key is not a word", key_node)
         key = loader.construct_object(key_node)
-        if key in seen:
+        if key in keys:
             raise _refusal(f"key {key!r} is given twice", key_node)
-        seen.add(key)
+        keys.add(key)
     return {
         loader.construct_object(key): loader.construct_object(value, deep=True) for key, value in node.value
     }
@@ -87,27 +87,27 @@ for _tag, _pattern, _first in _RESOLVERS:
     _Loader.add_implicit_resolver(_tag, re.compile(_pattern), _first)
 
 
-def _measure(node: yaml.Node, known: dict[int, int], depth: int) -> int:
+def _measure(node: yaml.Node, counts: dict[int, int], depth: int) -> int:
     """Count the values of a node, each as often as aliases repeat it; refuse too many, or too deep ones."""
     if depth > LIMITS.max_depth:
         raise _refusal(f"there are more than {LIMITS.max_depth} mappings and lists inside one another", node)
     if isinstance(node, yaml.ScalarNode) and _SURROGATE.search(node.value):
         raise _refusal("a word holds half a character, a lone surrogate", node)
-    if id(node) not in known:
-        known[id(node)] = 0  # while its parts are counted: 0 tells that it is part of itself
+    if id(node) not in counts:
+        counts[id(node)] = 0  # while its parts are counted: 0 tells that it is part of itself
         parts = node.value if isinstance(node, yaml.CollectionNode) else []
         inside = [part for pair in parts for part in pair] if isinstance(node, yaml.MappingNode) else parts
         count = 1
         for part in inside:
-            count += _measure(part, known, depth + 1)
+            count += _measure(part, counts, depth + 1)
             if count > LIMITS.max_nodes:
                 raise _refusal(
                     f"there are more than {LIMITS.max_nodes} values, those that aliases repeat included", part
                 )
-        known[id(node)] = count
-    if known[id(node)] == 0:
+        counts[id(node)] = count
+    if counts[id(node)] == 0:
         raise _refusal("an alias refers to a value that it is part of", node)
-    return known[id(node)]
+    return counts[id(node)]
 
 
 def _refusal(problem: str, at: Any) -> yaml.MarkedYAMLError:

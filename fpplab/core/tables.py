@@ -41,17 +41,17 @@ def read_tables(path: Path) -> dict[str, list[Row]]:
         with open_regular(path) as stream:
             text = stream.read().decode("utf-8")
         if path.suffix.lower() == ".jsonl":
-            found = tables_of({path.stem: [json.loads(line) for line in text.splitlines() if line.strip()]})
+            tables = tables_of({path.stem: [json.loads(line) for line in text.splitlines() if line.strip()]})
         else:
             answer = json.loads(text)
-            found = tables_of(answer if isinstance(answer, Mapping) else {path.stem: answer})
+            tables = tables_of(answer if isinstance(answer, Mapping) else {path.stem: answer})
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({error.strerror or error})") from error
     except (ValueError, RecursionError) as error:
         raise DataError(f"{path}: is no JSON of fpplab ({error})") from error
-    if not found:
+    if not tables:
         raise DataError(f"{path}: holds no table")
-    return found
+    return tables
 
 
 def tables_of(answer: Mapping[str, Any]) -> dict[str, list[Row]]:

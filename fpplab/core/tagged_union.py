@@ -87,13 +87,13 @@ def registered_types(base: type[BaseModel]) -> dict[str, type[BaseModel]]:
 
 def concrete_subclasses(base: type[T]) -> list[type[T]]:
     """Collect the classes below a base class that can be made, those below them too."""
-    found: dict[type[T], None] = {}
+    subclasses: dict[type[T], None] = {}
     waiting = [base]
     while waiting:
-        new = [cls for cls in waiting.pop().__subclasses__() if cls not in found]
-        found.update(dict.fromkeys(new))
+        new = [cls for cls in waiting.pop().__subclasses__() if cls not in subclasses]
+        subclasses.update(dict.fromkeys(new))
         waiting.extend(new)
-    return [cls for cls in found if not isabstract(cls)]
+    return [cls for cls in subclasses if not isabstract(cls)]
 
 
 def import_members(package_name: str, package_path: Iterable[str]) -> None:
@@ -102,5 +102,5 @@ def import_members(package_name: str, package_path: Iterable[str]) -> None:
     Called in the package's ``__init__`` as ``import_members(__name__, __path__)``. Packages inside it are
     imported too, but not searched further.
     """
-    for module in sorted(iter_modules(package_path), key=lambda found: found.name):
+    for module in sorted(iter_modules(package_path), key=lambda info: info.name):
         import_module(f"{package_name}.{module.name}")

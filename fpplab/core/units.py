@@ -11,25 +11,23 @@ MM = {"nm": 1e-6, "um": 1e-3, "µm": 1e-3, "μm": 1e-3, "mm": 1.0, "cm": 10.0, "
 """Units of length in mm; the micro sign and the Greek letter are both written."""
 
 
-def length_mm(words: str, option: str) -> float:
+def length_mm(text: str, option: str) -> float:
     """Read a positive length with its unit."""
-    found = re.fullmatch(r"\s*([0-9.eE+-]+)\s*([^\W\d]*)\s*", words)
+    match = re.fullmatch(r"\s*([0-9.eE+-]+)\s*([^\W\d]*)\s*", text)
     units = "um, mm, cm or m"
-    if found is None:
-        raise ConfigError(f"{option} is '{words}': must be a length with its unit ({units}), such as 20um")
-    number, unit = found.groups()
+    if match is None:
+        raise ConfigError(f"{option} is '{text}': must be a length with its unit ({units}), such as 20um")
+    number, unit = match.groups()
     if not unit:
-        raise ConfigError(
-            f"{option} is '{words}': its unit is missing ({units}); write {words.strip()}um, say"
-        )
+        raise ConfigError(f"{option} is '{text}': its unit is missing ({units}); write {text.strip()}um, say")
     if unit not in MM:
-        raise ConfigError(f"{option} is '{words}': '{unit}' is no unit of length that is known ({units})")
+        raise ConfigError(f"{option} is '{text}': '{unit}' is no unit of length that is known ({units})")
     try:
         value = float(number) * MM[unit]
     except ValueError:
-        raise ConfigError(f"{option} is '{words}': '{number}' is no number") from None
+        raise ConfigError(f"{option} is '{text}': '{number}' is no number") from None
     if not (math.isfinite(value) and value > 0):
-        raise ConfigError(f"{option} is '{words}': must be greater than 0")
+        raise ConfigError(f"{option} is '{text}': must be greater than 0")
     return value
 
 

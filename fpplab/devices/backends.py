@@ -135,10 +135,10 @@ def _why_not(module: str, attribute: str) -> str:
     announced = [
         entry.value.partition(":")[2] for entry in _announced() if entry.value.startswith(f"{module}:")
     ]
-    known = "is not part of fpplab, and no installed package announces it as a backend"
+    reason = "is not part of fpplab, and no installed package announces it as a backend"
     if announced:
-        known = f"announces {', '.join(announced)} as a backend, not {attribute}"
-    return f"{module} {known}; if you trust it, add --allow-backend {module}, or set {ALLOWED}={module}"
+        reason = f"announces {', '.join(announced)} as a backend, not {attribute}"
+    return f"{module} {reason}; if you trust it, add --allow-backend {module}, or set {ALLOWED}={module}"
 
 
 def _place(name: str, where: str) -> str:

@@ -75,10 +75,10 @@ class CameraCaps:
         if self.exposure_s[0] >= 1.0:  # the shortest exposure of machine vision cameras is 1 µs to 1 ms
             shortest = f"CameraCaps.exposure_s begins at {self.exposure_s[0]:g} s"
             raise ValueError(f"{shortest}; it is in seconds, not in µs; fix the driver")
-        known = get_args(Trigger)
-        if unknown := set(self.triggers) - set(known):
+        triggers = get_args(Trigger)
+        if unknown := set(self.triggers) - set(triggers):
             raise ValueError(
-                f"CameraCaps.triggers has '{unknown.pop()}'; there are {', '.join(known)}; fix the driver"
+                f"CameraCaps.triggers has '{unknown.pop()}'; there are {', '.join(triggers)}; fix the driver"
             )
 
 

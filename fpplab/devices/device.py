@@ -173,8 +173,8 @@ class Device(ABC):
         except Exception as error:
             self._fault()
             _log.debug("%s: %s failed", self.name, operation, exc_info=error)
-            found = f"{type(error).__name__}: {error}{self._line_of(error)}"
-            raise DeviceError(self.name, operation, found, "--log FILE keeps where it comes from") from error
+            reason = f"{type(error).__name__}: {error}{self._line_of(error)}"
+            raise DeviceError(self.name, operation, reason, "--log FILE keeps where it comes from") from error
 
     def _line_of(self, error: Exception) -> str:
         """File and line of the driver that an error passed last, in brackets; empty where it passed none."""
@@ -185,8 +185,8 @@ class Device(ABC):
     def _of_kind(self, kind: type[V], value: V, hook: str) -> V:
         """Refuse what a hook returns where it is of another type."""
         if not isinstance(value, kind):
-            found = f"{type(self).__name__}.{hook} gives {type(value).__name__}"
-            raise TypeError(f"{found}, not {kind.__name__}; fix the driver")
+            returned = f"{type(self).__name__}.{hook} gives {type(value).__name__}"
+            raise TypeError(f"{returned}, not {kind.__name__}; fix the driver")
         return value
 
     def _fault(self) -> None:

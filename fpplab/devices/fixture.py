@@ -113,9 +113,9 @@ class Fixture(Device):
     def _check_held(self, doing: str, item: str, pose: int) -> None:
         items = self.caps.items
         if items is not None and item not in items:
-            known = ", ".join(sorted(items)) or "none"
+            names = ", ".join(sorted(items)) or "none"
             raise SettingError(
-                self.name, doing, f"has no item '{item}'", f"name one that it has ({known}), or add it there"
+                self.name, doing, f"has no item '{item}'", f"name one that it has ({names}), or add it there"
             )
         poses = items[item] if items is not None else None
         if pose < 0 or (poses is not None and pose >= poses):

@@ -34,9 +34,9 @@ class Operator(InstructableFixture):
         ask = "Take everything away" if item == "nothing" else f"Put {item} in pose {pose + 1}"
         self._wait("mount", f"{ask} in front of the rig")
 
-    def _instruct(self, item: str, words: str, picture: Path | None) -> None:
+    def _instruct(self, item: str, description: str, picture: Path | None) -> None:
         shown = f" (see {picture})" if picture else ""
-        self._wait("instruct", f"Hold {item} {words}{shown}")
+        self._wait("instruct", f"Hold {item} {description}{shown}")
 
     def _wait(self, doing: str, ask: str) -> None:
         sys.stderr.write(f"{ask}, then press Enter: ")

@@ -61,14 +61,14 @@ class InstructableFixture(Fixture):
     """A fixture that follows a description of the pose in words: a person."""
 
     @final
-    def instruct(self, item: str, words: str, picture: Path | None = None) -> None:
+    def instruct(self, item: str, description: str, picture: Path | None = None) -> None:
         """Ask for an item in a pose.
 
         Parameters
         ----------
         item : str
             What the fixture calls it.
-        words : str
+        description : str
             The pose in words, such as "tilted to the left".
         picture : path, optional
             An image file that shows it.
@@ -81,17 +81,17 @@ class InstructableFixture(Fixture):
         self._need(State.IDLE, doing="instruct")
         self._check_held("instruct", item, 0)
         with self._guard("instruct"):
-            self._instruct(item, words, picture)
+            self._instruct(item, description, picture)
 
     @abstractmethod
-    def _instruct(self, item: str, words: str, picture: Path | None) -> None:
+    def _instruct(self, item: str, description: str, picture: Path | None) -> None:
         """Ask for an item in a pose, and return once it is at rest there; called by `instruct` in IDLE.
 
         Parameters
         ----------
         item : str
             One of those in `_caps`.
-        words : str
+        description : str
             The pose in words.
         picture : path or None
             An image file that shows it.

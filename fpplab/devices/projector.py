@@ -203,11 +203,11 @@ class Projector(Device):
     def _check_pattern(self, pattern: Pattern, caps: ProjectorCaps) -> None:
         width, height = caps.size
         if pattern.image.shape != (height, width) or pattern.image.dtype != np.uint8:
-            found = " x ".join(map(str, pattern.image.shape[::-1]))
+            size = " x ".join(map(str, pattern.image.shape[::-1]))
             raise SettingError(
                 self.name,
                 "load",
-                f"pattern {pattern.id} is {pattern.image.dtype}, {found}",
+                f"pattern {pattern.id} is {pattern.image.dtype}, {size}",
                 f"the projector takes uint8, {width} x {height} mirrors",
             )
         if pattern.bit_depth not in caps.bit_depths:

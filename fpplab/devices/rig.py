@@ -153,7 +153,9 @@ class Rig:
 
     def __repr__(self) -> str:
         kinds = ("camera", "projector", "stage", "fixture")
-        devices = [f"{kind} {one.backend}" for kind in kinds if (one := getattr(self.file, kind)) is not None]
+        devices = [
+            f"{kind} {entry.backend}" for kind in kinds if (entry := getattr(self.file, kind)) is not None
+        ]
         return f"<Rig {self._source}: {', '.join(devices)}>"
 
     @classmethod
@@ -394,6 +396,6 @@ class Rig:
 
     def _options(self, section: DeviceSection) -> dict[str, Any]:
         return {
-            key: config.resolve_beside(value, self._folder) if isinstance(value, str) else value
+            key: config.resolve_relative_to(value, self._folder) if isinstance(value, str) else value
             for key, value in section.options.items()
         }

@@ -48,7 +48,7 @@ class RigTurn:
         """Whether the watcher may have the devices open."""
         return self._used is not None
 
-    def wanted(self) -> bool:
+    def is_requested(self) -> bool:
         """Tell whether another command wants the rig, or has it."""
         handle = _opened(self._files, "wanted")
         try:
@@ -56,13 +56,13 @@ class RigTurn:
         finally:
             os.close(handle)
 
-    def wanted_by(self) -> str:
+    def requested_by(self) -> str:
         """Say who wants the rig."""
         return lock_owner(_named(self._files, "wanted"))
 
     def take(self) -> bool:
         """Take the rig, if no other command wants or has it."""
-        if self._used is None and not self.wanted():
+        if self._used is None and not self.is_requested():
             self._used = _if_locked(self._files, "used")
         return self.is_mine
 
@@ -118,8 +118,8 @@ def _await(handle: int, files: Path, source: Path | str) -> None:
     while not _locks(handle, shared=True):
         if time.monotonic() > end:
             who = lock_owner(_named(files, "watched"))
-            found = f"{who} has not released it within {TURN_TIMEOUT_S:g} s"
-            raise DeviceError(str(source), "open", found, "end that process")
+            reason = f"{who} has not released it within {TURN_TIMEOUT_S:g} s"
+            raise DeviceError(str(source), "open", reason, "end that process")
         time.sleep(0.02)  # one frame's time at 50 Hz: the operator does not notice it
 
 
@@ -137,8 +137,8 @@ def _files_of(source: Path | str) -> Path:
 
 
 def _no_locks(place: Path, error: OSError) -> DeviceError:
-    found = f"{place} cannot be used ({error.strerror})"
-    return DeviceError("rig", "lock", found, "let TMPDIR name a folder that can be written to")
+    reason = f"{place} cannot be used ({error.strerror})"
+    return DeviceError("rig", "lock", reason, "let TMPDIR name a folder that can be written to")
 
 
 def _named(files: Path, name: str) -> Path:

@@ -165,10 +165,10 @@ class Stage(Device):
         self._check_soft_limits(doing, mm)
 
     def _check_reach(self, doing: str, mm: float) -> None:
-        least, most = self.caps.travel_mm
-        if not least <= mm <= most:
+        lower, upper = self.caps.travel_mm
+        if not lower <= mm <= upper:
             raise LimitError(
-                self.name, doing, f"{mm:g} mm was asked for", f"the travel is {least:g} to {most:g} mm"
+                self.name, doing, f"{mm:g} mm was asked for", f"the travel is {lower:g} to {upper:g} mm"
             )
 
     def _is_beyond_soft_limits(self, mm: float) -> bool:
@@ -178,11 +178,11 @@ class Stage(Device):
     def _check_soft_limits(self, doing: str, mm: float) -> None:
         if self.soft_limits_mm is None or mm in self._agreed_mm or not self._is_beyond_soft_limits(mm):
             return
-        least, most = self.soft_limits_mm
+        lower, upper = self.soft_limits_mm
         act = ConfirmationRequired.BEYOND_SOFT_LIMITS
-        found = f"{mm:g} mm lies beyond the soft limits of the rig file, {least:g} to {most:g} mm"
-        if not confirm(act, f"{self.name}: {found}."):
-            raise LimitError(self.name, doing, found, how_to_confirm(act))
+        reason = f"{mm:g} mm lies beyond the soft limits of the rig file, {lower:g} to {upper:g} mm"
+        if not confirm(act, f"{self.name}: {reason}."):
+            raise LimitError(self.name, doing, reason, how_to_confirm(act))
         self._agreed_mm.add(mm)  # who confirm to go there is not asked again
 
     @property

@@ -81,9 +81,9 @@ class StageCalibrations:
                 "with several calibrations, each needs the position of its stage: 'stage_mm'"
             )
         self._positions = sorted(mm for mm in by_position if mm is not None)
-        self._known = [by_position[mm] for mm in self._positions or (None,)]
-        first = self._known[0]
-        for mm, other in zip(self._positions, self._known, strict=False):
+        self._calibrations = [by_position[mm] for mm in self._positions or (None,)]
+        first = self._calibrations[0]
+        for mm, other in zip(self._positions, self._calibrations, strict=False):
             other.check_camera(first.camera.size, f"calibration at {mm:g} mm")
             other.check_projector(first.projector.size, first.projector.lattice, f"calibration at {mm:g} mm")
         self._made: dict[tuple[float | None, float], Calibration] = {}
@@ -93,23 +93,25 @@ class StageCalibrations:
         """Compute the calibration for a stage position and a rotation of the projector."""
         where = stage_mm, convergence_deg or 0.0
         if where not in self._made:
-            found = self._at_stage(stage_mm)
-            self._made[where] = turn_projector(found, convergence_deg) if convergence_deg else found
+            calibration = self._at_stage(stage_mm)
+            self._made[where] = (
+                turn_projector(calibration, convergence_deg) if convergence_deg else calibration
+            )
         return self._made[where]
 
     @property
     def is_exact(self) -> bool:
         """Whether no calibration has a covariance, as those that a simulation states of itself."""
-        return all(known.uncertainty is None for known in self._known)
+        return all(calibration.uncertainty is None for calibration in self._calibrations)
 
     def sample(self, random: np.random.Generator) -> StageCalibrations:
         """Draw calibrations that could as well have been found, each from its own covariance."""
-        others = [sample_calibration(known, random) for known in self._known]
+        others = [sample_calibration(calibration, random) for calibration in self._calibrations]
         return StageCalibrations(dict(zip(self._positions or (None,), others, strict=True)))
 
     def _at_stage(self, stage_mm: float | None) -> Calibration:
-        if len(self._known) == 1 and stage_mm in (None, *self._positions):
-            return self._known[0]
+        if len(self._calibrations) == 1 and stage_mm in (None, *self._positions):
+            return self._calibrations[0]
         listed = ", ".join(f"{mm:g}" for mm in self._positions)
         if stage_mm is None:
             raise CalibrationError(
@@ -121,17 +123,17 @@ class StageCalibrations:
                 f"{f'{listed} mm' if listed else 'no known position'}; characterise it on both sides"
             )
         if stage_mm in self._positions:
-            return self._known[self._positions.index(stage_mm)]
+            return self._calibrations[self._positions.index(stage_mm)]
         after = bisect_right(self._positions, stage_mm)
         low, high = self._positions[after - 1], self._positions[after]
         return interpolate_calibrations(
-            self._known[after - 1], self._known[after], (stage_mm - low) / (high - low)
+            self._calibrations[after - 1], self._calibrations[after], (stage_mm - low) / (high - low)
         )
 
     def _check_travel(self) -> None:
-        origin, start = self._known[0].projector_centre, next(iter(self._positions), 0.0)
-        for mm, known in zip(self._positions[1:], self._known[1:], strict=True):
-            moved = float(np.linalg.norm(known.projector_centre - origin))
+        origin, start = self._calibrations[0].projector_centre, next(iter(self._positions), 0.0)
+        for mm, calibration in zip(self._positions[1:], self._calibrations[1:], strict=True):
+            moved = float(np.linalg.norm(calibration.projector_centre - origin))
             if abs(moved - (mm - start)) > TRAVEL_LIMITS.max_share * (mm - start) + TRAVEL_LIMITS.max_mm:
                 raise CalibrationError(
                     f"the calibrations at {start:g} and {mm:g} mm put the projector {moved:.1f} mm apart, "
@@ -147,11 +149,11 @@ def turn_projector(calibration: Calibration, convergence_deg: float) -> Calibrat
 
 def sample_calibration(calibration: Calibration, random: np.random.Generator) -> Calibration:
     """Draw a calibration from the covariance of a measured one."""
-    known = calibration.uncertainty
-    if known is None:
+    covariance = calibration.uncertainty
+    if covariance is None:
         return calibration
-    off = error_modes(known) @ random.standard_normal(len(known.names))
-    by_name = dict.fromkeys(PARAMETERS, 0.0) | dict(zip(known.names, off.tolist(), strict=True))
+    off = error_modes(covariance) @ random.standard_normal(len(covariance.names))
+    by_name = dict.fromkeys(PARAMETERS, 0.0) | dict(zip(covariance.names, off.tolist(), strict=True))
     pose, change = calibration.T_projector_camera, [by_name[f"T_projector_camera.{term}"] for term in POSE]
     return Calibration(
         _changed(calibration.camera, [by_name[f"camera.{term}"] for term in INTRINSICS]),
@@ -212,8 +214,8 @@ def characterise_positions(
         place = folder / ("as_it_stands" if mm is None else f"stage_{mm:+g}")
         files[mm] = place / CALIBRATION
         if not files[mm].exists():
-            there = plan.model_copy(update={"stage_mm": mm})
-            sessions = take_poses(rig, there, board, poses, place, False)
+            plan_at_position = plan.model_copy(update={"stage_mm": mm})
+            sessions = take_poses(rig, plan_at_position, board, poses, place, False)
             characterise_sessions(sessions, target).calibration.save(files[mm])
         progress((done + 1) / len(positions))
     return files
@@ -246,5 +248,5 @@ def with_calibrations(
         folder / "board",
         progress,
     )
-    known = tuple(CalibrationAt(file=str(path.resolve()), stage_mm=mm) for mm, path in files.items())
-    return problem.model_copy(update={"calibrations": known})
+    calibrations = tuple(CalibrationAt(file=str(path.resolve()), stage_mm=mm) for mm, path in files.items())
+    return problem.model_copy(update={"calibrations": calibrations})

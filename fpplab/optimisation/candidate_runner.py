@@ -108,10 +108,10 @@ class CandidateRunner:
 
     def rescore(self, candidates: Sequence[Candidate], seeds: Sequence[int]) -> list[tuple[Score, ...]]:
         """Measure candidates with seeds other than the study's, for figures that no choice was based on."""
-        found = iter(self._outcomes([(candidate, seed) for candidate in candidates for seed in seeds]))
+        measured = iter(self._outcomes([(candidate, seed) for candidate in candidates for seed in seeds]))
         scores = []
         for _ in candidates:
-            outcomes = [next(found) for _ in seeds]
+            outcomes = [next(measured) for _ in seeds]
             scores.append(_joined(outcomes) if not any(isinstance(o, str) for o in outcomes) else ())
         return scores
 
@@ -125,9 +125,9 @@ class CandidateRunner:
         seeds = self.space.problem.seeds
         outcomes = iter(self._outcomes([(candidate, seed) for candidate in new for seed in seeds]))
         for candidate, trial in new.items():
-            found = [next(outcomes) for _ in seeds]
-            failed = next((outcome for outcome in found if isinstance(outcome, str)), None)
-            scores = () if failed else _joined(found)
+            by_seed = [next(outcomes) for _ in seeds]
+            failed = next((outcome for outcome in by_seed if isinstance(outcome, str)), None)
+            scores = () if failed else _joined(by_seed)
             self._by_candidate[candidate] = MeasuredCandidate(trial.point, candidate, scores, failed=failed)
         return [self._by_candidate[trial.candidate] for trial in asked]
 

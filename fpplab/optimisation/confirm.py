@@ -69,9 +69,11 @@ class Confirmation:
     def by_sample(self) -> float:
         """Standard uncertainty of the gain due to the sample of points, which is the same for all repeats."""
         off = [
-            np.sqrt(np.mean([one[0].surface_spread_um ** 2 for one in found.values()]) / len(found))
-            / _smcd(found).mean()
-            for found in (self.before, self.after)
+            np.sqrt(
+                np.mean([repeats[0].surface_spread_um ** 2 for repeats in figures.values()]) / len(figures)
+            )
+            / _smcd(figures).mean()
+            for figures in (self.before, self.after)
         ]
         return float((1.0 - self.gain) * np.hypot(*off))
 
@@ -93,18 +95,21 @@ class Confirmation:
         }
 
 
-def _smcd(found: RepeatedFigures) -> Floats:
+def _smcd(by_artefact: RepeatedFigures) -> Floats:
     """Surface SMCD in µm, (artefacts, repeats)."""
-    return np.array([[figures.surface_smcd_um for figures in of_one] for of_one in found.values()])
+    return np.array([[figures.surface_smcd_um for figures in repeats] for repeats in by_artefact.values()])
 
 
-def _described(found: RepeatedFigures) -> dict[str, Any]:
+def _described(by_artefact: RepeatedFigures) -> dict[str, Any]:
     """Means over the repeats, of each artefact and of all."""
     return {
-        "surface_smcd_um": float(_smcd(found).mean()),
+        "surface_smcd_um": float(_smcd(by_artefact).mean()),
         "artefacts": {
-            name: {key: float(np.mean([asdict(one)[key] for one in of_one])) for key in asdict(of_one[0])}
-            for name, of_one in found.items()
+            name: {
+                key: float(np.mean([asdict(figures)[key] for figures in repeats]))
+                for key in asdict(repeats[0])
+            }
+            for name, repeats in by_artefact.items()
         },
     }
 
@@ -123,29 +128,33 @@ def compare_plans(
     _check_comparable(before, after)
     evaluator = RigEvaluator(rig, problem.model_copy(update={"start": before}), LIMITS.samples)
     plans = candidate_from_plan(before), candidate_from_plan(after)
-    found: dict[tuple[int, str], list[ArtefactFigures]] = defaultdict(list)
+    by_plan: dict[tuple[int, str], list[ArtefactFigures]] = defaultdict(list)
     varied: dict[int, list[list[float]]] = defaultdict(list)
     try:
         others = _sampled_calibrations(evaluator.calibrations)
         turns = list(product(problem.artefacts, range(repeats), (0, 1)))
         for done, (name, repeat, which) in enumerate(turns):
             asked = name, plans[which], LIMITS.first_seed + repeat
-            found[which, name].append(evaluator.figures(*asked))
+            by_plan[which, name].append(evaluator.figures(*asked))
             if repeat == 0:  # while its frames are in memory
                 again = (evaluator.figures(*asked, other) for other in others)
                 varied[which].append([figures.surface_smcd_um for figures in again])
             progress((done + 1) / len(turns))
     finally:
         evaluator.close()
-    old, new = ({name: tuple(found[which, name]) for name in problem.artefacts} for which in (0, 1))
+    old, new = ({name: tuple(by_plan[which, name]) for name in problem.artefacts} for which in (0, 1))
     gains = 1.0 - np.mean(varied[1], axis=0) / np.mean(varied[0], axis=0)
     return Confirmation(old, new, float(np.std(gains, ddof=1)) if others else 0.0)
 
 
-def _sampled_calibrations(known: StageCalibrations) -> list[StageCalibrations]:
+def _sampled_calibrations(calibrations: StageCalibrations) -> list[StageCalibrations]:
     """Calibrations that could as well have been found."""
     random = np.random.default_rng(0)
-    return [] if known.is_exact else [known.sample(random) for _ in range(LIMITS.calibration_draws)]
+    return (
+        []
+        if calibrations.is_exact
+        else [calibrations.sample(random) for _ in range(LIMITS.calibration_draws)]
+    )
 
 
 def _check_comparable(before: Plan, after: Plan) -> None:

@@ -42,21 +42,21 @@ def check_confirmable(rig: str, problem: SearchProblem, source: str) -> None:
 
 
 def confirm_result(
-    rig: str, found: SearchResult, folder: Path, progress: Progress = no_progress
+    rig: str, result: SearchResult, folder: Path, progress: Progress = no_progress
 ) -> tuple[ConfirmedPlan, ...]:
     """Measure the artefacts on a rig with the plan of the start and with the plans that were found.
 
     Of a front the first, the middle and the last plan are measured. The rig is characterised unless it is the
     one that was searched on.
     """
-    chosen = sorted({0, len(found.plans) // 2, len(found.plans) - 1})
-    trials = [(found.plans[i], found.planned[i]) for i in chosen]
-    study = found.study
+    chosen = sorted({0, len(result.plans) // 2, len(result.plans) - 1})
+    trials = [(result.plans[i], result.planned[i]) for i in chosen]
+    study = result.study
     with Rig.load(rig) as opened:
         limits = RigLimits.of(opened)
         for path, trial in trials:
             limits.check(trial.candidate, str(path))
-        if limits.name != found.rig:
+        if limits.name != result.rig:
             stage_positions = [mm for _, trial in trials if (mm := trial.candidate.stage_mm) is not None]
             study = with_calibrations(opened, study, folder, progress, stage_positions)
     return tuple(

@@ -89,7 +89,7 @@ class MeasuredCandidate:
 
     def summary(self) -> dict[str, Any]:
         """Describe the candidate and its figures."""
-        known = asdict(self.candidate)
-        known["fringes"] = list(known["fringes"])
+        described = asdict(self.candidate)
+        described["fringes"] = list(described["fringes"])
         figures = asdict(self.figures) if self.measured else {"failed": self.refused or self.failed}
-        return {**known, **figures}
+        return {**described, **figures}

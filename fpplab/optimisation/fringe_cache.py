@@ -67,36 +67,38 @@ class FringeSetCache:
     def frames(self, setup: MeasuringSetup, fringes: Sequence[Fringes], seed: int) -> list[Image]:
         """Return the images of fringe sets, acquiring those that are missing."""
         # returns (height, width)
-        keys = [self._key(setup, one, place, seed) for place, one in enumerate(fringes)]
-        missing = [i for i, key in enumerate(keys) if self._found(key, fringes[i].steps) is None]
+        keys = [self._key(setup, fringe_set, place, seed) for place, fringe_set in enumerate(fringes)]
+        missing = [i for i, key in enumerate(keys) if self._cached_frames(key, fringes[i].steps) is None]
         if missing:
             self._arrange(setup)
             self._acquire(setup, [fringes[i] for i in missing], [keys[i] for i in missing])
-        sets = [self._found(key, one.steps) for key, one in zip(keys, fringes, strict=True)]
+        sets = [
+            self._cached_frames(key, fringe_set.steps) for key, fringe_set in zip(keys, fringes, strict=True)
+        ]
         self._evict_unused(keys)
         return [frame for frames in sets if frames is not None for frame in frames]
 
     def _key(self, setup: MeasuringSetup, fringes: Fringes, place: int, seed: int) -> _Key:
         return _Key(setup, fringes.axis, fringes.stripes, seed, place if self._seeded else 0)
 
-    def _found(self, key: _Key, steps: int) -> list[Image] | None:
+    def _cached_frames(self, key: _Key, steps: int) -> list[Image] | None:
         """Frames of a set from the set itself, or else from the smallest that contains it."""
         kept = self._kept.get(key, {})
         holding = min((count for count in kept if count % steps == 0), default=None)
         return None if holding is None else kept[holding][:: holding // steps]
 
     def _acquire(self, setup: MeasuringSetup, fringes: list[Fringes], keys: list[_Key]) -> None:
-        sets = tuple(Sinusoid(**asdict(one)) for one in fringes)
+        sets = tuple(Sinusoid(**asdict(fringe_set)) for fringe_set in fringes)
         if self._seeded is not None:
             self._seeded.draw(
                 number
-                for key, one in zip(keys, fringes, strict=True)
-                for number in noise_numbers(key, one.steps)
+                for key, fringe_set in zip(keys, fringes, strict=True)
+                for number in noise_numbers(key, fringe_set.steps)
             )
         plan = self._template.model_copy(update={"fringes": sets, "exposure_s": setup.exposure_s})
         frames = iter(capture(self._rig, plan))
-        for key, one in zip(keys, fringes, strict=True):
-            self._kept.setdefault(key, {})[one.steps] = [next(frames) for _ in range(one.steps)]
+        for key, fringe_set in zip(keys, fringes, strict=True):
+            self._kept.setdefault(key, {})[fringe_set.steps] = [next(frames) for _ in range(fringe_set.steps)]
         self.acquired += plan.images
 
     def _evict_unused(self, used: Iterable[_Key]) -> None:

@@ -39,12 +39,12 @@ class RigLimits:
                 f"{rig.file.name}: its projector shows {sorted(projector.bit_depths)} bits, not {BITS}"
             )
         held = rig.need_fixture("a search").caps.items
-        least, most = camera.exposure_s
+        shortest_s, longest_s = camera.exposure_s
         return cls(
             name=rig.file.name,
             size=projector.size,
             max_patterns=projector.max_patterns,
-            exposure_s=(max(least, projector.bit_depths[BITS]), most),
+            exposure_s=(max(shortest_s, projector.bit_depths[BITS]), longest_s),
             dead_time_s=camera.readout_s + camera.dark_s,
             stage_mm=rig.stage.caps.travel_mm if rig.stage else None,
             can_turn_projector=isinstance(rig.simulation, Turnable),
@@ -64,19 +64,19 @@ class RigLimits:
     def refusals(self, candidate: Candidate, pixels_per_period: float = 2.0) -> Iterator[str]:
         """List the limits that a candidate exceeds."""
         for i, fringe in enumerate(candidate.fringes):
-            most = self.max_stripes(fringe.axis, pixels_per_period)
-            if fringe.stripes > most:
+            max_stripes = self.max_stripes(fringe.axis, pixels_per_period)
+            if fringe.stripes > max_stripes:
                 yield (
                     f"'fringes[{i}].stripes' is {fringe.stripes:g}: at {pixels_per_period:g} projector "
-                    f"pixels per period at most {most:g} along {fringe.axis}"
+                    f"pixels per period at most {max_stripes:g} along {fringe.axis}"
                 )
         if candidate.images > self.max_patterns:
             yield f"{candidate.images} images: the projector holds at most {self.max_patterns} patterns"
-        least, longest = self.exposure_s
-        if not least <= candidate.exposure_s <= longest:
+        shortest_s, longest_s = self.exposure_s
+        if not shortest_s <= candidate.exposure_s <= longest_s:
             yield (
-                f"'exposure_s' is {candidate.exposure_s:g}: with {BITS} bits from {least:g} s, which is "
-                f"{self.max_images_per_second:.4g} images per second, to {longest:g} s"
+                f"'exposure_s' is {candidate.exposure_s:g}: with {BITS} bits from {shortest_s:g} s, which is "
+                f"{self.max_images_per_second:.4g} images per second, to {longest_s:g} s"
             )
         if candidate.stage_mm is not None:
             yield from self._stage_refusals(candidate.stage_mm)
@@ -87,8 +87,8 @@ class RigLimits:
         if self.stage_mm is None:
             yield f"'stage_mm' is {mm:g}: the rig has no stage"
         elif not self.stage_mm[0] <= mm <= self.stage_mm[1]:
-            least, most = self.stage_mm
-            yield f"'stage_mm' is {mm:g}: the stage travels from {least:g} to {most:g} mm"
+            lower_mm, upper_mm = self.stage_mm
+            yield f"'stage_mm' is {mm:g}: the stage travels from {lower_mm:g} to {upper_mm:g} mm"
 
     def check_items(self, artefacts: Sequence[str], source: str) -> None:
         """Refuse artefacts that the fixture does not hold."""

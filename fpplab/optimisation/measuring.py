@@ -38,7 +38,7 @@ from fpplab.sessions.origin import SessionOrigin
 
 def candidate_from_plan(plan: Plan) -> Candidate:
     """Describe a plan as a candidate."""
-    sets = tuple(Fringes(one.axis, one.stripes, one.images) for one in plan.fringes)
+    sets = tuple(Fringes(fringes.axis, fringes.stripes, fringes.images) for fringes in plan.fringes)
     return Candidate(sets, plan.exposure_s, plan.stage_mm)
 
 
@@ -68,8 +68,8 @@ class RigEvaluator:
         self, name: str, candidate: Candidate, seed: int, calibrations: StageCalibrations | None = None
     ) -> ArtefactFigures:
         """Measure one artefact; what was acquired before is not acquired again."""
-        known = calibrations or self.calibrations
-        calibration = known.at(candidate.stage_mm, candidate.convergence_deg)
+        by_position = calibrations or self.calibrations
+        calibration = by_position.at(candidate.stage_mm, candidate.convergence_deg)
         shape = self._true_shape(name, candidate)  # may raise, so before anything is acquired
         plan, decoded = candidate.plan(self._problem.start), self._decoded(name, candidate, seed, calibration)
         return shape.score(decoded, plan, calibration)
@@ -88,9 +88,9 @@ class RigEvaluator:
         """
         projector = self.calibrations.at(candidate.stage_mm, candidate.convergence_deg).projector_centre
         middles = np.array([self._mesh(name).bounds.mean(axis=0) for name in self._problem.artefacts])
-        there = projector - middles
-        norms = np.linalg.norm(middles, axis=1) * np.linalg.norm(there, axis=1)
-        return float(np.degrees(np.arccos(-np.sum(middles * there, axis=1) / norms)).mean())
+        to_projector = projector - middles
+        norms = np.linalg.norm(middles, axis=1) * np.linalg.norm(to_projector, axis=1)
+        return float(np.degrees(np.arccos(-np.sum(middles * to_projector, axis=1) / norms)).mean())
 
     def close(self) -> None:
         """Close the rig; it is opened again when something is measured."""
@@ -114,7 +114,7 @@ class RigEvaluator:
             raise CalibrationError(
                 f"study '{self._problem.name}': 'calibrations' names none; characterise the rig first"
             )
-        return StageCalibrations({one.stage_mm: Calibration.load(Path(one.file)) for one in files})
+        return StageCalibrations({entry.stage_mm: Calibration.load(Path(entry.file)) for entry in files})
 
     @cached_property
     def _image_s(self) -> float:
@@ -122,10 +122,10 @@ class RigEvaluator:
         return RigLimits.of(self._rig).dead_time_s + self._problem.start.settle_s
 
     def _score(self, name: str, candidate: Candidate, seed: int) -> Score:
-        found = asdict(self.figures(name, candidate, seed))
-        del found["surface_spread_um"]
+        figures = asdict(self.figures(name, candidate, seed))
+        del figures["surface_spread_um"]
         seconds = candidate.images * (candidate.exposure_s + self._image_s)
-        return Score(artefact=name, seed=seed, images=candidate.images, seconds=seconds, **found)
+        return Score(artefact=name, seed=seed, images=candidate.images, seconds=seconds, **figures)
 
     def _decoded(self, name: str, candidate: Candidate, seed: int, calibration: Calibration) -> Decoded:
         plan, rig = candidate.plan(self._problem.start), self._rig

@@ -60,11 +60,11 @@ def measure_round(study: Any, runner: CandidateRunner, size: int) -> list[Measur
         if len(asked) == size:
             break
     trials = runner.measure([point for _, point in asked])
-    for (trial, _), found in zip(asked, trials, strict=True):
-        if found.measured:
-            for limit, broken in runner.ranking.violations(found).items():
+    for (trial, _), measured in zip(asked, trials, strict=True):
+        if measured.measured:
+            for limit, broken in runner.ranking.violations(measured).items():
                 trial.set_constraint(limit, broken)
-            study.tell(trial, runner.ranking.values(found))
+            study.tell(trial, runner.ranking.values(measured))
         else:
             study.tell(trial, state=TrialState.FAIL)
     return trials

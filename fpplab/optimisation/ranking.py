@@ -29,8 +29,8 @@ class CandidateRanking:
     @cached_property
     def objectives(self) -> tuple[Objective, ...]:
         """What the problem asks for, the most important first."""
-        known = registered_objectives()
-        return tuple(known[key] for key in self.problem.objectives)
+        registered = registered_objectives()
+        return tuple(registered[key] for key in self.problem.objectives)
 
     @cached_property
     def _limited(self) -> tuple[tuple[Objective, float], ...]:

@@ -86,7 +86,7 @@ def run_search(
             again = CandidateRunner(space, measurers, measured).rescore(chosen, _other_seeds(study))
     rescored = dict(zip(chosen, again, strict=True))
     planned = front if scope is SearchScope.PARETO else (optimum,)
-    found = SearchResult(
+    result = SearchResult(
         study=study,
         rig=limits.name,
         space=space,
@@ -103,23 +103,23 @@ def run_search(
         ended_early=ended_early,
         screened=screened,
     )
-    if diagnose_search(found).is_useless:
-        return found
-    return replace(found, plans=_save(scope, out, found, limits, rig))
+    if diagnose_search(result).is_useless:
+        return result
+    return replace(result, plans=_save(scope, out, result, limits, rig))
 
 
-def worker_count(limits: RigLimits, wanted: int | None) -> int:
+def worker_count(limits: RigLimits, workers: int | None) -> int:
     """Decide how many processes measure."""
-    if wanted is None:
+    if workers is None:
         # 4 GiB for each process, chosen: light tables, and the frames of fringe sets.
         fit = psutil.virtual_memory().available // (4 << 30)
         return max(1, min(os.cpu_count() or 1, fit)) if limits.allows_copies else 1
-    if wanted > 1 and not limits.allows_copies:
+    if workers > 1 and not limits.allows_copies:
         raise ConfigError(
-            f"--workers {wanted}: rig '{limits.name}' is no simulation, and instruments serve one process; "
+            f"--workers {workers}: rig '{limits.name}' is no simulation, and instruments serve one process; "
             "leave --workers out"
         )
-    return wanted
+    return workers
 
 
 def _absolute(rig: str) -> str:
@@ -173,43 +173,43 @@ def _check_scope(scope: SearchScope, space: SearchSpace, source: str) -> None:
             "`optimise pareto`, or leave them out"
         )
     if (scope is SearchScope.PARETO) != (len(space.problem.objectives) > 1):
-        wanted = "several" if scope is SearchScope.PARETO else "one"
-        raise ConfigError(f"{source}: 'objectives' must name {wanted} for `optimise {scope}`")
+        number = "several" if scope is SearchScope.PARETO else "one"
+        raise ConfigError(f"{source}: 'objectives' must name {number} for `optimise {scope}`")
 
 
 def _check_acceptable(runner: CandidateRunner, optimum: MeasuredCandidate) -> None:
     broken = {name: by for name, by in runner.ranking.violations(optimum).items() if by > 0}
     if broken:
-        words = ", ".join(f"{name} by {by:.3g}" for name, by in broken.items())
+        violations = ", ".join(f"{name} by {by:.3g}" for name, by in broken.items())
         raise DataError(
-            f"no plan of {len(runner.trials)} measured keeps the study's limits; the best breaks {words}"
+            f"no plan of {len(runner.trials)} measured keeps the study's limits; the best breaks {violations}"
         )
 
 
 def _save(
-    scope: SearchScope, out: Path, found: SearchResult, limits: RigLimits, rig: str
+    scope: SearchScope, out: Path, result: SearchResult, limits: RigLimits, rig: str
 ) -> tuple[Path, ...]:
     """Write the plans, and the calibration that holds where the stage puts the projector."""
-    paths, study = [], found.study
+    paths, study = [], result.study
     with closing(RigEvaluator(rig, study)) as evaluator:
-        for number, trial in enumerate(found.planned, 1):
+        for number, trial in enumerate(result.planned, 1):
             name = f"plan_{number:02d}_{trial.candidate.images}images.yaml"
             path = out / name if scope is SearchScope.PARETO else out
             if study.space.stage_mm is not None and study.calibrations:
                 calibration = evaluator.calibrations.at(trial.candidate.stage_mm)
                 calibration.save(path.with_name(f"{path.stem}_{CALIBRATION}"))
-            scores = found.rescored[trial.candidate] if found.screened else ()
-            known = replace(trial, scores=scores) if scores else trial
-            write_text(path, plan_text(study, limits.name, known))
+            scores = result.rescored[trial.candidate] if result.screened else ()
+            rescored = replace(trial, scores=scores) if scores else trial
+            write_text(path, plan_text(study, limits.name, rescored))
             paths.append(path)
     return tuple(paths)
 
 
 def plan_text(study: Study, rig: str, trial: MeasuredCandidate) -> str:
     """Write a candidate's plan as a file for `fpplab scan`, with what it achieved as a comment."""
-    found, candidate = trial.figures, trial.candidate
+    figures, candidate = trial.figures, trial.candidate
     head = [
-        f"# Found by the study '{study.name}' on '{rig}': {found.surface_smcd_um:.2f} µm mean distance to "
+        f"# Found by the study '{study.name}' on '{rig}': {figures.surface_smcd_um:.2f} µm mean distance to "
         f"the surface, {candidate.images} images."
     ]
     if candidate.convergence_deg:

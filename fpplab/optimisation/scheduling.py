@@ -187,7 +187,7 @@ class DaskWorkers:
         from distributed.scheduler import KilledWorker
 
         try:
-            found: tuple[Score, ...] | str = future.result()
+            outcome: tuple[Score, ...] | str = future.result()
         except KilledWorker as error:
             raise DeviceError(
                 "scheduler",
@@ -195,7 +195,7 @@ class DaskWorkers:
                 f"{LIMITS.max_worker_deaths} workers died of one measurement",
                 "check their memory and their logs, and run the same command again",
             ) from error
-        return found
+        return outcome
 
     def _close_rigs(self) -> None:
         self._client.run(_close_on_worker)

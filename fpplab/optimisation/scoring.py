@@ -210,23 +210,23 @@ class TrueShape:
             half = axis_length(calibration.projector.size, axis) / stripes / 2.0
             coordinate = decoded.coordinate(axis)
             u, v = pixels.T
-            least, most = (bound[v, u] for bound in self._coordinate_bounds(calibration)[axis])
-            suspect = ~_within(coordinate[v, u], least, most, half)
+            lower, upper = (bound[v, u] for bound in self._coordinate_bounds(calibration)[axis])
+            suspect = ~_within(coordinate[v, u], lower, upper, half)
             rechecked = pixels[suspect]
-            true = self._seen_by_neighbours(rechecked, calibration, T_true_camera)[
+            true = self._neighbour_coordinates(rechecked, calibration, T_true_camera)[
                 ..., 0 if axis == "x" else 1
             ]
-            found = coordinate[rechecked[:, 1], rechecked[:, 0]]
-            right = _within(found, np.fmin.reduce(true, axis=1), np.fmax.reduce(true, axis=1), half)
+            decoded_again = coordinate[rechecked[:, 1], rechecked[:, 0]]
+            right = _within(decoded_again, np.fmin.reduce(true, axis=1), np.fmax.reduce(true, axis=1), half)
             wrong += int(np.count_nonzero(~right))
             suspect[suspect] = ~right
             pixels = pixels[~suspect]  # wrong along one axis is wrong
         return wrong / (wrong + len(pixels))
 
-    def _seen_by_neighbours(
+    def _neighbour_coordinates(
         self, pixels: NDArray[np.int32], calibration: Calibration, T_true_camera: RigidTransform
     ) -> Floats:
-        """Projector coordinates, (P, 9, 2), that each pixel and those around it see; NaN beside the shape."""
+        """Projector coordinates, (P, 9, 2), that each pixel and its neighbours see; NaN off the shape."""
         slopes = camera_slopes(calibration.camera)
         last = np.array(calibration.camera.size) - 1
         around = np.stack(np.meshgrid((-1, 0, 1), (-1, 0, 1)), axis=-1).reshape(-1, 2)
@@ -246,19 +246,22 @@ class TrueShape:
         return self._expected[1]
 
     def _compute_bounds(self, calibration: Calibration) -> CoordinateBounds:
-        pose, seen = calibration.T_projector_camera, self._on_shape
-        true = calibration.projector.project(pose.apply(self._hits[seen]))
+        pose, on_shape = calibration.T_projector_camera, self._on_shape
+        true = calibration.projector.project(pose.apply(self._hits[on_shape]))
         bounds = []
         for values in true.T:
-            least, most = np.full(seen.shape, np.inf, np.float32), np.full(seen.shape, -np.inf, np.float32)
-            least[seen] = most[seen] = values
-            bounds.append((minimum_filter(least, 3), maximum_filter(most, 3)))
+            lower, upper = (
+                np.full(on_shape.shape, np.inf, np.float32),
+                np.full(on_shape.shape, -np.inf, np.float32),
+            )
+            lower[on_shape] = upper[on_shape] = values
+            bounds.append((minimum_filter(lower, 3), maximum_filter(upper, 3)))
         return {"x": bounds[0], "y": bounds[1]}
 
 
-def _within(found: Floats | Map, least: Floats | Map, most: Floats | Map, half: float) -> Mask:
+def _within(coordinate: Floats | Map, lower: Floats | Map, upper: Floats | Map, half: float) -> Mask:
     """Select where a coordinate is less than `half` outside its bounds."""
-    return np.asarray((found > least - half) & (found < most + half))
+    return np.asarray((coordinate > lower - half) & (coordinate < upper + half))
 
 
 def _random_subset(of: Mask, count: int | None, random: np.random.Generator) -> Mask:

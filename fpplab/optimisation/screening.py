@@ -112,18 +112,20 @@ class SampledEvaluator:
         return self._samplers[seed]
 
     def _figures(self, name: str, candidate: Candidate, seed: int) -> ArtefactFigures:
-        found: list[tuple[int, ArtefactFigures]] = []
+        weighted: list[tuple[int, ArtefactFigures]] = []
         parts = self._parts_of(name)
         for part in parts:
-            plan, known = candidate.plan(self._problem.start), part.calibration
-            bounds = possible_coordinates(plan, known, self._rig)  # raises where no part can be unwrapped
+            plan, calibration = candidate.plan(self._problem.start), part.calibration
+            bounds = possible_coordinates(
+                plan, calibration, self._rig
+            )  # raises where no part can be unwrapped
             recording = self._recorded(name, candidate, seed, part)
             with suppress(DataError):  # nothing is measured there, which makes the whole less complete
-                figures = part.shape.score(decode(recording, bounds=bounds), plan, known, align=False)
-                found.append((part.shape.surface_points, figures))
-        if not found:
+                figures = part.shape.score(decode(recording, bounds=bounds), plan, calibration, align=False)
+                weighted.append((part.shape.surface_points, figures))
+        if not weighted:
             raise DataError(f"nothing of the {name} could be measured")
-        return _joined(found, sum(part.shape.surface_points for part in parts))
+        return _joined(weighted, sum(part.shape.surface_points for part in parts))
 
     def _recorded(self, name: str, candidate: Candidate, seed: int, part: _ImagePart) -> Recording:
         plan, sampler = candidate.plan(self._problem.start), self._sampler(seed)
@@ -141,8 +143,8 @@ class SampledEvaluator:
     def _patterns_of(self, fringes: Fringes) -> tuple[Pattern, ...]:
         """Make the patterns of a set once: the simulation keeps what it computes by the patterns it got."""
         if fringes not in self._patterns:
-            caps, one = self._rig.projector.caps, Sinusoid(**asdict(fringes))
-            plan = self._problem.start.model_copy(update={"fringes": (one,)})
+            caps, sinusoid = self._rig.projector.caps, Sinusoid(**asdict(fringes))
+            plan = self._problem.start.model_copy(update={"fringes": (sinusoid,)})
             self._patterns[fringes] = tuple(make_patterns(plan, caps.size, caps.lattice))
         self._patterns.move_to_end(fringes)
         while len(self._patterns) > LIMITS.kept_sets:
@@ -151,11 +153,11 @@ class SampledEvaluator:
 
     def _parts_of(self, name: str) -> list[_ImagePart]:
         if name not in self._parts:
-            known = self._sampler(0).calibration
+            calibration = self._sampler(0).calibration
             shape = TrueShape(
-                self._sampler(0).mesh(name), known, samples=None, density=LIMITS.density_per_mm2
+                self._sampler(0).mesh(name), calibration, samples=None, density=LIMITS.density_per_mm2
             )
-            self._parts[name] = _image_parts(shape, known)
+            self._parts[name] = _image_parts(shape, calibration)
         return self._parts[name]
 
 
@@ -190,16 +192,16 @@ def _image_parts(shape: TrueShape, calibration: Calibration) -> list[_ImagePart]
     return parts
 
 
-def _joined(found: Sequence[tuple[int, ArtefactFigures]], of_all: int) -> ArtefactFigures:
+def _joined(weighted: Sequence[tuple[int, ArtefactFigures]], of_all: int) -> ArtefactFigures:
     """Figures of all parts: means weighted by how much surface each has, of `of_all` points."""
-    weights = np.array([points for points, _ in found], np.float64)
+    weights = np.array([points for points, _ in weighted], np.float64)
 
     def mean(name: str, total: float = float(weights.sum()), power: int = 1) -> float:
-        values = np.array([getattr(figures, name) for _, figures in found])
+        values = np.array([getattr(figures, name) for _, figures in weighted])
         return float((weights @ values**power / total) ** (1 / power))
 
     return ArtefactFigures(
-        points=sum(figures.points for _, figures in found),
+        points=sum(figures.points for _, figures in weighted),
         surface_smcd_um=mean("surface_smcd_um"),
         smcd_um=mean("smcd_um"),
         smcd_floor_um=mean("smcd_floor_um"),
@@ -207,7 +209,7 @@ def _joined(found: Sequence[tuple[int, ArtefactFigures]], of_all: int) -> Artefa
         completeness=mean("completeness", of_all),
         wrong_orders=mean("wrong_orders"),
         outliers=mean("outliers"),
-        surface_spread_um=mean("surface_spread_um", power=2) / np.sqrt(len(found)),
+        surface_spread_um=mean("surface_spread_um", power=2) / np.sqrt(len(weighted)),
     )
 
 

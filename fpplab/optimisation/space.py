@@ -115,14 +115,14 @@ class SearchSpace:
         return next(self._refusals(candidate), None)
 
     def _refusals(self, candidate: Candidate) -> Iterator[str]:
-        wanted = self.problem.constraints
+        constraints = self.problem.constraints
         for axis in ("x", "y"):
             stripes = [f.stripes for f in candidate.fringes if f.axis == axis]
             if any(finer <= coarser for coarser, finer in pairwise(stripes)):
                 yield f"stripes along {axis} do not increase from set to set"
-        if wanted.images is not None and candidate.images > wanted.images:
-            yield f"more than {wanted.images} images"
-        yield from self.limits.refusals(candidate, wanted.pixels_per_period)
+        if constraints.images is not None and candidate.images > constraints.images:
+            yield f"more than {constraints.images} images"
+        yield from self.limits.refusals(candidate, constraints.pixels_per_period)
 
     def of_group(self, *groups: ParameterGroup) -> tuple[int, ...]:
         """Find the parameters of some groups."""
@@ -141,10 +141,10 @@ def _template_candidate(problem: SearchProblem, source: str) -> Candidate:
     fringes = [Fringes(f.axis, f.stripes, f.images) for f in plan.fringes]
     count = space.sets[1] if space.sets else len(fringes)
     for name in ("steps", "stripes"):
-        given = len(getattr(space, name))
-        if given not in (0, count):
+        bounds = len(getattr(space, name))
+        if bounds not in (0, count):
             raise ConfigError(
-                f"{source}: 'space.{name}' has {given} bounds for {count} sets; give each its own, or null"
+                f"{source}: 'space.{name}' has {bounds} bounds for {count} sets; give each its own, or null"
             )
     for i in range(1, count - len(fringes) + 1):
         fringes.insert(i, _additional_set(problem, i, source))
@@ -213,10 +213,11 @@ def _check_bounds(space: SearchSpace, source: str) -> None:
     for i, parameter in enumerate(space.parameters):
         for bound in (parameter.lower, parameter.upper):
             _check_rig_reach(space, i, bound, source)
-    fewest, most = _fewest_images(space), problem.constraints.images
-    if most is not None and fewest > most:
+    min_images, max_images = _fewest_images(space), problem.constraints.images
+    if max_images is not None and min_images > max_images:
         raise ConfigError(
-            f"{source}: 'constraints.images' is {most}, and 'space' has no plan of fewer than {fewest}"
+            f"{source}: 'constraints.images' is {max_images}, and 'space' has no plan of fewer than "
+            f"{min_images}"
         )
 
 
@@ -226,19 +227,19 @@ def _check_stripes(space: SearchSpace, source: str) -> None:
     guided = unwrapping_methods()[space.problem.start.unwrapping].guided
     reached: dict[str, float] = {}
     for i, fringe in enumerate(space.template.fringes):
-        given = bounds[i] if bounds else None
-        if given and fringe.axis not in reached and not guided:
+        searched = bounds[i] if bounds else None
+        if searched and fringe.axis not in reached and not guided:
             raise ConfigError(
                 f"{source}: 'space.stripes[{i}]' is the base, which is held where 'unwrapping' is not "
                 "'guided': write null"
             )
-        least, most = given or (fringe.stripes, fringe.stripes)
-        if most <= reached.get(fringe.axis, 0.0):
+        lower, upper = searched or (fringe.stripes, fringe.stripes)
+        if upper <= reached.get(fringe.axis, 0.0):
             raise ConfigError(
-                f"{source}: 'space.stripes[{i}]' ends at {most:g}, and the set before begins at "
+                f"{source}: 'space.stripes[{i}]' ends at {upper:g}, and the set before begins at "
                 f"{reached[fringe.axis]:g}: stripes must increase from set to set"
             )
-        reached[fringe.axis] = max(least, reached.get(fringe.axis, 0.0))
+        reached[fringe.axis] = max(lower, reached.get(fringe.axis, 0.0))
 
 
 def _check_rig_reach(space: SearchSpace, i: int, bound: float, source: str) -> None:
@@ -259,7 +260,7 @@ def _check_rig_reach(space: SearchSpace, i: int, bound: float, source: str) -> N
 
 
 def _fewest_images(space: SearchSpace) -> int:
-    given, sets = space.problem.space.steps, space.problem.space.sets
-    least = [(given[i] if given else None) or (f.steps,) for i, f in enumerate(space.template.fringes)]
-    count = sets[0] if sets else len(least)
-    return sum(bounds[0] for bounds in (least[:1] + least[len(least) - count + 1 :]))
+    searched, sets = space.problem.space.steps, space.problem.space.sets
+    steps = [(searched[i] if searched else None) or (f.steps,) for i, f in enumerate(space.template.fringes)]
+    count = sets[0] if sets else len(steps)
+    return sum(bounds[0] for bounds in (steps[:1] + steps[len(steps) - count + 1 :]))

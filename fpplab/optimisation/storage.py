@@ -38,27 +38,27 @@ class Journal:
         self.path = path
         plain = problem.model_dump(mode="json")
         self._header: dict[str, Any] = {"rig": rig, **{name: plain[name] for name in IDENTITY_FIELDS}}
-        self._known: dict[tuple[Candidate, int], ScoresOrReason] = {}
+        self._outcomes: dict[tuple[Candidate, int], ScoresOrReason] = {}
         if path.is_file():
             self._read()
 
     def __len__(self) -> int:
-        return len(self._known)
+        return len(self._outcomes)
 
     def get(self, candidate: Candidate, seed: int) -> ScoresOrReason | None:
         """Look up a measurement."""
-        return self._known.get((candidate, seed))
+        return self._outcomes.get((candidate, seed))
 
     def add(self, candidate: Candidate, seed: int, outcome: ScoresOrReason) -> None:
         """Store a measurement, on disk before this returns."""
         if not (self.path.is_file() and self.path.stat().st_size):
             make_journal(self.path)
             append_line(self.path, json.dumps({**self._header, "fpplab": __version__}))
-        found: dict[str, Any] = (
+        fields: dict[str, Any] = (
             {"failed": outcome} if isinstance(outcome, str) else {"scores": [asdict(s) for s in outcome]}
         )
-        append_line(self.path, json.dumps({"candidate": asdict(candidate), "seed": seed, **found}))
-        self._known[candidate, seed] = outcome
+        append_line(self.path, json.dumps({"candidate": asdict(candidate), "seed": seed, **fields}))
+        self._outcomes[candidate, seed] = outcome
 
     def _read(self) -> None:
         cut_torn_line(self.path)  # a measurement whose recording was interrupted
@@ -68,14 +68,16 @@ class Journal:
                 if number == 1:
                     self._check_header(data)
                 else:
-                    self._known[_candidate.validate_python(data["candidate"]), data["seed"]] = _outcome(data)
+                    self._outcomes[_candidate.validate_python(data["candidate"]), data["seed"]] = _outcome(
+                        data
+                    )
             except (ValidationError, ValueError, KeyError, TypeError) as error:
-                words = config.describe(error) if isinstance(error, ValidationError) else str(error)
-                raise DataError(f"{self.path} line {number}: is not a measurement ({words})") from error
+                reason = config.describe(error) if isinstance(error, ValidationError) else str(error)
+                raise DataError(f"{self.path} line {number}: is not a measurement ({reason})") from error
 
-    def _check_header(self, found: dict[str, Any]) -> None:
+    def _check_header(self, header: dict[str, Any]) -> None:
         for name, own in self._header.items():
-            if found.get(name) != own:
+            if header.get(name) != own:
                 raise ConfigError(
                     f"{self.path}: holds the measurements of a study whose '{name}' is another; name another "
                     "output, or add --force to begin anew"

@@ -67,14 +67,14 @@ def _resolved(data: dict[str, Any], folder: Path) -> dict[str, Any]:
     data = dict(data)
     if isinstance(data.get("board"), dict):
         data["board"] = {
-            key: config.resolve_beside(value, folder) if key in ("target", "plan") else value
+            key: config.resolve_relative_to(value, folder) if key in ("target", "plan") else value
             for key, value in data["board"].items()
         }
     if isinstance(data.get("start"), str):
-        data["start"] = Plan.load(config.resolve_beside(data["start"], folder)).model_dump(mode="json")
+        data["start"] = Plan.load(config.resolve_relative_to(data["start"], folder)).model_dump(mode="json")
     if isinstance(data.get("calibrations"), list):
         data["calibrations"] = [
-            {**entry, "file": config.resolve_beside(entry["file"], folder)}
+            {**entry, "file": config.resolve_relative_to(entry["file"], folder)}
             if isinstance(entry, dict) and isinstance(entry.get("file"), str)
             else entry
             for entry in data["calibrations"]

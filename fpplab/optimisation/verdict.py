@@ -49,62 +49,62 @@ RUINOUS = {NO_GAIN: 1.0 + 1e-9, NOT_CONFIRMED: 1.0 + 1e-9}
 """What is worse than the start beyond its uncertainty has an excess of more than 1 and is of no use."""
 
 
-def diagnose_search(found: SearchResult, confirmed: Sequence[ConfirmedPlan] = ()) -> Diagnosis:
+def diagnose_search(result: SearchResult, confirmed: Sequence[ConfirmedPlan] = ()) -> Diagnosis:
     """Judge the result of a search.
 
     It is useless where the plan found is worse than the start's beyond the uncertainty, with seeds that the
     search did not use or where it was confirmed.
     """
     findings = [
-        *_gain(found),
-        *_neighbours(found),
-        *_borders(found),
-        *_end(found),
-        *_limits(found),
-        *_failed(found),
-        *_confirmed(found, confirmed),
+        *_gain(result),
+        *_neighbours(result),
+        *_borders(result),
+        *_end(result),
+        *_limits(result),
+        *_failed(result),
+        *_confirmed(result, confirmed),
     ]
     unknown = [] if confirmed else ["not_confirmed: no rig to --confirm the plan on was given"]
-    if len(found.study.seeds) < 2:
+    if len(result.study.seeds) < 2:
         unknown.append("flat_optimum: one seed does not show the uncertainty; give more --seeds")
-    good = f"{found.optimum.candidate.images} images, {found.optimum.figures.surface_smcd_um:.2f} µm"
+    good = f"{result.optimum.candidate.images} images, {result.optimum.figures.surface_smcd_um:.2f} µm"
     good += "; the optimum is within the space and better than its neighbours"
     return diagnosis_of(findings, good, unknown, RUINOUS)
 
 
-def _seeks_distance(found: SearchResult) -> bool:
+def _seeks_distance(result: SearchResult) -> bool:
     """Whether less distance to the surface is the aim, and not fewer images."""
-    return found.study.objectives[0] == DISTANCE
+    return result.study.objectives[0] == DISTANCE
 
 
-def _gain(found: SearchResult) -> Iterator[Finding]:
+def _gain(result: SearchResult) -> Iterator[Finding]:
     """Whether other seeds show a gain over the start."""
-    gain = found.gain
+    gain = result.gain
     if gain is None or gain.uncertainty_um is None:
         return
     worse = -gain.down_um / max(LIMITS.significance * gain.uncertainty_um, 1e-9)
-    words = (
+    evidence = (
         f"with other seeds the optimum is {gain.down_um:.2f} ± {gain.uncertainty_um:.2g} µm nearer to the "
         "surface than the start"
     )
-    if _seeks_distance(found):
+    if _seeks_distance(result):
         if worse > 1.0:
-            yield Finding(NO_GAIN, words, worse)
+            yield Finding(NO_GAIN, evidence, worse)
         elif worse > -1.0:
-            yield Finding(NO_GAIN, words, 1.0)
-    elif found.optimum.candidate == found.start.candidate:
+            yield Finding(NO_GAIN, evidence, 1.0)
+    elif result.optimum.candidate == result.start.candidate:
         yield Finding(NO_GAIN, "no plan is better than the start's", 1.0)
 
 
-def _neighbours(found: SearchResult) -> Iterator[Finding]:
+def _neighbours(result: SearchResult) -> Iterator[Finding]:
     """Whether candidates a tenth of the ranges away are worse than the optimum beyond the uncertainty."""
-    if not _seeks_distance(found) or len(found.study.seeds) < 2:
+    if not _seeks_distance(result) or len(result.study.seeds) < 2:
         return
-    best, parameters = found.optimum, found.space.parameters
+    best, parameters = result.optimum, result.space.parameters
     away = {
         trial: distance
-        for trial in found.trials
-        if found.ranking.is_acceptable(trial)
+        for trial in result.trials
+        if result.ranking.is_acceptable(trial)
         and (distance := _distance(parameters, trial.point, best.point)) >= LIMITS.min_neighbour_distance
     }
     nearest = sorted(away, key=lambda trial: away[trial])[: 2 * len(parameters)]
@@ -115,37 +115,39 @@ def _neighbours(found: SearchResult) -> Iterator[Finding]:
             indistinct.append((trial, by, sigma))
     if indistinct:
         trial, by, sigma = indistinct[0]
-        words = (
+        evidence = (
             f"{len(indistinct)} of {len(nearest)} neighbours cannot be distinguished from it; "
             f"{_differing(parameters, trial.point, best.point)} is worse by {by:.2f} ± {sigma:.2g} µm"
         )
-        yield Finding(FLAT_OPTIMUM, words, 1.0)
+        yield Finding(FLAT_OPTIMUM, evidence, 1.0)
 
 
-def _distance(parameters: Sequence[Parameter], one: Point, other: Point) -> float:
-    apart = [p.fraction(a) - p.fraction(b) for p, a, b in zip(parameters, one, other, strict=True)]
+def _distance(parameters: Sequence[Parameter], point: Point, other: Point) -> float:
+    apart = [p.fraction(a) - p.fraction(b) for p, a, b in zip(parameters, point, other, strict=True)]
     return float(np.linalg.norm(apart))
 
 
 def _difference(trial: MeasuredCandidate, best: MeasuredCandidate) -> tuple[float, float]:
     """By how much a candidate is worse, seed by seed, and the standard uncertainty of that, in µm."""
-    here, there = seed_means(best.scores), seed_means(trial.scores)
-    apart = np.array([there[seed] - here[seed] for seed in here if seed in there])
+    best_by_seed, trial_by_seed = seed_means(best.scores), seed_means(trial.scores)
+    apart = np.array(
+        [trial_by_seed[seed] - best_by_seed[seed] for seed in best_by_seed if seed in trial_by_seed]
+    )
     if len(apart) < 2:
         return float(apart.mean()) if len(apart) else 0.0, float("inf")
     return float(apart.mean()), float(apart.std(ddof=1) / np.sqrt(len(apart)))
 
 
-def _differing(parameters: Sequence[Parameter], one: Point, other: Point) -> str:
-    changed = [f"{p.name} {a:g}" for p, a, b in zip(parameters, one, other, strict=True) if a != b]
+def _differing(parameters: Sequence[Parameter], point: Point, other: Point) -> str:
+    changed = [f"{p.name} {a:g}" for p, a, b in zip(parameters, point, other, strict=True) if a != b]
     return ", ".join(changed)
 
 
-def _borders(found: SearchResult) -> Iterator[Finding]:
+def _borders(result: SearchResult) -> Iterator[Finding]:
     """Parameters whose optimum lies at a border beyond which the rig could go."""
-    space = found.space
+    space = result.space
     for i, parameter in enumerate(space.parameters):
-        value = found.optimum.point[i]
+        value = result.optimum.point[i]
         for border, outwards in ((parameter.lower, -1.0), (parameter.upper, 1.0)):
             if value != border or parameter.name == "axis":
                 continue
@@ -155,54 +157,59 @@ def _borders(found: SearchResult) -> Iterator[Finding]:
                 continue
             if parameter.name == "sets" or (parameter.name.startswith("steps") and beyond < LIMITS.min_steps):
                 continue
-            point = (*found.optimum.point[:i], beyond, *found.optimum.point[i + 1 :])
+            point = (*result.optimum.point[:i], beyond, *result.optimum.point[i + 1 :])
             if space.refusal(space.candidate(point)) is None:
-                words = (
+                evidence = (
                     f"{parameter.name} is {value:g}, at the border of its range from {parameter.lower:g} to "
                     f"{parameter.upper:g}"
                 )
                 advice = f"widen 'space.{parameter.name}' of the study, and search again"
-                yield Finding(AT_BORDER, words, 1.0, advice)
+                yield Finding(AT_BORDER, evidence, 1.0, advice)
 
 
-def _end(found: SearchResult) -> Iterator[Finding]:
-    if found.ended_early:
-        words = f"the search ended because {found.ended}"
+def _end(result: SearchResult) -> Iterator[Finding]:
+    if result.ended_early:
+        evidence = f"the search ended because {result.ended}"
         advice = "give the study a greater 'budget', and name another --out"
-        yield Finding(ENDED_EARLY, words, 1.0, advice)
+        yield Finding(ENDED_EARLY, evidence, 1.0, advice)
 
 
-def _limits(found: SearchResult) -> Iterator[Finding]:
+def _limits(result: SearchResult) -> Iterator[Finding]:
     """Limits of the study that the optimum exceeds when it is measured with other seeds."""
-    again = found.rescored.get(found.optimum.candidate)
+    again = result.rescored.get(result.optimum.candidate)
     if not again:
         return
-    start = found.rescored.get(found.start.candidate) or found.start.scores
-    ranking = replace(found.ranking, start=replace(found.start, scores=start))
-    broken = ranking.violations(replace(found.optimum, scores=again))
+    start = result.rescored.get(result.start.candidate) or result.start.scores
+    ranking = replace(result.ranking, start=replace(result.start, scores=start))
+    broken = ranking.violations(replace(result.optimum, scores=again))
     over = {name: by for name, by in broken.items() if by > 0}
     if over:
-        words = ", ".join(f"{name} by {by:.3g}" for name, by in over.items())
-        yield Finding(LIMITS_BROKEN, f"measured with other seeds it exceeds {words}", 1.0)
+        exceeded = ", ".join(f"{name} by {by:.3g}" for name, by in over.items())
+        yield Finding(LIMITS_BROKEN, f"measured with other seeds it exceeds {exceeded}", 1.0)
 
 
-def _failed(found: SearchResult) -> Iterator[Finding]:
-    failed = [trial for trial in found.trials if trial.failed]
-    share = len(failed) / max(len(found.trials), 1)
+def _failed(result: SearchResult) -> Iterator[Finding]:
+    failed = [trial for trial in result.trials if trial.failed]
+    share = len(failed) / max(len(result.trials), 1)
     if share > LIMITS.max_failed_share:
-        words = f"{len(failed)} of {len(found.trials)} candidates could not be measured: {failed[-1].failed}"
-        yield Finding(FAILED_CANDIDATES, words, share / LIMITS.max_failed_share)
+        evidence = (
+            f"{len(failed)} of {len(result.trials)} candidates could not be measured: {failed[-1].failed}"
+        )
+        yield Finding(FAILED_CANDIDATES, evidence, share / LIMITS.max_failed_share)
 
 
-def _confirmed(found: SearchResult, confirmed: Sequence[ConfirmedPlan]) -> Iterator[Finding]:
-    for one in confirmed:
-        known = one.confirmation
-        worse = -known.gain / max(LIMITS.significance * known.uncertainty, 1e-9)
-        gain = f"{100 * known.gain:.1f} ± {100 * known.uncertainty:.1f} %"
-        words = f"on {one.rig} {one.plan.name} is {gain} nearer to the surface than the start's plan"
-        if not _seeks_distance(found):
+def _confirmed(result: SearchResult, confirmed: Sequence[ConfirmedPlan]) -> Iterator[Finding]:
+    for confirmed_plan in confirmed:
+        confirmation = confirmed_plan.confirmation
+        worse = -confirmation.gain / max(LIMITS.significance * confirmation.uncertainty, 1e-9)
+        gain = f"{100 * confirmation.gain:.1f} ± {100 * confirmation.uncertainty:.1f} %"
+        evidence = (
+            f"on {confirmed_plan.rig} {confirmed_plan.plan.name} is {gain} nearer to the surface than the "
+            "start's plan"
+        )
+        if not _seeks_distance(result):
             continue  # its aim is fewer images, which is sure; the study's limits say what they may cost
         if worse > 1.0:
-            yield Finding(NOT_CONFIRMED, words, worse)
+            yield Finding(NOT_CONFIRMED, evidence, worse)
         elif worse > -1.0:
-            yield Finding(NOT_CONFIRMED, words, 1.0)
+            yield Finding(NOT_CONFIRMED, evidence, 1.0)

@@ -148,7 +148,7 @@ def with_named_response(data: Any, source: Path) -> Any:
     """Put the values of a response file in place of its name."""
     if not (isinstance(data, dict) and isinstance(data.get("response"), str)):
         return data
-    file = Path(config.resolve_beside(data["response"], source.parent))
+    file = Path(config.resolve_relative_to(data["response"], source.parent))
     try:
         curve = Response.load(file).curve(file)
     except ConfigError as error:

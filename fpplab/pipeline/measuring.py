@@ -65,10 +65,12 @@ def reconstruct_points(
     """
     depth = depth_range_of(session, depth_mm)
     recording = _checked_recording(session, calibration, progress, as_recorded=as_recorded)
-    found = _triangulate(recording, calibration, depth, filtering, progress)
-    if isinstance(found.points, Diagnosis):
-        raise UselessScanError(recording.name, found.points)
-    return found.decoded, _with_sigmas(found.decoded, found.points, calibration, progress)
+    triangulated = _triangulate(recording, calibration, depth, filtering, progress)
+    if isinstance(triangulated.points, Diagnosis):
+        raise UselessScanError(recording.name, triangulated.points)
+    return triangulated.decoded, _with_sigmas(
+        triangulated.decoded, triangulated.points, calibration, progress
+    )
 
 
 def reconstruct_session(
@@ -85,13 +87,13 @@ def reconstruct_session(
     """Reconstruct a session and judge the result; nothing is written."""
     depth = depth_range_of(session, depth_mm)
     recording = _checked_recording(session, calibration, progress, as_recorded=as_recorded)
-    found = _triangulate(recording, calibration, depth, filtering, progress, limits)
-    observe_maps(found.decoded)
-    if isinstance(found.points, Diagnosis):
-        return Reconstruction(session, calibration, depth, None, None, found.points)
-    cloud = _with_sigmas(found.decoded, found.points, calibration, progress)
-    diagnosis = diagnose(session, found.decoded, cloud, calibration, limits)
-    return Reconstruction(session, calibration, depth, found.decoded, cloud, diagnosis)
+    triangulated = _triangulate(recording, calibration, depth, filtering, progress, limits)
+    observe_maps(triangulated.decoded)
+    if isinstance(triangulated.points, Diagnosis):
+        return Reconstruction(session, calibration, depth, None, None, triangulated.points)
+    cloud = _with_sigmas(triangulated.decoded, triangulated.points, calibration, progress)
+    diagnosis = diagnose(session, triangulated.decoded, cloud, calibration, limits)
+    return Reconstruction(session, calibration, depth, triangulated.decoded, cloud, diagnosis)
 
 
 def finish_scan(
@@ -110,13 +112,13 @@ def finish_scan(
         ThreadPoolExecutor(1) as writer,
     ):  # the disk has time until the cloud is known
         begin_session_log(session.path)
-        found = _triangulate(recording, calibration, depth, None, progress, limits)
-        saved_maps = writer.submit(found.decoded.save, session.path / DECODED)
-        if isinstance(found.points, Diagnosis):
+        triangulated = _triangulate(recording, calibration, depth, None, progress, limits)
+        saved_maps = writer.submit(triangulated.decoded.save, session.path / DECODED)
+        if isinstance(triangulated.points, Diagnosis):
             saved_maps.result()
-            save_diagnosis(found.points, session.path)
-            return Reconstruction(session, calibration, depth, None, None, found.points)
-        cloud = _with_sigmas(found.decoded, found.points, calibration, progress)
+            save_diagnosis(triangulated.points, session.path)
+            return Reconstruction(session, calibration, depth, None, None, triangulated.points)
+        cloud = _with_sigmas(triangulated.decoded, triangulated.points, calibration, progress)
         saved_maps.result()  # a cloud is not written where its maps could not be
         verdict: Future[Diagnosis] = Future()
         saved_cloud = writer.submit(
@@ -126,7 +128,7 @@ def finish_scan(
             lambda: verdict.result().require_usable(str(session.path)),
         )
         try:
-            diagnosis = diagnose(session, found.decoded, cloud, calibration, limits)
+            diagnosis = diagnose(session, triangulated.decoded, cloud, calibration, limits)
             save_diagnosis(diagnosis, session.path)
         except BaseException as error:
             verdict.set_exception(error)  # the writer waits for it
@@ -139,7 +141,7 @@ def finish_scan(
             saved_cloud.result()
             write_recorded(session.path / CALIBRATION, calibration.to_yaml(CALIBRATION))
             session.check_kept()
-    return Reconstruction(session, calibration, depth, found.decoded, cloud, diagnosis)
+    return Reconstruction(session, calibration, depth, triangulated.decoded, cloud, diagnosis)
 
 
 def diagnose(

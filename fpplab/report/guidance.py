@@ -90,4 +90,4 @@ def _row(number: int, attempt: PoseAttempt) -> tuple[str, ...]:
     outcome = "accepted" if attempt.accepted else f"rejected: {said}; {attempt.findings[0].remedy}"
     if attempt.accepted and said:
         outcome += f", as the pose before it: {said}"
-    return (f"{number}: {attempt.name}", attempt.words, *cells, form, outcome)
+    return (f"{number}: {attempt.name}", attempt.request, *cells, form, outcome)

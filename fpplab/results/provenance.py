@@ -242,7 +242,7 @@ def _compared(calibration: CalibrationOrigin, measured: SessionOrigin | None) ->
     devices = [device for device in (calibration.camera, calibration.projector) if device]
     if not devices:
         return None
-    text = "; ".join(device.words for device in devices)
+    text = "; ".join(device.description for device in devices)
     if measured is None:
         return text
     if others := other_devices(calibration, measured):
@@ -259,7 +259,7 @@ def _device_values(rig: Mapping[str, object], origin: SessionOrigin | None) -> d
     values: dict[str, str | None] = {}
     for name in ("camera", "projector", "stage"):
         if origin and name in origin.devices:
-            values[name] = origin.devices[name].words
+            values[name] = origin.devices[name].description
         elif name != "stage":
             model = recorded.get(name, {}).get("model")
             values[name] = f"{model}, serial number {NOT_RECORDED}" if model else None

@@ -83,9 +83,10 @@ def foreign_calibration(calibration: Calibration, session: Session) -> str | Non
         return None
     made_with = {"camera": made.camera, "projector": made.projector}
     clauses = [
-        f"the {name} is {measured.devices[name].words}, but the calibration was made with {one.words}"
+        f"the {name} is {measured.devices[name].description}, but the calibration was made with "
+        f"{identity.description}"
         for name in other_devices(made, measured)
-        if (one := made_with[name])
+        if (identity := made_with[name])
     ]
     return "; ".join(clauses) or None
 

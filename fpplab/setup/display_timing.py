@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -49,18 +49,23 @@ class DisplayTiming:
 
     settle_s: float  # shortest time in s from `Projector.show` to a frame of the new pattern alone
     refresh_s: float | None  # refresh period in s, as the camera measured it
-    told_s: float | None  # the same as stated by the display
+    reported_s: float | None  # the same as stated by the display
 
     @property
     def agrees(self) -> bool:
         """Whether measured and stated refresh period agree."""
-        if self.refresh_s is None or self.told_s is None:
+        if self.refresh_s is None or self.reported_s is None:
             return True
-        return abs(self.refresh_s / self.told_s - 1.0) <= LIMITS.max_difference
+        return abs(self.refresh_s / self.reported_s - 1.0) <= LIMITS.max_difference
 
     def summary(self) -> dict[str, Any]:
         """Give the times as plain values."""
-        return {**asdict(self), "agrees": self.agrees}
+        return {
+            "settle_s": self.settle_s,
+            "refresh_s": self.refresh_s,
+            "told_s": self.reported_s,
+            "agrees": self.agrees,
+        }
 
 
 def measure_display(rig: Rig, plan: Plan, progress: Progress) -> DisplayTiming:
@@ -71,11 +76,11 @@ def measure_display(rig: Rig, plan: Plan, progress: Progress) -> DisplayTiming:
         if not isinstance(projector, FlashingProjector):
             return DisplayTiming(settle_s, None, None)
         exposure_s = LIMITS.refreshes * projector.refresh_s + settle_s + 2 * LIMITS.slack_s
-        told_s = projector.refresh_s
+        reported_s = projector.refresh_s
         if exposure_s > rig.camera.caps.exposure_s[1]:
-            return DisplayTiming(settle_s, None, told_s)
+            return DisplayTiming(settle_s, None, reported_s)
         refresh_s = _Levels(rig, plan, exposure_s).refresh_s(projector, settle_s)
-        return DisplayTiming(settle_s, refresh_s, told_s)
+        return DisplayTiming(settle_s, refresh_s, reported_s)
     finally:
         progress(1.0)
         rig.make_dark()

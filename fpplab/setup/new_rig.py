@@ -91,7 +91,7 @@ class RigDraft:
 
     def summary(self) -> dict[str, Any]:
         """Give what was seen as plain values."""
-        return {kind: asdict(seen) for kind, seen in self.tests.items()}
+        return {kind: asdict(test) for kind, test in self.tests.items()}
 
 
 class RigSetup:
@@ -99,13 +99,13 @@ class RigSetup:
 
     def __init__(
         self,
-        found: FoundDevices,
+        discovered: FoundDevices,
         names: Mapping[str, str],
         folder: Path,
         ask: Ask | None,
         tell: Callable[[str], None],
     ) -> None:
-        self._found, self._names, self._folder = found, dict(names), folder
+        self._discovered, self._names, self._folder = discovered, dict(names), folder
         self._ask, self._tell = ask, tell
 
     def run(self, home: bool, operator: bool) -> RigDraft:
@@ -144,7 +144,7 @@ class RigSetup:
                 self._names.pop(kind, None)
                 continue
             draft.sections[kind] = dict(chosen.section)
-            self._tell(f"{kind} passed: {_words(draft.tests[kind])}")
+            self._tell(f"{kind} passed: {_description(draft.tests[kind])}")
             return device
         return None
 
@@ -152,7 +152,7 @@ class RigSetup:
         named = self._names.get(kind)
         if named == NONE:
             return None
-        all_of_kind = [d for d in self._found.devices if d.kind == kind and d.section]
+        all_of_kind = [d for d in self._discovered.devices if d.kind == kind and d.section]
         if named is not None:
             return _only([d for d in all_of_kind if d.is_called(named)], all_of_kind, kind, named)
         if self._ask is None:
@@ -172,7 +172,7 @@ class RigSetup:
             raise ConfigError(f"rig: '{kind}.backend' is '{name}': not a {kind}")
         for key, value in options.items():
             if isinstance(value, str):
-                options[key] = config.resolve_beside(value, self._folder)
+                options[key] = config.resolve_relative_to(value, self._folder)
         device: Chosen = backend(kind, options, None)
         return device
 
@@ -184,8 +184,8 @@ class RigSetup:
         return StageTest(stage.homed, stage.caps.travel_mm)
 
     def _nothing(self, kind: str) -> DeviceError:
-        hints = [sentence for sentence in self._found.missing if kind in sentence]
-        others = [d.title for d in self._found.devices if d.kind == kind]
+        hints = [sentence for sentence in self._discovered.missing if kind in sentence]
+        others = [d.title for d in self._discovered.devices if d.kind == kind]
         evidence = f"none is connected{'; ' + hints[0] if hints else ''}"
         if others:
             evidence = f"none is certain to be one; there are {', '.join(others)}"
@@ -210,7 +210,7 @@ def look_at_scene(camera: Camera) -> CameraTest:
     """Take a well exposed picture, if there is any light, and describe it."""
     settings, image = _well_exposed(camera)
     full = full_scale(settings.bits)
-    least, most = (float(v) / full for v in np.quantile(image, (0.001, 0.999)))
+    darkest, brightest = (float(v) / full for v in np.quantile(image, (0.001, 0.999)))
     if image.min() == image.max():
         raise DeviceError(
             camera.name,
@@ -219,7 +219,7 @@ def look_at_scene(camera: Camera) -> CameraTest:
             "switch off test images, and check the lens cap",
         )
     mean, saturated = float(image.mean()) / full, float((image >= full).mean())
-    return CameraTest(settings.exposure_s, mean, least, most, saturated)
+    return CameraTest(settings.exposure_s, mean, darkest, brightest, saturated)
 
 
 def look_at_light(camera: Camera, projector: Projector) -> ProjectorTest:
@@ -255,9 +255,9 @@ def look_at_light(camera: Camera, projector: Projector) -> ProjectorTest:
 
 def _well_exposed(camera: Camera) -> tuple[CameraSettings, Image]:
     """A picture that is neither dark nor saturated, as far as the camera's exposures go."""
-    least, most = camera.caps.exposure_s
+    shortest_s, longest_s = camera.caps.exposure_s
     bits = min(camera.caps.bits)
-    exposure_s, tried = min(max(LIMITS.first_exposure_s, least), most), set[float]()
+    exposure_s, tried = min(max(LIMITS.first_exposure_s, shortest_s), longest_s), set[float]()
     while True:
         gain_db = min(max(0.0, camera.caps.gain_db[0]), camera.caps.gain_db[1])
         settings = camera.configure(CameraSettings(exposure_s, gain_db, bits))
@@ -265,17 +265,17 @@ def _well_exposed(camera: Camera) -> tuple[CameraSettings, Image]:
         tried.add(exposure_s)
         full = full_scale(bits)
         if float((image >= full).mean()) > LIMITS.max_saturated:
-            wanted = max(exposure_s / 2, least)
+            next_s = max(exposure_s / 2, shortest_s)
         elif float(np.quantile(image, 0.99)) < LIMITS.min_brightness * full:
-            wanted = min(exposure_s * 2, most, 0.5)
+            next_s = min(exposure_s * 2, longest_s, 0.5)
         else:
             return settings, image
-        if wanted in tried:
+        if next_s in tried:
             return settings, image
-        exposure_s = wanted
+        exposure_s = next_s
 
 
-def _words(test: CameraTest | ProjectorTest | StageTest) -> str:
+def _description(test: CameraTest | ProjectorTest | StageTest) -> str:
     match test:
         case CameraTest():
             return (

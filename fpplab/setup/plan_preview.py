@@ -43,7 +43,7 @@ def preview_plan(rig: Rig, plan: Plan, source: Path | str) -> tuple[PlanPreview,
     exposure_s = camera.configure(rig.camera_settings(plan.exposure_s, plan.bits)).exposure_s
     rig.projector.load(patterns)
     timing = planned_timing(rig, plan, patterns, exposure_s)
-    found = PlanPreview(
+    preview = PlanPreview(
         trigger=plan.trigger,
         images=plan.images,
         end_markers=len(ends),
@@ -56,4 +56,4 @@ def preview_plan(rig: Rig, plan: Plan, source: Path | str) -> tuple[PlanPreview,
         period_set_by=timing.limit,
         least_s=len(patterns) * timing.period_s,
     )
-    return found, patterns
+    return preview, patterns

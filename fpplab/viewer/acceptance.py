@@ -25,7 +25,7 @@ class AcceptanceView(MeasurementView):
 
     def pictures(self) -> list[Any]:
         """List the views of images, and the result."""
-        return [*super().pictures(), layouts.words("Result", "/words/result")]
+        return [*super().pictures(), layouts.text_view("Result", "/words/result")]
 
     def position(self, item: str, decoded: Decoded, cloud: Cloud) -> None:
         """Show one position of a standard."""
@@ -33,25 +33,27 @@ class AcceptanceView(MeasurementView):
         self.canvas.text("words/result", f"**{item}**: {len(cloud):,} points, position {self._positions}")
         self.results(decoded, cloud, None, None)
 
-    def result(self, found: Acceptance) -> None:
+    def result(self, acceptance: Acceptance) -> None:
         """Show all fitted points by their distance from the fit, and the verdict."""
-        features: list[MeasuredFeature] = [one.measured for bar in found.bars for one in bar.spheres]
-        features += [plane.measured for plane in found.planes]
-        errors_um = 1e3 * np.concatenate([one.distances for one in features])
+        features: list[MeasuredFeature] = [
+            feature.measured for bar in acceptance.bars for feature in bar.spheres
+        ]
+        features += [plane.measured for plane in acceptance.planes]
+        errors_um = 1e3 * np.concatenate([feature.distances for feature in features])
         limit = error_limit(errors_um)
         scale = ColourScale("Signed distance from the fit", "µm", "RdBu_r", -limit, limit)
         shown = Colouring("Error", errors_um, scale)
-        points = np.concatenate([one.points for one in features])
+        points = np.concatenate([feature.points for feature in features])
         self.canvas.cloud(shown.entity, points, scale.colours_of(errors_um))
         self.canvas.bar(f"bars/{shown.entity}", scale)
         self.canvas.open_on("part", "world/cloud", points)
         rows = "\n".join(
-            f"| {name} | {one.worst_um:.1f} | {one.mpe_um or '–'} | {VERDICTS[one.passed]} |"
-            for name, one in found.judgements().items()
+            f"| {name} | {verdict.worst_um:.1f} | {verdict.mpe_um or '–'} | {VERDICTS[verdict.passed]} |"
+            for name, verdict in acceptance.judgements().items()
         )
         self.canvas.text(
             "words/result",
-            f"**{found.standard.name}: {VERDICTS[found.passed]}**\n\n"
+            f"**{acceptance.standard.name}: {VERDICTS[acceptance.passed]}**\n\n"
             f"| | worst µm | permitted µm | |\n|---|---|---|---|\n{rows}",
         )
         self.canvas.layout(self.arrangement([shown]))

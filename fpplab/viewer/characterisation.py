@@ -27,26 +27,29 @@ class CharacterisationView(MeasurementView):
         devices = [f"/{CAMERA}/**", f"/{PROJECTOR}/**", f"/{REACH['rig']}"]
         rig = layouts.scene("Rig and boards", [*devices, f"/{BOARDS}"])
         boards = layouts.scene("Boards", [f"/{BOARDS}", f"/{REACH['part']}"])
-        tabs = [layouts.with_bar(one, f"/bars/{BOARDS}", one.name) for one in (rig, boards)]
+        tabs = [layouts.with_bar(view, f"/bars/{BOARDS}", view.name) for view in (rig, boards)]
         return rrb.Tabs(*tabs, active_tab=0, name="Scene")
 
     def pictures(self) -> list[Any]:
         """List the views of images, residuals and words."""
         return [
             *super().pictures()[:3],
-            layouts.words("Result", "/words/result"),
+            layouts.text_view("Result", "/words/result"),
             layouts.image("Camera residuals", "/diagrams/camera"),
             layouts.image("Projector residuals", "/diagrams/projector"),
         ]
 
-    def result(self, found: Characterisation) -> None:
+    def result(self, characterisation: Characterisation) -> None:
         """Show the devices, every board coloured by its points' errors, and the residuals."""
-        self.calibration(found.calibration)
+        self.calibration(characterisation.calibration)
         points, errors = [], []
-        for pose, seen, residuals in zip(
-            found.poses, found.observations, found.camera_residuals, strict=True
+        for pose, observation, residuals in zip(
+            characterisation.poses,
+            characterisation.observations,
+            characterisation.camera_residuals,
+            strict=True,
         ):
-            points.append(pose.apply(found.board[seen.ids]))
+            points.append(pose.apply(characterisation.board[observation.ids]))
             errors.append(np.linalg.norm(residuals, axis=1))
         error = np.concatenate(errors)
         scale = ColourScale(
@@ -57,12 +60,20 @@ class CharacterisationView(MeasurementView):
         self.canvas.open_on("part", BOARDS, np.concatenate(points))
         self.canvas.bar(f"bars/{BOARDS}", scale)
         both = (
-            ("camera", [o.camera_px for o in found.observations], found.camera_residuals),
-            ("projector", [o.projector_px for o in found.observations], found.projector_residuals),
+            (
+                "camera",
+                [o.camera_px for o in characterisation.observations],
+                characterisation.camera_residuals,
+            ),
+            (
+                "projector",
+                [o.projector_px for o in characterisation.observations],
+                characterisation.projector_residuals,
+            ),
         )
         for device, pixels, residual in both:
-            size = getattr(found.calibration, device).size
+            size = getattr(characterisation.calibration, device).size
             drawn = residuals_figure(np.concatenate(pixels), np.concatenate(residual), size, device)
             self.canvas.figure(f"diagrams/{device}", drawn, static=True)
-        rows = "\n".join(f"| {key} | {value} |" for key, value in found.facts().items())
+        rows = "\n".join(f"| {key} | {value} |" for key, value in characterisation.facts().items())
         self.canvas.text("words/result", f"| | |\n|---|---|\n{rows}")

@@ -36,16 +36,16 @@ class ColourScale:
         cls, quantity: str, unit: str, colours: str, values: NDArray[np.floating[Any]]
     ) -> ColourScale:
         """Make a scale over nearly all of some values."""
-        known = values[np.isfinite(values)]
-        low, high = np.percentile(known, (0.5, 99.5)) if len(known) else (0.0, 1.0)
+        finite = values[np.isfinite(values)]
+        low, high = np.percentile(finite, (0.5, 99.5)) if len(finite) else (0.0, 1.0)
         return cls(quantity, unit, colours, float(low), float(high))
 
     def colours_of(self, values: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:
         """Give the colours of values."""
         level: Floats = np.clip((values - self.low) / max(self.high - self.low, 1e-12), 0.0, 1.0)
-        known = np.isfinite(level)
-        rgb: NDArray[np.uint8] = self._table()[np.rint(np.where(known, level, 0.0) * 255).astype(np.intp)]
-        rgb[~known] = UNMEASURED
+        finite = np.isfinite(level)
+        rgb: NDArray[np.uint8] = self._table()[np.rint(np.where(finite, level, 0.0) * 255).astype(np.intp)]
+        rgb[~finite] = UNMEASURED
         return rgb
 
     def above_its_bar(self, values: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:
@@ -73,8 +73,8 @@ class ColourScale:
             draw.line([(x, _HEIGHT), (x, _HEIGHT + 7)], fill=_INK, width=2)
             value = self.low + share * (self.high - self.low)
             draw.text((x, _HEIGHT + 8), self._number(value), _INK, font, anchor="ma")
-        words = f"{self.quantity} in {self.unit}" if self.unit else self.quantity
-        draw.text((width / 2, height - 3), words, _INK, font, anchor="mb")
+        title = f"{self.quantity} in {self.unit}" if self.unit else self.quantity
+        draw.text((width / 2, height - 3), title, _INK, font, anchor="mb")
         return np.asarray(sheet)
 
     def _number(self, value: float) -> str:

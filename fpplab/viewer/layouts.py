@@ -45,7 +45,7 @@ def curves(name: str, contents: Mapping[str, Sequence[str]] | Sequence[str]) -> 
     return rrb.TimeSeriesView(origin="/", contents=list(contents), name=name)
 
 
-def words(name: str, origin: str) -> Any:
+def text_view(name: str, origin: str) -> Any:
     """View a text."""
     import rerun.blueprint as rrb
 

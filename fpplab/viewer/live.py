@@ -101,7 +101,7 @@ class LiveSnapshot:
     pattern_id: str  # tells whether that has changed
     focus: dict[str, FocusShares]  # by device, where it was measured with this frame
     levels: LightLevels | None  # light, where it was measured with this frame
-    words: str  # the state in Markdown
+    state_text: str  # the state in Markdown
 
 
 class LiveView(CommandView):
@@ -109,7 +109,7 @@ class LiveView(CommandView):
 
     def begin(self) -> None:
         """Arrange the views."""
-        self._pattern_id = self._words = ""
+        self._pattern_id = self._state_text = ""
         for entity, (name, colour) in CURVES.items():
             self.canvas.curve_style(entity, name, colour)
         self.canvas.layout(self.arrangement(layouts.image("Projector", f"/{PATTERN}")))
@@ -131,7 +131,7 @@ class LiveView(CommandView):
         )
         light = layouts.curves("Light, %", ["/light/peak", "/light/saturated"])
         measures = rrb.Vertical(
-            rrb.Horizontal(focus, light), *maps, layouts.words("State", "/words"), row_shares=[3, 4, 4, 3]
+            rrb.Horizontal(focus, light), *maps, layouts.text_view("State", "/words"), row_shares=[3, 4, 4, 3]
         )
         return rrb.Horizontal(
             rrb.Vertical(camera, rrb.Horizontal(below, histogram), row_shares=[3, 2]),
@@ -160,7 +160,7 @@ class LiveView(CommandView):
 
         near, far = geometry.depth_mm
         outlines = [geometry.outline(float(d)) for d in np.linspace(near, far, 7)]
-        strips = [one for one in outlines if len(one)]
+        strips = [outline for outline in outlines if len(outline)]
         overlap = rr.LineStrips3D(strips, colors=OVERLAP_COLOUR, radii=rr.Radius.ui_points(1.0))
         self.canvas.log("world/overlap", overlap, static=True)
         if strips:
@@ -185,9 +185,9 @@ class LiveView(CommandView):
         if now.levels is not None:
             self.canvas.value("light/peak", 100.0 * now.levels.peak)
             self.canvas.value("light/saturated", 100.0 * now.levels.saturated)
-        if now.words != self._words:
-            self._words = now.words
-            self.canvas.text("words", now.words, static=False)
+        if now.state_text != self._state_text:
+            self._state_text = now.state_text
+            self.canvas.text("words", now.state_text, static=False)
 
     def _draw_focus(self, name: str, focus: FocusShares) -> None:
         """The focus of each region as a share of its best: colours, and figures on them."""
@@ -195,10 +195,10 @@ class LiveView(CommandView):
 
         if focus.whole is not None:
             self.canvas.value(f"focus/{name}", 100.0 * focus.whole)
-        known = np.isfinite(focus.regions)
+        measured = np.isfinite(focus.regions)
         table = mpl.colormaps["RdYlGn"](np.clip(np.nan_to_num(focus.regions), 0.0, 1.0))[..., :3]
         rgb = np.rint(200 * table).astype(np.uint8)
-        rgb[~known] = UNKNOWN_FOCUS
+        rgb[~measured] = UNKNOWN_FOCUS
         entity = f"maps/{name}_focus"
         self.canvas.log(entity, rr.Image(rgb.repeat(CELL_PX, axis=0).repeat(CELL_PX, axis=1)))
         v, u = np.meshgrid(*((np.arange(n) + 0.5) * CELL_PX for n in REGIONS), indexing="ij")
@@ -233,7 +233,7 @@ class LiveFrames:
             pattern_id=pattern.id,
             focus=self._measured(status),
             levels=levels,
-            words=_words(status),
+            state_text=_state_text(status),
         )
         self._viewer.show_one_of_many(LiveView.snapshot, snapshot)
 
@@ -243,15 +243,17 @@ class LiveFrames:
             "camera": status.camera_focus,
             "projector": status.projector_focus,
         }
-        new = {name: one for name, one in trackers.items() if one.now is not self._focus.get(name)}
-        self._focus |= {name: one.now for name, one in new.items()}
-        return {name: FocusShares(one.share, one.shares) for name, one in new.items()}
+        new = {
+            name: tracker for name, tracker in trackers.items() if tracker.now is not self._focus.get(name)
+        }
+        self._focus |= {name: tracker.now for name, tracker in new.items()}
+        return {name: FocusShares(tracker.share, tracker.shares) for name, tracker in new.items()}
 
 
-def _words(status: LiveStatus) -> str:
+def _state_text(status: LiveStatus) -> str:
     """The state in Markdown."""
     lines = [status.line().replace(" | ", "  \n")]
     if status.advice is not None:
-        lines += [f"**{one}**" for one in status.advice.limits]
-    lines += [f"**{one.cause}**: {one.evidence}; {one.remedy}" for one in status.findings]
+        lines += [f"**{limit}**" for limit in status.advice.limits]
+    lines += [f"**{finding.cause}**: {finding.evidence}; {finding.remedy}" for finding in status.findings]
     return "\n\n".join(lines)

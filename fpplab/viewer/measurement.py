@@ -72,8 +72,8 @@ class Colouring:
 
 
 @dataclass
-class _Known:
-    """What has been shown so far, and decides how the next is."""
+class _Shown:
+    """What has been shown so far, which decides how the next data are shown."""
 
     plan: tuple[Plan, tuple[int, int], Lattice] | None = None
     calibration: Calibration | None = None
@@ -85,7 +85,7 @@ class MeasurementView(CommandView):
 
     def begin(self) -> None:
         """Arrange the views and say which way the axes point."""
-        self._known = _Known()
+        self._shown = _Shown()
         self.canvas.directions("world")
         self.canvas.layout(self.arrangement())
 
@@ -106,9 +106,11 @@ class MeasurementView(CommandView):
         around = f"/{REACH['part']}"
         coloured = [
             layouts.with_bar(
-                layouts.scene(one.name, [f"/{one.entity}", around]), f"/bars/{one.entity}", one.name
+                layouts.scene(colouring.name, [f"/{colouring.entity}", around]),
+                f"/bars/{colouring.entity}",
+                colouring.name,
             )
-            for one in colourings
+            for colouring in colourings
         ]
         rig = layouts.scene("Rig", [f"/{CAMERA}/**", f"/{PROJECTOR}/**", f"/{CLOUD}", f"/{REACH['rig']}"])
         part = layouts.scene("Part", [f"/{CLOUD}", around])
@@ -119,7 +121,7 @@ class MeasurementView(CommandView):
 
     def pictures(self) -> list[Any]:
         """List the views of images and maps."""
-        axes: tuple[Axis, ...] = self._known.plan[0].axes if self._known.plan else ("x", "y")
+        axes: tuple[Axis, ...] = self._shown.plan[0].axes if self._shown.plan else ("x", "y")
         coordinates = {"x": ("Projector columns u", "/maps/u"), "y": ("Projector rows v", "/maps/v")}
         listed = [
             ("Camera", f"/{IMAGE}"),
@@ -132,22 +134,22 @@ class MeasurementView(CommandView):
 
     def plan(self, plan: Plan, size: tuple[int, int], lattice: Lattice) -> None:
         """Announce what the projector will show, so that frames are shown with their pattern and phase."""
-        self._known.plan = (plan, size, lattice)
+        self._shown.plan = (plan, size, lattice)
         self.canvas.layout(self.arrangement())
 
     def frame(self, frame: ShownFrame) -> None:
         """Show a camera image, the pattern that it shows, and the phase once its fringe set is complete."""
         self.canvas.at("frame", frame.index)
         self.canvas.picture(IMAGE, eight_bits(frame.image, frame.bits))
-        if self._known.plan is not None:
-            plan, size, lattice = self._known.plan
+        if self._shown.plan is not None:
+            plan, size, lattice = self._shown.plan
             index, step, _ = list(plan.steps())[frame.index]
             self.canvas.picture(PATTERN, subsampled(pattern_image(plan, index, step, size, lattice)))
             self._collect(frame, plan, index, step)
 
     def _collect(self, frame: ShownFrame, plan: Plan, index: int, step: int) -> None:
         """Show the wrapped phase of a fringe set once its last frame is in."""
-        fringe, frames = plan.fringes[index], self._known.frames
+        fringe, frames = plan.fringes[index], self._shown.frames
         if step == 0:
             frames.clear()
         frames[step] = frame.image
@@ -161,7 +163,7 @@ class MeasurementView(CommandView):
 
     def calibration(self, calibration: Calibration) -> None:
         """Show camera and projector at their poses."""
-        self._known.calibration = calibration
+        self._shown.calibration = calibration
         show_devices(self.canvas, calibration)
 
     def maps(self, decoded: Decoded) -> None:
@@ -190,11 +192,11 @@ class MeasurementView(CommandView):
             self.maps(decoded)
         self.cloud(cloud)
         risk = None if decoded is None else self._risk(decoded, cloud, depth)
-        found = colourings(cloud, risk, errors_um)
-        for one in found:
-            self.canvas.cloud(one.entity, cloud.points, one.scale.colours_of(one.values))
-            self.canvas.bar(f"bars/{one.entity}", one.scale)
-        self.canvas.layout(self.arrangement(found))
+        shown = colourings(cloud, risk, errors_um)
+        for colouring in shown:
+            self.canvas.cloud(colouring.entity, cloud.points, colouring.scale.colours_of(colouring.values))
+            self.canvas.bar(f"bars/{colouring.entity}", colouring.scale)
+        self.canvas.layout(self.arrangement(shown))
 
     def cloud(self, cloud: Cloud) -> None:
         """Show the points in the camera's grey levels, or else by their depth."""
@@ -211,11 +213,11 @@ class MeasurementView(CommandView):
 
     def _risk(self, decoded: Decoded, cloud: Cloud, depth: DepthRange | None) -> Map | None:
         """Order risk of every point, where plan and pixels are known."""
-        if self._known.plan is None or cloud.pixels is None:
+        if self._shown.plan is None or cloud.pixels is None:
             return None
-        plan, size, _ = self._known.plan
+        plan, size, _ = self._shown.plan
         with suppress(FppError):  # a plan that this calibration cannot unwrap has no known risk
-            bounds = self._known.calibration and depth_bounds(plan, self._known.calibration, depth)
+            bounds = self._shown.calibration and depth_bounds(plan, self._shown.calibration, depth)
             widths = {axis: widest(bounds or None, axis, size) for axis in plan.axes}
             u, v = cloud.pixels.T
             return np.asarray(order_risk(decoded, plan, size, widths)[v, u])
@@ -239,24 +241,26 @@ def colourings(
 ) -> list[Colouring]:
     """List the colourings of a cloud that are known, the most telling first."""
     # risk (N,); errors_um (N,) µm
-    found = []
+    listed = []
     if errors_um is not None:
         limit = error_limit(errors_um)
         scale = ColourScale("Signed distance from the true shape", "µm", "RdBu_r", -limit, limit)
-        found.append(Colouring("Error", errors_um, scale))
+        listed.append(Colouring("Error", errors_um, scale))
     sigma_mm = cloud.sigma_mm if cloud.sigma_mm is not None else cloud.sigma_along_ray_mm
     if sigma_mm is not None:
         sigma_um = 1e3 * sigma_mm
-        words = "Standard uncertainty" + ("" if cloud.sigma_mm is not None else " by noise")
-        found.append(Colouring("Uncertainty", sigma_um, ColourScale.spanning(words, "µm", "magma", sigma_um)))
+        quantity = "Standard uncertainty" + ("" if cloud.sigma_mm is not None else " by noise")
+        listed.append(
+            Colouring("Uncertainty", sigma_um, ColourScale.spanning(quantity, "µm", "magma", sigma_um))
+        )
     if risk is not None:
         with np.errstate(divide="ignore"):
             exponent = np.maximum(np.log10(risk), MIN_LOG_RISK)
-        words = "Probability of a wrong fringe order, decimal logarithm"
-        scale = ColourScale(words, "", "plasma", MIN_LOG_RISK, MAX_LOG_RISK)
-        found.append(Colouring("Order risk", exponent, scale))
-    found.append(Colouring("Depth", cloud.points[:, 2], depth_scale(cloud)))
-    return found
+        quantity = "Probability of a wrong fringe order, decimal logarithm"
+        scale = ColourScale(quantity, "", "plasma", MIN_LOG_RISK, MAX_LOG_RISK)
+        listed.append(Colouring("Order risk", exponent, scale))
+    listed.append(Colouring("Depth", cloud.points[:, 2], depth_scale(cloud)))
+    return listed
 
 
 def frame_observer(viewer: Viewer[Any], view: type[MeasurementView] = MeasurementView) -> FrameObserver:

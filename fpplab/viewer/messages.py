@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fpplab.viewer.server import Shown
+from fpplab.viewer.server import ViewerPlace
 
 WAITING = "waiting"
 """Message in place of a method: answer now, and again whenever the operator has closed the view."""
@@ -22,7 +22,7 @@ class Opening:
     """First message to the process that draws."""
 
     view: type  # subclass of `CommandView`
-    shown: Shown | None  # where it is shown; None: it is only recorded
+    shown: ViewerPlace | None  # where it is shown; None: it is only recorded
     recording: Path | None  # file (.rrd) that is left when the view is closed
 
 

@@ -21,7 +21,7 @@ from fpplab.reconstruction.depth_range import DepthRange
 from fpplab.sessions.session import Session
 from fpplab.viewer.canvas import Canvas
 from fpplab.viewer.measurement import MeasurementView, ShownFrame
-from fpplab.viewer.server import Shown, open_server
+from fpplab.viewer.server import ViewerPlace, open_server
 from fpplab.viewer.viewer import Viewer
 
 CloudErrors = Callable[[Cloud], NDArray[np.floating[Any]]]
@@ -31,7 +31,7 @@ CloudErrors = Callable[[Cloud], NDArray[np.floating[Any]]]
 def view_session(
     session: Session,
     calibration: Calibration | None = None,
-    to: Shown | Path = "anywhere",
+    to: ViewerPlace | Path = "anywhere",
     announce: Callable[[str], object] = print,
     errors: CloudErrors | None = None,
     progress: Progress = no_progress,
@@ -55,7 +55,9 @@ def view_session(
         return viewer.where
 
 
-def view_recording(path: Path, shown: Shown = "anywhere", announce: Callable[[str], object] = print) -> str:
+def view_recording(
+    path: Path, shown: ViewerPlace = "anywhere", announce: Callable[[str], object] = print
+) -> str:
     """Show a recording until its window or page is closed or Ctrl-C is pressed."""
     with path.open("rb") as stream:
         if stream.read(4) != b"RRF2":

@@ -23,7 +23,7 @@ class ResponseView(CommandView):
         right = rrb.Vertical(
             layouts.image("Levels seen", "/diagrams/levels"),
             layouts.image("Response", "/diagrams/response"),
-            layouts.words("Fit", "/words/fit"),
+            layouts.text_view("Fit", "/words/fit"),
             row_shares=[3, 3, 1],
         )
         self.canvas.layout(rrb.Horizontal(layouts.image("Camera", "/images/camera"), right))
@@ -39,10 +39,10 @@ class ResponseView(CommandView):
     def response(self, response: Response) -> None:
         """Show the fit."""
         self.canvas.figure("diagrams/response", response_fit(response), static=True)
-        found = response.summary()
+        coefficients = response.summary()
         self.canvas.text(
             "words/fit",
-            "I_out = a I_in^g + b: " + ", ".join(f"{name} = {found[name]:.5f}" for name in "abg"),
+            "I_out = a I_in^g + b: " + ", ".join(f"{name} = {coefficients[name]:.5f}" for name in "abg"),
         )
 
 

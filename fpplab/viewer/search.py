@@ -37,7 +37,7 @@ class SearchView(CommandView):
         ]
         left = rrb.Vertical(
             layouts.image("Candidates, front and optimum", "/diagrams/front"),
-            layouts.words("Optimum and front", "/words/optimum"),
+            layouts.text_view("Optimum and front", "/words/optimum"),
             row_shares=[3, 2],
         )
         self.canvas.layout(rrb.Horizontal(left, rrb.Vertical(*curves), column_shares=[5, 4]))
@@ -49,8 +49,11 @@ class SearchView(CommandView):
         for key in CURVES:
             self.canvas.value(f"search/{key}", float(getattr(epoch.best.figures, key)))
         self.canvas.figure("diagrams/front", front_so_far(self._measured, epoch.front, epoch.best))
-        listed = [("optimum", epoch.best), *((f"front {k}", one) for k, one in enumerate(epoch.front, 1))]
-        rows = "\n".join(_row(name, one) for name, one in listed)
+        listed = [
+            ("optimum", epoch.best),
+            *((f"front {k}", candidate) for k, candidate in enumerate(epoch.front, 1)),
+        ]
+        rows = "\n".join(_row(name, candidate) for name, candidate in listed)
         self.canvas.text(
             "words/optimum",
             f"**Epoch {epoch.number}**, {epoch.step}: {epoch.measured} candidates measured\n\n"
@@ -61,15 +64,15 @@ class SearchView(CommandView):
 
 
 def _row(name: str, trial: MeasuredCandidate) -> str:
-    found, one = trial.figures, trial.candidate
+    figures, candidate = trial.figures, trial.candidate
     cells = (
         name,
-        str(found.images),
-        " ".join(f"{f.stripes:g}" for f in one.fringes),
-        " ".join(str(f.steps) for f in one.fringes),
-        "" if one.stage_mm is None else f"{one.stage_mm:g}",
-        f"{found.surface_smcd_um:.2f}",
-        f"{found.completeness:.3f}",
+        str(figures.images),
+        " ".join(f"{f.stripes:g}" for f in candidate.fringes),
+        " ".join(str(f.steps) for f in candidate.fringes),
+        "" if candidate.stage_mm is None else f"{candidate.stage_mm:g}",
+        f"{figures.surface_smcd_um:.2f}",
+        f"{figures.completeness:.3f}",
     )
     return f"| {' | '.join(cells)} |"
 
@@ -81,12 +84,12 @@ def front_so_far(
     """Draw candidates by images and distance, with their front and the optimum."""
 
     def places(trials: Sequence[MeasuredCandidate]) -> tuple[list[int], list[float]]:
-        known: list[CandidateFigures] = [one.figures for one in trials]
-        return [one.images for one in known], [one.surface_smcd_um for one in known]
+        figures: list[CandidateFigures] = [trial.figures for trial in trials]
+        return [f.images for f in figures], [f.surface_smcd_um for f in figures]
 
     figure, axes = single_axes(FULL, 4.0)
     axes.plot(*places(measured), "o", color="#9aa1a9", markersize=3.5, label="candidates")
-    ordered = sorted(front, key=lambda one: one.figures.images)
+    ordered = sorted(front, key=lambda trial: trial.figures.images)
     axes.plot(*places(ordered), "o-", color=ACCENT, markersize=5, linewidth=1.2, label="front")
     axes.plot(*places([best]), "*", color=ALARM, markersize=13, label="optimum")
     axes.plot(*places(measured[:1]), "s", color=SECOND, markersize=6, label="start")

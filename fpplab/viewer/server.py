@@ -19,7 +19,7 @@ from fpplab.viewer import host
 
 ServerKind = Literal["window", "browser"]
 """A window on this display, or a page for a browser on this computer."""
-Shown = Literal["window", "browser", "anywhere"]
+ViewerPlace = Literal["window", "browser", "anywhere"]
 """A window, a page, or a window where there is a display and one can be opened, and a page otherwise."""
 PROCESS_GROUP = 0 if os.name == "posix" else None
 """A new process group, so that Ctrl-C is for the command alone. In a session of its own, Linux would give it
@@ -82,7 +82,7 @@ class ViewerServer:
         return {}
 
 
-def open_server(shown: Shown, files: Sequence[Path] = ()) -> ViewerServer:
+def open_server(shown: ViewerPlace, files: Sequence[Path] = ()) -> ViewerServer:
     """Open a window or a page."""
     if shown != "anywhere":
         return ViewerServer(shown, files)
@@ -101,7 +101,7 @@ def has_display() -> bool:
 
 def _program() -> str:
     """Find the program itself, not the script around it, which would not end the program with it."""
-    found = importlib.util.find_spec("rerun_cli")
-    if found is None or found.origin is None:
+    spec = importlib.util.find_spec("rerun_cli")
+    if spec is None or spec.origin is None:
         raise MissingExtraError("rerun_cli")
-    return str(Path(found.origin).parent / ("rerun.exe" if sys.platform == "win32" else "rerun"))
+    return str(Path(spec.origin).parent / ("rerun.exe" if sys.platform == "win32" else "rerun"))

@@ -26,7 +26,7 @@ import psutil
 from fpplab.core.progress import ignore
 from fpplab.viewer.canvas import CommandView
 from fpplab.viewer.messages import MAX_QUEUED, WAITING, Message, Opening, Outbox
-from fpplab.viewer.server import PROCESS_GROUP, Shown
+from fpplab.viewer.server import PROCESS_GROUP, ViewerPlace
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Viewer(Generic[V]):
     def __init__(
         self,
         view: type[V],
-        shown: Shown | None = "anywhere",
+        shown: ViewerPlace | None = "anywhere",
         recording: Path | None = None,
         announce: Callable[[str], object] = ignore,
         complete: bool = False,

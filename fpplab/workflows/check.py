@@ -77,14 +77,14 @@ def _check(request: CheckRequest, observer: Observer) -> CheckResult:
 
     folder = request.pictures.absolute().parent if request.pictures else Path.cwd()
     with observer.stage("Checking") as progress:
-        found = check_rig(request.rig, request.plan, request.item, progress, request.calibration, folder)
+        checked = check_rig(request.rig, request.plan, request.item, progress, request.calibration, folder)
     provenance = rig_provenance(
-        found.rig,
-        found.origin,
+        checked.rig,
+        checked.origin,
         request.plan,
         calibration=request.calibration,
         file=request.calibration_file,
     )
     return CheckResult(
-        found, request.calibration, provenance.with_values(item=request.item), report_file=request.page
+        checked, request.calibration, provenance.with_values(item=request.item), report_file=request.page
     )

@@ -101,8 +101,8 @@ def _compare(request: ComparisonRequest, observer: Observer) -> ComparisonResult
     from fpplab.results.provenance import cloud_provenance
 
     path = request.cloud
-    beside = path.parent / CALIBRATION
-    source = request.calibration or (beside if beside.is_file() else None)
+    stored = path.parent / CALIBRATION
+    source = request.calibration or (stored if stored.is_file() else None)
     calibration = Calibration.load(source) if source else None
     cloud = load_cloud(path)
     if calibration and cloud.size:

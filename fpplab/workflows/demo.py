@@ -128,12 +128,12 @@ def _scan_artefact(
     stopwatch, calibration, out = Stopwatch(), characterised.calibration, request.out / name
     with observer.stage(f"Scanning the {name}") as progress:
         session = take(rig, plan, out, (name, 0), force=request.force, progress=progress)
-        found = finish_scan(session, calibration)
-    found.diagnosis.require_usable(str(session.path))
-    assert found.decoded is not None
-    assert found.cloud is not None
+        reconstruction = finish_scan(session, calibration)
+    reconstruction.diagnosis.require_usable(str(session.path))
+    assert reconstruction.decoded is not None
+    assert reconstruction.cloud is not None
     provenance = session_provenance(session, calibration, Path(CALIBRATION))
-    scan = scan_result(found, provenance, stopwatch.seconds, images=plan.images)
+    scan = scan_result(reconstruction, provenance, stopwatch.seconds, images=plan.images)
     standing = rig.need_fixture("the demonstration").pose(name)
     if standing is None:
         raise ConfigError("the demonstration needs a fixture that knows where it holds an item")
@@ -142,7 +142,7 @@ def _scan_artefact(
     artefacts.save_stl(truth, out / TRUTH)
     with observer.stage(f"Comparing the {name}"):
         placed = recognise(truth)
-        comparison = compare(found.cloud, truth, calibration, align=True, artefact=placed)
-        points = triangulate(found.decoded, calibration, normals=False)
+        comparison = compare(reconstruction.cloud, truth, calibration, align=True, artefact=placed)
+        points = triangulate(reconstruction.decoded, calibration, normals=False)
         unfiltered = compare(points, truth, calibration, align=True)
     return DemoScan(name, scan, comparison, unfiltered)

@@ -31,7 +31,7 @@ from fpplab.setup.live.page import SetUpPage
 from fpplab.setup.live.status import LiveStatus
 from fpplab.targets import Target
 from fpplab.viewer.live import MAX_QUEUED_FRAMES, LiveFrames, LiveView
-from fpplab.viewer.server import Shown
+from fpplab.viewer.server import ViewerPlace
 from fpplab.viewer.viewer import Viewer
 
 
@@ -183,7 +183,7 @@ def _working_point(rig: Rig, plan: Plan, name: str, request: LiveRequest) -> Wor
 
 def _viewer(request: LiveRequest, log: Callable[[str], object]) -> Viewer[LiveView]:
     """The viewer, whose page is part of the set-up's page; without rerun it shows nothing."""
-    shown: Shown | None = "anywhere" if request.view else None
+    shown: ViewerPlace | None = "anywhere" if request.view else None
     if shown and find_spec("rerun") is None:
         log(f"Without images: {how_to_install('rerun')}")
         shown = None
@@ -213,7 +213,7 @@ class _Observer:
     ) -> bool:
         self._page.show(status)
         # While nobody looks, nothing is sent: whoever opens the page later would first see a backlog.
-        has_spectator = self._page.seen or self._is_recorded or _page_of(self._viewer) is None
+        has_spectator = self._page.is_opened or self._is_recorded or _page_of(self._viewer) is None
         if self._viewer.runs and frame is not None and pattern is not None and has_spectator:
             self._frames.show(status, frame, pattern, dark)
         self._show_status(status)

@@ -80,7 +80,7 @@ def run_reconstruction(request: ReconstructionRequest, observer: Observer | None
     stopwatch = Stopwatch()
     with observer.stage("Reconstructing") as progress:
         provenance = session_provenance(request.session, request.calibration, request.calibration_file)
-        found = reconstruct_session(
+        reconstruction = reconstruct_session(
             request.session,
             request.calibration,
             progress,
@@ -91,7 +91,7 @@ def run_reconstruction(request: ReconstructionRequest, observer: Observer | None
             limits=request.limits or USUAL_LIMITS,
         )
         result = scan_result(
-            found, provenance, stopwatch.seconds, cloud_file=request.out, report_file=request.page
+            reconstruction, provenance, stopwatch.seconds, cloud_file=request.out, report_file=request.page
         )
         observer.result(result)
         if request.page is not None:

@@ -84,8 +84,8 @@ def read_scan(path: Path, name: str) -> ScanRecord:
     folder = path if path.is_dir() else path.parent
     if not path.exists():
         raise ConfigError(f"{path}: there is no such session or cloud")
-    beside = folder / CALIBRATION
-    calibration = Calibration.load(beside) if beside.is_file() else None
+    stored = folder / CALIBRATION
+    calibration = Calibration.load(stored) if stored.is_file() else None
     if not path.is_dir():
         is_session = path.name == CLOUD and (folder / JOURNAL).is_file()
         recorded = load_diagnosis(folder) if is_session else None
@@ -111,8 +111,8 @@ def _diagnosis(
         return recorded.diagnosis(), f"{local_time(recorded.made)}, fpplab {recorded.version}"
     if cloud is None or calibration is None or not (session.path / DECODED).is_file():
         return None, None
-    found = diagnose(session, Decoded.load(session.path / DECODED), cloud, calibration)
-    return found, "for this report"
+    diagnosis = diagnose(session, Decoded.load(session.path / DECODED), cloud, calibration)
+    return diagnosis, "for this report"
 
 
 def short_names(paths: Sequence[Path]) -> list[str]:
@@ -132,28 +132,31 @@ def short_names(paths: Sequence[Path]) -> list[str]:
 def difference(scan: ScanRecord, reference: ScanRecord) -> CloudDifference:
     """Subtract two clouds, where both were reconstructed with the same calibration."""
     names = scan.name, reference.name
-    one, other = scan.cloud, reference.cloud
-    if one is None or other is None:
+    cloud, reference_cloud = scan.cloud, reference.cloud
+    if cloud is None or reference_cloud is None:
         return CloudDifference(*names, None, "one of them has no points")
     if scan.calibration is None or reference.calibration is None:
         return CloudDifference(*names, None, "the calibration is not recorded")
     if not _same_geometry(scan.calibration, reference.calibration):
         return CloudDifference(*names, None, "they were reconstructed with different calibrations")
-    if one.pixels is None or other.pixels is None or one.size != other.size:
+    if cloud.pixels is None or reference_cloud.pixels is None or cloud.size != reference_cloud.size:
         return CloudDifference(*names, None, "the points are not known by pixels of one camera")
-    here, there = (v.astype(np.int64) << 32 | u for u, v in (one.pixels.T, other.pixels.T))
-    _, rows, others = np.intersect1d(here, there, assume_unique=True, return_indices=True)
+    keys, reference_keys = (
+        v.astype(np.int64) << 32 | u for u, v in (cloud.pixels.T, reference_cloud.pixels.T)
+    )
+    _, rows, others = np.intersect1d(keys, reference_keys, assume_unique=True, return_indices=True)
     if not len(rows):
         return CloudDifference(*names, None, "no pixel has a point in both")
-    distances = np.full(len(one), np.nan, np.float32)
+    distances = np.full(len(cloud), np.nan, np.float32)
     far, near = (
-        np.linalg.norm(c.points[k].astype(np.float64), axis=1) for c, k in ((one, rows), (other, others))
+        np.linalg.norm(c.points[k].astype(np.float64), axis=1)
+        for c, k in ((cloud, rows), (reference_cloud, others))
     )
     distances[rows] = far - near
     return CloudDifference(*names, distances)
 
 
-def _same_geometry(one: Calibration, other: Calibration) -> bool:
-    files = [CalibrationFile.of(calibration) for calibration in (one, other)]
+def _same_geometry(a: Calibration, b: Calibration) -> bool:
+    files = [CalibrationFile.of(calibration) for calibration in (a, b)]
     first, second = ((f.camera, f.projector, f.T_projector_camera) for f in files)
     return first == second

@@ -40,7 +40,7 @@ class ScanRequest:
     calibration_file: Path | None = None  # as messages and provenance call it
 
     @property
-    def wanted(self) -> Plan:
+    def plan_for_depth(self) -> Plan:
         """The plan with the range of depths that is asked for."""
         from fpplab.pipeline import plan_with_depth
 
@@ -100,7 +100,7 @@ def preview_scan(request: ScanRequest) -> dict[str, Any]:
     _check_plan_and_folder(request)
     with request.rig:
         _check_devices(request)
-        return plan_stage_moves(request.rig, request.wanted, request.out, request.force)
+        return plan_stage_moves(request.rig, request.plan_for_depth, request.out, request.force)
 
 
 def scan(
@@ -192,7 +192,7 @@ def _check_plan_and_folder(request: ScanRequest) -> None:
     from fpplab.pipeline import check_plan
     from fpplab.sessions.session import require_session_folder
 
-    check_plan(request.wanted, request.plan_name, request.calibration, request.rig, request.depth_mm)
+    check_plan(request.plan_for_depth, request.plan_name, request.calibration, request.rig, request.depth_mm)
     require_session_folder(request.out)
 
 
@@ -200,7 +200,7 @@ def _check_devices(request: ScanRequest) -> None:
     """Refuse what does not fit the devices, before anything is projected."""
     rig, source = request.rig, request.calibration_file or "calibration"
     caps = rig.projector.caps
-    request.wanted.check_projector(caps.size, request.plan_name)
+    request.plan_for_depth.check_projector(caps.size, request.plan_name)
     request.calibration.check_camera(rig.camera.caps.size, source)
     request.calibration.check_projector(caps.size, caps.lattice, source)
     if request.mount:
@@ -210,7 +210,7 @@ def _check_devices(request: ScanRequest) -> None:
 def _scan_on_open_rig(request: ScanRequest, observer: Observer, stopwatch: Stopwatch) -> ScanResult:
     _check_devices(request)
     caps = request.rig.projector.caps
-    observer.plan(request.wanted, caps.size, caps.lattice)
+    observer.plan(request.plan_for_depth, caps.size, caps.lattice)
     observer.calibration(request.calibration)
 
     # Only now the heavy modules: wrong input is refused at once. A viewer loads its own meanwhile.
@@ -236,7 +236,7 @@ def _acquire(request: ScanRequest, observer: Observer) -> Session:
     with observer.stage("Scanning") as progress:
         return take(
             request.rig,
-            request.wanted,
+            request.plan_for_depth,
             request.out,
             request.mount,
             force=request.force,
@@ -254,7 +254,7 @@ def _finish(request: ScanRequest, session: Session, observer: Observer, stopwatc
 
     with observer.stage("Reconstructing") as progress:
         provenance = session_provenance(session, request.calibration, request.calibration_file)
-        found = finish_scan(
+        reconstruction = finish_scan(
             session,
             request.calibration,
             progress,
@@ -262,7 +262,7 @@ def _finish(request: ScanRequest, session: Session, observer: Observer, stopwatc
             limits=request.limits or USUAL_LIMITS,
         )
     return scan_result(
-        found,
+        reconstruction,
         provenance,
         stopwatch.seconds,
         images=session.plan.images,

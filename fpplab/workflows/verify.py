@@ -200,6 +200,6 @@ def _scan_item(
             progress=progress,
             observe_frame=observer.frame,
         )
-        found = finish_scan(session, calibration)
-        found.diagnosis.require_usable(str(path))
-        observer.result(found)
+        reconstruction = finish_scan(session, calibration)
+        reconstruction.diagnosis.require_usable(str(path))
+        observer.result(reconstruction)

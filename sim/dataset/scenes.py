@@ -124,7 +124,7 @@ def _target_file(name: str, folder: Path) -> str:
 
     The latter keep their bare names, by which they are found wherever the data set is copied.
     """
-    near = config.resolve_beside(name, folder)
+    near = config.resolve_relative_to(name, folder)
     try:
         shipped = config.find_config(Path(name).name)
     except ConfigError:

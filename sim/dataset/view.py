@@ -40,7 +40,7 @@ class SampleView(CommandView):
         self.canvas.layout(
             rrb.Horizontal(
                 rrb.Grid(*images, grid_columns=3),
-                layouts.words("Scene", "/words/scene"),
+                layouts.text_view("Scene", "/words/scene"),
                 column_shares=[4, 1],
             )
         )

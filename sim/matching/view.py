@@ -50,7 +50,7 @@ class MatchingView(CommandView):
             layouts.image("Loss by epoch", "/diagrams/loss"),
             layouts.curves("SSIM", ["/match/ssim", "/match/ssim_board"]),
             layouts.curves("ε_d in px", ["/match/epsilon_d_px"]),
-            layouts.words("Epoch", "/words/epoch"),
+            layouts.text_view("Epoch", "/words/epoch"),
             row_shares=[3, 2, 2, 2],
         )
         self.canvas.layout(rrb.Horizontal(images, curves, column_shares=[5, 4]))

@@ -116,10 +116,10 @@ def with_file_beside(item: AnyItem, folder: Path) -> AnyItem:
             else {"target": item.target, "texture": item.texture}
         )
         return item.model_copy(
-            update={key: config.resolve_beside(name, folder) for key, name in names.items()}
+            update={key: config.resolve_relative_to(name, folder) for key, name in names.items()}
         )
     if isinstance(item, MeshItem):
-        return item.model_copy(update={"mesh": config.resolve_beside(item.mesh, folder)})
+        return item.model_copy(update={"mesh": config.resolve_relative_to(item.mesh, folder)})
     return item
 
 

@@ -24,7 +24,9 @@ class SurroundingsSection(Document):
 
     def beside(self, folder: Path) -> SurroundingsSection:
         """Make the names of files absolute that lie in a folder."""
-        names = {name: config.resolve_beside(getattr(self, name), folder) for name in ("mesh", "picture")}
+        names = {
+            name: config.resolve_relative_to(getattr(self, name), folder) for name in ("mesh", "picture")
+        }
         return self.model_copy(update=names)
 
     def relative_to(self, folder: Path) -> SurroundingsSection:

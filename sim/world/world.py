@@ -231,7 +231,7 @@ class World(Document):
         data = config.parse_yaml(config.read_text(file), file)
         if isinstance(data, dict) and isinstance(name := data.get("calibration"), str):
             measured = config.load_document(
-                config.find_config(config.resolve_beside(name, file.parent)), CalibrationFile
+                config.find_config(config.resolve_relative_to(name, file.parent)), CalibrationFile
             )
             data["calibration"] = config.plain(measured)
         world = config.validate(data, cls, file)

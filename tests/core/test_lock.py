@@ -147,7 +147,7 @@ import fpplab.setup.live.keys, drivers.video_camera.camera
 folder = Path(sys.argv[1])
 with exclusive_write(folder / "part"), using_rig("rig.yaml"):
     with watching_rig("rig.yaml") as turn:
-        assert turn.wanted() and not turn.take()
+        assert turn.is_requested() and not turn.take()
     write_text(folder / "cloud.ply", "whole")
     sweep_file_drafts(folder / "cloud.ply")
     with claim_shard(folder, 0) as draft:

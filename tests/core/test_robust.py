@@ -29,7 +29,7 @@ def test_the_spread_is_the_standard_deviation_whatever_a_tenth_of_the_residuals_
     assert robust_spread(residuals) == pytest.approx(0.3, rel=0.03)
     residuals[:2000] = 1e9
     assert robust_spread(residuals) == pytest.approx(0.3, rel=0.2)
-    assert robust_spread(np.zeros(5), least=0.1) == 0.1
+    assert robust_spread(np.zeros(5), min_spread=0.1) == 0.1
 
 
 @pytest.mark.parametrize("shared", [0.0, 1.0])

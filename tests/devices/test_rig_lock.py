@@ -60,15 +60,15 @@ def rig(tmp_path: Path) -> Path:
 def test_a_watcher_lets_go_and_goes_on(rig: Path) -> None:
     with watching_rig(rig) as turn:
         assert turn.take()
-        assert not turn.wanted()
+        assert not turn.is_requested()
         with waiting(rig) as process:
             deadline = time.monotonic() + 20
-            while not turn.wanted() and time.monotonic() < deadline:
+            while not turn.is_requested() and time.monotonic() < deadline:
                 time.sleep(0.01)
             assert turn.is_mine  # nobody takes it away before it is let go
             turn.yield_rig()
             need_it(process)
-            assert f"process {process.pid} " in turn.wanted_by()
+            assert f"process {process.pid} " in turn.requested_by()
             assert not turn.take()
         assert turn.take()
 
@@ -110,7 +110,7 @@ def test_what_a_watcher_opens_itself_needs_no_turn(rig: Path) -> None:
     with watching_rig(rig) as turn:
         assert turn.take()
         with using_rig(rig):
-            assert not turn.wanted()
+            assert not turn.is_requested()
 
 
 def test_a_stream_of_commands_does_not_starve_the_one_that_waits(rig: Path) -> None:
@@ -121,7 +121,7 @@ def test_a_stream_of_commands_does_not_starve_the_one_that_waits(rig: Path) -> N
         process.start()
         deadline = time.monotonic() + 30
         while process.exitcode is None and time.monotonic() < deadline:
-            if turn.wanted():
+            if turn.is_requested():
                 turn.yield_rig()
                 let_go += 1
             turn.take()

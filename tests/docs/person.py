@@ -25,8 +25,8 @@ class Person(Operator):
         super()._mount(item, pose)
         self._hands.mount(item, pose)
 
-    def _instruct(self, item: str, words: str, picture: Path | None) -> None:
-        super()._instruct(item, words, picture)
+    def _instruct(self, item: str, description: str, picture: Path | None) -> None:
+        super()._instruct(item, description, picture)
         self._hands.mount(item, self._taken % ((self._hands.caps.items or {}).get(item) or 1))
         self._taken += 1
 

@@ -143,7 +143,7 @@ def test_times_are_those_of_the_display(tmp_path: Path) -> None:
     optics(tmp_path, "square")
     with through_display(tmp_path, "square") as rig:
         found = measure_display(rig, PLAN, no_progress)
-    assert found.told_s == pytest.approx(0.016, rel=0.1)
+    assert found.reported_s == pytest.approx(0.016, rel=0.1)
     assert found.refresh_s == pytest.approx(0.016, rel=0.12)
     assert found.agrees
     assert found.settle_s <= 0.008

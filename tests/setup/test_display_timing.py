@@ -197,7 +197,7 @@ def test_the_refresh_is_measured_and_compared(period_s: float, latency_s: float)
     with rig(latency_s=latency_s, period_s=period_s) as opened:
         found = measure_display(opened, PLAN, no_progress)
     assert found.refresh_s == pytest.approx(period_s, rel=0.02)
-    assert found.told_s == pytest.approx(1 / 60)
+    assert found.reported_s == pytest.approx(1 / 60)
     assert found.agrees is (period_s == 1 / 60)
     assert found.summary()["agrees"] is found.agrees
 

@@ -189,9 +189,9 @@ def _check(patterns: Sequence[Pattern]) -> None:
                 f"pattern {pattern.id} has {pattern.bit_depth} bits: flash images are built of 8 bits"
             )
         if pattern.image.shape != (height, width):
-            found = " x ".join(map(str, pattern.image.shape[::-1]))
+            size = " x ".join(map(str, pattern.image.shape[::-1]))
             raise ConfigError(
-                f"pattern {pattern.id} has {found} mirrors: the projector has {width} x {height}"
+                f"pattern {pattern.id} has {size} mirrors: the projector has {width} x {height}"
             )
 
 

@@ -51,15 +51,15 @@ class Pillars(Artefact):
         plate = FlatFace(
             tuple(raised(rectangle_corners(x[0], x[-1], *strip), self.thickness) for strip in strips)
         )
-        found = []
+        heights = []
         for i, diameter in enumerate(self.diameters):
             for j, row_height in enumerate(self.heights):
                 centre = np.array([(x[i] + x[i + 1]) / 2, (y[j] + y[j + 1]) / 2])
                 height = row_height + i * self.climb
                 top = FlatFace((raised(_circle(centre, diameter / 2), height),))
                 name = f"pillar height, column {i + 1}, row {j + 1}"
-                found.append(FeatureLength(name, plate, top, height - self.thickness))
-        return tuple(found)
+                heights.append(FeatureLength(name, plate, top, height - self.thickness))
+        return tuple(heights)
 
     @property
     def _borders(self) -> tuple[Floats, Floats]:

@@ -36,8 +36,8 @@ def bug_report_command(
     need_suffix(out, ".zip")
     refuse_existing(out, force)
     entries = write_bug_report(out, sources or [], frames)
-    rows = [[one.name, one.size, one.what] for one in entries]
-    contents = [{"name": one.name, "bytes": one.size, "what": one.what} for one in entries]
+    rows = [[entry.name, entry.size, entry.what] for entry in entries]
+    contents = [{"name": entry.name, "bytes": entry.size, "what": entry.what} for entry in entries]
     console.print_result(
         {"bug_report": str(out), "contents": contents},
         json,

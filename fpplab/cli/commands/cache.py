@@ -30,8 +30,8 @@ def _cache(context: typer.Context, json: Json = False) -> None:
     if context.invoked_subcommand is None:
         from fpplab.core.caches import cache_folders
 
-        found = cache_folders()
-        console.print_result(_summary(found), json, lambda: _show(found, "Kept"))
+        folders = cache_folders()
+        console.print_result(_summary(folders), json, lambda: _show(folders, "Kept"))
 
 
 @cache_app.command("clear")

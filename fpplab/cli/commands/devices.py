@@ -17,13 +17,13 @@ def devices_command(json: Json = False) -> None:
     """
     from fpplab.devices.discovery import FoundDevices
 
-    found = FoundDevices.together(
+    discovered = FoundDevices.together(
         plugins.load_plugin(plugins.DISCOVERY, name)() for name in plugins.plugin_names(plugins.DISCOVERY)
     )
-    rows = [asdict(d) for d in found.devices]
-    shown = [[d.kind, d.model, d.serial, d.link, d.example or "none"] for d in found.devices]
+    rows = [asdict(d) for d in discovered.devices]
+    shown = [[d.kind, d.model, d.serial, d.link, d.example or "none"] for d in discovered.devices]
 
-    def words() -> None:
+    def show() -> None:
         if rows:
             console.table("Devices", ["kind", "model", "serial", "link", "rig file for it"], shown)
             console.log_status(
@@ -31,7 +31,7 @@ def devices_command(json: Json = False) -> None:
             )
         else:
             console.log_status("No camera, projector or stage is connected; see their power and cables.")
-        for sentence in found.missing:
+        for sentence in discovered.missing:
             console.log_status(f"missing: {sentence}")
 
-    console.print_result({"devices": rows, "missing": found.missing}, json, words)
+    console.print_result({"devices": rows, "missing": discovered.missing}, json, show)

@@ -45,7 +45,7 @@ def doctor_command(
     versions = doctor.installed_versions()
     wrong = [finding for finding in findings if finding.state == "wrong"]
 
-    def words() -> None:
+    def show() -> None:
         rows = [[finding.name, finding.state, finding.seen] for finding in findings]
         console.table(f"fpplab {versions['fpplab']}, Python {versions['python']}", ["", "", ""], rows)
         for finding in findings:
@@ -54,7 +54,7 @@ def doctor_command(
         console.stdout.print("All is well." if not wrong else f"To correct: {len(wrong)}.", markup=False)
 
     answer = {"ok": not wrong, "checks": [asdict(finding) for finding in findings], "versions": versions}
-    console.print_result(answer, json, words)
+    console.print_result(answer, json, show)
     if wrong:
         raise console.CommandExit(DeviceError.exit_code)
 
@@ -65,11 +65,11 @@ def _permissions() -> list[DoctorFinding]:
     from fpplab.core.doctor import DoctorFinding
     from fpplab.devices.discovery import FoundDevices
 
-    found = FoundDevices.together(
+    discovered = FoundDevices.together(
         plugins.load_plugin(plugins.DISCOVERY, name)() for name in plugins.plugin_names(plugins.DISCOVERY)
     )
-    barred = [one for one in found.missing if "may not open" in one]
+    barred = [sentence for sentence in discovered.missing if "may not open" in sentence]
     if not barred:
-        return [DoctorFinding("permissions", "ok", f"{len(found.devices)} devices seen")]
-    parts = [one.partition("; ") for one in barred]
-    return [DoctorFinding("permissions", "wrong", seen, remedy) for seen, _, remedy in parts]
+        return [DoctorFinding("permissions", "ok", f"{len(discovered.devices)} devices seen")]
+    parts = [sentence.partition("; ") for sentence in barred]
+    return [DoctorFinding("permissions", "wrong", refusal, remedy) for refusal, _, remedy in parts]

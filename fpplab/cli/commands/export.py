@@ -121,14 +121,14 @@ def _export_tables(source: Path, out: Path, name: str | None) -> dict[str, Any]:
         chosen = name or _only(tables, source)
         write_csv(out, tables[chosen])
         return {"tables": {chosen: len(tables[chosen])}}
-    wanted = {name: tables[name]} if name else tables
+    exported = {name: tables[name]} if name else tables
 
     def fill(draft: Path) -> None:
-        for each, rows in wanted.items():
-            write_csv(draft / f"{_NOT_IN_NAMES.sub('_', each)}.csv", rows)
+        for table, rows in exported.items():
+            write_csv(draft / f"{_NOT_IN_NAMES.sub('_', table)}.csv", rows)
 
     make_directory(out, fill)
-    return {"tables": {each: len(rows) for each, rows in wanted.items()}}
+    return {"tables": {table: len(rows) for table, rows in exported.items()}}
 
 
 def _only(tables: dict[str, list[Row]], source: Path) -> str:

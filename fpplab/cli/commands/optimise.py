@@ -115,28 +115,30 @@ def _changed(study: Study, calibration: Path | None, seeds: int | None) -> Study
 
 def _show(result: dict[str, Any]) -> None:
     chosen = [("start", result["initial"]), ("optimum", result["optimum"])]
-    chosen += [(f"front {i}", one) for i, one in enumerate(result["front"], 1) if len(result["front"]) > 1]
+    chosen += [
+        (f"front {i}", entry) for i, entry in enumerate(result["front"], 1) if len(result["front"]) > 1
+    ]
     if result["screened"]:  # what was measured, not what was predicted
-        chosen = [(name, {**one, **(one["again"] or {})}) for name, one in chosen]
+        chosen = [(name, {**entry, **(entry["again"] or {})}) for name, entry in chosen]
     columns = ["plan", "images", "stripes", "steps", "stage mm", "SMCD µm", "spread µm", "completeness"]
     rows = [
         [
             name,
-            one["images"],
-            " ".join(f"{f['stripes']:g}" for f in one["fringes"]),
-            " ".join(str(f["steps"]) for f in one["fringes"]),
-            "" if one["stage_mm"] is None else one["stage_mm"],
-            one["surface_smcd_um"],
-            "" if one["smcd_spread_um"] is None else one["smcd_spread_um"],
-            one["completeness"],
+            entry["images"],
+            " ".join(f"{f['stripes']:g}" for f in entry["fringes"]),
+            " ".join(str(f["steps"]) for f in entry["fringes"]),
+            "" if entry["stage_mm"] is None else entry["stage_mm"],
+            entry["surface_smcd_um"],
+            "" if entry["smcd_spread_um"] is None else entry["smcd_spread_um"],
+            entry["completeness"],
         ]
-        for name, one in chosen
+        for name, entry in chosen
     ]
     console.table(f"{result['study']} on {result['rig']}", columns, rows)
-    for one in result["confirmed"]:
-        gain = f"{100 * one['gain']:.1f} ± {100 * one['uncertainty']:.1f} %"
-        words = f"On {one['rig']} {one['plan']} is {gain} nearer to the surface than the start's plan."
-        console.stdout.print(words, markup=False)
+    for entry in result["confirmed"]:
+        gain = f"{100 * entry['gain']:.1f} ± {100 * entry['uncertainty']:.1f} %"
+        sentence = f"On {entry['rig']} {entry['plan']} is {gain} nearer to the surface than the start's plan."
+        console.stdout.print(sentence, markup=False)
     how = "predicted, the plans above measured" if result["screened"] else "measured"
     console.stdout.print(
         f"{result['epochs']} epochs, {result['candidates']} candidates {how}, {result['seconds']:.0f} s, "

@@ -68,9 +68,9 @@ def show_command(
     if out:
         need_suffix(out, ".png")
         refuse_existing(out, force)
-    wanted = Plan.load(plan)
+    loaded_plan = Plan.load(plan)
     with Rig.load(rig) as bench:
-        preview, patterns = preview_plan(bench, wanted, plan)
+        preview, patterns = preview_plan(bench, loaded_plan, plan)
     if out:
         from fpplab.report.figures import pattern_sheet
 

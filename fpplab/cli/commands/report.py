@@ -33,9 +33,13 @@ def report_command(
 
 
 def _show(answer: dict[str, Any]) -> None:
-    rows = [[one[key] or "–" for key in ("name", "verdict", "points", "noise_um")] for one in answer["scans"]]
+    rows = [
+        [entry[key] or "–" for key in ("name", "verdict", "points", "noise_um")] for entry in answer["scans"]
+    ]
     console.table("Scans", ["scan", "verdict", "points", "noise µm"], rows)
-    for one in answer["differences"]:
-        figures = one.get("not_compared") or f"{one['rms_um']:.1f} µm RMS, median {one['median_um']:+.1f} µm"
-        console.stdout.print(f"{one['scan']} minus {one['reference']}: {figures}", markup=False)
+    for entry in answer["differences"]:
+        figures = (
+            entry.get("not_compared") or f"{entry['rms_um']:.1f} µm RMS, median {entry['median_um']:+.1f} µm"
+        )
+        console.stdout.print(f"{entry['scan']} minus {entry['reference']}: {figures}", markup=False)
     console.stdout.print(f"report: {answer['report']}", markup=False)

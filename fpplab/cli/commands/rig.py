@@ -65,7 +65,7 @@ def new_command(
             "there is nobody at the terminal to be asked; add --no-questions and name the devices"
         )
     devices = FoundDevices.together(
-        plugins.load_plugin(plugins.DISCOVERY, one)() for one in plugins.plugin_names(plugins.DISCOVERY)
+        plugins.load_plugin(plugins.DISCOVERY, plugin)() for plugin in plugins.plugin_names(plugins.DISCOVERY)
     )
     named = {"camera": camera, "projector": projector, "stage": stage}
     names = {kind: value for kind, value in named.items() if value is not None}
@@ -94,9 +94,9 @@ def timing_command(rig: RigName, plan: PlanName = "plan_paper.yaml", json: Json 
     from fpplab.patterns.plan import Plan
     from fpplab.setup.display_timing import measure_display
 
-    wanted = Plan.load(plan)
+    loaded_plan = Plan.load(plan)
     with Rig.load(rig) as bench, console.progress("Timing") as report:
-        timing = measure_display(bench, wanted, report)
+        timing = measure_display(bench, loaded_plan, report)
     console.print_result(timing.summary(), json, lambda: _show_timing(timing))
     if not timing.agrees:
         raise console.CommandExit(DeviceError.exit_code)
@@ -106,10 +106,11 @@ def _show_timing(timing: DisplayTiming) -> None:
     print_line = console.stdout.print
     settle_s = timing.settle_s
     print_line(f"latency: {1e3 * settle_s:.0f} ms; put `settle_s: {settle_s:.3g}` or more into the plan")
-    if timing.refresh_s is not None and timing.told_s is not None:
-        seen_ms, reported_ms = 1e3 * timing.refresh_s, 1e3 * timing.told_s
+    if timing.refresh_s is not None and timing.reported_s is not None:
+        measured_ms, reported_ms = 1e3 * timing.refresh_s, 1e3 * timing.reported_s
         print_line(
-            f"refresh: {seen_ms:.2f} ms as the camera sees it, {reported_ms:.2f} ms as the display tells it"
+            f"refresh: {measured_ms:.2f} ms as the camera sees it, {reported_ms:.2f} ms as the display "
+            "reports it"
         )
     if not timing.agrees:
         print_line(
@@ -124,8 +125,8 @@ def _has_terminal() -> bool:
 def _ask(question: str, answers: Sequence[str]) -> int:
     """Ask at the terminal, on stderr, until one of the answers is chosen."""
     console.log_status(question)
-    for k, one in enumerate(answers, 1):
-        console.log_status(f"  {k}  {one}")
+    for k, answer in enumerate(answers, 1):
+        console.log_status(f"  {k}  {answer}")
     chosen: int = typer.prompt("number", type=int, err=True)
     while not 1 <= chosen <= len(answers):
         chosen = typer.prompt(f"number from 1 to {len(answers)}", type=int, err=True)

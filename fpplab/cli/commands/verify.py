@@ -78,9 +78,9 @@ def verify_command(
     from fpplab.patterns.plan import Plan
     from fpplab.workflows.verify import AcceptanceRequest, check_acceptance_input, run_acceptance
 
-    known = Standard.load(standard).with_mpe(_listed(mpe)).with_positions(_listed(positions))
+    loaded_standard = Standard.load(standard).with_mpe(_listed(mpe)).with_positions(_listed(positions))
     request = AcceptanceRequest(
-        standard=known,
+        standard=loaded_standard,
         out=out,
         spheres=tuple(spheres or ()),
         planes=tuple(planes or ()),

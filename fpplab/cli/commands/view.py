@@ -66,13 +66,13 @@ def view_command(
     if out:
         need_suffix(out, ".rrd")
         refuse_existing(out, force)
-    beside = session / CALIBRATION
-    source = calibration or (beside if beside.is_file() else None)
-    known = Calibration.load(source) if source else None
+    stored = session / CALIBRATION
+    source = calibration or (stored if stored.is_file() else None)
+    loaded = Calibration.load(source) if source else None
     opened = Session.open(session)
     errors = _errors(mesh, align) if mesh else None
     with console.progress("Reading the session") as report:
-        shown = view_session(opened, known, out or "anywhere", announce, errors, report)
+        shown = view_session(opened, loaded, out or "anywhere", announce, errors, report)
     console.print_result({"session": str(session), "shown": shown}, json)
 
 

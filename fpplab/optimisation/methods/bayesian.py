@@ -36,8 +36,8 @@ class Bayesian(SearchMethod):
             study = make_optuna_study(runner, sampler)
             enqueue_points(study, runner, [runner.start.point])
             while True:
-                known = len(runner.trials)
+                measured_before = len(runner.trials)
                 trials = measure_round(study, runner, self.batch)
                 runner.epoch("batch", trials)
-                if len(runner.trials) == known and known > 1:
+                if len(runner.trials) == measured_before and measured_before > 1:
                     return "nothing new is asked"

@@ -110,10 +110,10 @@ def _moved(parameter: Parameter, value: float, length: float) -> float | None:
     return moved if moved != value else None
 
 
-def _doubled(runner: CandidateRunner, here: Point, there: Point) -> Iterator[Point]:
+def _doubled(runner: CandidateRunner, start: Point, end: Point) -> Iterator[Point]:
     """Double a move that improved, where the range allows."""
     further = []
-    for parameter, a, b in zip(runner.space.parameters, here, there, strict=True):
+    for parameter, a, b in zip(runner.space.parameters, start, end, strict=True):
         if parameter.is_integer:
             value = 2 * b - a
             inside = parameter.contains(value)

@@ -89,15 +89,15 @@ def _around(runner: CandidateRunner, point: Point, settings: Gradient) -> list[t
     """Choose a point below and one above along each parameter; the point itself at the end of a range."""
     pairs = []
     for i, parameter in enumerate(runner.space.parameters):
-        beside = []
+        neighbours = []
         for sign in (-1, 1):
-            value = _beside(parameter, point[i], sign * settings.difference, sign)
-            beside.append((*point[:i], value, *point[i + 1 :]) if parameter.contains(value) else point)
-        pairs.append((beside[0], beside[1]))
+            value = _neighbour(parameter, point[i], sign * settings.difference, sign)
+            neighbours.append((*point[:i], value, *point[i + 1 :]) if parameter.contains(value) else point)
+        pairs.append((neighbours[0], neighbours[1]))
     return pairs
 
 
-def _beside(parameter: Parameter, value: float, share: float, whole: int) -> float:
+def _neighbour(parameter: Parameter, value: float, share: float, whole: int) -> float:
     if parameter.is_integer:
         return value + whole
     return parameter.value_at(min(max(parameter.fraction(value) + share, 0.0), 1.0))
@@ -112,9 +112,9 @@ def _move(
     i: int,
 ) -> float:
     """Compute the step along parameter `i`: a share of its range, or -1, 0 or 1 for an integer."""
-    known = [trial for trial in pair if trial.measured]
+    measured = [trial for trial in pair if trial.measured]
     if parameter.is_integer:
-        best = min([here, *known], key=lambda trial: _objective(runner, trial))
+        best = min([here, *measured], key=lambda trial: _objective(runner, trial))
         return best.point[i] - here.point[i]
     # Where one side cannot be measured, the slope is taken over the other side alone.
     low, high = (trial if trial.measured else here for trial in pair)

@@ -73,13 +73,13 @@ def _refine(runner: CandidateRunner) -> None:
     continuous = [i for i, parameter in enumerate(runner.space.parameters) if not parameter.is_integer]
     for trial in runner.front if continuous else ():
         coordinate_search(runner, REFINEMENT, trial, continuous, runner.ranking.rank_by_distance)
-    seen: set[Point] = set()
+    asked_before: set[Point] = set()
     while asked := [
         point
         for point in dict.fromkeys(p for trial in runner.front for p in _step_neighbours(runner, trial.point))
-        if point not in seen and runner.is_feasible(point)
+        if point not in asked_before and runner.is_feasible(point)
     ]:
-        seen.update(asked)
+        asked_before.update(asked)
         runner.epoch("neighbours", runner.measure(asked))
 
 
@@ -100,12 +100,12 @@ def _single_optima(runner: CandidateRunner) -> list[Point]:
     for places in (stripes, geometry):
         if places:
             coordinate_search(runner, SINGLE_SEARCH, begin, places, runner.ranking.rank_by_distance)
-            found = min(
+            nearest = min(
                 (t for t in runner.trials if _differs_only_in(t, begin, places)),
                 key=runner.ranking.rank_by_distance,
             )
-            best = tuple(found.point[i] if i in places else value for i, value in enumerate(best))
-            singles.append(found.point)
+            best = tuple(nearest.point[i] if i in places else value for i, value in enumerate(best))
+            singles.append(nearest.point)
     if best != begin.point:
         singles += [trial.point for trial in _grow_phase_plan(runner, best, phases)]
     return list(dict.fromkeys(point for point in singles if runner.is_feasible(point)))
@@ -123,8 +123,8 @@ def _grow_phase_plan(runner: CandidateRunner, point: Point, places: Sequence[int
     steps = [i for i in places if parameters[i].name.startswith("steps")]
     if not steps:
         return []
-    least = tuple(parameters[i].lower if i in steps else value for i, value in enumerate(point))
-    path, asked = [], [least]
+    fewest_images = tuple(parameters[i].lower if i in steps else value for i, value in enumerate(point))
+    path, asked = [], [fewest_images]
     while asked := [p for p in asked if runner.is_feasible(p)]:
         trials = runner.measure(asked)
         path.append(min(trials, key=runner.ranking.rank_by_distance))

@@ -33,10 +33,10 @@ Bring = Callable[[WantedPose, Path], None]
 def bring_by(fixture: Fixture, item: str) -> Bring:
     """Choose how the fixture is instructed."""
     if isinstance(fixture, PosableFixture):
-        return lambda wanted, _: _place(fixture, item, wanted)
+        return lambda pose, _: _place(fixture, item, pose)
     if isinstance(fixture, InstructableFixture):
-        return lambda wanted, picture: fixture.instruct(
-            item, wanted.description, picture if picture.is_file() else None
+        return lambda pose, picture: fixture.instruct(
+            item, pose.description, picture if picture.is_file() else None
         )
     raise CapabilityError(
         fixture.name,
@@ -46,19 +46,19 @@ def bring_by(fixture: Fixture, item: str) -> Bring:
     )
 
 
-def known_first_pose(fixture: Fixture, item: str) -> RigidTransform | None:
+def held_first_pose(fixture: Fixture, item: str) -> RigidTransform | None:
     """Return where the fixture holds the board in the first pose, before the camera can measure it."""
     return fixture.pose(item, 0) if isinstance(fixture, PosableFixture) else None
 
 
-def _place(fixture: PosableFixture, item: str, wanted: WantedPose) -> None:
-    if wanted.T_camera_target is None:  # nothing is known yet: a pose of the fixture's own
+def _place(fixture: PosableFixture, item: str, pose: WantedPose) -> None:
+    if pose.T_camera_target is None:  # nothing is known yet: a pose of the fixture's own
         fixture.mount(item, 0)
     else:
-        fixture.place(item, wanted.T_camera_target)
+        fixture.place(item, pose.T_camera_target)
 
 
-def write_sketch(path: Path, wanted: WantedPose, size: ImageSize, image: NDArray[Any] | None = None) -> None:
+def write_sketch(path: Path, pose: WantedPose, size: ImageSize, image: NDArray[Any] | None = None) -> None:
     """Draw the pose that is wanted over the last image."""
     # size (width, height) px; image (height, width)
     scale = WIDTH_PX / size[0]
@@ -69,9 +69,9 @@ def write_sketch(path: Path, wanted: WantedPose, size: ImageSize, image: NDArray
         )
         grey = np.clip(0.6 * 255 * grey / max(float(np.percentile(grey, 99.5)), 1e-9), 0, 255)
         picture[:] = grey.astype(np.uint8)[..., None]
-    if wanted.outline_px is not None:
-        _draw_outline(picture, scale * (wanted.outline_px + 0.5))
-    _draw_text(picture, wanted.description)
+    if pose.outline_px is not None:
+        _draw_outline(picture, scale * (pose.outline_px + 0.5))
+    _draw_text(picture, pose.description)
     done, encoded = cv2.imencode(".png", picture)
     assert done
     write_parts(path, encoded.tobytes())

@@ -17,10 +17,12 @@ class PoseAttempt:
     """One pose that was asked for and taken."""
 
     name: str  # of the pose
-    words: str  # what was asked for
+    request: str  # what was asked for
     points: int  # points of the board that were found
     rms_px: dict[str, float]  # RMS of `camera` and `projector` in px
-    fit: PoseFit | None  # residuals beside those that the poses before predict; None for the first poses
+    fit: (
+        PoseFit | None
+    )  # residuals compared with those that the poses before predict; None for the first poses
     form_mm: float | None  # standard uncertainty of form in mm with this pose
     findings: tuple[Finding, ...]  # what is wrong with it
     accepted: bool  # whether it counts
@@ -37,7 +39,7 @@ class PoseAttempt:
         )
         return {
             "pose": self.name,
-            "asked": self.words,
+            "asked": self.request,
             "accepted": self.accepted,
             "points": self.points,
             **{f"{d}_px": self.rms_px.get(d) for d in ("camera", "projector")},
@@ -68,15 +70,15 @@ class GuidedRun:
     def sentence(self) -> str:
         """What is known, beside what was asked for."""
         near, far = self.depth_mm
-        known = (
+        reached = (
             f"standard uncertainty of form by the calibration, from {near:.0f} to {far:.0f} mm: "
             f"{1e3 * self.form_mm:.3g} µm with {len(self.sessions)} poses; the board's scale adds "
             f"{1e3 * self.scale_mm:.3g} µm, which no pose lessens"
         )
         if self.reached:
-            return known
+            return reached
         asked = f"{1e3 * (self.until_mm or 0.0):.3g} µm were asked for"
-        return f"{known}; {asked}: give the same command with more --poses, which keeps those taken"
+        return f"{reached}; {asked}: give the same command with more --poses, which keeps those taken"
 
     def summary(self) -> dict[str, Any]:
         """Collect what is printed."""
@@ -86,7 +88,7 @@ class GuidedRun:
             "until_um": in_um(self.until_mm),
             "reached": self.reached,
             "depth_mm": list(self.depth_mm),
-            "attempts": [one.summary() for one in self.attempts],
+            "attempts": [attempt.summary() for attempt in self.attempts],
         }
 
 

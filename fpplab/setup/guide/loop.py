@@ -31,7 +31,7 @@ from fpplab.patterns.plan import Plan
 from fpplab.pipeline import check_space, observe_session, require_plan_fits, take
 from fpplab.sessions.origin import calibration_origin
 from fpplab.sessions.session import JOURNAL, Session
-from fpplab.setup.guide.asking import PICTURE, bring_by, known_first_pose, write_sketch
+from fpplab.setup.guide.asking import PICTURE, bring_by, held_first_pose, write_sketch
 from fpplab.setup.guide.attempts import GuidedRun, PoseAttempt, accepted_sentence, rejected_sentence
 from fpplab.setup.guide.rejection import frame_findings, inconsistent_pose, residual_finding, unseen_board
 from fpplab.targets import Target
@@ -95,12 +95,12 @@ class _Loop:
         level = DEFAULT_LEVEL if settings.level == "auto" else settings.level
         depth = settings.depth_mm
         self._guide = Guide(target, self._sizes, self._lattice, depth, level, settings.refine_board)
-        self._guide.first_known = known_first_pose(fixture, settings.item)
+        self._guide.first_known = held_first_pose(fixture, settings.item)
         self._periods = finest_periods(plan, caps.size)
         self._sessions: dict[str, Session] = {}
         self._attempts: list[PoseAttempt] = []
         self._tried = self._in_succession = 0
-        self._wanted: WantedPose | None = None
+        self._pose: WantedPose | None = None
 
     def run(self) -> GuidedRun:
         paths = [self._path(k) for k in range(self._settings.poses)]
@@ -143,13 +143,13 @@ class _Loop:
     def _next(self) -> None:
         """Ask for a pose, take it and judge it."""
         guide, number = self._guide, self._free_number()
-        if self._wanted is None:
-            self._wanted = guide.wanted(fill=self._must_fill())
-        wanted, path = self._wanted, self._path(number)
-        self._tell(f"pose {len(self._sessions) + 1}: {wanted.description}")
+        if self._pose is None:
+            self._pose = guide.wanted(fill=self._must_fill())
+        pose, path = self._pose, self._path(number)
+        self._tell(f"pose {len(self._sessions) + 1}: {pose.description}")
         picture = self._folder / PICTURE
-        if wanted.outline_px is not None:
-            write_sketch(picture, wanted, self._sizes[0], self._last_seen())
+        if pose.outline_px is not None:
+            write_sketch(picture, pose, self._sizes[0], self._last_seen())
         with self._bar(f"Taking pose {len(self._sessions) + 1}") as report:
             session = take(
                 self._rig,
@@ -157,28 +157,28 @@ class _Loop:
                 path,
                 (self._settings.item, number),
                 force=True,
-                bring=lambda: self._bring(wanted, picture),
+                bring=lambda: self._bring(pose, picture),
                 progress=report,
                 observe_frame=self._observe_frame,
             )
         if not self._attempts:
             require_plan_fits(session)
-        if self._judge(session, wanted.description):
-            self._wanted, self._tried = None, 0
+        if self._judge(session, pose.description):
+            self._pose, self._tried = None, 0
             return
         self._tried += 1
         if self._tried == LIMITS.max_tries:
-            guide.exclude(wanted)
-            self._wanted, self._tried = None, 0
+            guide.exclude(pose)
+            self._pose, self._tried = None, 0
 
-    def _judge(self, session: Session, words: str) -> bool:
+    def _judge(self, session: Session, description: str) -> bool:
         """Observe a pose once, and accept or reject it."""
         with self._bar("Evaluating the pose") as report:
             observation, reason = self._observed(session)
             report(0.5)
             findings = frame_findings(session.recording(verify=False))
         if observation is None:
-            self._reject(session, words, unseen_board(reason, findings))
+            self._reject(session, description, unseen_board(reason, findings))
             return False
         fit = self._guide.judged(observation)
         misfit = residual_finding(fit)
@@ -189,16 +189,16 @@ class _Loop:
             misfit = None
         if misfit is not None or (findings and not self._usual(findings)):
             # Frames tell the cause of residuals, where they show one.
-            found = (*findings, misfit) if misfit is not None else findings
-            self._reject(session, words, found, observation, fit)
+            all_findings = (*findings, misfit) if misfit is not None else findings
+            self._reject(session, description, all_findings, observation, fit)
             return False
-        self._accept(session, words, observation, fit, findings)
+        self._accept(session, description, observation, fit, findings)
         return True
 
     def _usual(self, findings: tuple[Finding, ...]) -> bool:
         """Whether the pose before shows the same: then it is the rig's, and no pose will be without it."""
-        before = {one.cause for one in self._attempts[-1].findings} if self._attempts else set()
-        return {one.cause for one in findings} <= before
+        before = {finding.cause for finding in self._attempts[-1].findings} if self._attempts else set()
+        return {finding.cause for finding in findings} <= before
 
     def _observed(self, session: Session) -> tuple[Observation | None, str]:
         try:
@@ -207,7 +207,7 @@ class _Loop:
             return None, str(error).removeprefix(f"{session.path.name}: ")
 
     def _accept(
-        self, session: Session, words: str, observation: Observation, fit: PoseFit | None,
+        self, session: Session, description: str, observation: Observation, fit: PoseFit | None,
         findings: tuple[Finding, ...],
     ) -> None:  # fmt: skip
         name = session.path.name
@@ -215,19 +215,21 @@ class _Loop:
         odd = self._guide.add(observation)
         guide, self._in_succession = self._guide, 0
         rms = guide.rms_px(name) if name not in odd else {}
-        attempt = PoseAttempt(name, words, len(observation.ids), rms, fit, guide.form_mm, findings, True)
+        attempt = PoseAttempt(
+            name, description, len(observation.ids), rms, fit, guide.form_mm, findings, True
+        )
         self._attempts.append(attempt)
         self._tell(accepted_sentence(len(self._sessions), attempt, self._settings.until_mm))
         for other, why in odd.items():
             self._reject_later(other, why.removeprefix(f"{other}: "))
 
     def _reject(
-        self, session: Session, words: str, findings: tuple[Finding, ...],
+        self, session: Session, description: str, findings: tuple[Finding, ...],
         observation: Observation | None = None, fit: PoseFit | None = None,
     ) -> None:  # fmt: skip
         points = len(observation.ids) if observation else 0
         rms = {"camera": fit.camera.rms_px, "projector": fit.projector.rms_px} if fit else {}
-        attempt = PoseAttempt(session.path.name, words, points, rms, fit, None, findings, False)
+        attempt = PoseAttempt(session.path.name, description, points, rms, fit, None, findings, False)
         self._attempts.append(attempt)
         self._tell(rejected_sentence(len(self._sessions) + 1, attempt))
         self._set_aside(session)
@@ -242,7 +244,7 @@ class _Loop:
     def _reject_later(self, name: str, why: str) -> None:
         """Take back the acceptance of an earlier pose."""
         finding = inconsistent_pose(why)
-        at = max(k for k, one in enumerate(self._attempts) if one.name == name and one.accepted)
+        at = max(k for k, attempt in enumerate(self._attempts) if attempt.name == name and attempt.accepted)
         self._attempts[at] = self._attempts[at].rejected_later(finding)
         if any(o.name == name for o in self._guide.observations):
             self._guide.drop(name)
@@ -291,10 +293,12 @@ def _run_of(
     assert result.sizes is not None
     calibration, model = result.calibration, result.model
     lattice = calibration.projector.lattice
-    found = JointEstimate(target, lattice, model, result.observations, result.solution, result.sizes)
+    estimate = JointEstimate(target, lattice, model, result.observations, result.solution, result.sizes)
     volume, rms = WorkingVolume.of(calibration, depth_mm), result.pose_rms_px
     # The first poses were taken before anything was known of their residuals.
-    known = [replace(a, rms_px=rms.get(a.name, {})) if a.accepted and not a.rms_px else a for a in attempts]
-    form = volume.form_mm(result.solution, model.level, found.covariance)
+    with_residuals = [
+        replace(a, rms_px=rms.get(a.name, {})) if a.accepted and not a.rms_px else a for a in attempts
+    ]
+    form = volume.form_mm(result.solution, model.level, estimate.covariance)
     scale = model.scale_tolerance * volume.radius_mm
-    return GuidedRun(result, sessions, tuple(known), form, scale, settings.until_mm, depth_mm)
+    return GuidedRun(result, sessions, tuple(with_residuals), form, scale, settings.until_mm, depth_mm)

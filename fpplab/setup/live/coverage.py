@@ -40,7 +40,7 @@ class BoardCoverage:
     depth_mm: DepthInterval | None = None  # working range of depths in mm, where it is known
     sessions: list[Path] = field(default_factory=list)  # of the poses that were kept
     rejected: list[str] = field(default_factory=list)  # why others were not
-    _seen: list[Observation] = field(default_factory=list)
+    _observations: list[Observation] = field(default_factory=list)
     _next: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -55,13 +55,13 @@ class BoardCoverage:
             decoded = decode_session(session)
             periods = finest_periods(session.plan, self.projector_size)
             image = session.recording(verify=False).mean_image()
-            self._seen.append(observe(name, image, decoded, self.target, periods))
+            self._observations.append(observe(name, image, decoded, self.target, periods))
         except FppError as error:
             self.rejected.append(str(error))
             return f"{error}; the pose does not count"
         self.sessions.append(session.path)
-        self._next = self._advised(self._seen[-1])
-        return f"{name}: {len(self._seen[-1].ids)} points; {len(self.sessions)} poses so far"
+        self._next = self._advised(self._observations[-1])
+        return f"{name}: {len(self._observations[-1].ids)} points; {len(self.sessions)} poses so far"
 
     def _advised(self, newest: Observation) -> tuple[str, ...]:
         """The pose that a guided characterisation would ask for, and what the poses lack."""
@@ -72,14 +72,14 @@ class BoardCoverage:
             return self._lacking()
 
     def _lacking(self) -> tuple[str, ...]:
-        return advise_by_coverage(self._seen, self.target, self.camera_size, self.projector_size)
+        return advise_by_coverage(self._observations, self.target, self.camera_size, self.projector_size)
 
     def summary(self) -> dict[str, object]:
         """Collect what is shown."""
         return {
             "poses": len(self.sessions),
-            "camera": _ninths([o.camera_px for o in self._seen], self.camera_size),
-            "projector": _ninths([o.projector_px for o in self._seen], self.projector_size),
+            "camera": _ninths([o.camera_px for o in self._observations], self.camera_size),
+            "projector": _ninths([o.projector_px for o in self._observations], self.projector_size),
             "next": list(self._next),
             "left_out": list(self.rejected),
         }

@@ -58,13 +58,13 @@ class RigGeometry:
         ]
         camera, projector = (np.append(slope, 1.0) for slope in slopes)
         along = np.stack([camera, -pose.rotation @ projector], axis=1)
-        there, _ = np.linalg.lstsq(along, pose.translation, rcond=None)[0]
-        if there <= 0:
+        distance_mm, _ = np.linalg.lstsq(along, pose.translation, rcond=None)[0]
+        if distance_mm <= 0:
             raise ConfigError(
                 "calibration: the middle rays of camera and projector do not meet in front of the camera; "
                 "state the working distance with --distance"
             )
-        return float(there)
+        return float(distance_mm)
 
     def overlap(self, distance_mm: float) -> float:
         """Compute which share of the camera's image the projector lights."""
@@ -93,10 +93,10 @@ class RigGeometry:
         return float(overlapping[0]), float(overlapping[-1])
 
     def _lit(self, distance_mm: float) -> Mask:
-        known = np.isfinite(self.rays).all(axis=-1)
-        points = np.where(known[..., None], self.rays, 1.0) * distance_mm
+        has_ray = np.isfinite(self.rays).all(axis=-1)
+        points = np.where(has_ray[..., None], self.rays, 1.0) * distance_mm
         return np.asarray(
-            known & self.calibration.projector.sees(points, self.calibration.T_projector_camera)
+            has_ray & self.calibration.projector.sees(points, self.calibration.T_projector_camera)
         )
 
 
@@ -112,10 +112,10 @@ class WorkingPoint:
     def _points(self) -> Floats:
         """(N, 3) points in mm that both devices see."""
         points = self.geometry.rays * self.distance_mm
-        seen = self.geometry.calibration.projector.sees(
+        lit = self.geometry.calibration.projector.sees(
             np.nan_to_num(points, nan=-1.0), self.geometry.calibration.T_projector_camera
         )
-        return np.asarray(points[seen])
+        return np.asarray(points[lit])
 
     @cached_property
     def angle_deg(self) -> float | None:
@@ -129,13 +129,13 @@ class WorkingPoint:
         """(`REGIONS`, 2) change of the projector's u and v for 1 mm along the ray; NaN where unseen."""
         calibration = self.geometry.calibration
         points = self.geometry.rays * self.distance_mm
-        seen = calibration.projector.sees(np.nan_to_num(points, nan=-1.0), calibration.T_projector_camera)
+        lit = calibration.projector.sees(np.nan_to_num(points, nan=-1.0), calibration.T_projector_camera)
         unit = self.geometry.rays / np.linalg.norm(self.geometry.rays, axis=-1, keepdims=True)
         near, far = (
             calibration.projector.project(points + s * unit, calibration.T_projector_camera)
             for s in (-0.5, 0.5)
         )
-        return np.stack([region_medians(np.abs(far - near)[..., k], seen) for k in range(2)], axis=-1)
+        return np.stack([region_medians(np.abs(far - near)[..., k], lit) for k in range(2)], axis=-1)
 
     @cached_property
     def calibration_um(self) -> tuple[float, float] | None:
@@ -178,12 +178,12 @@ class WorkingPoint:
             along = self.px_per_mm[..., AXES.index(axis)]
             for k in self.plan.sets_along(axis):
                 fringe = self.plan.fringes[k]
-                left = modulation * np.exp(-2.0 * square_px * (math.pi * fringe.stripes / length) ** 2)
-                sigma = coordinate_uncertainty(fringe.phase_noise * noise / left, fringe.stripes, length)
+                reduced = modulation * np.exp(-2.0 * square_px * (math.pi * fringe.stripes / length) ** 2)
+                sigma = coordinate_uncertainty(fringe.phase_noise * noise / reduced, fringe.stripes, length)
                 information += np.square(along / sigma)
         with np.errstate(divide="ignore"):
-            found = 1e3 / np.sqrt(information)
-        return np.where(np.isfinite(found), found, np.nan)
+            sigma_um = 1e3 / np.sqrt(information)
+        return np.where(np.isfinite(sigma_um), sigma_um, np.nan)
 
 
 def _blur_square(sample: FrameSample, contrast: Floats) -> Floats:

@@ -64,13 +64,19 @@ class ExposureLimits:
     @classmethod
     def by_devices(cls, camera: CameraCaps, projector: ProjectorCaps, plan: Plan) -> ExposureLimits:
         """Find the exposures and gains that a plan may have on a rig."""
-        least, most = camera.exposure_s
+        shortest_s, longest_s = camera.exposure_s
         if plan.trigger == "stepped":
-            return cls((least, most), camera.gain_db, projector.period_s)
+            return cls((shortest_s, longest_s), camera.gain_db, projector.period_s)
         shown_s = projector.bit_depths[max(projector.bit_depths)], projector.longest_s
-        least, longest = max(least, shown_s[0] - camera.readout_s), shown_s[1] - camera.readout_s
+        shortest_s, longest_shown_s = (
+            max(shortest_s, shown_s[0] - camera.readout_s),
+            shown_s[1] - camera.readout_s,
+        )
         return cls(
-            (least, min(most, longest)), camera.gain_db, 0.0, "camera" if most <= longest else "projector"
+            (shortest_s, min(longest_s, longest_shown_s)),
+            camera.gain_db,
+            0.0,
+            "camera" if longest_s <= longest_shown_s else "projector",
         )
 
     def on_grid(self, exposure_s: float) -> float:
@@ -81,10 +87,10 @@ class ExposureLimits:
 
     def stepped(self, exposure_s: float, factor: float) -> float:
         """Give the next exposure that is longer or shorter."""
-        wanted = exposure_s * factor
+        stepped_s = exposure_s * factor
         if self.period_s <= 0:
-            return wanted
-        steps = max(1, round(wanted / self.period_s))
+            return stepped_s
+        steps = max(1, round(stepped_s / self.period_s))
         now = exposure_s / self.period_s
         if factor > 1.0:
             return self.period_s * max(steps, math.floor(now + GOALS.grid_tolerance) + 1)
@@ -163,32 +169,34 @@ def _of_gain(gain_db: float) -> float:
 
 def _exposure(wanted_s: float, limits: ExposureLimits, reasons: list[str]) -> float:
     """The longest exposure that is allowed and not too long; adds a sentence where it is too bright."""
-    least, most = limits.exposure_s
-    shortest = max(least, limits.period_s)
+    lower_s, upper_s = limits.exposure_s
+    shortest_s = max(lower_s, limits.period_s)
     if limits.period_s > 0:
-        shortest = (
-            limits.period_s * math.ceil(least / limits.period_s - GOALS.grid_tolerance) or limits.period_s
+        shortest_s = (
+            limits.period_s * math.ceil(lower_s / limits.period_s - GOALS.grid_tolerance) or limits.period_s
         )
-        most = limits.period_s * math.floor(most / limits.period_s + GOALS.grid_tolerance)
-    if wanted_s * (1.0 + GOALS.grid_tolerance) < shortest:
-        why = "one period of the projector's bit planes" if limits.period_s > least else "the camera's least"
+        upper_s = limits.period_s * math.floor(upper_s / limits.period_s + GOALS.grid_tolerance)
+    if wanted_s * (1.0 + GOALS.grid_tolerance) < shortest_s:
+        why = (
+            "one period of the projector's bit planes" if limits.period_s > lower_s else "the camera's least"
+        )
         reasons.append(
-            f"even an exposure of {1e3 * shortest:.3g} ms, {why}, is {shortest / wanted_s:.2g} times too "
+            f"even an exposure of {1e3 * shortest_s:.3g} ms, {why}, is {shortest_s / wanted_s:.2g} times too "
             "bright; dim the lamp, or close the camera's aperture"
         )
-        return shortest
-    return min(limits.on_grid(wanted_s), most)
+        return shortest_s
+    return min(limits.on_grid(wanted_s), upper_s)
 
 
 def _gain(factor: float, exposure_s: float, limits: ExposureLimits, reasons: list[str]) -> float:
     """The gain for what the exposure leaves; adds a sentence where that is not enough."""
-    least, most = limits.gain_db
-    wanted = 20.0 * math.log10(factor)
-    if wanted > most:
-        reached = GOALS.peak / _of_gain(wanted - most)
+    min_db, max_db = limits.gain_db
+    gain_db = 20.0 * math.log10(factor)
+    if gain_db > max_db:
+        reached = GOALS.peak / _of_gain(gain_db - max_db)
         reasons.append(
             f"the lamp is weak: the longest exposure of the {limits.of}, {exposure_s:.3g} s, and the "
-            f"greatest gain, {most:.3g} dB, reach {100 * reached:.0f} % of full scale; open "
+            f"greatest gain, {max_db:.3g} dB, reach {100 * reached:.0f} % of full scale; open "
             "the aperture, brighten the lamp, or go nearer"
         )
-    return min(max(wanted, least), most)
+    return min(max(gain_db, min_db), max_db)

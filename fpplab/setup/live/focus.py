@@ -35,44 +35,46 @@ UNKNOWN = FocusMeasure(np.full(REGIONS, np.nan), None)
 """Where nothing can be measured."""
 
 
-def camera_sharpness(one: NDArray[np.floating[Any]], other: NDArray[np.floating[Any]]) -> FocusMeasure:
+def camera_sharpness(
+    first_image: NDArray[np.floating[Any]], second_image: NDArray[np.floating[Any]]
+) -> FocusMeasure:
     """Measure the sharpness of the camera's image."""
     # one, other (height, width)
-    found = np.full(REGIONS, np.nan)
+    by_region = np.full(REGIONS, np.nan)
     powers, levels = 0.0, 0.0
-    for region, part in region_slices(one.shape):
-        a, b = (image[part].astype(np.float64) for image in (one, other))
+    for region, part in region_slices(first_image.shape):
+        a, b = (image[part].astype(np.float64) for image in (first_image, second_image))
         level = float(a.mean() * b.mean())
         if level < (2.0 / 255.0) ** 2 or min(a.shape) < 3:  # darker than two grey levels
             continue
         power, sigma = _gradient_power(a, b)
         powers, levels = powers + max(power, 0.0) * a.size, levels + level * a.size
         if power > 4.0 * sigma:  # otherwise it has no texture to focus on
-            found[region] = math.sqrt(power / level)
-    known = np.isfinite(found).any()
-    return FocusMeasure(found, math.sqrt(powers / levels) if known else None)
+            by_region[region] = math.sqrt(power / level)
+    any_known = np.isfinite(by_region).any()
+    return FocusMeasure(by_region, math.sqrt(powers / levels) if any_known else None)
 
 
-def _gradient_power(one: Floats, other: Floats) -> tuple[float, float]:
+def _gradient_power(image: Floats, other: Floats) -> tuple[float, float]:
     """Mean square gradient that two images share, and its standard uncertainty by noise alone."""
     power, noises = 0.0, 0.0
     for axis in (0, 1):
-        first, second = np.gradient(one, axis=axis), np.gradient(other, axis=axis)
+        first, second = np.gradient(image, axis=axis), np.gradient(other, axis=axis)
         # About their means: light that falls off across the region is no texture.
         power += float(np.mean(first * second) - first.mean() * second.mean())
         noises += float(np.mean(np.square(first - second)))
     # Of products of two gradients with independent noise; neighbours share half of it.
-    return power, noises / 2.0 * math.sqrt(2.0 / one.size)
+    return power, noises / 2.0 * math.sqrt(2.0 / image.size)
 
 
 def projector_contrast(sample: FrameSample) -> FocusMeasure:
     """Measure how much of the fringes' contrast the projector's lens, and the camera's, leave."""
-    known = sample.measured
-    if not known.any():
+    measured = sample.measured
+    if not measured.any():
         return UNKNOWN
     fine = sample.fits[sample.recording.plan.finest_set()]
     ratio = fine.modulation / np.maximum(sample.widest.modulation, 1e-9)
-    return FocusMeasure(region_medians(ratio, known), float(np.median(ratio[known])))
+    return FocusMeasure(region_medians(ratio, measured), float(np.median(ratio[measured])))
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +87,7 @@ class FocusTracker:
 
     def after(self, measure: FocusMeasure) -> FocusTracker:
         """Take another measure."""
-        whole = [one for one in (measure.whole, self.best_whole) if one is not None]
+        whole = [value for value in (measure.whole, self.best_whole) if value is not None]
         return FocusTracker(measure, np.fmax(self.best, measure.regions), max(whole, default=None))
 
     def forgotten(self) -> FocusTracker:

@@ -146,7 +146,7 @@ class SetUp:
                         self._paused_for, self._message = None, "the rig is free again"
                     with self._rig:
                         self._open()
-                        while not self._ended() and not turn.wanted():
+                        while not self._ended() and not turn.is_requested():
                             self._step(turn)
                 finally:
                     turn.yield_rig()
@@ -162,7 +162,7 @@ class SetUp:
         """Wait for the command that has the rig."""
         if self._paused_for is None:
             self._pauses += 1
-        self._paused_for = turn.wanted_by()
+        self._paused_for = turn.requested_by()
         self._show(None, None)
         time.sleep(0.05)  # s until the turn is checked again
         while not self._orders.empty():
@@ -209,7 +209,7 @@ class SetUp:
             order = None
         if order is not None:
             self._obey(order, turn)
-        if self._ended() or turn.wanted():
+        if self._ended() or turn.is_requested():
             return
         self._counted()
         shown = self._patterns.views[self._view]
@@ -237,16 +237,16 @@ class SetUp:
         if self._seeks == 0 or self._advice is None:
             return
         if self._advice.is_right:
-            self._seeks, self._message = 0, f"exposed as advised: {_in_words(settings)}"
+            self._seeks, self._message = 0, f"exposed as advised: {_settings_text(settings)}"
         else:
             self._seeks -= 1
             self._configure(self._advice.exposure_s, self._advice.gain_db)
 
     def _configure(self, exposure_s: float, gain_db: float) -> None:
         assert self._settings is not None
-        wanted = replace(self._settings, exposure_s=exposure_s, gain_db=gain_db)
-        self._settings = self._watch.configure(wanted)
-        self._message = _in_words(self._settings)
+        settings = replace(self._settings, exposure_s=exposure_s, gain_db=gain_db)
+        self._settings = self._watch.configure(settings)
+        self._message = _settings_text(self._settings)
         self._begin()
 
     def _take_advice(self) -> None:
@@ -379,7 +379,7 @@ class SetUp:
         mounted = None if self._options.item is None else (self._options.item, self._pose)
 
         def yields(_: Frame) -> None:
-            if turn.wanted():
+            if turn.is_requested():
                 raise _RigWanted("another command wanted the rig")
 
         return take(rig, plan, out, mounted, observe_frame=yields)
@@ -398,5 +398,5 @@ def _free_place(folder: Path) -> Path:
     return folder / f"pose_{max(taken, default=-1) + 1:02d}"
 
 
-def _in_words(settings: CameraSettings) -> str:
+def _settings_text(settings: CameraSettings) -> str:
     return f"exposure {1e3 * settings.exposure_s:.4g} ms, gain {settings.gain_db:.3g} dB"

@@ -92,8 +92,10 @@ class LiveMeasures:
         if self.working is not None:
             self.noise_um = self.working.noise_um(sample) if sample.measured.any() else None
 
-    def _sharpness(self, one: NDArray[np.generic], other: NDArray[np.generic], most: int) -> None:
-        shares = [image.astype(np.float32) / most for image in (one, other)]
+    def _sharpness(
+        self, first_image: NDArray[np.generic], second_image: NDArray[np.generic], full_scale: int
+    ) -> None:
+        shares = [image.astype(np.float32) / full_scale for image in (first_image, second_image)]
         self.camera_focus = self.camera_focus.after(camera_sharpness(*shares))
 
 

@@ -38,7 +38,7 @@ class SetUpPage:
         self._token = secrets.token_urlsafe(18)
         self._state = b"{}"
         self._left_s: float | None = None
-        self._seen = False
+        self._opened = False
         self._server = ThreadingHTTPServer((LOCAL, 0), _handler(self))
         self._server.daemon_threads = True
         self._thread = threading.Thread(target=self._server.serve_forever, args=(0.1,), daemon=True)
@@ -57,9 +57,9 @@ class SetUpPage:
         self._thread.join()
 
     @property
-    def seen(self) -> bool:
+    def is_opened(self) -> bool:
         """Whether the page has been opened."""
-        return self._seen
+        return self._opened
 
     @property
     def closed(self) -> bool:
@@ -87,7 +87,7 @@ class SetUpPage:
         if (method, name) == ("GET", ""):
             return HTTPStatus.OK, "text/html; charset=utf-8", self._html()
         if (method, name) == ("GET", "state"):
-            self._left_s, self._seen = None, True
+            self._left_s, self._opened = None, True
             return HTTPStatus.OK, "application/json", self._state
         if (method, name) == ("POST", "leave"):
             self._left_s = time.monotonic()
@@ -106,9 +106,9 @@ class SetUpPage:
 
     def _html(self) -> bytes:
         text = files(__package__).joinpath(TEMPLATE).read_text(encoding="utf-8")
-        words = {order.value: {"key": key, "label": label} for order, (key, label) in WORDS.items()}
-        given = json.dumps({"orders": words, "viewer": self._viewer}).replace("<", "\\u003c")
-        return text.replace("{{given}}", given).encode()
+        orders = {order.value: {"key": key, "label": label} for order, (key, label) in WORDS.items()}
+        content = json.dumps({"orders": orders, "viewer": self._viewer}).replace("<", "\\u003c")
+        return text.replace("{{given}}", content).encode()
 
     def headers(self) -> dict[str, str]:
         """Give the headers of every answer."""

@@ -28,12 +28,12 @@ def region_slices(shape: tuple[int, ...]) -> Iterator[tuple[tuple[int, int], tup
             )
 
 
-def region_medians(values: NDArray[np.floating[Any]], known: Mask) -> Floats:
+def region_medians(values: NDArray[np.floating[Any]], valid: Mask) -> Floats:
     """Compute the median in each region of which at least a tenth is known."""
     # values (height, width); known (height, width)
-    found = np.full(REGIONS, np.nan)
+    medians = np.full(REGIONS, np.nan)
     for region, part in region_slices(values.shape):
-        inside = values[part][known[part]]
+        inside = values[part][valid[part]]
         if inside.size and inside.size >= 0.1 * values[part].size:
-            found[region] = np.median(inside)
-    return found
+            medians[region] = np.median(inside)
+    return medians

@@ -91,5 +91,5 @@ class LiveStatus:
 
 def overall_median(values: Floats) -> float | None:
     """Give one figure for all regions."""
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if known.size else None
+    finite = values[np.isfinite(values)]
+    return float(np.median(finite)) if finite.size else None

@@ -102,7 +102,7 @@ def check_rig(
 
     What a device raises is a finding too.
     """
-    marker_seen, fringes = MarkerInspection(plan), _FringeInspection(plan, calibration)
+    marker_inspection, fringes = MarkerInspection(plan), _FringeInspection(plan, calibration)
     failed: list[Finding] = []
     described, origin, timing = config.plain(rig.file), None, None
     try:
@@ -111,24 +111,24 @@ def check_rig(
             _require_fitting(rig, plan, calibration)
             if rig.fixture:
                 rig.fixture.mount(item)
-            marker_seen.at(rig, lambda share: progress(0.4 * share))
-            fringes.at(rig, marker_seen.fringe_plan, lambda share: progress(0.4 + 0.6 * share))
+            marker_inspection.at(rig, lambda share: progress(0.4 * share))
+            fringes.at(rig, marker_inspection.fringe_plan, lambda share: progress(0.4 + 0.6 * share))
             timing = _timing(rig, plan)
             failed += _of_transport(rig, plan, timing, folder)
     except DeviceError as error:
         failed.append(device_finding(error))
     progress(1.0)
-    of_light = tuple(marker_seen.light)
+    of_light = tuple(marker_inspection.light)
     unknown = tuple(fringes.unknown)
     if fringes.diagnosis:
         of_light = fringes.diagnosis.findings
         unknown += fringes.diagnosis.unknown
     return RigCheck(
         shown=marker(),
-        runs=tuple(marker_seen.runs),
-        findings=_ranked([*failed, *marker_seen.findings, *of_light]),
+        runs=tuple(marker_inspection.runs),
+        findings=_ranked([*failed, *marker_inspection.findings, *of_light]),
         unknown=(*_unseen(of_light), *unknown),
-        settle_s=marker_seen.settle_s,
+        settle_s=marker_inspection.settle_s,
         timing=timing,
         recording=fringes.recording,
         decoded=fringes.decoded,
@@ -204,9 +204,9 @@ class _FringeInspection:
         if plan is None:
             self.unknown.append("light, focus and geometry: the frames do not show their own patterns")
             return
-        for wanted in _with_both_axes(plan) if self._calibration else (plan,):
+        for shown_plan in _with_both_axes(plan) if self._calibration else (plan,):
             try:
-                recording = _taken(rig, wanted, lambda share: progress(0.8 * share))
+                recording = _taken(rig, shown_plan, lambda share: progress(0.8 * share))
             except CapabilityError as error:
                 missing = error
                 continue

@@ -34,25 +34,25 @@ class ExposureShift:
     share: float  # share of the exposure that falls into the neighbour
 
 
-def exposure_shift(own: Floats, seen: Floats) -> ExposureShift | None:
+def exposure_shift(stepped: Floats, triggered: Floats) -> ExposureShift | None:
     """Find the shift that explains the levels of a triggered run by those of a stepped one."""
     # own (K,); seen (K,)
-    if not (np.isfinite(own).all() and np.isfinite(seen).all()):
+    if not (np.isfinite(stepped).all() and np.isfinite(triggered).all()):
         return None
-    found = [(_mixture(own, seen, step), step) for step in (1, -1)]
-    (misfit, share), step = min(found)
-    if misfit > LIMITS.max_misfit * np.ptp(own) or not LIMITS.min_share <= share <= LIMITS.max_share:
+    mixtures = [(_mixture(stepped, triggered, neighbour), neighbour) for neighbour in (1, -1)]
+    (misfit, share), neighbour = min(mixtures)
+    if misfit > LIMITS.max_misfit * np.ptp(stepped) or not LIMITS.min_share <= share <= LIMITS.max_share:
         return None
-    return ExposureShift(step > 0, share)
+    return ExposureShift(neighbour > 0, share)
 
 
-def _mixture(own: Floats, seen: Floats, step: int) -> tuple[float, float]:
+def _mixture(stepped: Floats, triggered: Floats, step: int) -> tuple[float, float]:
     """RMS misfit of the best mixture with the neighbour `step` patterns on, and that one's share."""
     inner = slice(1, -1)
-    neighbour = np.roll(own, -step)[inner]
-    columns = np.stack([own[inner], neighbour, np.ones(len(neighbour))], axis=1)
-    factors, *_ = np.linalg.lstsq(columns, seen[inner], rcond=None)
-    misfit = float(np.sqrt(np.mean((columns @ factors - seen[inner]) ** 2)))
+    neighbour = np.roll(stepped, -step)[inner]
+    columns = np.stack([stepped[inner], neighbour, np.ones(len(neighbour))], axis=1)
+    factors, *_ = np.linalg.lstsq(columns, triggered[inner], rcond=None)
+    misfit = float(np.sqrt(np.mean((columns @ factors - triggered[inner]) ** 2)))
     whole = float(factors[0] + factors[1])
     share = float(factors[1] / whole) if whole > 0 and min(factors[:2]) >= 0 else 0.0
     return misfit, share

@@ -105,14 +105,14 @@ def matching_faults(shown: Sequence[int] | NDArray[np.int64], levels: Floats) ->
     rows = {f: f.shown(len(greys)) for f in faults(len(greys)) if f.cause is not Cause.SWAPPED}
     fitting = [fault for fault, row in rows.items() if _departure(greys, levels, row) <= LIMITS.max_departure]
     explained = {f: sum(k is not None for k in np.array(rows[f])[np.isfinite(levels)]) for f in fitting}
-    most = max(explained.values(), default=0)
-    return tuple(fault for fault in fitting if explained[fault] == most) or None
+    most_explained = max(explained.values(), default=0)
+    return tuple(fault for fault in fitting if explained[fault] == most_explained) or None
 
 
 def _departure(greys: NDArray[np.int64], levels: Floats, shown: Sequence[int | None]) -> float:
     """RMS by which levels depart from any that rise with the grey levels shown, as a share of their range."""
-    known = np.array([k is not None for k in shown]) & np.isfinite(levels)
-    grey, level = greys[[k or 0 for k in shown]][known], levels[known]
+    valid = np.array([k is not None for k in shown]) & np.isfinite(levels)
+    grey, level = greys[[k or 0 for k in shown]][valid], levels[valid]
     _, place, frames = np.unique(grey, return_inverse=True, return_counts=True)
     mean = np.bincount(place, level) / frames
     curve = isotonic_regression(mean, weights=frames).x
@@ -230,11 +230,11 @@ def _missing_colour(shown: NDArray[np.int64], levels: Floats) -> Finding | None:
         if _departure(shown[others], levels[others], range(int(others.sum()))) > LIMITS.max_departure:
             continue
         order = np.argsort(shown[others])
-        wanted = np.interp(shown, shown[others][order], levels[others][order])
+        expected = np.interp(shown, shown[others][order], levels[others][order])
         dark = float(levels.min())
-        relative = (levels - dark + 0.1 * np.ptp(levels)) / (wanted - dark + 0.1 * np.ptp(levels))
-        if (found := colour_finding(np.where(others, 1.0, relative), places)) is not None:
-            return replace(found, excess=DECISIVE_EXCESS)
+        relative = (levels - dark + 0.1 * np.ptp(levels)) / (expected - dark + 0.1 * np.ptp(levels))
+        if (finding := colour_finding(np.where(others, 1.0, relative), places)) is not None:
+            return replace(finding, excess=DECISIVE_EXCESS)
     return None
 
 
@@ -261,9 +261,9 @@ def _run(rig: Rig, plan: Plan, shown: NDArray[np.int64], gap_s: float = 0.0) -> 
                 raise
     if not samples:
         return MarkerRun(plan.trigger, np.full(len(shown), np.nan), 0.0)
-    seen = np.stack(samples)
-    change = np.ptp(seen, axis=0)
-    illuminated = seen[:, change >= 0.5 * np.quantile(change, 0.95)]
+    images = np.stack(samples)
+    change = np.ptp(images, axis=0)
+    illuminated = images[:, change >= 0.5 * np.quantile(change, 0.95)]
     levels = np.full(len(shown), np.nan)
     levels[: len(illuminated)] = illuminated.mean(axis=1)
     return MarkerRun(plan.trigger, levels, float((illuminated >= 1.0).any(axis=0).mean()))
@@ -283,10 +283,10 @@ def _of_light(run: MarkerRun) -> list[Finding]:
         share = f"{100 * run.saturated:.2g} % of the illuminated pixels are at full scale"
         return [Finding(SATURATED, share, run.saturated / LIMITS.max_saturated)]
     if run.rise < LIMITS.min_rise:
-        seen = f"white is brighter than black by {100 * run.rise:.2g} % of full scale"
+        evidence = f"white is brighter than black by {100 * run.rise:.2g} % of full scale"
         advice = "check the lens caps, the projector's light, where both look, and the plan's exposure_s"
         excess = LIMITS.min_rise / max(run.rise, 1e-4)
-        return [Finding(PROJECTOR_DARK, seen, excess, advice), light_elsewhere(excess)]
+        return [Finding(PROJECTOR_DARK, evidence, excess, advice), light_elsewhere(excess)]
     return []
 
 
@@ -296,12 +296,12 @@ def _of_display(
     """Frames of a stepped run out of step. A slip that does not recur may be light that flickers."""
     excess = DECISIVE_EXCESS if recurs else UNCERTAIN_EXCESS
     if needed is not None:
-        seen = f"with settle_s {settle_s:g} s {_words(slipped)}"
-        return Finding(SLOW_DISPLAY, seen, excess, f"put `settle_s: {needed:g}` into the plan")
+        evidence = f"with settle_s {settle_s:g} s {_slip_description(slipped)}"
+        return Finding(SLOW_DISPLAY, evidence, excess, f"put `settle_s: {needed:g}` into the plan")
     advice = (
         f"no settle_s up to {LIMITS.settle_s[-1]:g} s helps: make sure that nothing else drives the projector"
     )
-    return Finding(OUT_OF_STEP, f"stepped: {_words(slipped)}", excess, advice)
+    return Finding(OUT_OF_STEP, f"stepped: {_slip_description(slipped)}", excess, advice)
 
 
 def _is_in_step(shown: NDArray[np.int64], run: MarkerRun) -> bool:
@@ -328,13 +328,13 @@ def _slipped(
 ) -> Finding:
     """Frames out of step. A slip that occurs once may be flickering light, which the fringes show."""
     lost = len(run.levels) - run.frames
-    words = ["the last triggers did not expose a frame"] if slipped == () else [_words(slipped)]
+    evidence = ["the last triggers did not expose a frame"] if slipped == () else [_slip_description(slipped)]
     if lost:
-        words.append(f"{lost} of {len(run.levels)} frames did not come")
+        evidence.append(f"{lost} of {len(run.levels)} frames did not come")
     if more:
-        words.append(more)
+        evidence.append(more)
     excess = DECISIVE_EXCESS if happens_again or lost else UNCERTAIN_EXCESS
-    return Finding(OUT_OF_STEP, f"triggered: {'; '.join(words)}", excess, advice)
+    return Finding(OUT_OF_STEP, f"triggered: {'; '.join(evidence)}", excess, advice)
 
 
 def _no_pulse(count: int) -> Finding:
@@ -342,17 +342,17 @@ def _no_pulse(count: int) -> Finding:
 
 
 def _wrong_edge() -> Finding:
-    seen = "with darkness between the patterns, the frames show the darkness"
-    return Finding(TRIGGER_EDGE, seen, DECISIVE_EXCESS)
+    evidence = "with darkness between the patterns, the frames show the darkness"
+    return Finding(TRIGGER_EDGE, evidence, DECISIVE_EXCESS)
 
 
 def _shifted(shift: ExposureShift, exposure_s: float) -> Finding:
     how, neighbour = ("late", "next") if shift.is_late else ("early", "previous")
-    seen = (
+    evidence = (
         f"{100 * shift.share:.0f} % of each exposure show the {neighbour} pattern: exposures begin about "
         f"{1e3 * shift.share * exposure_s:.3g} ms too {how}"
     )
-    return Finding(TRIGGER_SHIFTED, seen, shift.share / SHIFT_LIMITS.min_share)
+    return Finding(TRIGGER_SHIFTED, evidence, shift.share / SHIFT_LIMITS.min_share)
 
 
 def _not_ready(run: MarkerRun, gap_s: float, dead_s: float) -> Finding:
@@ -366,7 +366,7 @@ def _not_ready(run: MarkerRun, gap_s: float, dead_s: float) -> Finding:
     )
 
 
-def _words(slipped: tuple[SyncFault, ...] | None) -> str:
+def _slip_description(slipped: tuple[SyncFault, ...] | None) -> str:
     return (
         "; or ".join(f.describe() for f in slipped)
         if slipped

@@ -76,17 +76,17 @@ class _Steps:
 
     def link(self) -> CheckedStep:
         infos = [device.info() for device in (self._rig.camera, self._rig.projector)]
-        words = [f"{info.model}, {info.serial or 'without a serial number'}, {info.link}" for info in infos]
-        return CheckedStep("link", True, "; ".join(words))
+        devices = [f"{info.model}, {info.serial or 'without a serial number'}, {info.link}" for info in infos]
+        return CheckedStep("link", True, "; ".join(devices))
 
     def lamp(self) -> CheckedStep:
         black, white = self._taken(self._uniform([0, 255]), "stepped")
         self._white, self._change = white, white - black
         rise = float(np.quantile(self._change, 0.95))
-        seen = f"white is brighter than black by {100 * rise:.3g} % of full scale"
+        evidence = f"white is brighter than black by {100 * rise:.3g} % of full scale"
         ok = rise >= MARKER_LIMITS.min_rise
         remedy = f"{PROJECTOR_DARK.remedy}; at least {100 * MARKER_LIMITS.min_rise:g} %"
-        return CheckedStep("lamp", ok, seen, "" if ok else remedy, {"rise": rise})
+        return CheckedStep("lamp", ok, evidence, "" if ok else remedy, {"rise": rise})
 
     def one_pulse(self) -> CheckedStep:
         return self._pulses("one pulse", [255])
@@ -110,26 +110,26 @@ class _Steps:
                 break
             fastest_s = period_s
         ok = fastest_s <= planned.period_s
-        seen = f"all frames came with pulses {1e3 * fastest_s:.6g} ms apart, {lost}"
-        seen += f"; the plan takes {1e3 * planned.period_s:.6g} ms, by {planned.limit}"
+        evidence = f"all frames came with pulses {1e3 * fastest_s:.6g} ms apart, {lost}"
+        evidence += f"; the plan takes {1e3 * planned.period_s:.6g} ms, by {planned.limit}"
         dead_s = fastest_s - planned.light_s - planned.dark_s
         remedy = "" if ok else f"put `dead_time_s: {dead_s:.3g}` into the rig file's section of the camera"
         values = {"shortest_period_s": fastest_s, "planned_period_s": planned.period_s}
-        return CheckedStep("rate", ok, seen, remedy, values)
+        return CheckedStep("rate", ok, evidence, remedy, values)
 
     def exposure(self) -> CheckedStep:
         lit = self._white[self._change >= 0.5 * np.quantile(self._change, 0.95)]
         level, saturated = float(lit.mean()), float((lit >= 1.0).mean())
-        seen = (
+        evidence = (
             f"white is at {100 * level:.3g} % of full scale, {100 * saturated:.2g} % of its pixels are full"
         )
         values = {"level": level, "saturated": saturated}
         if saturated > MARKER_LIMITS.max_saturated or level > LIMITS.max_level:
-            return CheckedStep("exposure", False, seen, SATURATED.remedy, values)
+            return CheckedStep("exposure", False, evidence, SATURATED.remedy, values)
         if level < LIMITS.min_level:
             advice = f"{UNDEREXPOSED.remedy}; by the factor {LIMITS.good_level / level:.2g}"
-            return CheckedStep("exposure", False, seen, advice, values)
-        return CheckedStep("exposure", True, seen, "", values)
+            return CheckedStep("exposure", False, evidence, advice, values)
+        return CheckedStep("exposure", True, evidence, "", values)
 
     def focus(self) -> CheckedStep:
         caps = self._rig.projector.caps
@@ -142,16 +142,16 @@ class _Steps:
         half = self._change[lit] / 2
         contrast = float(np.median(np.sqrt(2.0) * np.std(frames, axis=0)[lit] / half))
         ok = contrast >= LIMITS.min_contrast
-        seen = f"the finest fringes, {finest.stripes:g} stripes, have a contrast of {contrast:.2g}"
+        evidence = f"the finest fringes, {finest.stripes:g} stripes, have a contrast of {contrast:.2g}"
         remedy = f"focus both lenses; at least {LIMITS.min_contrast:g}"
-        return CheckedStep("focus", ok, seen, "" if ok else remedy, {"contrast": contrast})
+        return CheckedStep("focus", ok, evidence, "" if ok else remedy, {"contrast": contrast})
 
     def _pulses(self, name: str, greys: Sequence[int]) -> CheckedStep:
         came = len(self._taken(self._uniform(greys), "triggered", LIMITS.safe_gap_s))
-        seen = f"{came} of {len(greys)} frames came"
+        evidence = f"{came} of {len(greys)} frames came"
         ok = came == len(greys)
         remedy = NO_TRIGGER.remedy if not came else LOST_PULSES
-        return CheckedStep(name, ok, seen, "" if ok else remedy, {"frames": came, "pulses": len(greys)})
+        return CheckedStep(name, ok, evidence, "" if ok else remedy, {"frames": came, "pulses": len(greys)})
 
     def _uniform(self, greys: Sequence[int]) -> list[Pattern]:
         return list(uniform_patterns(list(greys), self._rig.projector.caps.size))
@@ -193,14 +193,14 @@ def check_steps(
 
     def is_well(name: str, step: Callable[[], CheckedStep]) -> bool:
         try:
-            found = step()
+            checked = step()
         except DeviceError as error:
             finding = device_finding(error)
-            found = CheckedStep(name, False, finding.evidence, finding.remedy)
-        done.append(found)
-        tell(found)
+            checked = CheckedStep(name, False, finding.evidence, finding.remedy)
+        done.append(checked)
+        tell(checked)
         progress(len(done) / 7)  # steps at most
-        return found.ok
+        return checked.ok
 
     with ExitStack() as stack:
 

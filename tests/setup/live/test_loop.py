@@ -111,12 +111,12 @@ def test_a_pose_that_is_interrupted_is_no_pose(tmp_path: Path, monkeypatch: pyte
     path = rig_file(tmp_path)
     asked: list[bool] = []
 
-    def wanted(turn: RigTurn) -> bool:
+    def is_requested(turn: RigTurn) -> bool:
         begun = any((tmp_path / "poses").glob("pose_*/*"))
         asked.append(begun)
         return begun and asked.count(True) == 3
 
-    monkeypatch.setattr(RigTurn, "wanted", wanted)
+    monkeypatch.setattr(RigTurn, "is_requested", is_requested)
     operator = Operator(Order.TAKE, after=2)
     board = Target.load(tmp_path / "board.yaml")
     setup = operate(path, operator, plan=BOTH_AXES, target=board, poses=tmp_path / "poses", frames=12)

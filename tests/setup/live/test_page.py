@@ -132,10 +132,10 @@ def test_what_is_no_order_is_refused(page: SetUpPage) -> None:
 
 def test_a_page_that_was_closed_is_noticed(page: SetUpPage, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(served, "RELOAD_S", 0.0)
-    assert not page.seen
+    assert not page.is_opened
     assert not page.closed  # nobody has opened it yet
     ask(page, "GET", path_of(page) + "state")
-    assert page.seen
+    assert page.is_opened
     ask(page, "POST", path_of(page) + "leave", b"")
     assert page.closed
     ask(page, "GET", path_of(page) + "state")  # loaded again

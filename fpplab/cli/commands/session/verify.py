@@ -21,14 +21,14 @@ def verify_session_command(session: SessionPath, json: Json = False) -> None:
 
     with console.progress("Reading") as report:
         faults = session_faults(session, report)
-    found = {"whole": not faults, "faults": [{"file": one.file, "found": one.found} for one in faults]}
+    answer = {"whole": not faults, "faults": [{"file": fault.file, "found": fault.found} for fault in faults]}
 
     def show() -> None:
-        for one in faults:
-            console.stdout.print(one.found, markup=False)
-        words = f"{len(faults)} faults; `fpplab session repair {session}` keeps what is whole"
-        console.stdout.print(words if faults else f"{session}: is whole", markup=False)
+        for fault in faults:
+            console.stdout.print(fault.found, markup=False)
+        summary = f"{len(faults)} faults; `fpplab session repair {session}` keeps what is whole"
+        console.stdout.print(summary if faults else f"{session}: is whole", markup=False)
 
-    console.print_result({"session": str(session), **found}, json, show)
+    console.print_result({"session": str(session), **answer}, json, show)
     if faults:
         raise console.CommandExit(DataError.exit_code)
