@@ -107,7 +107,7 @@ def guided(rig: Rigged, count: int, stop: Callable[[Guide], bool] = lambda guide
     camera, projector = rig.truth.camera, rig.truth.projector
     guide = Guide(Target.load("target_paper"), (camera.size, projector.size), projector.lattice, DEPTH_MM)
     while len(guide.observations) < count and not stop(guide):
-        wanted = guide.wanted().T_camera_target or RigidTransform(np.eye(3), np.array([0.0, 0.0, 450.0]))
+        wanted = guide.next_pose().T_camera_target or RigidTransform(np.eye(3), np.array([0.0, 0.0, 450.0]))
         guide.add(rig.observed(f"pose_{len(guide.observations):02d}", rig.held(wanted)))
     return guide
 

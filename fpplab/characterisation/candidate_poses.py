@@ -49,7 +49,7 @@ def board_grid(size_mm: tuple[float, float], rim_mm: float = 0.0) -> Floats:
     return np.asarray(np.stack([u, v, np.zeros_like(u)], axis=-1).reshape(-1, 3))
 
 
-def share_seen(calibration: Calibration, places: Floats) -> Floats:
+def visible_shares(calibration: Calibration, places: Floats) -> Floats:
     """Compute the share of points that camera and projector both see."""
     # places (..., K, 3) mm
     visible: Mask = calibration.camera.sees(places)
@@ -70,7 +70,7 @@ def candidate_poses(
     # size_mm (width, height) mm
     grid = board_grid(size_mm, RIM_MM)
     for min_share in (1.0, MIN_VISIBLE_SHARE):
-        if poses := list(_seen_poses(calibration, grid, depth_mm, min_share)):
+        if poses := list(_visible_poses(calibration, grid, depth_mm, min_share)):
             return poses
     raise CalibrationError(
         f"a board of {size_mm[0]:g} x {size_mm[1]:g} mm is not seen by both devices from "
@@ -79,7 +79,7 @@ def candidate_poses(
     )
 
 
-def _seen_poses(
+def _visible_poses(
     calibration: Calibration,
     grid: Floats,
     depth_mm: DepthInterval,
@@ -89,7 +89,7 @@ def _seen_poses(
     for z, rotation in product(np.linspace(*depth_mm, DEPTH_LEVELS), tilts):
         board = grid @ rotation.T
         paths = _paths(calibration, float(z))
-        share = share_seen(calibration, paths[:, :, None] + board)
+        share = visible_shares(calibration, paths[:, :, None] + board)
         good = (share >= min_share) & _faces_projector(calibration, rotation, paths)
         last = np.where(good.any(axis=1), STEPS - np.argmax(good[:, ::-1], axis=1), -1)
         placed = {tuple(paths[k, step]) for k, step in enumerate(last) if step >= 0}

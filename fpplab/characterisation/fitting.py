@@ -107,11 +107,11 @@ def _characterised(
     # A model with few coefficients would hide that tilts are missing, so k1 to k3 are estimated here.
     richest = model if len(chosen.terms) > len(DEFAULT_LEVEL.terms) else replace(model, level=DEFAULT_LEVEL)
     _determined(solution, uncertainty(kept, solution, richest, sizes).sigma, model.limits)
-    few = compares_levels and len(kept) <= MIN_POSES
+    has_few_poses = compares_levels and len(kept) <= MIN_POSES
     without = _without_each_pose(kept, fit, model)
     tried = {
         level: _tried(kept, fit, model, level, without)
-        for level in _candidates(chosen, compares_levels and not few)
+        for level in _candidates(chosen, compares_levels and not has_few_poses)
     }
     covariance = uncertainty(kept, solution, model, sizes)
     proof = compare_with_fewer_poses(kept, solution, model, sizes, without) if without else None
@@ -133,7 +133,7 @@ def _characterised(
         trials=tuple(tried.values()),
         rejected=tuple(rejected),
         warnings=(
-            *(UNJUDGED,) * few,
+            *(UNJUDGED,) * has_few_poses,
             *_motion(kept, fit, model),
             *(proof.warnings if proof else ()),
             *coverage.warnings(kept, poses, calibration, solution.board, model.limits),

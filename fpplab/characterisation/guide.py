@@ -102,7 +102,7 @@ class Guide:
             return None
         return volume.form_mm(self.estimate.solution, self.level, self.estimate.covariance)
 
-    def wanted(self, fill: bool = False) -> WantedPose:
+    def next_pose(self, fill: bool = False) -> WantedPose:
         """Choose the next pose."""
         if not self.observations:
             return WantedPose(FIRST_POSE)

@@ -30,10 +30,10 @@ def scales_of_poses(
 def scale_scatter(scales: Floats, sigmas: Floats) -> tuple[float, float]:
     """Compute the scatter of the scales beyond their uncertainty."""
     weights = 1.0 / sigmas**2
-    off = scales - float((weights * scales).sum() / weights.sum())
+    deviations = scales - float((weights * scales).sum() / weights.sum())
     freedom = len(scales) - 1
-    beyond = float((off**2 - sigmas**2).mean()) * len(scales) / freedom
-    return float(np.sqrt(max(beyond, 0.0))), float(chi2.sf((weights * off**2).sum(), freedom))
+    beyond = float((deviations**2 - sigmas**2).mean()) * len(scales) / freedom
+    return float(np.sqrt(max(beyond, 0.0))), float(chi2.sf((weights * deviations**2).sum(), freedom))
 
 
 def has_focus_breathing(
@@ -45,8 +45,8 @@ def has_focus_breathing(
     """
     if len(scales) < limits.min_focus_poses:
         return False
-    odd = int(np.argmax(np.abs(scales - np.median(scales)) / sigmas))
-    scatter, chance = scale_scatter(np.delete(scales, odd), np.delete(sigmas, odd))
+    outlier = int(np.argmax(np.abs(scales - np.median(scales)) / sigmas))
+    scatter, chance = scale_scatter(np.delete(scales, outlier), np.delete(sigmas, outlier))
     return chance < limits.max_chance and scatter > limits.max_focus_breathing
 
 

@@ -123,8 +123,8 @@ def _with_corrected_orders(
         raise CalibrationError(f"{name}: the projector's coordinates on the board do not fit a plane")
     expected = cv2.perspectiveTransform(pixels[None], plane)[0]
     orders = np.rint(coordinates - expected)
-    off = np.abs(coordinates - expected - orders)
-    clear = (off[:, 0] < 0.4) & (off[:, 1] < 0.4)
+    residuals = np.abs(coordinates - expected - orders)
+    clear = (residuals[:, 0] < 0.4) & (residuals[:, 1] < 0.4)
     corrected[v[clear], u[clear]] = ((coordinates - orders) * periods)[clear]
     return corrected, float(np.any(orders[clear], axis=1).mean())
 

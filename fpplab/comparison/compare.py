@@ -202,19 +202,19 @@ class Comparison:
         list of str
             Sentences for the operator.
         """
-        said, scale = [], self.scale
+        warnings, scale = [], self.scale
         if self.out_of_view > LIMITS.max_out_of_view:
-            said.append(
+            warnings.append(
                 f"field of view: {100 * self.out_of_view:.0f} % of the surface that is turned to camera and "
                 "projector lies outside of their images; no figure counts it, completeness included"
             )
         if self.open_edges:
-            said.append(
+            warnings.append(
                 f"mesh: has {self.open_edges} open edges; where faces are missing, points are compared with "
                 "others, and an alignment may be wrong"
             )
         if scale is not None and scale.significant and scale.effect_um > self.surface_rms_um:
-            said.append(
+            warnings.append(
                 f"scale: the cloud is {abs(scale.ppm):.0f} ± {scale.sigma_ppm:.0f} ppm too "
                 f"{'large' if scale.ppm > 0 else 'small'}, which moves points by {scale.effect_um:.1f} µm; "
                 f"the distance of {self.surface_rms_um:.1f} µm after alignment does not show it"
@@ -222,12 +222,12 @@ class Comparison:
         for length in self.lengths:
             error = length.error_um
             if error is not None and length.significant and abs(error) > self.surface_rms_um:
-                said.append(
+                warnings.append(
                     f"{length.name}: measures {length.measured_mm:.4f} mm, {abs(error):.1f} ± "
                     f"{length.sigma_um:.1f} µm too {'long' if error > 0 else 'short'}; the distance of "
                     f"{self.surface_rms_um:.1f} µm after alignment does not show it"
                 )
-        return said
+        return warnings
 
     def summary(self) -> dict[str, object]:
         """Collect the figures for JSON.

@@ -246,6 +246,6 @@ def _robust_fit(rows: Floats, values: Floats, cell: NDArray[np.int64]) -> Estima
     weight = np.ones(len(values))
     for _ in range(LIMITS.fit_rounds):
         solution = np.linalg.lstsq(rows * np.sqrt(weight)[:, None], values * np.sqrt(weight), rcond=None)[0]
-        rest = values - rows @ solution
-        weight = huber_weights(rest, robust_spread(rest))
-    return solution, clustered_covariance(rows, weight * rest, weight == 1.0, cell)
+        residuals = values - rows @ solution
+        weight = huber_weights(residuals, robust_spread(residuals))
+    return solution, clustered_covariance(rows, weight * residuals, weight == 1.0, cell)

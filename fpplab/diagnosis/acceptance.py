@@ -29,11 +29,11 @@ def diagnose_acceptance(acceptance: Acceptance, limits: DiagnosisLimits = USUAL_
     An error that is not permitted, and too few positions, make it doubtful. An error of ten times what is
     permitted, or lengths that are wrong by 1 % throughout, make it useless.
     """
-    judged, own = acceptance.judgements(), limits.of(AcceptanceTestLimits)
+    judged, test_limits = acceptance.judgements(), limits.of(AcceptanceTestLimits)
     findings = [
-        *_of_form(acceptance, own),
-        *_of_lengths(acceptance, own),
-        *_of_size(acceptance, own),
+        *_of_form(acceptance, test_limits),
+        *_of_lengths(acceptance, test_limits),
+        *_of_size(acceptance, test_limits),
         *_of_positions(acceptance),
     ]
     unjudged = [name for name, judgement in judged.items() if judgement.passed is None]
@@ -53,9 +53,11 @@ def mean_scale(acceptance: Acceptance) -> tuple[float, float] | None:
     if not acceptance.bars:
         return None
     errors = np.array([bar.spacing_mm / bar.calibrated_mm - 1.0 for bar in acceptance.bars])
-    own = 0.5 * acceptance.standard.reference_uncertainty_um("SD") / 1e3 / acceptance.bars[0].calibrated_mm
+    reference_uncertainty = (
+        0.5 * acceptance.standard.reference_uncertainty_um("SD") / 1e3 / acceptance.bars[0].calibrated_mm
+    )
     scatter = float(errors.std(ddof=1) / np.sqrt(len(errors))) if len(errors) > 1 else 0.0
-    return float(errors.mean()), float(np.hypot(scatter, own))
+    return float(errors.mean()), float(np.hypot(scatter, reference_uncertainty))
 
 
 def _error_ratio(acceptance: Acceptance, quantity: str) -> float:

@@ -33,9 +33,9 @@ def changes_along_image(coordinate: Map, calibration: Calibration, axis: Axis, s
     slope of the surface makes it change faster or slower, but never backwards: both devices see its front.
     """
     # coordinate (height, width) px; returns (rows, columns)
-    here = coordinate[:-1:stride, :-1:stride].astype(np.float64)
-    right = coordinate[:-1:stride, 1::stride][:, : here.shape[1]] - here
-    down = coordinate[1::stride, :-1:stride][: here.shape[0]] - here
+    values = coordinate[:-1:stride, :-1:stride].astype(np.float64)
+    right = coordinate[:-1:stride, 1::stride][:, : values.shape[1]] - values
+    down = coordinate[1::stride, :-1:stride][: values.shape[0]] - values
     expected = _change_along_image(calibration)["xy".index(axis)]
     return np.asarray((right * expected[0] + down * expected[1]) / (expected @ expected))
 

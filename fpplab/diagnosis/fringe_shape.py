@@ -51,8 +51,8 @@ def phase_deviations(sample: FrameSample) -> Iterator[tuple[int, Floats, Floats]
         if used.sum() < limits.min_pixels:
             continue
         expected = np.where(used, TWO_PI * fringe.stripes * position, np.nan)
-        off = np.exp(1j * (sample.fits[k].phase - expected))
-        yield k, expected, np.angle(off * np.conj(off[used].mean()))
+        phasors = np.exp(1j * (sample.fits[k].phase - expected))
+        yield k, expected, np.angle(phasors * np.conj(phasors[used].mean()))
 
 
 def ripples(sample: FrameSample) -> Iterator[float]:
@@ -69,8 +69,8 @@ def ripples(sample: FrameSample) -> Iterator[float]:
         finite = np.isfinite(deviation)
         wave = np.exp(1j * fringe.images * expected[finite])
         if np.abs(wave.mean()) < limits.max_unevenness:
-            off = deviation[finite]
-            yield float(math.sqrt(2.0) * np.abs(np.mean((off - off.mean()) * wave)))
+            errors = deviation[finite]
+            yield float(math.sqrt(2.0) * np.abs(np.mean((errors - errors.mean()) * wave)))
 
 
 def harmonics_of_power_law_rad(sample: FrameSample) -> float:

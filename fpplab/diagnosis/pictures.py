@@ -114,9 +114,9 @@ def draw_brightness_by_frame(sample: FrameSample, max_scatter: float) -> Figure:
     for k, fringe in enumerate(sets):
         if fringe.stripes < min_stripes:
             continue
-        own = np.arange(starts[k], starts[k + 1])
-        off = 100.0 * (levels[own] / levels[own].mean() - 1.0)
-        axes.plot(own + 1, off, "o-", markersize=3, linewidth=0.8, label=f"{fringe.stripes:g} stripes")
+        frames = np.arange(starts[k], starts[k + 1])
+        percent = 100.0 * (levels[frames] / levels[frames].mean() - 1.0)
+        axes.plot(frames + 1, percent, "o-", markersize=3, linewidth=0.8, label=f"{fringe.stripes:g} stripes")
     axes.axhspan(-100 * max_scatter, 100 * max_scatter, color=SECOND, alpha=0.2, linewidth=0)
     axes.set(xlabel="frame", ylabel="brightness relative to\nthat of the set, in % (band: limit)")
     axes.legend(loc="best", ncols=3)

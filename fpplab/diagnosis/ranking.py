@@ -37,8 +37,8 @@ def _with_rig_first(findings: list[Finding]) -> list[Finding]:
 
 def _weight(finding: Finding, findings: list[Finding]) -> float:
     """Excess of a finding, below those of all that may have brought it about."""
-    rest = [other for other in findings if other is not finding]
-    lowest = min((_weight(other, rest) for other in _causes(finding, findings)), default=float("inf"))
+    others = [other for other in findings if other is not finding]
+    lowest = min((_weight(other, others) for other in _causes(finding, findings)), default=float("inf"))
     return min(finding.excess, MAX_SIDE_EFFECT * lowest)
 
 

@@ -14,7 +14,7 @@ from fpplab.report.evidence import evidence_pictures, evidence_report
 from fpplab.report.page import PageBasis, write_page
 from fpplab.report.parts import PageVerdict, ReportFigure, ReportSection, ReportTable, listed
 from fpplab.report.response_figures import marker_levels
-from fpplab.report.wording import NOT_KNOWN, percent_words
+from fpplab.report.wording import NOT_KNOWN, percent_text
 from fpplab.results.check import CheckResult
 from fpplab.setup.rig_check.check import RigCheck
 
@@ -56,8 +56,8 @@ def _make_folder(path: Path) -> None:
 def check_verdict(check: RigCheck) -> PageVerdict:
     """Say whether a rig is fit to measure with."""
     if not check.findings:
-        said = "Nothing is wrong with what was checked."
-        return PageVerdict("", "good", "In order", said, unknown=check.unknown)
+        sentence = "Nothing is wrong with what was checked."
+        return PageVerdict("", "good", "In order", sentence, unknown=check.unknown)
     label = "1 finding" if len(check.findings) == 1 else f"{len(check.findings)} findings"
     reason = "Measure only after what follows is fixed, the first finding first."
     return PageVerdict("", "doubtful", label, reason, listed(check.findings), check.unknown)
@@ -111,4 +111,4 @@ def _levels(check: RigCheck) -> ReportTable:
 
 
 def _level(level: float) -> str:
-    return percent_words(level) if np.isfinite(level) else NOT_KNOWN
+    return percent_text(level) if np.isfinite(level) else NOT_KNOWN

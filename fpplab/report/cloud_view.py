@@ -22,7 +22,7 @@ from fpplab.clouds import Cloud
 from fpplab.comparison import Comparison
 from fpplab.core.conventions import Floats
 from fpplab.core.drawing import as_png, colour_bar, single_axes
-from fpplab.report.wording import count_words
+from fpplab.report.wording import count_text
 
 MAX_POINTS = 60_000
 """Points of a view; a page with several shares twice as many among them."""
@@ -100,9 +100,9 @@ def cloud_view(
     quantities = _quantities(shown, None if errors is None else errors[kept])
     centre, radius = _centre_and_radius(shown.points)
     left_out = len(cloud) - int(np.count_nonzero(_near(cloud.points)))
-    caption = f"{count_words(len(shown))} of {count_words(len(cloud))} points."
+    caption = f"{count_text(len(shown))} of {count_text(len(cloud))} points."
     if left_out:
-        caption += f" {count_words(left_out)} points far from all others are not shown."
+        caption += f" {count_text(left_out)} points far from all others are not shown."
     still = _still(shown, quantities[0], centre, radius)
     return CloudView(
         name,

@@ -19,7 +19,7 @@ from fpplab.report.figures import error_map
 from fpplab.report.page import PageBasis, write_page
 from fpplab.report.parts import PageVerdict, ReportSection, ReportTable
 from fpplab.report.scan_section import FLOOR, error_figure, lengths_tables, relief_figure, sigma_figures
-from fpplab.report.wording import NOT_KNOWN, count_words, number_words, percent_words
+from fpplab.report.wording import NOT_KNOWN, count_text, number_text, percent_text
 from fpplab.results.comparison import ComparisonResult
 
 
@@ -32,7 +32,7 @@ def write_comparison_report(path: Path, result: ComparisonResult) -> None:
     visible = (
         "of the true surface is visible to both devices" if comparison.restricted else "of the surface counts"
     )
-    text = f"{percent_words(comparison.visible_share)} {visible}. Grey: not measured."
+    text = f"{percent_text(comparison.visible_share)} {visible}. Grey: not measured."
     figures = (error_figure(name, cloud, comparison), relief_figure(name, cloud), *sigma_figures(name, cloud))
     tables = (_figures(comparison), *lengths_tables(comparison))
     section = ReportSection("Errors", text, tables, figures, (cloud_view(name, cloud, comparison),))
@@ -77,7 +77,7 @@ def comparison_verdict(result: ComparisonResult) -> PageVerdict:
         findings = tuple(("contradicts the distances", warning, "") for warning in warnings)
         return PageVerdict("Comparison", "doubtful", "Contradicted", headline, findings)
     mean = comparison.smcd_um if comparison.surface_smcd_um is None else comparison.surface_smcd_um
-    return PageVerdict("Comparison", "none", f"{number_words(mean)} µm from the true shape", headline)
+    return PageVerdict("Comparison", "none", f"{number_text(mean)} µm from the true shape", headline)
 
 
 def _figures(comparison: Comparison) -> ReportTable:
@@ -87,16 +87,16 @@ def _figures(comparison: Comparison) -> ReportTable:
         else f"{comparison.scale.ppm:+.0f} ± {comparison.scale.sigma_ppm:.0f} ppm"
     )
     rows = (
-        ("Surface SMCD", f"{number_words(comparison.surface_smcd_um)} µm"),
-        ("Surface RMS", f"{number_words(comparison.surface_rms_um)} µm"),
-        ("Surface P95", f"{number_words(comparison.surface_p95_um)} µm"),
-        ("Completeness", percent_words(comparison.completeness)),
-        ("Points compared", count_words(comparison.points)),
-        ("Points beside the object", count_words(comparison.off_part)),
-        (f"Outliers, beyond {comparison.outlier_mm:g} mm", count_words(comparison.outliers)),
+        ("Surface SMCD", f"{number_text(comparison.surface_smcd_um)} µm"),
+        ("Surface RMS", f"{number_text(comparison.surface_rms_um)} µm"),
+        ("Surface P95", f"{number_text(comparison.surface_p95_um)} µm"),
+        ("Completeness", percent_text(comparison.completeness)),
+        ("Points compared", count_text(comparison.points)),
+        ("Points beside the object", count_text(comparison.off_part)),
+        (f"Outliers, beyond {comparison.outlier_mm:g} mm", count_text(comparison.outliers)),
         ("Scale", scale),
-        ("SMCD", f"{number_words(comparison.smcd_um)} µm"),
-        ("SMCD floor", f"{number_words(comparison.smcd_floor_um)} µm"),
+        ("SMCD", f"{number_text(comparison.smcd_um)} µm"),
+        ("SMCD floor", f"{number_text(comparison.smcd_floor_um)} µm"),
         ("Mesh moved onto the cloud", "no" if comparison.alignment is None else "yes, rigidly"),
     )
     return ReportTable(("Figure", "Value"), rows, FLOOR)

@@ -51,7 +51,7 @@ def summary_table(characterisation: Characterisation) -> ReportTable:
 
 
 def _device_row(characterisation: Characterisation, name: str) -> tuple[str, ...]:
-    calibration, held = characterisation.calibration, characterisation.leave_one_out_px or {}
+    calibration, leave_one_out = characterisation.calibration, characterisation.leave_one_out_px or {}
     matrix = (calibration.camera if name == "camera" else calibration.projector).matrix
     focal = (
         _with_sigma(characterisation, matrix[i, i], f"{name}.{key}") for i, key in enumerate(("fx", "fy"))
@@ -62,7 +62,7 @@ def _device_row(characterisation: Characterisation, name: str) -> tuple[str, ...
     return (
         name.capitalize(),
         f"{calibration.rms_px[name]:.3f}",
-        f"{held[name]:.3f}" if held else NOT_KNOWN,
+        f"{leave_one_out[name]:.3f}" if leave_one_out else NOT_KNOWN,
         f"{characterisation.separate_px[name]:.3f}",
         " / ".join(focal),
         " / ".join(centre),

@@ -86,8 +86,8 @@ def _row(number: int, attempt: PoseAttempt) -> tuple[str, ...]:
         expected = f" ({getattr(attempt.fit, device).predicted_px:.3f})" if attempt.fit else ""
         cells.append(f"{attempt.rms_px[device]:.3f}{expected}" if device in attempt.rms_px else NOT_KNOWN)
     form = f"{1e3 * attempt.form_mm:.3g}" if attempt.form_mm is not None else NOT_KNOWN
-    said = "; ".join(finding.sentence for finding in attempt.findings)
-    outcome = "accepted" if attempt.accepted else f"rejected: {said}; {attempt.findings[0].remedy}"
-    if attempt.accepted and said:
-        outcome += f", as the pose before it: {said}"
+    sentences = "; ".join(finding.sentence for finding in attempt.findings)
+    outcome = "accepted" if attempt.accepted else f"rejected: {sentences}; {attempt.findings[0].remedy}"
+    if attempt.accepted and sentences:
+        outcome += f", as the pose before it: {sentences}"
     return (f"{number}: {attempt.name}", attempt.request, *cells, form, outcome)

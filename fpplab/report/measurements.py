@@ -35,8 +35,8 @@ def write_report(
     """Write the report of measurements as one HTML file. If it fails, an earlier file is unchanged."""
     # facts (rig, plan, operator); response (K, 2)
     page_basis = basis or PageBasis()
-    alone = len(scans) == 1
-    verdicts = [PageVerdict.of(s.diagnosis, "" if alone else s.name) for s in scans if s.diagnosis]
+    is_single = len(scans) == 1
+    verdicts = [PageVerdict.of(s.diagnosis, "" if is_single else s.name) for s in scans if s.diagnosis]
     sources = {s.name: s.provenance for s in scans if s.provenance}
     sections = []
     if guided:
@@ -50,7 +50,7 @@ def write_report(
     if response:
         sections.append(response_section(*response))
     summary = [devices.summary_table(characterisation)] if characterisation else []
-    whole = PageBasis(
+    complete_basis = PageBasis(
         (*page_basis.verdicts, *verdicts), {**page_basis.provenance, **sources}, page_basis.answer
     )
-    write_page(path, title, [*scan_tables(scans), *summary], sections, facts, when, whole)
+    write_page(path, title, [*scan_tables(scans), *summary], sections, facts, when, complete_basis)

@@ -103,13 +103,13 @@ def _summary(search: SearchResult) -> list[ReportTable]:
 
 def _objectives_in_order(search: SearchResult) -> list[Objective]:
     """List all objectives, those of the study first."""
-    asked = {objective.key: objective for objective in search.ranking.objectives}
-    return list((asked | registered_objectives()).values())
+    chosen = {objective.key: objective for objective in search.ranking.objectives}
+    return list((chosen | registered_objectives()).values())
 
 
 def _row(name: str, trial: MeasuredCandidate, search: SearchResult) -> tuple[str, ...]:
     figures, candidate = trial.figures, trial.candidate
-    again = search.rescored.get(candidate)
+    rescored = search.rescored.get(candidate)
     stage = candidate.stage_mm
     return (
         name,
@@ -117,7 +117,7 @@ def _row(name: str, trial: MeasuredCandidate, search: SearchResult) -> tuple[str
         ", ".join(str(f.steps) for f in candidate.fringes),
         "" if stage is None else f"{stage:g}",
         *(objective.text(trial) for objective in _objectives_in_order(search)),
-        _with_spread(CandidateFigures.of(again)) if again else "",
+        _with_spread(CandidateFigures.of(rescored)) if rescored else "",
         f"{figures.smcd_um:.1f} ({figures.smcd_floor_um:.1f})",
         f"{100 * figures.wrong_orders:.3f} %",
         f"{100 * figures.outliers:.2f} %",
@@ -198,7 +198,7 @@ def convergence_figure(search: SearchResult) -> Sheet:
         axes.set(xlabel="candidate", ylabel=_axis_label(objective))
         if objective.is_integer:
             axes.yaxis.set_major_locator(MaxNLocator(integer=True))
-    _from_least(panels[0], [trial.figures.surface_smcd_um for _, trial in measured])
+    _logarithmic_if_wide(panels[0], [trial.figures.surface_smcd_um for _, trial in measured])
     return figure
 
 
@@ -211,7 +211,7 @@ def _columns(pairs: Sequence[tuple[float, float]]) -> tuple[list[float], list[fl
     return [a for a, _ in pairs], [b for _, b in pairs]
 
 
-def _from_least(axes: Axes, values: Sequence[float]) -> None:
+def _logarithmic_if_wide(axes: Axes, values: Sequence[float]) -> None:
     """Set a logarithmic scale where the distances of failed plans would hide the others."""
     if min(values) > 0 and max(values) > 5 * min(values):
         _ratios(axes.yaxis, axes.set_yscale)
@@ -253,15 +253,15 @@ def pareto_front(search: SearchResult) -> Sheet:
         axes.plot(*_columns(chosen), mark, color=colour, markersize=3, label=label)
     front = [(across.value(trial), down.value(trial)) for trial in search.front]
     axes.plot(*_columns(front), "o-", color=ACCENT, markersize=4, label="front")
-    again = [
+    rescored = [
         (across.value(trial), replace(trial, scores=scores))
         for trial in search.front
         if (scores := search.rescored[trial.candidate])
     ]
     axes.errorbar(
-        [place for place, _ in again],
-        [down.value(trial) for _, trial in again],
-        yerr=[down.spread(trial) or 0.0 for _, trial in again],
+        [place for place, _ in rescored],
+        [down.value(trial) for _, trial in rescored],
+        yerr=[down.spread(trial) or 0.0 for _, trial in rescored],
         fmt="_",
         color=INK,
         capsize=2,
@@ -270,7 +270,7 @@ def pareto_front(search: SearchResult) -> Sheet:
     start = search.start
     axes.plot(across.value(start), down.value(start), "s", color=ALARM, markersize=5, label="start")
     axes.set(xlabel=_axis_label(across), ylabel=_axis_label(down))
-    _from_least(axes, [down.value(trial) for trial in measured])
+    _logarithmic_if_wide(axes, [down.value(trial) for trial in measured])
     axes.legend()
     return figure
 
@@ -348,7 +348,7 @@ def distance_by_parameter(search: SearchResult, i: int, parameter: Parameter) ->
     axes.set(xlabel=parameter.name, ylabel=DISTANCE)
     if parameter.is_logarithmic:
         _ratios(axes.xaxis, axes.set_xscale)
-    _from_least(axes, [trial.figures.surface_smcd_um for trial in measured])
+    _logarithmic_if_wide(axes, [trial.figures.surface_smcd_um for trial in measured])
     axes.legend()
     return figure
 

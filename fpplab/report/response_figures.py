@@ -79,10 +79,10 @@ def response_curve(response: ResponseLike, levels: Floats) -> Figure:
         ylim=(min(0.0, float(measured.min())), None),
     )
     left.legend(loc="upper left")
-    rest = 255 * (measured - response.apply(shown))
+    residuals = 255 * (measured - response.apply(shown))
     right.axhline(0, color=SECOND, linewidth=1.2)
-    right.vlines(shown, 0, rest, color=ACCENT, linewidth=1.0)
-    right.plot(shown, rest, "o", color=ACCENT, markersize=4)
+    right.vlines(shown, 0, residuals, color=ACCENT, linewidth=1.0)
+    right.plot(shown, residuals, "o", color=ACCENT, markersize=4)
     right.set(
         xlabel="level shown, of full scale",
         ylabel="measured − fitted, in grey levels of 255",
@@ -99,7 +99,7 @@ def response_fit(response: Response) -> Figure:
     """
     if not response.measured or not response.regions:
         raise DataError("the response holds no levels and regions to draw; measure it with `fpplab gamma`")
-    shown, measured, rest = np.array([(p.shown, p.seen, p.residual) for p in response.measured]).T
+    shown, measured, residuals = np.array([(p.shown, p.seen, p.residual) for p in response.measured]).T
     error = 2 * np.array([p.sigma or 0.0 for p in response.measured])
     figure = new_figure(FULL, 3.8)
     grid = figure.add_gridspec(2, 2, width_ratios=(1.6, 1.0), height_ratios=(1.7, 1.0))
@@ -119,7 +119,7 @@ def response_fit(response: Response) -> Figure:
     curve.set(ylabel="level seen, of full scale", xlim=(-0.02, 1.02))
     curve.legend(loc="upper left")
     misfit.axhline(0, color=SECOND, linewidth=1.2)
-    misfit.errorbar(shown, 255 * rest, 255 * error, fmt="o", color=ACCENT, markersize=3.5, capsize=2)
+    misfit.errorbar(shown, 255 * residuals, 255 * error, fmt="o", color=ACCENT, markersize=3.5, capsize=2)
     misfit.set(
         xlabel="level shown, of full scale", ylabel="seen − fitted\nin grey levels of 255", xlim=(-0.02, 1.02)
     )

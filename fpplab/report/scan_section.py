@@ -18,7 +18,7 @@ from fpplab.reconstruction.filtering import removal
 from fpplab.report import figures, uncertainty
 from fpplab.report.cloud_view import MAX_POINTS, cloud_view
 from fpplab.report.parts import ReportFigure, ReportSection, ReportTable
-from fpplab.report.wording import NOT_KNOWN, count_words, number_words, percent_words
+from fpplab.report.wording import NOT_KNOWN, count_text, number_text, percent_text
 from fpplab.results.provenance import Provenance
 from fpplab.results.several_scans import noise_um, roughness_um
 
@@ -77,9 +77,9 @@ def scan_tables(scans: Sequence[ScanSection]) -> list[ReportTable]:
         (
             s.name,
             str(s.images),
-            count_words(len(s.cloud)),
-            number_words(roughness_um(s.cloud)),
-            number_words(noise_um(s.cloud)),
+            count_text(len(s.cloud)),
+            number_text(roughness_um(s.cloud)),
+            number_text(noise_um(s.cloud)),
         )
         for s in scans
         if s.cloud and s.comparison is None
@@ -97,16 +97,14 @@ def _compared_row(scan: ScanSection, cloud: Cloud, comparison: Comparison) -> tu
         comparison.smcd_um,
         comparison.smcd_floor_um,
     )
-    outliers = (
-        f"{count_words(comparison.outliers)} ({percent_words(comparison.outliers / comparison.points)})"
-    )
-    head = (scan.name, str(scan.images), count_words(len(cloud)))
+    outliers = f"{count_text(comparison.outliers)} ({percent_text(comparison.outliers / comparison.points)})"
+    head = (scan.name, str(scan.images), count_text(len(cloud)))
     scale = (
         NOT_KNOWN
         if comparison.scale is None
         else f"{comparison.scale.ppm:+.0f} ± {comparison.scale.sigma_ppm:.0f}"
     )
-    return (*head, *map(number_words, lengths), percent_words(comparison.completeness), outliers, scale)
+    return (*head, *map(number_text, lengths), percent_text(comparison.completeness), outliers, scale)
 
 
 def section_of(scan: ScanSection, points: int = MAX_POINTS) -> ReportSection:
@@ -123,7 +121,7 @@ def _text(scan: ScanSection) -> str:
     text, decoded = f"{scan.images} images", scan.decoded
     if decoded is None:
         return f"{text}; no pixel has a projector coordinate."
-    text += f"; {percent_words(float(decoded.valid.mean()))} of the camera's pixels are measured."
+    text += f"; {percent_text(float(decoded.valid.mean()))} of the camera's pixels are measured."
     if scan.uncertain_orders is not None:
         text += _uncertain_text(scan.uncertain_orders, decoded.u.size)
     if scan.depth is not None:
@@ -135,10 +133,10 @@ def _text(scan: ScanSection) -> str:
     if (removed := removal(decoded)) is not None:
         share = removed.pop("share")
         rules = ", ".join(f"{name.replace('_', ' ')} {count}" for name, count in removed.items())
-        text += f" Of these the filter removed {percent_words(share)} as outliers: {rules}."
+        text += f" Of these the filter removed {percent_text(share)} as outliers: {rules}."
     if scan.comparison is not None:
         text += (
-            f" {percent_words(scan.comparison.visible_share)} of the true surface is visible to both devices."
+            f" {percent_text(scan.comparison.visible_share)} of the true surface is visible to both devices."
         )
     return f"{text} Grey: not measured."
 
@@ -182,7 +180,7 @@ def relief_figure(name: str, cloud: Cloud) -> ReportFigure:
     return ReportFigure.of(
         figures.shaded_relief(cloud),
         f"Shaded relief of the measured {name}",
-        f"The measured surface, illuminated from the upper left: {count_words(len(cloud))} points.",
+        f"The measured surface, illuminated from the upper left: {count_text(len(cloud))} points.",
     )
 
 
@@ -207,11 +205,11 @@ def sigma_figures(name: str, cloud: Cloud, plan: Plan | None = None) -> list[Rep
 def error_figure(name: str, cloud: Cloud, comparison: Comparison) -> ReportFigure:
     """Draw the signed errors of a cloud."""
     alt = (
-        f"Signed error of the {name}, with its distribution; RMS {number_words(comparison.surface_rms_um)} µm"
+        f"Signed error of the {name}, with its distribution; RMS {number_text(comparison.surface_rms_um)} µm"
     )
     caption = (
         f"Signed distance of every compared point from the true surface; red is outside the "
-        f"true shape. {count_words(comparison.off_part)} points beside the object are left out."
+        f"true shape. {count_text(comparison.off_part)} points beside the object are left out."
     )
     drawn = figures.error_map(cloud, comparison.distances_mm, comparison.counted)
     return ReportFigure.of(drawn, alt, caption, wide=True)
@@ -220,18 +218,18 @@ def error_figure(name: str, cloud: Cloud, comparison: Comparison) -> ReportFigur
 def lengths_tables(comparison: Comparison) -> tuple[ReportTable, ...]:
     """Tabulate measured and true lengths, with what contradicts the distances below."""
     rows = tuple((m.name, *m.texts()) for m in comparison.lengths)
-    said = comparison.warnings()
+    warnings = comparison.warnings()
     columns = ("Length", "True in mm", "Measured in mm", "Error in µm", "Standard uncertainty in µm")
-    caption = " ".join(f"{warning[:1].upper()}{warning[1:]}." for warning in said)
-    return (ReportTable(columns, rows, caption),) if rows or said else ()
+    caption = " ".join(f"{warning[:1].upper()}{warning[1:]}." for warning in warnings)
+    return (ReportTable(columns, rows, caption),) if rows or warnings else ()
 
 
 def _uncertain_text(causes: dict[str, int], pixels: int) -> str:
     """How many pixels noise has cost, and in which fringe set."""
     if not causes:
         return " No pixel was left out for an uncertain fringe order."
-    listed = ", ".join(f"{name} {count_words(count)}" for name, count in causes.items())
-    share = percent_words(sum(causes.values()) / pixels)
+    listed = ", ".join(f"{name} {count_text(count)}" for name, count in causes.items())
+    share = percent_text(sum(causes.values()) / pixels)
     return (
         f" {share} were left out because noise leaves their fringe order uncertain, by fringe set: {listed}."
     )

@@ -19,7 +19,7 @@ from fpplab.report.cloud_view import MAX_POINTS, cloud_view
 from fpplab.report.page import PageBasis, write_page
 from fpplab.report.parts import PageVerdict, ReportFigure, ReportSection, ReportTable
 from fpplab.report.scan_section import ROUGHNESS
-from fpplab.report.wording import NOT_KNOWN, count_words, number_words
+from fpplab.report.wording import NOT_KNOWN, count_text, number_text
 from fpplab.results.several_scans import CloudDifference, ScanRecord, ScansResult, noise_um, roughness_um
 
 
@@ -54,9 +54,9 @@ def _figures(scans: Sequence[ScanRecord]) -> ReportTable:
         (
             scan.name,
             scan.diagnosis.verdict.value if scan.diagnosis else NOT_KNOWN,
-            count_words(len(scan.cloud)) if scan.cloud else "0",
-            number_words(roughness_um(scan.cloud) if scan.cloud else None),
-            number_words(noise_um(scan.cloud) if scan.cloud else None),
+            count_text(len(scan.cloud)) if scan.cloud else "0",
+            number_text(roughness_um(scan.cloud) if scan.cloud else None),
+            number_text(noise_um(scan.cloud) if scan.cloud else None),
         )
         for scan in scans
     )
@@ -96,7 +96,7 @@ def _map_section(
         ReportFigure.of(
             figures.point_map(cloud, scalars, colours, label, limits),
             f"Map of the {label.rpartition(' in ')[0]} of {name}",
-            f"{name}: median {number_words(float(np.median(scalars)))} {label.rpartition(' in ')[2]}",
+            f"{name}: median {number_text(float(np.median(scalars)))} {label.rpartition(' in ')[2]}",
         )
         for name, (cloud, scalars) in values.items()
     )
@@ -130,8 +130,8 @@ def _difference_row(figures: Mapping[str, Any]) -> tuple[str, ...]:
     name = f"{figures['scan']} minus {figures['reference']}"
     if "not_compared" in figures:
         return (name, *4 * (NOT_KNOWN,), figures["not_compared"])
-    values = (number_words(figures[key]) for key in ("median_um", "rms_um", "p95_um"))
-    return (name, count_words(figures["pixels"]), *values, "")
+    values = (number_text(figures[key]) for key in ("median_um", "rms_um", "p95_um"))
+    return (name, count_text(figures["pixels"]), *values, "")
 
 
 def _images(scans: Sequence[ScanRecord]) -> list[ReportSection]:

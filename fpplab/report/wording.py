@@ -6,18 +6,18 @@ NOT_KNOWN = "–"
 """Shown where a figure is not known."""
 
 
-def number_words(value: float | None) -> str:
+def number_text(value: float | None) -> str:
     """Write a figure with three significant digits."""
     if value is None:
         return NOT_KNOWN
-    return f"{value:.3g}" if abs(value) < 1000 else count_words(round(value))
+    return f"{value:.3g}" if abs(value) < 1000 else count_text(round(value))
 
 
-def count_words(value: int) -> str:
+def count_text(value: int) -> str:
     """Write a whole number, its thousands apart."""
     return f"{value:,}".replace(",", "\u202f")
 
 
-def percent_words(share: float) -> str:
+def percent_text(share: float) -> str:
     """Write a share in per cent."""
     return f"{100 * share:.3g}\u202f%"

@@ -86,10 +86,10 @@ def session_provenance(
         "rig": rig.get("name"),
         "rig_file": Path(origin.rig_file).name if origin else None,
         **_device_values(rig, origin),
-        "plan": plan_words(session.plan),
+        "plan": plan_description(session.plan),
         "images": str(session.plan.images),
         **_settings(session),
-        "taken": f"{local_time(times[0])}, in {duration_words(times[1] - times[0])}" if times else None,
+        "taken": f"{local_time(times[0])}, in {duration_text(times[1] - times[0])}" if times else None,
         "session": str(session.path),
         **calibration_values(calibration, file, times[0] if times else None, origin),
         "host": origin.host if origin else None,
@@ -108,8 +108,8 @@ def poses_provenance(
     first = session_provenance(poses[0], calibration, file)
     times = [taken_at(pose) for pose in poses]
     began, ended = ([period[k] for period in times if period] for k in (0, 1))
-    whole = len(began) == len(poses)
-    taken = f"{local_time(min(began))}, in {duration_words(max(ended) - min(began))}" if whole else None
+    is_complete = len(began) == len(poses)
+    taken = f"{local_time(min(began))}, in {duration_text(max(ended) - min(began))}" if is_complete else None
     folder = f"{poses[0].path.parent}, {len(poses)} poses"
     return first.with_values(taken=taken, session=folder, images=f"{first.values['images']} of each pose")
 
@@ -131,7 +131,7 @@ def rig_provenance(
         "rig": str(rig["name"]),
         "rig_file": Path(origin.rig_file).name if origin else None,
         **_device_values(rig, origin),
-        "plan": plan_words(plan),
+        "plan": plan_description(plan),
         "exposure": f"{1e3 * exposure:.4g} ms",
         "gain": f"{section.get('gain_db', 0.0):g} dB",
         "bits": str(plan.bits or section.get("bits", 8)),
@@ -197,7 +197,7 @@ def calibration_values(
     }
 
 
-def plan_words(plan: Plan) -> str:
+def plan_description(plan: Plan) -> str:
     """Describe a plan by what it projects."""
     axes = []
     for axis in plan.axes:
@@ -213,7 +213,7 @@ def local_time(when: datetime) -> str:
     return when.astimezone().strftime("%Y-%m-%d %H:%M:%S %Z").strip()
 
 
-def duration_words(length: timedelta) -> str:
+def duration_text(length: timedelta) -> str:
     """Write a duration in its two greatest units."""
     remaining = length.total_seconds()
     if remaining < 60:
@@ -233,7 +233,7 @@ def written_now() -> dict[str, str | None]:
 
 
 def _age(length: timedelta) -> str:
-    text = duration_words(abs(length))
+    text = duration_text(abs(length))
     return text if length >= timedelta() else f"none, it was made {text} after the measurement began"
 
 

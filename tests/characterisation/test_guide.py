@@ -41,7 +41,7 @@ def guided(count: int, bad: tuple[int, ...] = (), seed: int = 0) -> Guide:
     """A guide with poses as it asked for them; the bad ones moved, and nobody noticed."""
     guide = Guide(TARGET, SIZES, depth_mm=(425.0, 475.0))
     for k in range(count):
-        pose = guide.wanted().T_camera_target or FIRST
+        pose = guide.next_pose().T_camera_target or FIRST
         observation = seen(pose, f"pose_{k}", seed)
         guide.add(moved(observation) if k in bad else observation)
     return guide
@@ -49,10 +49,10 @@ def guided(count: int, bad: tuple[int, ...] = (), seed: int = 0) -> Guide:
 
 def test_the_first_poses_are_seen_whole_without_any_calibration() -> None:
     guide = Guide(TARGET, SIZES)
-    assert guide.wanted().T_camera_target is None
-    assert "upper edge tilted away" in guide.wanted().description
+    assert guide.next_pose().T_camera_target is None
+    assert "upper edge tilted away" in guide.next_pose().description
     for k, pose in enumerate((FIRST, None, None)):
-        at = pose or guide.wanted().T_camera_target
+        at = pose or guide.next_pose().T_camera_target
         assert at is not None
         found = seen(at, f"pose_{k}")
         assert len(found.ids) == 52
@@ -81,7 +81,7 @@ def five() -> Guide:
 @pytest.mark.whole
 def test_a_moved_board_is_far_from_what_is_predicted_and_a_good_one_is_not(five: Guide) -> None:
     guide = deepcopy(five)
-    pose = guide.wanted().T_camera_target
+    pose = guide.next_pose().T_camera_target
     assert pose is not None
     good, bad = (guide.judged(o) for o in (seen(pose, "good"), moved(seen(pose, "bad"))))
     assert good is not None
@@ -99,7 +99,7 @@ def test_good_poses_are_hardly_ever_far() -> None:
     for seed in range(10, 13):
         guide = guided(3, seed=seed)
         for k in range(3, 9):
-            pose = guide.wanted().T_camera_target
+            pose = guide.next_pose().T_camera_target
             assert pose is not None
             observation = seen(pose, f"pose_{k}", seed)
             fit = guide.judged(observation)
@@ -115,7 +115,7 @@ def test_an_early_pose_that_was_bad_is_found_by_later_ones() -> None:
     if "pose_1" not in [o.name for o in guide.observations]:
         return  # the first fit has found it
     for k in range(4, 8):
-        pose = guide.wanted().T_camera_target
+        pose = guide.next_pose().T_camera_target
         assert pose is not None
         observation = seen(pose, f"pose_{k}")
         fit = guide.judged(observation)
@@ -130,10 +130,10 @@ def test_an_early_pose_that_was_bad_is_found_by_later_ones() -> None:
 
 def test_a_pose_that_was_given_up_is_not_asked_for_again(five: Guide) -> None:
     guide = deepcopy(five)
-    first = guide.wanted()
+    first = guide.next_pose()
     assert first.T_camera_target is not None
     guide.exclude(first)
-    second = guide.wanted().T_camera_target
+    second = guide.next_pose().T_camera_target
     assert second is not None
     apart = np.linalg.norm(second.translation - first.T_camera_target.translation)
     turned = (second @ first.T_camera_target.inverse()).rotation_vector
@@ -145,7 +145,7 @@ def test_parts_of_the_image_without_points_are_filled(five: Guide) -> None:
     for k in range(5, 12):
         if not guide.has_uncovered_region:
             break
-        before = guide.wanted(fill=True)
+        before = guide.next_pose(fill=True)
         assert before.T_camera_target is not None
         guide.add(seen(before.T_camera_target, f"pose_{k}"))
     assert not guide.has_uncovered_region

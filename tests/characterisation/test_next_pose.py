@@ -17,8 +17,8 @@ from fpplab.characterisation.candidate_poses import (
     _paths,
     board_grid,
     candidate_poses,
-    share_seen,
     tilted_away,
+    visible_shares,
 )
 from fpplab.characterisation.estimate import JointEstimate, first_estimate
 from fpplab.characterisation.next_pose import Design, best_pose, expected_observation
@@ -135,7 +135,7 @@ def test_candidates_are_seen_and_lit(estimate: JointEstimate, candidates: list[R
     known = estimate.calibration
     assert len(candidates) > 100
     for pose in candidates:
-        assert share_seen(known, pose.apply(board_grid(TARGET.size_mm))) == 1.0
+        assert visible_shares(known, pose.apply(board_grid(TARGET.size_mm))) == 1.0
         away = pose.translation - known.projector_centre
         slant = np.degrees(np.arccos(away @ pose.rotation[:, 2] / np.linalg.norm(away)))
         assert slant < MAX_SLANT_DEG + 2.0

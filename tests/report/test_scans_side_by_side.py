@@ -19,7 +19,7 @@ from fpplab.diagnosis.record import load_diagnosis, save_diagnosis
 from fpplab.report.cloud_view import CloudQuantity, cloud_view, decimate
 from fpplab.report.parts import ReportTable
 from fpplab.report.several_scans import write_scans_report
-from fpplab.results.provenance import Provenance, duration_words
+from fpplab.results.provenance import Provenance, duration_text
 from fpplab.results.several_scans import ScanRecord, ScansResult
 from fpplab.workflows.report import difference, short_names
 from tests.comparison.test_comparison import CALIBRATION
@@ -110,7 +110,7 @@ def test_values_are_quantised_within_their_range() -> None:
 
 
 def test_durations_and_cells() -> None:
-    words = [duration_words(timedelta(seconds=s)) for s in (0.25, 61, 3600, 3 * 86400 + 7200)]
+    words = [duration_text(timedelta(seconds=s)) for s in (0.25, 61, 3600, 3 * 86400 + 7200)]
     assert words == ["0.2 s", "1 min 1 s", "1 h 0 min", "3 d 2 h"]
     table = ReportTable(("a", "b"), (("=SUM(A1)", "+1\u202f000.5"), ("-x", "-2")))
     import base64

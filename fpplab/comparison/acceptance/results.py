@@ -233,7 +233,7 @@ class Acceptance:
     def notices(self) -> list[str]:
         """List what limits the significance of the result."""
         judged = self.judgements()
-        said = [
+        notices = [
             f"{name}: measured in {judgement.positions} of at least {judgement.min_positions} positions; "
             "add positions, spread over the measuring volume"
             for name, judgement in judged.items()
@@ -241,8 +241,8 @@ class Acceptance:
         ]
         unjudged = [name for name, judgement in judged.items() if judgement.passed is None]
         if unjudged:
-            said.append(f"no maximum permissible error is stated for {', '.join(unjudged)}: not judged")
-        return said
+            notices.append(f"no maximum permissible error is stated for {', '.join(unjudged)}: not judged")
+        return notices
 
     def summary(self) -> dict[str, Any]:
         """Collect the whole result for `fpplab verify --json`."""

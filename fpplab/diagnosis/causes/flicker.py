@@ -57,8 +57,8 @@ def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
         return
     offset = float(np.median(fit.offset[sample.measured] / fit.modulation[sample.measured]))
     power = max(float(errors.variance(offset)) - np.nan_to_num(errors.harmonic_rad) ** 2, 0.0)
-    what = "frames of unequal brightness"
-    finding = phase_error_finding(sample, FLICKER, math.sqrt(power), limits.min_phase_error_rad, what)
+    description = "frames of unequal brightness"
+    finding = phase_error_finding(sample, FLICKER, math.sqrt(power), limits.min_phase_error_rad, description)
     if finding is not None:
         yield finding
 
@@ -71,7 +71,7 @@ def _scatter_of_gains(sample: FrameSample) -> float:
     """
     total, freedom = 0.0, 0
     for k, fringe in enumerate(sample.recording.plan.fringes):
-        gains = _gains_left(sample, k) if fringe.images > 3 else None
+        gains = _residual_gains(sample, k) if fringe.images > 3 else None
         if gains is None:
             continue
         total, freedom = total + float(gains @ gains), freedom + fringe.images - 3
@@ -106,7 +106,7 @@ def _scatter_without_fringes(sample: FrameSample) -> float:
     return float(levels.std(ddof=1) / levels.mean())
 
 
-def _gains_left(sample: FrameSample, k: int) -> Floats | None:
+def _residual_gains(sample: FrameSample, k: int) -> Floats | None:
     """Gain (N,) of each frame of a set that the fit of a sinusoid leaves, besides harmonics of the response.
 
     None where the pixels' phases are few or unevenly spread, so that harmonics look like gains.

@@ -21,9 +21,9 @@ def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
     rad = unexplained_harmonics_rad(sample)
     if rad is None:
         return
-    what = f"harmonics that no power law explains ({harmonics_of_power_law_rad(sample):.3f} rad)"
+    description = f"harmonics that no power law explains ({harmonics_of_power_law_rad(sample):.3f} rad)"
     min_rad = evidence.limits.of(FringeShapeLimits).min_harmonic_rad
-    if (finding := phase_error_finding(sample, HARMONICS, rad, min_rad, what)) is not None:
+    if (finding := phase_error_finding(sample, HARMONICS, rad, min_rad, description)) is not None:
         yield finding
 
 

@@ -159,8 +159,8 @@ def _phase_error(sample: FrameSample, axis: Axis, backward: Mask) -> float:
     fine, coarse = sample.fits[finest], sample.fits[wide]
     contrast = np.where(used, fine.modulation / np.where(used, coarse.modulation, 1.0), 0.0)
     coverage = np.maximum(uniform_filter(used.astype(np.float64), SMOOTHED), 1e-9)
-    off = np.abs(contrast * coverage / np.maximum(uniform_filter(contrast, SMOOTHED), 1e-9) - 1.0)
-    return float(np.median(np.where(backward, np.inf, off)[used])) / MEDIAN / sample.phase_noise(finest)
+    deviation = np.abs(contrast * coverage / np.maximum(uniform_filter(contrast, SMOOTHED), 1e-9) - 1.0)
+    return float(np.median(np.where(backward, np.inf, deviation)[used])) / MEDIAN / sample.phase_noise(finest)
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure | None:

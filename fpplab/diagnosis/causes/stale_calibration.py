@@ -56,13 +56,13 @@ def _draw(evidence: Evidence, _: Finding) -> Figure | None:
     from fpplab.core.drawing import colour_bar, draw_map, map_axes
 
     points, limit = evidence.points, _max_epipolar_px(evidence)
-    off = points.cloud.epipolar_px
-    if off is None or points.cloud.pixels is None:
+    distance_px = points.cloud.epipolar_px
+    if distance_px is None or points.cloud.pixels is None:
         return None
     width, height = points.calibration.camera.size
     values = np.full((height, width), np.nan)
     u, v = points.cloud.pixels.T
-    values[v, u] = off
+    values[v, u] = distance_px
     range_px = max(float(np.nanpercentile(np.abs(values), 98)), 2.0 * limit)
     figure, axes = map_axes(values.shape)
     label = f"distance in projector px (limit {limit:g})"

@@ -58,14 +58,14 @@ def _find(evidence: Evidence, findings: Sequence[Finding]) -> Iterator[Finding]:
     assert recording is not None
     assert decoded is not None
     assert calibration is not None
-    limits, named = evidence.limits.of(WrongPlanLimits), {finding.cause for finding in findings}
+    limits, reported = evidence.limits.of(WrongPlanLimits), {finding.cause for finding in findings}
     against = _runs_against(decoded, calibration, recording.plan.axes, evidence)
     if against is None and not _is_suspicious(evidence, decoded, limits):
         return
     check = check_plan_fit(recording, evidence.limits)
-    if FLICKER in named and check is not None and _moves_origins_alone(check.better, recording.plan):
+    if FLICKER in reported and check is not None and _moves_origins_alone(check.better, recording.plan):
         return
-    is_bent = RESPONSE in named or HARMONICS in named
+    is_bent = RESPONSE in reported or HARMONICS in reported
     if is_bent and check is not None and not _is_much_better(check, limits):
         return
     if check is not None and check.fault is not None:

@@ -81,14 +81,14 @@ def _find_other_lattice(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Fi
     """A projector whose focal lengths do not belong to the lattice of mirrors that is stated."""
     projector, limits = evidence.points.calibration.projector, evidence.limits.of(WrongResolutionLimits)
     aspect, nominal = float(projector.matrix[1, 1] / projector.matrix[0, 0]), ASPECTS[projector.lattice]
-    off = abs(aspect / nominal - 1.0)
-    if off > limits.max_stretch:
+    stretch = abs(aspect / nominal - 1.0)
+    if stretch > limits.max_stretch:
         text = (
             f"by the calibration a column of the projector's picture is {aspect:.2f} times as wide as a row "
             f"is high, but {nominal:g} times with the lattice '{projector.lattice.value}' (at most "
             f"{100 * limits.max_stretch:g} % off)"
         )
-        yield Finding(WRONG_RESOLUTION, text, min(off / limits.max_stretch, limits.max_aspect_severity))
+        yield Finding(WRONG_RESOLUTION, text, min(stretch / limits.max_stretch, limits.max_aspect_severity))
 
 
 def _strongest_moire(sample: FrameSample) -> tuple[Floats, Floats] | None:

@@ -77,21 +77,21 @@ def check_plan_fit(recording: Recording, limits: DiagnosisLimits = USUAL_LIMITS)
     sets = tuple(s for s in recording.plan.fringes if isinstance(s, Sinusoid))
     if len(sets) < len(recording.plan.fringes):
         return None
-    own = limits.of(PlanCheckLimits)
-    sample = PhaseSample.of(recording.frames, [s.images for s in sets], recording.full_scale, own)
+    check_limits = limits.of(PlanCheckLimits)
+    sample = PhaseSample.of(recording.frames, [s.images for s in sets], recording.full_scale, check_limits)
     if sample is None:
         return None
-    few = replace(recording, frames=[np.ascontiguousarray(f[sample.rows]) for f in recording.frames])
-    stated = disagreement(few, recording.plan, sample)
-    if stated.median > own.max_agreeing and (better := _better(few, sets, sample, stated)):
+    sampled = replace(recording, frames=[np.ascontiguousarray(f[sample.rows]) for f in recording.frames])
+    stated = disagreement(sampled, recording.plan, sample)
+    if stated.median > check_limits.max_agreeing and (better := _better(sampled, sets, sample, stated)):
         return better
     return _orientation(sets, sample, stated.median)
 
 
-def _better(few: Recording, sets: Sets, sample: PhaseSample, stated: Disagreement) -> PlanCheck | None:
+def _better(sampled: Recording, sets: Sets, sample: PhaseSample, stated: Disagreement) -> PlanCheck | None:
     """Find the simplest of the plans that fit much better."""
     limits = sample.limits
-    tried = [(edit, disagreement(few, edit.plan(few.plan), sample)) for edit in edits(sets, sample)]
+    tried = [(edit, disagreement(sampled, edit.plan(sampled.plan), sample)) for edit in edits(sets, sample)]
     fitting = [
         (edit, misfit.median)
         for edit, misfit in tried
@@ -103,12 +103,12 @@ def _better(few: Recording, sets: Sets, sample: PhaseSample, stated: Disagreemen
     lowest = min(d for _, d in fitting)
     good = [(edit, d) for edit, d in fitting if d <= limits.max_equal_ratio * max(lowest, 1.0)]
     # Reversed and late steps differ in the direction of the fringes alone.
-    standing = [
+    upright_candidates = [
         candidate
         for candidate in good
         if _orientation(candidate[0].sets, sample, candidate[1]).unusual is None
     ]
-    return PlanCheck(stated.median, *(standing or good)[0])
+    return PlanCheck(stated.median, *(upright_candidates or good)[0])
 
 
 def _orientation(sets: Sets, sample: PhaseSample, stated: float) -> PlanCheck:
@@ -116,13 +116,13 @@ def _orientation(sets: Sets, sample: PhaseSample, stated: float) -> PlanCheck:
     return PlanCheck(stated, unusual=upright(sets, observed), mirrored=is_mirrored(sets, sample))
 
 
-def disagreement(few: Recording, plan: Plan, sample: PhaseSample) -> Disagreement:
+def disagreement(sampled: Recording, plan: Plan, sample: PhaseSample) -> Disagreement:
     """Decode some pixels by a plan and say how much its sets disagree."""
-    alone = all(len(plan.sets_along(axis)) < 2 for axis in plan.axes)
-    if alone or unwrapping_methods()[plan.unwrapping].guided:
+    has_single_sets = all(len(plan.sets_along(axis)) < 2 for axis in plan.axes)
+    if has_single_sets or unwrapping_methods()[plan.unwrapping].guided:
         return Disagreement(np.nan, np.nan)
     try:
-        decoded = decode(replace(few, plan=plan.model_copy(update={"order_vote": None})))
+        decoded = decode(replace(sampled, plan=plan.model_copy(update={"order_vote": None})))
     except ConfigError:
         return Disagreement(np.inf, np.inf)
     assert decoded.disagreement is not None

@@ -58,15 +58,18 @@ def guess_plan(
     sample = PhaseSample.of(frames, images, full_scale(bits))
     if sample is None:
         raise DataError("too few pixels see the fringes of every set; look at the images")
-    standing = _axes_and_signs(images, sample, projector_size)
-    few = Recording(
-        [np.ascontiguousarray(f[sample.rows]) for f in frames], Plan(fringes=standing), projector_size, bits
+    upright_sets = _axes_and_signs(images, sample, projector_size)
+    sampled = Recording(
+        [np.ascontiguousarray(f[sample.rows]) for f in frames],
+        Plan(fringes=upright_sets),
+        projector_size,
+        bits,
     )
-    for sets in _with_stripes(standing, sample, finest):
+    for sets in _with_stripes(upright_sets, sample, finest):
         coarsest = max(sets[along[0]].stripes for axis in AXES if (along := indices_along(sets, axis)))
         method = Hierarchical.name if coarsest <= 1.0 else Heterodyne.name
         plan = Plan(fringes=with_origins(sets, sample) if coarsest <= 1.0 else sets, unwrapping=method)
-        misfit = disagreement(few, plan, sample).median
+        misfit = disagreement(sampled, plan, sample).median
         if not misfit > sample.limits.max_agreeing:
             return PlanGuess(plan, misfit, _assumed(coarsest, finest))
     raise DataError(
@@ -114,10 +117,10 @@ def set_sizes(frames: Sequence[Image], full: int) -> list[int]:
         _residual_squares(moments[a : a + n, a : a + n]) for a, n in zip(starts, sizes, strict=False)
     )
     if np.sqrt(misfit / max(count - 2 * len(sizes), 1)) > MAX_MISFIT:
-        named = name_other_patterns(frames, full) or "leave out white, black and other images by --skip"
+        explanation = name_other_patterns(frames, full) or "leave out white, black and other images by --skip"
         raise DataError(
             f"the {count} images are not made up of sets of phase-shifted sinusoids with equal steps, one "
-            f"set after the other; {named}"
+            f"set after the other; {explanation}"
         )
     return sizes
 
@@ -148,19 +151,19 @@ def _axes_and_signs(images: list[int], sample: PhaseSample, size: tuple[int, int
     """Sets with the axes and signs of devices that stand upright; stripes as fast as in the image."""
     reference = int(np.argmax(np.median(np.hypot(*np.moveaxis(sample.gradients, -1, 0)), axis=1)))
     observed = directions(sample, reference)
-    own, other = AXES if observed[reference].level else AXES[::-1]
+    axis, other = AXES if observed[reference].level else AXES[::-1]
     sets = tuple(
-        Sinusoid(axis=own if each.parallel else other, stripes=each.speed, steps=n, projector_size=size)
+        Sinusoid(axis=axis if each.parallel else other, stripes=each.speed, steps=n, projector_size=size)
         for each, n in zip(observed, images, strict=True)
     )
-    standing = upright(sets, observed)
-    return sets if standing is None else standing.sets
+    edit = upright(sets, observed)
+    return sets if edit is None else edit.sets
 
 
 def _with_stripes(sets: Sets, sample: PhaseSample, finest: float | None) -> Iterator[Sets]:
     """Numbers of stripes that have the ratios measured, the least first."""
     by_axis = [along for axis in AXES if (along := indices_along(sets, axis))]
-    scaled = [_scaled(_ratios(sets, along), _turns_seen(sample, along[0]), finest) for along in by_axis]
+    scaled = [_scaled(_ratios(sets, along), _visible_periods(sample, along[0]), finest) for along in by_axis]
     for numbers in zip(*scaled, strict=False):
         edited = list(sets)
         for along, stripes in zip(by_axis, numbers, strict=True):
@@ -176,7 +179,7 @@ def _ratios(sets: Sets, along: Sequence[int]) -> Floats:
     return np.array([sets[k].stripes for k in along]) / sets[along[0]].stripes
 
 
-def _turns_seen(sample: PhaseSample, k: int) -> float:
+def _visible_periods(sample: PhaseSample, k: int) -> float:
     """Periods of a set across the lit pixels."""
     places = np.argwhere(sample.lit)
     steps = np.array([part.step for part in sample.rows])

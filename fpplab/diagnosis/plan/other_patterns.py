@@ -116,7 +116,7 @@ def _unequal(levels: Floats, sizes: Sequence[int]) -> str | None:
     """Sets of sinusoids whose steps are not equal."""
     sentences = []
     for k, (start, count) in enumerate(zip(np.cumsum([0, *sizes]), sizes, strict=False)):
-        shifts = phase_shifts_seen(levels[start : start + count]) if count >= MIN_IMAGES else None
+        shifts = measured_phase_shifts(levels[start : start + count]) if count >= MIN_IMAGES else None
         if shifts is None:
             continue
         if not _fits_badly(levels[start : start + count]):
@@ -150,7 +150,7 @@ def _worst(shifts: Floats, expected: Floats) -> float:
     return float(np.max(np.abs((shifts - expected + 180.0) % 360.0 - 180.0)))
 
 
-def phase_shifts_seen(levels: Floats) -> Floats | None:
+def measured_phase_shifts(levels: Floats) -> Floats | None:
     """Find the phase shifts of images that are sinusoids of one number of stripes."""
     # levels (N, P); returns (N,)
     # Offset, cosine and sine span all levels of a pixel, whatever the steps are.

@@ -144,7 +144,7 @@ class _Loop:
         """Ask for a pose, take it and judge it."""
         guide, number = self._guide, self._free_number()
         if self._pose is None:
-            self._pose = guide.wanted(fill=self._must_fill())
+            self._pose = guide.next_pose(fill=self._must_fill())
         pose, path = self._pose, self._path(number)
         self._tell(f"pose {len(self._sessions) + 1}: {pose.description}")
         picture = self._folder / PICTURE

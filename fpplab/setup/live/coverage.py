@@ -67,7 +67,7 @@ class BoardCoverage:
         """The pose that a guided characterisation would ask for, and what the poses lack."""
         try:
             self._guide.add(newest)
-            return (self._guide.wanted().description, *self._lacking())
+            return (self._guide.next_pose().description, *self._lacking())
         except CalibrationError:  # the poses do not determine the devices yet; what they lack says why
             return self._lacking()
 

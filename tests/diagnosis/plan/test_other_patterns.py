@@ -14,7 +14,7 @@ from fpplab.acquisition.synchronisation import check_synchronisation
 from fpplab.core.conventions import Floats, Image
 from fpplab.core.errors import DataError
 from fpplab.diagnosis.plan import check_plan_fit, guess_plan, name_other_patterns
-from fpplab.diagnosis.plan.other_patterns import phase_shifts_seen
+from fpplab.diagnosis.plan.other_patterns import measured_phase_shifts
 from fpplab.patterns.plan import Plan
 from fpplab.phase import decode
 from tests.diagnosis.scenes import PROJECTOR, Bench, plan_of
@@ -99,7 +99,9 @@ def test_unequal_phase_steps_are_named(shifts: tuple[float, ...]) -> None:
     said = name_other_patterns(frames, 255, SETS)
     assert said is not None
     assert "the images of 'fringes[2]' have unequal phase steps" in said
-    found = phase_shifts_seen(np.stack([f[100:220:3, 90:380:3].ravel() for f in frames[8:]]).astype(float))
+    found = measured_phase_shifts(
+        np.stack([f[100:220:3, 90:380:3].ravel() for f in frames[8:]]).astype(float)
+    )
     assert found is not None
     signed = min((found, -found % 360.0), key=lambda one: float(np.abs(one - shifts).max()))
     assert np.abs(signed - shifts).max() < 8.0

@@ -90,5 +90,5 @@ def test_the_pose_that_lessens_the_uncertainty_most_comes_first(monkeypatch: pyt
     for one in seen:
         board.add(session)  # type: ignore[arg-type]
         asked.add(one)
-        assert board.summary()["next"][0] == asked.wanted().description  # type: ignore[index]
+        assert board.summary()["next"][0] == asked.next_pose().description  # type: ignore[index]
     assert board.summary()["poses"] == len(seen)
