@@ -40,6 +40,7 @@ def calibration(
     return folder / "c.yaml", done.json
 
 
+@pytest.mark.whole
 def test_five_poses_are_characterised(calibration: tuple[Path, dict]) -> None:  # type: ignore[type-arg]
     _, found = calibration
     assert found["poses"] == 5
@@ -147,6 +148,7 @@ def test_a_twin_becomes_the_rig_of_the_captures(
     assert page.count("Images of calseq") >= len(poses)
 
 
+@pytest.mark.whole
 def test_the_skull_is_reconstructed(
     fpplab: Command,
     captures: Path,

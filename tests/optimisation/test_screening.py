@@ -63,6 +63,7 @@ def test_predicted_scores_are_those_of_whole_measurements(wanted: Study, evaluat
                 assert seen.points < 0.2 * true.points
 
 
+@pytest.mark.whole
 def test_a_seed_gives_the_same_scores_again_and_another_seed_others(evaluator: SampledEvaluator) -> None:
     first = evaluator.measure(FINE, 1)
     evaluator.measure(COARSE, 1)
@@ -70,6 +71,7 @@ def test_a_seed_gives_the_same_scores_again_and_another_seed_others(evaluator: S
     assert evaluator.measure(FINE, 2)[0].surface_smcd_um != first[0].surface_smcd_um
 
 
+@pytest.mark.whole
 def test_nothing_lit_is_an_error_and_no_score(evaluator: SampledEvaluator) -> None:
     dark = Candidate(COARSE.fringes, 2e-5)
     with pytest.raises(DataError):
