@@ -22,7 +22,8 @@ from typing import Any
 from drivers.apart import libraries_silent
 
 QUEUED_FRAMES = 3
-"""Frames that drivers and compositors may queue: a frame is transmitted once so many more were presented.
+"""Frames that drivers and compositors may queue: a frame is transmitted once this number of further ones
+was presented.
 
 Chosen: triple buffering queues two.
 """
@@ -267,7 +268,7 @@ class Screen:
 def _choose_display(
     displays: list[DisplayInfo], display_id: int | str, size: tuple[int, int] | None
 ) -> DisplayInfo:
-    """The display that is wanted, or `ScreenError` unless exactly one of the right size matches."""
+    """The display asked for, or `ScreenError` unless exactly one of the right size matches."""
     listed = ", ".join(map(str, displays))
     matching = [display for display in displays if display_id in (display.index, display.name)]
     if not matching:

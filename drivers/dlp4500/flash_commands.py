@@ -36,7 +36,7 @@ def build(
 
     Three patterns of 8 bits go into each image, in green, red and blue, sampled on the diamond lattice of the
     mirrors and corrected with the plan's response; the grey levels of `fpplab gamma` and `fpplab check`
-    follow. The images of BASE are replaced, its program is not changed. An index, a .yaml file beside OUT,
+    follow. The images of BASE are replaced, its program is not changed. An index, a .yaml file next to OUT,
     lists where each pattern is: the rig file names it as `flash`.
 
     Example: `fpplab dlp4500 build plan_paper.yaml --base DLPR350PROM.bin --out patterns.bin`
@@ -64,7 +64,7 @@ def build(
     index = out.with_suffix(".yaml")
     if not _holds(index, listed):  # as a command leaves it that was killed between the two files
         refuse_existing(index, force)
-        out.unlink(missing_ok=True)  # never another file's index beside it
+        out.unlink(missing_ok=True)  # never another file's index next to it
         write_text(index, listed)
     write_atomic(out, lambda stream: stream.write(built.content))
     result = {

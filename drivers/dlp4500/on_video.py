@@ -40,7 +40,7 @@ class OnVideo:
     @property
     def depths(self) -> set[int]:
         """Bit depths of which at least one pattern fits into a frame."""
-        return {bits for bits, least_us in MIN_EXPOSURE_US.items() if least_us <= self._frame_us}
+        return {bits for bits, min_us in MIN_EXPOSURE_US.items() if min_us <= self._frame_us}
 
     @property
     def longest_us(self) -> int:

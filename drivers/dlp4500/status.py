@@ -62,5 +62,5 @@ def hardware_faults(hardware: Values) -> list[str]:
 
 
 def validation_messages(validation: Values, descriptions: Mapping[str, str]) -> list[str]:
-    """Describe what a finished validation found."""
+    """Describe the errors that a finished validation reports."""
     return [description for name, description in descriptions.items() if validation[name]]

@@ -78,7 +78,7 @@ class Period(Structure):
 
 
 class BufferRequest(Structure):
-    """How many buffers are wanted."""
+    """How many buffers are requested."""
 
     _fields_ = (
         ("count", c_uint32),

@@ -34,9 +34,9 @@ class PeriodLimit(StrEnum):
     CAMERA = "the period reported by the camera"
     """The camera takes no trigger before."""
     STATED = "the rig file's dead_time_s"
-    """What the camera needs beyond what it tells."""
+    """What the camera needs beyond what it reports."""
     UNTOLD = "the time allowed for a camera that reports no period"
-    """The camera tells nothing, and the rig file states nothing."""
+    """The camera reports nothing, and the rig file states nothing."""
     GAP = "the projector's minimum gap"
     """The projector needs more time between patterns than the camera."""
     LOADS = "images that are read from the projector's flash"
@@ -89,11 +89,11 @@ def pulse_timing(
 
 
 def _ready(reported_s: float | None, end_s: float, dead_s: float | None) -> dict[PeriodLimit, float]:
-    """When the camera takes the next pulse, by who says so: s from the last one, by the camera's clock."""
+    """Earliest next pulse that the camera takes, by source: s from the last pulse, by the camera's clock."""
     if reported_s is None and dead_s is None:
         return {PeriodLimit.UNTOLD: end_s + UNKNOWN_DEAD_S}
     times_s = {} if reported_s is None else {PeriodLimit.CAMERA: reported_s}
-    # A stated time of 0 says nothing about a camera that tells its period.
+    # A stated time of 0 says nothing about a camera that reports its period.
     return times_s | (
         {PeriodLimit.STATED: end_s + dead_s} if dead_s or (reported_s is None and dead_s == 0) else {}
     )
@@ -125,16 +125,16 @@ def _check_light(
     """Refuse an exposure for which the projector cannot show its patterns."""
     caps, readout_s = projector.caps, camera.caps.readout_s
     bits = max((p.bit_depth for p in patterns), key=lambda depth: caps.bit_depths[depth])
-    least_s = caps.bit_depths[bits]
+    min_exposure_s = caps.bit_depths[bits]
     needed = f"exposure {1e3 * exposure_s:.6g} ms"
     if readout_s:
         needed += f" and readout {1e3 * readout_s:.6g} ms"
-    if exposure_s + readout_s < least_s:
+    if exposure_s + readout_s < min_exposure_s:
         raise SettingError(
             projector.name,
             "play",
             f"patterns would be shown for {needed}",
-            f"with {bits} bits at least {1e3 * least_s:.6g} ms: lengthen the plan's exposure_s",
+            f"with {bits} bits at least {1e3 * min_exposure_s:.6g} ms: lengthen the plan's exposure_s",
         )
     if exposure_s + readout_s > caps.longest_s:
         raise SettingError(

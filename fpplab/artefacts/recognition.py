@@ -1,4 +1,4 @@
-"""Telling by a mesh which artefact it is, so that its file needs no label."""
+"""Recognises an artefact by its mesh, so that its file needs no label."""
 
 from __future__ import annotations
 

@@ -111,7 +111,7 @@ def missing_option(path: str, option: str) -> str:
 
 
 def unknown_command(path: str, word: str, commands: Sequence[str]) -> str:
-    """Say of a command that there is none of this name, and which was probably meant."""
+    """Say that there is no command of this name, and which one was probably meant."""
     reason = f"there is no command '{' '.join([*path.split()[1:], word])}'"
     lower = word.lower()
     if lower in ("help", "version"):

@@ -86,7 +86,7 @@ def _message_and_bar(what: str) -> Iterator[tuple[Progress, Say]]:
 
 def log_status(sentence: str) -> None:
     """Print one line to the operator on stderr, so that stdout stays a result."""
-    with suppress(OSError):  # nobody listens: no reason to stop the work
+    with suppress(OSError):  # stderr may be closed: no reason to stop the work
         stderr.print(sentence, soft_wrap=True, markup=False)
 
 
@@ -110,7 +110,7 @@ def print_result(result: dict[str, Any], as_json: bool, show: Callable[[], None]
 def conclude(
     diagnosis: Diagnosis, name: str, result: dict[str, Any], as_json: bool, show: Callable[[], None]
 ) -> None:
-    """Print a verdict in the first line, and then the result; refuse one that nobody should use."""
+    """Print a verdict in the first line, and then the result; refuse a useless one."""
     log_status(diagnosis.sentence)
     for finding in diagnosis.findings:
         is_reason = finding.sentence == diagnosis.reason  # which the first line has said

@@ -35,7 +35,7 @@ def surface_normals(
     index: NDArray[np.int32], a: Map, b: Map, w: Map, noise: Map, normals: NDArray[np.float32]
 ) -> None:
     """Compute the normals of all points of a pixel grid."""
-    # index (height, width); a, b, w, noise (height, width); found (N, 3)
+    # index (height, width); a, b, w, noise (height, width); normals (N, 3)
     height, width = index.shape
     for v in prange(height):
         sums = np.empty(_ROWS)

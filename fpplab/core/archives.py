@@ -1,4 +1,4 @@
-"""NPZ files of strangers: what they declare is believed only where they have room for it.
+"""NPZ files from any source: the sizes that they declare are checked against the file's own.
 
 An archive may not unpack to far more than recorded data would, and an array may not claim more values than
 its part of the archive holds; both are known before any memory is asked for.
@@ -54,7 +54,7 @@ def array_head(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]
     }
     version: tuple[int, int] = np.lib.format.read_magic(stream)  # type: ignore[no-untyped-call]
     if version not in readers:
-        raise ValueError(f"an array in NumPy's format {version}; save it anew")
+        raise ValueError(f"an array in NumPy's format {version}; save it again with a present NumPy")
     shape, columns_first, dtype = readers[version](stream)  # type: ignore[no-untyped-call]
     if any(length < 0 for length in shape):
         raise ValueError(f"an array of the shape {shape}")

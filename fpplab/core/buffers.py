@@ -1,4 +1,4 @@
-"""Memory for large arrays that is used again once nobody holds them.
+"""Memory for large arrays that is used again once they are released.
 
 The system hands out memory page by page and clears each page at its first use. For maps of millions of
 pixels that takes as long as computing them, and far longer on a virtual machine whose host takes free pages
@@ -27,7 +27,7 @@ class BufferLimits:
     min_bytes: int = 1 << 22
     """Smaller arrays come from the allocator, which reuses its memory itself. Chosen."""
     max_kept_bytes: int = min(3 << 30, psutil.virtual_memory().total // 6)
-    """Memory that is kept while nobody uses it. Chosen: what a measurement at twenty megapixels needs."""
+    """Unused memory that is kept. Chosen: what a measurement at twenty megapixels needs."""
     max_waste: int = 2
     """How many times larger than needed a block may be. Chosen."""
 
@@ -59,14 +59,14 @@ def empty(shape: int | tuple[int, ...], dtype: DTypeLike = np.float32) -> NDArra
 
 
 def release() -> None:
-    """Give all memory that nobody uses back to the system."""
+    """Return all unused memory to the system."""
     with _lock:
         _returned.clear()
         _free.clear()
 
 
 def kept_bytes() -> int:
-    """Measure the memory that is kept while nobody uses it."""
+    """Measure the unused memory that is kept."""
     with _lock:
         return sum(block.nbytes for block in (*_free, *_returned))
 

@@ -1,6 +1,6 @@
 """What fpplab keeps outside of the user's results to save time, and can compute again.
 
-All of it lies in `cache_directory()`. What numba compiles stays in `__pycache__` beside the sources, is
+All of it lies in `cache_directory()`. What numba compiles stays in `__pycache__` next to the sources, is
 renewed when these change, and is none of this.
 """
 

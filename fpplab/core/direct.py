@@ -70,7 +70,7 @@ class DirectWriter(io.BufferedIOBase):
 
 
 def _set_direct(handle: int, direct: bool) -> None:
-    """Switch the cache off or on, where the file system knows how; the file's content is the same."""
+    """Switch the cache off or on, where the file system supports it; the file's content is the same."""
     if fcntl is None or not hasattr(os, "O_DIRECT"):
         return
     flags = fcntl.fcntl(handle, fcntl.F_GETFL)

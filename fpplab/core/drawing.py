@@ -170,7 +170,7 @@ def draw_frame(image: Image, bits: int = 8) -> Figure:
 
 
 def colour_bar(figure: Figure, axes: Axes, mappable: ScalarMappable, label: str) -> mpl.colorbar.Colorbar:
-    """Add a colour bar beside axes."""
+    """Add a colour bar next to axes."""
     bar = figure.colorbar(mappable, ax=axes, label=label, fraction=0.05, pad=0.02, aspect=28)
     bar.outline.set_visible(False)
     return bar

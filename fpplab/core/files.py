@@ -26,7 +26,7 @@ def open_regular(path: Path) -> BinaryIO:
 
 
 def _regular(path: str, flags: int) -> int:
-    """Open a descriptor without waiting for anybody, and refuse what is no file."""
+    """Open a descriptor without waiting for another process, and refuse what is not a file."""
     handle = os.open(path, flags | getattr(os, "O_NONBLOCK", 0))  # which Windows has not
     kind = os.fstat(handle).st_mode
     if not stat.S_ISREG(kind):
@@ -48,7 +48,7 @@ def read_bounded(path: Path, max_bytes: int) -> bytes:
 
 
 def no_such_file(path: Path, *suffixes: str) -> str:
-    """Say that a file does not exist, and which one beside it may have been meant."""
+    """Say that a file does not exist, and which one in its folder may have been meant."""
     accepted = suffixes or (path.suffix.lower(),)
     entries = sorted(path.parent.iterdir()) if path.parent.is_dir() else []
     nearby = {file.name: file for file in entries if file.suffix.lower() in accepted and file.is_file()}
@@ -109,7 +109,7 @@ def write_parts(path: Path, *parts: bytes | memoryview) -> None:
 
 @contextmanager
 def _draft(path: Path) -> Iterator[io.BufferedWriter]:
-    """A file beside `path` that replaces it once the context ends, complete and on disk."""
+    """A file next to `path` that replaces it once the context ends, complete and on disk."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")

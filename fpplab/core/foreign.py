@@ -74,11 +74,11 @@ def read_apart(kind: str, path: Path, opened: BinaryIO | None = None) -> Parts:
     raise ValueError("its reader fails on it; is it damaged, or nested without end?")
 
 
-def _main(kind: str, most_bytes: int) -> None:
+def _main(kind: str, max_bytes: int) -> None:
     """Read stdin in a thread of little stack, and write what it holds to stdout."""
     import threading
 
-    _limit_memory(most_bytes)
+    _limit_memory(max_bytes)
     threading.stack_size(LIMITS.stack_bytes)
     result: list[Parts | str] = []
     thread = threading.Thread(target=lambda: result.append(_read(kind, sys.stdin.buffer)))
@@ -92,11 +92,11 @@ def _main(kind: str, most_bytes: int) -> None:
     np.savez(sys.stdout.buffer, **result[0])
 
 
-def _limit_memory(most_bytes: int) -> None:
+def _limit_memory(max_bytes: int) -> None:
     with suppress(ImportError, ValueError, OSError):  # a system without this limit, or with a stricter one
         import resource
 
-        resource.setrlimit(resource.RLIMIT_AS, (most_bytes, most_bytes))
+        resource.setrlimit(resource.RLIMIT_AS, (max_bytes, max_bytes))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 

@@ -14,7 +14,7 @@ MAX_JOURNAL_BYTES = 256_000_000
 
 
 def make_journal(path: Path) -> None:
-    """Make an empty journal with its folder; one that is there stays as it is."""
+    """Make an empty journal with its folder; an existing one stays as it is."""
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.touch()

@@ -74,9 +74,9 @@ def locked_file(path: Path) -> Iterator[bool]:
         yield handle is not None
     finally:
         if handle is not None:
-            # Windows deletes no open file, nobody one of a disk that is gone: it stays, unlocked.
+            # Windows does not delete an open file, and a disk may be gone: the file stays, unlocked.
             with suppress(OSError):
-                path.unlink(missing_ok=True)  # while it is locked, so that nobody else's is taken away
+                path.unlink(missing_ok=True)  # while it is locked, so that no other process's file is deleted
             os.close(handle)
 
 

@@ -21,7 +21,7 @@ CUT = (2.0, 98.0)
 
 
 def html_table(title: str, rows: Mapping[str, object], picture: bytes | None = None) -> str:
-    """Write a table of names and values, with a picture beside it."""
+    """Write a table of names and values, with a picture next to it."""
     cells = "".join(
         f"<tr><th style='text-align:left'>{escape(name)}</th>"
         f"<td style='text-align:left'>{escape(str(value))}</td></tr>"

@@ -16,9 +16,9 @@ class DeviceIdentity(Document):
     """Which device it was."""
 
     model: str
-    """As the device tells it."""
+    """As the device reports it."""
     serial: str
-    """As the device tells it; empty where it has none."""
+    """As the device reports it; empty where it has none."""
 
     @property
     def description(self) -> str:

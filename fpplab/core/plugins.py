@@ -72,9 +72,7 @@ def load_plugin(group: str, name: str) -> Any:
     kind = group.rpartition(".")[2].removesuffix("s")
     matching = entry_points(group=group, name=name)
     if not matching:
-        available = (
-            ", ".join(plugin_names(group)) or "none; install fpplab anew, its entry points are missing"
-        )
+        available = ", ".join(plugin_names(group)) or "none; reinstall fpplab, its entry points are missing"
         raise ConfigError(f"there is no {kind} '{name}'; there are {available}")
     try:
         return next(iter(matching)).load()

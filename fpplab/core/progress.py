@@ -1,4 +1,4 @@
-"""Progress reports and observers: the one type of each, and what stands for them where nobody asked."""
+"""Progress reports and observers: the one type of each, and their defaults that do nothing."""
 
 from __future__ import annotations
 

@@ -61,7 +61,7 @@ def multiway_covariance(
 
     Of the sandwich form, as a sum over groupings. A residual may depend on others by several of them, and no
     part is subtracted for those that two groupings have in common, so that the sum is not too small. A few
-    clusters tell their scatter badly: the error is then distributed as Student's t is, with one degree of
+    clusters estimate their scatter poorly: the error then follows Student's t distribution with one degree of
     freedom less than there are clusters, and its variance is given. Groupings of three clusters or fewer say
     nothing and are left out.
     """

@@ -7,7 +7,7 @@ PLAN, RIG, ORIGIN = "plan.yaml", "rig.yaml", "origin.yaml"
 FORMAT, LOG = "session.yaml", "log.jsonl"
 """In which version of the format it is; what was done with it, when and by which program."""
 JOURNAL, FRAMES, CHECKSUMS = "journal.jsonl", "frames", "files.jsonl"
-"""A line for each frame; the folder of their files; the checksums of the files beside it."""
+"""A line for each frame; the folder of their files; the checksums of the other files."""
 DECODED, CLOUD, CALIBRATION, REPORT, VERDICT = (
     "decoded.npz",
     "cloud.ply",
@@ -22,4 +22,4 @@ SESSION_FILES = frozenset(
     (PLAN, RIG, ORIGIN, FORMAT, LOG, JOURNAL, CHECKSUMS)
     + (DECODED, CLOUD, CALIBRATION, REPORT, VERDICT, RECORDING)
 )
-"""Every file that fpplab writes into a session, beside the folder of its frames."""
+"""Every file that fpplab writes into a session, other than the frames."""

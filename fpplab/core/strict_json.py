@@ -7,7 +7,7 @@ from typing import Any
 
 
 def parse_json(content: bytes | str) -> Any:
-    """Parse JSON, whoever wrote it."""
+    """Parse JSON from any source."""
     try:
         return json.loads(content)
     except RecursionError:

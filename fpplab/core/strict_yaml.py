@@ -94,7 +94,7 @@ def _measure(node: yaml.Node, counts: dict[int, int], depth: int) -> int:
     if isinstance(node, yaml.ScalarNode) and _SURROGATE.search(node.value):
         raise _refusal("a word holds half a character, a lone surrogate", node)
     if id(node) not in counts:
-        counts[id(node)] = 0  # while its parts are counted: 0 tells that it is part of itself
+        counts[id(node)] = 0  # while its parts are counted: 0 marks one that is part of itself
         parts = node.value if isinstance(node, yaml.CollectionNode) else []
         inside = [part for pair in parts for part in pair] if isinstance(node, yaml.MappingNode) else parts
         count = 1

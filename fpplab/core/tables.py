@@ -16,7 +16,7 @@ Row = dict[str, Any]
 """Values by column; None is an empty cell."""
 
 SUMMARY = "summary"
-"""The table of what an answer says once."""
+"""The table of an answer's single values."""
 
 
 def write_csv(path: Path, rows: Iterable[Row]) -> None:

@@ -212,7 +212,7 @@ class Device(ABC):
         ----------
         options : dict of str to Any
             The section's keys but for `backend`, and of a camera `bits`, `gain_db` and `dead_time_s`, of a
-            stage `soft_limits_mm`. Names of files that lie beside the rig file are absolute.
+            stage `soft_limits_mm`. Names of files in the rig file's folder are absolute.
         shared : SharedBackend or None
             What the rig file's `bench` names, which is open already.
 

@@ -297,7 +297,7 @@ class Rig:
         Parameters
         ----------
         mm : float
-            The position that is wanted.
+            The target position.
 
         Returns
         -------
@@ -316,7 +316,7 @@ class Rig:
         return stage
 
     def plan_stage_move(self, mm: float) -> StageMove:
-        """Describe a move of the stage to a position; nothing moves, and nobody is asked.
+        """Describe a move of the stage to a position; nothing moves, and no confirmation is asked for.
 
         Parameters
         ----------

@@ -142,7 +142,7 @@ class Seeded(Protocol):
 
 @runtime_checkable
 class NumberedFrames(Protocol):
-    """A simulation whose frames are numbered, so that an interrupted session goes on as if it had not been.
+    """A simulation whose frames are numbered, so that an interrupted session continues as if it had not been.
 
     The noise of a frame follows from its number. A session records the number of its first frame; whoever
     completes it, later and in another process, gives its frames the numbers that they would have had.

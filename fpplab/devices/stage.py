@@ -137,7 +137,7 @@ class Stage(Device):
 
     @final
     def plan_move(self, mm: float) -> StageMove:
-        """Describe a move to a position; nothing moves, and nobody is asked.
+        """Describe a move to a position; nothing moves, and no confirmation is asked for.
 
         Parameters
         ----------

@@ -105,7 +105,7 @@ class StageCalibrations:
         return all(calibration.uncertainty is None for calibration in self._calibrations)
 
     def sample(self, random: np.random.Generator) -> StageCalibrations:
-        """Draw calibrations that could as well have been found, each from its own covariance."""
+        """Draw calibrations, each from its own covariance."""
         others = [sample_calibration(calibration, random) for calibration in self._calibrations]
         return StageCalibrations(dict(zip(self._positions or (None,), others, strict=True)))
 

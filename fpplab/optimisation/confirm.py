@@ -148,7 +148,7 @@ def compare_plans(
 
 
 def _sampled_calibrations(calibrations: StageCalibrations) -> list[StageCalibrations]:
-    """Calibrations that could as well have been found."""
+    """Calibrations drawn from the covariance of the measured ones."""
     random = np.random.default_rng(0)
     return (
         []

@@ -118,7 +118,7 @@ class RigEvaluator:
 
     @cached_property
     def _image_s(self) -> float:
-        """Time that an image takes beside its exposure, by what the devices state of themselves."""
+        """Time that an image takes in addition to its exposure, as the devices state it."""
         return RigLimits.of(self._rig).dead_time_s + self._problem.start.settle_s
 
     def _score(self, name: str, candidate: Candidate, seed: int) -> Score:
@@ -150,7 +150,7 @@ class RigEvaluator:
         return self._true_shapes[key]
 
     def _mesh(self, name: str) -> trimesh.Trimesh:
-        """Place the true shape in the camera's frame, as the fixture or a first measurement tells."""
+        """Place the true shape in the camera's frame, known from the fixture or a first measurement."""
         if name not in self._placed:
             mesh = artefacts.make(name)
             pose = self._rig.need_fixture("a search").pose(name) or self._located(name, mesh)

@@ -111,7 +111,7 @@ class CalibrationAt(Document):
     """A calibration of the rig with its stage at a position."""
 
     file: str
-    """Calibration file; a relative path is looked up beside the study."""
+    """Calibration file; a relative path refers to the study's folder."""
     stage_mm: float | None = None
     """Position of the stage in mm; null for where it is."""
 

@@ -56,7 +56,7 @@ def run_search(
     Nothing is written where the plan found is worse than the start's. A study with `screening` predicts its
     candidates where `can_screen` holds, and measures the start and what it has found.
 
-    An interrupted search continues from its journals, beside the plan or in the folder.
+    An interrupted search continues from its journals, next to the plan or in the folder.
     """
     with Rig.load(rig) as opened:
         limits, file = RigLimits.of(opened), opened.file.model_dump(mode="json")

@@ -1,4 +1,4 @@
-"""Distributes measurements to this process, to others beside it, or to the workers of a dask scheduler.
+"""Distributes measurements to this process, to others on this computer, or to workers of a dask scheduler.
 
 Results come back in any order; the caller sorts them. A measurement whose worker dies is repeated by another.
 """
@@ -38,7 +38,7 @@ WORKER_ENVIRONMENT = {
 }
 """Environment of a worker, for glibc: freed memory is kept for the next image, which needs as much again.
 
-dask's own setting returns it to the system after every array, so that pages are mapped anew half a million
+dask's own setting returns it to the system after every array, so that pages are mapped again half a million
 times in each measurement, which takes a third of its time.
 """
 

@@ -50,7 +50,7 @@ class ScoringLimits:
     """Approximate number of points by which the shape is aligned. Derived: its pose has about a thirtieth of
     one point's noise."""
     near_spacings: float = 2.0
-    """A point of the shape counts if a surface sample that counts lies within so many mean sample distances.
+    """A point of the shape counts if a surface sample that counts lies within this many mean distances.
     Chosen."""
 
 

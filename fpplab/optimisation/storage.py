@@ -80,7 +80,7 @@ class Journal:
             if header.get(name) != own:
                 raise ConfigError(
                     f"{self.path}: holds the measurements of a study whose '{name}' is another; name another "
-                    "output, or add --force to begin anew"
+                    "output, or add --force to start again"
                 )
 
 

@@ -63,7 +63,7 @@ def _method_kinds(several_objectives: bool) -> str:
 
 
 def _resolved(data: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Put the start's plan in place, and make the paths of files found beside the study absolute."""
+    """Put the start's plan in place, and make the paths of files in the study's folder absolute."""
     data = dict(data)
     if isinstance(data.get("board"), dict):
         data["board"] = {

@@ -90,7 +90,7 @@ class RigDraft:
         return f"# Written by `fpplab rig new`; docs/hardware.md has every option.\n{written}"
 
     def summary(self) -> dict[str, Any]:
-        """Give what was seen as plain values."""
+        """Give the results of the tests as plain values."""
         return {kind: asdict(test) for kind, test in self.tests.items()}
 
 

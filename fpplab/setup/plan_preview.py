@@ -1,4 +1,4 @@
-"""What a measurement by a plan consists of on a rig, told by its devices before anything is projected."""
+"""What a measurement by a plan consists of on a rig, as its devices answer before anything is shown."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ from fpplab.viewer.measurement import Colouring, MeasurementView
 
 
 class AcceptanceView(MeasurementView):
-    """As a measurement, with the words of the result; the timeline `position` runs over the positions."""
+    """As a measurement, with the result as text; the timeline `position` runs over the positions."""
 
     def begin(self) -> None:
         """Arrange the views."""

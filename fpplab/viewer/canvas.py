@@ -163,7 +163,7 @@ class Canvas:
     def device(self, entity: str, device: Pinhole, T_world_device: RigidTransform, reach_mm: float) -> None:
         """Show a camera or projector at its pose, with its pyramid of sight, which views open on.
 
-        Pinholes are drawn without distortion, so the edge of an image may lie beside the cloud.
+        Pinholes are drawn without distortion, so the edge of an image may differ from the cloud's.
         """
         import rerun as rr
 

@@ -84,7 +84,7 @@ def _start(
         [program, "analytics", "disable"],
         env=environment,
         timeout=START_TIMEOUT_S,
-        check=False,  # what is wrong with the program is told by its next start
+        check=False,  # the next start reports what is wrong with the program
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,

@@ -8,7 +8,7 @@ from typing import Any
 from fpplab.viewer.canvas import BACKGROUND
 
 BAR_SHARE = 10
-"""A scene is so many times as high as the colour bar beneath it."""
+"""A scene is this number of times as high as the colour bar beneath it."""
 
 
 def image(name: str, origin: str) -> Any:

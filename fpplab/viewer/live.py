@@ -98,7 +98,7 @@ class LiveSnapshot:
     number: int  # of the frame
     image: LitImage  # what the camera sees
     pattern: NDArray[np.uint8]  # what the projector shows, subsampled
-    pattern_id: str  # tells whether that has changed
+    pattern_id: str  # shows whether the pattern has changed
     focus: dict[str, FocusShares]  # by device, where it was measured with this frame
     levels: LightLevels | None  # light, where it was measured with this frame
     state_text: str  # the state in Markdown

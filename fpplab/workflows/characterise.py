@@ -41,7 +41,7 @@ class CharacterisationRequest:
     guided: bool = False  # whether poses are asked for one at a time, by what is still uncertain
     until_mm: float | None = None  # uncertainty of form at which guided poses end
     depth_mm: DepthInterval | None = None  # working range of guided poses; by default of plan or rig
-    force: bool = False  # whether files that are there are replaced
+    force: bool = False  # whether existing files are replaced
     limits: CharacterisationLimits | None = None  # of an expert, by which poses and fit are judged
 
     @property
@@ -97,7 +97,7 @@ def run_characterisation(
 
 
 def check_characterisation_input(request: CharacterisationRequest) -> None:
-    """Refuse outputs that are there, and a plan that does not suit a board."""
+    """Refuse outputs that exist already, and a plan that does not suit a board."""
     from fpplab.core.files import refuse_existing
     from fpplab.report import is_report
 
@@ -230,7 +230,7 @@ def _conclude(
         report_file=request.page,
     )
     write_characterisation_report(request.page, result)
-    fitted.calibration.save(request.out)  # last: where it is, all is done
+    fitted.calibration.save(request.out)  # last: its existence means that all is done
     return result
 
 

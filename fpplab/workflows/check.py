@@ -25,7 +25,7 @@ class CheckRequest:
     calibration: Calibration | None = None  # whether it is still the rig's is checked too
     pictures: Path | None = None  # folder for a picture of each finding; a .png for one of the levels
     page: Path | None = None  # report
-    force: bool = False  # whether files that are there are replaced
+    force: bool = False  # whether existing files are replaced
     calibration_file: Path | None = None  # as provenance calls it
 
 

@@ -29,7 +29,7 @@ class ComparisonRequest:
     calibration: Path | None = None  # of what both devices see; by default the one next to the cloud
     out: Path | None = None  # picture of the errors (.png), or points coloured by them (.ply)
     page: Path | None = None  # report
-    force: bool = False  # whether files that are there are replaced
+    force: bool = False  # whether existing files are replaced
 
     @property
     def cloud(self) -> Path:
@@ -83,7 +83,7 @@ def run_comparison(request: ComparisonRequest, observer: Observer | None = None)
 
 
 def check_comparison_output(request: ComparisonRequest) -> None:
-    """Refuse an output that cannot be written, or is there already."""
+    """Refuse an output that cannot be written, or exists already."""
     from fpplab.core.files import need_suffix, refuse_existing
 
     for path, suffixes in ((request.out, (".png", ".ply")), (request.page, (".html",))):

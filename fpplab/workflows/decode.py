@@ -21,7 +21,7 @@ class DecodingRequest:
     session: Path
     out: Path  # maps (.npz)
     as_recorded: bool = False  # whether frames that are out of step with the plan are taken as they are
-    force: bool = False  # whether a file that is there is replaced
+    force: bool = False  # whether an existing file is replaced
 
 
 def run_decoding(request: DecodingRequest, observer: Observer | None = None) -> DecodingResult:

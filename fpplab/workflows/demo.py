@@ -29,7 +29,7 @@ class DemoRequest:
 
     out: Path  # folder; the session of every measurement stays in it
     quick: bool = False  # whether images have 684 x 456 pixels instead of 1368 x 912
-    force: bool = False  # whether files that are there are replaced
+    force: bool = False  # whether existing files are replaced
 
     @property
     def rig(self) -> str:
@@ -57,7 +57,7 @@ def run_demo(request: DemoRequest, observer: Observer | None = None) -> DemoResu
     ConfigError
         The output exists.
     UselessScanError
-        A scan gives points that nobody should use.
+        A scan gives useless points.
     """
     from fpplab import artefacts
     from fpplab.core.files import refuse_existing, write_text

@@ -26,7 +26,7 @@ class GammaRequest:
     repeats: int | None = None  # how often; the plan's by default
     exposure_s: float | None = None  # the plan's by default
     item: str = "grey_card"  # that the rig's fixture puts up
-    force: bool = False  # whether files that are there are replaced
+    force: bool = False  # whether existing files are replaced
 
     @property
     def picture(self) -> Path:
@@ -73,12 +73,12 @@ def run_gamma(request: GammaRequest, observer: Observer | None = None) -> Respon
     picture = response_fit(result.response)
     write_response_report(request.page, result)
     write_atomic(request.picture, lambda stream: stream.write(picture))
-    result.response.save(request.out)  # last: where it is, all is done
+    result.response.save(request.out)  # last: its existence means that all is done
     return result
 
 
 def check_gamma_output(request: GammaRequest) -> None:
-    """Refuse an output that is there already, or has the name of another."""
+    """Refuse an output that exists already, or has the name of another."""
     from fpplab.core.files import refuse_existing
     from fpplab.report import is_report
 

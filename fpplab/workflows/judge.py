@@ -19,7 +19,7 @@ class JudgementRequest:
     calibration: Path
     sessions: tuple[Path, ...]  # one per pose, or the folder that holds them
     page: Path | None = None  # report
-    force: bool = False  # whether a file that is there is replaced
+    force: bool = False  # whether an existing file is replaced
 
 
 def run_judgement(request: JudgementRequest, observer: Observer | None = None) -> JudgementResult:

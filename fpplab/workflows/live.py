@@ -212,7 +212,7 @@ class _Observer:
         self, status: LiveStatus, frame: Frame | None, pattern: Pattern | None, dark: Mask | None
     ) -> bool:
         self._page.show(status)
-        # While nobody looks, nothing is sent: whoever opens the page later would first see a backlog.
+        # Nothing is sent before the page has been opened: it would first show a backlog.
         has_spectator = self._page.is_opened or self._is_recorded or _page_of(self._viewer) is None
         if self._viewer.runs and frame is not None and pattern is not None and has_spectator:
             self._frames.show(status, frame, pattern, dark)

@@ -34,7 +34,7 @@ class OptimisationRequest:
     workers: int | None = None  # processes that measure
     scheduler: str | None = None  # address of a dask scheduler whose workers measure
     confirm: str | None = None  # rig on which the plan found is compared with the start's
-    force: bool = False  # whether files that are there are replaced
+    force: bool = False  # whether existing files are replaced
 
     @property
     def page(self) -> Path:

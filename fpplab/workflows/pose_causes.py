@@ -22,7 +22,7 @@ def diagnosed_poses(
     of_fit: Sequence[Finding],
     observer: Observer,
 ) -> Diagnosis:
-    """Judge a characterisation by the frames of its poses, and by what its fit has found."""
+    """Judge a characterisation by the frames of its poses, and by the result of its fit."""
     from fpplab.diagnosis import diagnose_poses
 
     with observer.stage("Checking the frames") as progress:

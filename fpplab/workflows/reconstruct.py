@@ -31,7 +31,7 @@ class ReconstructionRequest:
     depth_mm: DepthInterval | None = None  # instead of the range that plan or rig state
     filtering: bool | None = None  # instead of what the plan says of its filter
     as_recorded: bool = False  # whether frames that are out of step with the plan are taken as they are
-    force: bool = False  # whether files that are there are replaced
+    force: bool = False  # whether existing files are replaced
     limits: DiagnosisLimits | None = None  # of an expert, by which the result is judged
     calibration_file: Path | None = None  # as messages and provenance call it
 
@@ -102,7 +102,7 @@ def run_reconstruction(request: ReconstructionRequest, observer: Observer | None
 
 
 def check_output(request: ReconstructionRequest) -> None:
-    """Refuse an output that cannot be written, or is there already."""
+    """Refuse an output that cannot be written, or exists already."""
     from fpplab.clouds import CLOUD_SUFFIXES
     from fpplab.core.files import need_suffix, refuse_existing
 

@@ -33,7 +33,7 @@ class ScansRequest:
 
     scans: tuple[Path, ...]  # sessions or clouds, two or more
     out: Path
-    force: bool = False  # whether a file that is there is replaced
+    force: bool = False  # whether an existing file is replaced
 
 
 def run_scans_report(request: ScansRequest, observer: Observer | None = None) -> ScansResult:
@@ -116,7 +116,7 @@ def _diagnosis(
 
 
 def short_names(paths: Sequence[Path]) -> list[str]:
-    """Name scans by the last part of their paths, or by as many as tell them apart."""
+    """Name scans by the last part of their paths, or by as many parts as distinguish them."""
     # The cloud of a session is called as the session.
     whole = [(path.parent if path.name == CLOUD else path).resolve() for path in paths]
     for path in whole:

@@ -33,7 +33,7 @@ class ScanRequest:
     out: Path  # folder of the session; an interrupted one is completed
     mount: Mounted | None = None  # item and pose that the rig's fixture puts up first
     depth_mm: DepthInterval | None = None  # instead of the range that plan or rig state
-    force: bool = False  # whether a session that is there is replaced
+    force: bool = False  # whether an existing session is replaced
     report: bool = True  # whether a page is written into the session
     limits: DiagnosisLimits | None = None  # of an expert, by which the result is judged
     plan_name: str = "plan"  # as messages call it
@@ -48,7 +48,7 @@ class ScanRequest:
 
     @property
     def has_report(self) -> bool:
-        """Whether a finished scan is there; its report was written last."""
+        """Whether a finished scan exists; its report was written last."""
         return (self.out / REPORT).is_file()
 
 
@@ -133,7 +133,7 @@ def scan(
         Least and greatest distance from the camera in mm, in which the object lies; by default as plan or rig
         file state.
     force : bool
-        Whether a session that is there already is replaced.
+        Whether a session that exists already is replaced.
     report : bool
         Whether `report.html` is written into the session.
     progress : callable

@@ -32,7 +32,7 @@ class AcceptanceRequest:
     calibration: Calibration | None = None  # of the rig, or of sessions that are reconstructed again
     rig: Rig | None = None  # not open; measures the standard's items
     plan: Plan | None = None  # of its scans
-    force: bool = False  # whether files that are there are replaced
+    force: bool = False  # whether existing files are replaced
     calibration_file: Path | None = None  # as provenance calls it
 
 
@@ -58,7 +58,7 @@ def run_acceptance(request: AcceptanceRequest, observer: Observer | None = None)
     DataError
         A cloud is missing, or shows no sphere or plane.
     DeviceError, CalibrationError, UselessScanError
-        A scan of the rig fails, or gives points that nobody should use.
+        A scan of the rig fails, or gives useless points.
     """
     check_acceptance_input(request)
     observer, stopwatch = observer or Observer(), Stopwatch()
@@ -94,7 +94,7 @@ def run_acceptance(request: AcceptanceRequest, observer: Observer | None = None)
 
 
 def check_acceptance_input(request: AcceptanceRequest) -> None:
-    """Refuse an output that is there, and points from nowhere or from two places."""
+    """Refuse an output that exists already, and points from nowhere or from two places."""
     from fpplab.core.files import need_suffix, refuse_existing
 
     need_suffix(request.out, ".html")

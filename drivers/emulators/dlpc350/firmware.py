@@ -88,7 +88,7 @@ class Dlpc350(LightEngine):
     # --- reading
 
     def _read(self, command: Command, data: bytes) -> bytes:
-        if data:  # only the boot loader's commands say in a read what is wanted
+        if data:  # only the boot loader's commands say in a read what is to be read
             raise CommandRejected
         if command is protocol.MAILBOX_DATA:
             return self._table_bytes()

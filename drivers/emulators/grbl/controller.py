@@ -182,8 +182,8 @@ class GrblController:
     def _leaves_travel(self, move: Move) -> bool:
         travel_mm = self.settings.travel_mm(move.axis)
         upwards = self._policy.forces_origin and self.settings.homes_down(move.axis)
-        least_mm, most_mm = (0.0, travel_mm) if upwards else (-travel_mm, 0.0)
-        return self.settings.flag(20) and not least_mm <= move.target_mm <= most_mm
+        lower_mm, upper_mm = (0.0, travel_mm) if upwards else (-travel_mm, 0.0)
+        return self.settings.flag(20) and not lower_mm <= move.target_mm <= upper_mm
 
     # --- real-time commands
 

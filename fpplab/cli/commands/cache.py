@@ -17,7 +17,7 @@ HELP = """Show what is kept to save time, and how much space it takes; `fpplab c
 
 Rendered light of simulated scenes, at most 2 GiB, is kept in the user's cache folder ($XDG_CACHE_HOME/fpplab,
 or else ~/.cache/fpplab), so that the next scan of a scene need not render it. What numba compiles stays
-beside the sources, in `__pycache__`, and is not counted here."""
+next to the sources, in `__pycache__`, and is not counted here."""
 
 cache_app = typer.Typer(cls=Commands, help=HELP)
 app.add_typer(cache_app, name="cache", rich_help_panel=TWIN)

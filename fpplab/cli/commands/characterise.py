@@ -100,7 +100,7 @@ def characterise_command(
     """Find the models of camera and projector, and the pose between them; or judge those found before.
 
     Either from recorded sessions, or with `--rig` by taking the poses now (their sessions stay in
-    a folder beside the result). Ten poses or more, tilted up to 30 degrees, over the whole
+    a folder next to the result). Ten poses or more, tilted up to 30 degrees, over the whole
     field and depth, make a good characterisation. Writes OUT and a report next to it.
 
     `verdict` says whether to believe the result; `findings` name what is wrong with the poses' frames, each

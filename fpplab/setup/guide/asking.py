@@ -1,4 +1,4 @@
-"""How a wanted pose is asked for: a transform for a robot, words and a sketch for a person."""
+"""How a pose is asked for: by a transform from a robot, by text and a sketch from a person."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ OUTLINE, TOP, INK = (60, 200, 255), (70, 110, 255), (255, 255, 255)
 """Colours of the outline, of the board's upper edge, and of text: blue, green, red."""
 
 Bring = Callable[[WantedPose, Path], None]
-"""Brings the board into a wanted pose, shown by a sketch."""
+"""Brings the board into the pose asked for, which a sketch shows."""
 
 
 def bring_by(fixture: Fixture, item: str) -> Bring:
@@ -59,7 +59,7 @@ def _place(fixture: PosableFixture, item: str, pose: WantedPose) -> None:
 
 
 def write_sketch(path: Path, pose: WantedPose, size: ImageSize, image: NDArray[Any] | None = None) -> None:
-    """Draw the pose that is wanted over the last image."""
+    """Draw the pose that is asked for over the last image."""
     # size (width, height) px; image (height, width)
     scale = WIDTH_PX / size[0]
     picture = np.full((round(scale * size[1]), WIDTH_PX, 3), 40, np.uint8)

@@ -68,7 +68,7 @@ class GuidedRun:
 
     @property
     def sentence(self) -> str:
-        """What is known, beside what was asked for."""
+        """The uncertainty that was reached, compared with what was asked for."""
         near, far = self.depth_mm
         reached = (
             f"standard uncertainty of form by the calibration, from {near:.0f} to {far:.0f} mm: "

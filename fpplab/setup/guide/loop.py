@@ -51,7 +51,7 @@ class GuideLimits:
 LIMITS = GuideLimits()
 
 REJECTED = "rejected"
-"""Folder of poses that were rejected, beside those that count."""
+"""Folder of poses that were rejected, next to those that count."""
 
 Bar = Callable[[str], AbstractContextManager[Progress]]
 """Shows the progress of a named task while its context lasts."""
@@ -188,7 +188,7 @@ class _Loop:
             )
             misfit = None
         if misfit is not None or (findings and not self._usual(findings)):
-            # Frames tell the cause of residuals, where they show one.
+            # The frames may show the cause of the residuals.
             all_findings = (*findings, misfit) if misfit is not None else findings
             self._reject(session, description, all_findings, observation, fit)
             return False

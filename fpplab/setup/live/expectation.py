@@ -2,7 +2,7 @@
 
 Both fields overlap over a range of distances; at the working distance the noise of the grey levels becomes
 one of the projector's coordinate, through the modulation of every fringe set, and one along the camera's
-ray, through the change of the coordinate along it. The calibration's own uncertainty stands beside it.
+ray, through the change of the coordinate along it. The calibration's own uncertainty is given separately.
 """
 
 from __future__ import annotations

@@ -114,7 +114,7 @@ def _with_stills(plan: Plan, caps: ProjectorCaps) -> LivePatterns:
 
 
 def _sides(size: tuple[int, int], lattice: Lattice, across: int) -> tuple[int, int]:
-    """Width and height in mirrors of a square of which so many lie across the projector."""
+    """Width and height in mirrors of a square of which this number lies across the projector."""
     side = max(1, size[0] // across)
     return side, side * (2 if lattice is Lattice.DIAMOND else 1)
 

@@ -1,4 +1,4 @@
-"""Checks beside the frames' content: permissions, the camera's link, the disk, flicker of the mains."""
+"""Checks other than of the frames' content: permissions, the camera's link, the disk, mains flicker."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ class ExposureShift:
 
 def exposure_shift(stepped: Floats, triggered: Floats) -> ExposureShift | None:
     """Find the shift that explains the levels of a triggered run by those of a stepped one."""
-    # own (K,); seen (K,)
+    # stepped (K,); triggered (K,)
     if not (np.isfinite(stepped).all() and np.isfinite(triggered).all()):
         return None
     mixtures = [(_mixture(stepped, triggered, neighbour), neighbour) for neighbour in (1, -1)]

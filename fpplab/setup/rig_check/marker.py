@@ -1,4 +1,4 @@
-"""The marker: uniform grey-level images, the only ones beside a plan's that a check shows."""
+"""The marker: uniform grey-level images, the only images that a check shows besides a plan's."""
 
 from __future__ import annotations
 
