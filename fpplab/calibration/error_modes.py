@@ -18,11 +18,11 @@ def error_modes(uncertainty: Uncertainty) -> Floats:
     return np.asarray(scale[:, None] * directions * np.sqrt(np.maximum(variances, 0.0)))
 
 
-def chi_square(uncertainty: Uncertainty, off: Floats) -> float:
+def chi_square(uncertainty: Uncertainty, differences: Floats) -> float:
     """Compute χ² of differences of the parameters: n on average where the covariance holds."""
-    # off (n,)
+    # differences (n,)
     scale, variances, directions = _of_correlations(uncertainty)
-    along = directions.T @ (off / scale)
+    along = directions.T @ (differences / scale)
     smallest = 1e-12 * variances[-1]  # chosen near rounding: no mode is known better
     return float(np.sum(along**2 / np.maximum(variances, smallest)))
 

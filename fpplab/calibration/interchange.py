@@ -222,9 +222,9 @@ def _rotation(entry: _Entry) -> Floats:
     rotation = _numbers(entry, expected)
     if rotation.shape != (3, 3):
         raise ConfigError(f"{entry.where} has the shape {_shape(rotation)}; expected {expected}")
-    off = np.abs(rotation @ rotation.T - np.eye(3)).max()
+    deviation = np.abs(rotation @ rotation.T - np.eye(3)).max()
     # Tolerance of R Rᵀ = 1, chosen: files are written with five digits and more.
-    if off > 1e-4 or np.linalg.det(rotation) < 0:
+    if deviation > 1e-4 or np.linalg.det(rotation) < 0:
         raise ConfigError(f"{entry.where} is no rotation; expected {expected}")
     return np.asarray(Rotation.from_matrix(rotation).as_matrix(), np.float64)
 

@@ -29,12 +29,12 @@ def find_description_error(
         description: (_off_plane(observations, other), other)
         for description, other in similar_descriptions(target)
     }
-    flattest = min(off for off, _ in flat.values()) if flat else np.inf
+    flattest = min(off_plane_px for off_plane_px, _ in flat.values()) if flat else np.inf
     # A single plane does not determine the ratio of the pitches; a camera in several poses does.
     fits = {
         description: _camera_rms(observations, other, size)
-        for description, (off, other) in flat.items()
-        if off <= 1.5 * flattest
+        for description, (off_plane_px, other) in flat.items()
+        if off_plane_px <= 1.5 * flattest
     }
     description = min(fits, key=lambda text: fits[text], default="")
     clearly_flatter = flattest < _off_plane(observations, target) / limits.min_description_gain

@@ -26,8 +26,8 @@ def epipolar_distances(observation: Observation, calibration: Calibration) -> Fl
     depth = _depths(rays, observation.projector_px, calibration)
     at, beyond = (projector.project(rays * z[:, None], pair_of) for z in (depth, depth * (1.0 + 1e-4)))
     along = (beyond - at) / np.linalg.norm(beyond - at, axis=1)[:, None]
-    off = observation.projector_px - at
-    return np.asarray(along[:, 0] * off[:, 1] - along[:, 1] * off[:, 0])
+    differences = observation.projector_px - at
+    return np.asarray(along[:, 0] * differences[:, 1] - along[:, 1] * differences[:, 0])
 
 
 def _depths(rays: Floats, projector_px: Floats, calibration: Calibration) -> Floats:

@@ -32,7 +32,7 @@ MAX_RESIDUAL_RATIO = 2.0
 either. Chosen."""
 
 CERTAIN_POSES = 6
-"""Poses by which the devices have to be determined, and from which on a pose that contradicts them is the one
+"""Poses by which the devices have to be determined, and from which a pose that contradicts them is the one
 that is wrong. Chosen: twice as many as are needed."""
 
 SIMILAR_MM = 15.0

@@ -47,10 +47,11 @@ def outline_px(pose: RigidTransform, camera: Pinhole, size_mm: tuple[float, floa
 
 
 def _distance(z: float, first_mm: float) -> str:
-    off = z - first_mm
-    if abs(off) < SAME_MM:
+    difference = z - first_mm
+    if abs(difference) < SAME_MM:
         return f"as far as the first pose ({z:.0f} mm from the camera)"
-    return f"{abs(off):.0f} mm {'farther' if off > 0 else 'nearer'} than the first pose ({z:.0f} mm)"
+    direction = "farther" if difference > 0 else "nearer"
+    return f"{abs(difference):.0f} mm {direction} than the first pose ({z:.0f} mm)"
 
 
 def _tilt(pose: RigidTransform) -> str:

@@ -28,7 +28,7 @@ class BlurLimits(LimitsSection):
     max_camera_px: Positive = 1.8
     """Blur of the camera's image in px. Measured on benches of the limits."""
     min_camera_share: Positive = 0.45
-    """Blur of edges, as a share of that of the fringes, from which on the camera is out of focus. Measured on
+    """Blur of edges, as a share of that of the fringes, above which the camera is out of focus. Measured on
     benches of the limits."""
     min_edge_contrast: Positive = 0.25
     """Range of grey levels in a tile with an edge, as a share of the brightest. Chosen."""
@@ -36,7 +36,7 @@ class BlurLimits(LimitsSection):
     """The same as a share of the greatest range: blur takes contrast from fine detail, which then looks
     sharp. Measured on benches of the limits."""
     useless_phase_error: Positive = 8.0
-    """Error that a blurred image gives the phase, as a multiple of the noise in focus, from which on points
+    """Error that a blurred image gives the phase, as a multiple of the noise in focus, above which points
     are useless. Measured: on eight benches the true error was one to two and a half times the estimate."""
 
 
@@ -142,11 +142,11 @@ def phase_error_of_blur(sample: FrameSample, blur_px: float) -> float:
     lit_share = sample.limits.of(SampleLimits).min_lit_share
     used = fit.modulation >= lit_share * np.percentile(fit.modulation, 98)
     turn, level = np.exp(1j * fit.phase), np.log(np.maximum(sample.offsets_in_tiles.mean(axis=0), 1.0))
-    off = np.zeros(fit.phase.shape)
+    phase_error = np.zeros(fit.phase.shape)
     for axis in (1, 2):
         change = np.angle(np.roll(turn, -1, axis) * turn.conj())
-        off += float(np.median(change[used])) * np.gradient(level, axis=axis)
-    return blur_px**2 * float(np.median(np.abs(off[used]))) / MEDIAN / sample.phase_noise(finest)
+        phase_error += float(np.median(change[used])) * np.gradient(level, axis=axis)
+    return blur_px**2 * float(np.median(np.abs(phase_error[used]))) / MEDIAN / sample.phase_noise(finest)
 
 
 def _sharp_contrast(sample: FrameSample, axis: Axis, limits: BlurLimits) -> float:

@@ -24,7 +24,7 @@ class GreyLevelLimits(LimitsSection):
     best_peak_share: ShareLimit = 0.9
     """Share of full scale that the brightest lit pixels reach at the best exposure. Chosen."""
     brightest_percentile: PercentileLimit = 90.0
-    """Percentile of the lit pixels' mean level from which on they determine how far an exposure must be
+    """Percentile of the lit pixels' mean level that determines how far an exposure must be
     lowered. Chosen."""
     min_dimming: Positive = 0.1
     """Least factor of an exposure that saturates. Chosen: two steps correct one that is eight times too

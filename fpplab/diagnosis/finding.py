@@ -68,7 +68,7 @@ class FaultCause:
     shown_by: str = field(default="", compare=False)  # what shows it where it has no picture
     side_effects: frozenset[str] = field(default=frozenset(), compare=False)  # causes it may bring about
     # Causes of which each leaves something in the other's figure, and the ratio of this one's excess to the
-    # other's from which on this one is the cause.
+    # other's above which this one is the cause.
     outweighs_from: Mapping[str, float] = field(default_factory=dict, compare=False)
     invalidates: frozenset[DetectionStage] = field(
         default=frozenset(), compare=False

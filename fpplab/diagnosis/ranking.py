@@ -36,20 +36,20 @@ def _with_rig_first(findings: list[Finding]) -> list[Finding]:
 
 
 def _weight(finding: Finding, findings: list[Finding]) -> float:
-    """Excess of a finding, below those of all that may have brought it about."""
+    """Excess of a finding, below those of all its possible causes."""
     others = [other for other in findings if other is not finding]
     lowest = min((_weight(other, others) for other in _causes(finding, findings)), default=float("inf"))
     return min(finding.excess, MAX_SIDE_EFFECT * lowest)
 
 
 def _source(finding: Finding, findings: list[Finding]) -> FaultCause | None:
-    """The worst of the causes that may have brought a finding about."""
+    """The worst of the possible causes of a finding."""
     causes = _causes(finding, findings)
     return max(causes, key=lambda source: source.excess).cause if causes else finding.behind
 
 
 def _causes(finding: Finding, findings: list[Finding]) -> list[Finding]:
-    """Which of these may have brought a finding about."""
+    """Which of these may have caused a finding."""
     if finding.cause == STALE_CALIBRATION and finding.excess >= USELESS_EXCESS:
         return []
     return [
@@ -58,7 +58,7 @@ def _causes(finding: Finding, findings: list[Finding]) -> list[Finding]:
 
 
 def _effects(finding: Finding, findings: list[Finding]) -> set[str]:
-    """What a finding may have brought about, among these."""
+    """What a finding may have caused, among these."""
     effects = set(finding.cause.side_effects)
     excess = {other.cause.key: other.excess for other in findings}
     for first in {other.cause for other in findings}:

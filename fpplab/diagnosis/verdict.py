@@ -163,7 +163,7 @@ def diagnose_poses(
     left_out: Mapping[str, str],
     of_fit: Sequence[Finding] = (),
 ) -> Diagnosis:
-    """Judge a characterisation by the frames of its poses, and by what the fit said."""
+    """Judge a characterisation by the frames of its poses, and by the findings of the fit."""
     by_cause: dict[FaultCause, list[tuple[str, Finding]]] = {}
     poses = 0
     for name, recording in recordings:

@@ -25,7 +25,7 @@ class VisibilityLimits(LimitsSection):
     """Share of the modulation's power that neighbours have in common; of noise it is about 0. Measured on
     benches of the limits."""
     min_clear_sigmas: Positive = 25.0
-    """Modulation as a multiple of its noise from which on fringes are certain. Measured on benches of the
+    """Modulation as a multiple of its noise above which fringes are certain. Measured on benches of the
     limits."""
     min_modulation: Positive = 0.5
     """Modulation in grey levels of 255 below which there are no fringes, whatever the noise. Derived:

@@ -48,10 +48,10 @@ class InterreflectionLimits(LimitsSection):
     min_backward_sigmas: Positive = 3.0
     """Standard uncertainties by which the change in a block is below zero. Chosen."""
     useless_mirrored_share: Positive = 0.3
-    """Share that runs backwards from which on points are of no use. Chosen: a third of them stands where
+    """Share that runs backwards above which points are of no use. Chosen: a third of them stands where
     nothing is."""
     useless_phase_error: Positive = 13.0
-    """Error of the phase as a multiple of its noise from which on points are of no use. Measured: on 33
+    """Error of the phase as a multiple of its noise above which points are of no use. Measured: on 33
     benches the estimate was nearly always within a factor of two of the true error."""
 
 

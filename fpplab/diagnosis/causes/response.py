@@ -31,7 +31,7 @@ class ResponseLimits(LimitsSection):
     max_harmonics_share: Positive = 0.15
     """Harmonics as a share of the fringes. Derived: beyond it pixels are masked as no sinusoids."""
     unexplained_harmonics_ratio: Positive = 2.0
-    """Phase error by harmonics compared with what a power law explains, from which on 'fpplab gamma' does not
+    """Phase error by harmonics compared with what a power law explains, above which 'fpplab gamma' does not
     correct it. Measured on benches of the limits."""
 
 

@@ -34,7 +34,7 @@ class PlanCheckLimits(LimitsSection):
     """Share of the stripes by which the search for better ones reaches to each side, at least one.
     Chosen."""
     min_whole_agreement: ShareLimit = 0.85
-    """Agreement of whole stripes without a phase origin, as a share of the best, from which on they are
+    """Agreement of whole stripes without a phase origin, as a share of the best, above which they are
     taken. Chosen."""
     max_turn_rad: Positive = 1.2
     """Typical change of phase in rad over the distance chosen. Derived: well below π it is unambiguous."""
