@@ -8,7 +8,7 @@ matching and its report all go by that table.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, field, fields, replace
 from typing import Any
 
@@ -20,7 +20,9 @@ from fpplab.core.geometry import RigidTransform
 from fpplab.devices import CameraSettings
 from fpplab.patterns.curve import Curve
 from fpplab.targets import Target
+from sim.effects import EFFECTS, EffectParameters
 from sim.items import item_poses
+from sim.parameter_entry import AdjustableParameter, FitRange, ParameterEntry, table_entry
 from sim.part_surface import PartSurface
 from sim.sensor import SensorModel
 from sim.world import World
@@ -32,133 +34,99 @@ NO_FALLOFF = (0.0, 0.0, 0.0, 0.0, 0.0)
 """Of a projector whose light is even."""
 ROOM = "room"
 """Name of the lamp that can be matched."""
-LAMP, BANDS, LINE = f"lamps.{ROOM}", "ambient_bands", "vibration_line"
-"""Sections that only a world with the effect has: lamp of the room, bands of its light, line of vibration."""
-
-
-@dataclass(frozen=True)
-class FitRange:
-    """How a number is fitted."""
-
-    step: float  # of the finite difference, in the number's unit
-    lower: float  # minimum that a world accepts
-    upper: float  # greatest value that a world accepts
-    may_be_at_lower_bound: bool = False  # whether a device may well have the minimum
-
-
-@dataclass(frozen=True)
-class ParameterEntry:
-    """What is known of a parameter apart from its value."""
-
-    doc: str  # what it is, with its unit
-    path: str | None = None  # where a world has it
-    fit: FitRange | None = (
-        None  # None: not fitted by finite differences of images; of tuples that of each part
-    )
-    parts: tuple[str, ...] = ()  # names of the numbers of a tuple
-    effect: str | None = None  # parameter that is 0 in a twin without the effect that this one describes
-    per_white: bool = False  # whether it is relative to the projector's white, which a + b = 1 makes 1
-    reported_at_zero: bool = False  # whether reports list it without the effect, too
-    in_binned_px: bool = False  # whether it counts pixels of the frame; a world has those of the sensor
-
-    def is_present(self, parameters: TwinParameters) -> bool:
-        """Whether a twin has the effect that the parameter describes."""
-        return self.effect is None or bool(np.any(getattr(parameters, self.effect)))
-
-
-def _table(
-    doc: str, path: str | None = None, fit: FitRange | None = None, **more: Any
-) -> dict[str, ParameterEntry]:
-    return {"parameter": ParameterEntry(doc, path, fit, **more)}
+LAMP, LINE = f"lamps.{ROOM}", "vibration_line"
+"""Sections that only a world with the effect has: lamp of the room, line of vibration."""
 
 
 @dataclass(frozen=True, eq=False)
-class TwinParameters:
-    """Everything of a twin that matching may change. A parameter that is None is absent from the world."""
+class DeviceParameters:
+    """Parameters of a twin without effects."""
 
     calibration: Calibration  # both devices and the pose between them
     poses: tuple[RigidTransform, ...]  # `T_camera_item` of the board
     white: float = field(
-        metadata=_table(
+        metadata=table_entry(
             "Level above black of a surface that faces the projector, relative to the twin's own file.",
             fit=FitRange(0.01, 0.01, 100.0),
         )
     )
     response: Curve  # of the projector, with a + b = 1, since `white` takes the scale
     ambient: float = field(
-        metadata=_table(
+        metadata=table_entry(
             "Even ambient light, relative to the projector's white.",
             "ambient",
             FitRange(0.005, 0.0, 10.0, may_be_at_lower_bound=True),
             per_white=True,
         )
     )
-    paper: float = field(metadata=_table("Reflectance of the board's ground.", fit=FitRange(0.01, 0.02, 1.0)))
+    paper: float = field(
+        metadata=table_entry("Reflectance of the board's ground.", fit=FitRange(0.01, 0.02, 1.0))
+    )
     ink: float = field(
-        metadata=_table(
+        metadata=table_entry(
             "Reflectance of the board's print.", fit=FitRange(0.005, 0.0, 1.0, may_be_at_lower_bound=True)
         )
     )
     projector_blur: float = field(
-        metadata=_table(
+        metadata=table_entry(
             "Standard deviation of the projector lens's point spread at its sharpest, in mirrors.",
             "projector.blur",
             FitRange(0.05, 0.35, 20.0, may_be_at_lower_bound=True),
         )
     )
     projector_focus_mm: float | None = field(
-        metadata=_table(
+        metadata=table_entry(
             "Distance in focus of the projector in mm; None: sharp at every depth.",
             "projector.focus_mm",
             FitRange(2.0, 50.0, 5000.0),
         )
     )
     projector_aperture_mm: float = field(
-        metadata=_table(
+        metadata=table_entry(
             "Diameter of the projector's aperture in mm.",
             "projector.aperture_mm",
             FitRange(0.5, 0.0, 60.0, may_be_at_lower_bound=True),
         )
     )
     camera_focus_mm: float | None = field(
-        metadata=_table(
+        metadata=table_entry(
             "Distance in focus of the camera in mm; None: sharp at every depth.",
             "camera.focus_mm",
             FitRange(2.0, 50.0, 5000.0),
         )
     )
     f_number: float = field(
-        metadata=_table("F-number of the camera's lens.", "camera.f_number", FitRange(0.2, 0.7, 64.0))
+        metadata=table_entry("F-number of the camera's lens.", "camera.f_number", FitRange(0.2, 0.7, 64.0))
     )
     vignetting: float = field(
-        metadata=_table(
+        metadata=table_entry(
             "Exponent n of the camera's loss of light cosⁿ towards the edge.",
             "camera.vignetting",
             FitRange(0.5, 0.0, 40.0, may_be_at_lower_bound=True),
         )
     )
     black_level: float = field(
-        metadata=_table(
+        metadata=table_entry(
             "The camera's black level, as a share of full scale.",
             "camera.sensor.black_level",
             FitRange(0.002, 0.0, 0.49, may_be_at_lower_bound=True),
         )
     )
     read_noise_e: float = field(
-        metadata=_table("Read noise in electrons of the unbinned pixel.", "camera.sensor.read_noise_e")
+        metadata=table_entry("Read noise in electrons of the unbinned pixel.", "camera.sensor.read_noise_e")
     )
     full_well_e: float = field(
-        metadata=_table("Full well in electrons of the unbinned pixel.", "camera.sensor.full_well_e")
+        metadata=table_entry("Full well in electrons of the unbinned pixel.", "camera.sensor.full_well_e")
     )
     vibration_mm: float = field(
-        metadata=_table(
+        metadata=table_entry(
             "Standard deviation of the item's position from frame to frame in mm, equal in all directions.",
             "vibration_mm",
         )
     )
     vibration_line_mm: tuple[float, float, float] = field(
         default=NO_LINE,
-        metadata=_table(
+        metadata=table_entry(
             "RMS displacement along the camera's axes in mm by vibration along a line.",
             f"{LINE}.rms_mm",
             parts=("vibration_line_x_mm", "vibration_line_y_mm", "vibration_line_z_mm"),
@@ -167,7 +135,7 @@ class TwinParameters:
     )
     vibration_periodic: float = field(
         default=0.0,
-        metadata=_table(
+        metadata=table_entry(
             "Share of the variance of that vibration that has one frequency.",
             f"{LINE}.periodic",
             effect="vibration_line_mm",
@@ -175,7 +143,7 @@ class TwinParameters:
     )
     vibration_cycles_per_frame: float = field(
         default=0.0,
-        metadata=_table(
+        metadata=table_entry(
             "That frequency, as frames at regular intervals sample it, in cycles per frame.",
             f"{LINE}.cycles_per_frame",
             effect="vibration_line_mm",
@@ -183,23 +151,16 @@ class TwinParameters:
     )
     projector_falloff: tuple[float, float, float, float, float] = field(
         default=NO_FALLOFF,
-        metadata=_table(
+        metadata=table_entry(
             "Coefficients of x, y, x², xy and y² of the projector's light over its image.",
             "projector.falloff",
             FitRange(0.02, -2.0, 2.0),
             parts=("falloff_x", "falloff_y", "falloff_xx", "falloff_xy", "falloff_yy"),
         ),
     )
-    projector_flicker: float = field(
-        default=0.0,
-        metadata=_table(
-            "Standard deviation of the projector's light from frame to frame, relative.",
-            "projector.flicker",
-        ),
-    )
     lamp_irradiance: float = field(
         default=0.0,
-        metadata=_table(
+        metadata=table_entry(
             "Light of the room's lamp on a surface that faces it, relative to the projector's white.",
             f"{LAMP}.irradiance",
             FitRange(0.005, 0.0, 10.0),
@@ -209,7 +170,7 @@ class TwinParameters:
     )
     lamp_angle_deg: float = field(
         default=45.0,
-        metadata=_table(
+        metadata=table_entry(
             "Angle between the ways to the lamp and to the camera in degrees.",
             f"{LAMP}.angle_deg",
             FitRange(2.0, -150.0, 150.0),
@@ -218,7 +179,7 @@ class TwinParameters:
     )
     lamp_azimuth_deg: float = field(
         default=-90.0,
-        metadata=_table(
+        metadata=table_entry(
             "Direction of the lamp in the image in degrees.",
             f"{LAMP}.azimuth_deg",
             FitRange(2.0, -360.0, 360.0),
@@ -227,38 +188,18 @@ class TwinParameters:
     )
     lamp_distance_mm: float = field(
         default=2000.0,
-        metadata=_table(
+        metadata=table_entry(
             "Distance of the lamp in mm; fitted by its inverse, `lamp_nearness`.",
             f"{LAMP}.distance_mm",
             effect="lamp_irradiance",
         ),
     )
-    ambient_ripple: float = field(
-        default=0.0,
-        metadata=_table(
-            "Amplitude of the rolling bands of ambient light and lamp, as a share of it.",
-            f"{BANDS}.ripple",
-            effect="ambient_ripple",
-            reported_at_zero=True,
-        ),
-    )
-    band_period_px: float = field(
-        default=0.0,
-        metadata=_table(
-            "From band to band, in rows of the frame; 0 where there are none.",
-            f"{BANDS}.period_px",
-            effect="ambient_ripple",
-            in_binned_px=True,
-        ),
-    )
-    band_advance: float | None = field(
-        default=None,
-        metadata=_table(
-            "Periods by which bands move from frame to frame; None: another place in each frame.",
-            f"{BANDS}.cycles_per_frame",
-            effect="ambient_ripple",
-        ),
-    )
+
+
+@dataclass(frozen=True, eq=False)
+class TwinParameters(EffectParameters, DeviceParameters):
+    """Everything of a twin that matching may change. A parameter that is None is absent from the world."""
+
     placed: Mapping[str, RigidTransform] = field(default_factory=dict)  # `T_camera_item` of measured items
     surfaces: Mapping[str, PartSurface] = field(default_factory=dict)  # of items whose surface was matched
     sigma: Mapping[str, float] = field(default_factory=dict)  # standard uncertainties that a fit stated
@@ -301,23 +242,11 @@ def named_numbers(parameters: TwinParameters) -> dict[str, float | None]:
     alone = {name: getattr(parameters, name) for name, entry in TABLE.items() if not entry.parts}
     tuples = {
         part: value
-        for name in ("projector_falloff", "vibration_line_mm")
-        for part, value in zip(TABLE[name].parts, getattr(parameters, name), strict=True)
+        for name, known in TABLE.items()
+        if known.parts
+        for part, value in zip(known.parts, getattr(parameters, name), strict=True)
     }
     return alone | tuples
-
-
-@dataclass(frozen=True)
-class AdjustableParameter:
-    """A number of a twin that can be fitted."""
-
-    fit: FitRange
-    read: Callable[[TwinParameters], float]  # gives the value from `TwinParameters`
-    set: Callable[[TwinParameters, float], TwinParameters]  # gives `TwinParameters` with another value
-
-    def with_value(self, parameters: TwinParameters, value: float) -> TwinParameters:
-        """Set the value, clipped to the range."""
-        return self.set(parameters, min(max(value, self.fit.lower), self.fit.upper))
 
 
 def normalised_response(curve: Curve, *, black: float | None = None, g: float | None = None) -> Curve:
@@ -457,7 +386,9 @@ def world_of(nominal: World, board: str, parameters: TwinParameters) -> World:
 def _write_numbers(data: dict[str, Any], parameters: TwinParameters, binning: int) -> None:
     """Write the numbers that stand in a world's document; a section is left out without its effect."""
     data["lamps"].pop(ROOM, None)
-    data |= {BANDS: None, LINE: None}
+    data |= {LINE: None}
+    for effect in EFFECTS:
+        effect.clear(data)
     for name, entry in TABLE.items():
         path = entry.path
         if path is None or not entry.is_present(parameters):

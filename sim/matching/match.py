@@ -31,6 +31,7 @@ from sim.matching.steps import (
     REPEATED_STEPS,
     SAMPLED_POSES,
     SHARPNESS_OF_BOARD,
+    VARYING_EFFECTS,
     MatchingContext,
     MatchingStep,
 )
@@ -344,8 +345,8 @@ def _changing_shares(at: MatchingContext, mean_square: float) -> dict[str, float
     """Shares of what is left that flicker, bands, vibration and the sensor's noise make."""
     now, whole = at.twin.parameters, _noise(at)
     without = {
-        "flicker": replace(now, projector_flicker=0.0) if now.projector_flicker else None,
-        "rolling bands": replace(now, ambient_ripple=0.0) if now.ambient_ripple else None,
+        effect.name: effect.without(now) if effect.is_in(now) else None for effect in VARYING_EFFECTS
+    } | {
         "vibration": replace(now, vibration_mm=0.0, vibration_line_mm=NO_LINE)
         if now.displacement_mm
         else None,

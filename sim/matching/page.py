@@ -297,40 +297,42 @@ def difference_images(real: GreyPicture, before: GreyPicture, after: GreyPicture
     return figure
 
 
+def parameter_comparison(before: TwinParameters, after: TwinParameters) -> list[tuple[str, str, str, str]]:
+    """Name, both values and standard uncertainty of parameters, without effects that neither twin has."""
+    numbers, matched = named_numbers(before), named_numbers(after)
+    rows = []
+    for name, value in numbers.items():
+        known = next(entry for key, entry in TABLE.items() if name in (key, *entry.parts))
+        if not known.reported_at_zero and not any(known.is_present(twin) for twin in (before, after)):
+            continue
+        texts = [known.reported_none if one is None else f"{one:.4g}" for one in (value, matched[name])]
+        rows.append((name, texts[0], texts[1], _sigma_text(after, name)))
+    return rows
+
+
+def _sigma_text(parameters: TwinParameters, name: str) -> str:
+    return f"{parameters.sigma[name]:.2g}" if name in parameters.sigma else ""
+
+
 def _parameters_section(matching: MatchingResult) -> ReportSection:
     before, after = matching.nominal, matching.matched.parameters
-
-    def text(name: str, value: float | None) -> str:
-        if value is None:
-            return "another in each frame" if name == "band_advance" else "sharp at all depths"
-        return f"{value:.4g}"
-
-    def sigma(name: str) -> str:
-        return f"{after.sigma[name]:.2g}" if name in after.sigma else ""
-
-    numbers, matched = named_numbers(before), named_numbers(after)
-    rows = [
-        (name, text(name, value), text(name, matched[name]), sigma(name))
-        for name, value in numbers.items()
-        if _is_reported(name, before, after)
-    ]
+    rows = parameter_comparison(before, after)
     rows += [
-        (f"response {k}", text(k, getattr(before.response, k)), text(k, getattr(after.response, k)), sigma(k))
-        for k in "abg"
+        (
+            f"response {name}",
+            f"{getattr(before.response, name):.4g}",
+            f"{getattr(after.response, name):.4g}",
+            _sigma_text(after, name),
+        )
+        for name in "abg"
     ]
     baselines = [f"{parameters.calibration.baseline_mm:.3f}" for parameters in (before, after)]
     rows.append(("baseline in mm", baselines[0], baselines[1], ""))
     if "poses_um" in after.sigma:
-        rows.append(("poses of the board in µm", "", "", sigma("poses_um")))
+        rows.append(("poses of the board in µm", "", "", _sigma_text(after, "poses_um")))
     columns = ("Parameter", "Before", "Matched", "Standard uncertainty")
     notes = "; ".join(matching.notes)
     return ReportSection("Parameters", notes, (ReportTable(columns, tuple(rows)),))
-
-
-def _is_reported(name: str, *twins: TwinParameters) -> bool:
-    """Whether a parameter belongs to an effect that one of the twins has, such as a lamp of the room."""
-    entry = next(twin for key, twin in TABLE.items() if name in (key, *twin.parts))
-    return entry.reported_at_zero or any(entry.is_present(twin) for twin in twins)
 
 
 def _surfaces_section(surfaces: Sequence[SurfaceMatch]) -> ReportSection:

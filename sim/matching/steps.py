@@ -13,14 +13,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Literal
 
 import numpy as np
 
+from sim.effects import EFFECTS, Effect
 from sim.matching.fluctuation import bands, noise
-from sim.matching.fluctuation.frame_terms import FrameTerms, terms_of_pose
+from sim.matching.fluctuation.frame_series import FrameFluctuation, fit_fluctuation
+from sim.matching.fluctuation.frame_terms import GAIN, ROOM, FrameTerms, terms_of_pose
 from sim.matching.fluctuation.fringe_residuals import fringe_residuals
-from sim.matching.fluctuation.vibration_and_flicker import match_flicker, match_vibration
+from sim.matching.fluctuation.vibration_and_flicker import match_vibration
 from sim.matching.geometry import geometry_fit
 from sim.matching.light import light_fit, start_search
 from sim.matching.light.contrast import ContrastSample, board_contrasts, with_common_error
@@ -32,14 +34,6 @@ from sim.twin import Twin
 
 SAMPLED_POSES = 6
 """Greatest number of poses whose pixels are compared by steps that fit light and noise."""
-STEADY: dict[str, Any] = {
-    "projector_flicker": 0.0,
-    "ambient_ripple": 0.0,
-    "band_period_px": 0.0,
-    "band_advance": None,
-    "sigma": {},
-}
-"""Changes of parameters that leave the expected images the same."""
 MIN_CONTRAST, SIGNIFICANT = 0.02, 3.0
 """Relative difference of the contrast, and standard errors of it, by which the board must be sharper than
 contrasts on parts say."""
@@ -68,14 +62,25 @@ class MatchingContext:
 
     def frame_terms(self) -> list[FrameTerms]:
         """Estimate what every frame of some poses has beyond the twin's; kept while the light is the same."""
-        now = self.twin.parameters
-        still = replace(now, **STEADY)
-        key = ParametersFile.of(still).model_dump_json()
+        steady = replace(self.twin.parameters, sigma={})
+        for effect in VARYING_EFFECTS:
+            steady = effect.without(steady)
+        key = ParametersFile.of(steady).model_dump_json()
         if key not in self._terms:
             self._terms.clear()
             poses = self.reference.spread_poses(SAMPLED_POSES)
             self._terms[key] = [terms_of_pose(self.reference, self.twin, pose) for pose in poses]
         return self._terms[key]
+
+    def fluctuation(self, of: Literal["projector", "room"], oscillates: bool = True) -> FrameFluctuation:
+        """Estimate how light changes from frame to frame, relative."""
+        columns = GAIN if of == "projector" else ROOM
+        return fit_fluctuation([terms.series(columns) for terms in self.frame_terms()], oscillates)
+
+    def room_ripple(self) -> bands.Ripple | None:
+        """Find the ripple of the room's light; None where steady light explains the frames as well."""
+        residuals = fringe_residuals(self.reference, self.twin.parameters, _spread(self))
+        return bands.strongest_ripple(self.frame_terms(), residuals)
 
     def light_parameters(self, *more: str) -> tuple[str, ...]:
         """Name the parameters of light that are free."""
@@ -246,15 +251,27 @@ def _refine_by_images(at: MatchingContext) -> TwinParameters:
     return geometry_fit.refine_by_images(at.reference, at.twin, at.reference.characterisation.level)
 
 
-def _rolling_bands(at: MatchingContext) -> TwinParameters:
-    now = at.twin.parameters
-    return bands.match_bands(now, at.frame_terms(), fringe_residuals(at.reference, now, _spread(at)))
-
-
 def _spread(at: MatchingContext) -> tuple[int, ...]:
     return at.reference.spread_poses(SAMPLED_POSES)
 
 
+def _steps_of(effects: Sequence[Effect]) -> tuple[MatchingStep, ...]:
+    """Steps that match effects to the bench, in their order."""
+    return tuple(
+        MatchingStep(
+            effect.name,
+            effect.propose,
+            misfit=effect.misfit,
+            same_images=effect.varies,
+            explains=effect.explains,
+        )
+        for effect in effects
+        if effect.is_matched
+    )
+
+
+VARYING_EFFECTS = tuple(effect for effect in EFFECTS if effect.varies)
+"""Those that no expected image shows."""
 SHARPNESS_OF_BOARD = MatchingStep(
     "sharpness of the board",
     _without_contrasts,
@@ -262,18 +279,7 @@ SHARPNESS_OF_BOARD = MatchingStep(
 )
 """Taken after all rounds, where contrasts gave a blur that the board's fringes do not have."""
 CHANGING_STEPS = (
-    MatchingStep(
-        "flicker",
-        lambda at: match_flicker(at.twin.parameters, at.frame_terms()),
-        same_images=True,
-        explains="light of the projector that changes from frame to frame",
-    ),
-    MatchingStep(
-        "rolling bands",
-        _rolling_bands,
-        same_images=True,
-        explains="light on the mains in the rows of a rolling shutter",
-    ),
+    *_steps_of(VARYING_EFFECTS),
     MatchingStep(
         "vibration",
         lambda at: match_vibration(at.twin.parameters, at.frame_terms()),

@@ -11,6 +11,7 @@ from fpplab.core.config import Document, Positive
 from fpplab.core.conventions import Lattice
 from fpplab.core.geometry import Pinhole
 from fpplab.patterns.curve import Curve
+from sim.effects import ProjectorEffects
 from sim.mirror_spread import MIN_BLUR
 from sim.texture import MirrorTexture
 from sim.world.numbers import NotNegative, PixelSize, Share
@@ -65,8 +66,8 @@ def _green() -> dict[str, LedWorld]:
     return {"green": LedWorld(lumens=120, wavelength_nm=525)}
 
 
-class ProjectorWorld(Document):
-    """The simulated projector: mirrors, lamp and lens."""
+class ProjectorDevice(Document):
+    """Mirrors, lamp and lens without effects."""
 
     size: PixelSize = (912, 1140)
     """(columns, rows) of mirrors."""
@@ -102,8 +103,9 @@ class ProjectorWorld(Document):
     """Coefficients of x, y, x², xy and y² of the light relative to the middle of the image; x and y are from
     there, in halves of the image's width."""
 
-    flicker: Annotated[float, Field(ge=0, le=0.2)] = 0.0
-    """Standard deviation of the light from frame to frame, relative."""
+
+class ProjectorWorld(ProjectorEffects, ProjectorDevice):
+    """The simulated projector: mirrors, lamp and lens."""
 
     @model_validator(mode="after")
     def _blur_can_be_drawn(self) -> ProjectorWorld:

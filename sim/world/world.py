@@ -15,6 +15,7 @@ from fpplab.core.conventions import Floats
 from fpplab.core.errors import ConfigError
 from fpplab.core.files import write_text
 from fpplab.core.geometry import Pinhole, RigidTransform, turned_towards
+from sim.effects import WorldEffects
 from sim.world.camera import Binning, CameraWorld, has_rays
 from sim.world.items import BoardItem, Item, with_file_beside
 from sim.world.lamp import RoomLamp
@@ -54,18 +55,6 @@ class StageWorld(Document):
         return position_mm * axis / np.linalg.norm(axis)
 
 
-class AmbientBands(Document):
-    """Bands of ambient light that ripples with the mains, in the rows of a rolling shutter."""
-
-    ripple: Annotated[float, Field(ge=0, le=1)]
-    """Amplitude, as a share of the ambient light."""
-    period_px: Annotated[float, Field(gt=1, le=8e5)]
-    """From band to band, in unbinned rows of the sensor; far more than it has if all rows are equal."""
-    cycles_per_frame: Annotated[float, Field(ge=-0.5, le=0.5)] | None = None
-    """Share of a period by which bands move from frame to frame, for frames at regular intervals; None where
-    they are at another place in each frame."""
-
-
 class VibrationLine(Document):
     """Vibration to and fro along a line, as of a table; a share of it may have one frequency, as of a fan."""
 
@@ -84,8 +73,8 @@ class VibrationLine(Document):
         return rms_mm
 
 
-class World(Document):
-    """A world file: devices, items, light and how pictures are rendered."""
+class WorldContents(Document):
+    """Devices, items and light of a world without effects."""
 
     seed: Annotated[int, Field(ge=0)] = 0
     """Of noise, vibration and random poses."""
@@ -114,8 +103,11 @@ class World(Document):
     """Uniform ambient light on everything in view, relative to the projector's white."""
     lamps: Annotated[dict[str, RoomLamp], Field(default_factory=dict)]
     """Lamps of the room by name, whose light has a direction."""
-    ambient_bands: AmbientBands | None = None
-    """Bands of ambient light and lamps; None where these are steady."""
+
+
+class World(WorldEffects, WorldContents):
+    """A world file: devices, items, light and how pictures are rendered."""
+
     vibration_mm: Annotated[NotNegative, Field(le=MAX_VIBRATION_MM)] = 0.0
     """Standard deviation of the item's displacement along each axis from frame to frame, in mm."""
     vibration_line: VibrationLine | None = None

@@ -7,6 +7,7 @@ import pytest
 
 from fpplab.core.errors import ConfigError
 from sim.fluctuation import Fluctuation
+from sim.light import PatternLevels
 from tests.sim.conftest import world
 
 AMBIENT, FLICKER, RIPPLE, PERIOD = 0.2, 0.02, 0.4, 24.0
@@ -17,7 +18,9 @@ def test_steady_light_is_left_alone() -> None:
 
 
 def test_a_frame_has_its_own_factor_and_its_own_bands() -> None:
-    changes = Fluctuation(FLICKER, RIPPLE, PERIOD, seed=3)
+    bands = {"ripple": RIPPLE, "period_px": PERIOD}
+    of = world(seed=3, projector={"flicker": FLICKER}, ambient_bands=bands, ambient=AMBIENT)
+    changes = Fluctuation(of, ())
     ambient, rows = np.full((480, 4), AMBIENT, np.float32), np.arange(480)
     frames = np.stack([changes.applied(ambient + 0.5, ambient, rows, n) for n in range(200)])
     whole = frames.mean(axis=(1, 2)) - AMBIENT  # 480 rows are 20 whole periods
@@ -31,29 +34,34 @@ def test_a_frame_has_its_own_factor_and_its_own_bands() -> None:
 
 
 def test_bands_may_move_on_evenly() -> None:
-    changes = Fluctuation(0.0, RIPPLE, PERIOD, seed=3, advance=0.15, start=0.4)
+    bands = {"ripple": RIPPLE, "period_px": PERIOD, "cycles_per_frame": 0.15}
+    changes = Fluctuation(world(ambient_bands=bands, ambient=AMBIENT), (5,))
+    others = Fluctuation(world(ambient_bands=bands, ambient=AMBIENT), (6,))
     ambient, rows = np.full((48, 4), AMBIENT, np.float32), np.arange(48)
+    start = phase_of_bands(changes.applied(ambient, ambient, rows, 0))
+    assert start != pytest.approx(phase_of_bands(others.applied(ambient, ambient, rows, 0)), abs=1e-3)
     for n in range(5):
         seen = changes.applied(ambient, ambient, rows, n)[:, 0]
-        expected = AMBIENT * (1 + RIPPLE * np.sin(2 * np.pi * (rows / PERIOD + 0.4 + 0.15 * n)))
+        expected = AMBIENT * (1 + RIPPLE * np.sin(2 * np.pi * (rows / PERIOD + start + 0.15 * n)))
         np.testing.assert_allclose(seen, expected, rtol=1e-5)
-    bands = {"ripple": RIPPLE, "period_px": PERIOD, "cycles_per_frame": 0.15}
-    found = Fluctuation.of(world(ambient_bands=bands, ambient=AMBIENT), 5)
-    other = Fluctuation.of(world(ambient_bands=bands, ambient=AMBIENT), 6)
-    assert found is not None
-    assert other is not None
-    assert found.advance == 0.15
-    assert found.start != other.start
+
+
+def phase_of_bands(frame: PatternLevels) -> float:
+    """Where the bands of a frame (48, n) begin, in periods."""
+    wave = np.fft.rfft(frame[:, 0].astype(np.float64))[round(48 / PERIOD)]
+    return float(np.angle(1j * wave) / (2 * np.pi))
 
 
 def test_bands_need_ambient_light_and_are_scaled_with_the_binning() -> None:
     bands = {"ripple": RIPPLE, "period_px": PERIOD}
     assert Fluctuation.of(world(ambient_bands=bands)) is None
     lit = world(ambient_bands=bands, ambient=AMBIENT)
+    ambient, rows = np.full((48, 4), AMBIENT, np.float32), np.arange(48)
     for binning in (1, 2):
         found = Fluctuation.of(lit.binned(binning))
         assert found is not None
-        assert found.period == PERIOD / binning
+        waves = np.abs(np.fft.rfft(found.applied(ambient, ambient, rows, 0)[:, 0])[1:])
+        assert np.argmax(waves) + 1 == round(48 * binning / PERIOD)
 
 
 def test_impossible_bands_are_refused() -> None:

@@ -9,7 +9,7 @@ advance is estimated, too, wherever frames agree on one.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import groupby
 
@@ -20,7 +20,6 @@ from fpplab.core.conventions import Floats
 from sim.matching.fluctuation.frame_series import fit_fluctuation
 from sim.matching.fluctuation.frame_terms import ROOM, FrameTerms
 from sim.matching.fluctuation.fringe_residuals import Complex, FringeResidual, Variances
-from sim.parameters import TwinParameters
 
 
 @dataclass(frozen=True)
@@ -176,30 +175,13 @@ def ripple_in_step(terms: Sequence[FrameTerms]) -> Ripple:
     return Ripple(float(np.sqrt(2.0)) * rms, fluctuation.sigma, IN_STEP_PX, 0.0, advance, fluctuation.gained)
 
 
-def match_bands(
-    now: TwinParameters, terms: Sequence[FrameTerms], rests: Sequence[FringeResidual]
-) -> TwinParameters:
-    """Give a twin the rippling light of the bench's room: bands along the rows, or light that is in step."""
+def strongest_ripple(terms: Sequence[FrameTerms], rests: Sequence[FringeResidual]) -> Ripple | None:
+    """Find the rippling light of the bench's room: bands along the rows, or light that is in step."""
     share = float(np.mean([pose.room_share for pose in terms]))
-    steady = now.sigma_with(ambient_ripple=0.0, band_period_px=0.0)
-    still = replace(now, ambient_ripple=0.0, band_period_px=0.0, band_advance=None, sigma=steady)
     if share <= 0:
-        return still
+        return None
     bands = Bands.of(rests)
-    strongest = max(
+    ripple = max(
         [ripple_in_step(terms), *([bands.rolling(share)] if bands else [])], key=lambda ripple: ripple.gained
     )
-    if strongest.gained <= 0 or not strongest.amplitude:
-        return still
-    ripple = min(strongest.amplitude, 1.0)
-    sigma = now.sigma_with(
-        ambient_ripple=ripple * strongest.amplitude_sigma,
-        band_period_px=strongest.period_px * strongest.period_sigma,
-    )
-    return replace(
-        now,
-        ambient_ripple=ripple,
-        band_period_px=strongest.period_px,
-        band_advance=strongest.advance,
-        sigma=sigma,
-    )
+    return ripple if ripple.gained > 0 and ripple.amplitude else None

@@ -1,4 +1,4 @@
-"""Vibration of the bench and flicker of its projector, for the twin, by what frames have beyond the twin's.
+"""Vibration of the bench, for the twin, by what frames have beyond the twin's.
 
 An oscillation in step with the fringes' phase steps makes ripples of the phase that random displacements of
 the same size do not, so it matters how vibration continues from frame to frame.
@@ -13,7 +13,7 @@ import numpy as np
 
 from fpplab.core.conventions import Floats
 from sim.matching.fluctuation.frame_series import FrameFluctuation, fit_fluctuation
-from sim.matching.fluctuation.frame_terms import GAIN, MOVES, FrameTerms
+from sim.matching.fluctuation.frame_terms import MOVES, FrameTerms
 from sim.parameters import NO_LINE, TwinParameters
 
 
@@ -42,11 +42,3 @@ def _line(motion: FrameFluctuation) -> Floats:
     whole = np.outer(random, random) + np.outer(oscillation, oscillation)
     strength, directions = np.linalg.eigh(whole)
     return np.asarray(np.sqrt(max(float(strength.sum()), 0.0)) * directions[:, -1])
-
-
-def match_flicker(now: TwinParameters, terms: Sequence[FrameTerms]) -> TwinParameters:
-    """Give a twin the flicker of the bench's projector."""
-    fluctuation = fit_fluctuation([pose.series(GAIN) for pose in terms], oscillates=False)
-    flicker = fluctuation.random.isotropic
-    sigma = now.sigma_with(projector_flicker=flicker * fluctuation.sigma)
-    return replace(now, projector_flicker=flicker, sigma=sigma)

@@ -1,0 +1,70 @@
+"""Flicker: the projector's light has another factor in each frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+from pydantic import Field
+from typing_extensions import override
+
+from fpplab.core.config import Document
+from sim.effects.base import Effect, FrameOfSequence, LightChange
+from sim.parameter_entry import table_entry
+
+if TYPE_CHECKING:
+    from sim.matching.steps import MatchingContext
+    from sim.parameters import TwinParameters
+    from sim.world import World
+
+
+class FlickerField(Document):
+    """Of the section `projector`."""
+
+    flicker: Annotated[float, Field(ge=0, le=0.2)] = 0.0
+    """Standard deviation of the light from frame to frame, relative."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FlickerParameter:
+    """What a matching may change."""
+
+    projector_flicker: float = field(
+        default=0.0,
+        metadata=table_entry(
+            "Standard deviation of the projector's light from frame to frame, relative.",
+            "projector.flicker",
+        ),
+    )
+
+
+class Flicker(Effect):
+    """Light of the projector that changes from frame to frame."""
+
+    name = "flicker"
+    explains = "light of the projector that changes from frame to frame"
+    order = 30
+    parameters = FlickerParameter
+    strength = ("projector_flicker",)
+    projector_fields = FlickerField
+    varies = True
+
+    @override
+    def clear(self, data: dict[str, Any]) -> None:
+        data["projector"]["flicker"] = 0.0
+
+    @override
+    def changes_light(self, world: World) -> bool:
+        return world.projector.flicker > 0
+
+    @override
+    def light_change(self, world: World, frame: FrameOfSequence, random: np.random.Generator) -> LightChange:
+        return LightChange(projector=1.0 + world.projector.flicker * random.standard_normal())
+
+    @override
+    def propose(self, at: MatchingContext) -> TwinParameters:
+        now, change = at.twin.parameters, at.fluctuation("projector", oscillates=False)
+        flicker = change.random.isotropic
+        sigma = now.sigma_with(projector_flicker=flicker * change.sigma)
+        return replace(now, projector_flicker=flicker, sigma=sigma)
