@@ -31,7 +31,7 @@ class Curve(Document):
     b: float
     """Level seen of a dark image, as a share of full scale."""
     g: Positive
-    """Exponent (gamma): S is `I^g`; beside a spline that of the best power law, for information."""
+    """Exponent (gamma): S is `I^g`; next to a spline that of the best power law, for information."""
     spline: tuple[float, ...] | None = None
     """S as a cubic B-spline with equally spaced knots over [0, 1]: its coefficients, from 0 to 1 and never
     falling; none for a power law."""
@@ -40,10 +40,16 @@ class Curve(Document):
     def _spline_rises(self) -> Curve:
         if not self.spline:
             return self
-        given = np.asarray(self.spline)
-        if len(given) <= DEGREE or given[0] != 0.0 or given[-1] != 1.0 or np.any(np.diff(given) < 0):
+        coefficients = np.asarray(self.spline)
+        if (
+            len(coefficients) <= DEGREE
+            or coefficients[0] != 0.0
+            or coefficients[-1] != 1.0
+            or np.any(np.diff(coefficients) < 0)
+        ):
             raise ValueError(
-                f"'spline' has {len(given)} coefficients from {given[0]:g} to {given[-1]:g}: must be at "
+                f"'spline' has {len(coefficients)} coefficients from {coefficients[0]:g} to "
+                f"{coefficients[-1]:g}: must be at "
                 f"least {DEGREE + 1} that start at 0, end at 1 and never fall"
             )
         return self
@@ -70,10 +76,10 @@ class Curve(Document):
         The light that can be reached is b … a + b, so `levels` are shares of that, and the result is the
         inverse of S. Gain, black level and exposure cancel, black stays black and white stays white.
         """
-        wanted = np.asarray(levels, np.float64)
+        light = np.asarray(levels, np.float64)
         if self.spline:
-            return np.asarray(np.interp(wanted, _rising(self.spline), _INVERSE))
-        return np.asarray(wanted ** (1.0 / self.g))
+            return np.asarray(np.interp(light, _rising(self.spline), _INVERSE))
+        return np.asarray(light ** (1.0 / self.g))
 
     def check_correctable(self) -> None:
         """Refuse a response whose inverse a projector cannot show."""
@@ -85,10 +91,10 @@ class Curve(Document):
                     f"{LIMITS.max_jump:.2g} to correct patterns with; change the projector's own tone curve"
                 )
             return
-        least, most = LIMITS.min_exponent, LIMITS.max_exponent
-        if not least <= self.g <= most:
+        lower, upper = LIMITS.min_exponent, LIMITS.max_exponent
+        if not lower <= self.g <= upper:
             raise ValueError(
-                f"'g' is {self.g:g}: patterns can be corrected for an exponent of {least:g} to {most:g}, "
+                f"'g' is {self.g:g}: patterns can be corrected for an exponent of {lower:g} to {upper:g}, "
                 "beyond which the projector has too few grey levels; change its own gamma setting"
             )
 

@@ -45,10 +45,10 @@ def relative_harmonics(response: Curve, correction: Curve | None = None, highest
     """Compute the harmonics of a sinusoid through a response, relative to the fringe."""
     # returns (highest + 1,)
     phase = TWO_PI * np.arange(16 * _PHASES) / (16 * _PHASES)
-    wanted = 0.5 + 0.5 * np.cos(phase)
-    light = response.shape(wanted if correction is None else correction.correct(wanted))
-    found = np.fft.rfft(light).real[: highest + 1]
-    return np.asarray(found / found[1])
+    sinusoid = 0.5 + 0.5 * np.cos(phase)
+    light = response.shape(sinusoid if correction is None else correction.correct(sinusoid))
+    spectrum = np.fft.rfft(light).real[: highest + 1]
+    return np.asarray(spectrum / spectrum[1])
 
 
 def harmonic_phase_error(relative: Floats, steps: int) -> float:
@@ -75,8 +75,8 @@ def shown_phase_error(
     """
     phase = TWO_PI * (np.arange(16 * _PHASES) + 0.5) / (16 * _PHASES)
     shifts = phase_steps(steps)
-    wanted = 0.5 + 0.5 * np.cos(phase - shifts[:, None])
-    shown = wanted if correction is None else correction.correct(wanted)
+    sinusoids = 0.5 + 0.5 * np.cos(phase - shifts[:, None])
+    shown = sinusoids if correction is None else correction.correct(sinusoids)
     light = response.shape(np.rint(shown * (greys - 1)) / (greys - 1))
     decoded = np.exp(1j * shifts) @ light
     return _rms(np.angle(decoded * np.exp(-1j * phase)))
@@ -85,12 +85,12 @@ def shown_phase_error(
 def least_steps(response: Curve, allowed_rad: float = LIMITS.max_phase_error_rad) -> int | None:
     """Find the fewest steps from which on the phase error is acceptable without correction."""
     relative = relative_harmonics(response, highest=_REACH * LIMITS.max_steps + 1)
-    found = None
+    fewest = None
     for steps in range(LIMITS.max_steps, 2, -1):
         if harmonic_phase_error(relative, steps) > allowed_rad:
             break
-        found = steps
-    return found
+        fewest = steps
+    return fewest
 
 
 def unexplained_phase_error(response: Response) -> float:
@@ -98,8 +98,8 @@ def unexplained_phase_error(response: Response) -> float:
 
     What the curve leaves of the levels, spread over the harmonics, is taken to rotate the fringe.
     """
-    left = response.residual if response.misfit is None else response.misfit
-    return float(2.0 * left * np.sqrt(2.0 / response.levels) / response.a)
+    residual = response.residual if response.misfit is None else response.misfit
+    return float(2.0 * residual * np.sqrt(2.0 / response.levels) / response.a)
 
 
 def _rms(error: Floats) -> float:
@@ -166,7 +166,7 @@ def judge_response(response: Response, plan: Plan, size: tuple[int, int]) -> Res
     enough = max(least_steps(end, _left_for_harmonics(hidden)) or LIMITS.max_steps + 1 for end in ends)
     corrected = max(shown_phase_error(end, fringe.images, curve) for end in ends)
     worst, corrected = float(np.hypot(worst, hidden)), float(np.hypot(corrected, hidden))
-    found = ResponseJudgement(
+    judgement = ResponseJudgement(
         good_enough=worst <= LIMITS.max_phase_error_rad,
         sentence="",
         axis=fringe.axis,
@@ -182,7 +182,7 @@ def judge_response(response: Response, plan: Plan, size: tuple[int, int]) -> Res
         corrected_by_steps=table(curve, curve),
         rounding_by_steps=table(Curve(a=1.0, b=0.0, g=1.0)),
     )
-    return found.model_copy(update={"sentence": _sentence(found)})
+    return judgement.model_copy(update={"sentence": _sentence(judgement)})
 
 
 def _left_for_harmonics(hidden: float) -> float:
@@ -198,21 +198,24 @@ def _ends(response: Response, curve: Curve) -> tuple[Curve, ...]:
     return tuple(curve.model_copy(update={"g": g}) for g in ends)
 
 
-def _sentence(found: ResponseJudgement) -> str:
-    what = "corrected patterns" if found.corrected_patterns else "patterns as they are"
+def _sentence(judgement: ResponseJudgement) -> str:
+    what = "corrected patterns" if judgement.corrected_patterns else "patterns as they are"
     says = (
-        f"{found.steps} steps of {found.stripes:g} stripes, {what}: RMS phase error {found.phase_rad:.2g} "
-        f"rad, {found.phase_px:.2g} projector px (at most {found.worst_rad:.2g} rad within its uncertainty)"
+        f"{judgement.steps} steps of {judgement.stripes:g} stripes, {what}: RMS phase error "
+        f"{judgement.phase_rad:.2g} "
+        f"rad, {judgement.phase_px:.2g} projector px (at most {judgement.worst_rad:.2g} rad within its "
+        "uncertainty)"
     )
-    if found.good_enough:
+    if judgement.good_enough:
         return f"{says}: good enough, at most {LIMITS.max_phase_error_rad:g} rad are allowed"
     ways = []
-    if found.corrected_rad <= LIMITS.max_phase_error_rad:
+    if judgement.corrected_rad <= LIMITS.max_phase_error_rad:
         ways.append(
-            f"pre-correct the patterns ('response' in the plan), which leaves {found.corrected_rad:.2g} rad"
+            "pre-correct the patterns ('response' in the plan), which leaves "
+            f"{judgement.corrected_rad:.2g} rad"
         )
-    if found.least_steps:
-        ways.append(f"take {found.least_steps} steps or more without correction")
+    if judgement.least_steps:
+        ways.append(f"take {judgement.least_steps} steps or more without correction")
     ways = ways or ["measure the response again with more levels and light"]
     allowed = LIMITS.max_phase_error_rad
     return f"{says}: not good enough, at most {allowed:g} rad are allowed; {', or '.join(ways)}"

@@ -25,9 +25,9 @@ AnyFringeSet = Annotated[FringeSet, TaggedUnion(default="sinusoid")]
 
 
 def _known_method(name: str) -> str:
-    known = [f"'{method}'" for method in sorted(unwrapping_methods(), reverse=True)]
-    if f"'{name}'" not in known:
-        raise ValueError(f"should be {' or '.join(known)}")
+    methods = [f"'{method}'" for method in sorted(unwrapping_methods(), reverse=True)]
+    if f"'{name}'" not in methods:
+        raise ValueError(f"should be {' or '.join(methods)}")
     return name
 
 
@@ -54,11 +54,11 @@ class MaskRules(Document):
     """
 
 
-def _zero_or_two(most: float) -> float:
+def _zero_or_two(limit: float) -> float:
     """Refuse limits that noise alone exceeds."""
-    if 0.0 < most < 2.0:
+    if 0.0 < limit < 2.0:
         raise ValueError("must be 0, for no limit, or at least 2")
-    return most
+    return limit
 
 
 class FilterRules(Document):
@@ -133,7 +133,7 @@ class Plan(Document):
     response: Curve | None = None
     """Patterns are shown through the inverse of this response, so that the light is sinusoidal.
 
-    In a plan file the name of a response file, beside the plan or by path, or its `{a, b, g}`. It is a key
+    In a plan file the name of a response file, next to the plan or by path, or its `{a, b, g}`. It is a key
     of the plan and no option of a command, because it is part of what is shown: a scan, its resumption, its
     replay and the search that wrote the plan then cannot differ in it. `Plan.load` puts the values in place
     of the name, so that a session's plan records how its patterns were made.
@@ -163,7 +163,7 @@ class Plan(Document):
         return self
 
     def __repr__(self) -> str:
-        sets = ", ".join(f"{one.axis} {one.stripes:g} x {one.images}" for one in self.fringes)
+        sets = ", ".join(f"{fringe.axis} {fringe.stripes:g} x {fringe.images}" for fringe in self.fringes)
         return f"<Plan: {sets}; {self.images} images, {self.unwrapping}>"
 
     @classmethod
@@ -188,9 +188,9 @@ class Plan(Document):
             The plan or its response file is missing or wrong; the message names file, field and what is
             allowed.
         """
-        found = config.find_config(path, "plan")
-        data = config.parse_yaml(config.read_text(found), found)
-        return config.validate(with_named_response(data, found), cls, found)
+        file = config.find_config(path, "plan")
+        data = config.parse_yaml(config.read_text(file), file)
+        return config.validate(with_named_response(data, file), cls, file)
 
     @property
     def images(self) -> int:

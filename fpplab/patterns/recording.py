@@ -149,7 +149,7 @@ class Recording:
         """
         _check_number(self)
         for n, frame in enumerate(self.frames):
-            _check_alike(self.name, n, frame, self.frames[0])
+            _check_same_format(self.name, n, frame, self.frames[0])
         _check_depth(self)
         self.plan.check_projector(self.projector_size, self.name)
         native = [cast(Image, np.ascontiguousarray(f, f.dtype.newbyteorder("="))) for f in self.frames]
@@ -172,14 +172,14 @@ def _round(total: Map, divisor: np.float32, mean: NDArray[np.uint8]) -> None:
 
 
 def _check_number(recording: Recording) -> None:
-    found, wanted = len(recording.frames), recording.plan.images
-    if found != wanted:
+    count, planned = len(recording.frames), recording.plan.images
+    if count != planned:
         raise DataError(
-            f"{recording.name}: holds {found} frames, but the plan takes {wanted}; give all of them"
+            f"{recording.name}: holds {count} frames, but the plan takes {planned}; give all of them"
         )
 
 
-def _check_alike(name: str, n: int, frame: Image, first: Image) -> None:
+def _check_same_format(name: str, n: int, frame: Image, first: Image) -> None:
     if frame.ndim != 2 or frame.size == 0:
         raise DataError(
             f"{name}: frame {n} has the shape {frame.shape}; a grey image (height, width) is needed"
@@ -194,10 +194,10 @@ def _check_depth(recording: Recording) -> None:
     kind, bits = recording.frames[0].dtype, recording.bits
     if kind.kind != "u" or kind.itemsize > 2:
         raise DataError(f"{recording.name}: frames are {kind}; raw frames are uint8 or uint16")
-    least, most = (8, 8) if kind.itemsize == 1 else (8, 16)
-    if not least <= bits <= most:
+    lower, upper = (8, 8) if kind.itemsize == 1 else (8, 16)
+    if not lower <= bits <= upper:
         raise DataError(
-            f"{recording.name}: frames are {kind}, which cannot hold {bits} bits; {least} to {most}"
+            f"{recording.name}: frames are {kind}, which cannot hold {bits} bits; {lower} to {upper}"
         )
 
 

@@ -176,21 +176,21 @@ def fit_response(
     where no law holds to a millionth.
     """
     # levels_in (n,); levels_out (n,); sigma_out (n,); saturated (n,)
-    shown, seen = _levels("levels_in", levels_in), _levels("levels_out", levels_out)
+    shown, recorded = _levels("levels_in", levels_in), _levels("levels_out", levels_out)
     sigma = None if sigma_out is None else np.asarray(sigma_out, np.float64)
-    if shown.shape != seen.shape or (sigma is not None and sigma.shape != seen.shape):
+    if shown.shape != recorded.shape or (sigma is not None and sigma.shape != recorded.shape):
         raise CalibrationError("the levels shown, seen and their uncertainties must be as many")
     if sigma is not None and not (np.all(np.isfinite(sigma)) and np.all(sigma > 0)):
         raise CalibrationError("'sigma_out' must be positive for every level")
-    clipped: Mask = np.zeros(seen.shape, bool) if saturated is None else np.asarray(saturated, bool)
-    kept = (seen < saturation) & ~clipped
+    clipped: Mask = np.zeros(recorded.shape, bool) if saturated is None else np.asarray(saturated, bool)
+    kept = (recorded < saturation) & ~clipped
     left_out = tuple(
         f"level {i:.4g} is seen as {o:.4g}: saturated, "
         + (f"at or above {saturation:g}" if o >= saturation else "in some of its pixels")
-        for i, o in zip(shown[~kept], seen[~kept], strict=True)
+        for i, o in zip(shown[~kept], recorded[~kept], strict=True)
     )
-    _fit_for_use(shown[kept], seen[kept], left_out)
-    return _fit(shown[kept], seen[kept], None if sigma is None else sigma[kept], left_out, power_only)
+    _fit_for_use(shown[kept], recorded[kept], left_out)
+    return _fit(shown[kept], recorded[kept], None if sigma is None else sigma[kept], left_out, power_only)
 
 
 def _levels(name: str, values: ArrayLike) -> Floats:
@@ -200,7 +200,7 @@ def _levels(name: str, values: ArrayLike) -> Floats:
     return levels
 
 
-def _fit_for_use(shown: Floats, seen: Floats, left_out: tuple[str, ...]) -> None:
+def _fit_for_use(shown: Floats, recorded: Floats, left_out: tuple[str, ...]) -> None:
     distinct = len(np.unique(shown))
     if distinct < LIMITS.min_levels:
         advice = "shorten the exposure" if left_out else "show more levels"
@@ -208,7 +208,7 @@ def _fit_for_use(shown: Floats, seen: Floats, left_out: tuple[str, ...]) -> None
             f"{distinct} different levels remain for the response and {len(left_out)} are saturated; "
             f"at least {LIMITS.min_levels} are needed: {advice}"
         )
-    if np.corrcoef(shown, seen)[0, 1] < 0.5 if np.ptp(seen) > 0 else True:
+    if np.corrcoef(shown, recorded)[0, 1] < 0.5 if np.ptp(recorded) > 0 else True:
         raise CalibrationError(
             "the levels seen do not rise with the levels shown; check that the camera looks at the "
             "projector's light and that the exposure is long enough"
@@ -216,19 +216,19 @@ def _fit_for_use(shown: Floats, seen: Floats, left_out: tuple[str, ...]) -> None
 
 
 def _fit(
-    shown: Floats, seen: Floats, sigma: Floats | None, left_out: tuple[str, ...], power_only: bool
+    shown: Floats, recorded: Floats, sigma: Floats | None, left_out: tuple[str, ...], power_only: bool
 ) -> Response:
-    misfit = 0.0 if sigma is None else _misfit(shown, seen, sigma)
+    misfit = 0.0 if sigma is None else _misfit(shown, recorded, sigma)
     total = None if sigma is None else np.hypot(sigma, misfit)
-    (a, b, g), covariance = _least_squares(shown, seen, total)
+    (a, b, g), covariance = _least_squares(shown, recorded, total)
     if a <= 0 or g <= 0 or not np.all(np.isfinite(covariance)):
         raise CalibrationError(
             f"the levels do not follow a I^g + b: the best fit has a = {a:.3g} and g = {g:.3g}"
         )
-    rest = seen - power_law(shown, a, b, g)
+    rest = recorded - power_law(shown, a, b, g)
     spread = np.sqrt(np.diag(covariance))
     sigmas: list[float | None] = [None] * len(shown) if sigma is None else sigma.tolist()
-    found = Response(
+    response = Response(
         a=a,
         b=b,
         g=g,
@@ -240,12 +240,12 @@ def _fit(
         levels=len(shown),
         measured=tuple(
             ResponseLevel(shown=i, seen=o, sigma=s, residual=r)
-            for i, o, s, r in zip(shown.tolist(), seen.tolist(), sigmas, rest.tolist(), strict=True)
+            for i, o, s, r in zip(shown.tolist(), recorded.tolist(), sigmas, rest.tolist(), strict=True)
         ),
         left_out=left_out,
     )
-    if power_only or (bent := fit_spline(shown, seen, sigma)) is None:
-        return found
+    if power_only or (bent := fit_spline(shown, recorded, sigma)) is None:
+        return response
     slopes = _slopes(shown, a, b, g) / (1.0 if total is None else total[:, None])
     leverage = np.einsum("li,ij,lj->l", slopes, np.linalg.pinv(slopes.T @ slopes), slopes)
     of_power = leave_one_out(rest, leverage)
@@ -253,8 +253,8 @@ def _fit(
         "power_law": float(np.sqrt(np.mean(of_power[1:-1] ** 2))),
         "spline": float(np.sqrt(np.mean(bent.left_out[1:-1] ** 2))),
     }
-    found = found.model_copy(update={"prediction_errors": errors})
-    return _bent(found, bent, sigma) if prefers_spline(of_power, bent.left_out, sigma) else found
+    response = response.model_copy(update={"prediction_errors": errors})
+    return _bent(response, bent, sigma) if prefers_spline(of_power, bent.left_out, sigma) else response
 
 
 def _bent(power: Response, bent: SplineFit, sigma: Floats | None) -> Response:
@@ -282,27 +282,29 @@ def _bent(power: Response, bent: SplineFit, sigma: Floats | None) -> Response:
     )
 
 
-def _misfit(shown: Floats, seen: Floats, sigma: Floats) -> float:
+def _misfit(shown: Floats, recorded: Floats, sigma: Floats) -> float:
     """The further standard deviation of every level that makes chi² its degrees of freedom, or 0."""
     from scipy.optimize import brentq
 
     def excess(further: float) -> float:
         total = np.hypot(sigma, further)
-        best, _ = _least_squares(shown, seen, total)
-        return float(np.sum(((seen - power_law(shown, *best)) / total) ** 2)) - (len(shown) - 3)
+        best, _ = _least_squares(shown, recorded, total)
+        return float(np.sum(((recorded - power_law(shown, *best)) / total) ** 2)) - (len(shown) - 3)
 
     # With the whole range as deviation chi² is less than its degrees of freedom, whatever was seen.
     return float(brentq(excess, 0.0, 1.0, xtol=1e-9)) if excess(0.0) > 0 else 0.0
 
 
-def _least_squares(shown: Floats, seen: Floats, sigma: Floats | None) -> tuple[LawParameters, Floats]:
+def _least_squares(shown: Floats, recorded: Floats, sigma: Floats | None) -> tuple[LawParameters, Floats]:
     from scipy.optimize import curve_fit
 
-    weight = np.ones_like(seen) if sigma is None else 1.0 / sigma
-    start = min((_linear(shown, seen, weight, g) for g in np.geomspace(0.2, 6.0, 35)), key=lambda s: s[1])[0]
+    weight = np.ones_like(recorded) if sigma is None else 1.0 / sigma
+    start = min(
+        (_linear(shown, recorded, weight, g) for g in np.geomspace(0.2, 6.0, 35)), key=lambda s: s[1]
+    )[0]
     try:
         best, covariance = curve_fit(
-            power_law, shown, seen, p0=start, sigma=sigma, absolute_sigma=sigma is not None, jac=_slopes
+            power_law, shown, recorded, p0=start, sigma=sigma, absolute_sigma=sigma is not None, jac=_slopes
         )
     except RuntimeError as error:
         raise CalibrationError(f"the response could not be fitted: {error}") from error
@@ -314,11 +316,11 @@ def _vectors(matrix: Floats) -> tuple[LawParameters, LawParameters, LawParameter
     return rows[0], rows[1], rows[2]
 
 
-def _linear(shown: Floats, seen: Floats, weight: Floats, g: float) -> tuple[LawParameters, float]:
+def _linear(shown: Floats, recorded: Floats, weight: Floats, g: float) -> tuple[LawParameters, float]:
     """Best (a, b) for a given g, and the weighted squares it leaves."""
     basis = np.stack([shown**g, np.ones_like(shown)], axis=1) * weight[:, None]
-    (a, b), *_ = np.linalg.lstsq(basis, seen * weight, rcond=None)
-    return (float(a), float(b), g), float(np.sum((seen * weight - basis @ (a, b)) ** 2))
+    (a, b), *_ = np.linalg.lstsq(basis, recorded * weight, rcond=None)
+    return (float(a), float(b), g), float(np.sum((recorded * weight - basis @ (a, b)) ** 2))
 
 
 def _slopes(shown: Floats, a: float, _b: float, g: float) -> Floats:

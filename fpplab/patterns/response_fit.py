@@ -47,7 +47,7 @@ class GreyLevelImages:
     """Statistics of the frames of uniform grey-level images."""
 
     shown: Floats  # levels shown, as shares of full scale, rising
-    seen: Floats  # `statistics` of the frame of every repeat and level
+    statistics: Floats  # `statistics` of the frame of every repeat and level
     dark: Floats  # `statistics` of the frame with the projector off
     pixels: Floats  # number of pixels of each region
     bits: int  # depth of the frames
@@ -79,14 +79,16 @@ def levels_of(greys: GreyLevelImages, regions: Mask) -> tuple[Floats, Floats, Ma
     it away.
     """
     # regions (GRID²,); returns levels (L,), sigma (L,), clipped (L,)
-    seen, weight = greys.seen[..., regions], greys.pixels[regions]
+    of_regions, weight = greys.statistics[..., regions], greys.pixels[regions]
     pixels, step = weight.sum(), 1.0 / full_scale(greys.bits)
-    means, noise, spread, white = (seen[:, :, i] @ weight / pixels for i in (MEAN, NOISE, SPREAD, WHITE))
+    means, noise, spread, white = (
+        of_regions[:, :, i] @ weight / pixels for i in (MEAN, NOISE, SPREAD, WHITE)
+    )
     repeats = len(means)
     of_pixels = np.maximum(noise.mean(axis=0), step**2 / 12) / pixels
     lamp = max(0.0, float(np.mean(means.var(axis=0, ddof=1) - of_pixels))) if repeats > 1 else 0.0
     rounded = spread.mean(axis=0) / step**2
-    # Up to 1/4 they may as well be alike, on the edge between two integers; beyond, rounding has added 1/12.
+    # Up to 1/4 they may as well be equal, on the edge between two integers; beyond, rounding has added 1/12.
     before = np.where(rounded > 1 / 4, rounded - 1 / 12, 0.0)
     variance = (of_pixels + lamp) / repeats + step**2 * rounding_variance(before)
     return means.mean(axis=0), np.sqrt(variance), white.mean(axis=0) > LIMITS.max_clipped_share
@@ -118,10 +120,10 @@ def fit_greys(greys: GreyLevelImages) -> Response:
 
 
 def _choose(greys: GreyLevelImages) -> tuple[Mask, tuple[str, ...]]:
-    mean = greys.seen[:, :, MEAN].mean(axis=0)
+    mean = greys.statistics[:, :, MEAN].mean(axis=0)
     rise = np.ptp(mean, axis=0)
     lit = rise >= LIMITS.min_rise
-    clipped = (greys.seen[:, :, WHITE].mean(axis=0) > LIMITS.max_clipped_share).any(axis=0)
+    clipped = (greys.statistics[:, :, WHITE].mean(axis=0) > LIMITS.max_clipped_share).any(axis=0)
     if not lit.any() and clipped.any():
         raise CalibrationError("the image is saturated from the darkest level on: shorten the exposure")
     if not lit.any():
@@ -131,10 +133,10 @@ def _choose(greys: GreyLevelImages) -> tuple[Mask, tuple[str, ...]]:
             "that the exposure is long enough"
         )
     whole = lit & ~clipped
-    words = [f"{_name(i)} is dark: it rises by {rise[i]:.2g} of full scale" for i in np.flatnonzero(~lit)]
+    left_out = [f"{_name(i)} is dark: it rises by {rise[i]:.2g} of full scale" for i in np.flatnonzero(~lit)]
     if whole.any():
-        words += [f"{_name(i)} is saturated" for i in np.flatnonzero(lit & clipped)]
-    return (whole if whole.any() else lit), tuple(words)
+        left_out += [f"{_name(i)} is saturated" for i in np.flatnonzero(lit & clipped)]
+    return (whole if whole.any() else lit), tuple(left_out)
 
 
 def _name(index: int) -> str:
@@ -142,8 +144,8 @@ def _name(index: int) -> str:
 
 
 def _fit(greys: GreyLevelImages, regions: Mask, power_only: bool = False) -> Response:
-    seen, sigma, clipped = levels_of(greys, regions)
-    return fit_response(greys.shown, seen, sigma, saturated=clipped, power_only=power_only)
+    levels, sigma, clipped = levels_of(greys, regions)
+    return fit_response(greys.shown, levels, sigma, saturated=clipped, power_only=power_only)
 
 
 def _region(greys: GreyLevelImages, index: int) -> Region:
@@ -162,17 +164,18 @@ def _region(greys: GreyLevelImages, index: int) -> Region:
 def _check_agreement(g: float, regions: tuple[Region, ...], spread: float, expected: float) -> None:
     if spread <= max(LIMITS.max_spread_g * g, 3 * expected):
         return
-    least, most = min(regions, key=lambda r: r.g), max(regions, key=lambda r: r.g)
+    lowest, highest = min(regions, key=lambda r: r.g), max(regions, key=lambda r: r.g)
     raise CalibrationError(
-        f"the regions of the image do not agree on one response: g is {least.g:.3g} in "
-        f"{_name(least.row * GRID + least.column)} and {most.g:.3g} in "
-        f"{_name(most.row * GRID + most.column)}; show an evenly white card without reflections, and keep "
+        f"the regions of the image do not agree on one response: g is {lowest.g:.3g} in "
+        f"{_name(lowest.row * GRID + lowest.column)} and {highest.g:.3g} in "
+        f"{_name(highest.row * GRID + highest.column)}; show an evenly white card without reflections, and "
+        "keep "
         "other light steady"
     )
 
 
 def _dark(greys: GreyLevelImages, regions: Mask) -> tuple[float, float]:
     """The level seen with the projector off, and its standard uncertainty."""
-    one = GreyLevelImages(greys.shown[:1], greys.dark[None, None], greys.dark, greys.pixels, greys.bits)
-    level, sigma, _ = levels_of(one, regions)
+    dark = GreyLevelImages(greys.shown[:1], greys.dark[None, None], greys.dark, greys.pixels, greys.bits)
+    level, sigma, _ = levels_of(dark, regions)
     return float(level[0]), float(sigma[0])

@@ -1,4 +1,4 @@
-"""The wrong fringe orders that a plan risks: shifts of the coordinate that its fringe sets hardly tell apart.
+"""The wrong fringe orders that a plan risks: shifts of the coordinate that its sets hardly distinguish.
 
 A wrong order moves the position by a whole number m of the finest periods, `Δ = m/s_finest`, and with it the
 phase of every other set by what `s_k Δ` lacks to an integer. With the phases' inverse variances the squared
@@ -49,19 +49,19 @@ def alternatives_of(plan: Plan, sequence: WavelengthSequence) -> Alternatives:
     whitened -= (whitened @ along)[:, None] * along
     separations = np.sum(whitened**2, axis=1)
     near = separations[multiples <= 0.5 * sequence.width * stripes[-1]]
-    least = float(near.min(initial=np.inf))
-    kept = _likeliest(turns, whitened) & (separations <= ORDERS.max_separation_ratio * least)
+    smallest = float(near.min(initial=np.inf))
+    kept = _likeliest(turns, whitened) & (separations <= ORDERS.max_separation_ratio * smallest)
     causes = (
         np.array(sequence.sets)[np.argmax(whitened**2, axis=1)] if len(multiples) else np.empty(0, np.int64)
     )
-    return Alternatives(multiples[kept] / stripes[-1], turns[kept], separations[kept], causes[kept], least)
+    return Alternatives(multiples[kept] / stripes[-1], turns[kept], separations[kept], causes[kept], smallest)
 
 
 def _likeliest(turns: Floats, whitened: Floats) -> NDArray[np.bool_]:
-    """Tell which shifts are no sum of two smaller ones at an angle of at most 90°."""
+    """Return which shifts are no sum of two smaller ones at an angle of at most 90°."""
     kept = np.ones(len(turns), np.bool_)
     for m in range(1, len(turns)):
-        one, other = np.arange(m), np.arange(m)[::-1]
-        adds_up = np.all(np.abs(turns[one] + turns[other] - turns[m]) < 1e-6, axis=1)
-        kept[m] = not np.any(adds_up & (np.sum(whitened[one] * whitened[other], axis=1) >= 0.0))
+        first, second = np.arange(m), np.arange(m)[::-1]
+        adds_up = np.all(np.abs(turns[first] + turns[second] - turns[m]) < 1e-6, axis=1)
+        kept[m] = not np.any(adds_up & (np.sum(whitened[first] * whitened[second], axis=1) >= 0.0))
     return kept

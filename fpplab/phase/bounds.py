@@ -20,14 +20,14 @@ PositionInterval = tuple[float | Floats, float | Floats]
 class PossibleCoordinates:
     """Interval of one projector coordinate for every camera pixel, maps [v, u] in px."""
 
-    least: Map  # ends of the interval, within the projector
-    most: Map  # ends of the interval, within the projector
+    lower: Map  # ends of the interval, within the projector
+    upper: Map  # ends of the interval, within the projector
 
     def positions(self, length: int) -> tuple[Map, Map]:
         """Convert the ends of the intervals."""
         # returns (height, width)
         half, px = np.float32(0.5), np.float32(length)
-        return (self.least + half) / px, (self.most + half) / px
+        return (self.lower + half) / px, (self.upper + half) / px
 
 
 def widest(
@@ -37,8 +37,8 @@ def widest(
     # projector_size (width, height) px
     if bounds is None or axis not in bounds:
         return None
-    one = bounds[axis]
-    return max(float(np.max(one.most - one.least)), 1.0) / axis_length(projector_size, axis)
+    interval = bounds[axis]
+    return max(float(np.max(interval.upper - interval.lower)), 1.0) / axis_length(projector_size, axis)
 
 
 def interval_of(
@@ -58,9 +58,10 @@ def interval_of(
 def check_bounds(bounds: Mapping[Axis, PossibleCoordinates] | None, recording: Recording) -> None:
     """Refuse intervals of another camera."""
     shape = recording.frames[0].shape
-    for axis, one in (bounds or {}).items():
-        if one.least.shape != shape or one.most.shape != shape:
+    for axis, interval in (bounds or {}).items():
+        if interval.lower.shape != shape or interval.upper.shape != shape:
             raise DataError(
-                f"{recording.name}: bounds along {axis} are maps of the shape {one.least.shape}, but the "
+                f"{recording.name}: bounds along {axis} are maps of the shape {interval.lower.shape}, but "
+                "the "
                 f"frames have {shape}; compute them with the calibration of this camera"
             )

@@ -66,13 +66,13 @@ class FringeGroup:
     images: Floats  # their images, one set after the other, in grey levels
     features: Floats  # the offset first, the mean of all sets; then set after set, by harmonic
     shift: Floats  # phase shift δ_n of each image
-    seen: Floats  # orthonormal rows that no fringe fills; common errors and noise are seen in them
+    visible: Floats  # orthonormal rows that no fringe fills; common errors and noise are seen in them
     quiet: Floats  # orthonormal rows that noise alone fills, once the common errors are taken away
 
     @property
     def freedom(self) -> int:
         """How much of a pixel's images shows common errors."""
-        return len(self.seen)
+        return len(self.visible)
 
     @property
     def offset(self) -> Floats:
@@ -104,11 +104,11 @@ class FringeGroup:
         wave[images, column + 1] = np.sin(k * self.shift)
         return wave
 
-    def rest(self, rows: Floats, found: HarmonicsFit) -> Floats:
+    def rest(self, rows: Floats, fit: HarmonicsFit) -> Floats:
         """Take the common errors from the images."""
         # rows (F, N); returns (F, P)
-        common = found.gains[:, None] * self.fringe + np.tensordot(found.harmonics, self.waves, 1)
-        offset = rows @ self.membership @ found.offsets
+        common = fit.gains[:, None] * self.fringe + np.tensordot(fit.harmonics, self.waves, 1)
+        offset = rows @ self.membership @ fit.offsets
         return _product(rows, self.images) - _product(rows @ common, self.features) - offset[:, None]
 
 
@@ -128,11 +128,11 @@ def groups_of(
 ) -> list[FringeGroup]:
     """FringeGroup fringe sets by what shows their errors."""
     # samples (N, P)
-    fitted = [fit_sinusoids(*one) for one in zip(samples, fringes, strict=True)]
+    fitted = [fit_sinusoids(*fringe_set) for fringe_set in zip(samples, fringes, strict=True)]
     long = [k for k, fringe in enumerate(fringes) if fringe.images > 3]
     used = long or range(len(fringes))
-    least = np.min([np.hypot(fitted[k][1], fitted[k][2]) for k in used], axis=0)
-    strong = np.flatnonzero(least >= modulation_min)
+    weakest = np.min([np.hypot(fitted[k][1], fitted[k][2]) for k in used], axis=0)
+    strong = np.flatnonzero(weakest >= modulation_min)
     if len(strong) < NOISE.min_pixels or (not long and len(fringes) < 2):
         return []
     parts = [_set_group(k, samples[k][:, strong], fitted[k][:, strong], fringes[k]) for k in used]
@@ -146,13 +146,13 @@ def groups_of(
     features = np.concatenate([offset[None], *(part.features[1:] for part in parts)])
     images = np.concatenate([part.images for part in parts])
     shift = np.concatenate([part.shift for part in parts])
-    return [FringeGroup(tuple(used), images, features, shift, seen=between, quiet=between)]
+    return [FringeGroup(tuple(used), images, features, shift, visible=between, quiet=between)]
 
 
 def show_common_errors(fringes: Sequence[FringeSet]) -> bool:
-    """Tell whether images of these fringe sets show common errors, given enough pixels."""
-    return any(one.images > 3 for one in fringes) or (
-        len(fringes) > 1 and any(one.stripes >= COMMON_ERRORS.min_stripes for one in fringes)
+    """Return whether images of these fringe sets show common errors, given enough pixels."""
+    return any(fringe.images > 3 for fringe in fringes) or (
+        len(fringes) > 1 and any(fringe.stripes >= COMMON_ERRORS.min_stripes for fringe in fringes)
     )
 
 
@@ -212,11 +212,11 @@ def _product(few: Floats, many: Floats) -> Floats:
 
 def fit_group(group: FringeGroup) -> HarmonicsFit:
     """Fit gains and harmonics of a group by least squares, without pixels that noise does not explain."""
-    wanted = COMMON_ERRORS.sample_pixels * len(group.members) ** 2
-    every = slice(None, None, math.ceil(group.images.shape[1] / wanted))
+    max_pixels = COMMON_ERRORS.sample_pixels * len(group.members) ** 2
+    every = slice(None, None, math.ceil(group.images.shape[1] / max_pixels))
     group = replace(group, images=group.images[:, every], features=group.features[:, every])
     terms = np.concatenate([group.features, group.images, np.ones((1, group.images.shape[1]))])
-    power = np.square(_product(group.seen, group.images)).sum(axis=0)
+    power = np.square(_product(group.visible, group.images)).sum(axis=0)
     for _ in range(COMMON_ERRORS.fit_passes):
         kept = power <= COMMON_ERRORS.outlier_ratio * max(float(np.median(power)), 1e-12)
         variance = max(float(power[kept].mean()) / group.freedom, COMMON_ERRORS.min_variance)
@@ -225,9 +225,9 @@ def fit_group(group: FringeGroup) -> HarmonicsFit:
         # Not by `inv`, whose threads spin as well.
         strength, vectors = np.linalg.eigh(normal + np.diag(variance / prior**2))
         inverse = (vectors / strength) @ vectors.T
-        found = _found(group, inverse @ right, variance * inverse)
-        power = np.square(group.rest(group.seen, found)).sum(axis=0)
-    return found
+        fit = _found(group, inverse @ right, variance * inverse)
+        power = np.square(group.rest(group.visible, fit)).sum(axis=0)
+    return fit
 
 
 def _equations(group: FringeGroup, sums: Floats) -> tuple[Floats, Floats, Floats]:
@@ -237,13 +237,13 @@ def _equations(group: FringeGroup, sums: Floats) -> tuple[Floats, Floats, Floats
     """
     count = len(group.features)
     features, of_images, totals = sums[:count, :count], sums[count:-1, :count], sums[-1]
-    members, fringe, seen = group.membership, group.fringe, group.seen.T @ group.seen
-    shown, bent, total = seen @ members, seen @ group.waves, fringe @ totals[:count]
+    members, fringe, visible = group.membership, group.fringe, group.visible.T @ group.visible
+    shown, bent, total = visible @ members, visible @ group.waves, fringe @ totals[:count]
     summed = bent @ features
     harmonic = np.tensordot(summed, bent, ((1, 2), (1, 2)))
     by_gain = (summed * fringe).sum(axis=2)
     by_offset = bent @ totals[:count] @ members
-    gain, gain_by_offset = seen * (fringe @ features @ fringe.T), total[:, None] * shown
+    gain, gain_by_offset = visible * (fringe @ features @ fringe.T), total[:, None] * shown
     offset = totals[-1] * (members.T @ shown)
     normal = np.block(
         [
@@ -252,7 +252,7 @@ def _equations(group: FringeGroup, sums: Floats) -> tuple[Floats, Floats, Floats
             [by_offset.T, gain_by_offset.T, offset],
         ]
     )
-    seen_images = seen @ of_images
+    seen_images = visible @ of_images
     right = np.concatenate(
         [
             np.tensordot(bent, seen_images, 2),
@@ -276,37 +276,37 @@ def _found(group: FringeGroup, best: Floats, covariance: Floats) -> HarmonicsFit
     )
 
 
-def noise_power(group: FringeGroup, found: HarmonicsFit) -> tuple[Floats, int]:
+def noise_power(group: FringeGroup, fit: HarmonicsFit) -> tuple[Floats, int]:
     """Measure what noise alone leaves in each pixel.
 
     Of sets of seven images and more, harmonics 2 and 3 are left out pixel by pixel too.
     """
     # returns power (P,)
-    return np.square(group.rest(group.quiet, found)).sum(axis=0), len(group.quiet)
+    return np.square(group.rest(group.quiet, fit)).sum(axis=0), len(group.quiet)
 
 
 def errors_of_sets(
     groups: Sequence[FringeGroup],
-    found: Sequence[HarmonicsFit],
+    fits: Sequence[HarmonicsFit],
     fringes: Sequence[FringeSet],
-    known: Floats | None,
+    harmonics: Floats | None,
 ) -> list[CommonErrors]:
-    """Tell the common errors of every set, also of those whose own images do not show them.
+    """Compute the common errors of every set, also of those whose own images do not show them.
 
     Those take the exponent of the response and the scatter of the lamp from the sets that show them.
     """
-    # known (K,)
-    bent = {k: _exponent(group, one) for group, one in zip(groups, found, strict=True) for k in group.members}
-    sums = {
-        k: s for group, one in zip(groups, found, strict=True) for k, s in _gain_sums(group, one, fringes)
-    }
+    # harmonics (K,)
+    bent = {k: _exponent(group, fit) for group, fit in zip(groups, fits, strict=True) for k in group.members}
+    sums = {k: s for group, fit in zip(groups, fits, strict=True) for k, s in _gain_sums(group, fit, fringes)}
     weight = sum(1.0 / u**2 for _, u in bent.values())
     typical = sum(g / u**2 for g, u in bent.values()) / weight if bent else np.nan
-    powers = [np.square(one) / fringes[k].images for k, one in sums.items()]
+    powers = [np.square(fit) / fringes[k].images for k, fit in sums.items()]
     scatter = np.mean(powers) if powers else np.nan
     result = []
     for k, fringe in enumerate(fringes):
-        relative = known if known is not None else _power_law_harmonics(bent[k][0] if k in bent else typical)
+        relative = (
+            harmonics if harmonics is not None else _power_law_harmonics(bent[k][0] if k in bent else typical)
+        )
         shares, rad = relative[list(HARMONICS)], harmonic_phase_error(relative, fringe.images)
         unseen = float(np.sqrt(scatter * fringe.images))
         first, second = sums.get(k, (unseen, unseen))
@@ -315,12 +315,12 @@ def errors_of_sets(
 
 
 def _gain_sums(
-    group: FringeGroup, found: HarmonicsFit, fringes: Sequence[FringeSet]
+    group: FringeGroup, fit: HarmonicsFit, fringes: Sequence[FringeSet]
 ) -> Iterator[tuple[int, tuple[float, float]]]:
     """`|Σ ε_n exp(iδ_n)|` and `|Σ ε_n exp(2iδ_n)|` of each set, less what noise makes of them.
 
     Zero where noise alone makes as much of them once in a thousand times. Where offsets are compared, wide
-    fringes do not tell: light from the rest of the scene changes as slowly as they do.
+    fringes prove nothing: light from the rest of the scene changes as slowly as they do.
     """
     size = len(group.images) // len(group.members)
     for place, k in enumerate(group.members):
@@ -328,8 +328,8 @@ def _gain_sums(
             continue
         own = slice(place * size, (place + 1) * size)
         turns = np.exp(1j * np.outer([1, 2], fringes[k].phase_shifts()))
-        power = np.abs((turns * found.gains[own]).sum(axis=1)) ** 2
-        noise = np.einsum("km,mn,kn->k", turns, found.covariance[own, own], turns.conj()).real
+        power = np.abs((turns * fit.gains[own]).sum(axis=1)) ** 2
+        noise = np.einsum("km,mn,kn->k", turns, fit.covariance[own, own], turns.conj()).real
         first, second = np.sqrt(np.where(power > COMMON_ERRORS.gain_significance * noise, power - noise, 0.0))
         yield k, (float(first), float(second))
 
@@ -342,16 +342,16 @@ def _power_law_harmonics(g: float) -> Floats:
     return np.asarray(amplitudes / amplitudes[1])
 
 
-def _exponent(group: FringeGroup, found: HarmonicsFit) -> tuple[float, float]:
+def _exponent(group: FringeGroup, fit: HarmonicsFit) -> tuple[float, float]:
     """The exponent of the response and its uncertainty among groups, from the harmonic that shows it best.
 
     Harmonics of a power law are `c_2 = (g - 1)/(g + 2)` and `c_3 = c_2 (g - 2)/(g + 3)` of the fringe.
     """
     if len(group.members) == 1:
-        c, u = found.harmonics[0], found.uncertainty[0]
+        c, u = fit.harmonics[0], fit.uncertainty[0]
         return float((1.0 + 2.0 * c) / (1.0 - c)), float(3.0 * u / (1.0 - c) ** 2)
-    # Offsets show the third only, which is greatest at g = 1.47 and does not tell what lies beyond.
-    c = max(found.harmonics[1], COMMON_ERRORS.min_third_harmonic)
+    # Offsets show the third only, which is greatest at g = 1.47 and does not show what lies beyond.
+    c = max(fit.harmonics[1], COMMON_ERRORS.min_third_harmonic)
     half = 3.0 + 5.0 * c
     root = np.sqrt(max(half**2 - 8.0 * (1.0 - c) * (1.0 - 3.0 * c), 0.0))
     return float((half - root) / (2.0 * (1.0 - c))), 1.0  # of the only group: it is weighed against none

@@ -38,7 +38,7 @@ class Decoded:
         independent from pixel to pixel.
     v_per_u : float
         How many times greater v's sigma is than u's where both are coded, from the plan: their modulations
-        are alike.
+        are equal.
     disagreement : ndarray of float32, (height, width), or None
         How much the fringe sets contradict one another, in units of what noise explains: the root of χ² of
         all sets about their weighted mean, per degree of freedom; 0 where nothing can contradict, None where
@@ -151,8 +151,8 @@ class Decoded:
         if self.disagreement is None:
             return np.nan
         some = self.disagreement[::4, ::4]  # a sixteenth of the pixels tells the median well enough
-        known = some[np.isfinite(some)]
-        return float(np.median(known)) if known.size else np.nan
+        finite = some[np.isfinite(some)]
+        return float(np.median(finite)) if finite.size else np.nan
 
     def coordinate(self, axis: Axis) -> Map:
         """Give the projector coordinate along one axis.
@@ -217,10 +217,10 @@ class Decoded:
             The file is missing, damaged or of another kind.
         """
         try:
-            found = load_arrays(Path(path), (*_KEYS, "v_per_u", *_OPTIONAL))
-            maps: dict[str, Any] = {name: found[name] for name in _KEYS}
-            v_per_u = float(found["v_per_u"])
-            optional: dict[str, Any] = {name: found[name] for name in _OPTIONAL if name in found}
+            arrays = load_arrays(Path(path), (*_KEYS, "v_per_u", *_OPTIONAL))
+            maps: dict[str, Any] = {name: arrays[name] for name in _KEYS}
+            v_per_u = float(arrays["v_per_u"])
+            optional: dict[str, Any] = {name: arrays[name] for name in _OPTIONAL if name in arrays}
         except FileNotFoundError:
             raise DataError(f"{path}: there is no such file; decode a session into it first") from None
         except KeyError as error:

@@ -111,8 +111,8 @@ def _decoded(recording: Recording, maps: Maps, shape: tuple[int, ...], phase_err
     )
     uncertain = maps.cause.reshape(shape)
     phase_error = _shaped(maps.phase_error, shape) if phase_error_is_known else None
-    found = Decoded(u, v, modulation, sigma, v_per_u, disagreement, uncertain_order=uncertain)
-    return replace(found, sigma_phase_error=phase_error)
+    decoded = Decoded(u, v, modulation, sigma, v_per_u, disagreement, uncertain_order=uncertain)
+    return replace(decoded, sigma_phase_error=phase_error)
 
 
 def _shaped(flat: Map, shape: tuple[int, ...]) -> Map:
@@ -156,12 +156,12 @@ def _repair(
     coordinate = decoded.coordinate(sequence.axis)
     length = axis_length(recording.projector_size, sequence.axis)
     pixels = np.flatnonzero(np.isfinite(coordinate.ravel()) & (doubt > ORDERS.doubtful_share))
-    seen = _phases_at(recording, sequence, errors, pixels)
-    sigma, edge_margin = seen.position_sigma[-1], ORDERS.edge_margin_px / length
+    measured = _phases_at(recording, sequence, errors, pixels)
+    sigma, edge_margin = measured.position_sigma[-1], ORDERS.edge_margin_px / length
     interval = interval_of(bounds, sequence.axis, length, pixels)
-    found = unwrap(seen.phases, sequence, sigma, edge_margin, interval=interval)
-    other = unwrap(seen.phases, sequence, sigma, edge_margin, found.second_best_order, interval)
-    position = fuse(seen, other.position).position
+    unwrapped = unwrap(measured.phases, sequence, sigma, edge_margin, interval=interval)
+    other = unwrap(measured.phases, sequence, sigma, edge_margin, unwrapped.second_best_order, interval)
+    position = fuse(measured, other.position).position
     alternative = np.where(other.is_unambiguous, position * length - 0.5, np.nan)
     period = length / plan.fringes[sequence.finest].stripes
     backed = vote_orders(coordinate, pixels, alternative, vote.window, period)

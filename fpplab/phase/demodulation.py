@@ -117,18 +117,18 @@ def axis_phases(recording: Recording, sequence: WavelengthSequence, errors: Erro
         for k, f in zip(sequence.sets, fringes, strict=True)
     ]
     noises, commons = [], []
-    for k, one, fringe in zip(sequence.sets, sets, fringes, strict=True):
-        level = one.offset.astype(np.float64) * recording.grey
-        modulation = np.maximum(one.modulation.astype(np.float64) * recording.grey, 1e-30)
-        per_level = fringe.phase_noise**2 * one.loss / modulation**2
+    for k, demodulated, fringe in zip(sequence.sets, sets, fringes, strict=True):
+        level = demodulated.offset.astype(np.float64) * recording.grey
+        modulation = np.maximum(demodulated.modulation.astype(np.float64) * recording.grey, 1e-30)
+        per_level = fringe.phase_noise**2 * demodulated.loss / modulation**2
         repeated = errors.noise.repeated(level)
         own = per_level * (errors.noise.variance(level) - repeated) / TWO_PI**2 + ORDERS.rounding_turns**2
         common = per_level * repeated + errors.sets[k].variance(level / modulation)
         noises.append(own / fringe.stripes**2)
-        # Where nothing tells the common errors, noise alone counts.
+        # Where nothing shows the common errors, noise alone counts.
         commons.append(np.nan_to_num(common) / (TWO_PI * fringe.stripes) ** 2)
     return AxisPhases(
-        np.array([one.phase for one in sets], np.float64),
+        np.array([demodulated.phase for demodulated in sets], np.float64),
         np.array(noises),
         np.array(commons),
         np.array([f.stripes for f in fringes]),

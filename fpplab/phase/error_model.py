@@ -1,6 +1,6 @@
 """The errors of a recording's grey levels and phases, estimated from a sparse sample of its pixels.
 
-Two kinds are told apart. Noise is independent from pixel to pixel, and averaging lessens it. What the
+Two kinds are distinguished. Noise is independent from pixel to pixel, and averaging lessens it. What the
 response, the lamp and rounding do is the same for all pixels of one phase (`fpplab.phase.common_errors`,
 `fpplab.phase.noise.repeated_rounding`), and averaging does not lessen it.
 """
@@ -40,8 +40,8 @@ class ErrorModel:
 
     @property
     def phase_error_is_known(self) -> bool:
-        """Whether the frames tell the common errors: fringe sets that show them, and enough pixels."""
-        return all(np.isfinite(one.terms).all() for one in self.sets)
+        """Whether the frames show the common errors: fringe sets that show them, and enough pixels."""
+        return all(np.isfinite(errors.terms).all() for errors in self.sets)
 
 
 def error_model_of(recording: Recording) -> ErrorModel:
@@ -66,7 +66,7 @@ def fit_errors(
     fringes: Sequence[FringeSet],
     bits: int,
     modulation_min: float = 0.0,
-    known: Floats | None = None,
+    harmonics: Floats | None = None,
 ) -> ErrorModel:
     """Estimate noise by photon transfer, beyond harmonics and flicker; robust against scene and motion.
 
@@ -74,7 +74,7 @@ def fit_errors(
     difference between the sets' offsets. One set of three steps does not reveal the noise: the model is then
     the rounding alone, a lower bound.
     """
-    # samples (N, P); known (K,)
+    # samples (N, P); harmonics (K,)
     step, grey = level_step(np.concatenate([sample.ravel() for sample in samples])), 1.0 / raw_per_grey(bits)
     saturation = math.floor(full_scale(bits) - step) + 1
     usable = np.flatnonzero(_usable(samples, saturation))
@@ -82,11 +82,11 @@ def fit_errors(
     usable = usable[:: max(1, len(usable) * freedom // NOISE.max_values)]
     levels = [grey * sample[:, usable].astype(np.float64) for sample in samples]
     groups = groups_of(levels, fringes, modulation_min)
-    found = [fit_group(group) for group in groups]
-    noise = _noise(groups, found, step * grey)
+    fits = [fit_group(group) for group in groups]
+    noise = _noise(groups, fits, step * grey)
     if not groups:
         noise = _noise_beside_saturation(samples, fringes, saturation, grey, step) or noise
-    return ErrorModel(noise, tuple(errors_of_sets(groups, found, fringes, known)), saturation)
+    return ErrorModel(noise, tuple(errors_of_sets(groups, fits, fringes, harmonics)), saturation)
 
 
 def _usable(samples: Sequence[Image], saturation: int) -> Mask:
@@ -97,9 +97,9 @@ def _usable(samples: Sequence[Image], saturation: int) -> Mask:
     return both if both.sum() >= NOISE.min_pixels else bright
 
 
-def _noise(groups: Sequence[FringeGroup], found: Sequence[HarmonicsFit], step: float) -> NoiseModel:
+def _noise(groups: Sequence[FringeGroup], fits: Sequence[HarmonicsFit], step: float) -> NoiseModel:
     """The line through the variances of the pixels, of all their images together."""
-    parts = [noise_power(group, one) for group, one in zip(groups, found, strict=True)]
+    parts = [noise_power(group, fit) for group, fit in zip(groups, fits, strict=True)]
     if not parts:
         return NoiseModel(QUANTISATION * step**2, 0.0, step)
     freedom = sum(own for _, own in parts)
@@ -128,8 +128,8 @@ def _noise_beside_saturation(
         power += np.where(enough, (rest**2).sum(axis=0), 0.0)
         freedom += np.where(enough, used.sum(axis=0) - NOISE.min_samples, 0)
         level += (weight * values).sum(axis=0) / np.maximum(used.sum(axis=0), 1) / len(fringes)
-    told = freedom > 0
-    if told.sum() < NOISE.min_pixels:
+    measured = freedom > 0
+    if measured.sum() < NOISE.min_pixels:
         return None
-    typical = round(float(np.median(freedom[told])))
-    return fit_line(level[told], power[told] / freedom[told], max(typical, 1), step * grey)
+    typical = round(float(np.median(freedom[measured])))
+    return fit_line(level[measured], power[measured] / freedom[measured], max(typical, 1), step * grey)

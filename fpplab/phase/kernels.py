@@ -139,7 +139,7 @@ def _demodulate(
 ) -> None:
     """Compute phase, modulation and offset of one set, its masks, and the greatest raw values so far."""
     grey, full = recipe.grey, recipe.full_scale
-    least, contrast = recipe.modulation_min, recipe.contrast_min
+    modulation_min, contrast = recipe.modulation_min, recipe.contrast_min
     misfit = recipe.residual_max * recipe.residual_max
     for j in range(n):
         i = _u(j)
@@ -150,7 +150,7 @@ def _demodulate(
         # What of the mean square is neither offset nor fringe is misfit (Parseval).
         rest = sums[i + _SQUARE] * grey - mean * mean - _HALF * power
         kept = good[i]
-        kept = kept if b >= least else _ZERO
+        kept = kept if b >= modulation_min else _ZERO
         kept = kept if b >= contrast * mean else _ZERO
         kept = kept if rest <= misfit * power else _ZERO
         kept = kept if sums[i + _PEAK] < full else _ZERO
@@ -288,8 +288,8 @@ def _choose(rows: Any, weights: Any, good: Any, n: int, length: Any, stripes: An
         far = far_b if cost_b < cost_a else far_a
         kept = kept if worst <= share and far == _ZERO else kept * _TO_EXPLAIN
         # Where one of them is far their costs differ by far more than this.
-        least = max(_MIN_COST_DIFFERENCE, apart * variance)
-        good[i] = kept if abs(cost_a - cost_b) > least else _ZERO
+        min_difference = max(_MIN_COST_DIFFERENCE, apart * variance)
+        good[i] = kept if abs(cost_a - cost_b) > min_difference else _ZERO
         rows[i + _WORST] = worst
         rows[i] = b if cost_b < cost_a else a
 

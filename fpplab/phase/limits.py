@@ -28,8 +28,8 @@ class OrderLimits(NamedTuple):
     rounding_turns: float = 3e-6
     """Standard deviation of a phase in turns that rounding to float32 leaves."""
     max_separation_ratio: float = 9.0
-    """Shifts of so many times the least χ² are left out. Derived: where they matter, the nearest one masks
-    the pixel."""
+    """Shifts beyond this multiple of the smallest χ² are left out. Derived: where they matter, the nearest
+    one masks the pixel."""
     beyond_sigmas: float = 5.0
     """How many standard deviations beyond the possible positions a shifted one is still considered. Derived:
     less than 3e-7 of its distribution lies within them then."""
@@ -119,7 +119,7 @@ class CommonErrorLimits(NamedTuple):
     min_variance: float = 1e-3
     """Least variance of a grey level, in grey levels squared. Chosen: keeps noise-free frames solvable."""
     outlier_ratio: float = 9.0
-    """Power beyond so many times the median is left out. Chosen: 3 sigma."""
+    """Power beyond this multiple of the median is left out. Chosen: 3 sigma."""
     fit_passes: int = 2
     """Passes of the fit, the last without outliers. Chosen."""
     sample_pixels: int = 2000

@@ -78,9 +78,9 @@ def level_step(values: Image) -> float:
     gaps = np.diff(np.flatnonzero(np.bincount(values.ravel())))
     if len(gaps) + 1 < NOISE.min_levels:
         return 1.0
-    least = int(gaps.min())
-    even = gaps <= least + (least > 1)
-    return float(gaps[even].mean()) if least > 1 and even.mean() >= NOISE.min_even_share else 1.0
+    smallest = int(gaps.min())
+    even = gaps <= smallest + (smallest > 1)
+    return float(gaps[even].mean()) if smallest > 1 and even.mean() >= NOISE.min_even_share else 1.0
 
 
 def fit_line(level: Floats, variance: Floats, freedom: int, step: float) -> NoiseModel:

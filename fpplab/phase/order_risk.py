@@ -31,12 +31,12 @@ def order_risk(
     risk = np.where(decoded.valid, np.float32(0.0), np.float32(np.nan))
     for axis in plan.axes:
         sequence = wavelength_sequence(plan, axis, "plan", (widths or {}).get(axis))
-        known = alternatives_of(plan, sequence)
-        counted = known.separations[known.separations >= 0.99 * known.least_separation]
+        alternatives = alternatives_of(plan, sequence)
+        counted = alternatives.separations[alternatives.separations >= 0.99 * alternatives.least_separation]
         # Uncertainty of the first coded axis, and from it the noise of a grey level over its modulation.
         sigma = decoded.sigma if axis == plan.axes[0] else decoded.sigma * np.float32(decoded.v_per_u)
         noise = sigma / coordinate_spread(plan, axis, projector_size)
         with np.errstate(divide="ignore"):
-            of_axis = sum(erfc(np.sqrt(one / 8.0) / noise) for one in counted)
+            of_axis = sum(erfc(np.sqrt(separation / 8.0) / noise) for separation in counted)
         risk = np.maximum(risk, np.minimum(of_axis, 1.0).astype(np.float32) if len(counted) else risk)
     return risk

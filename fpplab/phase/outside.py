@@ -59,27 +59,27 @@ def outside_share(
     total = recording.frames[0].size
     pixels = np.arange(0, total, max(total // OUTSIDE.sample_pixels, 1))
     few = replace(recording, frames=[frame.reshape(-1)[pixels] for frame in recording.frames])
-    seen = axis_phases(few, sequence, errors)
+    measured = axis_phases(few, sequence, errors)
     length = axis_length(recording.projector_size, sequence.axis)
     low, high = (np.asarray(end) for end in interval_of(bounds, sequence.axis, length, pixels))
-    noise_turns = np.max(seen.position_sigma * seen.stripes[:, None], axis=0)
+    noise_turns = np.max(measured.position_sigma * measured.stripes[:, None], axis=0)
     with_fringes = (noise_turns <= OUTSIDE.max_noise_turns) & (low <= high)
     if with_fringes.sum() < OUTSIDE.min_pixels:
         return None
-    inside, outside = _least_chi2(seen, low, high, ORDERS.edge_margin_px / length)
+    inside, outside = _least_chi2(measured, low, high, ORDERS.edge_margin_px / length)
     limit = ORDERS.agreeing_sigmas**2 * (len(sequence.sets) - 1)
     fits = outside[with_fringes] <= limit
     fits_inside = inside[with_fringes] <= limit
     return OutsideShare(float(np.mean(fits & ~fits_inside)), float(np.mean(fits & fits_inside)))
 
 
-def _least_chi2(seen: AxisPhases, low: Floats, high: Floats, margin: float) -> tuple[Floats, Floats]:
-    """Least χ² of all orders inside of the intervals, and of all certainly outside."""
-    stripes, beyond = seen.stripes[-1], margin + OUTSIDE.beyond_sigmas * seen.position_sigma[-1]
+def _least_chi2(measured: AxisPhases, low: Floats, high: Floats, margin: float) -> tuple[Floats, Floats]:
+    """Smallest χ² of all orders inside of the intervals, and of all certainly outside."""
+    stripes, beyond = measured.stripes[-1], margin + OUTSIDE.beyond_sigmas * measured.position_sigma[-1]
     inside, outside = np.full(low.shape, np.inf), np.full(low.shape, np.inf)
     for order in range(int(np.ceil(stripes)) + 1):
-        position = (order + seen.phases[-1] / TWO_PI) / stripes
-        chi2 = fuse(seen, position).chi2
+        position = (order + measured.phases[-1] / TWO_PI) / stripes
+        chi2 = fuse(measured, position).chi2
         is_inside = (low - beyond <= position) & (position <= high + beyond)
         inside = np.where(is_inside, np.minimum(inside, chi2), inside)
         outside = np.where(is_inside | (position > 1.0), outside, np.minimum(outside, chi2))

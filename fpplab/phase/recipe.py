@@ -27,14 +27,14 @@ def recipe_of(
     """Give frames, plan, rules and noise as tables."""
     addresses, weights, shift, first = _frame_tables(recording)
     plan, size = recording.plan, recording.projector_size
-    wavelengths = [one for sequence in sequences for one in sequence.wavelengths]
+    wavelengths = [wavelength for sequence in sequences for wavelength in sequence.wavelengths]
     of_axis: dict[Axis, WavelengthSequence] = {sequence.axis: sequence for sequence in sequences}
     counts = [len(of_axis[axis].wavelengths) if axis in of_axis else 0 for axis in AXES]
     finest = [of_axis[axis].finest if axis in of_axis else -1 for axis in AXES]
     f32, rules, images = np.float32, plan.masks, np.array([f.images for f in plan.fringes], np.float64)
-    risks = [alternatives_of(plan, one) for one in sequences]
-    of_risk = {one.axis: risk for one, risk in zip(sequences, risks, strict=True)}
-    known = [of_risk.get(axis) for axis in AXES]
+    risks = [alternatives_of(plan, sequence) for sequence in sequences]
+    of_risk = {sequence.axis: risk for sequence, risk in zip(sequences, risks, strict=True)}
+    by_axis = [of_risk.get(axis) for axis in AXES]
     low_u, high_u, low_v, high_v = (
         end for axis in AXES for end in _interval_of(bounds, axis, axis_length(size, axis))
     )
@@ -44,7 +44,7 @@ def recipe_of(
         first=first,
         origin=np.array([f.demodulation().origin_rad / TWO_PI % 1.0 for f in plan.fringes], f32),
         coefficients=_coefficients(sequences, len(plan.fringes)),
-        stripes=np.array([one.stripes for one in wavelengths], f32),
+        stripes=np.array([wavelength.stripes for wavelength in wavelengths], f32),
         trust=np.array([trust for sequence in sequences for trust in sequence.trust], f32),
         wavelengths=np.cumsum([0, *counts]),
         finest=np.array(finest),
@@ -56,12 +56,12 @@ def recipe_of(
         high_u=high_u,
         low_v=low_v,
         high_v=high_v,
-        alternatives=np.cumsum([0, *(len(risk.shifts) if risk else 0 for risk in known)]),
+        alternatives=np.cumsum([0, *(len(risk.shifts) if risk else 0 for risk in by_axis)]),
         shifts=np.concatenate([risk.shifts for risk in risks]).astype(f32),
         shift_turns=_over_all_sets(sequences, [risk.turns for risk in risks], len(plan.fringes)),
         causes=np.concatenate([risk.causes for risk in risks]),
-        least_separation=np.array([risk.least_separation if risk else np.inf for risk in known]),
-        edge_shift=np.array([risk.edge if risk else np.inf for risk in known]),
+        least_separation=np.array([risk.least_separation if risk else np.inf for risk in by_axis]),
+        edge_shift=np.array([risk.edge if risk else np.inf for risk in by_axis]),
         order_margin=ORDERS.edge_margin_px / np.array(size, np.float64),
         # With a vote, no order is changed or rejected before its neighbours have voted.
         wrong_order_max=np.inf if plan.order_vote else rules.wrong_order_max,
@@ -78,10 +78,10 @@ def recipe_of(
         step=f32(errors.noise.step),
         rounding_repeats=errors.noise.rounding_repeats,
         images=images.astype(f32),
-        error_constant=(0.5 * images * [one.terms[0] for one in errors.sets]).astype(f32),
-        error_harmonic=(0.5 * images * [one.harmonic_rad**2 for one in errors.sets]).astype(f32),
-        error_rising=(0.5 * images * [one.terms[1] for one in errors.sets]).astype(f32),
-        harmonics=np.array([one.harmonics for one in errors.sets], f32),
+        error_constant=(0.5 * images * [error.terms[0] for error in errors.sets]).astype(f32),
+        error_harmonic=(0.5 * images * [error.harmonic_rad**2 for error in errors.sets]).astype(f32),
+        error_rising=(0.5 * images * [error.terms[1] for error in errors.sets]).astype(f32),
+        harmonics=np.array([error.harmonics for error in errors.sets], f32),
         shift=shift,
     )
 

@@ -35,11 +35,11 @@ class Unwrapped:
     disagreement: Floats  # greatest |coarse prediction − fine phase| of any wavelength, in its periods
     second_best_order: NDArray[np.int64]  # index of the wavelength that disagreed most
     is_possible: NDArray[np.bool_]  # the position lies in the interval of possible ones, but for noise
-    is_unique: NDArray[np.bool_]  # its runner_up, the other hypothesis of the base, is told apart from it
+    is_unique: NDArray[np.bool_]  # its runner_up, the other hypothesis of the base, differs from it
 
     @property
     def is_unambiguous(self) -> NDArray[np.bool_]:
-        """Whether the position is possible and told apart from its runner_up."""
+        """Whether the position is possible and differs from its runner_up."""
         return self.is_possible & self.is_unique
 
 
@@ -67,14 +67,14 @@ def unwrap(
     apart = np.maximum(ORDERS.min_cost_difference, ORDERS.min_chi2_difference * noise)
     far_near, far_other = (_beyond(p.position, low, high, tolerance) for p in (chosen, runner_up))
     swap = cost_other + far_other < cost_near + far_near
-    alike = (np.abs(cost_near - cost_other) <= apart) & (far_near == 0) & (far_other == 0)
+    ambiguous = (np.abs(cost_near - cost_other) <= apart) & (far_near == 0) & (far_other == 0)
     inside = np.where(swap, far_other, far_near) == 0
     return Unwrapped(
         np.where(swap, runner_up.position, chosen.position),
         np.where(swap, runner_up.disagreement, chosen.disagreement),
         np.where(swap, runner_up.second_best_order, chosen.second_best_order),
         inside,
-        ~alike,
+        ~ambiguous,
     )
 
 
@@ -123,9 +123,9 @@ class Fused:
     chi2: Floats  # weighted squares of all K sets about their mean: of K - 1 degrees of freedom
 
 
-def fuse(seen: AxisPhases, position: Floats) -> Fused:
+def fuse(measured: AxisPhases, position: Floats) -> Fused:
     """Give the inverse-variance mean of the positions of all sets that agree with the finest."""
-    off, variance = _distances(seen, position), seen.position_sigma**2
+    off, variance = _distances(measured, position), measured.position_sigma**2
     weight = 1.0 / variance
     agrees = off**2 <= ORDERS.agreeing_sigmas**2 * (variance + variance[-1])
     agrees[-1] = True
@@ -134,24 +134,24 @@ def fuse(seen: AxisPhases, position: Floats) -> Fused:
     mean = np.sum(weight * off, axis=0) / np.sum(weight, axis=0)
     return Fused(
         position + np.sum(weight * agrees * off, axis=0) / total,
-        np.sqrt(np.sum(used**2 * seen.noise, axis=0)) / total,
-        np.sqrt(np.sum(used**2 * seen.common, axis=0)) / total,
+        np.sqrt(np.sum(used**2 * measured.noise, axis=0)) / total,
+        np.sqrt(np.sum(used**2 * measured.common, axis=0)) / total,
         np.sum(weight * (off - mean) ** 2, axis=0),
     )
 
 
-def _distances(seen: AxisPhases, position: Floats) -> Floats:
+def _distances(measured: AxisPhases, position: Floats) -> Floats:
     """How far each set's nearest position lies from that of the finest, (K, ...)."""
-    stripes = seen.stripes.reshape(-1, *[1] * position.ndim)
-    off = seen.phases / TWO_PI - position * stripes
+    stripes = measured.stripes.reshape(-1, *[1] * position.ndim)
+    off = measured.phases / TWO_PI - position * stripes
     off = (off - np.floor(off + 0.5)) / stripes
     off[-1] = 0.0
     return np.asarray(off)
 
 
-def _evidence(seen: AxisPhases, position: Floats, ends: tuple[Floats, Floats]) -> tuple[Floats, Floats]:
+def _evidence(measured: AxisPhases, position: Floats, ends: tuple[Floats, Floats]) -> tuple[Floats, Floats]:
     """χ² of a position's orders, and the share of its mean's distribution that lies between the ends."""
-    off, weight = _distances(seen, position), seen.position_sigma**-2
+    off, weight = _distances(measured, position), measured.position_sigma**-2
     total = weight.sum(axis=0)
     moment = np.sum(weight * off, axis=0)
     mean, per_sigma = position + moment / total, np.sqrt(0.5 * total)
@@ -169,32 +169,32 @@ class LikeliestOrder:
 
 
 def likeliest_order(
-    seen: AxisPhases,
-    found: Floats,
+    measured: AxisPhases,
+    start: Floats,
     alternatives: Alternatives,
     interval: PositionInterval,
     edge_margin: float,
 ) -> LikeliestOrder:
     """Move every pixel to its likeliest position, and compute the probability that this is wrong."""
     ends = np.asarray(interval[0]) - edge_margin, np.asarray(interval[1]) + edge_margin
-    position = found
+    position = start
     for _ in range(ORDERS.max_moves):
-        step, _ = _likeliest_shift(seen, position, alternatives, ends)
+        step, _ = _likeliest_shift(measured, position, alternatives, ends)
         if not step.any():
             break
         position = position + step
-    _, odds = _likeliest_shift(seen, position, alternatives, ends)
-    return LikeliestOrder(position, position != found, odds / (1.0 + odds))
+    _, odds = _likeliest_shift(measured, position, alternatives, ends)
+    return LikeliestOrder(position, position != start, odds / (1.0 + odds))
 
 
 def _likeliest_shift(
-    seen: AxisPhases, position: Floats, alternatives: Alternatives, ends: tuple[Floats, Floats]
+    measured: AxisPhases, position: Floats, alternatives: Alternatives, ends: tuple[Floats, Floats]
 ) -> tuple[Floats, Floats]:
     """Shift to the likeliest alternative, 0 where none is likelier; and the odds of all together."""
-    best, inside = _evidence(seen, position, ends)
+    best, inside = _evidence(measured, position, ends)
     odds, likeliest, step = np.zeros_like(position), np.ones_like(position), np.zeros_like(position)
     for shift in (*alternatives.shifts, *-alternatives.shifts):
-        chi2, share = _evidence(seen, position + shift, ends)
+        chi2, share = _evidence(measured, position + shift, ends)
         odds_of_shift = np.exp(np.minimum(0.5 * (best - chi2), ORDERS.cap_log_odds))
         own = odds_of_shift * share / np.maximum(inside, ORDERS.min_share_inside)
         step = np.where(own > likeliest, shift, step)
@@ -223,23 +223,23 @@ def decode_axis(
     plan, length = recording.plan, axis_length(recording.projector_size, axis)
     width, margin = widest(bounds, axis, recording.projector_size), ORDERS.edge_margin_px / length
     sequence = wavelength_sequence(plan, axis, recording.name, width)
-    seen, interval = (
+    measured, interval = (
         axis_phases(recording, sequence, error_model_of(recording)),
         interval_of(bounds, axis, length),
     )
-    found = unwrap(seen.phases, sequence, seen.position_sigma[-1], margin, interval=interval)
+    unwrapped = unwrap(measured.phases, sequence, measured.position_sigma[-1], margin, interval=interval)
     risks = alternatives_of(plan, sequence)
-    likeliest = likeliest_order(seen, found.position, risks, interval, margin)
-    settled = found.position if plan.order_vote else likeliest.position
-    fused, freedom = fuse(seen, settled), max(len(sequence.sets) - 1, 1)
+    likeliest = likeliest_order(measured, unwrapped.position, risks, interval, margin)
+    settled = unwrapped.position if plan.order_vote else likeliest.position
+    fused, freedom = fuse(measured, settled), max(len(sequence.sets) - 1, 1)
     is_explained = fused.chi2 <= ORDERS.agreeing_sigmas**2 * freedom
-    tolerance = margin + ORDERS.edge_sigmas * seen.position_sigma[-1]
+    tolerance = margin + ORDERS.edge_sigmas * measured.position_sigma[-1]
     is_possible = _beyond(settled, *interval, tolerance) == 0
-    is_known = found.is_unique & is_possible & (is_explained | (settled == found.position))
-    known = np.where(is_known, 1.0, np.nan)
+    is_known = unwrapped.is_unique & is_possible & (is_explained | (settled == unwrapped.position))
+    mask = np.where(is_known, 1.0, np.nan)
     return DecodedAxis(
-        coordinate=((fused.position * length - 0.5) * known).astype(np.float32),
-        sigma=(fused.sigma * length * known).astype(np.float32),
-        disagreement=(np.sqrt(fused.chi2 / freedom) * known).astype(np.float32),
+        coordinate=((fused.position * length - 0.5) * mask).astype(np.float32),
+        sigma=(fused.sigma * length * mask).astype(np.float32),
+        disagreement=(np.sqrt(fused.chi2 / freedom) * mask).astype(np.float32),
         wrong_order=likeliest.wrong.astype(np.float32),
     )

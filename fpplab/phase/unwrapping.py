@@ -51,15 +51,15 @@ def wavelength_sequence(
             "(--depth, or 'depth_mm' in plan or rig file); without them, and always to characterise, use a "
             "plan that can be unwrapped by itself: 'hierarchical' or 'heterodyne'"
         )
-    found = method.wavelengths(units)
-    most = (1.0 / width if width and method.guided else 1.0) + NEGLIGIBLE
-    coarse = [w for w in found if w.stripes <= most]
+    wavelengths = method.wavelengths(units)
+    max_stripes = (1.0 / width if width and method.guided else 1.0) + NEGLIGIBLE
+    coarse = [w for w in wavelengths if w.stripes <= max_stripes]
     if not coarse:
         stripes = [unit.stripes for unit in units]
         listed = ", ".join(f"{s:g}" for s in stripes)
-        advice = method.advice(stripes, found[0].stripes, most)
+        advice = method.advice(stripes, wavelengths[0].stripes, max_stripes)
         raise ConfigError(f"{source}: 'fringes' along {axis} have {listed} stripes: {advice}")
-    kept = (coarse[-1], *(w for w in found if w.stripes > most))
+    kept = (coarse[-1], *(w for w in wavelengths if w.stripes > max_stripes))
     trust = _trust(kept, [plan.fringes[i].images for i in sets])
     return WavelengthSequence(axis, sets, kept, trust, width or 1.0)
 
@@ -71,8 +71,8 @@ def check_unwrapping(plan: Plan, source: str, widths: Mapping[Axis, float | None
 
 
 def _trust(wavelengths: tuple[SyntheticWavelength, ...], images: list[int]) -> tuple[float, ...]:
-    def variance(one: SyntheticWavelength) -> float:
-        return sum(c * c * images[-1] / n for c, n in zip(one.coefficients, images, strict=True))
+    def variance(wavelength: SyntheticWavelength) -> float:
+        return sum(c * c * images[-1] / n for c, n in zip(wavelength.coefficients, images, strict=True))
 
     predicted = (variance(q) * (r.stripes / q.stripes) ** 2 for q, r in pairwise(wavelengths))
     return (0.0, *(1.0 / (p + variance(r)) for p, r in zip(predicted, wavelengths[1:], strict=True)))

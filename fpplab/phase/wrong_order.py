@@ -52,14 +52,14 @@ def settle_orders(
     first, last = recipe.alternatives[axis], recipe.alternatives[axis + 1]
     if first == last or recipe.wrong_order_max > 1.0:
         return
-    least, edge = recipe.least_separation[axis], recipe.edge_shift[axis]
+    separation, edge = recipe.least_separation[axis], recipe.edge_shift[axis]
     margin = recipe.order_margin[axis]
     enough = math.log(2.0 * (last - first) / recipe.wrong_order_max)
     # A pixel that the bound clears has at least the separation of twice `enough`, and so at most this noise.
     finest, freedom = recipe.finest[axis], np.sum(recipe.axis == axis) - 1
     unit = recipe.set_stripes[finest] * recipe.set_stripes[finest] / recipe.phase_noise[finest]
-    reach = margin + ORDERS.beyond_sigmas * math.sqrt(least / (2.0 * enough * unit))
-    if _mark_doubtful(rows, sums, good, n, _f(least), _f(edge), _f(reach), _f(enough)) == 0:
+    reach = margin + ORDERS.beyond_sigmas * math.sqrt(separation / (2.0 * enough * unit))
+    if _mark_doubtful(rows, sums, good, n, _f(separation), _f(edge), _f(reach), _f(enough)) == 0:
         return
     for i in range(n):
         if sums[_u(i) + DOUBT] == 0.0:
@@ -139,26 +139,26 @@ def _fuse_again(
         if recipe.axis[s] == axis and s != recipe.finest[axis]:
             off[s, i] = (off[s, i] + rows[_u(i)]) * recipe.set_stripes[s]
     chi2[i] -= sums[_u(i) + CHI2]
-    one = slice(i, i + 1)
+    pixel = slice(i, i + 1)
     fuse_axis(
         axis,
         recipe,
         rows[i:],
         sums[i:],
-        off[:, one],
-        weights[:, one],
-        shares[:, one],
+        off[:, pixel],
+        weights[:, pixel],
+        shares[:, pixel],
         1,
-        coordinate[one],
-        sigma[one],
-        common[one],
-        chi2[one],
+        coordinate[pixel],
+        sigma[pixel],
+        common[pixel],
+        chi2[pixel],
     )
 
 
 @compiled
 def _mark_doubtful(
-    rows: Any, sums: Any, good: Any, n: int, least: Any, edge: Any, tolerance: Any, enough: Any
+    rows: Any, sums: Any, good: Any, n: int, separation: Any, edge: Any, tolerance: Any, enough: Any
 ) -> Any:
     """Mark the pixels that the bound does not clear, and count them; without a branch, as in the decoder.
 
@@ -168,7 +168,7 @@ def _mark_doubtful(
     count = _f(0)
     for j in range(n):
         i = _u(j)
-        square = sums[i + LEAST] * least
+        square = sums[i + LEAST] * separation
         surplus = _HALF * square - enough
         span = max(sums[i + POSITION] - rows[i + LOW], rows[i + HIGH] - sums[i + POSITION])
         doubt = _f(0) if surplus * abs(surplus) >= square * sums[i + CHI2] else good[i]

@@ -46,7 +46,7 @@ def measure_response(
     response = fit_greys(
         GreyLevelImages(
             shown=np.array(greys.shown) / 255.0,
-            seen=levels_seen,
+            statistics=levels_seen,
             dark=statistics(dark.image, dark.settings.bits),
             pixels=pixels_of_regions(dark.image),
             bits=dark.settings.bits,

@@ -51,14 +51,14 @@ def depth_bounds(
     for axis in plan.axes:
         along = pixels[..., AXES.index(axis)]
         last = calibration.projector.size[AXES.index(axis)] - 0.5
-        least, most = (
+        lower, upper = (
             np.clip(down @ end @ across.T, -0.5, last)
             for end in (
                 along.min(axis=0) - LIMITS.interval_margin_px,
                 along.max(axis=0) + LIMITS.interval_margin_px,
             )
         )
-        bounds[axis] = PossibleCoordinates(least.astype(np.float32), most.astype(np.float32))
+        bounds[axis] = PossibleCoordinates(lower.astype(np.float32), upper.astype(np.float32))
     return bounds
 
 
@@ -70,7 +70,7 @@ def _nodes(pixels: int) -> NDArray[np.intp]:
 def _interpolation(nodes: NDArray[np.intp], pixels: int) -> Floats:
     """Weights of the nodes at every pixel, (pixels, nodes), for linear interpolation."""
     at = np.arange(pixels)
-    return np.stack([np.interp(at, nodes, one) for one in np.eye(len(nodes))], axis=1)
+    return np.stack([np.interp(at, nodes, weights) for weights in np.eye(len(nodes))], axis=1)
 
 
 def _segments(slopes: Floats, calibration: Calibration, depth: DepthRange) -> Floats:

@@ -9,10 +9,10 @@ contradiction
     explains (`Decoded.disagreement`) has not seen a single point.
 half lit
     A pixel that is illuminated in part is consistent, but measures the middle of its illuminated part. With a
-    share q of the light lost that is q/2 pixels beside its ray, which becomes
+    share q of the light lost that is q/2 pixels next to its ray, which becomes
     q/2 · footprint / tan(angle between the rays) in depth; the penumbra of a wide aperture does the same. Its
     modulation is less than that of the surface it continues, and it lies at an edge: a neighbour has no
-    point, or is across a depth discontinuity. Ink has less modulation too, but no edge beside it.
+    point, or is across a depth discontinuity. Ink has less modulation too, but no edge next to it.
 isolated
     A connected region of fewer than `patch_min` pixels is no surface: its fringe orders are wrong from noise.
 flying
@@ -244,7 +244,7 @@ def _keep(index: PixelColumnsRows, w: Map, kept: Mask) -> None:
 
 @njit(parallel=True, cache=True)
 def _number(index: PixelColumnsRows, w: Map, places: NDArray[np.int32]) -> None:
-    """Number the points that are still in the grid anew."""
+    """Number the points that are still in the grid again."""
     for v in prange(len(w)):
         for u in range(w.shape[1]):
             if index[v, u] >= 0:

@@ -59,11 +59,15 @@ class RayGrid:
         for axis, nodes in enumerate(NODES):
             finer = np.moveaxis(np.tensordot(_cubic_weights(nodes), finer, (1, axis)), 0, axis)
         per_step = LIMITS.finer_steps * (np.array(NODES) - 1) / (self.upper - self.lower)
-        found = buffers.empty((values.shape[1], len(points)))
+        interpolated = buffers.empty((values.shape[1], len(points)))
         _interpolate(
-            np.ascontiguousarray(points), self.lower, per_step, np.ascontiguousarray(finer, np.float32), found
+            np.ascontiguousarray(points),
+            self.lower,
+            per_step,
+            np.ascontiguousarray(finer, np.float32),
+            interpolated,
         )
-        return found
+        return interpolated
 
 
 def _cubic_weights(nodes: int) -> Floats:
@@ -85,7 +89,7 @@ def _interpolate(
     lower: Floats,
     per_step: Floats,
     values: Singles,
-    found: Singles,
+    out: Singles,
 ) -> None:
     nodes_x, nodes_y, nodes_z, count = values.shape
     flat = values.reshape(-1)  # with one index instead of four
@@ -96,14 +100,14 @@ def _interpolate(
         y = (points[p, 1] * inverse - lower[1]) * per_step[1]
         z = (points[p, 2] - lower[2]) * per_step[2]
         if not (0.0 <= x <= nodes_x - 1 and 0.0 <= y <= nodes_y - 1 and 0.0 <= z <= nodes_z - 1):
-            found[:, p] = np.nan
+            out[:, p] = np.nan
             continue
         i, j, k = min(int(x), nodes_x - 2), min(int(y), nodes_y - 2), min(int(z), nodes_z - 2)
         x, y, z = x - i, y - j, z - k
         for n in range(count):
             at = i * per_x + j * per_y + k * count + n
             near = _bilinear(flat, at, per_y, count, y, z)
-            found[n, p] = near + x * (_bilinear(flat, at + per_x, per_y, count, y, z) - near)
+            out[n, p] = near + x * (_bilinear(flat, at + per_x, per_y, count, y, z) - near)
 
 
 @njit(inline="always")

@@ -21,7 +21,7 @@ _RowStarts = NDArray[np.int64]
 
 
 def mark_small_regions(
-    w: Map, across: Mask, down: Mask, least: int, removed: NDArray[np.uint8], mark: int
+    w: Map, across: Mask, down: Mask, min_pixels: int, removed: NDArray[np.uint8], mark: int
 ) -> None:
     """Mark the pixels of connected regions that have too few."""
     # w (height, width); across, down (height, width); removed (height, width)
@@ -34,7 +34,7 @@ def mark_small_regions(
     _join_bands(w, down, starts, runs, parent)
     for row in range(_BAND, len(w), _BAND):
         _join_row(w, down, starts, runs, parent, row)
-    _mark(starts, runs, parent, _sizes(runs, parent), least, removed, mark)
+    _mark(starts, runs, parent, _sizes(runs, parent), min_pixels, removed, mark)
 
 
 @njit(parallel=True, cache=True)
@@ -77,8 +77,8 @@ def _join_row(w: Map, down: Mask, starts: _RowStarts, runs: _Numbers, parent: _N
                 above += 1
             # Usually both are in the same region already, and no root has to be searched.
             if parent[above] != parent[run]:
-                one, other = _root(parent, above), _root(parent, run)
-                parent[max(one, other)] = min(one, other)
+                first, second = _root(parent, above), _root(parent, run)
+                parent[max(first, second)] = min(first, second)
 
 
 @njit(parallel=True, cache=True)
@@ -105,11 +105,11 @@ def _mark(
     runs: _Numbers,
     parent: _Numbers,
     sizes: _Numbers,
-    least: int,
+    min_pixels: int,
     removed: NDArray[np.uint8],
     mark: int,
 ) -> None:
     for v in prange(len(removed)):
         for run in range(starts[v], starts[v + 1]):
-            if sizes[parent[run]] < least:
+            if sizes[parent[run]] < min_pixels:
                 removed[v, runs[run, 0] : runs[run, 1] + 1] = mark

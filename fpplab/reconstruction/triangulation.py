@@ -152,7 +152,7 @@ def _solved(coded: CodedMaps, calibration: Calibration) -> Solutions:
     use_u, use_v = len(coded.u) > 0, len(coded.v) > 0
     counts = _count(coded.u if use_u else coded.v, coded.v if use_v else coded.u)
     total = int(counts.sum())
-    found = Solutions(
+    solutions = Solutions(
         points=buffers.empty((total, 3)),
         pixels=buffers.empty((total, 2), np.int32),
         sigma=buffers.empty(total),
@@ -166,21 +166,21 @@ def _solved(coded: CodedMaps, calibration: Calibration) -> Solutions:
         size=projector.size,
         reach=projector.reach,
     )
-    _solve(camera_slopes(calibration.camera), coded, model, np.cumsum(counts) - counts, found)
-    solved = _are_solved(found.points)
+    _solve(camera_slopes(calibration.camera), coded, model, np.cumsum(counts) - counts, solutions)
+    solved = _are_solved(solutions.points)
     if not solved.any():
         raise DataError(
             "decoded maps: no pixel triangulates; check that the calibration is of this rig and that the "
             "fringes run across the baseline"
         )
     if solved.all():
-        return found
+        return solutions
     return Solutions(
-        points=_kept(found.points, solved),
-        pixels=_kept(found.pixels, solved),
-        sigma=_kept(found.sigma, solved),
-        phase_error=_kept(found.phase_error, solved),
-        epipolar=_kept(found.epipolar, solved),
+        points=_kept(solutions.points, solved),
+        pixels=_kept(solutions.pixels, solved),
+        sigma=_kept(solutions.sigma, solved),
+        phase_error=_kept(solutions.phase_error, solved),
+        epipolar=_kept(solutions.epipolar, solved),
     )
 
 
@@ -293,10 +293,10 @@ def _count(u: Map, v: Map) -> NDArray[np.int64]:
     """Count the pixels of each row with both coordinates."""
     counts = np.zeros(len(u), np.int64)
     for row in prange(len(u)):
-        found = 0
+        count = 0
         for column in range(u.shape[1]):
-            found += _coded(u[row, column], v[row, column])
-        counts[row] = found
+            count += _coded(u[row, column], v[row, column])
+        counts[row] = count
     return counts
 
 

@@ -70,8 +70,8 @@ def with_uncertainty(
         variances = np.empty((2, len(points)))
         for part in _blocks(len(points)):
             moved = modes.moved(points[part])
-            left = moved - rigid_motions(points[part] - centre) @ motion
-            variances[0, part], variances[1, part] = _squares(moved), _squares(left)
+            deformed = moved - rigid_motions(points[part] - centre) @ motion
+            variances[0, part], variances[1, part] = _squares(moved), _squares(deformed)
             progress(part.stop / len(points))
         return variances
 
@@ -87,13 +87,13 @@ def _by_grid(
     grid = RayGrid.around(points)
     if grid is None:
         return exactly(points, progress)
-    found = grid.interpolate(exactly(grid.points, lambda share: progress(0.9 * share)).T, points)
+    variances = grid.interpolate(exactly(grid.points, lambda share: progress(0.9 * share)).T, points)
     # Outside, or so near to 0 that interpolation passes it.
-    if not are_positive(found):
-        left = np.flatnonzero(~((found[0] > 0) & (found[1] > 0)))
-        found[:, left] = exactly(points[left], no_progress)
+    if not are_positive(variances):
+        outside = np.flatnonzero(~((variances[0] > 0) & (variances[1] > 0)))
+        variances[:, outside] = exactly(points[outside], no_progress)
     progress(1.0)
-    return found
+    return variances
 
 
 def point_covariance(cloud: Cloud, calibration: Calibration, noise: CoordinateNoise) -> Floats:
@@ -120,9 +120,9 @@ def calibration_jacobian(points: AnyPoints, calibration: Calibration, noise: Coo
     """
     # points (N, 3) mm; returns (N, 3, n)
     pose, n = calibration.T_projector_camera, len(INTRINSICS)
-    seen, by_camera = _slopes(points, calibration.camera, RigidTransform.identity())
+    observed, by_camera = _slopes(points, calibration.camera, RigidTransform.identity())
     projected, by_projector = _slopes(points, calibration.projector, pose)
-    seen_by_point, projected_by_point = seen[..., 3:], projected[..., 3:] @ pose.rotation
+    seen_by_point, projected_by_point = observed[..., 3:], projected[..., 3:] @ pose.rotation
     weights = np.einsum("nij,nj->ni", projected_by_point, points) / np.square(noise)
     depth_by_point = np.einsum("ni,nij->nj", weights, projected_by_point)
     slopes = np.zeros((len(points), 3, len(PARAMETERS)))
@@ -170,13 +170,13 @@ class _Modes:
 
     @classmethod
     def of(cls, calibration: Calibration, noise: CoordinateNoise) -> _Modes:
-        known = calibration.uncertainty
-        if known is None:
+        uncertainty = calibration.uncertainty
+        if uncertainty is None:
             raise CalibrationError(
                 "the calibration has no covariance; characterise the rig with `fpplab characterise` to get it"
             )
-        changes = np.zeros((len(PARAMETERS), len(known.names)))
-        changes[[PARAMETERS.index(name) for name in known.names]] = error_modes(known)
+        changes = np.zeros((len(PARAMETERS), len(uncertainty.names)))
+        changes[[PARAMETERS.index(name) for name in uncertainty.names]] = error_modes(uncertainty)
         return cls(calibration, noise, changes)
 
     def moved(self, points: AnyPoints) -> Floats:

@@ -47,7 +47,7 @@ class ReportEntry:
 
     name: str  # in the ZIP file
     content: bytes  # what it holds
-    what: str  # what it is, in words
+    what: str  # what it is, as text
 
     @property
     def size(self) -> int:
@@ -64,8 +64,8 @@ def write_bug_report(out: Path, sources: Sequence[Path], frames: bool) -> list[R
 
     def write(stream: BinaryIO) -> None:
         with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
-            for one in listed:
-                archive.writestr(zipfile.ZipInfo(one.name), one.content, zipfile.ZIP_DEFLATED)
+            for entry in listed:
+                archive.writestr(zipfile.ZipInfo(entry.name), entry.content, zipfile.ZIP_DEFLATED)
 
     write_atomic(out, write)
     return listed
@@ -77,9 +77,9 @@ def _host() -> ReportEntry:
 
 
 def _contents(entries: Sequence[ReportEntry]) -> ReportEntry:
-    lines = [f"{one.name}  ({one.size} bytes): {one.what}" for one in entries]
-    words = "What is in this bug report of fpplab; look through it before you send it.\n\n" + "\n".join(lines)
-    return ReportEntry("contents.txt", f"{words}\n".encode(), "this list")
+    lines = [f"{entry.name}  ({entry.size} bytes): {entry.what}" for entry in entries]
+    text = "What is in this bug report of fpplab; look through it before you send it.\n\n" + "\n".join(lines)
+    return ReportEntry("contents.txt", f"{text}\n".encode(), "this list")
 
 
 def _session(path: Path, number: int, frames: bool) -> Iterator[ReportEntry]:
@@ -95,10 +95,10 @@ def _session(path: Path, number: int, frames: bool) -> Iterator[ReportEntry]:
 
 def _verified(path: Path) -> bytes:
     try:
-        found = [one.found for one in session_faults(path)] or ["nothing is damaged"]
+        messages = [fault.message for fault in session_faults(path)] or ["nothing is damaged"]
     except FppError as error:
-        found = [str(error)]
-    return ("\n".join(found) + "\n").encode()
+        messages = [str(error)]
+    return ("\n".join(messages) + "\n").encode()
 
 
 def _file(path: Path, number: int) -> ReportEntry:

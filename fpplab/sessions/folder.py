@@ -18,7 +18,7 @@ from fpplab.core.journals import cut_torn_line, whole_lines
 from fpplab.core.session_names import FRAMES, JOURNAL, PLAN, RIG, SESSION_FILES
 from fpplab.patterns.plan import Plan
 from fpplab.sessions.format import write_format
-from fpplab.sessions.journal import format_words
+from fpplab.sessions.journal import format_text
 from fpplab.sessions.rig_record import RigRecord
 
 
@@ -71,11 +71,15 @@ def _foreign(path: Path) -> list[str]:
     names = "|".join(map(re.escape, sorted(SESSION_FILES)))
     own = re.compile(rf"{names}|\.({names})\.[a-z0-9_]{{8}}")
     frame = re.compile(r"\d{4,}_.*\.tif|\.\d{4,}_.*\.tif\.[a-z0-9_]{8}")
-    around = [one for one in path.iterdir() if one.name != FRAMES or not one.is_dir() or one.is_symlink()]
+    around = [
+        entry for entry in path.iterdir() if entry.name != FRAMES or not entry.is_dir() or entry.is_symlink()
+    ]
     frames = path / FRAMES
     inside = frames.iterdir() if frames.is_dir() and not frames.is_symlink() else ()
-    foreign = [one.name for one in around if one.is_dir() or not own.fullmatch(one.name)]
-    foreign += [f"{FRAMES}/{one.name}" for one in inside if one.is_dir() or not frame.fullmatch(one.name)]
+    foreign = [entry.name for entry in around if entry.is_dir() or not own.fullmatch(entry.name)]
+    foreign += [
+        f"{FRAMES}/{entry.name}" for entry in inside if entry.is_dir() or not frame.fullmatch(entry.name)
+    ]
     return sorted(foreign)
 
 
@@ -106,5 +110,5 @@ def need_space_for_frames(
         images += plan.images - (len(whole_lines(path / JOURNAL)) if begun and not force else 0)
         freed += disk_bytes(path) if begun and force and not replaced_last else 0
     each = size[0] * size[1] * raw_dtype(bits).itemsize
-    what = f"{images} frames of {format_words((*size, bits))}"
+    what = f"{images} frames of {format_text((*size, bits))}"
     need_space(paths[0] if len(paths) == 1 else paths[0].parent, images * each, what, freed)

@@ -34,25 +34,25 @@ class SessionFormat(Document):
 
 
 def session_format(path: Path) -> int:
-    """Tell in which version of the format a session is."""
+    """Return in which version of the format a session is."""
     file = path / FORMAT
     if not file.exists():
         return 1
-    found = config.load_document(file, SessionFormat).format
-    if found > PRESENT:
+    version = config.load_document(file, SessionFormat).format
+    if version > PRESENT:
         raise DataError(
-            f"{path}: has format {found}, of a later version of fpplab; this one reads 1 to {PRESENT}, so "
+            f"{path}: has format {version}, of a later version of fpplab; this one reads 1 to {PRESENT}, so "
             "update fpplab"
         )
-    return found
+    return version
 
 
 def check_format(path: Path) -> None:
     """Refuse a session of a later version, and one that lacks a file which it records."""
-    found = session_format(path)
-    if found > 1 and not (path / CHECKSUMS).is_file():
+    version = session_format(path)
+    if version > 1 and not (path / CHECKSUMS).is_file():
         raise DataError(f"{path}: {CHECKSUMS} is gone; `fpplab session repair` tells what is lost")
-    recorded = {one.file for one in recorded_files(path)}
+    recorded = {record.file for record in recorded_files(path)}
     for name in (FORMAT, PLAN, RIG):
         if name in recorded and not (path / name).exists():
             raise DataError(f"{path}: {name} is gone; `fpplab session repair` restores it")

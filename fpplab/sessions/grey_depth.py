@@ -27,27 +27,29 @@ def check_bits(bits: int | None) -> None:
 class StoredLevels:
     """The grey levels that occur in 16-bit files, whatever the depth of the camera."""
 
-    seen: Mask = field(default_factory=lambda: np.zeros(1 << STORED_BITS, np.bool_))  # whether a level occurs
+    occurring: Mask = field(
+        default_factory=lambda: np.zeros(1 << STORED_BITS, np.bool_)
+    )  # whether a level occurs
     greatest: int = -1  # the greatest level
     where: str = ""  # the first image that has it
 
     def add(self, image: Image, name: str) -> None:
         """Take note of the levels of one more image."""
         # image (height, width)
-        self.seen[image.ravel()] = True
+        self.occurring[image.ravel()] = True
         if (brightest := int(image.max())) > self.greatest:
             self.greatest, self.where = brightest, name
 
     @property
     def levels(self) -> NDArray[np.int64]:
         """Those that occur, (K,), in ascending order."""
-        return np.flatnonzero(self.seen).astype(np.int64)
+        return np.flatnonzero(self.occurring).astype(np.int64)
 
     def depth(self, bits: int | None, warn: Say, tell: Say) -> tuple[int, int]:
         """Find the depth, or confirm the one that is said."""
-        return self._found(tell) if bits is None else self._confirmed(bits, warn)
+        return self._detected(tell) if bits is None else self._confirmed(bits, warn)
 
-    def _found(self, tell: Say) -> tuple[int, int]:
+    def _detected(self, tell: Say) -> tuple[int, int]:
         upper = self._upper_bits()
         if upper is not None:
             tell(f"the images hold {upper} bits, in the upper bits of 16; they were moved to the lower ones")

@@ -145,11 +145,11 @@ def grey_images(places: list[ImagePlace]) -> Iterator[tuple[ImagePlace, Image, b
     for path, together in groupby(places, key=lambda place: place.path):
         with open_image_file(path) as file:
             for place in together:
-                found = file.size(place.page)
-                size = size or found
-                if found != size:
+                own_size = file.size(place.page)
+                size = size or own_size
+                if own_size != size:
                     raise DataError(
-                        f"{place}: is {found[0]} x {found[1]} pixels but the first image is "
+                        f"{place}: is {own_size[0]} x {own_size[1]} pixels but the first image is "
                         f"{size[0]} x {size[1]}"
                     )
                 yield place, file.read(place.page), file.is_lossy

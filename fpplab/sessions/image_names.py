@@ -45,7 +45,7 @@ class NumberedNames:
         """Give the name of one image."""
         return self.form.format(**dict(zip(self._fields, numbers, strict=True)))
 
-    def there(self) -> list[NameNumbers]:
+    def existing(self) -> list[NameNumbers]:
         """Find the files whose names have the form."""
         parts = list(string.Formatter().parse(self.form))
         pattern = "".join(glob.escape(text) + ("*" if field else "") for text, field, _, _ in parts)
@@ -53,43 +53,44 @@ class NumberedNames:
             re.escape(text) + (rf"(?P<{field}>\d+)" if field else "") for text, field, _, _ in parts
         )
         names = [path.relative_to(self.folder).as_posix() for path in self.folder.glob(pattern)]
-        found = [match for name in names if (match := re.fullmatch(form, name, re.ASCII))]
-        numbers = {tuple(int(match[field]) for field in self._fields) for match in found}
-        return sorted(one for one in numbers if (self.folder / self.name(one)).is_file())
+        matches = [match for name in names if (match := re.fullmatch(form, name, re.ASCII))]
+        numbers = {tuple(int(match[field]) for field in self._fields) for match in matches}
+        return sorted(number for number in numbers if (self.folder / self.name(number)).is_file())
 
     def expected(self, sets: Sequence[int] | None, skipped: int = 0) -> list[NameNumbers]:
         """List the images that there should be."""
         first = self.first[-1]
         if not self.has_steps:
-            count = self._counted(n for (n,) in self.there()) if sets is None else sum(sets) + skipped
+            count = self._counted(n for (n,) in self.existing()) if sets is None else sum(sets) + skipped
             return [(first + k,) for k in range(count)]
         if sets is None:
-            there = self.there()
-            kinds = range(self.first[0], max((s for s, _ in there), default=self.first[0] - 1) + 1)
-            sets = [max(self._counted(n for s, n in there if s == kind), 1) for kind in kinds]
+            existing = self.existing()
+            kinds = range(self.first[0], max((s for s, _ in existing), default=self.first[0] - 1) + 1)
+            sets = [max(self._counted(n for s, n in existing if s == kind), 1) for kind in kinds]
         return [(self.first[0] + k, first + n) for k, count in enumerate(sets) for n in range(count)]
 
-    def check(self, wanted: Sequence[NameNumbers], skipped: Sequence[NameNumbers], planned: bool) -> None:
+    def check(self, expected: Sequence[NameNumbers], skipped: Sequence[NameNumbers], planned: bool) -> None:
         """Refuse a folder that lacks images or has more of the same name."""
-        there = self.there()
-        missing = sorted(set(wanted) - set(there))
-        surplus = sorted(set(there) - set(wanted) - set(skipped))
-        if not wanted:
+        existing = self.existing()
+        missing = sorted(set(expected) - set(existing))
+        surplus = sorted(set(existing) - set(expected) - set(skipped))
+        if not expected:
             raise DataError(
                 f"{self.folder}: has no image '{self.form}' from {self._begin(self.first)}; {self._other()}"
             )
         if missing:
-            whole = f"the plan's {len(wanted)} frames" if planned else f"{len(wanted)} images"
+            whole = f"the plan's {len(expected)} frames" if planned else f"{len(expected)} images"
             raise DataError(
                 f"{self.folder}: {len(missing)} of {whole} are missing "
-                f"({shown(self.name(one) for one in missing)}); looked for '{self.form}' from "
-                f"{self._begin(self.first)}{self._hint(wanted, there)}"
+                f"({shown(self.name(number) for number in missing)}); looked for '{self.form}' from "
+                f"{self._begin(self.first)}{self._hint(expected, existing)}"
             )
         if surplus:
-            those = f"the plan's {len(wanted)}" if planned else f"those from {self._begin(self.first)}"
+            those = f"the plan's {len(expected)}" if planned else f"those from {self._begin(self.first)}"
             raise DataError(
                 f"{self.folder}: has {len(surplus)} images more than {those} "
-                f"({shown(self.name(one) for one in surplus)}): the plan lacks fringe sets or steps, these "
+                f"({shown(self.name(number) for number in surplus)}): the plan lacks fringe sets or steps, "
+                "these "
                 "files belong elsewhere, or they are white, black or other images: --skip leaves those out"
             )
 
@@ -104,13 +105,16 @@ class NumberedNames:
     def _begin(self, numbers: NameNumbers) -> str:
         return " and ".join(f"{field} {n}" for field, n in zip(self._fields, numbers, strict=True))
 
-    def _hint(self, wanted: Sequence[NameNumbers], there: Sequence[NameNumbers]) -> str:
+    def _hint(self, expected: Sequence[NameNumbers], existing: Sequence[NameNumbers]) -> str:
         """What to say where all are there, but counted from other numbers."""
-        if not there:
+        if not existing:
             return f"; {self._other()}"
-        low = tuple(map(min, zip(*there, strict=True)))
-        moved = {tuple(n - f + at for n, f, at in zip(one, self.first, low, strict=True)) for one in wanted}
-        if low == self.first or moved != set(there):
+        low = tuple(map(min, zip(*existing, strict=True)))
+        moved = {
+            tuple(n - f + at for n, f, at in zip(numbers, self.first, low, strict=True))
+            for numbers in expected
+        }
+        if low == self.first or moved != set(existing):
             return ""
         options = f"--first {low[0]}" + (f" --first-step {low[-1]}" if low[-1] != low[0] else "")
         return f"; they count from {self._begin(low)}: {options}"

@@ -71,9 +71,9 @@ class ImageSelection:
                 f"--skip is {shown(map(str, self.skip))}: there are {len(expected)} images, counted from "
                 f"{self.first}"
             )
-        wanted = [numbers for numbers in expected if numbers not in skipped]
-        names.check(wanted, skipped, sets is not None)
-        places = [places_in(names.folder / names.name(numbers)) for numbers in wanted]
+        taken = [numbers for numbers in expected if numbers not in skipped]
+        names.check(taken, skipped, sets is not None)
+        places = [places_in(names.folder / names.name(numbers)) for numbers in taken]
         for inside in places:
             if len(inside) > 1:
                 raise DataError(
@@ -133,23 +133,23 @@ class ImageSelection:
             raise ConfigError(
                 f"--frames is '{pattern}': a pattern of names below the folder, such as '*.png'"
             )
-        found = [path for path in folder.glob(pattern) if path.is_file() and not path.name.startswith(".")]
-        if not found:
+        matches = [path for path in folder.glob(pattern) if path.is_file() and not path.name.startswith(".")]
+        if not matches:
             raise DataError(f"{folder}: has no file '{pattern}'")
-        files = sorted(found, key=_by_number)
+        files = sorted(matches, key=_by_number)
         tell(f"{len(files)} files are taken in the order of the numbers in their names: {_some(files)}")
         return files
 
 
-def numbers_of(words: str | None) -> tuple[int, ...]:
+def numbers_of(text: str | None) -> tuple[int, ...]:
     """Read numbers as they are written for `--skip`."""
-    found: set[int] = set()
-    for word in words.split(",") if words else []:
-        match = re.fullmatch(r"\s*(\d{1,6})(?:-(\d{1,6}))?\s*", word, re.ASCII)
+    numbers: set[int] = set()
+    for part in text.split(",") if text else []:
+        match = re.fullmatch(r"\s*(\d{1,6})(?:-(\d{1,6}))?\s*", part, re.ASCII)
         if match is None or int(match[2] or match[1]) < int(match[1]):
-            raise ConfigError(f"--skip is '{words}': expected numbers of images, such as '0,1' or '0-1'")
-        found |= set(range(int(match[1]), int(match[2] or match[1]) + 1))
-    return tuple(sorted(found))
+            raise ConfigError(f"--skip is '{text}': expected numbers of images, such as '0,1' or '0-1'")
+        numbers |= set(range(int(match[1]), int(match[2] or match[1]) + 1))
+    return tuple(sorted(numbers))
 
 
 def _is_pattern(names: str) -> bool:
@@ -169,11 +169,11 @@ def _check_files(files: Sequence[Path]) -> None:
             f"{missing[0].parent}: {len(missing)} of {len(files)} files do not exist "
             f"({shown(file.name for file in missing)})"
         )
-    seen: set[Path] = set()
+    earlier: set[Path] = set()
     for file in files:
-        if file.resolve() in seen:
+        if file.resolve() in earlier:
             raise DataError(f"{file}: is named twice; every step has an image of its own")
-        seen.add(file.resolve())
+        earlier.add(file.resolve())
 
 
 def _check_count(title: str, images: Sequence[ImagePlace], sets: Sequence[int] | None) -> None:

@@ -54,7 +54,9 @@ def import_images(
             session.write(Frame(image, index, settings, taken, pattern_id=pattern))
             progress((index + 1) / plan.images)
 
-    with exclusive_write(out):  # an import is whole or not at all: unlike a scan it costs nothing to repeat
+    with exclusive_write(
+        out
+    ):  # an import is whole or not at all: in contrast to a scan it costs nothing to repeat
         need_space_for_frames([out], plan, images.size, images.bits, force, replaced_last=True)
         return Session.create_whole(out, plan, rig, force, fill)
 
@@ -91,12 +93,12 @@ def _checked(
     """Find the images of a source and look at each of them."""
     places = source.images(sets, warn, tell)
     size, stored = (0, 0), 8
-    seen: dict[bytes, ImagePlace] = {}
+    earlier: dict[bytes, ImagePlace] = {}
     lossy: list[str] = []
     levels = StoredLevels()
     for place, image, is_lossy in grey_images(places):
         # A sensor never gives the same image twice: a file was copied under two names.
-        twin = seen.setdefault(hashlib.sha256(np.ascontiguousarray(image).data).digest(), place)
+        twin = earlier.setdefault(hashlib.sha256(np.ascontiguousarray(image).data).digest(), place)
         if twin is not place:
             raise DataError(
                 f"{place}: is the same image as {twin.name}; every step has an image of its own: "

@@ -44,7 +44,7 @@ class SessionFault:
     """One thing that is wrong with a session."""
 
     file: str  # relative to the session
-    found: str  # what is wrong with it, in a sentence
+    message: str  # what is wrong with it, in a sentence
 
 
 def describe_session(session: Session) -> dict[str, Any]:
@@ -80,7 +80,7 @@ def session_faults(path: Path, progress: Progress = no_progress) -> list[Session
         plan = config.load_document(path / PLAN, Plan)
     if (path / JOURNAL).is_file():
         lines = readable_lines(path, plan)
-        faults += [SessionFault(JOURNAL, words) for words in lines.faults]
+        faults += [SessionFault(JOURNAL, message) for message in lines.faults]
         records = list(lines.records.values())
         faults += list(frame_faults(path, records, progress))
     else:
@@ -136,7 +136,7 @@ def _noted(faults: list[SessionFault], path: Path, name: str) -> Iterator[None]:
     try:
         yield
     except FppError as error:
-        if all(one.found != str(error) for one in faults):
+        if all(fault.message != str(error) for fault in faults):
             faults.append(SessionFault(name, str(error)))
     except OSError as error:
         faults.append(SessionFault(name, f"{path / name}: cannot be read ({error.strerror})"))

@@ -72,8 +72,8 @@ class FrameRecord(Document):
         return CameraSettings(self.exposure_s, self.gain_db, self.bits)
 
 
-def format_words(form: tuple[int, int, int]) -> str:
-    """Put the format of frames into words."""
+def format_text(form: tuple[int, int, int]) -> str:
+    """Describe the format of frames."""
     # form (width, height, bits)
     return f"{form[0]} x {form[1]} at {form[2]} bits"
 
@@ -148,8 +148,8 @@ def _record_of(line: bytes, where: str, ids: list[str] | None, taken: Container[
 
 def check_whole(path: Path, plan: Plan, records: Sequence[FrameRecord]) -> None:
     """Refuse a session that lacks frames, or has frames of several formats."""
-    there = {record.index for record in records}
-    if missing := [i for i in range(plan.images) if i not in there]:
+    recorded = {record.index for record in records}
+    if missing := [i for i in range(plan.images) if i not in recorded]:
         shown = ", ".join(map(str, missing[:8])) + (" …" if len(missing) > 8 else "")
         raise DataError(
             f"{path}: {len(missing)} of {plan.images} frames are missing ({shown}); "
@@ -158,6 +158,6 @@ def check_whole(path: Path, plan: Plan, records: Sequence[FrameRecord]) -> None:
     for i, record in enumerate(records):
         if record.format != records[0].format:
             raise DataError(
-                f"{path / record.file}: frame {i} is {format_words(record.format)}, "
-                f"but the first is {format_words(records[0].format)}"
+                f"{path / record.file}: frame {i} is {format_text(record.format)}, "
+                f"but the first is {format_text(records[0].format)}"
             )

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class SessionLimits:
-    """Limits of what is read into a session, and of what is written beside it."""
+    """Limits of what is read into a session, and of what is written next to it."""
 
     max_attachment_bytes: int = 64 << 20
     """Greatest size of a file that is no session in a bug report. Chosen."""

@@ -20,7 +20,7 @@ _held: dict[Path, int] = {}
 def exclusive_write(path: Path) -> Iterator[None]:
     """Keep other processes from writing into a session.
 
-    The lock is a file beside the session, `.NAME.lock`, which the system unlocks when its process ends,
+    The lock is a file next to the session, `.NAME.lock`, which the system unlocks when its process ends,
     however it does; a session that is replaced keeps its lock. It names the process that holds it.
     """
     place = path.resolve()
@@ -38,8 +38,8 @@ def exclusive_write(path: Path) -> Iterator[None]:
         with writing(path):
             lock.parent.mkdir(parents=True, exist_ok=True)
             if not stack.enter_context(locked_file(lock)):
-                found = f"{lock_owner(lock)} is writing into it"
-                raise DataError(f"{path}: {found}; wait until that is done, or name another output")
+                problem = f"{lock_owner(lock)} is writing into it"
+                raise DataError(f"{path}: {problem}; wait until that is done, or name another output")
         _held[place] = 1
         stack.callback(_held.pop, place)
         stack.push(partial(end_session_log, place))

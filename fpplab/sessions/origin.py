@@ -51,7 +51,9 @@ class SessionOrigin(Origin):
             "fixture": rig.fixture,
         }
         reported = {name: device.info() for name, device in opened.items() if device is not None}
-        devices = {name: DeviceIdentity(model=one.model, serial=one.serial) for name, one in reported.items()}
+        devices = {
+            name: DeviceIdentity(model=info.model, serial=info.serial) for name, info in reported.items()
+        }
         return cls.now(rig_file=rig.source, devices=devices, first_frame=first_frame)
 
 
@@ -70,14 +72,14 @@ def session_origin(folder: Path) -> SessionOrigin | None:
 def other_devices(calibration: CalibrationOrigin, measured: SessionOrigin) -> list[str]:
     """List the devices of a measurement that a calibration was not made with, by their serial numbers."""
     made_with = {"camera": calibration.camera, "projector": calibration.projector}
-    pairs = [(name, one, measured.devices.get(name)) for name, one in made_with.items()]
+    pairs = [(name, made, measured.devices.get(name)) for name, made in made_with.items()]
     return [
-        name for name, one, other in pairs if one and other and one.serial and other.serial and one != other
+        name for name, made, used in pairs if made and used and made.serial and used.serial and made != used
     ]
 
 
 def foreign_calibration(calibration: Calibration, session: Session) -> str | None:
-    """Tell how the devices of a session differ from those that a calibration was made with."""
+    """Describe how the devices of a session differ from those that a calibration was made with."""
     made, measured = calibration.origin, session_origin(session.path)
     if made is None or measured is None:
         return None
@@ -102,9 +104,11 @@ def taken_at(session: Session) -> tuple[datetime, datetime] | None:
 def calibration_origin(poses: Sequence[Session]) -> CalibrationOrigin:
     """Describe what a calibration is made from, now."""
     ends = [times[1] for times in map(taken_at, poses) if times]
-    known = [origin.devices if (origin := session_origin(pose.path)) else {} for pose in poses]
+    devices = [origin.devices if (origin := session_origin(pose.path)) else {} for pose in poses]
     agreed = {
-        name: known[0].get(name) if all(one.get(name) == known[0].get(name) for one in known) else None
+        name: devices[0].get(name)
+        if all(of_pose.get(name) == devices[0].get(name) for of_pose in devices)
+        else None
         for name in ("camera", "projector")
     }
     taken = max(ends).replace(microsecond=0) if len(ends) == len(poses) else None

@@ -1,6 +1,6 @@
 """A damaged session made readable again: what is whole is kept, what is lost is named.
 
-Nothing is deleted: damaged files go to `NAME.damaged` beside the session. A damaged file stays in its place
+Nothing is deleted: damaged files go to `NAME.damaged` next to the session. A damaged file stays in its place
 until the one that replaces it is on disk, so that a repair which a full disk ends can be made again. Plan,
 rig and format are restored from the copies in `files.jsonl`. A frame that is damaged is taken out of the
 journal, so that the session lacks it; whether it may be taken again, although the part may have moved, is
@@ -62,7 +62,7 @@ def repair_session(path: Path, progress: Progress = no_progress) -> RepairReport
         for fault in session_faults(path):  # what is left are results, which can be made again
             if (path / fault.file).is_file():
                 _set_aside(path, fault.file, report)
-            report.lost.append(fault.found)
+            report.lost.append(fault.message)
         upgrade_format(path)
         Session.open(path)
     return report
@@ -71,7 +71,7 @@ def repair_session(path: Path, progress: Progress = no_progress) -> RepairReport
 def _restore_small_files(path: Path, report: RepairReport) -> None:
     """Restore format, plan and rig from their copies."""
     kept = list(_readable_records(path, report))
-    newest = {one.file: one for one in kept if one.is_whole}
+    newest = {record.file: record for record in kept if record.is_whole}
     for name in (PLAN, RIG, FORMAT):
         copy = newest.get(name)
         if copy is None or copy.text is None or _holds(path / name, copy.text):
@@ -87,7 +87,7 @@ def _readable_records(path: Path, report: RepairReport) -> Iterable[RecordedFile
     except DataError as error:
         report.lost.append(f"{error}; the checksums in it can no longer be verified")
         records = list(_renewed_records(path))
-        _replace(path, CHECKSUMS, "".join(f"{one.line}\n" for one in records), report)
+        _replace(path, CHECKSUMS, "".join(f"{record.line}\n" for record in records), report)
         report.restored.append(CHECKSUMS)
         return records
 
@@ -97,10 +97,10 @@ def _renewed_records(path: Path) -> Iterator[RecordedFile]:
     kept: set[str] = set()
     for line in whole_lines(path / CHECKSUMS):
         with suppress(ValueError):
-            one = RecordedFile.of_line(line)
-            if one.is_whole:
-                kept.add(one.file)
-                yield one
+            record = RecordedFile.of_line(line)
+            if record.is_whole:
+                kept.add(record.file)
+                yield record
     for name in sorted({PLAN, RIG} - kept):
         with suppress(OSError, UnicodeDecodeError):  # a file that cannot be read is no copy of itself
             text = read_bounded(path / name, config.MAX_TEXT_BYTES).decode("utf-8")
@@ -129,10 +129,10 @@ def _restore_journal(path: Path, plan: Plan, report: RepairReport, progress: Pro
         raise DataError(f"{path}: cannot be repaired: its journal is missing, which says what its frames are")
     lines = readable_lines(path, plan)
     damaged = list(frame_faults(path, list(lines.records.values()), progress))
-    bad = {one.file for one in damaged}
+    bad = {fault.file for fault in damaged}
     whole = [record for record in lines.records.values() if record.file not in bad]
     report.kept = len(whole)
-    report.lost += [*lines.faults, *(one.found for one in damaged)]
+    report.lost += [*lines.faults, *(fault.message for fault in damaged)]
     for name in sorted(bad):  # before the journal forgets them
         if (path / name).exists():
             _set_aside(path, name, report)
@@ -146,7 +146,7 @@ def _line(record: FrameRecord) -> str:
 
 
 def _replace(path: Path, name: str, text: str, report: RepairReport) -> None:
-    """Rewrite a file of the session, and keep the old one beside the session."""
+    """Rewrite a file of the session, and keep the old one next to the session."""
     if not (path / name).exists():
         write_text(path / name, text)
         return

@@ -29,13 +29,13 @@ def _but_mounted(rig: RigRecord) -> dict[str, Any]:
 
 
 def recorded_projector(rig: RigRecord, plan: Plan, path: Path) -> tuple[tuple[int, int], Lattice]:
-    """Tell which projector showed the patterns of a session."""
+    """Return which projector showed the patterns of a session."""
     # returns size (width, height) px
     if rig is None and plan.projector_size:
         return plan.projector_size, Lattice.SQUARE
     try:
-        found = (rig or {})["resolved"]["projector"]
-        return (int(found["size"][0]), int(found["size"][1])), Lattice(found["lattice"])
+        projector = (rig or {})["resolved"]["projector"]
+        return (int(projector["size"][0]), int(projector["size"][1])), Lattice(projector["lattice"])
     except (KeyError, TypeError, ValueError, IndexError) as error:
         raise DataError(
             f"{path}: does not say how many pixels the projector had, and in which lattice; "
@@ -45,5 +45,5 @@ def recorded_projector(rig: RigRecord, plan: Plan, path: Path) -> tuple[tuple[in
 
 def recorded_response(rig: RigRecord, path: Path) -> Curve | None:
     """Give the measured response of the rig of a session, where its file states one."""
-    found = (rig or {}).get("response")
-    return None if found is None else config.validate(found, Curve, f"{path}: response of the rig")
+    response = (rig or {}).get("response")
+    return None if response is None else config.validate(response, Curve, f"{path}: response of the rig")

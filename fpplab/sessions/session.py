@@ -3,11 +3,11 @@
     session.yaml    in which version of this format it is
     plan.yaml       what was projected
     rig.yaml        what with, as resolved (absent for imported images)
-    files.jsonl     checksums of the files beside it that decide what the frames mean
+    files.jsonl     checksums of the files next to it that decide what the frames mean
     journal.jsonl   one line per frame that is safely on disk, with its checksum
     log.jsonl       what was done with it, when, and by which program
     frames/         one uncompressed TIFF per frame, memory-mappable
-    decoded.npz, cloud.ply, calibration.yaml ...   results, beside them
+    decoded.npz, cloud.ply, calibration.yaml ...   results, next to them
 
 A frame is in the session once its line stands whole in the journal: the file is written
 atomically first, the line after it. A torn last line is a frame that was not recorded.
@@ -52,7 +52,7 @@ from fpplab.sessions.journal import (
     FrameRecord,
     check_frame_place,
     check_whole,
-    format_words,
+    format_text,
     frame_file,
     pattern_ids,
     read_journal,
@@ -448,7 +448,7 @@ class Session:
                 progress(len(images) / self.plan.images)
         seconds = time.perf_counter() - start
         _log.info(
-            "%d frames of %s read from %s, %.3f s", len(images), format_words(self.format), self.path, seconds
+            "%d frames of %s read from %s, %.3f s", len(images), format_text(self.format), self.path, seconds
         )
         return images
 
@@ -549,7 +549,7 @@ def recorded_sessions(paths: list[Path]) -> list[Session]:
             raise DataError(f"{session.path}: was taken with another plan than {first.path}")
         if session.format != first.format:
             raise DataError(
-                f"{session.path}: has frames of {format_words(session.format)}, "
-                f"but {first.path} of {format_words(first.format)}"
+                f"{session.path}: has frames of {format_text(session.format)}, "
+                f"but {first.path} of {format_text(first.format)}"
             )
     return sessions

@@ -13,8 +13,8 @@ from fpplab.core.conventions import Floats
 class InkBox(NamedTuple):
     """A rectangle in the foreground's colour, in mm in the board's frame."""
 
-    left: float  # least x in mm
-    top: float  # least y in mm
+    left: float  # smallest x in mm
+    top: float  # smallest y in mm
     right: float  # greatest x in mm
     bottom: float  # greatest y in mm
 

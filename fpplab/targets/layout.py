@@ -100,7 +100,7 @@ class BoardLayout(PrintFields, GridFields, ABC):
             As many columns as rows, or fewer than three of them.
         """
         if self.counts[0] == self.counts[1]:
-            raise ValueError("'counts' must differ, or a quarter turn of the board could not be told")
+            raise ValueError("'counts' must differ, or a quarter turn of the board could not be recognised")
         if min(self.counts) < 3:
             raise ValueError("'counts' must be at least 3 each to be found")
 
@@ -175,7 +175,7 @@ class BoardLayout(PrintFields, GridFields, ABC):
 
     @abstractmethod
     def summary(self) -> str:
-        """Describe the board in a few words for the legend of a printed page.
+        """Describe the board briefly for the legend of a printed page.
 
         Returns
         -------
@@ -210,12 +210,12 @@ class BoardLayout(PrintFields, GridFields, ABC):
             Points with their ids on the board; None when it is not there.
         """
 
-    def corrected(self, found: Detection) -> Detection:
+    def corrected(self, located: Detection) -> Detection:
         """Correct located features for the difference from the images of the board's points.
 
         Parameters
         ----------
-        found : Detection
+        located : Detection
             Points located with `point_model`.
 
         Returns
@@ -223,7 +223,7 @@ class BoardLayout(PrintFields, GridFields, ABC):
         Detection
             Images of the board's points; here the same.
         """
-        return found
+        return located
 
     def find_patch(self, grey: NDArray[np.uint8]) -> GridPatch | None:
         """Find part of the board as a patch of its lattice, wherever that lies on the board.
@@ -266,7 +266,7 @@ class BoardLayout(PrintFields, GridFields, ABC):
 
         Yields
         ------
-        words : str
+        description : str
             How the real board differs and what the field should be.
         changes : dict[str, Any]
             The field with its other value.

@@ -35,9 +35,9 @@ def _seen_from_front(grid: Floats) -> bool:
 
 def _misfit(layout: BoardLayout, grid: Floats) -> float:
     """RMS distance in px of a grid from the best perspective view of the board."""
-    found = whole_board(grid)
-    seen = apply_homography(homography(layout, found), layout.points()[:, :2])
-    return float(np.sqrt(np.mean(np.sum((seen - found.pixels) ** 2, axis=1))))
+    detection = whole_board(grid)
+    fitted = apply_homography(homography(layout, detection), layout.points()[:, :2])
+    return float(np.sqrt(np.mean(np.sum((fitted - detection.pixels) ** 2, axis=1))))
 
 
 def _uprightness(grid: Floats) -> float:

@@ -68,33 +68,33 @@ def _is_of_points(layout: BoardLayout, patch: GridPatch, level: Floats) -> bool:
     """Whether the patch is a plane's lattice at all: noise has corners and blobs as well."""
     lattice = layout.lattice()
     board: Floats = np.asarray(patch.cells @ lattice.basis.T * lattice.step_mm, np.float64)
-    found, _ = cv2.findHomography(board, patch.pixels, 0)
-    if found is None:
+    homography_found, _ = cv2.findHomography(board, patch.pixels, 0)
+    if homography_found is None:
         return False
-    matrix = np.asarray(found, np.float64)
+    matrix = np.asarray(homography_found, np.float64)
     off = np.abs(apply_homography(matrix, board) - patch.pixels).max(axis=1)
     steps = np.abs(np.linalg.det(local_frames(matrix, board))) ** 0.5 * lattice.step_mm.min()
     if np.any(off > LIMITS.max_lattice_offset * steps):
         return False
     # The lattice of a verified patch may still be in a skew basis, in which its points look different.
-    alike = [abs(look[0]) > LIMITS.min_correlation for look in _appearances(layout, matrix, board, level)]
-    return patch.verified or bool(np.mean(alike) > 0.5)
+    fits = [abs(look[0]) > LIMITS.min_correlation for look in _appearances(layout, matrix, board, level)]
+    return patch.verified or bool(np.mean(fits) > 0.5)
 
 
 def _placements(layout: BoardLayout, patch: GridPatch) -> list[Detection]:
     """Every placement of the patch on the board that a camera could see."""
     lattice = layout.lattice()
-    known = {tuple(place): id_ for id_, place in enumerate(lattice.places.tolist())}
-    found = []
+    id_of_place = {tuple(place): id_ for id_, place in enumerate(lattice.places.tolist())}
+    placements = []
     for turn in TURNS:
         laid = patch.cells @ (lattice.basis @ turn).T
         if not _could_be_seen(layout, np.asarray(laid * lattice.step_mm, np.float64), patch.pixels):
             continue
         for place in lattice.places:
-            ids = [known.get((x, y)) for x, y in (laid + place - laid[0]).tolist()]
+            ids = [id_of_place.get((x, y)) for x, y in (laid + place - laid[0]).tolist()]
             if None not in ids:
-                found.append(Detection(np.array(ids, np.intp), patch.pixels))
-    return found
+                placements.append(Detection(np.array(ids, np.intp), patch.pixels))
+    return placements
 
 
 def _could_be_seen(layout: BoardLayout, board: Floats, pixels: Floats) -> bool:
@@ -106,25 +106,27 @@ def _could_be_seen(layout: BoardLayout, board: Floats, pixels: Floats) -> bool:
     if matrix is None:
         return False
     frames = local_frames(np.asarray(matrix, np.float64), board)
-    largest, least = np.linalg.svd(frames, compute_uv=False).T
+    largest, smallest = np.linalg.svd(frames, compute_uv=False).T
     turned = layout.symmetric and frames.mean(axis=0)[:, 0].sum() < 0
     return bool(
-        np.all(largest < LIMITS.max_scale_ratio * least) and np.all(np.linalg.det(frames) > 0) and not turned
+        np.all(largest < LIMITS.max_scale_ratio * smallest)
+        and np.all(np.linalg.det(frames) > 0)
+        and not turned
     )
 
 
 def _is_valid(layout: BoardLayout, placement: Detection, level: Floats) -> bool:
     """Whether all that should be in the image is there, and the board ends where it should."""
     matrix = homography(layout, placement)
-    grounds, seen = [], _in_view(layout, placement, level)
-    looks = _appearances(layout, matrix, layout.points()[seen.ids, :2], level)
-    for id_, (likeness, bright, dark) in zip(seen.ids, looks, strict=True):
+    grounds, visible = [], _in_view(layout, placement, level)
+    looks = _appearances(layout, matrix, layout.points()[visible.ids, :2], level)
+    for id_, (likeness, bright, dark) in zip(visible.ids, looks, strict=True):
         row, column = divmod(int(id_), layout.counts[0])
         if layout.polarity(row, column) * likeness < LIMITS.min_correlation:
             return False
         grounds.append((bright, dark) if layout.background > layout.foreground else (dark, bright))
     if len(grounds) < LIMITS.min_points or not _edge_is_seen(
-        layout, placement, seen, np.array(grounds), level
+        layout, placement, visible, np.array(grounds), level
     ):
         return False
     beyond = _beyond(layout)
@@ -177,17 +179,17 @@ def _inside(layout: BoardLayout, matrix: Floats, board: Floats, level: Floats) -
 
 
 def _edge_is_seen(
-    layout: BoardLayout, placement: Detection, seen: Detection, grounds: Floats, level: Floats
+    layout: BoardLayout, placement: Detection, visible: Detection, grounds: Floats, level: Floats
 ) -> bool:
     """Whether each side of the board ends where it should, as far as it is in the image.
 
-    grounds: (K, 2) brightness of background and of foreground at the points seen.
+    grounds: (K, 2) brightness of background and of foreground at the visible points.
     """
     half = 0.5 * np.array(layout.size_mm)
     drawn = np.abs(layout.points()[:, :2]).max(axis=0) + layout.reach()
     inset = 0.5 * float(np.min(half - drawn))
     along = np.linspace(-1, 1, 80)
-    nearest = cKDTree(seen.pixels)
+    nearest = cKDTree(visible.pixels)
     for axis, side in product((0, 1), (-1, 1)):
         edge = np.insert(along[:, None], axis, side, axis=1)
         pixels = apply_homography(

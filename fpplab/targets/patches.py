@@ -19,32 +19,32 @@ def facing_front(cells: Cells, pixels: Floats) -> GridPatch:
     return GridPatch(cells if np.linalg.det(slope) > 0 else cells[:, ::-1], pixels)
 
 
-def patch_of_blobs(found: Floats) -> GridPatch | None:
+def patch_of_blobs(blobs: Floats) -> GridPatch | None:
     """Find the largest lattice that blobs form."""
-    # found (n, 2) px
-    if len(found) < LIMITS.min_points:
+    # blobs (n, 2) px
+    if len(blobs) < LIMITS.min_points:
         return None
-    middle = np.argsort(np.linalg.norm(found - np.median(found, axis=0), axis=1))
-    patches = [_grown(found, seed) for seed in middle[:8]]
+    middle = np.argsort(np.linalg.norm(blobs - np.median(blobs, axis=0), axis=1))
+    patches = [_grown(blobs, seed) for seed in middle[:8]]
     best = max(patches, key=lambda patch: len(patch.cells))
     return best if np.all(np.ptp(best.cells, axis=0) > 0) else None
 
 
-def _grown(found: Floats, seed: int) -> GridPatch:
+def _grown(blobs: Floats, seed: int) -> GridPatch:
     """Grow a patch around one blob, whose nearest neighbours are taken for steps of the lattice."""
-    offsets = found - found[seed]
+    offsets = blobs - blobs[seed]
     order = np.argsort(np.linalg.norm(offsets, axis=1))[1:]
     first = offsets[order[0]]
     across = [o for o in offsets[order] if abs(_sine(first, o)) > 0.4]
     if not across:
-        return GridPatch(np.zeros((1, 2), np.intp), found[[seed]], verified=True)
+        return GridPatch(np.zeros((1, 2), np.intp), blobs[[seed]], verified=True)
     second = across[0] if _sine(first, across[0]) > 0 else -across[0]
     view = np.array(
-        [[*np.stack([first, second], axis=1)[k], found[seed][k]] for k in range(2)] + [[0, 0, 1.0]]
+        [[*np.stack([first, second], axis=1)[k], blobs[seed][k]] for k in range(2)] + [[0, 0, 1.0]]
     )
     kept, cells = np.array([seed]), np.zeros((1, 2), np.intp)
     for _ in range(60):
-        places = apply_homography(np.linalg.inv(view), found)
+        places = apply_homography(np.linalg.inv(view), blobs)
         whole = np.rint(places)
         near = cKDTree(cells).query(whole)[0] < 1.5  # next to what is known already
         fits = np.flatnonzero(near & (np.abs(places - whole).max(axis=1) < LIMITS.max_lattice_offset))
@@ -53,11 +53,11 @@ def _grown(found: Floats, seed: int) -> GridPatch:
         if np.array_equal(kept_now, kept) or len(kept_now) < 4:
             break
         kept, cells = kept_now, cells_now
-        matrix, _ = cv2.findHomography(cells.astype(np.float64), found[kept], 0)
+        matrix, _ = cv2.findHomography(cells.astype(np.float64), blobs[kept], 0)
         if matrix is None or abs(np.linalg.det(matrix)) < 1e-9:
             break
         view = matrix
-    return GridPatch(cells, found[kept], verified=True)
+    return GridPatch(cells, blobs[kept], verified=True)
 
 
 def _sine(a: Floats, b: Floats) -> float:

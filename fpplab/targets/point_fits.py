@@ -22,15 +22,15 @@ def fit_centres(level: Floats, pixels: Floats, frames: Floats, model: PointModel
     if not len(pixels):
         return np.empty((0, 2))
     starts = np.array([model.start(frame) for frame in frames])
-    inverses, found = np.ascontiguousarray(np.linalg.inv(frames)), np.full((len(pixels), 2), np.nan)
+    inverses, centres = np.ascontiguousarray(np.linalg.inv(frames)), np.full((len(pixels), 2), np.nan)
     near = np.ascontiguousarray(pixels)
-    _fit_all(level, near, inverses, model.half_mm, int(model.surroundings), starts, found)
-    return found
+    _fit_all(level, near, inverses, model.half_mm, int(model.surroundings), starts, centres)
+    return centres
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
 def _fit_all(
-    level: Floats, pixels: Floats, inverses: Floats, half: float, kind: int, starts: Floats, found: Floats
+    level: Floats, pixels: Floats, inverses: Floats, half: float, kind: int, starts: Floats, centres: Floats
 ) -> None:
     for i in prange(len(pixels)):
         rows, columns = window_pixels(level, pixels[i], inverses[i], half)
@@ -45,7 +45,7 @@ def _fit_all(
         converged = _fit(kind, theta, x, y, values)
         shift = inverses[i] @ theta[:2]
         if converged and np.abs(shift).max() <= 0.5 * half:
-            found[i] = pixels[i] + theta[:2]
+            centres[i] = pixels[i] + theta[:2]
 
 
 @njit(cache=True, error_model="numpy")

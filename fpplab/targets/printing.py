@@ -86,7 +86,7 @@ def print_target(target: Target, path: Path, paper: str = "A4", name: str = "boa
     page = _Page(size)
     page.board(target)
     page.ruler()
-    page.words(_legend(target, name))
+    page.write_legend(_legend(target, name))
     kind = path.suffix.lower().removeprefix(".")
     unstamped = {"CreationDate": None} if kind == "pdf" else {"Date": None}
     with rc_context({"svg.hashsalt": "fpplab", "pdf.fonttype": 42}):
@@ -199,16 +199,16 @@ class _Page:
                 unit = " mm" if mm == LAYOUT.ruler_mm else ""
                 self.text(left + mm, foot + 3.4, f"{mm}{unit}")
 
-    def words(self, legend: str) -> None:
+    def write_legend(self, legend: str) -> None:
         """Write the legend below the ruler, in as many lines as it takes."""
-        most = int((self.size[0] - 2 * LAYOUT.margin_mm) / (LAYOUT.letter_advance * LAYOUT.letter_mm))
+        max_letters = int((self.size[0] - 2 * LAYOUT.margin_mm) / (LAYOUT.letter_advance * LAYOUT.letter_mm))
         top = LAYOUT.margin_mm + LAYOUT.legend_mm - 10
-        for row, line in enumerate(textwrap.wrap(legend, most)):
+        for row, line in enumerate(textwrap.wrap(legend, max_letters)):
             self.text(self.size[0] / 2, top - 1.3 * LAYOUT.letter_mm * row, line)
 
-    def text(self, x: float, y: float, words: str) -> None:
-        """Write words centred on x, with their baseline at y."""
+    def text(self, x: float, y: float, content: str) -> None:
+        """Write text centred on x, with their baseline at y."""
         size = LAYOUT.letter_mm * (72.0 / MM_PER_INCH) / 0.75  # of the font, whose capitals are 3/4 as high
         self.figure.text(
-            x, y, words, ha="center", va="baseline", fontsize=size, transform=self._mm, parse_math=False
+            x, y, content, ha="center", va="baseline", fontsize=size, transform=self._mm, parse_math=False
         )

@@ -31,14 +31,14 @@ else:
 
 def _own_fields() -> dict[str, Any]:
     """Collect the fields of single kinds; what one kind requires may be missing from files of the others."""
-    found: dict[str, Any] = {}
+    own: dict[str, Any] = {}
     for name, owners in OWN_FIELDS.items():
         layout = next(iter(owners.values()))
         field = layout.model_fields[name]
         hint = get_type_hints(layout, include_extras=True)[name]
         hint, default = (hint | None, None) if field.is_required() else (hint, field.default)
-        found[name] = (hint, Field(default, description=field.description))
-    return found
+        own[name] = (hint, Field(default, description=field.description))
+    return own
 
 
 _KindFields: Any = create_model("_KindFields", __base__=GridFields, **_own_fields())

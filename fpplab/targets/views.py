@@ -95,8 +95,8 @@ def window_pixels(
     down = per_mm * (abs(inverse[1, 0]) + abs(inverse[0, 0]))
     left, right = max(math.ceil(pixel[0] - across), 0), min(math.floor(pixel[0] + across) + 1, image.shape[1])
     top, bottom = max(math.ceil(pixel[1] - down), 0), min(math.floor(pixel[1] + down) + 1, image.shape[0])
-    most = max(right - left, 0) * max(bottom - top, 0)
-    rows, columns, n = np.empty(most, np.intp), np.empty(most, np.intp), 0
+    max_pixels = max(right - left, 0) * max(bottom - top, 0)
+    rows, columns, n = np.empty(max_pixels, np.intp), np.empty(max_pixels, np.intp), 0
     for v in range(top, bottom):
         for u in range(left, right):
             x = inverse[0, 0] * (u - pixel[0]) + inverse[0, 1] * (v - pixel[1])

@@ -180,8 +180,8 @@ class _Sampled:
             return None
         return {
             axis: PossibleCoordinates(
-                np.ascontiguousarray(coordinates.least[self.rows]),
-                np.ascontiguousarray(coordinates.most[self.rows]),
+                np.ascontiguousarray(coordinates.lower[self.rows]),
+                np.ascontiguousarray(coordinates.upper[self.rows]),
             )
             for axis, coordinates in self._bounds.items()
         }

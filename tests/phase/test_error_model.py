@@ -115,7 +115,7 @@ def test_a_measured_response_goes_before_what_the_frames_show():
         noisy(generator, waves(generator, 3), 1.0),
         sets(3),
         8,
-        known=relative_harmonics(Curve(a=1, b=0, g=1.2)),
+        harmonics=relative_harmonics(Curve(a=1, b=0, g=1.2)),
     )
     assert errors.sets[0].harmonic_rad == pytest.approx(phase_error(1.2, 3))
 

@@ -34,11 +34,11 @@ def test_light_from_beyond_the_interval_is_not_measured() -> None:
     assert bounds is not None
     off = {
         "x": PossibleCoordinates(
-            *(np.clip(end + 70, -0.5, WIDTH - 0.5) for end in (bounds["x"].least, bounds["x"].most))
+            *(np.clip(end + 70, -0.5, WIDTH - 0.5) for end in (bounds["x"].lower, bounds["x"].upper))
         )
     }
     decoded = decode(recording, bounds=off)
-    beyond = truth < off["x"].least - 2
+    beyond = truth < off["x"].lower - 2
     right = np.abs(decoded.u - truth) < 1
     assert not (right & beyond).any()
 

@@ -46,7 +46,7 @@ def posterior(recording, bounds) -> tuple[np.ndarray, np.ndarray]:
     ends = (
         (0.0, 1.0)
         if bounds is None
-        else tuple((e + 0.5) / WIDTH for e in (bounds["x"].least, bounds["x"].most))
+        else tuple((e + 0.5) / WIDTH for e in (bounds["x"].lower, bounds["x"].upper))
     )
     costs, places = [], []
     for order in range(-2, int(np.ceil(stripes.max())) + 3):

@@ -13,7 +13,7 @@ from tests.phase.test_wrong_order import limited, noisy
 
 def moved(bounds: dict, px: float, pixels: np.ndarray) -> dict:
     """Intervals that lie elsewhere at some pixels."""
-    ends = (bounds["x"].least, bounds["x"].most)
+    ends = (bounds["x"].lower, bounds["x"].upper)
     return {
         "x": PossibleCoordinates(*(np.where(pixels, np.clip(e + px, -0.5, WIDTH - 0.5), e) for e in ends))
     }

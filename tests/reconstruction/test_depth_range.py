@@ -44,10 +44,10 @@ def test_the_intervals_hold_every_point_of_the_range_and_little_more() -> None:
     for k, axis in enumerate(AXES):
         last = RIG.projector.size[k] - 0.5
         least, most = (np.clip(end, -0.5, last) for end in (seen[..., k].min(0), seen[..., k].max(0)))
-        assert (bounds[axis].least <= least + 1e-3).all()
-        assert (bounds[axis].most >= most - 1e-3).all()
+        assert (bounds[axis].lower <= least + 1e-3).all()
+        assert (bounds[axis].upper >= most - 1e-3).all()
         assert (
-            bounds[axis].most - bounds[axis].least
+            bounds[axis].upper - bounds[axis].lower
             <= most - least + 2 * RECONSTRUCTION_LIMITS.interval_margin_px + 1.0
         ).all()
 

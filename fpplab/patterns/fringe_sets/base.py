@@ -117,7 +117,7 @@ class FringeSet(Document):
     def demodulation(self) -> Demodulation:
         """Give the weights with which images become phase, modulation and offset.
 
-        Called once for every decoding, by the compiled decoder and by the reference alike.
+        Called once for every decoding, both by the compiled decoder and by the reference.
 
         Returns
         -------
@@ -164,7 +164,7 @@ class FringeSet(Document):
         return self.wave(phase_of_coordinate(coordinate, self.stripes, length), step)
 
     def waves(self, harmonics: int) -> Floats:
-        """Give what a pixel may see of the set beside its offset: the proof of synchronisation's axes.
+        """Give what a pixel may see of the set besides its offset: the proof of synchronisation's axes.
 
         Parameters
         ----------
@@ -212,5 +212,5 @@ def indices_along(sets: Sequence[FringeSet], axis: Axis) -> tuple[int, ...]:
     tuple of int
         Their indices, fewest stripes first; empty where the axis is not coded.
     """
-    chosen = (k for k, one in enumerate(sets) if one.axis == axis)
+    chosen = (k for k, fringe in enumerate(sets) if fringe.axis == axis)
     return tuple(sorted(chosen, key=lambda k: sets[k].stripes))

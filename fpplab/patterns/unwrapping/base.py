@@ -66,8 +66,8 @@ def differences(sets: Sequence[SyntheticWavelength]) -> list[SyntheticWavelength
     list of SyntheticWavelength
         Of every two sets that are not the same.
     """
-    found = (fine.beat(coarse) for coarse, fine in combinations(sets, 2))
-    return [w for w in found if w.stripes > NEGLIGIBLE]
+    beats = (fine.beat(coarse) for coarse, fine in combinations(sets, 2))
+    return [w for w in beats if w.stripes > NEGLIGIBLE]
 
 
 def distinct(wavelengths: Sequence[SyntheticWavelength]) -> list[SyntheticWavelength]:
@@ -83,9 +83,9 @@ def distinct(wavelengths: Sequence[SyntheticWavelength]) -> list[SyntheticWavele
     list of SyntheticWavelength
         Fewest stripes first, every stripe count once.
     """
-    found = sorted(wavelengths, key=lambda w: (w.stripes, -w.noise_gain))
-    kept = [w for w, following in pairwise(found) if following.stripes - w.stripes > NEGLIGIBLE]
-    return kept + found[-1:]
+    ordered = sorted(wavelengths, key=lambda w: (w.stripes, -w.noise_gain))
+    kept = [w for w, following in pairwise(ordered) if following.stripes - w.stripes > NEGLIGIBLE]
+    return kept + ordered[-1:]
 
 
 class UnwrappingMethod(ABC):
@@ -115,7 +115,7 @@ class UnwrappingMethod(ABC):
         """
 
     @abstractmethod
-    def advice(self, stripes: Sequence[float], coarsest: float, most: float) -> str:
+    def advice(self, stripes: Sequence[float], coarsest: float, max_stripes: float) -> str:
         """Say what the method needs where its coarsest wavelength has too many stripes.
 
         Parameters
@@ -124,7 +124,7 @@ class UnwrappingMethod(ABC):
             Of the axis' sets, fewest first.
         coarsest : float
             Stripes of the coarsest wavelength that was found.
-        most : float
+        max_stripes : float
             Stripes that the coarsest may have: 1, or more where the method is guided.
 
         Returns

@@ -28,9 +28,10 @@ class Guided(UnwrappingMethod):
         coarser = [d for d in differences(sets) if d.stripes < sets[0].stripes - NEGLIGIBLE]
         return [*distinct(coarser), *sets]
 
-    def advice(self, stripes: Sequence[float], coarsest: float, most: float) -> str:
+    def advice(self, stripes: Sequence[float], coarsest: float, max_stripes: float) -> str:
         """Ask for a coarser set or a narrower range of depths."""
         return (
             f"guided unwrapping in this depth range needs a set, or a difference of two, of at most "
-            f"{most:.3g} stripes, and the coarsest here is {coarsest:g}; add one or narrow the depth range"
+            f"{max_stripes:.3g} stripes, and the coarsest here is {coarsest:g}; add one or narrow the "
+            "depth range"
         )

@@ -23,15 +23,15 @@ class Heterodyne(UnwrappingMethod):
     def wavelengths(self, sets: Sequence[SyntheticWavelength]) -> list[SyntheticWavelength]:
         """Give the sets and their beats."""
         # Beats of sets that are no neighbours are finer, and so nearer to the coarsest set.
-        found, level = [*sets, *differences(sets)], list(sets)
+        combined, level = [*sets, *differences(sets)], list(sets)
         while level and min(w.stripes for w in level) > 1 + NEGLIGIBLE:
             level = sorted(level, key=lambda w: w.stripes)
             beats = (fine.beat(coarse) for coarse, fine in pairwise(level))
             level = [b for b in beats if b.stripes > NEGLIGIBLE]
-            found += level
-        return distinct(found)
+            combined += level
+        return distinct(combined)
 
-    def advice(self, stripes: Sequence[float], coarsest: float, most: float) -> str:
+    def advice(self, stripes: Sequence[float], coarsest: float, max_stripes: float) -> str:
         """Ask for sets whose beats reach one stripe."""
         step = max(2, round(math.sqrt(stripes[-1])))
         finest = max(stripes[-1], 2 * step)

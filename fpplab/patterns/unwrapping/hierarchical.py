@@ -17,7 +17,7 @@ class Hierarchical(UnwrappingMethod):
         """Give the sets as they are."""
         return list(sets)
 
-    def advice(self, stripes: Sequence[float], coarsest: float, most: float) -> str:
+    def advice(self, stripes: Sequence[float], coarsest: float, max_stripes: float) -> str:
         """Ask for a set of at most one stripe."""
         return (
             f"hierarchical unwrapping needs a set of at most 1 stripe, and the fewest here is {coarsest:g}; "

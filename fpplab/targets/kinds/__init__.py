@@ -14,15 +14,17 @@ from fpplab.targets.layout import BoardLayout
 
 
 def _listed() -> dict[str, type[BoardLayout]]:
-    found = {}
+    layouts = {}
     # In reverse alphabetical order messages list the kinds as they always have.
     for name in sorted((module.name for module in iter_modules(__path__)), reverse=True):
         module = import_module(f"{__name__}.{name}")
-        own = [one for one in vars(module).values() if getattr(one, "__module__", "") == module.__name__]
-        (layout,) = [one for one in own if isinstance(one, type) and issubclass(one, BoardLayout)]
+        own = [
+            member for member in vars(module).values() if getattr(member, "__module__", "") == module.__name__
+        ]
+        (layout,) = [member for member in own if isinstance(member, type) and issubclass(member, BoardLayout)]
         assert not isabstract(layout), f"{layout} leaves out {sorted(layout.__abstractmethods__)}"
-        found[name] = layout
-    return found
+        layouts[name] = layout
+    return layouts
 
 
 KINDS: dict[str, type[BoardLayout]] = _listed()

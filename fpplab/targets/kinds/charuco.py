@@ -40,9 +40,9 @@ class CharucoLayout(SquareLayout):
         if self.marker_mm >= self.spacing_mm[0]:
             raise ValueError(f"'marker_mm' must be less than the square of {self.spacing_mm[0]:g} mm")
         markers = (self.counts[0] + 1) * (self.counts[1] + 1) // 2
-        known = int(self.dictionary.split("_")[1])
-        if markers > known:
-            raise ValueError(f"'dictionary' has {known} markers and the board {markers} markers to fill")
+        available = int(self.dictionary.split("_")[1])
+        if markers > available:
+            raise ValueError(f"'dictionary' has {available} markers and the board {markers} markers to fill")
         super().check()
 
     @property
@@ -88,8 +88,8 @@ class CharucoLayout(SquareLayout):
         pixels, ids, _, _ = cv2.aruco.CharucoDetector(self.model()).detectBoard(grey)
         if ids is None or len(ids) < LIMITS.min_points:
             return None
-        found = ids.ravel().astype(np.intp)
-        xy = self.points()[found, :2]
+        indices = ids.ravel().astype(np.intp)
+        xy = self.points()[indices, :2]
         if np.linalg.matrix_rank(xy - xy[0], tol=1e-6) < 2:
             return None
-        return Detection(found, np.asarray(pixels, np.float64).reshape(-1, 2))
+        return Detection(indices, np.asarray(pixels, np.float64).reshape(-1, 2))

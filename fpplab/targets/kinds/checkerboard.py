@@ -61,8 +61,8 @@ class Checkerboard(SquareLayout):
         for scale in (2, 1) if min(grey.shape) >= LIMITS.min_halved_px else (1,):
             size = grey.shape[1] // scale, grey.shape[0] // scale
             image = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
-            found, pixels = cv2.findChessboardCornersSB(image, self.counts, flags=FINDER_FLAGS)
-            if found:
+            is_found, pixels = cv2.findChessboardCornersSB(image, self.counts, flags=FINDER_FLAGS)
+            if is_found:
                 corners = scale * (np.asarray(pixels, np.float64).reshape(-1, 2) + 0.5) - 0.5
                 return corners if scale == 1 else self._located(grey, corners)
         return None
@@ -70,20 +70,20 @@ class Checkerboard(SquareLayout):
     def _located(self, grey: NDArray[np.uint8], corners: Floats) -> Floats:
         """Locate corners in the whole picture, in windows that the next corner's edges do not enter."""
         grid = corners.reshape(self.counts[1], self.counts[0], 2)
-        least = min(np.linalg.norm(np.diff(grid, axis=axis), axis=-1).min() for axis in (0, 1))
-        half = int(min(LIMITS.max_refinement_px, 0.4 * least))
+        smallest_step = min(np.linalg.norm(np.diff(grid, axis=axis), axis=-1).min() for axis in (0, 1))
+        half = int(min(LIMITS.max_refinement_px, 0.4 * smallest_step))
         if half < 2:
             return corners
         end = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 30, 1e-3)
-        found = np.ascontiguousarray(corners[:, None], np.float32)
-        return np.asarray(cv2.cornerSubPix(grey, found, (half, half), (-1, -1), end), np.float64)[:, 0]
+        refined = np.ascontiguousarray(corners[:, None], np.float32)
+        return np.asarray(cv2.cornerSubPix(grey, refined, (half, half), (-1, -1), end), np.float64)[:, 0]
 
     def find_patch(self, grey: NDArray[np.uint8]) -> GridPatch | None:
         """Find the largest grid of corners that OpenCV detects."""
         # grey (height, width)
         flags = FINDER_FLAGS | cv2.CALIB_CB_LARGER
-        found, pixels, meta = cv2.findChessboardCornersSBWithMeta(grey, (3, 3), flags)
-        if not found:
+        is_found, pixels, meta = cv2.findChessboardCornersSBWithMeta(grey, (3, 3), flags)
+        if not is_found:
             return None
         rows, columns = meta.shape[:2]
         grid = np.asarray(pixels, np.float64).reshape(rows, columns, 2)
@@ -94,7 +94,7 @@ class Checkerboard(SquareLayout):
         """Whether dark and bright squares lie where the board has them."""
         middles = 0.25 * (grid[1:, 1:] + grid[1:, :-1] + grid[:-1, 1:] + grid[:-1, :-1])
         u, v = np.rint(middles).astype(int).transpose(2, 0, 1)
-        seen = level[v.clip(0, level.shape[0] - 1), u.clip(0, level.shape[1] - 1)]
-        rows, columns = np.indices(seen.shape)
-        contrast = seen[(rows + columns) % 2 == 1].mean() - seen[(rows + columns) % 2 == 0].mean()
+        levels = level[v.clip(0, level.shape[0] - 1), u.clip(0, level.shape[1] - 1)]
+        rows, columns = np.indices(levels.shape)
+        contrast = levels[(rows + columns) % 2 == 1].mean() - levels[(rows + columns) % 2 == 0].mean()
         return bool(contrast * (self.background - self.foreground) > 0)

@@ -34,10 +34,10 @@ class CircleGrid(BoardLayout):
         self.check_counts()
         super().check()
         gaps = np.linalg.norm(self.points()[:, None] - self.points()[None], axis=-1)
-        most = float(np.min(gaps[gaps > 0])) / (1 + 2 * LIMITS.circle_rim)
-        if self.diameter_mm > most:
+        max_diameter = float(np.min(gaps[gaps > 0])) / (1 + 2 * LIMITS.circle_rim)
+        if self.diameter_mm > max_diameter:
             raise ValueError(
-                f"'diameter_mm' is {self.diameter_mm:g}: the circles would touch; at most {most:.3g}"
+                f"'diameter_mm' is {self.diameter_mm:g}: the circles would touch; at most {max_diameter:.3g}"
             )
 
     def offsets(self, column: Floats, row: Floats) -> Floats:
@@ -93,8 +93,8 @@ class CircleGrid(BoardLayout):
         kind = cv2.CALIB_CB_ASYMMETRIC_GRID if self.staggered else cv2.CALIB_CB_SYMMETRIC_GRID
         for flags in (kind, kind | cv2.CALIB_CB_CLUSTERING):
             # OpenCV staggers every other row, these boards every other column.
-            found, pixels = cv2.findCirclesGrid(grey, (rows, columns), flags=flags, blobDetector=detector)
-            if found:
+            is_found, pixels = cv2.findCirclesGrid(grey, (rows, columns), flags=flags, blobDetector=detector)
+            if is_found:
                 grid = np.asarray(pixels, np.float64).reshape(columns, rows, 2)
                 return in_order(self, grid.transpose(1, 0, 2))
         return None
@@ -105,14 +105,14 @@ class CircleGrid(BoardLayout):
         blobs = self._blob_detector(grey).detect(grey)
         return patch_of_blobs(np.array([blob.pt for blob in blobs], np.float64).reshape(-1, 2))
 
-    def corrected(self, found: Detection) -> Detection:
+    def corrected(self, located: Detection) -> Detection:
         """Compute the images of the circles' centres from the centres of their ellipses."""
-        centres = found
+        centres = located
         for _ in range(2):  # the homography is first that of the ellipses' centres, then the corrected one
-            centres = Detection(found.ids, found.pixels - self.eccentricity(centres))
+            centres = Detection(located.ids, located.pixels - self.eccentricity(centres))
         return centres
 
-    def eccentricity(self, found: Detection) -> Floats:
+    def eccentricity(self, located: Detection) -> Floats:
         """Compute the offset of the centres of the ellipses from the images of the circles' centres.
 
         The centre of a conic is the pole of the line at infinity, so it is read off the dual conic of
@@ -124,17 +124,19 @@ class CircleGrid(BoardLayout):
         maps at the corrected centre.
         """
         # returns (K, 2) px
-        matrix = homography(self, found)
-        circles = self.points()[found.ids, :2]
+        matrix = homography(self, located)
+        circles = self.points()[located.ids, :2]
         duals = np.stack([_dual_circle(circle, self.diameter_mm / 2) for circle in circles])
-        seen = matrix @ duals @ matrix.T
-        return np.asarray(seen[:, :2, 2] / seen[:, 2:, 2] - apply_homography(matrix, circles))
+        ellipses = matrix @ duals @ matrix.T
+        return np.asarray(ellipses[:, :2, 2] / ellipses[:, 2:, 2] - apply_homography(matrix, circles))
 
     def confusable(self) -> Iterator[tuple[str, dict[str, Any]]]:
         """List the one field that is easily described wrongly, `staggered`."""
         other = not self.staggered
-        words = "lower by half a pitch in its odd columns" if other else "without a shift of odd columns"
-        yield f"{words}: 'staggered' should be {str(other).lower()}", {"staggered": other}
+        description = (
+            "lower by half a pitch in its odd columns" if other else "without a shift of odd columns"
+        )
+        yield f"{description}: 'staggered' should be {str(other).lower()}", {"staggered": other}
 
     def _blob_detector(self, grey: NDArray[np.uint8]) -> cv2.SimpleBlobDetector:
         parameters = cv2.SimpleBlobDetector.Params()

@@ -21,11 +21,14 @@ def verify_session_command(session: SessionPath, json: Json = False) -> None:
 
     with console.progress("Reading") as report:
         faults = session_faults(session, report)
-    answer = {"whole": not faults, "faults": [{"file": fault.file, "found": fault.found} for fault in faults]}
+    answer = {
+        "whole": not faults,
+        "faults": [{"file": fault.file, "found": fault.message} for fault in faults],
+    }
 
     def show() -> None:
         for fault in faults:
-            console.stdout.print(fault.found, markup=False)
+            console.stdout.print(fault.message, markup=False)
         summary = f"{len(faults)} faults; `fpplab session repair {session}` keeps what is whole"
         console.stdout.print(summary if faults else f"{session}: is whole", markup=False)
 
