@@ -102,8 +102,8 @@ def _prove(rig: Rig, session: Session) -> None:
 
 
 def _out_of_step(rig: Rig, session: Session, evidence: str) -> SyncError:
-    again = f"then take it again, with --force; the frames stay in {session.path} until then"
-    return SyncError(rig.camera.name, "acquire", evidence, f"{remedy(session.plan)}; {again}")
+    advice = f"then take it again, with --force; the frames stay in {session.path} until then"
+    return SyncError(rig.camera.name, "acquire", evidence, f"{remedy(session.plan)}; {advice}")
 
 
 def expose(

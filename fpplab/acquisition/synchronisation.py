@@ -198,26 +198,28 @@ def _moments(recording: Recording) -> Moments | None:
     frames = recording.frames
     height, width = frames[0].shape
     down = max(1, height // LIMITS.rows)
-    right = max(2, len(range(0, height, down)) * width // LIMITS.pixels)
-    rows, used = slice(down // 2, None, down), width // right * right
-    cells = [frame[rows, :used].reshape(-1, used // right, right) for frame in frames]  # views
+    columns_per_cell = max(2, len(range(0, height, down)) * width // LIMITS.pixels)
+    rows, used = slice(down // 2, None, down), width // columns_per_cell * columns_per_cell
+    cells = [
+        frame[rows, :used].reshape(-1, used // columns_per_cell, columns_per_cell) for frame in frames
+    ]  # views
     pair = [np.stack([cell[..., i].ravel() for cell in cells]) for i in (0, 1)]
     unsaturated = np.maximum(*(levels.max(axis=0) for levels in pair)) < recording.full_scale
-    own, neighbour = (_ripple(levels[:, unsaturated].astype(np.float32)) for levels in pair)
-    if own.shape[1] < LIMITS.min_pixels:
+    ripple, neighbour = (_ripple(levels[:, unsaturated].astype(np.float32)) for levels in pair)
+    if ripple.shape[1] < LIMITS.min_pixels:
         return None
-    modulation = np.sqrt(2.0 * np.mean(own * own, axis=0))
+    modulation = np.sqrt(2.0 * np.mean(ripple * ripple, axis=0))
     min_modulation = max(
         0.5 * float(np.quantile(modulation, 0.95)), recording.plan.masks.modulation_min / recording.grey
     )
     used = modulation >= min_modulation
     if used.sum() < LIMITS.min_pixels:
         return None
-    own = own[:, used] / modulation[used]
+    ripple = ripple[:, used] / modulation[used]
     neighbour = neighbour[:, used] / modulation[used]
-    cross = own @ neighbour.T
+    cross = ripple @ neighbour.T
     pixels = int(used.sum())
-    return Moments(_floats(own @ own.T / pixels), _floats((cross + cross.T) / (2 * pixels)))
+    return Moments(_floats(ripple @ ripple.T / pixels), _floats((cross + cross.T) / (2 * pixels)))
 
 
 def _floats(moment: Map) -> Floats:
@@ -260,8 +262,8 @@ class _Spaces:
     def residual(self, moment: Floats) -> Floats:
         """Residual sum of squares of each hypothesis, (H,)."""
         spread = np.einsum("hkr,hkr->hr", self.axes, np.matmul(moment, self.axes)) / self.square
-        whole = self.has_pattern @ np.diag(moment)
-        return np.asarray(np.maximum(whole - np.where(self.free, spread, 0.0).sum(axis=1), 0.0))
+        total = self.has_pattern @ np.diag(moment)
+        return np.asarray(np.maximum(total - np.where(self.free, spread, 0.0).sum(axis=1), 0.0))
 
     def likelihood(self, moments: Moments) -> Floats:
         """Logarithm of each hypothesis' marginal likelihood per pixel, up to a constant, (H,)."""

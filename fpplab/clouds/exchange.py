@@ -49,9 +49,9 @@ def point_columns(cloud: Cloud) -> dict[str, NDArray[Any]]:
         columns |= dict(zip(("pixel_u", "pixel_v"), cloud.pixels.T, strict=True))
     if cloud.normals is not None:
         columns |= dict(zip(("nx", "ny", "nz"), cloud.normals.T, strict=True))
-    more = {"grey": cloud.colour, "sigma_mm": cloud.sigma_mm, "epipolar_px": cloud.epipolar_px}
-    more |= {name: getattr(cloud, name) for name in SIGMAS}
-    return columns | {name: values for name, values in more.items() if values is not None}
+    optional = {"grey": cloud.colour, "sigma_mm": cloud.sigma_mm, "epipolar_px": cloud.epipolar_px}
+    optional |= {name: getattr(cloud, name) for name in SIGMAS}
+    return columns | {name: values for name, values in optional.items() if values is not None}
 
 
 def _write_csv(cloud: Cloud, path: Path) -> None:
@@ -71,8 +71,8 @@ def _write_surface(cloud: Cloud, path: Path) -> None:
         raise DataError(f"{path}: no three neighbouring pixels have points, so there is no surface to write")
     if kind == "3mf":
         mesh.units = "mm"
-    made: Any = mesh.export(file_type=kind)
-    content: bytes = made.encode("utf-8") if isinstance(made, str) else made
+    exported: Any = mesh.export(file_type=kind)
+    content: bytes = exported.encode("utf-8") if isinstance(exported, str) else exported
     write_atomic(path, lambda stream: stream.write(content))
 
 

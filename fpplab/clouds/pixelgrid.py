@@ -138,14 +138,14 @@ def _scatter(
 ) -> None:
     for i in prange(len(points)):
         u, v = pixels[i, 0], pixels[i, 1]
-        near = 1.0 / points[i, 2]
+        inverse_depth = 1.0 / points[i, 2]
         index[v, u] = i
-        a[v, u], b[v, u], w[v, u] = points[i, 0] * near, points[i, 1] * near, near
+        a[v, u], b[v, u], w[v, u] = points[i, 0] * inverse_depth, points[i, 1] * inverse_depth, inverse_depth
         spread = sigma[i] if len(sigma) > 0 else np.float32(0.0)
         if len(other_sigma) > 0:
             spread = np.sqrt(spread * spread + other_sigma[i] * other_sigma[i])
         if spread > 0.0:
-            noise[v, u] = weight * spread * near
+            noise[v, u] = weight * spread * inverse_depth
 
 
 def at_pixels(values: NDArray[Any], pixels: PixelColumnsRows) -> NDArray[Any]:
@@ -201,18 +201,18 @@ def _faces(
             else:
                 triangles = ((0, 2, 3), (0, 3, 1))
             for triangle in triangles:
-                whole = True
+                connected = True
                 for e in range(3):
                     p, q = triangle[e], triangle[(e + 1) % 3]
                     y0, x0, y1, x1 = v + p // 2, u + p % 2, v + q // 2, u + q % 2
-                    whole &= is_continuous(
+                    connected &= is_continuous(
                         a[y1, x1] - a[y0, x0],
                         b[y1, x1] - b[y0, x0],
                         w[y1, x1] - w[y0, x0],
                         min(w[y0, x0], w[y1, x1]),
                         noise[y0, x0] + noise[y1, x1],
                     )
-                if whole:
+                if connected:
                     if not counting:
                         for e in range(3):
                             faces[at, e] = index[v + triangle[e] // 2, u + triangle[e] % 2]

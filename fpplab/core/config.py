@@ -111,12 +111,12 @@ def describe(error: ValidationError, data: Any = None) -> str:
     if data is not None:
         details = [_written(detail, data) for detail in details]
     unknown = [_field(d["loc"]) for d in details if d["type"] == "extra_forbidden"]
-    said = [_fault(d) for d in details if d["type"] != "extra_forbidden" or len(unknown) == 1]
+    messages = [_fault(d) for d in details if d["type"] != "extra_forbidden" or len(unknown) == 1]
     if len(unknown) > 1:
-        said.insert(0, "unknown keys " + ", ".join(f"'{key}'" for key in unknown))
-    shown = list(dict.fromkeys(said))  # one look at the file corrects them all
-    more = f" (and {len(shown) - MAX_FAULTS} more)" if len(shown) > MAX_FAULTS else ""
-    return "; ".join(shown[:MAX_FAULTS]) + more
+        messages.insert(0, "unknown keys " + ", ".join(f"'{key}'" for key in unknown))
+    shown = list(dict.fromkeys(messages))  # one look at the file corrects them all
+    remainder = f" (and {len(shown) - MAX_FAULTS} more)" if len(shown) > MAX_FAULTS else ""
+    return "; ".join(shown[:MAX_FAULTS]) + remainder
 
 
 def _fault(detail: Any) -> str:
@@ -176,8 +176,8 @@ def to_yaml(data: Any) -> str:
 
 def resolve_relative_to(name: str, folder: Path) -> str:
     """Resolve a name that a file refers to relative to that file's folder."""
-    near = folder / name
-    return str(near.resolve()) if name and near.exists() else name
+    path = folder / name
+    return str(path.resolve()) if name and path.exists() else name
 
 
 ConfigKind = Literal["calibration", "dataset", "plan", "rig", "standard", "study", "target", "world"]
@@ -217,6 +217,6 @@ def _suggestion(path: Path, kind: ConfigKind | None) -> str:
     others = {other for other in get_args(ConfigKind) if other != kind}
     files = [p for p in sorted(path.parent.glob("*.yaml")) if p.name.split("_")[0] not in others or not kind]
     nearby = {p.stem: str(p) for p in files}
-    meant = get_close_matches(path.name.removesuffix(".yaml"), [*nearby, *shipped], n=1, cutoff=0.7)
-    question = f"did you mean {nearby.get(meant[0], meant[0])}? " if meant else ""
+    closest = get_close_matches(path.name.removesuffix(".yaml"), [*nearby, *shipped], n=1, cutoff=0.7)
+    question = f"did you mean {nearby.get(closest[0], closest[0])}? " if closest else ""
     return f"{question}fpplab brings {', '.join(shipped)}"

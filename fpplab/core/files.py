@@ -52,8 +52,8 @@ def no_such_file(path: Path, *suffixes: str) -> str:
     accepted = suffixes or (path.suffix.lower(),)
     entries = sorted(path.parent.iterdir()) if path.parent.is_dir() else []
     nearby = {file.name: file for file in entries if file.suffix.lower() in accepted and file.is_file()}
-    meant = get_close_matches(path.name, nearby, n=1, cutoff=0.7)
-    return f"{path}: there is no such file" + (f"; did you mean {nearby[meant[0]]}?" if meant else "")
+    closest = get_close_matches(path.name, nearby, n=1, cutoff=0.7)
+    return f"{path}: there is no such file" + (f"; did you mean {nearby[closest[0]]}?" if closest else "")
 
 
 def write_atomic(path: Path, write: Callable[[BinaryIO], object]) -> None:

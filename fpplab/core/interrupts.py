@@ -56,11 +56,11 @@ def held_back() -> Iterator[None]:
     try:
         yield
     finally:
-        came = _held.pop()
-        if came is not None:
+        interrupt = _held.pop()
+        if interrupt is not None:
             if not _held:
                 raise KeyboardInterrupt
-            _held[-1] = came
+            _held[-1] = interrupt
 
 
 def leave_at_once() -> bool:

@@ -57,6 +57,6 @@ def cut_torn_line(path: Path) -> None:
         if path.stat().st_size == 0:  # which cannot be mapped
             return
         with path.open("rb") as stream, mmap(stream.fileno(), 0, access=ACCESS_READ) as text:
-            end, whole = len(text), text.rfind(b"\n") + 1
-        if whole < end:
-            os.truncate(path, whole)
+            end, whole_bytes = len(text), text.rfind(b"\n") + 1
+        if whole_bytes < end:
+            os.truncate(path, whole_bytes)

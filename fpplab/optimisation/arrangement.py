@@ -152,8 +152,8 @@ def sample_calibration(calibration: Calibration, random: np.random.Generator) ->
     covariance = calibration.uncertainty
     if covariance is None:
         return calibration
-    off = error_modes(covariance) @ random.standard_normal(len(covariance.names))
-    by_name = dict.fromkeys(PARAMETERS, 0.0) | dict(zip(covariance.names, off.tolist(), strict=True))
+    errors = error_modes(covariance) @ random.standard_normal(len(covariance.names))
+    by_name = dict.fromkeys(PARAMETERS, 0.0) | dict(zip(covariance.names, errors.tolist(), strict=True))
     pose, change = calibration.T_projector_camera, [by_name[f"T_projector_camera.{term}"] for term in POSE]
     return Calibration(
         _changed(calibration.camera, [by_name[f"camera.{term}"] for term in INTRINSICS]),
@@ -175,8 +175,8 @@ def interpolate_calibrations(low: Calibration, high: Calibration, share: float) 
     Rotations are interpolated about their common axis.
     """
     turn = (high.T_projector_camera.rotation @ low.T_projector_camera.rotation.T).astype(np.float64)
-    whole = RigidTransform(turn, np.zeros(3)).rotation_vector
-    part = RigidTransform.from_vectors(share * whole, np.zeros(3)).rotation
+    rotation_vector = RigidTransform(turn, np.zeros(3)).rotation_vector
+    part = RigidTransform.from_vectors(share * rotation_vector, np.zeros(3)).rotation
     shift = _mixed(low.T_projector_camera.translation, high.T_projector_camera.translation, share)
     return Calibration(
         _device(low.camera, high.camera, share),

@@ -68,14 +68,14 @@ class Confirmation:
     @property
     def by_sample(self) -> float:
         """Standard uncertainty of the gain due to the sample of points, which is the same for all repeats."""
-        off = [
+        relative = [
             np.sqrt(
                 np.mean([repeats[0].surface_spread_um ** 2 for repeats in figures.values()]) / len(figures)
             )
             / _smcd(figures).mean()
             for figures in (self.before, self.after)
         ]
-        return float((1.0 - self.gain) * np.hypot(*off))
+        return float((1.0 - self.gain) * np.hypot(*relative))
 
     @property
     def uncertainty(self) -> float:
@@ -134,11 +134,11 @@ def compare_plans(
         others = _sampled_calibrations(evaluator.calibrations)
         turns = list(product(problem.artefacts, range(repeats), (0, 1)))
         for done, (name, repeat, which) in enumerate(turns):
-            asked = name, plans[which], LIMITS.first_seed + repeat
-            by_plan[which, name].append(evaluator.figures(*asked))
+            arguments = name, plans[which], LIMITS.first_seed + repeat
+            by_plan[which, name].append(evaluator.figures(*arguments))
             if repeat == 0:  # while its frames are in memory
-                again = (evaluator.figures(*asked, other) for other in others)
-                varied[which].append([figures.surface_smcd_um for figures in again])
+                with_drawn = (evaluator.figures(*arguments, other) for other in others)
+                varied[which].append([figures.surface_smcd_um for figures in with_drawn])
             progress((done + 1) / len(turns))
     finally:
         evaluator.close()

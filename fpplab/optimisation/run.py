@@ -80,11 +80,11 @@ def run_search(
         _check_acceptable(runner, optimum)
         front = tuple(runner.front)
         chosen = list(dict.fromkeys(t.candidate for t in (runner.start, optimum, *front)))
-        again = [] if screened else runner.rescore(chosen, _other_seeds(study))
+        other_scores = [] if screened else runner.rescore(chosen, _other_seeds(study))
     if screened:
         with closing(make_workers(measuring, count, scheduler)) as measurers:
-            again = CandidateRunner(space, measurers, measured).rescore(chosen, _other_seeds(study))
-    rescored = dict(zip(chosen, again, strict=True))
+            other_scores = CandidateRunner(space, measurers, measured).rescore(chosen, _other_seeds(study))
+    rescored = dict(zip(chosen, other_scores, strict=True))
     planned = front if scope is SearchScope.PARETO else (optimum,)
     result = SearchResult(
         study=study,

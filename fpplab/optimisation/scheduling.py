@@ -222,9 +222,11 @@ def _connect(library: Any, where: Any) -> Any:
 
 def _await_greeting(addresses: Any, where: str) -> None:
     """Wait until a scheduler greets: the library's client waits for ever where something else listens."""
-    with socket.create_connection(addresses.get_address_host_port(where), LIMITS.connect_timeout_s) as asked:
+    with socket.create_connection(
+        addresses.get_address_host_port(where), LIMITS.connect_timeout_s
+    ) as connection:
         encrypted = addresses.parse_address(where)[0] != "tcp"  # then the client speaks first
-        if not encrypted and not asked.recv(1):
+        if not encrypted and not connection.recv(1):
             raise OSError("what listens there is no scheduler")
 
 

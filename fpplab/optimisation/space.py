@@ -225,21 +225,21 @@ def _check_stripes(space: SearchSpace, source: str) -> None:
     """Refuse a base set that is searched, and bounds within which stripes cannot increase from set to set."""
     bounds = space.problem.space.stripes
     guided = unwrapping_methods()[space.problem.start.unwrapping].guided
-    reached: dict[str, float] = {}
+    max_so_far: dict[str, float] = {}
     for i, fringe in enumerate(space.template.fringes):
         searched = bounds[i] if bounds else None
-        if searched and fringe.axis not in reached and not guided:
+        if searched and fringe.axis not in max_so_far and not guided:
             raise ConfigError(
                 f"{source}: 'space.stripes[{i}]' is the base, which is held where 'unwrapping' is not "
                 "'guided': write null"
             )
         lower, upper = searched or (fringe.stripes, fringe.stripes)
-        if upper <= reached.get(fringe.axis, 0.0):
+        if upper <= max_so_far.get(fringe.axis, 0.0):
             raise ConfigError(
                 f"{source}: 'space.stripes[{i}]' ends at {upper:g}, and the set before begins at "
-                f"{reached[fringe.axis]:g}: stripes must increase from set to set"
+                f"{max_so_far[fringe.axis]:g}: stripes must increase from set to set"
             )
-        reached[fringe.axis] = max(lower, reached.get(fringe.axis, 0.0))
+        max_so_far[fringe.axis] = max(lower, max_so_far.get(fringe.axis, 0.0))
 
 
 def _check_rig_reach(space: SearchSpace, i: int, bound: float, source: str) -> None:
@@ -252,8 +252,8 @@ def _check_rig_reach(space: SearchSpace, i: int, bound: float, source: str) -> N
     for axis in range(len(space.problem.space.axis) or 1):
         if "axis" in names:
             point[names.index("axis")] = axis
-        reached = space.candidate(tuple(point))
-        for reason in space.limits.refusals(reached, space.problem.constraints.pixels_per_period):
+        candidate = space.candidate(tuple(point))
+        for reason in space.limits.refusals(candidate, space.problem.constraints.pixels_per_period):
             raise ConfigError(
                 f"{source}: 'space.{names[i]}' reaches {bound:g}, beyond rig '{space.limits.name}': {reason}"
             )

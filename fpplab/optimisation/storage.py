@@ -76,8 +76,8 @@ class Journal:
                 raise DataError(f"{self.path} line {number}: is not a measurement ({reason})") from error
 
     def _check_header(self, header: dict[str, Any]) -> None:
-        for name, own in self._header.items():
-            if header.get(name) != own:
+        for name, expected in self._header.items():
+            if header.get(name) != expected:
                 raise ConfigError(
                     f"{self.path}: holds the measurements of a study whose '{name}' is another; name another "
                     "output, or add --force to start again"

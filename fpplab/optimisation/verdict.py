@@ -123,19 +123,19 @@ def _neighbours(result: SearchResult) -> Iterator[Finding]:
 
 
 def _distance(parameters: Sequence[Parameter], point: Point, other: Point) -> float:
-    apart = [p.fraction(a) - p.fraction(b) for p, a, b in zip(parameters, point, other, strict=True)]
-    return float(np.linalg.norm(apart))
+    differences = [p.fraction(a) - p.fraction(b) for p, a, b in zip(parameters, point, other, strict=True)]
+    return float(np.linalg.norm(differences))
 
 
 def _difference(trial: MeasuredCandidate, best: MeasuredCandidate) -> tuple[float, float]:
     """By how much a candidate is worse, seed by seed, and the standard uncertainty of that, in µm."""
     best_by_seed, trial_by_seed = seed_means(best.scores), seed_means(trial.scores)
-    apart = np.array(
+    differences = np.array(
         [trial_by_seed[seed] - best_by_seed[seed] for seed in best_by_seed if seed in trial_by_seed]
     )
-    if len(apart) < 2:
-        return float(apart.mean()) if len(apart) else 0.0, float("inf")
-    return float(apart.mean()), float(apart.std(ddof=1) / np.sqrt(len(apart)))
+    if len(differences) < 2:
+        return float(differences.mean()) if len(differences) else 0.0, float("inf")
+    return float(differences.mean()), float(differences.std(ddof=1) / np.sqrt(len(differences)))
 
 
 def _differing(parameters: Sequence[Parameter], point: Point, other: Point) -> str:
@@ -176,12 +176,12 @@ def _end(result: SearchResult) -> Iterator[Finding]:
 
 def _limits(result: SearchResult) -> Iterator[Finding]:
     """Limits of the study that the optimum exceeds when it is measured with other seeds."""
-    again = result.rescored.get(result.optimum.candidate)
-    if not again:
+    scores = result.rescored.get(result.optimum.candidate)
+    if not scores:
         return
     start = result.rescored.get(result.start.candidate) or result.start.scores
     ranking = replace(result.ranking, start=replace(result.start, scores=start))
-    broken = ranking.violations(replace(result.optimum, scores=again))
+    broken = ranking.violations(replace(result.optimum, scores=scores))
     over = {name: by for name, by in broken.items() if by > 0}
     if over:
         exceeded = ", ".join(f"{name} by {by:.3g}" for name, by in over.items())

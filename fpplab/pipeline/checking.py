@@ -24,8 +24,8 @@ def fault_in_step(session: Session, recording: Recording) -> str | None:
 def require_in_step(session: Session, recording: Recording) -> None:
     """Refuse frames that do not show their patterns."""
     if fault := fault_in_step(session, recording):
-        again = "" if session.is_imported else "take it again, with --force, or "
-        raise DataError(f"{recording.name}: {fault}; {again}--as-recorded takes the frames as they are")
+        retake = "" if session.is_imported else "take it again, with --force, or "
+        raise DataError(f"{recording.name}: {fault}; {retake}--as-recorded takes the frames as they are")
 
 
 def plan_fault(recording: Recording) -> str | None:

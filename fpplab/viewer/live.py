@@ -165,8 +165,8 @@ class LiveView(CommandView):
         self.canvas.log("world/overlap", overlap, static=True)
         if strips:
             self.canvas.open_on("rig", "overlap", np.concatenate(strips))
-        if distance_mm is not None and len(here := geometry.outline(distance_mm)):
-            working = rr.LineStrips3D([here], colors=WORKING_COLOUR, radii=rr.Radius.ui_points(2.0))
+        if distance_mm is not None and len(at_distance := geometry.outline(distance_mm)):
+            working = rr.LineStrips3D([at_distance], colors=WORKING_COLOUR, radii=rr.Radius.ui_points(2.0))
             self.canvas.log("world/working", working, static=True)
 
     def snapshot(self, now: LiveSnapshot) -> None:

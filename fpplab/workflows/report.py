@@ -118,12 +118,12 @@ def _diagnosis(
 def short_names(paths: Sequence[Path]) -> list[str]:
     """Name scans by the last part of their paths, or by as many parts as distinguish them."""
     # The cloud of a session is called as the session.
-    whole = [(path.parent if path.name == CLOUD else path).resolve() for path in paths]
-    for path in whole:
-        if whole.count(path) > 1:
+    resolved = [(path.parent if path.name == CLOUD else path).resolve() for path in paths]
+    for path in resolved:
+        if resolved.count(path) > 1:
             raise ConfigError(f"{path}: is given twice; name each scan once")
-    for parts in range(1, max(len(path.parts) for path in whole) + 1):
-        names = ["/".join(path.parts[-parts:]) for path in whole]
+    for parts in range(1, max(len(path.parts) for path in resolved) + 1):
+        names = ["/".join(path.parts[-parts:]) for path in resolved]
         if len(set(names)) == len(names):
             break
     return names

@@ -47,16 +47,16 @@ def coordinate_search(
     rank: Callable[[MeasuredCandidate], Rank] | None = None,
 ) -> str:
     """Search along some parameters from a candidate that was measured."""
-    here, rank = begin or runner.start, rank or runner.ranking.rank
+    current, rank = begin or runner.start, rank or runner.ranking.rank
     places = range(len(runner.space.parameters)) if free is None else free
     length = settings.first
     while True:
-        points = list(dict.fromkeys(_moves(runner, here.point, places, length)))
+        points = list(dict.fromkeys(_moves(runner, current.point, places, length)))
         trials = runner.measure(points)
-        best = min([here, *trials], key=rank)
-        if rank(best) < rank(here):
-            further = runner.measure(list(_doubled(runner, here.point, best.point)))
-            here = min([best, *further], key=rank)
+        best = min([current, *trials], key=rank)
+        if rank(best) < rank(current):
+            further = runner.measure(list(_doubled(runner, current.point, best.point)))
+            current = min([best, *further], key=rank)
             runner.epoch("move", [*trials, *further])
             continue
         runner.epoch("poll", trials)
@@ -85,9 +85,9 @@ def _moves(runner: CandidateRunner, point: Point, places: Sequence[int], length:
                 yield _changed(point, {i: value})
     counts = [i for i in places if parameters[i].name.startswith("steps")]
     for i, j in permutations(counts, 2):
-        less, more = point[i] - 1, point[j] + 1
-        if parameters[i].contains(less) and parameters[j].contains(more):
-            yield _changed(point, {i: less, j: more})
+        fewer, more = point[i] - 1, point[j] + 1
+        if parameters[i].contains(fewer) and parameters[j].contains(more):
+            yield _changed(point, {i: fewer, j: more})
     stripes = [i for i in places if parameters[i].name.startswith("stripes")]
     if len(stripes) > 1:
         for sign in (-1, 1):

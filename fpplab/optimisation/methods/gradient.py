@@ -55,34 +55,34 @@ class Gradient(SearchMethod):
 
     def search(self, runner: CandidateRunner) -> str:
         """Descend from the start."""
-        here = runner.start
-        lowest = [_objective(runner, here)]
+        current = runner.start
+        lowest = [_objective(runner, current)]
         while True:
-            around = _around(runner, here.point, self)
+            around = _around(runner, current.point, self)
             trials = runner.measure([point for pair in around for point in pair])
             pairs = list(zip(trials[::2], trials[1::2], strict=True))
             moves = [
-                _move(runner, parameter, here, pair, self, i)
+                _move(runner, parameter, current, pair, self, i)
                 for i, (parameter, pair) in enumerate(zip(runner.space.parameters, pairs, strict=True))
             ]
             if not any(moves):
                 runner.epoch("slope", trials)
                 return "no parameter lowers the objective"
-            moved = _measure_step(runner, here.point, moves)
+            moved = _measure_step(runner, current.point, moves)
             if moved is None:
                 runner.epoch("slope", trials)
                 return "the next step leads to what cannot be shown or measured"
-            here = moved
-            runner.epoch("step", [*trials, here])
-            lowest.append(min(lowest[-1], _objective(runner, here)))
+            current = moved
+            runner.epoch("step", [*trials, current])
+            lowest.append(min(lowest[-1], _objective(runner, current)))
             if len(lowest) > self.patience and lowest[-1 - self.patience] - lowest[-1] < self.gain:
                 return f"improved by less than {self.gain:g} in {self.patience} epochs"
 
 
 def _objective(runner: CandidateRunner, trial: MeasuredCandidate) -> float:
     """Compute the objective in its own unit, with a penalty where the plan exceeds a limit."""
-    value, own = runner.ranking.values(trial)[0], abs(runner.ranking.values(runner.start)[0])
-    return value + LIMITS.penalty * own * runner.ranking.violation(trial)
+    value, scale = runner.ranking.values(trial)[0], abs(runner.ranking.values(runner.start)[0])
+    return value + LIMITS.penalty * scale * runner.ranking.violation(trial)
 
 
 def _around(runner: CandidateRunner, point: Point, settings: Gradient) -> list[tuple[Point, Point]]:
@@ -97,16 +97,16 @@ def _around(runner: CandidateRunner, point: Point, settings: Gradient) -> list[t
     return pairs
 
 
-def _neighbour(parameter: Parameter, value: float, share: float, whole: int) -> float:
+def _neighbour(parameter: Parameter, value: float, share: float, integer_step: int) -> float:
     if parameter.is_integer:
-        return value + whole
+        return value + integer_step
     return parameter.value_at(min(max(parameter.fraction(value) + share, 0.0), 1.0))
 
 
 def _move(
     runner: CandidateRunner,
     parameter: Parameter,
-    here: MeasuredCandidate,
+    current: MeasuredCandidate,
     pair: tuple[MeasuredCandidate, MeasuredCandidate],
     settings: Gradient,
     i: int,
@@ -114,17 +114,17 @@ def _move(
     """Compute the step along parameter `i`: a share of its range, or -1, 0 or 1 for an integer."""
     measured = [trial for trial in pair if trial.measured]
     if parameter.is_integer:
-        best = min([here, *measured], key=lambda trial: _objective(runner, trial))
-        return best.point[i] - here.point[i]
+        best = min([current, *measured], key=lambda trial: _objective(runner, trial))
+        return best.point[i] - current.point[i]
     # Where one side cannot be measured, the slope is taken over the other side alone.
-    low, high = (trial if trial.measured else here for trial in pair)
+    low, high = (trial if trial.measured else current for trial in pair)
     width = parameter.fraction(high.point[i]) - parameter.fraction(low.point[i])
     if width == 0:
         return 0.0
-    own = abs(runner.ranking.values(runner.start)[0])
-    slope = (_objective(runner, high) - _objective(runner, low)) / own / width
+    scale = abs(runner.ranking.values(runner.start)[0])
+    slope = (_objective(runner, high) - _objective(runner, low)) / scale / width
     down = min(max(-settings.rate * slope, -LIMITS.max_step), LIMITS.max_step)
-    share = parameter.fraction(here.point[i])
+    share = parameter.fraction(current.point[i])
     return min(max(share + down, 0.0), 1.0) - share
 
 

@@ -129,10 +129,12 @@ def _grow_phase_plan(runner: CandidateRunner, point: Point, places: Sequence[int
         trials = runner.measure(asked)
         path.append(min(trials, key=runner.ranking.rank_by_distance))
         runner.epoch("growth", trials)
-        here = path[-1].point
+        current = path[-1].point
         if path[-1].candidate.images >= runner.start.candidate.images:
             break
         asked = [
-            (*here[:i], here[i] + 1, *here[i + 1 :]) for i in steps if parameters[i].contains(here[i] + 1)
+            (*current[:i], current[i] + 1, *current[i + 1 :])
+            for i in steps
+            if parameters[i].contains(current[i] + 1)
         ]
     return path

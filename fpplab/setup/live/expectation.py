@@ -147,30 +147,32 @@ class WorkingPoint:
         cloud = with_uncertainty(Cloud(self._points.astype(np.float32)), calibration, noise)
         assert cloud.sigma_calibration_mm is not None
         assert cloud.sigma_form_mm is not None
-        whole, form = (1e3 * float(np.median(s)) for s in (cloud.sigma_calibration_mm, cloud.sigma_form_mm))
-        return whole, form
+        position, form = (
+            1e3 * float(np.median(s)) for s in (cloud.sigma_calibration_mm, cloud.sigma_form_mm)
+        )
+        return position, form
 
     def summary(self) -> dict[str, object]:
         """Collect what geometry alone determines."""
-        whole, form = self.calibration_um or (None, None)
+        position, form = self.calibration_um or (None, None)
         return {
             "distance_mm": self.distance_mm,
             "depth_mm": list(self.geometry.depth_mm),
             "overlap": self.geometry.overlap(self.distance_mm),
             "angle_deg": self.angle_deg,
-            "calibration_um": whole,
+            "calibration_um": position,
             "form_um": form,
         }
 
     def noise_um(self, sample: FrameSample) -> Floats:
         """Compute the standard uncertainty by noise that the plan will have in the present light."""
         fine = sample.fits[sample.recording.plan.finest_set()]
-        wide, lit = sample.widest, sample.measured
-        modulation = region_medians(wide.modulation, lit)
-        contrast = region_medians(fine.modulation / np.maximum(wide.modulation, 1e-9), lit)
+        widest, lit = sample.widest, sample.measured
+        modulation = region_medians(widest.modulation, lit)
+        contrast = region_medians(fine.modulation / np.maximum(widest.modulation, 1e-9), lit)
         # Rounding that repeats in all pixels of the same light is no noise, as in the points of a scan.
-        own = sample.errors.noise.variance(wide.offset) - sample.errors.noise.repeated(wide.offset)
-        noise = region_medians(np.sqrt(np.maximum(own, 0.0)), lit)
+        variance = sample.errors.noise.variance(widest.offset) - sample.errors.noise.repeated(widest.offset)
+        noise = region_medians(np.sqrt(np.maximum(variance, 0.0)), lit)
         square_px = _blur_square(sample, contrast)
         information = np.zeros(REGIONS)
         for axis in self.plan.axes:

@@ -87,8 +87,8 @@ class FocusTracker:
 
     def after(self, measure: FocusMeasure) -> FocusTracker:
         """Take another measure."""
-        whole = [value for value in (measure.whole, self.best_whole) if value is not None]
-        return FocusTracker(measure, np.fmax(self.best, measure.regions), max(whole, default=None))
+        values = [value for value in (measure.whole, self.best_whole) if value is not None]
+        return FocusTracker(measure, np.fmax(self.best, measure.regions), max(values, default=None))
 
     def forgotten(self) -> FocusTracker:
         """Forget what was best, after the part or its place has changed."""

@@ -53,6 +53,6 @@ def _mixture(stepped: Floats, triggered: Floats, step: int) -> tuple[float, floa
     columns = np.stack([stepped[inner], neighbour, np.ones(len(neighbour))], axis=1)
     factors, *_ = np.linalg.lstsq(columns, triggered[inner], rcond=None)
     misfit = float(np.sqrt(np.mean((columns @ factors - triggered[inner]) ** 2)))
-    whole = float(factors[0] + factors[1])
-    share = float(factors[1] / whole) if whole > 0 and min(factors[:2]) >= 0 else 0.0
+    total = float(factors[0] + factors[1])
+    share = float(factors[1] / total) if total > 0 and min(factors[:2]) >= 0 else 0.0
     return misfit, share

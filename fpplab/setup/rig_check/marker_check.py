@@ -145,9 +145,9 @@ class MarkerInspection:
             self.light = [colour]
             return
         if (slipped := matching_faults(shown, run.levels)) != ():
-            again = matching_faults(shown, _run(rig, stepped, shown).levels)
+            repeated = matching_faults(shown, _run(rig, stepped, shown).levels)
             self.settle_s = _settling(rig, stepped, shown)
-            recurs = again != () if self.settle_s else bool({*(slipped or ())} & {*(again or ())})
+            recurs = repeated != () if self.settle_s else bool({*(slipped or ())} & {*(repeated or ())})
             self.findings.append(_of_display(slipped, stepped.settle_s, self.settle_s, recurs))
         self._of_stepped = list(self.findings)
         progress(0.7)
@@ -181,9 +181,9 @@ class MarkerInspection:
         if any(finding.cause == OUT_OF_STEP for finding in certain):
             return None
         is_triggered = self.runs[-1].how == "triggered" and self._of_stepped == self.findings
-        how = self._plan.trigger if is_triggered else "stepped"
+        trigger = self._plan.trigger if is_triggered else "stepped"
         return self._plan.model_copy(
-            update={"trigger": how, "settle_s": self.settle_s or self._plan.settle_s}
+            update={"trigger": trigger, "settle_s": self.settle_s or self._plan.settle_s}
         )
 
     def _of_trigger(self, rig: Rig, plan: Plan, shown: NDArray[np.int64], run: MarkerRun) -> list[Finding]:
@@ -193,17 +193,17 @@ class MarkerInspection:
             return [_shifted(shift, plan.exposure_s)] if shift else []
         if not run.frames:
             return [_no_pulse(len(shown))]
-        apart = _run(rig, plan, shown, plan.exposure_s + LIMITS.safe_gap_s)
-        if _shows_darkness(apart, LIMITS.max_dark_range * self.runs[0].rise):
+        slow_run = _run(rig, plan, shown, plan.exposure_s + LIMITS.safe_gap_s)
+        if _shows_darkness(slow_run, LIMITS.max_dark_range * self.runs[0].rise):
             return [_wrong_edge()]
         if shift is not None:
             return [_shifted(shift, plan.exposure_s)]
         slipped = matching_faults(shown, run.levels)
-        if not _is_in_step(shown, apart):
-            again = matching_faults(shown, apart.levels)
+        if not _is_in_step(shown, slow_run):
+            repeated = matching_faults(shown, slow_run.levels)
             return [
                 _slipped(
-                    slipped, run, remedy(plan), happens_again=bool({*(slipped or ())} & {*(again or ())})
+                    slipped, run, remedy(plan), happens_again=bool({*(slipped or ())} & {*(repeated or ())})
                 )
             ]
         gap_s = next(
@@ -323,7 +323,7 @@ def _slipped(
     slipped: tuple[SyncFault, ...] | None,
     run: MarkerRun,
     advice: str,
-    more: str = "",
+    addition: str = "",
     happens_again: bool = False,
 ) -> Finding:
     """Frames out of step. A slip that occurs once may be flickering light, which the fringes show."""
@@ -331,8 +331,8 @@ def _slipped(
     evidence = ["the last triggers did not expose a frame"] if slipped == () else [_slip_description(slipped)]
     if lost:
         evidence.append(f"{lost} of {len(run.levels)} frames did not come")
-    if more:
-        evidence.append(more)
+    if addition:
+        evidence.append(addition)
     excess = DECISIVE_EXCESS if happens_again or lost else UNCERTAIN_EXCESS
     return Finding(OUT_OF_STEP, f"triggered: {'; '.join(evidence)}", excess, advice)
 
@@ -347,10 +347,10 @@ def _wrong_edge() -> Finding:
 
 
 def _shifted(shift: ExposureShift, exposure_s: float) -> Finding:
-    how, neighbour = ("late", "next") if shift.is_late else ("early", "previous")
+    direction, neighbour = ("late", "next") if shift.is_late else ("early", "previous")
     evidence = (
         f"{100 * shift.share:.0f} % of each exposure show the {neighbour} pattern: exposures begin about "
-        f"{1e3 * shift.share * exposure_s:.3g} ms too {how}"
+        f"{1e3 * shift.share * exposure_s:.3g} ms too {direction}"
     )
     return Finding(TRIGGER_SHIFTED, evidence, shift.share / SHIFT_LIMITS.min_share)
 

@@ -104,9 +104,9 @@ class _Steps:
         lost = "and none was lost at all"
         for gap_s in (*LIMITS.gaps_s, less_s / 2, less_s):
             period_s = self._timing(patterns, gap_s).period_s
-            came = len(self._taken(patterns, "triggered", gap_s))
-            if came < LIMITS.pulses:
-                lost = f"{came} of {LIMITS.pulses} at {1e3 * period_s:.6g} ms"
+            frames = len(self._taken(patterns, "triggered", gap_s))
+            if frames < LIMITS.pulses:
+                lost = f"{frames} of {LIMITS.pulses} at {1e3 * period_s:.6g} ms"
                 break
             fastest_s = period_s
         ok = fastest_s <= planned.period_s
@@ -147,11 +147,11 @@ class _Steps:
         return CheckedStep("focus", ok, evidence, "" if ok else remedy, {"contrast": contrast})
 
     def _pulses(self, name: str, greys: Sequence[int]) -> CheckedStep:
-        came = len(self._taken(self._uniform(greys), "triggered", LIMITS.safe_gap_s))
-        evidence = f"{came} of {len(greys)} frames came"
-        ok = came == len(greys)
-        remedy = NO_TRIGGER.remedy if not came else LOST_PULSES
-        return CheckedStep(name, ok, evidence, "" if ok else remedy, {"frames": came, "pulses": len(greys)})
+        frames = len(self._taken(self._uniform(greys), "triggered", LIMITS.safe_gap_s))
+        evidence = f"{frames} of {len(greys)} frames came"
+        ok = frames == len(greys)
+        remedy = NO_TRIGGER.remedy if not frames else LOST_PULSES
+        return CheckedStep(name, ok, evidence, "" if ok else remedy, {"frames": frames, "pulses": len(greys)})
 
     def _uniform(self, greys: Sequence[int]) -> list[Pattern]:
         return list(uniform_patterns(list(greys), self._rig.projector.caps.size))
