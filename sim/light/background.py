@@ -53,14 +53,14 @@ class Background:
         # light (rows, columns); returns (n, height, width)
         _, scene, texture = self._built(setup)
         table = self._table(setup, pixels)
-        seen = table.look_up(texture.textures(light, scene.lamp.circles, table.part(texture.shape)))
-        return seen if pixels is None else seen[:, 0]
+        shown = table.look_up(texture.textures(light, scene.lamp.circles, table.part(texture.shape)))
+        return shown if pixels is None else shown[:, 0]
 
     def albedo(self, setup: SceneState, pixels: PixelIndices | None = None) -> Irradiance:
         """Give the reflectance of the surroundings that the camera sees, 0 where the item hides them."""
         # returns (height, width)
-        found = self._table(setup, pixels).albedo
-        return found if pixels is None else found[0]
+        reflectance = self._table(setup, pixels).albedo
+        return reflectance if pixels is None else reflectance[0]
 
     def scene(self, setup: SceneState) -> RenderScene:
         """Give the surroundings together with the mounted item."""
@@ -75,9 +75,9 @@ class Background:
     ) -> PatternLevels:
         """Compute the irradiance of the surroundings, that of other light than the projector's included."""
         # light (rows, columns); returns (n, P)
-        seen = self.pictures(setup, light, pixels)
-        seen += room * self.albedo(setup, pixels)
-        return seen
+        total = self.pictures(setup, light, pixels)
+        total += room * self.albedo(setup, pixels)
+        return total
 
     def behind(
         self, setup: SceneState, mirrors: Mirrors, room: RoomLightAt
@@ -87,8 +87,8 @@ class Background:
 
         def light(pattern: Pattern, pixels: PixelIndices | None) -> PatternLevels:
             levels = [mirrors.level(pattern)]
-            seen: PatternLevels = self.irradiance(setup, levels, room(pixels), pixels)[0]
-            return seen
+            irradiance: PatternLevels = self.irradiance(setup, levels, room(pixels), pixels)[0]
+            return irradiance
 
         return light
 

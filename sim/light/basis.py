@@ -60,9 +60,9 @@ def _moments(flat: PatternLevels) -> tuple[NDArray[np.float64], NDArray[np.float
     return mean, products / count - np.outer(mean, mean)
 
 
-def _residual(energy: NDArray[np.float64], vectors: NDArray[np.float64], left: int) -> float:
-    """Compute the greatest RMS over patterns of the `left` weakest components."""
-    if left == 0:
+def _residual(energy: NDArray[np.float64], vectors: NDArray[np.float64], count: int) -> float:
+    """Compute the greatest RMS over patterns of the `count` weakest components."""
+    if count == 0:
         return 0.0
-    shares = (vectors[:, :left] ** 2) @ np.maximum(energy[:left], 0.0)
+    shares = (vectors[:, :count] ** 2) @ np.maximum(energy[:count], 0.0)
     return float(np.sqrt(shares.max()))

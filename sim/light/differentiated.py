@@ -40,26 +40,26 @@ class DifferentiatedLight:
         """Compute what `Light.irradiance_at` gives, with derivatives by the places that the pixels see."""
         # returns irradiance (n, P), slopes (n, P, 4) mm
         table = self._motion(pixels)
-        found = np.concatenate([light for _, light in self._looked_up(table, patterns)])
+        terms = np.concatenate([light for _, light in self._looked_up(table, patterns)])
         room, per_px = self.room(pixels), self.texture.affine[:, :2].astype(np.float32)
-        seen = found[..., 0] + room * table.table.albedo[0]
+        irradiance = terms[..., 0] + room * table.table.albedo[0]
         if self.behind is not None:
-            seen += np.stack([self.behind(pattern, pixels) for pattern in patterns])
+            irradiance += np.stack([self.behind(pattern, pixels) for pattern in patterns])
         slopes = np.concatenate(
-            [found[..., 1:3] + np.asarray(room)[..., None] * table.albedo_slopes, found[..., 3:5] @ per_px],
+            [terms[..., 1:3] + np.asarray(room)[..., None] * table.albedo_slopes, terms[..., 3:5] @ per_px],
             axis=-1,
         )
         if self.falloff is not None:
-            seen *= self.falloff[pixels]
+            irradiance *= self.falloff[pixels]
             slopes *= self.falloff[pixels][:, None]
-        return seen, slopes
+        return irradiance, slopes
 
     def displaced(self, patterns: tuple[Pattern, ...], moves: Floats) -> Iterator[PatternLevels]:
         """Compute the irradiance of an item that is displaced under every pattern, to first order."""
         # moves (n, 3) mm; returns (height, width)
         table, room = self._motion(None), self.room(None)
-        for first, found in self._looked_up(table, patterns):
-            displaced = table.displaced(found, moves[first : first + len(found)], room)
+        for first, terms in self._looked_up(table, patterns):
+            displaced = table.displaced(terms, moves[first : first + len(terms)], room)
             for pattern, item in zip(patterns[first:], displaced, strict=False):
                 picture = item if self.behind is None else item + self.behind(pattern, None)
                 yield picture if self.falloff is None else picture * self.falloff

@@ -121,8 +121,8 @@ def lamp_picture(world: World, scene: RenderScene) -> Irradiance:
     (width, height), (left, top, right, bottom) = scene.camera.size, scene.window
     rows, columns = np.mgrid[top:bottom, left:right]
     picture = np.zeros((height, width), np.float32)
-    found = lamp_light(world, scene, (rows.ravel(), columns.ravel()))
-    picture[top:bottom, left:right] = found.reshape(rows.shape)
+    light = lamp_light(world, scene, (rows.ravel(), columns.ravel()))
+    picture[top:bottom, left:right] = light.reshape(rows.shape)
     return picture
 
 
@@ -140,7 +140,7 @@ def _first_met(scene: RenderScene, pixels: PixelIndices) -> _Met:
         normals, corners = np.broadcast_to(T[:3, 2], rays.shape), T[:3, 3]
         return _Met.on_planes(np.arange(len(rays)), rays, normals, corners, None)
     shape = shape_of(scene)
-    shading = tuple(one for one in scene.surfaces if one.shades_room)
+    shading = tuple(surface for surface in scene.surfaces if surface.shades_room)
     shadows = shape if len(shading) == len(scene.surfaces) else None
     if shadows is None and shading:
         shadows = shape_of(replace(scene, surfaces=shading))
@@ -160,6 +160,6 @@ def _rays(
 ) -> Floats:
     """Rays (P, 3) with z = 1 of pixels; the same few sets of pixels are asked for again and again."""
     camera = Pinhole(size, np.reshape(matrix, (3, 3)), np.array(distortion))
-    points = np.stack([np.frombuffer(one, np.int64) for one in (columns, rows)], axis=-1)
+    points = np.stack([np.frombuffer(indices, np.int64) for indices in (columns, rows)], axis=-1)
     slopes = camera.normalise(points.astype(np.float64))
     return np.column_stack([slopes, np.ones(len(slopes))])

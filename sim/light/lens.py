@@ -2,7 +2,7 @@
 
 Every pixel turns all its points by a random angle, so the sampling error of few points becomes noise from
 pixel to pixel, but only if the mean and covariance of the points are right. Half of the points are therefore
-the other half mirrored at the centre, on the lens and in the pixel alike: the mean ray of every pixel then
+the other half mirrored at the centre, both on the lens and in the pixel: the mean ray of every pixel then
 passes its centre, and edges are blurred symmetrically. The points' covariance is that of the disc, and they
 are correlated with the places in the pixel as little as possible.
 """
@@ -48,4 +48,4 @@ def _least_correlated(places: Floats, points: Floats) -> Floats:
     """Order and mirror the points so that they are least correlated with the places."""
     random = np.random.default_rng(0)
     orders = [random.permutation(points) * random.choice([-1.0, 1.0], (len(points), 1)) for _ in range(TRIES)]
-    return min(orders, key=lambda one: float(np.abs(places.T @ one).max()))
+    return min(orders, key=lambda order: float(np.abs(places.T @ order).max()))

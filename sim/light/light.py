@@ -97,8 +97,8 @@ class Light:
         self._scene: tuple[SceneState, RenderScene, MirrorTexture] | None = None
         self._around = surroundings_surface(world)
         # On the path `transport` items and surroundings have tables of their own.
-        beside = self._around if world.path == "transport" else None
-        self._background = None if beside is None else Background(world, beside)
+        apart = self._around if world.path == "transport" else None
+        self._background = None if apart is None else Background(world, apart)
         self._falloff, self._room = vignetting(world), RoomLight(world)
         if world.render.path == "auto" and world.indirect:
             _log.warning(
@@ -137,7 +137,7 @@ class Light:
             )
         (_, scene, texture), table = self._built(setup), self._table_at(setup, pixels)
         circles, part = scene.lamp.circles, table.part(texture.shape)
-        seen: PatternLevels = np.concatenate(
+        irradiance: PatternLevels = np.concatenate(
             [
                 table.look_up(
                     self._projector.textures(patterns[n : n + BATCH_PATTERNS], texture, circles, part)
@@ -146,11 +146,11 @@ class Light:
             ]
         )
         room = self._room.on(self._in_view(setup), pixels)
-        seen += room * table.albedo[0]
+        irradiance += room * table.albedo[0]
         if self._background is not None:
-            levels = [self._projector.level(one) for one in patterns]
-            seen += self._background.irradiance(setup, levels, room, pixels)
-        return seen if self._falloff is None else seen * self._falloff[pixels]
+            levels = [self._projector.level(pattern) for pattern in patterns]
+            irradiance += self._background.irradiance(setup, levels, room, pixels)
+        return irradiance if self._falloff is None else irradiance * self._falloff[pixels]
 
     def differentiated(self, setup: SceneState) -> DifferentiatedLight | None:
         """Give the light of an item with its derivatives."""
@@ -174,7 +174,7 @@ class Light:
         return self._tables.get(digest(scene, views, pixels), make)
 
     def computes(self, setup: SceneState) -> bool:
-        """Tell whether the item's light is computed, without a render."""
+        """Return whether the item's light is computed, without a render."""
         return self._analytic and can_compute(self._built(setup)[1])
 
     def table(self, setup: SceneState) -> LightTable:
@@ -241,10 +241,10 @@ class Light:
         basis: whose linear combinations are subtracted, so that only the quantisation residual is looked up.
         """
         width, height = self._world.camera.size
-        most = max(1, min(BATCH_PATTERNS, BATCH_BYTES // (4 * width * height)))
+        max_batch = max(1, min(BATCH_PATTERNS, BATCH_BYTES // (4 * width * height)))
         if any(setup.vibration_mm):
-            most = 1  # the next frame has another displacement
-        batch = math.ceil(levels.count / math.ceil(levels.count / most))
+            max_batch = 1  # the next frame has another displacement
+        batch = math.ceil(levels.count / math.ceil(levels.count / max_batch))
         first = index - index % batch
         states = range(first, min(first + batch, levels.count))
         pictures = self._pictures.get(
@@ -262,10 +262,10 @@ class Light:
         light = [levels.of(n) for n in states]
         if self._background is None:
             return self._seen(setup, self.table(setup), light)
-        seen = self._background.pictures(setup, light)
+        pictures = self._background.pictures(setup, light)
         if setup.item != NOTHING:
-            seen += self._seen(setup, self.table(setup), light)
-        return seen
+            pictures += self._seen(setup, self.table(setup), light)
+        return pictures
 
     def _seen(self, setup: SceneState, table: LightTable, light: Sequence[PatternLevels]) -> PatternLevels:
         """Look up pictures under mirrors at these light levels, (levels, height, width)."""

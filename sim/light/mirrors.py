@@ -50,7 +50,7 @@ class Mirrors:
         """Make the textures of patterns, or take those of last time."""
         return self._textures.get(
             (tuple(patterns), texture, circles, part),
-            lambda: texture.textures([self.level(one) for one in patterns], circles, part),
+            lambda: texture.textures([self.level(pattern) for pattern in patterns], circles, part),
         )
 
     def states(self, patterns: tuple[Pattern, ...]) -> MirrorStates:

@@ -12,7 +12,7 @@ lens points and their rotation are those of `sim/blender/camera.osl`, in double 
 Where Blender's rays sample points, ours can sample spots: each of the K samples of a pixel then represents
 a K-th of the blur by pixel and lens, and the print is blurred by as much beforehand. On a plane only the sum
 of a place in the pixel and of a point of the lens matters, so both are correlated instead of independent, as
-far as the variance of the sum allows. Few samples then reproduce an edge as very many would, and alike in all
+far as the variance of the sum allows. Few samples then reproduce an edge as very many would, equally in all
 pixels.
 """
 
@@ -37,7 +37,7 @@ _cache = PrintCache()
 
 
 def can_compute(scene: RenderScene) -> bool:
-    """Tell whether a scene is one rectangle in its plane z = 0, of matt paint without relief."""
+    """Return whether a scene is one rectangle in its plane z = 0, of matt paint without relief."""
     if len(scene.surfaces) != 1:
         return False
     surface = scene.surfaces[0]
@@ -135,7 +135,7 @@ def _prints_of_spots(scene: RenderScene, samples: int) -> Prints:
     pose = _transform(surface.T_camera_item)
     places = np.linspace(low, high, 5)
     on_print = np.stack([*np.meshgrid(*places.T), np.zeros((5, 5))], axis=-1)
-    seen = pose.apply(on_print.reshape(-1, 3))
+    points = pose.apply(on_print.reshape(-1, 3))
     spread = [
         _spot(
             float(point[2]),
@@ -145,7 +145,7 @@ def _prints_of_spots(scene: RenderScene, samples: int) -> Prints:
             aperture.focus_mm,
             samples,
         )
-        for point in seen
+        for point in points
     ]
     x, y = np.array(surface.picture.shape[::-1]) / (high - low)
     return _cache.blurred(surface.picture, (float(x), float(y)), min(spread), max(spread))
@@ -156,8 +156,8 @@ def _correlated_lens(shifts: Floats) -> Floats:
     u, v = 2 * shifts.T
     wide = np.abs(u) >= np.abs(v)
     radius = np.where(wide, np.abs(u), np.abs(v))
-    least = np.where(wide, v, u) / np.maximum(radius, 1e-12) * np.pi / 4
-    along, across = radius * np.cos(least), radius * np.sin(least)
+    azimuth = np.where(wide, v, u) / np.maximum(radius, 1e-12) * np.pi / 4
+    along, across = radius * np.cos(azimuth), radius * np.sin(azimuth)
     x = np.where(wide, np.sign(u) * along, across)
     y = np.where(wide, across, np.sign(v) * along)
     return np.stack([x, -y], axis=-1)
@@ -185,8 +185,8 @@ def _opened(circle: float, samples: int, variance: tuple[float, float]) -> float
     circle: radius of the circle of confusion in px, negative where the blur is inverted.
     """
     own, common = variance
-    wanted = _places_share(samples) * circle * circle / 4.0
-    span = (np.sqrt(common * common + own * wanted) - common) / own
+    missing = _places_share(samples) * circle * circle / 4.0
+    span = (np.sqrt(common * common + own * missing) - common) / own
     return float(span / circle)
 
 

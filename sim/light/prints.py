@@ -42,8 +42,8 @@ def sharp_print(picture: NDArray[np.uint8] | None) -> Prints:
     """Make the print without blur."""
     share = np.ones((1, 1), np.float32) if picture is None else picture / np.float32(255)
     rows, columns = share.shape
-    one = np.ones((1, max(rows, columns)), np.float32)
-    return Prints(share[None], one[:, :columns], one[:, :rows], (0, 0), np.zeros(1))
+    even = np.ones((1, max(rows, columns)), np.float32)
+    return Prints(share[None], even[:, :columns], even[:, :rows], (0, 0), np.zeros(1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,10 +68,10 @@ class PrintCache:
         self._kept: OrderedDict[tuple[int, float, float], _Kept] = OrderedDict()
 
     def blurred(
-        self, picture: NDArray[np.uint8], scale: tuple[float, float], least: float, most: float
+        self, picture: NDArray[np.uint8], scale: tuple[float, float], smallest: float, largest: float
     ) -> Prints:
         """Blur a print for all spots between two sizes, unless it is there."""
-        first, last = (math.floor(math.log(v) / math.log(SIZE_RATIO)) for v in (least, most))
+        first, last = (math.floor(math.log(v) / math.log(SIZE_RATIO)) for v in (smallest, largest))
         first, last, key = first - 1, last + 2, (id(picture), *scale)
         with self._lock:
             kept = self._kept.get(key)
@@ -86,7 +86,7 @@ class PrintCache:
             # with the picture itself, so that no other has its number
             self._kept[key] = _Kept(picture, first, last, prints)
             self._kept.move_to_end(key)
-            while len(self._kept) > 1 and sum(one.nbytes for one in self._kept.values()) > 2 * KEEP_BYTES:
+            while len(self._kept) > 1 and sum(entry.nbytes for entry in self._kept.values()) > 2 * KEEP_BYTES:
                 self._kept.popitem(last=False)
             return prints
 

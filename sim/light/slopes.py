@@ -2,7 +2,7 @@
 
 A pixel's light is the reflectance at the place (x, y) of the item that it sees, times the light of the place
 (u, v) of the projector's image that falls there. Both derivatives come with the light from one pass over its
-samples. The derivatives of the four places by the item's place are plain geometry, alike for all samples of a
+samples. The derivatives of the four places by the item's place are plain geometry, equal for all samples of a
 pixel.
 """
 
@@ -39,30 +39,32 @@ class MotionTable:
         # returns (n, P, 5) mm
         assert textures.weights is not None
         views, h, w, _ = self.table.samples.shape
-        found = np.empty((textures.texels.shape[-1], h * w, 5), np.float32)
+        terms = np.empty((textures.texels.shape[-1], h * w, 5), np.float32)
         x, y = map(np.float32, textures.origin)
         flat = self.table.samples.reshape(views, h * w, 4)
-        light_with_slopes(textures.texels, textures.weights, flat, self.slopes, x, y, found)
-        return found
+        light_with_slopes(textures.texels, textures.weights, flat, self.slopes, x, y, terms)
+        return terms
 
-    def displaced(self, found: Irradiance, moves: Floats, room: Irradiance | np.float32) -> Irradiance:
+    def displaced(self, terms: Irradiance, moves: Floats, room: Irradiance | np.float32) -> Irradiance:
         """Compute the light on the displaced item to first order, other light included."""
-        # found (n, P, 5); moves (n, 3) mm; room (height, width); returns (n, height, width)
+        # terms (n, P, 5); moves (n, 3) mm; room (height, width); returns (n, height, width)
         _, h, w, _ = self.table.samples.shape
         left, top = self.table.corner
         height, width = self.table.albedo.shape
-        seen = np.empty((len(found), h * w), np.float32)
+        light = np.empty((len(terms), h * w), np.float32)
         even = np.broadcast_to(np.asarray(room, np.float32), self.table.albedo.shape)
-        albedo, elsewhere = (one[top : top + h, left : left + w].ravel() for one in (self.table.albedo, even))
-        _displace(found, self.motion, moves, elsewhere, albedo, self.albedo_slopes, seen)
-        pictures = np.zeros((len(found), height, width), np.float32)
-        pictures[:, top : top + h, left : left + w] = seen.reshape(-1, h, w)
+        albedo, elsewhere = (
+            values[top : top + h, left : left + w].ravel() for values in (self.table.albedo, even)
+        )
+        _displace(terms, self.motion, moves, elsewhere, albedo, self.albedo_slopes, light)
+        pictures = np.zeros((len(terms), height, width), np.float32)
+        pictures[:, top : top + h, left : left + w] = light.reshape(-1, h, w)
         return pictures
 
 
 @numba.njit(parallel=True, cache=True)
 def _displace(
-    found: Irradiance,
+    terms: Irradiance,
     motion: Irradiance,
     moves: Floats,
     room: Irradiance,
@@ -72,11 +74,11 @@ def _displace(
 ) -> None:
     for p in numba.prange(len(albedo)):
         for n in range(len(out)):
-            total = found[n, p, 0] + room[p] * albedo[p]
+            total = terms[n, p, 0] + room[p] * albedo[p]
             for axis in range(3):
-                by = found[n, p, 0] * motion[p, 0, axis]
+                by = terms[n, p, 0] * motion[p, 0, axis]
                 for place in range(1, 5):
-                    by += found[n, p, place] * motion[p, place, axis]
+                    by += terms[n, p, place] * motion[p, place, axis]
                 for place in range(2):
                     by += room[p] * albedo_slopes[p, place] * motion[p, 1 + place, axis]
                 total += np.float32(moves[n, axis]) * by

@@ -28,8 +28,11 @@ from sim.scene import ALBEDO, CHANNELS, DIRECT, Paint, RenderScene, SubpixelView
 
 
 def can_trace(scene: RenderScene) -> bool:
-    """Tell whether a scene can be traced: bodies of one evenly matt paint each, without relief or print."""
-    return all(one.picture is None and one.paint == Paint(one.paint.reflectance) for one in scene.surfaces)
+    """Return whether a scene can be traced: bodies of one evenly matt paint each, without relief or print."""
+    return all(
+        surface.picture is None and surface.paint == Paint(surface.paint.reflectance)
+        for surface in scene.surfaces
+    )
 
 
 def traced(
@@ -42,8 +45,8 @@ def traced(
 def shape_of(scene: RenderScene) -> RayTracedShape:
     """Prepare all surfaces of a scene for ray tracing."""
     placed = [
-        trimesh.Trimesh(one.vertices, one.faces, process=False).apply_transform(one.T_camera_item)
-        for one in scene.surfaces
+        trimesh.Trimesh(surface.vertices, surface.faces, process=False).apply_transform(surface.T_camera_item)
+        for surface in scene.surfaces
     ]
     whole = trimesh.util.concatenate(placed)
     assert isinstance(whole, trimesh.Trimesh)
@@ -57,7 +60,7 @@ class Bodies:
         self._scene, camera = scene, scene.camera
         self._reach = Pinhole(camera.size, camera.matrix, camera.distortion).reach
         self._shape = shape_of(scene)
-        self._first_of = np.cumsum([0, *(len(one.faces) for one in scene.surfaces)])
+        self._first_of = np.cumsum([0, *(len(surface.faces) for surface in scene.surfaces)])
         self._last_seen = self._first_of[-1 if shown is None else shown]
 
     def traced(self, views: list[SubpixelView], pixels: PixelIndices) -> LightTable:
@@ -71,20 +74,20 @@ class Bodies:
 
     def _reflectance(self, faces: NDArray[np.int64], points: Floats) -> Irradiance:
         """Reflectance (N,) at points of faces; 0 where the surface is not asked for."""
-        found = np.zeros(len(faces), np.float32)
+        reflectance = np.zeros(len(faces), np.float32)
         owner = np.searchsorted(self._first_of, faces, side="right") - 1
         for number, surface in enumerate(self._scene.surfaces):
             of = np.flatnonzero((owner == number) & (faces < self._last_seen))
             if surface.picture is None or surface.uv is None:
-                found[of] = surface.paint.reflectance
+                reflectance[of] = surface.paint.reflectance
                 continue
             own = faces[of] - self._first_of[number]
             places = np.asarray(surface.uv[surface.faces[own]], np.float64)
             share = np.empty(len(of), np.float32)
             _pictured(points[of], self._shape.triangles[faces[of]], places, surface.picture, share)
             ink = surface.paint.ink
-            found[of] = ink + (surface.paint.reflectance - ink) * share / np.float32(255)
-        return found
+            reflectance[of] = ink + (surface.paint.reflectance - ink) * share / np.float32(255)
+        return reflectance
 
     def _see_through(
         self,

@@ -21,7 +21,7 @@ from sim.texture import Part, PatternTextures
 Irradiance = NDArray[np.float32]
 """Arrays of a table, or pictures looked up in it."""
 
-LEAST_WHITE = np.float32(0.02)
+MIN_WHITE = np.float32(0.02)
 """Share of full light, at the edge of the projector's outermost mirrors, below which it is not divided by."""
 
 
@@ -48,12 +48,12 @@ class LightTable:
         """Make the table from a survey of a scene under uniform white light."""
         # rendered (K, height, width, CHANNELS)
         lamp, (left, top, right, bottom) = scene.lamp, scene.window
-        seen = rendered[:, top:bottom, left:right]
-        views, height, width, channels = seen.shape
+        survey = rendered[:, top:bottom, left:right]
+        views, height, width, channels = survey.shape
         samples = np.empty((views, height, width, 4), np.float32)
         T = RigidTransform(lamp.T_camera_projector[:3, :3], lamp.T_camera_projector[:3, 3]).inverse()
         _locate(
-            seen.reshape(-1, channels),
+            survey.reshape(-1, channels),
             T.matrix[:3],
             lamp.optics.distortion,
             lamp.affine @ lamp.optics.matrix,
@@ -79,9 +79,9 @@ class LightTable:
     def part(self, shape: tuple[int, int]) -> Part:
         """Find the region of a texture that the samples need, interpolation included."""
         # shape (rows, columns); returns (left, top, right, bottom)
-        most = np.array(shape[::-1])
-        low = np.clip(np.rint(self.reach[0]) - WINDOW // 2, 0, most - WINDOW)
-        high = np.clip(np.rint(self.reach[1]) + WINDOW // 2 + 1, low + WINDOW, most)
+        size = np.array(shape[::-1])
+        low = np.clip(np.rint(self.reach[0]) - WINDOW // 2, 0, size - WINDOW)
+        high = np.clip(np.rint(self.reach[1]) + WINDOW // 2 + 1, low + WINDOW, size)
         (left, top), (right, bottom) = low.astype(int).tolist(), high.astype(int).tolist()
         return left, top, right, bottom
 
@@ -89,14 +89,14 @@ class LightTable:
         """Compute pictures under patterns."""
         # returns (patterns, height, width)
         views, h, w, _ = self.samples.shape
-        seen = np.empty((textures.texels.shape[-1], h * w), np.float32)
+        light = np.empty((textures.texels.shape[-1], h * w), np.float32)
         flat = self.samples.reshape(views, h * w, 4)
         x, y = map(np.float32, textures.origin)
         if textures.weights is None:
-            sharp_light(textures.texels[0], flat, x, y, np.float32(textures.fill), seen)
+            sharp_light(textures.texels[0], flat, x, y, np.float32(textures.fill), light)
         else:
-            interpolated_light(textures.texels, textures.weights, flat, x, y, seen)
-        pictures = seen.reshape(len(seen), h, w)
+            interpolated_light(textures.texels, textures.weights, flat, x, y, light)
+        pictures = light.reshape(len(light), h, w)
         if (h, w) == self.albedo.shape:
             return pictures
         left, top = self.corner
@@ -111,7 +111,7 @@ class LightTable:
         shade = each[0, 0, :, 3]
         # the shade already contains the white mirrors once; looked up it contains them twice
         again = LightTable(each, each[0, ..., 0]).look_up(white)[0, 0]
-        lit = again > LEAST_WHITE * shade
+        lit = again > MIN_WHITE * shade
         shade[:] = np.divide(shade**2, again, out=np.zeros_like(again), where=lit)
         return LightTable(samples, self.albedo, self.corner)
 
