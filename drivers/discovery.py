@@ -247,5 +247,5 @@ def stages(usb: Iterable[UsbDevice]) -> FoundDevices:
     return result
 
 
-def _link(how: str, speed: int | None) -> str:
-    return f"{how}, {SPEEDS[speed]}" if speed in SPEEDS else how
+def _link(connection: str, speed: int | None) -> str:
+    return f"{connection}, {SPEEDS[speed]}" if speed in SPEEDS else connection

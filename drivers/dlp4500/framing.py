@@ -56,10 +56,10 @@ class UsbMessage:
         """Split the message into USB reports."""
         if len(self.payload) > MAX_PAYLOAD_BYTES:
             raise ValueError(f"a payload of {len(self.payload)} bytes: at most {MAX_PAYLOAD_BYTES}")
-        whole = struct.pack("<BBH", self.flags, self.sequence, len(self.payload)) + self.payload
+        message = struct.pack("<BBH", self.flags, self.sequence, len(self.payload)) + self.payload
         return [
-            whole[start : start + REPORT_BYTES].ljust(REPORT_BYTES, b"\0")
-            for start in range(0, len(whole), REPORT_BYTES)
+            message[start : start + REPORT_BYTES].ljust(REPORT_BYTES, b"\0")
+            for start in range(0, len(message), REPORT_BYTES)
         ]
 
 

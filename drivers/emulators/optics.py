@@ -103,6 +103,6 @@ def _key(image: GreyImage) -> bytes:
 
 
 def _pattern(key: bytes, image: GreyImage) -> Pattern:
-    own = image.copy()
-    own.flags.writeable = False
-    return Pattern(key.hex(), own)
+    read_only = image.copy()
+    read_only.flags.writeable = False
+    return Pattern(key.hex(), read_only)

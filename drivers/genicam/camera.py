@@ -72,8 +72,11 @@ class GenicamCamera(Camera):
         write = self._features.write
         write(named.OFFSET_X, 0, "open")
         write(named.OFFSET_Y, 0, "open")
-        whole = (int(self._features.limits(named.WIDTH)[1]), int(self._features.limits(named.HEIGHT)[1]))
-        x, y, width, height = roi or (0, 0, *whole)
+        sensor_size = (
+            int(self._features.limits(named.WIDTH)[1]),
+            int(self._features.limits(named.HEIGHT)[1]),
+        )
+        x, y, width, height = roi or (0, 0, *sensor_size)
         write(named.WIDTH, width, "open")
         write(named.HEIGHT, height, "open")
         write(named.OFFSET_X, x, "open")

@@ -43,8 +43,8 @@ def unpack12(raw: NDArray[np.uint8], height: int, width: int, padding: int = 0) 
     """
     # returns (height, width)
     if not padding:
-        whole: NDArray[np.uint16] = _unpack(_rows(raw, 1, _packed_bytes(height * width), 0), height * width)
-        return whole.reshape(height, width)
+        pixels: NDArray[np.uint16] = _unpack(_rows(raw, 1, _packed_bytes(height * width), 0), height * width)
+        return pixels.reshape(height, width)
     unpacked: NDArray[np.uint16] = _unpack(_rows(raw, height, _packed_bytes(width), padding), width)
     return unpacked
 

@@ -133,12 +133,12 @@ def _try_to_load(path: Path) -> None:
 @contextmanager
 def _ctrl_c_restored() -> Iterator[None]:
     """Restore the handler of Ctrl-C, which harvesters replaces when it opens a camera."""
-    own = signal.getsignal(signal.SIGINT)
+    handler = signal.getsignal(signal.SIGINT)
     try:
         yield
     finally:
         if current_thread() is main_thread():
-            signal.signal(signal.SIGINT, own)
+            signal.signal(signal.SIGINT, handler)
 
 
 @contextmanager

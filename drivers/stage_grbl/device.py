@@ -214,16 +214,16 @@ class GrblStage(Stage):
         self._await_rest(mm, deadline_s)
         self._moving = False
         report = self._at_rest("move_to")
-        reached = self._machine_mm("move_to", report)
-        if abs(reached - target) > mechanics.tolerance_mm:
+        stopped_mm = self._machine_mm("move_to", report)
+        if abs(stopped_mm - target) > mechanics.tolerance_mm:
             raise DeviceError(
                 self.name,
                 "move_to",
-                f"stopped at {self._stage_mm(reached):.3f} mm, not at {mm:g} mm",
+                f"stopped at {self._stage_mm(stopped_mm):.3f} mm, not at {mm:g} mm",
                 OTHER_PROGRAM_REMEDY,
             )
         self._check_switch("move_to", report)
-        self._rest_mm = reached
+        self._rest_mm = stopped_mm
 
     def _await_rest(self, mm: float, deadline_s: float) -> None:
         wire = self._open_wire
@@ -284,13 +284,13 @@ class GrblStage(Stage):
                 f"is in state '{report.state}', not at rest",
                 "close, open and home it again",
             )
-        here = self._machine_mm(operation, report)
-        if self._rest_mm is not None and abs(here - self._rest_mm) > self._open_mechanics.rounding_mm:
-            left_mm, here_mm = self._stage_mm(self._rest_mm), self._stage_mm(here)
+        machine_mm = self._machine_mm(operation, report)
+        if self._rest_mm is not None and abs(machine_mm - self._rest_mm) > self._open_mechanics.rounding_mm:
+            expected_mm, here_mm = self._stage_mm(self._rest_mm), self._stage_mm(machine_mm)
             raise DeviceError(
                 self.name,
                 operation,
-                f"was left at {left_mm:.3f} mm and is at {here_mm:.3f} mm",
+                f"was left at {expected_mm:.3f} mm and is at {here_mm:.3f} mm",
                 OTHER_PROGRAM_REMEDY,
             )
         return report

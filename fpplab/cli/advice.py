@@ -116,10 +116,10 @@ def unknown_command(path: str, word: str, commands: Sequence[str]) -> str:
     lower = word.lower()
     if lower in ("help", "version"):
         return f"{reason}; say `{path} --{lower}`"
-    meant = SYNONYMS.get(lower, ())
-    if meant and all(command in commands for command in meant):
-        purposes = ", ".join(f"{command} {PURPOSES[command]}" for command in meant)
-        helps = " or ".join(f"`{path} {command} --help`" for command in meant)
+    synonyms = SYNONYMS.get(lower, ())
+    if synonyms and all(command in commands for command in synonyms):
+        purposes = ", ".join(f"{command} {PURPOSES[command]}" for command in synonyms)
+        helps = " or ".join(f"`{path} {command} --help`" for command in synonyms)
         return f"{reason}; {purposes}: see {helps}"
     usable = {
         name: commands_meant

@@ -78,8 +78,8 @@ Exit codes: 0 done, 2 wrong input, 3 device, 4 data, 5 calibration, 130 cancelle
 )
 
 
-def _show_version(asked: bool) -> None:
-    if asked:
+def _show_version(requested: bool) -> None:
+    if requested:
         typer.echo(f"fpplab {__version__}")
         raise typer.Exit
 

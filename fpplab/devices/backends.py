@@ -150,8 +150,8 @@ def _place(name: str, where: str) -> str:
         if entry.name == name:
             return entry.value
     names = sorted({entry.name for entry in announced})
-    meant = get_close_matches(name, names, n=1, cutoff=0.6)
-    question = f"did you mean {meant[0]}? " if meant else ""
+    closest = get_close_matches(name, names, n=1, cutoff=0.6)
+    question = f"did you mean {closest[0]}? " if closest else ""
     raise ConfigError(
         f"{where}: there is no such backend; {question}installed are {', '.join(names) or 'none'}; "
         "any other is named as 'module:Class'"

@@ -208,8 +208,8 @@ def splash_area(images: Sequence[CompressedImage], address: int) -> bytes:
 
 def _header(image: CompressedImage) -> bytes:
     width, height = SIZE
-    whole, background, packed_24_bit, byte_order, chroma_order = _UNUSED, 0, 1, 1, 0
+    unused, background, packed_24_bit, byte_order, chroma_order = _UNUSED, 0, 1, 1, 0
     return _HEADER.pack(
-        b"Splc", width, height, len(image.data), whole, whole, background,
+        b"Splc", width, height, len(image.data), unused, unused, background,
         packed_24_bit, image.method, byte_order, chroma_order,
     )  # fmt: skip

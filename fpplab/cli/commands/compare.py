@@ -70,9 +70,9 @@ def _show(result: ComparisonResult) -> None:
     """Print what matters, then the figures, and the lengths as a table."""
     comparison = result.comparison
     console.stdout.print(result.misplaced or result.headline, markup=False)
-    apart = ("lengths", "warnings", "scale")
+    shown_separately = ("lengths", "warnings", "scale")
     console.print_result(
-        {name: value for name, value in comparison.summary().items() if name not in apart}, False
+        {name: value for name, value in comparison.summary().items() if name not in shown_separately}, False
     )
     if (scale := comparison.scale) is not None:
         console.stdout.print(f"scale {scale.ppm:+.1f} ± {scale.sigma_ppm:.1f} ppm", markup=False)

@@ -66,8 +66,8 @@ def convert_command(
             )
         write_text(out, to_opencv(calibration, "xml" if out.suffix.lower() == ".xml" else "yaml"))
     else:
-        own = files[foreign.index(False)]
-        raise ConfigError(f"{own}: is a calibration of fpplab and complete; give it alone")
+        complete = files[foreign.index(False)]
+        raise ConfigError(f"{complete}: is a calibration of fpplab and complete; give it alone")
     console.print_result(
         {"file": out, "baseline_mm": calibration.baseline_mm, "lattice": str(calibration.projector.lattice)},
         json,

@@ -139,9 +139,9 @@ def _show(result: dict[str, Any]) -> None:
         gain = f"{100 * entry['gain']:.1f} ± {100 * entry['uncertainty']:.1f} %"
         sentence = f"On {entry['rig']} {entry['plan']} is {gain} nearer to the surface than the start's plan."
         console.stdout.print(sentence, markup=False)
-    how = "predicted, the plans above measured" if result["screened"] else "measured"
+    manner = "predicted, the plans above measured" if result["screened"] else "measured"
     console.stdout.print(
-        f"{result['epochs']} epochs, {result['candidates']} candidates {how}, {result['seconds']:.0f} s, "
+        f"{result['epochs']} epochs, {result['candidates']} candidates {manner}, {result['seconds']:.0f} s, "
         f"{result['ended']}; report: {result['report']}",
         markup=False,
     )
