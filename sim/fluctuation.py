@@ -17,7 +17,7 @@ from sim.light import PatternLevels
 from sim.world import World
 
 STREAM = 1
-"""Tells the random numbers of light from those of displacements."""
+"""Separates the random numbers of light from those of displacements."""
 
 
 @dataclass(frozen=True)

@@ -260,7 +260,7 @@ class Twin:
         return part_mesh(self.world, item)
 
     def pose_of(self, item: str) -> RigidTransform:
-        """Tell where an item of the world stands."""
+        """Return where an item of the world stands."""
         return item_poses(self.world, item)[0]
 
     def _appearance_in_world(

@@ -18,7 +18,7 @@ from sim.light import Light, PatternLevels, ShownPattern
 from sim.world import World
 
 STREAM = 2
-"""Tells the random numbers of phases from those of other changes."""
+"""Separates the random numbers of phases from those of other changes."""
 
 
 def displacement_mm(world: World, random: np.random.Generator, frame: float, phase: float) -> Floats:

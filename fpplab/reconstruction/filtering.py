@@ -121,7 +121,7 @@ def _greatest_disagreement(decoded: Decoded, by_noise: float) -> float:
 
 
 def _links(grid: PixelGrid) -> tuple[Mask, Mask]:
-    """Tell whether each pixel sees one surface with the next in its row, and in its column."""
+    """Return whether each pixel sees one surface with the next in its row, and in its column."""
     across, down = (buffers.empty(grid.index.shape, np.bool_) for _ in range(2))
     across[:, -1] = down[-1] = False
     _link(grid.a, grid.b, grid.w, grid.noise, across, down)
@@ -130,7 +130,7 @@ def _links(grid: PixelGrid) -> tuple[Mask, Mask]:
 
 @njit(inline="always")
 def _joined(a: Map, b: Map, w: Map, noise: Map, v: int, u: int, y: int, x: int) -> bool:
-    """Tell whether two pixels see one surface; false where one of them has no point."""
+    """Return whether two pixels see one surface; false where one of them has no point."""
     return is_continuous(
         a[y, x] - a[v, u],
         b[y, x] - b[v, u],
@@ -235,7 +235,7 @@ def _erase(w: Map, removed: Removed) -> None:
 
 @njit(parallel=True, cache=True)
 def _keep(index: PixelColumnsRows, w: Map, kept: Mask) -> None:
-    """Tell which points are still in the grid."""
+    """Return which points are still in the grid."""
     for v in prange(len(w)):
         for u in range(w.shape[1]):
             if index[v, u] >= 0:

@@ -119,7 +119,7 @@ def _bilinear(flat: Singles, at: int, per_y: int, per_z: int, y: float, z: float
 
 @njit(parallel=True, cache=True)
 def are_positive(values: Singles) -> bool:
-    """Tell whether all values are positive."""
+    """Return whether all values are positive."""
     # values (K, N)
     others = 0
     for n in prange(values.shape[1]):

@@ -261,7 +261,7 @@ def _invert(camera: Numbers, reach: float, slopes: Floats) -> None:
 
 @njit(cache=True)
 def any_known(values: Map) -> bool:
-    """Tell whether a map has any value."""
+    """Return whether a map has any value."""
     # values (height, width)
     if (
         values.strides[0] == 0 and values.strides[1] == 0
@@ -284,7 +284,7 @@ def _are_solved(points: Map) -> Mask:
 
 @njit(inline="always")
 def _coded(u: float, v: float) -> bool:
-    """Tell whether a pixel has both coordinates; by comparisons, which fast-math keeps."""
+    """Return whether a pixel has both coordinates; by comparisons, which fast-math keeps."""
     return bool(abs(u) < LIMITS.max_coordinate_px and abs(v) < LIMITS.max_coordinate_px)
 
 

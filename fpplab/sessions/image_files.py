@@ -65,7 +65,7 @@ class ImageFile(Protocol):
         """Whether its compression has changed grey levels."""
 
     def size(self, page: int) -> tuple[int, int]:
-        """Tell (width, height) of an image in px before it is read.
+        """Return (width, height) of an image in px before it is read.
 
         Parameters
         ----------

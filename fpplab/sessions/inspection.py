@@ -48,7 +48,7 @@ class SessionFault:
 
 
 def describe_session(session: Session) -> dict[str, Any]:
-    """Tell what a session is."""
+    """Describe a session."""
     origin, times = session_origin(session.path), taken_at(session)
     return {
         "session": str(session.path),

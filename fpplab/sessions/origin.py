@@ -94,7 +94,7 @@ def foreign_calibration(calibration: Calibration, session: Session) -> str | Non
 
 
 def taken_at(session: Session) -> tuple[datetime, datetime] | None:
-    """Tell when the frames of a session were taken."""
+    """Return when the frames of a session were taken."""
     if session.is_imported or not session.records:
         return None
     times = [record.host_time_s for record in session.records]

@@ -513,7 +513,7 @@ class Session:
         return self.records[0].format
 
     def projector(self) -> tuple[tuple[int, int], Lattice]:
-        """Tell which projector showed the patterns.
+        """Return which projector showed the patterns.
 
         From the rig as recorded, or for images from elsewhere from the plan, on a square lattice.
 

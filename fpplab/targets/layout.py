@@ -243,7 +243,7 @@ class BoardLayout(PrintFields, GridFields, ABC):
         return None
 
     def polarity(self, row: int, column: int) -> int:
-        """Tell whether a point looks like `point_model` or like its negative.
+        """Return whether a point looks like `point_model` or like its negative.
 
         Parameters
         ----------

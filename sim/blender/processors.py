@@ -13,7 +13,7 @@ CPU, OPTIX = "CPU", "OPTIX"
 
 
 def runs_osl(device: str) -> bool:
-    """Tell whether a kind of device runs Open Shading Language, in which the camera is written."""
+    """Return whether a kind of device runs Open Shading Language, in which the camera is written."""
     return device in (CPU, OPTIX)
 
 

@@ -49,7 +49,7 @@ LIMITS = (
 
 
 def split_of(index: int) -> str:
-    """Tell which split a sample belongs to."""
+    """Return which split a sample belongs to."""
     return SPLITS[index % len(SPLITS)]
 
 

@@ -27,7 +27,7 @@ class FigureInterval:
     high: float  # in the unit of the figure
 
     def contains(self, measured: float) -> bool:
-        """Tell whether a measured figure lies within."""
+        """Return whether a measured figure lies within."""
         return self.low <= measured <= self.high
 
     def summary(self) -> dict[str, float]:

@@ -126,7 +126,7 @@ class CameraWorld(Document):
 
 
 def has_rays(camera: Pinhole) -> bool:
-    """Tell whether every pixel of a camera has a ray: its distortion neither folds nor has a pole in view."""
+    """Return whether every camera pixel has a ray: its distortion neither folds nor has a pole in view."""
     width, height = camera.size
     corners = np.array([[0, 0], [width, 0], [0, height], [width, height]]) - 0.5
     return not np.isnan(camera.normalise(corners)).any()

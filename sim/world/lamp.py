@@ -24,7 +24,7 @@ class RoomLamp(Document):
     """Light at that point on a surface that faces the lamp, relative to the projector's white."""
     angle_deg: Annotated[float, Field(ge=-150, le=150)] = 45.0
     """Angle between the way to the lamp and the way to the camera, in degrees: 0 behind the camera, 90
-    beside the part."""
+    at the side of the part."""
     azimuth_deg: Annotated[float, Field(ge=-360, le=360)] = -90.0
     """Direction of the lamp in the camera's image, in degrees: 0 to the right, 90 below, -90 above."""
     distance_mm: Annotated[float, Field(ge=NEAREST_MM, le=1e5)] = 2000.0

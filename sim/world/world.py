@@ -202,7 +202,7 @@ class World(WorldEffects, WorldContents):
         return None
 
     def is_translucent(self, name: str) -> bool:
-        """Tell whether light enters an item and leaves it elsewhere."""
+        """Return whether light enters an item and leaves it elsewhere."""
         return self.material_of(name).subsurface
 
     @property

@@ -43,7 +43,7 @@ class Checkerboard(SquareLayout):
         return crossing_edges(0.8 * 0.5 * self.spacing_mm[0])
 
     def polarity(self, row: int, column: int) -> int:
-        """Tell a corner from its negative, which has dark and bright squares exchanged."""
+        """Distinguish a corner from its negative, which has dark and bright squares exchanged."""
         sign = super().polarity(row, column)
         return sign if (row + column) % 2 == 0 else -sign
 

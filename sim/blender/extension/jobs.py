@@ -55,7 +55,7 @@ class Job:
         return self.folder / "stderr"
 
     def is_done(self) -> bool:
-        """Tell whether the command has ended."""
+        """Return whether the command has ended."""
         return self._process.poll() is not None
 
     def wait(self) -> None:

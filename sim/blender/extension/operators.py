@@ -118,7 +118,7 @@ class TakePicture(bpy.types.Operator):  # type: ignore[misc]
 
     @classmethod
     def poll(cls, context: Any) -> bool:
-        """Tell whether a rig is shown."""
+        """Return whether a rig is shown."""
         return shown_preview() is not None and data.rig_scene() is not None
 
     def execute(self, context: Any) -> OperatorResult:

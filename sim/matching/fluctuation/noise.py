@@ -134,7 +134,7 @@ def _noise_of(reference: Reference, pose: int, frames: Sequence[Image]) -> Noise
 
 
 def noise_misfit(reference: Reference, twin: Twin, poses: Sequence[int]) -> float:
-    """Tell how far the twin's noise is from the reference's, by variance and by spectrum.
+    """Compute how far the twin's noise is from the reference's, by variance and by spectrum.
 
     Compared is what the phase fit leaves of the finest fringes over the board, in `levels` classes of
     brightness, divided into structure finer and coarser than `fine_px`: the sensor's noise is fine, vibration

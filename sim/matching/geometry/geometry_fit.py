@@ -201,7 +201,7 @@ def _equations(
 
 
 def _tile_members(pixels: PixelIndices) -> csr_array:
-    """Tell which pixels each tile has: (T, P), 1 where it has one."""
+    """Return which pixels each tile has: (T, P), 1 where it has one."""
     tiles = tile_numbers(pixels)
     number = np.arange(len(tiles))
     return csr_array((np.ones(len(tiles)), (tiles, number)), shape=(TILES**2, len(tiles)))

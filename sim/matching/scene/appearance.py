@@ -1,4 +1,4 @@
-"""How the bench looks beside what parameters tell: the board's sheet, and what stands around.
+"""How the bench looks in addition to its parameters: the board's sheet, and what stands around.
 
 Both are found once geometry and light are matched, and proven in a pose from which they were not found: a
 part that does not make the twin's images of it more similar is left out.

@@ -101,7 +101,7 @@ def _depths(
 
 
 def _is_outside_sheet(cloud: Cloud, pose: RigidTransform, target: Target, sheet: BoardSheet) -> Mask:
-    """Tell which points (N,) are neither on the board nor near it, and so do not move with it."""
+    """Return which points (N,) are neither on the board nor near it, and so do not move with it."""
     x, y, z = pose.inverse().apply(cloud.points.astype(np.float64)).T
     low, high = sheet_outline(target, sheet, LIMITS.near_board_mm)
     is_board = (
