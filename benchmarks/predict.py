@@ -29,10 +29,12 @@ from fpplab.devices.simulation import Predictable
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.response import Response
 from fpplab.sessions.session import Session, recorded_sessions
+from sim.effects.falloff import FALLOFF
+from sim.effects.room_lamp import ROOM_LAMP
 from sim.matching.judging.measured import measured_figures
 from sim.matching.match import MatchingLimits
 from sim.matching.run import MatchingRequest, MatchingResult, match_sessions, twin_of
-from sim.parameters import ADJUSTABLE, FALLOFF, ROOM_LAMP, TwinParameters
+from sim.parameters import ADJUSTABLE, TwinParameters
 from sim.prediction import MeasuredFigures, Prediction, predict
 
 JUDGING = 5300

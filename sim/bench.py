@@ -17,6 +17,8 @@ from fpplab.core.errors import ConfigError
 from fpplab.core.geometry import RigidTransform
 from fpplab.devices import CameraSettings
 from sim.build import SceneState, build_scene, is_lit_in_view
+from sim.displacement import displaced, displaced_irradiance, displacement_mm
+from sim.effects import EFFECTS
 from sim.fluctuation import Fluctuation
 from sim.items import item_poses
 from sim.light import Light, PatternLevels, ShownPattern
@@ -25,7 +27,6 @@ from sim.scene import RenderSettings, SubpixelView
 from sim.studio import SimStudio
 from sim.timing import is_whole, plane_weights
 from sim.twin import Twin
-from sim.vibration import displaced, displacement_mm, wave_phase, with_vibration
 from sim.worker import START_S, Blender
 from sim.world import Binning, Subpixels, World
 
@@ -59,8 +60,16 @@ class VirtualBenchOptions(Document):
         if self.subpixels is not None:
             render = world.render.model_copy(update={"subpixels": self.subpixels})
             world = world.model_copy(update={"render": render})
-        still = {"vibration_mm": 0.0, "vibration_line": None}
-        return world.model_copy(update=still) if self.still else world
+        return _still(world) if self.still else world
+
+
+def _still(world: World) -> World:
+    """Make the same world without the effects that displace the item."""
+    data = world.model_dump(mode="json")
+    for effect in EFFECTS:
+        if effect.displacement_size_mm(world):
+            effect.clear(data)
+    return config.validate(data, World, "world")
 
 
 class VirtualBench:
@@ -180,11 +189,11 @@ class VirtualBench:
             with self._naming_file():
                 self._check_lit(setup)
         random = np.random.default_rng([self.world.seed, frame])
-        moved = displacement_mm(self.world, random, frame, wave_phase(self.world))
+        moved = displacement_mm(self.world, random, frame)
         weights, size_mm = self._row_weights(show, settings, random.uniform()), self.world.moves_mm
         if size_mm and setup.item != "nothing" and not self.light.computes(setup):
             steps = moved / size_mm
-            picture = with_vibration(self.light, setup, self._displaced(setup), steps, show, weights)
+            picture = displaced_irradiance(self.light, setup, self._displaced(setup), steps, show, weights)
             return self._fluctuating(setup, picture, frame)
         if size_mm:  # computed light is exact for every displacement at no greater cost
             x, y, z = moved.tolist()

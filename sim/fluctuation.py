@@ -38,11 +38,11 @@ class Fluctuation:
         """Change the light of one frame."""
         # picture (R, width); rows (R,); returns (R, width)
         random = np.random.default_rng([self.world.seed, frame, STREAM])
-        of = FrameOfSequence(frame, rows, self.sequence)
+        of = FrameOfSequence(frame, self.sequence)
         projector = 1.0
         room: Floats = np.ones(len(rows))
         for effect in EFFECTS:
-            change = effect.light_change(self.world, of, random)
+            change = effect.light_change(self.world, of, rows, random)
             projector *= change.projector
             room = room * change.room
         changed: PatternLevels = np.float32(projector) * (picture - ambient)

@@ -12,8 +12,6 @@ from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, field, fields, replace
 from typing import Any
 
-import numpy as np
-
 from fpplab.calibration.model import Calibration, CalibrationFile, PoseFile
 from fpplab.core import config
 from fpplab.core.geometry import RigidTransform
@@ -27,15 +25,6 @@ from sim.part_surface import PartSurface
 from sim.sensor import SensorModel
 from sim.world import World
 from sim.world.surface import with_surface
-
-NO_LINE = (0.0, 0.0, 0.0)
-"""Of a vibration that has no direction."""
-NO_FALLOFF = (0.0, 0.0, 0.0, 0.0, 0.0)
-"""Of a projector whose light is even."""
-ROOM = "room"
-"""Name of the lamp that can be matched."""
-LAMP, LINE = f"lamps.{ROOM}", "vibration_line"
-"""Sections that only a world with the effect has: lamp of the room, line of vibration."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,82 +107,6 @@ class DeviceParameters:
     full_well_e: float = field(
         metadata=table_entry("Full well in electrons of the unbinned pixel.", "camera.sensor.full_well_e")
     )
-    vibration_mm: float = field(
-        metadata=table_entry(
-            "Standard deviation of the item's position from frame to frame in mm, equal in all directions.",
-            "vibration_mm",
-        )
-    )
-    vibration_line_mm: tuple[float, float, float] = field(
-        default=NO_LINE,
-        metadata=table_entry(
-            "RMS displacement along the camera's axes in mm by vibration along a line.",
-            f"{LINE}.rms_mm",
-            parts=("vibration_line_x_mm", "vibration_line_y_mm", "vibration_line_z_mm"),
-            effect="vibration_line_mm",
-        ),
-    )
-    vibration_periodic: float = field(
-        default=0.0,
-        metadata=table_entry(
-            "Share of the variance of that vibration that has one frequency.",
-            f"{LINE}.periodic",
-            effect="vibration_line_mm",
-        ),
-    )
-    vibration_cycles_per_frame: float = field(
-        default=0.0,
-        metadata=table_entry(
-            "That frequency, as frames at regular intervals sample it, in cycles per frame.",
-            f"{LINE}.cycles_per_frame",
-            effect="vibration_line_mm",
-        ),
-    )
-    projector_falloff: tuple[float, float, float, float, float] = field(
-        default=NO_FALLOFF,
-        metadata=table_entry(
-            "Coefficients of x, y, x², xy and y² of the projector's light over its image.",
-            "projector.falloff",
-            FitRange(0.02, -2.0, 2.0),
-            parts=("falloff_x", "falloff_y", "falloff_xx", "falloff_xy", "falloff_yy"),
-        ),
-    )
-    lamp_irradiance: float = field(
-        default=0.0,
-        metadata=table_entry(
-            "Light of the room's lamp on a surface that faces it, relative to the projector's white.",
-            f"{LAMP}.irradiance",
-            FitRange(0.005, 0.0, 10.0),
-            effect="lamp_irradiance",
-            per_white=True,
-        ),
-    )
-    lamp_angle_deg: float = field(
-        default=45.0,
-        metadata=table_entry(
-            "Angle between the ways to the lamp and to the camera in degrees.",
-            f"{LAMP}.angle_deg",
-            FitRange(2.0, -150.0, 150.0),
-            effect="lamp_irradiance",
-        ),
-    )
-    lamp_azimuth_deg: float = field(
-        default=-90.0,
-        metadata=table_entry(
-            "Direction of the lamp in the image in degrees.",
-            f"{LAMP}.azimuth_deg",
-            FitRange(2.0, -360.0, 360.0),
-            effect="lamp_irradiance",
-        ),
-    )
-    lamp_distance_mm: float = field(
-        default=2000.0,
-        metadata=table_entry(
-            "Distance of the lamp in mm; fitted by its inverse, `lamp_nearness`.",
-            f"{LAMP}.distance_mm",
-            effect="lamp_irradiance",
-        ),
-    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,11 +116,6 @@ class TwinParameters(EffectParameters, DeviceParameters):
     placed: Mapping[str, RigidTransform] = field(default_factory=dict)  # `T_camera_item` of measured items
     surfaces: Mapping[str, PartSurface] = field(default_factory=dict)  # of items whose surface was matched
     sigma: Mapping[str, float] = field(default_factory=dict)  # standard uncertainties that a fit stated
-
-    @property
-    def displacement_mm(self) -> float:
-        """RMS displacement of the item along an axis by all of its vibration."""
-        return float(np.sqrt(self.vibration_mm**2 + np.mean(np.square(self.vibration_line_mm))))
 
     def sigma_with(self, **replaced: float) -> dict[str, float]:
         """Give the standard uncertainties with some replaced; one of 0 is left out."""
@@ -288,12 +196,7 @@ ADJUSTABLE: dict[str, AdjustableParameter] = {
         if entry.fit
         for index, part in enumerate(entry.parts)
     },
-    # The inverse of the lamp's distance, in 1/m: light changes evenly with it, and far away it is 0.
-    "lamp_nearness": AdjustableParameter(
-        FitRange(0.05, 0.01, 10.0, may_be_at_lower_bound=True),
-        lambda p: 1e3 / p.lamp_distance_mm,
-        lambda p, value: replace(p, lamp_distance_mm=1e3 / value),
-    ),
+    **{name: known for effect in EFFECTS for name, known in effect.adjustable.items()},
     "b": AdjustableParameter(
         FitRange(0.005, 0.0, 0.5),
         lambda p: p.response.b,
@@ -306,10 +209,6 @@ ADJUSTABLE: dict[str, AdjustableParameter] = {
     ),
 }
 """The numbers that can be fitted, by name; `b` and `g` are those of the response."""
-FALLOFF = TABLE["projector_falloff"].parts
-"""Names of the coefficients of the projector's falloff."""
-ROOM_LAMP = ("lamp_irradiance", "lamp_angle_deg", "lamp_azimuth_deg", "lamp_nearness")
-"""Names of the numbers of the room's lamp that are fitted."""
 
 
 def parameters_of(world: World, board: str, target: Target) -> TwinParameters:
@@ -385,8 +284,6 @@ def world_of(nominal: World, board: str, parameters: TwinParameters) -> World:
 
 def _write_numbers(data: dict[str, Any], parameters: TwinParameters, binning: int) -> None:
     """Write the numbers that stand in a world's document; a section is left out without its effect."""
-    data["lamps"].pop(ROOM, None)
-    data |= {LINE: None}
     for effect in EFFECTS:
         effect.clear(data)
     for name, entry in TABLE.items():

@@ -14,13 +14,13 @@ from fpplab.devices import CameraSettings
 from fpplab.devices.simulation import Columns, Rows
 from fpplab.patterns.fringes import Pattern
 from sim.build import SceneState
+from sim.displacement import displaced, displacement_mm
 from sim.fluctuation import Fluctuation
 from sim.items import item_poses, part_mesh
 from sim.light import Light, PatternLevels
 from sim.light.byte_limited_cache import ByteLimitedCache
 from sim.part_surface import PartSurface
 from sim.sensor import SensorModel
-from sim.vibration import displaced, displacement_mm, wave_phase
 from sim.world import World
 from sim.world.surface import surface_of
 
@@ -90,9 +90,9 @@ class SimSampler:
         still, *moved = self._pictures(where, tuple(patterns))
         sensor, random = SensorModel.of(self._world), np.random.default_rng([self._world.seed, seed])
         taken, changes = [], Fluctuation.of(self._world, seed)
-        size_mm, phase = self._world.moves_mm or 1.0, wave_phase(self._world, seed)
+        size_mm = self._world.moves_mm or 1.0
         for n in range(len(patterns)):
-            picture, steps = still[n], displacement_mm(self._world, random, n, phase) / size_mm
+            picture, steps = still[n], displacement_mm(self._world, random, n, seed) / size_mm
             for shifted, step in zip(moved, steps, strict=False):
                 picture = picture + np.float32(step) * (shifted[n] - still[n])
             frame = len(patterns) * seed + n

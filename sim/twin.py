@@ -31,6 +31,7 @@ from fpplab.patterns.fringes import Pattern
 from fpplab.targets import Target
 from sim.appearance import Appearance
 from sim.build import SceneState
+from sim.displacement import displaced, displaced_irradiance, displacement_mm
 from sim.fluctuation import Fluctuation
 from sim.items import board_target, item_poses, part_mesh
 from sim.light import Light, PatternLevels, ShownPattern
@@ -38,7 +39,6 @@ from sim.parameters import TwinParameters, parameters_of, world_of
 from sim.sensor import SensorModel
 from sim.sheet import board_relative_to, save_sheet
 from sim.surroundings import save_surroundings
-from sim.vibration import displaced, displacement_mm, wave_phase, with_vibration
 from sim.worker import Blender
 from sim.world import BoardItem, World
 
@@ -239,21 +239,21 @@ class Twin:
         self, still: SceneState, pose: RigidTransform, shown: tuple[Pattern, ...], counters: range
     ) -> list[PatternLevels]:
         """Compute the irradiance (h, w) of every frame of an item that vibrates about a pose."""
-        size_mm, phase = self.world.moves_mm, wave_phase(self.world)
+        size_mm = self.world.moves_mm
         if not size_mm:
             return [self._irradiance(still, shown, n) for n in range(len(shown))]
-        moves = np.array([self._displacement(n, phase) for n in counters])
+        moves = np.array([self._displacement(n) for n in counters])
         if light := self._light.differentiated(still):
             return list(light.displaced(shown, moves))
         moved = displaced(still, pose, size_mm)
         return [
-            with_vibration(self._light, still, moved, steps, ShownPattern(shown, n))
+            displaced_irradiance(self._light, still, moved, steps, ShownPattern(shown, n))
             for n, steps in enumerate(moves / size_mm)
         ]
 
-    def _displacement(self, frame: int, phase: float) -> Floats:
+    def _displacement(self, frame: int) -> Floats:
         random = np.random.default_rng([self.world.seed, frame])
-        return displacement_mm(self.world, random, frame, phase)
+        return displacement_mm(self.world, random, frame)
 
     def mesh(self, item: str) -> trimesh.Trimesh:
         """Give the true shape of an artefact or part."""

@@ -31,16 +31,21 @@ def _joined(name: str, parts: list[type[Document] | None]) -> type[Document]:
 
 if TYPE_CHECKING:  # effects that other modules read fields of, for type checkers alone
     from sim.effects.ambient_bands import BandsField, BandsParameters
+    from sim.effects.falloff import FalloffField, FalloffParameter
     from sim.effects.flicker import FlickerField, FlickerParameter
+    from sim.effects.room_lamp import LampParameters, LampsField
+    from sim.effects.vibration import VibrationFields, VibrationParameters
 
-    class ProjectorEffects(FlickerField):
+    class ProjectorEffects(FlickerField, FalloffField):
         """Fields of the section `projector` of a world file."""
 
-    class WorldEffects(BandsField):
+    class WorldEffects(VibrationFields, BandsField, LampsField):
         """Fields of a world file."""
 
     @dataclass(frozen=True, eq=False, kw_only=True)
-    class EffectParameters(FlickerParameter, BandsParameters):
+    class EffectParameters(
+        VibrationParameters, BandsParameters, FlickerParameter, LampParameters, FalloffParameter
+    ):
         """Parameters of all effects."""
 
 else:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 from typing_extensions import override
 
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from sim.world import World
 
 STREAM = 1
-"""Tells the random number of where bands begin from those of other effects."""
+"""Separates the random number of where bands begin from those of other effects."""
 
 
 class AmbientBands(Document):
@@ -99,7 +100,9 @@ class RollingBands(Effect):
         return bands is not None and bands.ripple > 0 and world.has_room_light
 
     @override
-    def light_change(self, world: World, frame: FrameOfSequence, random: np.random.Generator) -> LightChange:
+    def light_change(
+        self, world: World, frame: FrameOfSequence, rows: NDArray[np.intp], random: np.random.Generator
+    ) -> LightChange:
         bands, phase = world.ambient_bands, random.uniform()
         if bands is None:
             return LightChange()
@@ -107,7 +110,7 @@ class RollingBands(Effect):
             start = float(np.random.default_rng([world.seed, *frame.sequence, STREAM]).uniform())
             phase = start + bands.cycles_per_frame * frame.number
         period = bands.period_px / world.camera.binning
-        return LightChange(room=1.0 + bands.ripple * np.sin(2 * np.pi * (frame.rows / period + phase)))
+        return LightChange(room=1.0 + bands.ripple * np.sin(2 * np.pi * (rows / period + phase)))
 
     @override
     def propose(self, at: MatchingContext) -> TwinParameters:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields, replace
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -11,11 +13,13 @@ from numpy.typing import NDArray
 
 from fpplab.core.config import Document
 from fpplab.core.conventions import Floats
+from sim.parameter_entry import AdjustableParameter
 
 if TYPE_CHECKING:
     from sim.matching.steps import MatchingContext
     from sim.parameters import TwinParameters
-    from sim.world import World
+    from sim.scene import PointLamp
+    from sim.world import ProjectorWorld, World
 
 
 @dataclass(frozen=True)
@@ -23,7 +27,6 @@ class FrameOfSequence:
     """A frame whose light an effect may change."""
 
     number: int  # of the frame
-    rows: NDArray[np.intp]  # (R,) of the image
     sequence: tuple[int, ...] = ()  # numbers of the sequence that it belongs to; none on a bench
 
 
@@ -62,6 +65,12 @@ class Effect(ABC):
         Model of the fields that a world file has for it.
     projector_fields : type of Document, optional
         Model of the fields that the section `projector` of a world file has for it.
+    fitted : tuple of str
+        Numbers that are fitted again together with all others that expected images show.
+    adjustable : mapping of str to AdjustableParameter
+        Numbers that are fitted in place of a parameter, such as its inverse.
+    is_room_light : bool
+        Whether it is light that is not the projector's.
     is_matched : bool
         Whether a matching looks for it by `propose`.
     varies : bool
@@ -95,7 +104,7 @@ class Effect(ABC):
             def changes_light(self, world):
                 return world.projector.drift != 0
 
-            def light_change(self, world, frame, random):
+            def light_change(self, world, frame, rows, random):
                 return LightChange(projector=1.0 + world.projector.drift * frame.number)
     """
 
@@ -106,6 +115,9 @@ class Effect(ABC):
     strength: ClassVar[tuple[str, ...]]
     world_fields: ClassVar[type[Document] | None] = None
     projector_fields: ClassVar[type[Document] | None] = None
+    fitted: ClassVar[tuple[str, ...]] = ()
+    adjustable: ClassVar[Mapping[str, AdjustableParameter]] = MappingProxyType({})
+    is_room_light: ClassVar[bool] = False
     is_matched: ClassVar[bool] = True
     varies: ClassVar[bool] = False
 
@@ -119,8 +131,73 @@ class Effect(ABC):
             Plain data of a world, changed in place.
         """
 
+    def mirror_light(self, projector: ProjectorWorld) -> NDArray[np.float32] | None:
+        """Compute how much light each mirror of the projector gets, in every frame.
+
+        Parameters
+        ----------
+        projector : ProjectorWorld
+            The simulated projector.
+
+        Returns
+        -------
+        numpy.ndarray or None
+            (rows, columns) factors; None for 1 everywhere.
+        """
+        return None
+
+    def point_lamps(self, world: World) -> tuple[PointLamp, ...]:
+        """Place lamps in the room, whose light falls on everything in view.
+
+        Parameters
+        ----------
+        world : World
+            The simulated world.
+
+        Returns
+        -------
+        tuple of PointLamp
+            In the camera's frame.
+        """
+        return ()
+
+    def displacement_size_mm(self, world: World) -> float:
+        """Return how far the effect displaces the item.
+
+        Parameters
+        ----------
+        world : World
+            The simulated world.
+
+        Returns
+        -------
+        float
+            RMS size of `displacement_mm`; 0 where the item stands still. Pictures are computed at this
+            distance, and those of other displacements to first order.
+        """
+        return 0.0
+
+    def displacement_mm(self, world: World, frame: FrameOfSequence, random: np.random.Generator) -> Floats:
+        """Compute by how much the item is displaced in one frame.
+
+        Parameters
+        ----------
+        world : World
+            The simulated world, which need not have the effect.
+        frame : FrameOfSequence
+            The frame.
+        random : numpy.random.Generator
+            Shared by all effects in their order.
+
+        Returns
+        -------
+        numpy.ndarray
+            (3,) in mm along the camera's axes, added to that of the other effects.
+        """
+        return np.zeros(3)
+
     def changes_light(self, world: World) -> bool:
-        """Tell whether frames of a world have light that changes by this effect.
+        """Return whether frames of a world have light that changes by this effect.
 
         Parameters
         ----------
@@ -134,7 +211,9 @@ class Effect(ABC):
         """
         return False
 
-    def light_change(self, world: World, frame: FrameOfSequence, random: np.random.Generator) -> LightChange:
+    def light_change(
+        self, world: World, frame: FrameOfSequence, rows: NDArray[np.intp], random: np.random.Generator
+    ) -> LightChange:
         """Compute what the effect does to the light of one frame.
 
         Parameters
@@ -142,7 +221,9 @@ class Effect(ABC):
         world : World
             The simulated world, which need not have the effect.
         frame : FrameOfSequence
-            The frame and its rows.
+            The frame.
+        rows : numpy.ndarray
+            (R,) rows of the image that are wanted.
         random : numpy.random.Generator
             Of this frame, shared by all effects in their order. Draw the same number of values whatever the
             world says, so that effects do not change each other's.
@@ -185,7 +266,7 @@ class Effect(ABC):
         return None
 
     def is_in(self, parameters: TwinParameters) -> bool:
-        """Tell whether a twin has the effect."""
+        """Return whether a twin has the effect."""
         return any(np.any(getattr(parameters, name)) for name in self.strength)
 
     def without(self, parameters: TwinParameters) -> TwinParameters:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 from typing_extensions import override
 
@@ -59,7 +60,9 @@ class Flicker(Effect):
         return world.projector.flicker > 0
 
     @override
-    def light_change(self, world: World, frame: FrameOfSequence, random: np.random.Generator) -> LightChange:
+    def light_change(
+        self, world: World, frame: FrameOfSequence, rows: NDArray[np.intp], random: np.random.Generator
+    ) -> LightChange:
         return LightChange(projector=1.0 + world.projector.flicker * random.standard_normal())
 
     @override

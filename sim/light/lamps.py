@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from fpplab.comparison.visibility import RayTracedShape
 from fpplab.core.conventions import Floats, PixelIndices
 from fpplab.core.geometry import Pinhole
+from sim.effects import EFFECTS
 from sim.light.byte_limited_cache import ByteLimitedCache
 from sim.light.cache import digest
 from sim.light.plane import can_compute
@@ -45,7 +46,7 @@ class RoomLight:
         """Compute the light on what pixels see."""
         # returns (P,)
         ambient = np.float32(self._world.ambient)
-        if not self._world.lamps:
+        if not point_lamps(self._world):
             return ambient
 
         def make() -> Irradiance:
@@ -89,12 +90,8 @@ class _Met:
 
 
 def point_lamps(world: World) -> tuple[PointLamp, ...]:
-    """Place the lamps of the room in the camera's frame."""
-    middle = np.array([0.0, 0.0, world.projector.distance_mm])
-    return tuple(
-        PointLamp(tuple((middle + lamp.offset).tolist()), lamp.irradiance * lamp.distance_mm**2)
-        for lamp in world.lamps.values()
-    )
+    """Collect the lamps of the room of all effects."""
+    return tuple(lamp for effect in EFFECTS for lamp in effect.point_lamps(world))
 
 
 def lamp_light(world: World, scene: RenderScene, pixels: PixelIndices) -> Irradiance:

@@ -9,9 +9,9 @@ import numpy as np
 
 from fpplab.core.conventions import full_scale
 from fpplab.patterns.fringes import Pattern
+from sim.effects import EFFECTS
 from sim.light.basis import Basis, PatternLevels, smallest_basis
 from sim.light.byte_limited_cache import ByteLimitedCache
-from sim.light.falloff import projector_falloff
 from sim.texture import MirrorTexture, Part, PatternTextures
 from sim.world import ProjectorWorld
 
@@ -28,11 +28,22 @@ class MirrorStates:
     rounding: float  # RMS of the quantisation error of the light
 
 
+def mirror_light(projector: ProjectorWorld) -> PatternLevels | None:
+    """Multiply what all effects do to the light of each mirror; None where they do nothing."""
+    # returns (rows, columns)
+    product: PatternLevels | None = None
+    for effect in EFFECTS:
+        factor = effect.mirror_light(projector)
+        if factor is not None:
+            product = factor if product is None else product * factor
+    return product
+
+
 class Mirrors:
-    """Mirrors of a projector, with its response and falloff."""
+    """Mirrors of a projector, with its response and the effects on each mirror."""
 
     def __init__(self, projector: ProjectorWorld) -> None:
-        self._projector, self._falloff = projector, projector_falloff(projector)
+        self._projector, self._factor = projector, mirror_light(projector)
         self._kept: ByteLimitedCache[PatternLevels] = ByteLimitedCache(KEEP_BYTES)
         self._textures: ByteLimitedCache[PatternTextures] = ByteLimitedCache(KEEP_BYTES)
         self._loaded: tuple[tuple[Pattern, ...], MirrorStates] | None = None
@@ -42,7 +53,7 @@ class Mirrors:
     def level(self, pattern: Pattern) -> PatternLevels:
         """Compute the light under a pattern."""
         # returns (rows, columns)
-        return self._kept.get(pattern, lambda: self._fallen_off(self._even(pattern)))
+        return self._kept.get(pattern, lambda: self._with_effects(self._even(pattern)))
 
     def textures(
         self, patterns: Sequence[Pattern], texture: MirrorTexture, circles: tuple[float, ...], part: Part
@@ -75,10 +86,10 @@ class Mirrors:
 
             def of(n: int) -> PatternLevels:
                 if n == 0:
-                    return self._fallen_off(np.full(codes.shape, response.b, np.float32))
+                    return self._with_effects(np.full(codes.shape, response.b, np.float32))
                 bit = n - 1
                 share = np.asarray((codes >> bit & 1) * (response.a * 2**bit / greys), np.float32)
-                return self._fallen_off(share)
+                return self._with_effects(share)
 
             self._planes = (pattern, MirrorStates(bits + 1, of, 0.0))
         return self._planes[1]
@@ -92,8 +103,7 @@ class Mirrors:
 
     def inherit(self, other: Mirrors) -> None:
         """Take over what other mirrors keep, where their light is the same."""
-        ours, theirs = self._projector, other._projector
-        if (ours.response, ours.falloff) == (theirs.response, theirs.falloff):
+        if self._projector.response == other._projector.response and _equal(self._factor, other._factor):
             self._kept.take(other._kept)
             self._textures.take(other._textures)
 
@@ -107,5 +117,11 @@ class Mirrors:
         table = self._projector.response.curve().apply(np.linspace(0, 1, 256))
         return table.astype(np.float32)[pattern.image]
 
-    def _fallen_off(self, light: PatternLevels) -> PatternLevels:
-        return light if self._falloff is None else light * self._falloff
+    def _with_effects(self, light: PatternLevels) -> PatternLevels:
+        return light if self._factor is None else light * self._factor
+
+
+def _equal(one: PatternLevels | None, other: PatternLevels | None) -> bool:
+    if one is None or other is None:
+        return one is other
+    return np.array_equal(one, other)

@@ -35,7 +35,7 @@ from sim.matching.steps import (
     MatchingContext,
     MatchingStep,
 )
-from sim.parameters import ADJUSTABLE, NO_LINE, TwinParameters
+from sim.parameters import ADJUSTABLE, TwinParameters
 from sim.twin import Twin
 
 CONVERGED = "converged"
@@ -344,13 +344,7 @@ def _difference(at: MatchingContext) -> float:
 def _changing_shares(at: MatchingContext, mean_square: float) -> dict[str, float]:
     """Shares of what is left that flicker, bands, vibration and the sensor's noise make."""
     now, whole = at.twin.parameters, _noise(at)
-    without = {
-        effect.name: effect.without(now) if effect.is_in(now) else None for effect in VARYING_EFFECTS
-    } | {
-        "vibration": replace(now, vibration_mm=0.0, vibration_line_mm=NO_LINE)
-        if now.displacement_mm
-        else None,
-    }
+    without = {effect.name: effect.without(now) if effect.is_in(now) else None for effect in VARYING_EFFECTS}
     shares = dict.fromkeys(without, 0.0)
     for step, steady in without.items():
         if steady is not None:

@@ -20,16 +20,15 @@ import numpy as np
 from sim.effects import EFFECTS, Effect
 from sim.matching.fluctuation import bands, noise
 from sim.matching.fluctuation.frame_series import FrameFluctuation, fit_fluctuation
-from sim.matching.fluctuation.frame_terms import GAIN, ROOM, FrameTerms, terms_of_pose
+from sim.matching.fluctuation.frame_terms import GAIN, MOVES, ROOM, FrameTerms, terms_of_pose
 from sim.matching.fluctuation.fringe_residuals import fringe_residuals
-from sim.matching.fluctuation.vibration_and_flicker import match_vibration
 from sim.matching.geometry import geometry_fit
 from sim.matching.light import light_fit, start_search
 from sim.matching.light.contrast import ContrastSample, board_contrasts, with_common_error
 from sim.matching.record import ParametersFile
 from sim.matching.reference import Reference
 from sim.matching.samples import PixelSample
-from sim.parameters import FALLOFF, ROOM_LAMP, TwinParameters
+from sim.parameters import TwinParameters
 from sim.twin import Twin
 
 SAMPLED_POSES = 6
@@ -72,9 +71,11 @@ class MatchingContext:
             self._terms[key] = [terms_of_pose(self.reference, self.twin, pose) for pose in poses]
         return self._terms[key]
 
-    def fluctuation(self, of: Literal["projector", "room"], oscillates: bool = True) -> FrameFluctuation:
-        """Estimate how light changes from frame to frame, relative."""
-        columns = GAIN if of == "projector" else ROOM
+    def fluctuation(
+        self, of: Literal["projector", "room", "position"], oscillates: bool = True
+    ) -> FrameFluctuation:
+        """Estimate how light, relative, or the item's position in mm changes from frame to frame."""
+        columns = {"projector": GAIN, "room": ROOM, "position": MOVES}[of]
         return fit_fluctuation([terms.series(columns) for terms in self.frame_terms()], oscillates)
 
     def room_ripple(self) -> bands.Ripple | None:
@@ -109,6 +110,14 @@ class MatchingContext:
         held = self.twin.with_parameters(replace(fitted, black_level=self._max_black))
         others = [name for name in names if name != "black_level"]
         return light_fit.fit_light(self.reference, held, others, self.samples)
+
+    def criterion(self, free: int) -> float:
+        """Compute Schwarz's criterion of the samples, by the number of free parameters."""
+        return light_fit.information_criterion(self.reference, self.twin, self.samples, free)
+
+    def search_lamp(self, linear: Sequence[str]) -> TwinParameters:
+        """Search for a lamp of the room from which to fit; linear: names of what is fitted with it."""
+        return start_search.search_lamp(self.reference, self.twin, self.samples, linear)
 
     @property
     def projector_focus(self) -> tuple[str, ...]:
@@ -192,10 +201,9 @@ def _ends(samples: Sequence[PixelSample]) -> list[PixelSample]:
 def _fit_together(at: MatchingContext) -> TwinParameters:
     now = at.twin.parameters
     names = [*at.blur_by_images, "vignetting"]
-    if any(now.projector_falloff):
-        names += FALLOFF
-    if now.lamp_irradiance:
-        names += ROOM_LAMP
+    for effect in EFFECTS:
+        if effect.is_in(now):
+            names += effect.fitted
     if not at.contrasts:
         names += at.projector_focus
     return at.fit(*at.light_parameters(*names, *at.camera_focus))
@@ -222,29 +230,6 @@ def _contrast_left(at: MatchingContext) -> float | None:
     if not at.contrasts:
         return None
     return light_fit.mean_square_difference(at.reference, at.twin, at.contrasts)
-
-
-def _evidence_for_falloff(at: MatchingContext) -> float:
-    free = len(FALLOFF) if any(at.twin.parameters.projector_falloff) else 0
-    return light_fit.information_criterion(at.reference, at.twin, at.samples, free)
-
-
-def _room_lamp(at: MatchingContext) -> TwinParameters:
-    """Fit the light without and with a lamp, which is kept where it explains more than it costs."""
-    without = at.with_parameters(at.fit(*at.light_parameters()))
-    linear = [name for name in (at.white, "ambient", "black_level") if name in without.light_parameters()]
-    start = start_search.search_lamp(at.reference, without.twin, at.samples, linear)
-    if start.lamp_irradiance:
-        lit = without.with_parameters(start)
-        with_lamp = lit.with_parameters(lit.fit(*lit.light_parameters(*ROOM_LAMP)))
-        if _evidence_for_lamp(with_lamp) < _evidence_for_lamp(without):
-            return with_lamp.twin.parameters
-    return without.twin.parameters
-
-
-def _evidence_for_lamp(at: MatchingContext) -> float:
-    free = len(ROOM_LAMP) if at.twin.parameters.lamp_irradiance else 0
-    return light_fit.information_criterion(at.reference, at.twin, at.samples, free)
 
 
 def _refine_by_images(at: MatchingContext) -> TwinParameters:
@@ -278,15 +263,7 @@ SHARPNESS_OF_BOARD = MatchingStep(
     applies=lambda at: bool(at.contrasts) and _board_is_sharper(at),
 )
 """Taken after all rounds, where contrasts gave a blur that the board's fringes do not have."""
-CHANGING_STEPS = (
-    *_steps_of(VARYING_EFFECTS),
-    MatchingStep(
-        "vibration",
-        lambda at: match_vibration(at.twin.parameters, at.frame_terms()),
-        same_images=True,
-        explains="displacements of the item from frame to frame",
-    ),
-)
+CHANGING_STEPS = _steps_of(VARYING_EFFECTS)
 """What changes from frame to frame: found before noise is compared, and again with the light at the end."""
 FIRST_STEPS = (
     MatchingStep(
@@ -315,15 +292,7 @@ FIRST_STEPS = (
         lambda at: at.fit(at.white, "vignetting"),
         explains="light that the camera's lens loses towards the corners of the image",
     ),
-    MatchingStep(
-        "projector falloff",
-        lambda at: at.fit(at.white, "vignetting", *FALLOFF),
-        misfit=_evidence_for_falloff,
-        explains="light that the projector gives unevenly",
-    ),
-    MatchingStep(
-        "room lamp", _room_lamp, misfit=_evidence_for_lamp, explains="light of the room from one side"
-    ),
+    *_steps_of([effect for effect in EFFECTS if not effect.varies]),
     *CHANGING_STEPS,
     MatchingStep(
         "noise",

@@ -6,12 +6,11 @@ faces the white projector at `projector.distance_mm`.
 
 from sim.world.camera import Binning, CameraWorld, Sensor, ShutterSection
 from sim.world.items import ArtefactItem, BoardItem, CardItem, Item, MeshItem, PoseRules
-from sim.world.lamp import RoomLamp
 from sim.world.materials import Material
 from sim.world.projector import LedWorld, ProjectorWorld, ResponseSection
 from sim.world.render import LightPath, Render, Subpixels
 from sim.world.surroundings import SurroundingsSection
-from sim.world.world import StageWorld, VibrationLine, World
+from sim.world.world import StageWorld, World
 
 __all__ = [
     "ArtefactItem",
@@ -28,12 +27,10 @@ __all__ = [
     "ProjectorWorld",
     "Render",
     "ResponseSection",
-    "RoomLamp",
     "Sensor",
     "ShutterSection",
     "StageWorld",
     "Subpixels",
     "SurroundingsSection",
-    "VibrationLine",
     "World",
 ]

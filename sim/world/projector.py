@@ -99,9 +99,6 @@ class ProjectorDevice(Document):
     """Depth that is in focus, in mm; None for the same blur at every depth."""
     aperture_mm: NotNegative = 10.0
     """Diameter of the lens in mm, by which blur grows with the distance from focus."""
-    falloff: tuple[float, float, float, float, float] = (0.0,) * 5
-    """Coefficients of x, y, x², xy and y² of the light relative to the middle of the image; x and y are from
-    there, in halves of the image's width."""
 
 
 class ProjectorWorld(ProjectorEffects, ProjectorDevice):

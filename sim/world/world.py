@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from fpplab.calibration.model import CalibrationFile
 from fpplab.core import config
@@ -15,10 +16,9 @@ from fpplab.core.conventions import Floats
 from fpplab.core.errors import ConfigError
 from fpplab.core.files import write_text
 from fpplab.core.geometry import Pinhole, RigidTransform, turned_towards
-from sim.effects import WorldEffects
+from sim.effects import EFFECTS, WorldEffects
 from sim.world.camera import Binning, CameraWorld, has_rays
 from sim.world.items import BoardItem, Item, with_file_beside
-from sim.world.lamp import RoomLamp
 from sim.world.materials import Material, MaterialSection
 from sim.world.materials.diffuse import Diffuse
 from sim.world.numbers import NotNegative
@@ -26,8 +26,6 @@ from sim.world.projector import ProjectorWorld
 from sim.world.render import LightPath, Render
 from sim.world.surroundings import SurroundingsSection
 
-MAX_VIBRATION_MM = 10
-"""Greatest displacement by vibration."""
 MAX_DRAWS = 1000
 """How often a number is drawn until its field allows it."""
 
@@ -53,24 +51,6 @@ class StageWorld(Document):
         # returns (3,) mm
         axis = np.array(self.axis)
         return position_mm * axis / np.linalg.norm(axis)
-
-
-class VibrationLine(Document):
-    """Vibration to and fro along a line, as of a table; a share of it may have one frequency, as of a fan."""
-
-    rms_mm: tuple[float, float, float]
-    """Root mean square displacement along the camera's axes, in mm, with signs that give the direction."""
-    periodic: Annotated[float, Field(ge=0, le=1)] = 0.0
-    """Share of the variance that has one frequency; the rest is another in each frame."""
-    cycles_per_frame: Annotated[float, Field(ge=0, le=0.5)] = 0.0
-    """That frequency as the frames sample it; it holds for frames at regular intervals."""
-
-    @field_validator("rms_mm")
-    @classmethod
-    def _is_small(cls, rms_mm: tuple[float, float, float]) -> tuple[float, float, float]:
-        if max(map(abs, rms_mm)) > MAX_VIBRATION_MM:
-            raise ValueError(f"is {list(rms_mm)}: must be between -{MAX_VIBRATION_MM} and {MAX_VIBRATION_MM}")
-        return rms_mm
 
 
 class WorldContents(Document):
@@ -101,17 +81,11 @@ class WorldContents(Document):
     """What is seen and lit besides the items."""
     ambient: Annotated[float, Field(ge=0, le=10)] = 0.0
     """Uniform ambient light on everything in view, relative to the projector's white."""
-    lamps: Annotated[dict[str, RoomLamp], Field(default_factory=dict)]
-    """Lamps of the room by name, whose light has a direction."""
 
 
 class World(WorldEffects, WorldContents):
     """A world file: devices, items, light and how pictures are rendered."""
 
-    vibration_mm: Annotated[NotNegative, Field(le=MAX_VIBRATION_MM)] = 0.0
-    """Standard deviation of the item's displacement along each axis from frame to frame, in mm."""
-    vibration_line: VibrationLine | None = None
-    """Vibration along a line in addition; None where there is none."""
     render: Render = Render()
     """How pictures are rendered."""
     uncertainty: Annotated[dict[str, NotNegative], Field(default_factory=dict)]
@@ -182,14 +156,15 @@ class World(WorldEffects, WorldContents):
 
     @property
     def moves_mm(self) -> float:
-        """Size of the item's displacements by vibration: 0 where it stands still."""
-        line = self.vibration_line
-        return float(np.hypot(self.vibration_mm, np.linalg.norm(line.rms_mm) if line else 0.0))
+        """Size of the item's displacements by all effects: 0 where it stands still."""
+        sizes = [effect.displacement_size_mm(self) for effect in EFFECTS]
+        return math.hypot(*(size for size in sizes if size))
 
     @property
     def has_room_light(self) -> bool:
         """Whether there is light that is not the projector's."""
-        return self.ambient > 0 or any(lamp.irradiance > 0 for lamp in self.lamps.values())
+        lamps = [lamp for effect in EFFECTS for lamp in effect.point_lamps(self)]
+        return self.ambient > 0 or any(lamp.irradiance > 0 for lamp in lamps)
 
     @property
     def indirect(self) -> str | None:

@@ -11,8 +11,8 @@ from fpplab.core import config
 from fpplab.core.conventions import Lattice
 from fpplab.patterns.fringes import uniform_patterns
 from sim.build import SceneState
+from sim.effects.falloff import projector_falloff
 from sim.light import Light, ShownPattern
-from sim.light.falloff import projector_falloff
 from sim.twin import Twin
 from sim.worker import Blender
 from sim.world import ProjectorWorld, World

@@ -20,6 +20,7 @@ from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import Plan
 from sim.build import SceneState, build_scene
+from sim.effects.room_lamp import RoomLamp
 from sim.light import Light, PatternLevels, ShownPattern
 from sim.light.lamps import lamp_light, point_lamps
 from sim.parameters import UNCERTAIN, TwinParameters
@@ -28,7 +29,7 @@ from sim.sensor import SensorModel
 from sim.surroundings import surroundings_surface
 from sim.twin import Twin
 from sim.worker import Blender
-from sim.world import RoomLamp, World
+from sim.world import World
 from tests.sim.conftest import SIZE, plain, world
 from tests.sim.raycaster import Box, Plane, Shape, Sphere
 

@@ -7,7 +7,7 @@ import pytest
 
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import ConfigError
-from sim.vibration import displacement_mm, wave_phase
+from sim.effects.vibration import vibration_displacement_mm, wave_phase
 from sim.world import World
 from tests.sim.conftest import world
 
@@ -15,7 +15,9 @@ RMS = (0.03, -0.01, 0.02)
 
 
 def moves(of: World, frames: int, phase: float = 0.0) -> Floats:
-    return np.array([displacement_mm(of, np.random.default_rng(n), n, phase) for n in range(frames)])
+    return np.array(
+        [vibration_displacement_mm(of, np.random.default_rng(n), n, phase) for n in range(frames)]
+    )
 
 
 def test_a_swing_is_a_sine_along_its_line() -> None:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from fpplab.core.conventions import Floats
 from fpplab.patterns.plan import Plan
 from fpplab.phase.common_errors import beyond_fringe
+from sim.effects import EFFECTS
 from sim.matching.fluctuation.frame_series import Series
 from sim.matching.geometry.board_shape import change_by_bend
 from sim.matching.geometry.geometry_fit import levels_with_gradient
@@ -67,7 +68,10 @@ def terms_of_pose(reference: Reference, twin: Twin, pose: int) -> FrameTerms:
     pixels = subsample_pixels(board, MAX_PIXELS)
     first = reference.shown(images[:1])
     expected, gradient = levels_with_gradient(reference, twin, pose, images, pixels)
-    in_dark_room = twin.with_parameters(replace(now, ambient=0.0, lamp_irradiance=0.0))
+    dark = replace(now, ambient=0.0)
+    for effect in EFFECTS:
+        dark = effect.without(dark) if effect.is_room_light else dark
+    in_dark_room = twin.with_parameters(dark)
     room = expected[0] - in_dark_room.expected_at(pose, first, reference.settings, pixels)[0]
     slopes = slopes_by_move(pixels, now.calibration, now.poses[pose], gradient)
     above = expected - now.black_level * reference.full_scale

@@ -23,11 +23,12 @@ from fpplab.patterns.curve import Curve
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.response import Response, fit_response
+from sim.effects.vibration import with_vibration_of
 from sim.matching import match
 from sim.matching.evaluation import evaluate
 from sim.matching.fluctuation import noise
-from sim.matching.fluctuation.frame_terms import terms_of_pose
-from sim.matching.fluctuation.vibration_and_flicker import match_vibration
+from sim.matching.fluctuation.frame_series import fit_fluctuation
+from sim.matching.fluctuation.frame_terms import MOVES, terms_of_pose
 from sim.matching.geometry import geometry_fit
 from sim.matching.geometry.card import fitted_plane, moved_into_plane
 from sim.matching.judging import plausibility
@@ -195,7 +196,7 @@ def matched_noise(reference: Reference, twin: PlaneTwin) -> TwinParameters:
     """Noise and vibration of the bench, from three poses."""
     poses = (0, 1, 3)
     seen = [terms_of_pose(reference, twin, pose) for pose in poses]
-    vibrating = match_vibration(twin.parameters, seen)
+    vibrating = with_vibration_of(twin.parameters, fit_fluctuation([pose.series(MOVES) for pose in seen]))
     twin = twin.with_parameters(vibrating)
     found = noise.match_noise(reference, twin, poses)
     assert twin.parameters is vibrating

@@ -9,11 +9,11 @@ import pytest
 
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
+from sim.effects.vibration import Vibration
 from sim.matching.fluctuation.bands import IN_STEP_PX, Bands
 from sim.matching.fluctuation.frame_series import fit_fluctuation
 from sim.matching.fluctuation.frame_terms import GAIN
 from sim.matching.fluctuation.fringe_residuals import Variances, fringe_residuals, residual_of_set
-from sim.matching.fluctuation.vibration_and_flicker import match_vibration
 from sim.matching.samples import sample_pixels
 from sim.matching.steps import FIRST_STEPS, MatchingContext
 from sim.parameters import TwinParameters
@@ -118,7 +118,7 @@ def test_vibration_along_a_line_is_found_with_its_frequency(truth: TwinParameter
         vibration_mm=0.0,
     )
     at = context(bench, truth)
-    found = match_vibration(truth, at.frame_terms())
+    found = Vibration().propose(at)
     size = np.linalg.norm(found.vibration_line_mm)
     assert size == pytest.approx(np.linalg.norm(line), rel=0.3)
     assert abs(np.dot(found.vibration_line_mm, line)) / size / np.linalg.norm(line) > 0.95

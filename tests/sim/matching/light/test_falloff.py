@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from fpplab.core.conventions import Floats
+from sim.effects.falloff import FALLOFF
 from sim.matching.samples import sample_pixels
 from sim.matching.steps import FIRST_STEPS, MatchingContext, MatchingStep
-from sim.parameters import FALLOFF, TwinParameters, named_numbers
+from sim.parameters import TwinParameters, named_numbers
 from tests.sim.matching.test_matching import reference_of, truth
 from tests.support.plane_twin import PAIR, PROJECTOR, PlaneTwin
 

@@ -9,9 +9,10 @@ import pytest
 
 from fpplab.core.conventions import Floats
 from fpplab.patterns.fringes import uniform_patterns
+from sim.effects.room_lamp import ROOM_LAMP
 from sim.matching.samples import sample_pixels
 from sim.matching.steps import FIRST_STEPS, MatchingContext, MatchingStep
-from sim.parameters import ADJUSTABLE, ROOM_LAMP, TwinParameters
+from sim.parameters import ADJUSTABLE, TwinParameters
 from tests.sim.matching.test_matching import reference_of
 from tests.support.plane_twin import SETTINGS, PlaneTwin, nominal, tilted
 

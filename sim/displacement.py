@@ -1,4 +1,4 @@
-"""A vibrating item: what the camera sees of it, to first order in the displacement.
+"""An item that effects displace from frame to frame, and what the camera sees of it, to first order.
 
 Pictures of the item at rest and displaced along each axis once serve any number of frames; otherwise every
 frame would need a render of its own. Displacements are a small part of a pixel.
@@ -14,27 +14,17 @@ import numpy as np
 from fpplab.core.conventions import Floats
 from fpplab.core.geometry import RigidTransform
 from sim.build import SceneState
+from sim.effects import EFFECTS, FrameOfSequence
 from sim.light import Light, PatternLevels, ShownPattern
 from sim.world import World
 
-STREAM = 2
-"""Separates the random numbers of phases from those of other changes."""
 
-
-def displacement_mm(world: World, random: np.random.Generator, frame: float, phase: float) -> Floats:
-    """Draw by how much vibration displaces the item in one frame."""
+def displacement_mm(world: World, random: np.random.Generator, number: int, *sequence: int) -> Floats:
+    """Draw by how much all effects displace the item in a frame; sequence: numbers of what it belongs to."""
     # returns (3,) mm
-    moved, line = world.vibration_mm * random.standard_normal(3), world.vibration_line
-    if line is None:
-        return moved
-    swing = np.sqrt(2.0 * line.periodic) * np.sin(2 * np.pi * (line.cycles_per_frame * frame + phase))
-    alone = np.sqrt(1.0 - line.periodic) * random.standard_normal()
-    return np.asarray(moved + (swing + alone) * np.array(line.rms_mm))
-
-
-def wave_phase(world: World, *numbers: int) -> float:
-    """Draw where a vibration of one frequency begins."""
-    return float(np.random.default_rng([world.seed, *numbers, STREAM]).uniform())
+    frame = FrameOfSequence(number, sequence)
+    moves = [effect.displacement_mm(world, frame, random) for effect in EFFECTS]
+    return np.asarray(np.sum(moves, axis=0))
 
 
 def displaced(setup: SceneState, pose: RigidTransform, step_mm: float) -> tuple[SceneState, ...]:
@@ -45,7 +35,7 @@ def displaced(setup: SceneState, pose: RigidTransform, step_mm: float) -> tuple[
     return tuple(replace(setup, held=pose.moved(step_mm * axis)) for axis in np.eye(3))
 
 
-def with_vibration(
+def displaced_irradiance(
     light: Light,
     still: SceneState,
     moved: Sequence[SceneState],
