@@ -31,7 +31,7 @@ def ask_apart(answer: Callable[..., None], *arguments: Any, timeout_s: float) ->
 
 
 @contextmanager
-def libraries_silent() -> Iterator[None]:
+def native_stderr_silenced() -> Iterator[None]:
     """Keep what libraries print off the terminal; what Python writes to `sys.stderr` still appears."""
     sys.stderr.flush()
     descriptor, stream = os.dup(2), sys.stderr

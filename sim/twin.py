@@ -225,7 +225,7 @@ class Twin:
         self.world.item(item)
         shown, sensor, still = tuple(patterns), SensorModel.of(self.world), SceneState(item, held=pose)
         counters = self.frame_counter.take(len(shown))
-        pictures = self._vibrating(still, pose, shown, counters)
+        pictures = self._levels_of_vibrating_frames(still, pose, shown, counters)
         if (changes := Fluctuation.of(self.world)) is not None:
             ambient = self._light.irradiance(still, None)
             rows = np.arange(len(ambient))
@@ -235,7 +235,7 @@ class Twin:
         with ThreadPoolExecutor() as pool:
             return list(pool.map(lambda of, n: sensor.expose(of, settings, n), pictures, counters))
 
-    def _vibrating(
+    def _levels_of_vibrating_frames(
         self, still: SceneState, pose: RigidTransform, shown: tuple[Pattern, ...], counters: range
     ) -> list[PatternLevels]:
         """Compute the irradiance (h, w) of every frame of an item that vibrates about a pose."""

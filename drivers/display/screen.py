@@ -19,7 +19,7 @@ from multiprocessing.shared_memory import SharedMemory
 from statistics import median
 from typing import Any
 
-from drivers.apart import libraries_silent
+from drivers.apart import native_stderr_silenced
 
 QUEUED_FRAMES = 3
 """Frames that drivers and compositors may queue: a frame is transmitted once this number of further ones
@@ -96,7 +96,7 @@ def serve_screen(connection: Connection, display_id: int | str, size: tuple[int,
     in s is sent. A `ScreenFailure` is sent instead if the display fails.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the driver's process handles Ctrl-C
-    with suppress(EOFError, OSError), libraries_silent():
+    with suppress(EOFError, OSError), native_stderr_silenced():
         try:
             with open_screen(display_id, size) as screen:
                 connection.send(OpenedScreen(screen.display, screen.vsync_s))
@@ -115,7 +115,7 @@ def serve_screen(connection: Connection, display_id: int | str, size: tuple[int,
 def serve_displays(connection: Connection) -> None:
     """Send the list of displays, or a `ScreenFailure`."""
     try:
-        with libraries_silent(), _video() as sdl:
+        with native_stderr_silenced(), _video() as sdl:
             connection.send(_displays(sdl))
     except ScreenError as error:
         connection.send(error.failure)

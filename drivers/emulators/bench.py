@@ -37,7 +37,7 @@ from drivers.emulators.dlpc350 import (
     Pulse,
     UsbFault,
 )
-from drivers.emulators.exposure import BenchClock, CollectedLight, EmulatedShutter, mean_grey_levels
+from drivers.emulators.exposure import BenchClock, CollectedLight, EmulatedShutter, mean_pattern
 from drivers.emulators.grbl import GrblController, Rail
 from drivers.emulators.grbl.settings import DEFAULTS
 from drivers.emulators.optics import GreyImage, OpticsRig
@@ -193,9 +193,7 @@ class EmulatedBench:
         """Render the image of what a shutter collected; the camera's cable may be unplugged after it."""
         self._update_stage()
         light = collected[0][0] if len(collected) == 1 else None
-        image = self.optics.capture(
-            settings, mean_grey_levels(collected), lambda: self._related_patterns(light)
-        )
+        image = self.optics.capture(settings, mean_pattern(collected), lambda: self._related_patterns(light))
         self._exposures += 1
         if self._exposures == self.faults.unplug_camera:
             self.pylon.unplug()
@@ -218,7 +216,7 @@ class EmulatedBench:
                 related = ProjectedLight(
                     content, light.depth, number, light.inverted, light.levels, light.image
                 )
-                greys = mean_grey_levels([(related, 1.0)])
+                greys = mean_pattern([(related, 1.0)])
                 assert greys is not None
                 yield greys
 

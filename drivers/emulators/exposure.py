@@ -150,7 +150,7 @@ def _same_light(a: ProjectedLight | None, b: ProjectedLight | None) -> bool:
     return kinds[0] == kinds[1] and (a.content is b.content or np.array_equal(a.content, b.content))
 
 
-def mean_grey_levels(collected: CollectedLight) -> NDArray[np.uint8] | None:
+def mean_pattern(collected: CollectedLight) -> NDArray[np.uint8] | None:
     """Average the light that was collected, in grey levels of the projector.
 
     At full LED levels one pattern that was on all the time gives exactly its own grey levels; anything else

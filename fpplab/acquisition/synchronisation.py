@@ -280,7 +280,7 @@ class _Spaces:
 
 
 @lru_cache(maxsize=16)
-def _spaces(
+def _signal_spaces(
     plan: Plan, harmonics: int, named: tuple[SyncFault, ...] = (), own_offsets: bool = False
 ) -> _Spaces:
     """The space of frames in step, and then those of the faults named."""
@@ -300,14 +300,14 @@ def _spaces(
 def _decide(moments: Moments, plan: Plan) -> SyncVerdict:
     # A fault can be likelier at most by the misfit that it explains.
     explained = 2 * LIMITS.min_log_ratio * LIMITS.misfit_in_step**2
-    if _spaces(plan, LINEAR).residual(moments.all)[0] <= explained:
-        return SyncVerdict(provable=provable(plan), misfit=_spaces(plan, NONLINEAR).misfit(moments))
+    if _signal_spaces(plan, LINEAR).residual(moments.all)[0] <= explained:
+        return SyncVerdict(provable=provable(plan), misfit=_signal_spaces(plan, NONLINEAR).misfit(moments))
     named = tuple(faults(plan.images))
     likelihood = _likelihood(moments, plan, named)
-    misfit = _spaces(plan, NONLINEAR).misfit(moments)
+    misfit = _signal_spaces(plan, NONLINEAR).misfit(moments)
     best = likelihood.max()
     if _likelihood(moments, plan, own_offsets=True)[0] > best:
-        changed = _spaces(plan, NONLINEAR, own_offsets=True)
+        changed = _signal_spaces(plan, NONLINEAR, own_offsets=True)
         return SyncVerdict(provable=provable(plan), misfit=changed.misfit(moments))
     causes: tuple[SyncFault, ...] = ()
     if best > likelihood[0] + LIMITS.min_log_ratio:
@@ -323,7 +323,7 @@ def _likelihood(
     moments: Moments, plan: Plan, named: tuple[SyncFault, ...] = (), own_offsets: bool = False
 ) -> Floats:
     """Likelihood of frames in step, and then of the faults named, by the response that suits each better."""
-    spaces = (_spaces(plan, harmonics, named, own_offsets) for harmonics in (LINEAR, NONLINEAR))
+    spaces = (_signal_spaces(plan, harmonics, named, own_offsets) for harmonics in (LINEAR, NONLINEAR))
     return np.asarray(np.maximum(*(space.likelihood(moments) for space in spaces)))
 
 

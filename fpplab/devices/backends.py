@@ -71,16 +71,16 @@ def allow_backends(names: list[str]) -> None:
     os.environ[ALLOWED] = ",".join([*filter(None, [os.environ.get(ALLOWED)]), *names])
 
 
-def load_backend(name: str, source: Path | str, device: str) -> type[Any]:
+def load_backend(name: str, rig_file: Path | str, section: str) -> type[Any]:
     """Import a backend of a rig file.
 
     Parameters
     ----------
     name : str
         As the rig file has it: the name of an entry point of the group `fpplab.backends`, or `module:Class`.
-    source : path or str
+    rig_file : path or str
         What the rig file is called in messages.
-    device : str
+    section : str
         The section of the rig file, for messages.
 
     Returns
@@ -94,7 +94,7 @@ def load_backend(name: str, source: Path | str, device: str) -> type[Any]:
         There is no such backend, its module is not allowed, cannot be imported, or has no such class. Where a
         package of an extra is missing, it says how to install it.
     """
-    where = f"{source}: '{device}.backend' is '{name}'"
+    where = f"{rig_file}: '{section}.backend' is '{name}'"
     place = _place(name, where)
     module, _, attribute = place.partition(":")
     if module.rpartition(".")[2] == "__main__":
@@ -121,11 +121,11 @@ def load_backend(name: str, source: Path | str, device: str) -> type[Any]:
     if backend is None:
         raise ConfigError(f"{where}: {module} has no {attribute}")
     if not isinstance(backend, type):
-        raise ConfigError(f"{where}: not a {device}")
+        raise ConfigError(f"{where}: not a {section}")
     if lacking := sorted(getattr(backend, "__abstractmethods__", ())):
         raise ConfigError(
             f"{where}: {attribute} lacks {', '.join(lacking)}; each is described in its docstring, "
-            f"in fpplab/devices/{device}.py or fpplab/devices/device.py"
+            f"in fpplab/devices/{section}.py or fpplab/devices/device.py"
         )
     return backend
 

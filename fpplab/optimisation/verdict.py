@@ -58,7 +58,7 @@ def diagnose_search(result: SearchResult, confirmed: Sequence[ConfirmedPlan] = (
     findings = [
         *_gain(result),
         *_neighbours(result),
-        *_borders(result),
+        *_extendable_borders(result),
         *_end(result),
         *_limits(result),
         *_failed(result),
@@ -143,7 +143,7 @@ def _differing(parameters: Sequence[Parameter], point: Point, other: Point) -> s
     return ", ".join(changed)
 
 
-def _borders(result: SearchResult) -> Iterator[Finding]:
+def _extendable_borders(result: SearchResult) -> Iterator[Finding]:
     """Parameters whose optimum lies at a border beyond which the rig could go."""
     space = result.space
     for i, parameter in enumerate(space.parameters):

@@ -55,7 +55,7 @@ def wrapped_phase(
     s, c = weights.scale * s, weights.scale * c
     if (peak >= saturation).any():
         levels = np.array([np.asarray(frame, np.float64) for frame in frames])
-        _fit_unsaturated(levels, fringe.phase_shifts(), saturation, c, s, mean, square, peak, loss)
+        _refit_saturated_pixels(levels, fringe.phase_shifts(), saturation, c, s, mean, square, peak, loss)
     modulation = np.hypot(s, c)
     misfit = np.sqrt(np.maximum(square - mean**2 - modulation**2 / 2.0, 0.0))
     phase = ((np.arctan2(s, c) - weights.origin_rad) % TWO_PI).astype(np.float32)
@@ -64,7 +64,7 @@ def wrapped_phase(
     return Wrapped(phase, *(m.astype(np.float32) for m in (modulation, mean, misfit, peak, loss)))
 
 
-def _fit_unsaturated(
+def _refit_saturated_pixels(
     levels: Floats,
     shift: Floats,
     saturation: float,

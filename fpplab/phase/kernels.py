@@ -81,7 +81,7 @@ def _pixels(address: Any, start: int, n: int, like: Any) -> Any:
 
 
 @compiled
-def _add_four(a: Any, b: Any, c: Any, d: Any, weights: Any, sums: Any, n: int) -> None:
+def _accumulate_four_frames(a: Any, b: Any, c: Any, d: Any, weights: Any, sums: Any, n: int) -> None:
     s0, s1, s2, s3 = weights[0, 0], weights[1, 0], weights[2, 0], weights[3, 0]
     c0, c1, c2, c3 = weights[0, 1], weights[1, 1], weights[2, 1], weights[3, 1]
     m0, m1, m2, m3 = weights[0, 2], weights[1, 2], weights[2, 2], weights[3, 2]
@@ -97,10 +97,10 @@ def _add_four(a: Any, b: Any, c: Any, d: Any, weights: Any, sums: Any, n: int) -
 
 
 @compiled
-def _add_eight(
+def _accumulate_eight_frames(
     a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, g: Any, h: Any, weights: Any, sums: Any, n: int
 ) -> None:
-    """As `_add_four` twice, which reads and writes the sums twice."""
+    """As `_accumulate_four_frames` twice, which reads and writes the sums twice."""
     s0, s1, s2, s3 = weights[0, 0], weights[1, 0], weights[2, 0], weights[3, 0]
     c0, c1, c2, c3 = weights[0, 1], weights[1, 1], weights[2, 1], weights[3, 1]
     m0, m1, m2, m3 = weights[0, 2], weights[1, 2], weights[2, 2], weights[3, 2]
@@ -338,7 +338,7 @@ def _add_frames(sums: Any, at: int, n: int, s: int, like: Any, recipe: Any) -> N
     k, last = recipe.first[s], recipe.first[s + 1]
     while k + 8 <= last:
         frame = recipe.addresses[k : k + 8]
-        _add_eight(
+        _accumulate_eight_frames(
             _pixels(frame[0], at, n, like),
             _pixels(frame[1], at, n, like),
             _pixels(frame[2], at, n, like),
@@ -354,7 +354,7 @@ def _add_frames(sums: Any, at: int, n: int, s: int, like: Any, recipe: Any) -> N
         k += 8
     if k < last:
         frame = recipe.addresses[k : k + 4]
-        _add_four(
+        _accumulate_four_frames(
             _pixels(frame[0], at, n, like),
             _pixels(frame[1], at, n, like),
             _pixels(frame[2], at, n, like),

@@ -59,7 +59,7 @@ def settle_orders(
     finest, freedom = recipe.finest[axis], np.sum(recipe.axis == axis) - 1
     unit = recipe.set_stripes[finest] * recipe.set_stripes[finest] / recipe.phase_noise[finest]
     reach = margin + ORDERS.beyond_sigmas * math.sqrt(separation / (2.0 * enough * unit))
-    if _mark_doubtful(rows, sums, good, n, _f(separation), _f(edge), _f(reach), _f(enough)) == 0:
+    if _mark_uncleared(rows, sums, good, n, _f(separation), _f(edge), _f(reach), _f(enough)) == 0:
         return
     for i in range(n):
         if sums[_u(i) + DOUBT] == 0.0:
@@ -157,7 +157,7 @@ def _fuse_again(
 
 
 @compiled
-def _mark_doubtful(
+def _mark_uncleared(
     rows: Any, sums: Any, good: Any, n: int, separation: Any, edge: Any, tolerance: Any, enough: Any
 ) -> Any:
     """Mark the pixels that the bound does not clear, and count them; without a branch, as in the decoder.

@@ -18,10 +18,10 @@ from fpplab.viewer.measurement import Colouring, MeasurementView
 class AcceptanceView(MeasurementView):
     """As a measurement, with the result as text; the timeline `position` runs over the positions."""
 
-    def begin(self) -> None:
+    def arrange_views(self) -> None:
         """Arrange the views."""
         self._positions = 0
-        super().begin()
+        super().arrange_views()
 
     def pictures(self) -> list[Any]:
         """List the views of images, and the result."""

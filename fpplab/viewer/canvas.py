@@ -208,9 +208,9 @@ class CommandView:
 
     def __init__(self, canvas: Canvas) -> None:
         self.canvas = canvas
-        self.begin()
+        self.arrange_views()
 
-    def begin(self) -> None:
+    def arrange_views(self) -> None:
         """Arrange the views and draw what is there from the beginning."""
         raise NotImplementedError
 

@@ -107,7 +107,7 @@ class LiveSnapshot:
 class LiveView(CommandView):
     """The image large, pattern or scene and histogram below it, and the measures at the side."""
 
-    def begin(self) -> None:
+    def arrange_views(self) -> None:
         """Arrange the views."""
         self._pattern_id = self._state_text = ""
         for entity, (name, colour) in CURVES.items():

@@ -83,7 +83,7 @@ class _Shown:
 class MeasurementView(CommandView):
     """Images and maps on the right; on the left the part, in several colourings, and the rig."""
 
-    def begin(self) -> None:
+    def arrange_views(self) -> None:
         """Arrange the views and say which way the axes point."""
         self._shown = _Shown()
         self.canvas.directions("world")

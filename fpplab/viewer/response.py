@@ -15,7 +15,7 @@ from fpplab.viewer.measurement import ShownFrame
 class ResponseView(CommandView):
     """The camera's image on the left, levels and fit on the right; the timeline is `frame`."""
 
-    def begin(self) -> None:
+    def arrange_views(self) -> None:
         """Arrange the views."""
         import rerun.blueprint as rrb
 

@@ -24,7 +24,7 @@ CURVES = {
 class SearchView(CommandView):
     """The front on the left, the optimum and curves on the right; the timeline is `epoch`."""
 
-    def begin(self) -> None:
+    def arrange_views(self) -> None:
         """Arrange the views."""
         import rerun.blueprint as rrb
 

@@ -37,7 +37,7 @@ class ComparisonRequest:
         return self.source / CLOUD if self.source.is_dir() else self.source
 
     @property
-    def name(self) -> str:
+    def cloud_name(self) -> str:
         """What the cloud is called: its session, or its file."""
         cloud = self.cloud
         return cloud.absolute().parent.name if cloud.name == CLOUD else cloud.stem
@@ -117,7 +117,7 @@ def _compare(request: ComparisonRequest, observer: Observer) -> ComparisonResult
     recorded = load_diagnosis(path.parent) if (path.parent / JOURNAL).is_file() else None
     provenance = cloud_provenance(path, calibration)
     return ComparisonResult(
-        name=request.name,
+        name=request.cloud_name,
         cloud=cloud,
         comparison=comparison,
         misplaced=misplaced.describe() if misplaced else None,

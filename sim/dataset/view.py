@@ -27,7 +27,7 @@ SHOWN = {
 class SampleView(CommandView):
     """Maps of the latest sample; the timeline is `sample`."""
 
-    def begin(self) -> None:
+    def arrange_views(self) -> None:
         """Arrange the views."""
         import rerun.blueprint as rrb
 

@@ -78,7 +78,7 @@ def _tables(
     reach = Pinhole(camera.size, camera.matrix, camera.distortion).reach
     radius = 0.5 * scene.aperture.diameter_mm
     spots = spots and surface.picture is not None  # a uniform surface has nothing to blur
-    prints = _prints_of_spots(scene, len(views)) if spots else sharp_print(surface.picture)
+    prints = _prints_blurred_by_spots(scene, len(views)) if spots else sharp_print(surface.picture)
     shifts = np.array([view.shift for view in views])
     lens = _correlated_lens(shifts) if spots else np.array([view.lens for view in views])
     if spots and len(views) > 1:
@@ -127,7 +127,7 @@ def _tables(
     return MotionTable(table, slopes, albedo_slopes, motion)
 
 
-def _prints_of_spots(scene: RenderScene, samples: int) -> Prints:
+def _prints_blurred_by_spots(scene: RenderScene, samples: int) -> Prints:
     """Blur the print for all sizes of spots on it."""
     surface, aperture, camera = scene.surfaces[0], scene.aperture, scene.camera
     assert surface.picture is not None

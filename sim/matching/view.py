@@ -31,7 +31,7 @@ CURVES = {
 class MatchingView(CommandView):
     """Images on the left, curves on the right; the timeline is `epoch`."""
 
-    def begin(self) -> None:
+    def arrange_views(self) -> None:
         """Arrange the views."""
         import rerun.blueprint as rrb
 

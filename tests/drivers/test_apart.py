@@ -39,8 +39,8 @@ def test_one_that_crashes_or_blocks_gives_none(capfd: pytest.CaptureFixture[str]
 
 SPEAKING = """
 import os, sys
-from drivers.apart import libraries_silent
-with libraries_silent():
+from drivers.apart import native_stderr_silenced
+with native_stderr_silenced():
     os.write(2, b"library\\n")
     print("python", file=sys.stderr)
 os.write(2, b"afterwards\\n")

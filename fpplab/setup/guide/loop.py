@@ -124,7 +124,7 @@ class _Loop:
         reached = form is not None and until is not None and form <= until
         return reached and count >= LIMITS.min_poses and not self._guide.has_uncovered_region
 
-    def _must_fill(self) -> bool:
+    def _filling_comes_first(self) -> bool:
         """Whether parts of the images without points come first: little else is left to do."""
         form, until = self._guide.form_mm, self._settings.until_mm
         last = self._settings.poses - len(self._sessions) <= LIMITS.fill_last
@@ -144,7 +144,7 @@ class _Loop:
         """Ask for a pose, take it and judge it."""
         guide, number = self._guide, self._free_number()
         if self._pose is None:
-            self._pose = guide.next_pose(fill=self._must_fill())
+            self._pose = guide.next_pose(fill=self._filling_comes_first())
         pose, path = self._pose, self._path(number)
         self._tell(f"pose {len(self._sessions) + 1}: {pose.description}")
         picture = self._folder / PICTURE

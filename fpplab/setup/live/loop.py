@@ -145,7 +145,7 @@ class SetUp:
                     if self._paused_for is not None:
                         self._paused_for, self._message = None, "the rig is free again"
                     with self._rig:
-                        self._open()
+                        self._prepare()
                         while not self._ended() and not turn.is_requested():
                             self._step(turn)
                 finally:
@@ -169,7 +169,7 @@ class SetUp:
             if self._orders.get() is Order.QUIT:
                 self._over = True
 
-    def _open(self) -> None:
+    def _prepare(self) -> None:
         """Get ready on an open rig: at first, and after every pause."""
         rig, options = self._rig, self._options
         if options.item is not None:
