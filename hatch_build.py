@@ -23,7 +23,7 @@ RENAMED = ("drivers", "sim")
 PREFIX = "fpplab_"
 _NAMES = "|".join(RENAMED)
 _IMPORT = re.compile(rf"^(\s*from )({_NAMES})(?=[.\s])", re.MULTILINE)
-_ENTRY = re.compile(rf"^(\w+ = )({_NAMES})(?=[.:])", re.MULTILINE)
+_ENTRY = re.compile(rf"^([\w-]+ = )({_NAMES})(?=[.:])", re.MULTILINE)
 
 
 class WheelNames(BuildHookInterface[Any]):
