@@ -190,6 +190,7 @@ def test_frames_have_the_sensor_s_noise_and_every_draw_is_another(twin: Twin) ->
     assert np.mean(frames.var(axis=0, ddof=1)[lit] / variance) == pytest.approx(1, rel=0.03)
 
 
+@pytest.mark.whole
 def test_vibration_is_that_of_a_moved_item(twin: Twin) -> None:
     """To first order: the pictures' covariance over many frames is that of truly moved ones."""
     shake = 0.02
