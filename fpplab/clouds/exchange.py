@@ -21,7 +21,6 @@ from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.extras import need_extra
 from fpplab.core.files import write_atomic, write_by_name
 
-_OWN_IN_LAS = ("x_mm", "y_mm", "z_mm", "grey")
 MAX_E57_PIXEL = 2**16 - 1
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,10 +30,6 @@ from fpplab.reconstruction.depth_range import DepthRange, depth_bounds
 from fpplab.viewer import layouts
 from fpplab.viewer.canvas import REACH, Canvas, CommandView, eight_bits, subsampled
 from fpplab.viewer.colours import ColourScale
-from fpplab.viewer.viewer import Viewer
-
-if TYPE_CHECKING:
-    from fpplab.acquisition.acquire import FrameObserver
 
 MIN_MODULATION = 2.0
 """Modulation in the frames' grey levels below which a wrapped phase is noise, and drawn grey."""
@@ -261,8 +257,3 @@ def colourings(
         listed.append(Colouring("Order risk", exponent, scale))
     listed.append(Colouring("Depth", cloud.points[:, 2], depth_scale(cloud)))
     return listed
-
-
-def frame_observer(viewer: Viewer[Any], view: type[MeasurementView] = MeasurementView) -> FrameObserver:
-    """Make the observer of an acquisition that shows its frames."""
-    return lambda frame: viewer.show_one_of_many(view.frame, ShownFrame.of(frame))
