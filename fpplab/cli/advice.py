@@ -2,42 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
-
-PURPOSES = {
-    "artefact": "writes the true shape of an artefact",
-    "bug-report": "collects what somebody else needs to see what went wrong",
-    "cache": "shows and clears what is kept to save time",
-    "characterise": "finds camera and projector",
-    "check": "finds out what is wrong with a rig",
-    "compare": "measures how far a cloud is from the true shape",
-    "compare-rigs": "confronts a bench with its twin",
-    "convert": "exchanges calibrations with OpenCV",
-    "dataset": "makes labelled captures of random scenes",
-    "decode": "finds the projector coordinates of a session",
-    "demo": "shows a whole measurement on the virtual bench",
-    "devices": "lists what is connected",
-    "doctor": "lists what this computer lacks",
-    "emulate": "runs an emulated device",
-    "export": "writes clouds, calibrations and tables for other programs",
-    "gamma": "fits the response of projector and camera",
-    "import": "brings images of other programs into a session",
-    "live": "shows the camera's image while a rig is set up",
-    "match": "fits a twin to the recordings of a bench",
-    "optimise": "searches for a better plan",
-    "plan": "shows what a plan projects",
-    "predict": "predicts what a measurement will give, from a twin",
-    "reconstruct": "makes the points of a recorded session",
-    "report": "puts several scans side by side on one page",
-    "rig": "writes a rig file from what is connected",
-    "scan": "measures, on a real or a simulated rig",
-    "session": "describes a session, verifies it, or repairs it",
-    "target": "draws a board for printing",
-    "verify": "is the acceptance test",
-    "view": "shows a recorded session",
-}
-"""What each command does, in the words that follow its name in a sentence."""
 
 _MEANT = {
     ("artefact",): "artifact shape stl mesh truth",
@@ -110,23 +76,25 @@ def missing_option(path: str, option: str) -> str:
     return f"`{path}` needs {option}; {OPTION_HINTS.get(option, f'see `{path} --help`')}"
 
 
-def unknown_command(path: str, word: str, commands: Sequence[str]) -> str:
-    """Say that there is no command of this name, and which one was probably meant."""
+def unknown_command(path: str, word: str, purposes: Mapping[str, str]) -> str:
+    """Say that there is no command of this name, and which one was probably meant.
+
+    `purposes` has the first sentence of each command's help, by the command's name.
+    """
     reason = f"there is no command '{' '.join([*path.split()[1:], word])}'"
     lower = word.lower()
     if lower in ("help", "version"):
         return f"{reason}; say `{path} --{lower}`"
     synonyms = SYNONYMS.get(lower, ())
-    if synonyms and all(command in commands for command in synonyms):
-        purposes = ", ".join(f"{command} {PURPOSES[command]}" for command in synonyms)
-        helps = " or ".join(f"`{path} {command} --help`" for command in synonyms)
-        return f"{reason}; {purposes}: see {helps}"
+    if synonyms and all(command in purposes for command in synonyms):
+        meant = ", or ".join(f"`{path} {command}` ({purposes[command].rstrip('.')})" for command in synonyms)
+        return f"{reason}; did you mean {meant}?"
     usable = {
         name: commands_meant
         for name, commands_meant in SYNONYMS.items()
-        if all(meant_command in commands for meant_command in commands_meant)
+        if all(meant_command in purposes for meant_command in commands_meant)
     }
-    closest = _closest(lower, [*commands, *usable])
+    closest = _closest(lower, [*purposes, *usable])
     if closest is None:
         return f"{reason}; `{path} --help` lists those that there are"
     return f"{reason}; did you mean `{path} {usable.get(closest, (closest,))[0]}`?"
