@@ -4,12 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
-
-if TYPE_CHECKING:
-    from sim.parameters import TwinParameters
+from typing import Any
 
 
 @dataclass(frozen=True)
@@ -38,10 +33,6 @@ class ParameterEntry:
     reported_none: str = "sharp at all depths"  # how reports state the value None
     in_binned_px: bool = False  # whether it counts pixels of the frame; a world has those of the sensor
 
-    def is_present(self, parameters: TwinParameters) -> bool:
-        """Whether a twin has the effect that the parameter describes."""
-        return self.effect is None or bool(np.any(getattr(parameters, self.effect)))
-
 
 def table_entry(
     doc: str, path: str | None = None, fit: FitRange | None = None, **more: Any
@@ -51,13 +42,10 @@ def table_entry(
 
 
 @dataclass(frozen=True)
-class AdjustableParameter:
-    """A number of a twin that can be fitted."""
+class SubstituteNumber:
+    """A number that is fitted in place of a parameter."""
 
+    parameter: str  # its name
     fit: FitRange
-    read: Callable[[TwinParameters], float]  # gives the value from `TwinParameters`
-    set: Callable[[TwinParameters, float], TwinParameters]  # gives `TwinParameters` with another value
-
-    def with_value(self, parameters: TwinParameters, value: float) -> TwinParameters:
-        """Set the value, clipped to the range."""
-        return self.set(parameters, min(max(value, self.fit.lower), self.fit.upper))
+    from_parameter: Callable[[float], float]
+    to_parameter: Callable[[float], float]

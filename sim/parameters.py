@@ -8,9 +8,11 @@ matching and its report all go by that table.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import MISSING, dataclass, field, fields, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from fpplab.calibration.model import Calibration, CalibrationFile, PoseFile
 from fpplab.core import config
@@ -20,11 +22,14 @@ from fpplab.patterns.curve import Curve
 from fpplab.targets import Target
 from sim.effects import EFFECTS, EffectParameters
 from sim.items import item_poses
-from sim.parameter_entry import AdjustableParameter, FitRange, ParameterEntry, table_entry
+from sim.parameter_entry import FitRange, ParameterEntry, SubstituteNumber, table_entry
 from sim.part_surface import PartSurface
 from sim.sensor import SensorModel
 from sim.world import World
 from sim.world.surface import with_surface
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,11 +122,17 @@ class TwinParameters(EffectParameters, DeviceParameters):
     surfaces: Mapping[str, PartSurface] = field(default_factory=dict)  # of items whose surface was matched
     sigma: Mapping[str, float] = field(default_factory=dict)  # standard uncertainties that a fit stated
 
-    def sigma_with(self, **replaced: float) -> dict[str, float]:
-        """Give the standard uncertainties with some replaced; one of 0 is left out."""
-        return {
-            name: value for name, value in {**self.sigma, **replaced}.items() if value or name not in replaced
+    def with_effect(self, effect: DataclassInstance, **sigma: float) -> TwinParameters:
+        """Replace the parameters of one effect and some standard uncertainties; one of 0 is left out."""
+        stated = {
+            name: value for name, value in {**self.sigma, **sigma}.items() if value or name not in sigma
         }
+        values: dict[str, Any] = {entry.name: getattr(effect, entry.name) for entry in fields(effect)}
+        return replace(self, **values, sigma=stated)
+
+    def has(self, entry: ParameterEntry) -> bool:
+        """Whether the twin has the effect that a parameter describes."""
+        return entry.effect is None or bool(np.any(getattr(self, entry.effect)))
 
     def with_pose(self, index: int, pose: RigidTransform) -> TwinParameters:
         """Replace one of the poses."""
@@ -163,6 +174,19 @@ def normalised_response(curve: Curve, *, black: float | None = None, g: float | 
     return Curve(a=1.0 - dark, b=dark, g=curve.g if g is None else g, spline=curve.spline)
 
 
+@dataclass(frozen=True)
+class AdjustableParameter:
+    """A number of a twin that can be fitted."""
+
+    fit: FitRange
+    read: Callable[[TwinParameters], float]  # gives the value from `TwinParameters`
+    set: Callable[[TwinParameters, float], TwinParameters]  # gives `TwinParameters` with another value
+
+    def with_value(self, parameters: TwinParameters, value: float) -> TwinParameters:
+        """Set the value, clipped to the range."""
+        return self.set(parameters, min(max(value, self.fit.lower), self.fit.upper))
+
+
 def _number(name: str, fit: FitRange) -> AdjustableParameter:
     def read(parameters: TwinParameters) -> float:
         return float(getattr(parameters, name))
@@ -188,6 +212,15 @@ def _part(name: str, index: int, fit: FitRange) -> AdjustableParameter:
     return AdjustableParameter(fit, read, set_)
 
 
+def _substitute(number: SubstituteNumber) -> AdjustableParameter:
+    parameter = _number(number.parameter, number.fit)
+    return AdjustableParameter(
+        number.fit,
+        lambda p: number.from_parameter(parameter.read(p)),
+        lambda p, value: parameter.set(p, number.to_parameter(value)),
+    )
+
+
 ADJUSTABLE: dict[str, AdjustableParameter] = {
     **{name: _number(name, entry.fit) for name, entry in TABLE.items() if entry.fit and not entry.parts},
     **{
@@ -196,7 +229,7 @@ ADJUSTABLE: dict[str, AdjustableParameter] = {
         if entry.fit
         for index, part in enumerate(entry.parts)
     },
-    **{name: known for effect in EFFECTS for name, known in effect.adjustable.items()},
+    **{name: _substitute(number) for effect in EFFECTS for name, number in effect.adjustable.items()},
     "b": AdjustableParameter(
         FitRange(0.005, 0.0, 0.5),
         lambda p: p.response.b,
@@ -288,7 +321,7 @@ def _write_numbers(data: dict[str, Any], parameters: TwinParameters, binning: in
         effect.clear(data)
     for name, entry in TABLE.items():
         path = entry.path
-        if path is None or not entry.is_present(parameters):
+        if path is None or not parameters.has(entry):
             continue
         value = getattr(parameters, name)
         *sections, last = path.split(".")

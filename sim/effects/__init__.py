@@ -17,7 +17,7 @@ from sim.effects.base import Effect, FrameOfSequence, LightChange
 
 import_members(__name__, __path__)
 
-EFFECTS: tuple[Effect, ...] = tuple(
+EFFECTS: tuple[Effect[Document], ...] = tuple(
     sorted((member() for member in concrete_subclasses(Effect)), key=lambda member: member.order)  # type: ignore[type-abstract]
 )
 """All effects, in their order."""

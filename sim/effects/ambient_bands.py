@@ -6,8 +6,8 @@ they are at another place in each.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Annotated, Any
+from dataclasses import dataclass, field
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,13 +15,9 @@ from pydantic import Field
 from typing_extensions import override
 
 from fpplab.core.config import Document
-from sim.effects.base import Effect, FrameOfSequence, LightChange
+from sim.effects.base import Effect, EffectWorld, FrameOfSequence, LightChange
+from sim.effects.step import ParametersT, StepContext
 from sim.parameter_entry import table_entry
-
-if TYPE_CHECKING:
-    from sim.matching.steps import MatchingContext
-    from sim.parameters import TwinParameters
-    from sim.world import World
 
 STREAM = 1
 """Separates the random number of where bands begin from those of other effects."""
@@ -79,7 +75,7 @@ class BandsParameters:
     )
 
 
-class RollingBands(Effect):
+class RollingBands(Effect[BandsField]):
     """Light on the mains in the rows of a rolling shutter."""
 
     name = "rolling bands"
@@ -95,15 +91,15 @@ class RollingBands(Effect):
         data["ambient_bands"] = None
 
     @override
-    def changes_light(self, world: World) -> bool:
-        bands = world.ambient_bands
+    def changes_light(self, world: EffectWorld) -> bool:
+        bands = self.own(world).ambient_bands
         return bands is not None and bands.ripple > 0 and world.has_room_light
 
     @override
     def light_change(
-        self, world: World, frame: FrameOfSequence, rows: NDArray[np.intp], random: np.random.Generator
+        self, world: EffectWorld, frame: FrameOfSequence, rows: NDArray[np.intp], random: np.random.Generator
     ) -> LightChange:
-        bands, phase = world.ambient_bands, random.uniform()
+        bands, phase = self.own(world).ambient_bands, random.uniform()
         if bands is None:
             return LightChange()
         if bands.cycles_per_frame is not None:
@@ -113,19 +109,15 @@ class RollingBands(Effect):
         return LightChange(room=1.0 + bands.ripple * np.sin(2 * np.pi * (rows / period + phase)))
 
     @override
-    def propose(self, at: MatchingContext) -> TwinParameters:
-        now, ripple = at.twin.parameters, at.room_ripple()
+    def propose(self, at: StepContext[ParametersT]) -> ParametersT:
+        ripple = at.room_ripple()
         if ripple is None:
-            return replace(self.without(now), sigma=now.sigma_with(ambient_ripple=0.0, band_period_px=0.0))
+            return at.parameters.with_effect(BandsParameters(), ambient_ripple=0.0, band_period_px=0.0)
         amplitude = min(ripple.amplitude, 1.0)
-        sigma = now.sigma_with(
+        return at.parameters.with_effect(
+            BandsParameters(
+                ambient_ripple=amplitude, band_period_px=ripple.period_px, band_advance=ripple.advance
+            ),
             ambient_ripple=amplitude * ripple.amplitude_sigma,
             band_period_px=ripple.period_px * ripple.period_sigma,
-        )
-        return replace(
-            now,
-            ambient_ripple=amplitude,
-            band_period_px=ripple.period_px,
-            band_advance=ripple.advance,
-            sigma=sigma,
         )

@@ -4,22 +4,64 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import MISSING, dataclass, fields, replace
+from dataclasses import MISSING, dataclass, fields
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.core.config import Document
-from fpplab.core.conventions import Floats
-from sim.parameter_entry import AdjustableParameter
+from fpplab.core.conventions import Floats, Lattice
+from sim.effects.step import MatchedParameters, ParametersT, StepContext
+from sim.parameter_entry import SubstituteNumber
+from sim.scene import PointLamp
 
-if TYPE_CHECKING:
-    from sim.matching.steps import MatchingContext
-    from sim.parameters import TwinParameters
-    from sim.scene import PointLamp
-    from sim.world import ProjectorWorld, World
+FieldsT_co = TypeVar("FieldsT_co", bound=Document, covariant=True)
+
+
+class EffectCamera(Protocol):
+    """What effects read of a world's camera."""
+
+    @property
+    def binning(self) -> int:
+        """Pixels of the sensor that make one of the frame, along each axis."""
+
+
+class EffectProjector(Protocol):
+    """What effects read of a world's projector besides their own fields."""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(columns, rows) of mirrors."""
+
+    @property
+    def lattice(self) -> Lattice:
+        """How the mirrors are arranged."""
+
+    @property
+    def distance_mm(self) -> float:
+        """Distance at which a white surface that faces the projector has irradiance 1, in mm."""
+
+
+class EffectWorld(Protocol):
+    """What effects read of a world besides their own fields."""
+
+    @property
+    def seed(self) -> int:
+        """Of random numbers."""
+
+    @property
+    def camera(self) -> EffectCamera:
+        """Sensor, shutter and lens."""
+
+    @property
+    def projector(self) -> EffectProjector:
+        """Mirrors, lamp and lens."""
+
+    @property
+    def has_room_light(self) -> bool:
+        """Whether there is light that is not the projector's."""
 
 
 @dataclass(frozen=True)
@@ -38,12 +80,13 @@ class LightChange:
     room: Floats | float = 1.0  # of all other light: one factor, or (R,) one for each row
 
 
-class Effect(ABC):
+class Effect(ABC, Generic[FieldsT_co]):
     """Something that real benches have beyond ideal devices: base class of the effects of the twin.
 
     A subclass lies in a module of its own in this package, which is found by listing. It owns all there is of
     its effect: fields of world files, parameters that a matching may change, what it does to a frame, how it
-    is matched to a bench, and its names in reports. Nothing else has to name it.
+    is matched to a bench, and its names in reports. Nothing else has to name it. It is generic in the model
+    of its fields, which it reads by `own`.
 
     A parameter is a field of a frozen dataclass with `sim.parameter_entry.table_entry` as metadata, which
     states the path in the world file. All effects are called one after another by `order`.
@@ -67,7 +110,7 @@ class Effect(ABC):
         Model of the fields that the section `projector` of a world file has for it.
     fitted : tuple of str
         Numbers that are fitted again together with all others that expected images show.
-    adjustable : mapping of str to AdjustableParameter
+    adjustable : mapping of str to SubstituteNumber
         Numbers that are fitted in place of a parameter, such as its inverse.
     is_room_light : bool
         Whether it is light that is not the projector's.
@@ -89,7 +132,7 @@ class Effect(ABC):
                 default=0.0, metadata=table_entry("Change per frame, relative.", "projector.drift")
             )
 
-        class Drift(Effect):
+        class Drift(Effect[DriftField]):
             name = "drift"
             explains = "light of the projector that changes slowly"
             order = 100
@@ -102,10 +145,10 @@ class Effect(ABC):
                 data["projector"]["drift"] = 0.0
 
             def changes_light(self, world):
-                return world.projector.drift != 0
+                return self.own(world.projector).drift != 0
 
             def light_change(self, world, frame, rows, random):
-                return LightChange(projector=1.0 + world.projector.drift * frame.number)
+                return LightChange(projector=1.0 + self.own(world.projector).drift * frame.number)
     """
 
     name: ClassVar[str]
@@ -113,13 +156,31 @@ class Effect(ABC):
     order: ClassVar[int]
     parameters: ClassVar[type[Any]]
     strength: ClassVar[tuple[str, ...]]
-    world_fields: ClassVar[type[Document] | None] = None
-    projector_fields: ClassVar[type[Document] | None] = None
+    world_fields: type[FieldsT_co] | None = None
+    projector_fields: type[FieldsT_co] | None = None
     fitted: ClassVar[tuple[str, ...]] = ()
-    adjustable: ClassVar[Mapping[str, AdjustableParameter]] = MappingProxyType({})
+    adjustable: ClassVar[Mapping[str, SubstituteNumber]] = MappingProxyType({})
     is_room_light: ClassVar[bool] = False
     is_matched: ClassVar[bool] = True
     varies: ClassVar[bool] = False
+
+    def own(self, section: EffectWorld | EffectProjector) -> FieldsT_co:
+        """Give the effect's own fields of a section of a world.
+
+        Parameters
+        ----------
+        section : EffectWorld or EffectProjector
+            The world itself, or its section `projector`.
+
+        Returns
+        -------
+        Document
+            The same section, as the model of the effect's fields.
+        """
+        kind = self.world_fields or self.projector_fields
+        assert kind is not None
+        assert isinstance(section, kind)
+        return section
 
     @abstractmethod
     def clear(self, data: dict[str, Any]) -> None:
@@ -131,12 +192,12 @@ class Effect(ABC):
             Plain data of a world, changed in place.
         """
 
-    def mirror_light(self, projector: ProjectorWorld) -> NDArray[np.float32] | None:
+    def mirror_light(self, projector: EffectProjector) -> NDArray[np.float32] | None:
         """Compute how much light each mirror of the projector gets, in every frame.
 
         Parameters
         ----------
-        projector : ProjectorWorld
+        projector : EffectProjector
             The simulated projector.
 
         Returns
@@ -146,12 +207,12 @@ class Effect(ABC):
         """
         return None
 
-    def point_lamps(self, world: World) -> tuple[PointLamp, ...]:
+    def point_lamps(self, world: EffectWorld) -> tuple[PointLamp, ...]:
         """Place lamps in the room, whose light falls on everything in view.
 
         Parameters
         ----------
-        world : World
+        world : EffectWorld
             The simulated world.
 
         Returns
@@ -161,12 +222,12 @@ class Effect(ABC):
         """
         return ()
 
-    def displacement_size_mm(self, world: World) -> float:
+    def displacement_size_mm(self, world: EffectWorld) -> float:
         """Return how far the effect displaces the item.
 
         Parameters
         ----------
-        world : World
+        world : EffectWorld
             The simulated world.
 
         Returns
@@ -177,12 +238,14 @@ class Effect(ABC):
         """
         return 0.0
 
-    def displacement_mm(self, world: World, frame: FrameOfSequence, random: np.random.Generator) -> Floats:
+    def displacement_mm(
+        self, world: EffectWorld, frame: FrameOfSequence, random: np.random.Generator
+    ) -> Floats:
         """Compute by how much the item is displaced in one frame.
 
         Parameters
         ----------
-        world : World
+        world : EffectWorld
             The simulated world, which need not have the effect.
         frame : FrameOfSequence
             The frame.
@@ -196,12 +259,12 @@ class Effect(ABC):
         """
         return np.zeros(3)
 
-    def changes_light(self, world: World) -> bool:
+    def changes_light(self, world: EffectWorld) -> bool:
         """Return whether frames of a world have light that changes by this effect.
 
         Parameters
         ----------
-        world : World
+        world : EffectWorld
             The simulated world.
 
         Returns
@@ -212,13 +275,13 @@ class Effect(ABC):
         return False
 
     def light_change(
-        self, world: World, frame: FrameOfSequence, rows: NDArray[np.intp], random: np.random.Generator
+        self, world: EffectWorld, frame: FrameOfSequence, rows: NDArray[np.intp], random: np.random.Generator
     ) -> LightChange:
         """Compute what the effect does to the light of one frame.
 
         Parameters
         ----------
-        world : World
+        world : EffectWorld
             The simulated world, which need not have the effect.
         frame : FrameOfSequence
             The frame.
@@ -235,27 +298,27 @@ class Effect(ABC):
         """
         return LightChange()
 
-    def propose(self, at: MatchingContext) -> TwinParameters:
+    def propose(self, at: StepContext[ParametersT]) -> ParametersT:
         """Fit the effect to what was recorded of a bench: its step of a matching.
 
         Parameters
         ----------
-        at : MatchingContext
+        at : StepContext
             Recordings, the twin so far, and the fits that steps may use.
 
         Returns
         -------
-        TwinParameters
+        MatchedParameters
             To try. The step is kept where it does not raise `misfit`, or without one the loss.
         """
-        return at.twin.parameters
+        return at.parameters
 
-    def misfit(self, at: MatchingContext) -> float | None:
+    def misfit(self, at: StepContext[ParametersT]) -> float | None:
         """Compute what the step is judged by.
 
         Parameters
         ----------
-        at : MatchingContext
+        at : StepContext
             Recordings and a twin, before the step or after it.
 
         Returns
@@ -265,14 +328,11 @@ class Effect(ABC):
         """
         return None
 
-    def is_in(self, parameters: TwinParameters) -> bool:
+    def is_in(self, parameters: MatchedParameters) -> bool:
         """Return whether a twin has the effect."""
         return any(np.any(getattr(parameters, name)) for name in self.strength)
 
-    def without(self, parameters: TwinParameters) -> TwinParameters:
+    def without(self, parameters: ParametersT) -> ParametersT:
         """Give the parameters of a twin without the effect."""
-        absent: dict[str, Any] = {
-            known.name: 0.0 if known.default is MISSING else known.default
-            for known in fields(self.parameters)
-        }
-        return replace(parameters, **absent)
+        absent = {known.name: 0.0 for known in fields(self.parameters) if known.default is MISSING}
+        return parameters.with_effect(self.parameters(**absent))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,13 +12,9 @@ from typing_extensions import override
 
 from fpplab.core.config import Document
 from fpplab.core.conventions import Lattice, mirror_centres
-from sim.effects.base import Effect
+from sim.effects.base import Effect, EffectProjector
+from sim.effects.step import ParametersT, StepContext
 from sim.parameter_entry import FitRange, table_entry
-
-if TYPE_CHECKING:
-    from sim.matching.steps import MatchingContext
-    from sim.parameters import TwinParameters
-    from sim.world import ProjectorWorld
 
 MIN_LIGHT = 0.01
 """Share of the light that every mirror gets: a polynomial may fall below zero, light does not."""
@@ -49,7 +45,7 @@ class FalloffParameter:
     )
 
 
-class ProjectorFalloff(Effect):
+class ProjectorFalloff(Effect[FalloffField]):
     """Light that the projector gives unevenly."""
 
     name = "projector falloff"
@@ -65,28 +61,22 @@ class ProjectorFalloff(Effect):
         data["projector"]["falloff"] = [0.0] * 5
 
     @override
-    def mirror_light(self, projector: ProjectorWorld) -> NDArray[np.float32] | None:
-        return projector_falloff(projector)
+    def mirror_light(self, projector: EffectProjector) -> NDArray[np.float32] | None:
+        falloff = self.own(projector).falloff
+        return _field(projector.size, projector.lattice, falloff) if any(falloff) else None
 
     @override
-    def propose(self, at: MatchingContext) -> TwinParameters:
+    def propose(self, at: StepContext[ParametersT]) -> ParametersT:
         return at.fit(at.white, "vignetting", *FALLOFF)
 
     @override
-    def misfit(self, at: MatchingContext) -> float | None:
-        return at.criterion(len(FALLOFF) if self.is_in(at.twin.parameters) else 0)
-
-
-def projector_falloff(projector: ProjectorWorld) -> NDArray[np.float32] | None:
-    """Compute the light of every mirror."""
-    # returns (rows, columns)
-    if not any(projector.falloff):
-        return None
-    return _field(projector.size, projector.lattice, projector.falloff)
+    def misfit(self, at: StepContext[ParametersT]) -> float | None:
+        return at.criterion(len(FALLOFF) if self.is_in(at.parameters) else 0)
 
 
 @lru_cache(maxsize=8)
 def _field(size: tuple[int, int], lattice: Lattice, coefficients: tuple[float, ...]) -> NDArray[np.float32]:
+    """Compute the light (rows, columns) of every mirror."""
     u, v = mirror_centres(size, lattice)
     half = 0.5 * size[0]
     rows_per_column = 2.0 if lattice is Lattice.DIAMOND else 1.0

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Annotated, Any
+from dataclasses import dataclass, field
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,13 +11,9 @@ from pydantic import Field
 from typing_extensions import override
 
 from fpplab.core.config import Document
-from sim.effects.base import Effect, FrameOfSequence, LightChange
+from sim.effects.base import Effect, EffectWorld, FrameOfSequence, LightChange
+from sim.effects.step import ParametersT, StepContext
 from sim.parameter_entry import table_entry
-
-if TYPE_CHECKING:
-    from sim.matching.steps import MatchingContext
-    from sim.parameters import TwinParameters
-    from sim.world import World
 
 
 class FlickerField(Document):
@@ -40,7 +36,7 @@ class FlickerParameter:
     )
 
 
-class Flicker(Effect):
+class Flicker(Effect[FlickerField]):
     """Light of the projector that changes from frame to frame."""
 
     name = "flicker"
@@ -56,18 +52,20 @@ class Flicker(Effect):
         data["projector"]["flicker"] = 0.0
 
     @override
-    def changes_light(self, world: World) -> bool:
-        return world.projector.flicker > 0
+    def changes_light(self, world: EffectWorld) -> bool:
+        return self.own(world.projector).flicker > 0
 
     @override
     def light_change(
-        self, world: World, frame: FrameOfSequence, rows: NDArray[np.intp], random: np.random.Generator
+        self, world: EffectWorld, frame: FrameOfSequence, rows: NDArray[np.intp], random: np.random.Generator
     ) -> LightChange:
-        return LightChange(projector=1.0 + world.projector.flicker * random.standard_normal())
+        flicker = self.own(world.projector).flicker
+        return LightChange(projector=1.0 + flicker * random.standard_normal())
 
     @override
-    def propose(self, at: MatchingContext) -> TwinParameters:
-        now, change = at.twin.parameters, at.fluctuation("projector", oscillates=False)
+    def propose(self, at: StepContext[ParametersT]) -> ParametersT:
+        change = at.fluctuation("projector", oscillates=False)
         flicker = change.random.isotropic
-        sigma = now.sigma_with(projector_flicker=flicker * change.sigma)
-        return replace(now, projector_flicker=flicker, sigma=sigma)
+        return at.parameters.with_effect(
+            FlickerParameter(projector_flicker=flicker), projector_flicker=flicker * change.sigma
+        )

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Annotated, Any
+from dataclasses import dataclass, field
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
@@ -11,14 +11,10 @@ from typing_extensions import override
 
 from fpplab.core.config import Document
 from fpplab.core.conventions import Floats
-from sim.effects.base import Effect
-from sim.parameter_entry import AdjustableParameter, FitRange, table_entry
+from sim.effects.base import Effect, EffectWorld
+from sim.effects.step import ParametersT, StepContext
+from sim.parameter_entry import FitRange, SubstituteNumber, table_entry
 from sim.scene import PointLamp
-
-if TYPE_CHECKING:
-    from sim.matching.steps import MatchingContext
-    from sim.parameters import TwinParameters
-    from sim.world import World
 
 MIN_DISTANCE_MM = 100.0
 """Minimum distance of a lamp from the point that it is aimed at."""
@@ -102,7 +98,7 @@ class LampParameters:
     )
 
 
-class RoomLamps(Effect):
+class RoomLamps(Effect[LampsField]):
     """Light of the room from one side."""
 
     name = "room lamp"
@@ -113,10 +109,11 @@ class RoomLamps(Effect):
     fitted = ROOM_LAMP
     # The inverse of the lamp's distance, in 1/m: light changes evenly with it, and far away it is 0.
     adjustable = {  # noqa: RUF012 - declared as a class variable by the base
-        "lamp_nearness": AdjustableParameter(
+        "lamp_nearness": SubstituteNumber(
+            "lamp_distance_mm",
             FitRange(0.05, 0.01, 10.0, may_be_at_lower_bound=True),
-            lambda p: 1e3 / p.lamp_distance_mm,
-            lambda p, value: replace(p, lamp_distance_mm=1e3 / value),
+            lambda distance_mm: 1e3 / distance_mm,
+            lambda nearness: 1e3 / nearness,
         )
     }
     world_fields = LampsField
@@ -127,29 +124,29 @@ class RoomLamps(Effect):
         data["lamps"].pop(ROOM, None)
 
     @override
-    def point_lamps(self, world: World) -> tuple[PointLamp, ...]:
+    def point_lamps(self, world: EffectWorld) -> tuple[PointLamp, ...]:
         middle = np.array([0.0, 0.0, world.projector.distance_mm])
         return tuple(
             PointLamp(tuple((middle + lamp.offset).tolist()), lamp.irradiance * lamp.distance_mm**2)
-            for lamp in world.lamps.values()
+            for lamp in self.own(world).lamps.values()
         )
 
     @override
-    def propose(self, at: MatchingContext) -> TwinParameters:
+    def propose(self, at: StepContext[ParametersT]) -> ParametersT:
         """Fit the light without and with a lamp, which is kept where it explains more than it costs."""
         dark = at.with_parameters(at.fit(*at.light_parameters()))
         linear = [name for name in (at.white, "ambient", "black_level") if name in dark.light_parameters()]
         start = dark.search_lamp(linear)
-        if start.lamp_irradiance:
+        if self.is_in(start):
             lit = dark.with_parameters(start)
             fitted = lit.with_parameters(lit.fit(*lit.light_parameters(*ROOM_LAMP)))
             if self._criterion(fitted) < self._criterion(dark):
-                return fitted.twin.parameters
-        return dark.twin.parameters
+                return fitted.parameters
+        return dark.parameters
 
     @override
-    def misfit(self, at: MatchingContext) -> float | None:
+    def misfit(self, at: StepContext[ParametersT]) -> float | None:
         return self._criterion(at)
 
-    def _criterion(self, at: MatchingContext) -> float:
-        return at.criterion(len(ROOM_LAMP) if self.is_in(at.twin.parameters) else 0)
+    def _criterion(self, at: StepContext[ParametersT]) -> float:
+        return at.criterion(len(ROOM_LAMP) if self.is_in(at.parameters) else 0)

@@ -6,8 +6,8 @@ the same size do not, so it matters how vibration continues from frame to frame.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Annotated, Any
+from dataclasses import dataclass, field
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field, field_validator
@@ -15,14 +15,9 @@ from typing_extensions import override
 
 from fpplab.core.config import Document
 from fpplab.core.conventions import Floats
-from sim.effects.base import Effect, FrameOfSequence
+from sim.effects.base import Effect, EffectWorld, FrameOfSequence
+from sim.effects.step import FrameFluctuation, ParametersT, StepContext
 from sim.parameter_entry import table_entry
-
-if TYPE_CHECKING:
-    from sim.matching.fluctuation.frame_series import FrameFluctuation
-    from sim.matching.steps import MatchingContext
-    from sim.parameters import TwinParameters
-    from sim.world import World
 
 MAX_VIBRATION_MM = 10
 """Greatest displacement by vibration."""
@@ -103,7 +98,7 @@ class VibrationParameters:
         return float(np.sqrt(self.vibration_mm**2 + np.mean(np.square(self.vibration_line_mm))))
 
 
-class Vibration(Effect):
+class Vibration(Effect[VibrationFields]):
     """Displacements of the item from frame to frame."""
 
     name = "vibration"
@@ -119,25 +114,29 @@ class Vibration(Effect):
         data |= {"vibration_mm": 0.0, "vibration_line": None}
 
     @override
-    def displacement_size_mm(self, world: World) -> float:
-        line = world.vibration_line
-        return float(np.hypot(world.vibration_mm, np.linalg.norm(line.rms_mm) if line else 0.0))
+    def displacement_size_mm(self, world: EffectWorld) -> float:
+        own = self.own(world)
+        line = own.vibration_line
+        return float(np.hypot(own.vibration_mm, np.linalg.norm(line.rms_mm) if line else 0.0))
 
     @override
-    def displacement_mm(self, world: World, frame: FrameOfSequence, random: np.random.Generator) -> Floats:
-        return vibration_displacement_mm(world, random, frame.number, wave_phase(world, *frame.sequence))
+    def displacement_mm(
+        self, world: EffectWorld, frame: FrameOfSequence, random: np.random.Generator
+    ) -> Floats:
+        phase = wave_phase(world, *frame.sequence)
+        return vibration_displacement_mm(self.own(world), random, frame.number, phase)
 
     @override
-    def propose(self, at: MatchingContext) -> TwinParameters:
-        return with_vibration_of(at.twin.parameters, at.fluctuation("position"))
+    def propose(self, at: StepContext[ParametersT]) -> ParametersT:
+        return with_vibration_of(at.parameters, at.fluctuation("position"))
 
 
 def vibration_displacement_mm(
-    world: World, random: np.random.Generator, frame: float, phase: float
+    own: VibrationFields, random: np.random.Generator, frame: float, phase: float
 ) -> Floats:
     """Draw by how much vibration displaces the item in one frame."""
     # returns (3,) mm
-    moved, line = world.vibration_mm * random.standard_normal(3), world.vibration_line
+    moved, line = own.vibration_mm * random.standard_normal(3), own.vibration_line
     if line is None:
         return moved
     swing = np.sqrt(2.0 * line.periodic) * np.sin(2 * np.pi * (line.cycles_per_frame * frame + phase))
@@ -145,26 +144,26 @@ def vibration_displacement_mm(
     return np.asarray(moved + (swing + alone) * np.array(line.rms_mm))
 
 
-def wave_phase(world: World, *numbers: int) -> float:
+def wave_phase(world: EffectWorld, *numbers: int) -> float:
     """Draw where a vibration of one frequency begins."""
     return float(np.random.default_rng([world.seed, *numbers, STREAM]).uniform())
 
 
-def with_vibration_of(now: TwinParameters, change: FrameFluctuation) -> TwinParameters:
+def with_vibration_of(now: ParametersT, change: FrameFluctuation) -> ParametersT:
     """Give a twin the vibration by which a bench's item was displaced."""
-    sigma = now.sigma_with(
-        vibration_mm=change.random.isotropic * change.sigma, vibration_cycles_per_frame=change.cycles_sigma
-    )
     line, oscillation = _line(change), change.oscillation
     x, y, z = line.tolist()
     variance = float(line @ line)
-    return replace(
-        now,
+    vibration = VibrationParameters(
         vibration_mm=change.random.isotropic,
         vibration_line_mm=(x, y, z) if variance else NO_LINE,
         vibration_periodic=min(float(oscillation @ oscillation) / variance, 1.0) if variance else 0.0,
         vibration_cycles_per_frame=change.cycles_per_frame,
-        sigma=sigma,
+    )
+    return now.with_effect(
+        vibration,
+        vibration_mm=change.random.isotropic * change.sigma,
+        vibration_cycles_per_frame=change.cycles_sigma,
     )
 
 

@@ -17,9 +17,11 @@ from typing import Literal
 
 import numpy as np
 
+from fpplab.core.config import Document
 from sim.effects import EFFECTS, Effect
+from sim.effects.step import FrameFluctuation, Ripple
 from sim.matching.fluctuation import bands, noise
-from sim.matching.fluctuation.frame_series import FrameFluctuation, fit_fluctuation
+from sim.matching.fluctuation.frame_series import fit_fluctuation
 from sim.matching.fluctuation.frame_terms import GAIN, MOVES, ROOM, FrameTerms, terms_of_pose
 from sim.matching.fluctuation.fringe_residuals import fringe_residuals
 from sim.matching.geometry import geometry_fit
@@ -55,13 +57,18 @@ class MatchingContext:
     contrasts: tuple[ContrastSample, ...] = ()  # of finer fringes on parts
     _terms: dict[str, list[FrameTerms]] = field(default_factory=dict)
 
+    @property
+    def parameters(self) -> TwinParameters:
+        """Of the twin."""
+        return self.twin.parameters
+
     def with_parameters(self, parameters: TwinParameters) -> MatchingContext:
         """Give the same with other parameters of the twin."""
         return replace(self, twin=self.twin.with_parameters(parameters))
 
     def frame_terms(self) -> list[FrameTerms]:
         """Estimate what every frame of some poses has beyond the twin's; kept while the light is the same."""
-        steady = replace(self.twin.parameters, sigma={})
+        steady = replace(self.parameters, sigma={})
         for effect in VARYING_EFFECTS:
             steady = effect.without(steady)
         key = ParametersFile.of(steady).model_dump_json()
@@ -78,9 +85,9 @@ class MatchingContext:
         columns = {"projector": GAIN, "room": ROOM, "position": MOVES}[of]
         return fit_fluctuation([terms.series(columns) for terms in self.frame_terms()], oscillates)
 
-    def room_ripple(self) -> bands.Ripple | None:
+    def room_ripple(self) -> Ripple | None:
         """Find the ripple of the room's light; None where steady light explains the frames as well."""
-        residuals = fringe_residuals(self.reference, self.twin.parameters, _spread(self))
+        residuals = fringe_residuals(self.reference, self.parameters, _spread(self))
         return bands.strongest_ripple(self.frame_terms(), residuals)
 
     def light_parameters(self, *more: str) -> tuple[str, ...]:
@@ -99,7 +106,7 @@ class MatchingContext:
 
     @property
     def _black_is_held(self) -> bool:
-        return abs(self.twin.parameters.black_level - self._max_black) < 1e-9
+        return abs(self.parameters.black_level - self._max_black) < 1e-9
 
     def fit(self, *names: str) -> TwinParameters:
         """Fit parameters of light and sharpness to the samples; the darkest places limit the black level."""
@@ -122,12 +129,12 @@ class MatchingContext:
     @property
     def projector_focus(self) -> tuple[str, ...]:
         """Names of the projector's focus and aperture, where its focus was searched."""
-        return PROJECTOR_FOCUS if self.twin.parameters.projector_focus_mm is not None else ()
+        return PROJECTOR_FOCUS if self.parameters.projector_focus_mm is not None else ()
 
     @property
     def camera_focus(self) -> tuple[str, ...]:
         """Names of the camera's focus and aperture, where its focus was searched."""
-        return CAMERA_FOCUS if self.twin.parameters.camera_focus_mm is not None else ()
+        return CAMERA_FOCUS if self.parameters.camera_focus_mm is not None else ()
 
     @property
     def blur_by_images(self) -> tuple[str, ...]:
@@ -174,7 +181,7 @@ def _projector_defocus(at: MatchingContext) -> TwinParameters:
 
 def _focus_by_contrasts(at: MatchingContext) -> TwinParameters:
     """Fit the sharpness without a focus, and from several: contrasts are many times quicker than images."""
-    start, candidates = at.twin.parameters, []
+    start, candidates = at.parameters, []
     for focus in (None, *start_search.focus_distances(start, "projector_focus_mm")):
         tried = at.with_parameters(replace(start, projector_focus_mm=focus)).fit_projector_sharpness()
         refocused = at.twin.with_parameters(tried)
@@ -189,7 +196,7 @@ def _depth_of_field(at: MatchingContext) -> TwinParameters:
         )
         at = at.with_parameters(start)
     if not at.camera_focus:
-        return at.twin.parameters
+        return at.parameters
     return at.fit(*at.blur_by_images, *CAMERA_FOCUS)
 
 
@@ -199,7 +206,7 @@ def _ends(samples: Sequence[PixelSample]) -> list[PixelSample]:
 
 
 def _fit_together(at: MatchingContext) -> TwinParameters:
-    now = at.twin.parameters
+    now = at.parameters
     names = [*at.blur_by_images, "vignetting"]
     for effect in EFFECTS:
         if effect.is_in(now):
@@ -221,7 +228,7 @@ def _board_is_sharper(at: MatchingContext) -> bool:
 
 def _without_contrasts(at: MatchingContext) -> TwinParameters:
     """Search the projector's focus by the board's images, and fit all light again."""
-    alone = replace(at, contrasts=()).with_parameters(replace(at.twin.parameters, projector_focus_mm=None))
+    alone = replace(at, contrasts=()).with_parameters(replace(at.parameters, projector_focus_mm=None))
     return _fit_together(alone.with_parameters(_projector_defocus(alone)))
 
 
@@ -240,7 +247,7 @@ def _spread(at: MatchingContext) -> tuple[int, ...]:
     return at.reference.spread_poses(SAMPLED_POSES)
 
 
-def _steps_of(effects: Sequence[Effect]) -> tuple[MatchingStep, ...]:
+def _steps_of(effects: Sequence[Effect[Document]]) -> tuple[MatchingStep, ...]:
     """Steps that match effects to the bench, in their order."""
     return tuple(
         MatchingStep(
@@ -268,7 +275,7 @@ CHANGING_STEPS = _steps_of(VARYING_EFFECTS)
 FIRST_STEPS = (
     MatchingStep(
         "points",
-        lambda at: geometry_fit.refine_by_reprojection(at.twin.parameters, at.reference.characterisation),
+        lambda at: geometry_fit.refine_by_reprojection(at.parameters, at.reference.characterisation),
     ),
     MatchingStep("light", lambda at: at.fit(at.white, "ink", "projector_blur")),
     MatchingStep(
@@ -312,7 +319,7 @@ REPEATED_STEPS = (
     MatchingStep(
         "images",
         _refine_by_images,
-        allowed=lambda at: geometry_fit.contradiction(at.reference, at.twin.parameters) <= 1.0,
+        allowed=lambda at: geometry_fit.contradiction(at.reference, at.parameters) <= 1.0,
         again=False,  # what the twin lacks and images take for geometry is the same in every round
     ),
     MatchingStep(

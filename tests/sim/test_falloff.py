@@ -11,7 +11,7 @@ from fpplab.core import config
 from fpplab.core.conventions import Lattice
 from fpplab.patterns.fringes import uniform_patterns
 from sim.build import SceneState
-from sim.effects.falloff import projector_falloff
+from sim.effects.falloff import ProjectorFalloff
 from sim.light import Light, ShownPattern
 from sim.twin import Twin
 from sim.worker import Blender
@@ -36,13 +36,13 @@ def test_it_is_a_polynomial_from_the_middle(lattice: Lattice, rows: int) -> None
         T_camera_projector=World.load("world_twin").projector.T_camera_projector,
         falloff=FALLOFF,
     )
-    light = projector_falloff(section)
+    light = ProjectorFalloff().mirror_light(section)
     assert light is not None
     assert light[rows // 2, 100] == pytest.approx(1.0, abs=0.002)
     assert light[rows // 2, 200] == pytest.approx(1 + 0.1 - 0.2, abs=0.005)
     assert light[rows // 2, 0] == pytest.approx(1 - 0.1 - 0.2, abs=0.005)
     assert light[rows - 1, 100] == pytest.approx(1 - 0.05 * 0.5 - 0.1 * 0.25, abs=0.005)
-    assert projector_falloff(section.model_copy(update={"falloff": (0.0,) * 5})) is None
+    assert ProjectorFalloff().mirror_light(section.model_copy(update={"falloff": (0.0,) * 5})) is None
 
 
 def test_a_board_is_lit_by_it() -> None:

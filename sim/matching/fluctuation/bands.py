@@ -17,6 +17,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from fpplab.core.conventions import Floats
+from sim.effects.step import Ripple
 from sim.matching.fluctuation.frame_series import fit_fluctuation
 from sim.matching.fluctuation.frame_terms import ROOM, FrameTerms
 from sim.matching.fluctuation.fringe_residuals import Complex, FringeResidual, Variances
@@ -38,18 +39,6 @@ LIMITS = BandLimits()
 
 IN_STEP_PX = 1e5
 """Period of bands so long that all rows are in step."""
-
-
-@dataclass(frozen=True)
-class Ripple:
-    """Rippling light of the room that was found."""
-
-    amplitude: float  # as a share of the room's light
-    amplitude_sigma: float  # standard uncertainty of that, relative
-    period_px: float  # from band to band, in rows of the image
-    period_sigma: float  # standard uncertainty of the period, relative
-    advance: float | None  # periods from frame to frame; None where frames do not agree on one
-    gained: float  # by how much Schwarz's criterion is lower than that of steady light
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares, minimize, minimize_scalar
 
 from fpplab.core.conventions import Floats
+from sim.effects.step import FrameFluctuation, RandomDisplacement
 
 
 @dataclass(frozen=True)
@@ -34,24 +35,6 @@ class SeriesLimits:
 
 
 LIMITS = SeriesLimits()
-
-
-@dataclass(frozen=True, eq=False)
-class RandomDisplacement:
-    """Random displacements of every frame, independent from frame to frame."""
-
-    isotropic: float  # standard deviation of the part that is equally large in all directions
-    axis: Floats  # standard deviation (k,) along an axis, with signs that give its direction
-
-    @property
-    def covariance(self) -> Floats:
-        """(k, k)."""
-        return np.asarray(self.isotropic**2 * np.eye(len(self.axis)) + np.outer(self.axis, self.axis))
-
-    @property
-    def free(self) -> int:
-        """Number of parameters."""
-        return int(self.isotropic > 0) + len(self.axis) * int(self.axis.any())
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,23 +73,6 @@ class Series:
             total = np.einsum("nij,nj->i", weights[of], values[of])
             offsets[of] -= np.linalg.solve(weights[of].sum(axis=0), total)
         return offsets
-
-
-@dataclass(frozen=True, eq=False)
-class FrameFluctuation:
-    """What changes in a series besides noise."""
-
-    random: RandomDisplacement  # from frame to frame
-    oscillation: Floats  # RMS value (k,) of the oscillation; 0 for none
-    cycles_per_frame: float  # of the oscillation
-    cycles_sigma: float  # standard uncertainty of that
-    sigma: float  # standard uncertainty of the size of oscillation or random numbers, relative
-    gained: float  # by how much Schwarz's criterion is lower than that of noise alone
-
-    @property
-    def size(self) -> float:
-        """RMS value of all that changes, over all components together."""
-        return float(np.sqrt(np.trace(self.random.covariance) + self.oscillation @ self.oscillation))
 
 
 def fit_fluctuation(series: Sequence[Series], oscillates: bool = True) -> FrameFluctuation:
