@@ -21,7 +21,7 @@ from fpplab.devices.discovery import FoundDevice, FoundDevices
 LIGHTCRAFTER_DRIVER = "dlp4500"
 """Its driver, as rig files name it."""
 BASLER_VENDOR = 0x2676
-"""USB vendor id of Basler."""
+"""USB vendor id of Basler (the USB-IF's list)."""
 SERIAL_ADAPTERS = {
     (0x2341, 0x0043): "Arduino Uno",
     (0x2341, 0x0042): "Arduino Mega",

@@ -16,9 +16,6 @@ from sim.effects import EFFECTS, FrameOfSequence
 from sim.light import PatternLevels
 from sim.world import World
 
-STREAM = 1
-"""Separates the random numbers of light from those of displacements."""
-
 
 @dataclass(frozen=True)
 class Fluctuation:
@@ -37,7 +34,8 @@ class Fluctuation:
     ) -> PatternLevels:
         """Change the light of one frame."""
         # picture (R, width); rows (R,); returns (R, width)
-        random = np.random.default_rng([self.world.seed, frame, STREAM])
+        # 1 separates the random numbers of light from those of displacements.
+        random = np.random.default_rng([self.world.seed, frame, 1])
         of = FrameOfSequence(frame, self.sequence)
         projector = 1.0
         room: Floats = np.ones(len(rows))

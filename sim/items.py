@@ -25,8 +25,6 @@ from sim.scene import Paint, Surface
 from sim.sheet import drawn_sheet, sheet_corners
 from sim.world import ArtefactItem, BoardItem, CardItem, MeshItem, PoseRules, World
 
-RIM_BEHIND_MM = 0.1
-"""Distance of a board's frame behind its print."""
 PRINT_PX_PER_MM = (4.0, 32.0)
 """Least and greatest resolution of a board's picture."""
 
@@ -107,7 +105,8 @@ def rim_surface(world: World, name: str, pose: RigidTransform) -> Surface | None
         return None
     left, top, right, bottom = (margin + item.rim_mm for margin in item.margins_mm)
     corners = sheet_corners(board_target(name, item).size_mm, (left, top, right, bottom))
-    return Surface(corners + [0.0, 0.0, RIM_BEHIND_MM], _PLATE, pose.matrix, Paint(item.rim_reflectance))
+    behind = [0.0, 0.0, 0.1]  # mm
+    return Surface(corners + behind, _PLATE, pose.matrix, Paint(item.rim_reflectance))
 
 
 @lru_cache(maxsize=64)

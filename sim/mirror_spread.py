@@ -28,25 +28,21 @@ from scipy.special import erf, j1
 from fpplab.core.conventions import Floats
 
 TAPS = 5
-"""Mirrors along each axis between which light is interpolated."""
+"""Mirrors along each axis between which light is interpolated (chosen): compiled into `sim.light.look_up`."""
 STEPS = 64
-"""Places between two mirrors at which the interpolation is tabulated; between them it is linear."""
+"""Places between two mirrors at which the interpolation is tabulated (chosen); between them it is linear."""
 BAND = 0.28
-"""Highest frequency of fringes, in periods per mirror along an axis, at which images are exact."""
+"""Highest frequency of fringes, in periods per mirror along an axis, at which images are exact (chosen)."""
 WIDEST_BLUR, WIDEST_CIRCLE = 1.0, 1.5
 """Blur and circle of confusion, in mirrors, above which the filter alone widens the light further: images are
 then weaker than 1e-4."""
 MIN_BLUR = 0.25
-"""Least blur for which `TAPS` mirrors hold all the light that reaches a place; a sharper lens shows edges."""
+"""Least blur in mirrors for which `TAPS` mirrors hold all light of a place; a sharper lens shows edges."""
 
 _FREQUENCIES = np.arange(65) / 128
 """Frequencies at which the interpolation is fitted, in periods per mirror."""
 _REST, _PULL = 1e-4, 1e-7
 """Weight of frequencies above `BAND`, and of the spread's own waves, which settles what is left open."""
-_ROUNDING = 0.0025
-"""Step in mirrors of the spreads for which interpolations are solved; images then differ by at most 3 %."""
-_PRODUCT_IS_DISC = 1.0
-"""Diameter in mirrors up to which a disc is the product of its axes' semicircles, as far as fringes show."""
 _MIRRORS = np.arange(-12, 13)
 """Mirrors that give light to a place between two of them, for any spread that is interpolated."""
 
@@ -144,8 +140,9 @@ def _waves(
     return wave(np.arange(TAPS) - TAPS // 2), goal
 
 
-def _rounded(size: float) -> float:
-    return round(size / _ROUNDING) * _ROUNDING
+def _rounded(size: float, step: float = 0.0025) -> float:
+    """Round a spread in mirrors, for few interpolations to be solved; images differ by at most 3 %."""
+    return round(size / step) * step
 
 
 @lru_cache(maxsize=256)
@@ -153,10 +150,10 @@ def disc_filter(circle: float) -> Floats | None:
     """Make the filter in the plane that makes an interpolated circle of confusion a disc.
 
     The interpolation of a circle goes axis by axis, with an axis-wise product of semicircles in place of a
-    disc, and no wider than `WIDEST_CIRCLE`.
+    disc, and no wider than `WIDEST_CIRCLE`. Up to one mirror, fringes do not show the difference.
     """
     # returns (2r + 1, 2r + 1)
-    if circle <= _PRODUCT_IS_DISC:
+    if circle <= 1.0:
         return None
     reach = 2 + math.ceil(circle / 2)
     x, y = (axis.ravel() for axis in np.meshgrid(_FREQUENCIES[::2], _FREQUENCIES[::2]))

@@ -12,11 +12,6 @@ from fpplab.core.errors import ConfigError
 from fpplab.core.geometry import Pinhole, RigidTransform
 from sim.world import PoseRules, World
 
-TRIES = 20000
-"""Random poses that are tried for each pose asked for."""
-CANDIDATES = 6
-"""Poses that fit, of which the one farthest from those before is taken."""
-
 
 def plate_corners(size_mm: tuple[float, float]) -> Floats:
     """List the corners of a rectangular plate centred at its origin."""
@@ -40,7 +35,7 @@ def _poses_of(
     for attempt in count():
         if len(chosen) == rules.count:
             return tuple(chosen)
-        if attempt == TRIES * rules.count:
+        if attempt == 20_000 * rules.count:
             raise ConfigError(
                 f"world: 'items.{name}.poses' asks for {rules.count} poses of a board of {size_mm[0]:g} x "
                 f"{size_mm[1]:g} mm, but hardly any lie in the camera's image and the projector's light; "
@@ -53,7 +48,7 @@ def _poses_of(
             and projector.sees(seen, T_projector_camera, margin).all()
         ):
             fitting.append(pose)
-        if len(fitting) == CANDIDATES:
+        if len(fitting) == 6:
             chosen.append(_farthest(fitting, chosen))
             fitting.clear()
     raise AssertionError
@@ -64,7 +59,7 @@ def board_poses(
 ) -> tuple[RigidTransform, ...]:
     """Draw poses of a board, reproducible from the world's seed, spread over the camera's image.
 
-    Of a few random poses that fit, the one farthest from all before is taken (Mitchell's best candidate).
+    Of six random poses that fit, the one farthest from all before is taken (Mitchell's best candidate).
     """
     # size_mm (width, height) mm
     return _poses_of(world.model_dump_json(), name, size_mm, rules)

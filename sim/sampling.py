@@ -24,9 +24,6 @@ from sim.sensor import SensorModel
 from sim.world import World
 from sim.world.surface import surface_of
 
-KEPT_BYTES = 1 << 28
-"""Memory for light that other noise is drawn to."""
-
 
 @dataclass(frozen=True, eq=False)
 class FramePart:
@@ -57,8 +54,9 @@ class SimSampler:
 
     def __init__(self, world: World, light: Light) -> None:
         self._world, self._light = world, light
-        self._dark: ByteLimitedCache[PatternLevels] = ByteLimitedCache(KEPT_BYTES)
-        self._seen: ByteLimitedCache[PatternLevels] = ByteLimitedCache(KEPT_BYTES)
+        # Light that other noise is drawn to.
+        self._dark: ByteLimitedCache[PatternLevels] = ByteLimitedCache(1 << 28)
+        self._seen: ByteLimitedCache[PatternLevels] = ByteLimitedCache(1 << 28)
 
     @property
     def calibration(self) -> Calibration:

@@ -199,7 +199,7 @@ class RenderRefused(Exception):  # noqa: N818 - the world asks for what cannot b
 
 
 COLOURS = 3
-"""Channels of a picture: radiance in three colours."""
+"""Channels of a picture: radiance in three colours, as Blender renders."""
 
 DIRECT, ALBEDO, X, Y, Z = range(COLOURS, COLOURS + 5)
 CHANNELS = COLOURS + 5

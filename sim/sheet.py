@@ -19,7 +19,7 @@ from sim.appearance import BoardSheet
 from sim.world import BoardItem
 
 EVEN = 128
-"""Grey level of a texture where the reflectance is that of the print."""
+"""Grey level of a texture where the reflectance is that of the print (chosen: the middle of 8 bits)."""
 TEXTURE = "board_texture.png"
 
 
@@ -64,15 +64,13 @@ def drawn_sheet(
     """Draw the reflectance of a sheet."""
     key = (ground.shape, target, margins_mm, texture, texture and _changed_ns(texture))
     if key not in _DRAWN:
-        if len(_DRAWN) >= MAX_DRAWN:
+        if len(_DRAWN) >= 16:
             _DRAWN.clear()
         _DRAWN[key] = _draw(ground, target, margins_mm, texture)
     return _DRAWN[key]
 
 
 _DRAWN: dict[Any, tuple[NDArray[np.uint8], float]] = {}
-MAX_DRAWN = 16
-"""Sheets that are kept."""
 
 
 def _draw(

@@ -41,7 +41,7 @@ def _surface(
 
 def _grey(surroundings: BenchSurroundings) -> tuple[NDArray[np.uint8], float]:
     """The reflectance as a picture, and that of its white."""
-    white = max(float(surroundings.reflectance.max()), MIN_REFLECTANCE)
+    white = max(float(surroundings.reflectance.max()), 1e-3)  # below it surroundings are black
     return np.rint(surroundings.reflectance * np.float32(255 / white)).astype(np.uint8), white
 
 
@@ -53,10 +53,6 @@ def save_surroundings(surroundings: BenchSurroundings, folder: Path) -> Surround
     write_atomic(mesh, lambda stream: stream.write(content))
     write_atomic(picture, lambda stream: Pillow.fromarray(grey).save(stream, "PNG"))
     return SurroundingsSection(mesh=str(mesh), picture=str(picture), reflectance=white)
-
-
-MIN_REFLECTANCE = 1e-3
-"""Of what is white in the picture; below it surroundings are black."""
 
 
 def _changed_ns(name: str) -> int:

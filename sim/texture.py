@@ -29,10 +29,6 @@ from scipy.ndimage import spline_filter
 from fpplab.core.conventions import Floats, Lattice, mirror_centres
 from sim.mirror_spread import TAPS, WIDEST_CIRCLE, MirrorPointSpread, disc_filter, interpolation
 
-SMOOTH_BLUR = 0.45
-"""Blur in mirrors from which two places of every mirror hold the light; below it takes three."""
-
-
 Texels = NDArray[np.float32]
 """A texture (rows, columns)."""
 Part = tuple[int, int, int, int]
@@ -84,7 +80,7 @@ class MirrorTexture:
         """Places along each axis of a mirror at which `fine` has its light."""
         if self.exact:
             return 1
-        return 2 if self.blur >= SMOOTH_BLUR else 3
+        return 2 if self.blur >= 0.45 else 3  # from that blur in mirrors, two places hold the light
 
     @property
     def _margin(self) -> int:

@@ -23,10 +23,6 @@ import numpy as np
 
 from fpplab.core.conventions import Floats
 
-WHOLE = 1e-9
-"""Relative deviation of an exposure from a whole number of periods that counts as rounding: weights of B bits
-are then within `2^B` times this of 1."""
-
 
 def plane_weights(
     rows: int, bits: int, period_s: float, exposure_s: float, line_time_s: float, start_s: float
@@ -56,7 +52,8 @@ def plane_durations(bits: int) -> Floats:
 def is_whole(exposure_s: float, period_s: float) -> bool:
     """Return whether the exposure is one or more whole periods within rounding, so that every weight is 1."""
     turns = exposure_s / period_s
-    return round(turns) >= 1 and abs(turns - round(turns)) <= WHOLE * turns
+    # Weights of B bits are then within 2^B times 1e-9 of 1.
+    return round(turns) >= 1 and abs(turns - round(turns)) <= 1e-9 * turns
 
 
 def _overlap(begin: Floats, end: Floats, onset: Floats, duration: Floats) -> Floats:

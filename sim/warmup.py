@@ -31,9 +31,8 @@ from fpplab.reconstruction.points import points_of
 from sim.prediction import predict
 
 DISTANCE_MM = 400.0
+"""Of the plane from the camera (chosen)."""
 SIZE = 96, 64
-PREDICTED = 2000
-"""Pixels of the prediction, about."""
 
 
 def small_rig() -> Calibration:
@@ -74,7 +73,7 @@ def warm_up() -> int:
     plate.apply_translation((0.0, 0.0, DISTANCE_MM + 5.0))
     compare(cloud, plate, rig, density=0.5)
     with Rig.load("rig_matched") as twin:
-        predict(twin, plan, "pyramid", pixels=PREDICTED)
+        predict(twin, plan, "pyramid", pixels=2000)
     return len(cloud)
 
 

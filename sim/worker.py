@@ -27,9 +27,7 @@ from fpplab.core.system import BLENDER
 from sim.scene import RenderScene, RenderSettings, SubpixelView
 
 START_S = 120.0
-"""Longest time that Blender may take to start."""
-STOP_S = 5.0
-"""Time that the process has to end by itself before it is killed."""
+"""Longest time that Blender may take to start, in s (chosen)."""
 
 
 class Blender:
@@ -114,7 +112,7 @@ class Blender:
             self._connection.close()  # which ends the process
         if self._process is not None:
             try:
-                self._process.wait(STOP_S)
+                self._process.wait(timeout=5.0)
             except subprocess.TimeoutExpired:
                 self._process.kill()
                 self._process.wait()

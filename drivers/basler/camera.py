@@ -22,7 +22,7 @@ from drivers.basler.link import lost_on_link
 from drivers.basler.options import BaslerOptions
 from drivers.basler.transport import Pylon
 from drivers.genicam import names as named
-from drivers.genicam.camera import GenicamCamera
+from drivers.genicam.camera import READY_TIMEOUT_S, GenicamCamera
 from drivers.genicam.features import Features
 from drivers.genicam.gain import CameraGain
 from drivers.genicam.pixels import PACKED
@@ -42,8 +42,6 @@ _log = logging.getLogger(__name__)
 
 LINK_REMEDY = "use a better cable or network card, or a larger packet_delay_ticks"
 """Remedy for packets that are lost again and again."""
-READY_TIMEOUT_S = 5.0
-"""Longest wait in s for a camera to become ready for its first trigger (chosen)."""
 FIRST_BLOCK = {"BaslerGigE": 1}
 """BlockID of the first frame after `arm`, by pylon's device class, where it is not 0."""
 NO_BLOCK_ID = (1 << 64) - 1

@@ -18,7 +18,7 @@ from drivers.dlp4500.transport import Link
 from fpplab.core.errors import DeviceError, DeviceTimeoutError, ProtocolError, SettingError
 
 LED_FULL = 255
-"""Level of an LED at full current, on the operator's scale; the wire's may be inverted (`set_led_levels`)."""
+"""Level of an LED at full current (8 bits), as the operator sets it; the wire's may be inverted."""
 PARALLEL_24_BIT = {"source": 0, "width": 1}
 """Input source: the parallel port, 24 bits wide."""
 INTERNAL_TEST_PATTERN = {"source": 1, "width": 1}

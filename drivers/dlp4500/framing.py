@@ -17,9 +17,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 REPORT_BYTES = 64
-"""Size of every USB report."""
+"""Size of every USB report (TI's client; the greatest at full speed, USB 2.0, 5.7.3)."""
 HEADER_BYTES = 4
-"""Size of a message's header."""
+"""Size of a message's header: flags, sequence number, length."""
 FIRST_BYTES = REPORT_BYTES - HEADER_BYTES
 """Payload bytes in the first report of a message."""
 MAX_PAYLOAD_BYTES = 512 - HEADER_BYTES

@@ -241,7 +241,7 @@ VIDEO_SIGNAL = _read_only(
     ),
 )
 LOCKED = 2
-"""Value of `lock` in the video signal for a stable signal."""
+"""Value of `lock` in the video signal for a stable signal (TI's client)."""
 GAMMA = _register("gamma", 0x1A0E, _record(RegisterField("table", 1), _gap(6), RegisterField("on", 1)))
 
 # --- LEDs

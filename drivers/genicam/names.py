@@ -10,6 +10,7 @@ from __future__ import annotations
 from drivers.genicam.features import FeatureNames
 
 US_PER_S = 1e6
+"""GenICam states times in µs (Standard Features Naming Convention)."""
 
 WIDTH, HEIGHT, OFFSET_X, OFFSET_Y = ("Width",), ("Height",), ("OffsetX",), ("OffsetY",)
 PIXEL_FORMAT: FeatureNames = ("PixelFormat",)

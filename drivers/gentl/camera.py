@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 from genicam import genapi, gentl
 
 from drivers.genicam import names as named
-from drivers.genicam.camera import GenicamCamera
+from drivers.genicam.camera import READY_TIMEOUT_S, GenicamCamera
 from drivers.genicam.features import Features
 from drivers.genicam.gain import CameraGain
 from drivers.genicam.pixels import PACKED
@@ -33,8 +33,6 @@ from fpplab.devices import CameraCaps, DeviceInfo, Frame, Trigger
 
 READY_S = 0.1
 """Time in s after which a camera that does not report readiness counts as ready (chosen)."""
-READY_TIMEOUT_S = 5.0
-"""Longest wait in s for a camera that reports readiness (chosen)."""
 WAITING = "FrameTriggerWait"
 """Value of the selector of `AcquisitionStatus` by which a camera reports that it waits for a trigger."""
 GENICAM_ERRORS = (genapi.GenericException, gentl.GenericException)

@@ -49,8 +49,6 @@ def predict_command(
     console.print_result(answer, json, lambda: _show(answer))
 
 
-MAX_FACTOR = 100.0
-"""Ratio of the ends of an interval from which on nothing is known."""
 UNITS = {
     "distance_um": ("distance from the surface", "µm", 1.0),
     "noise_um": ("noise", "µm", 1.0),
@@ -65,7 +63,7 @@ def _show(answer: dict[str, Any]) -> None:
     for name, (label, unit, scale) in UNITS.items():
         figure = answer[name]
         values = [f"{scale * figure[key]:.3g} {unit}".strip() for key in ("value", "low", "high")]
-        if unit == "µm" and figure["high"] > MAX_FACTOR * figure["low"]:
+        if unit == "µm" and figure["high"] > 100.0 * figure["low"]:  # such an interval says nothing
             values[1:] = ["unknown", "unknown"]
         rows.append([label, *values])
     console.table(

@@ -22,8 +22,6 @@ from fpplab.core.strict_json import parse_json
 from sim.dataset.fields import FIELDS, FRAMES, FieldSpec
 from sim.dataset.shard import CHECKSUMS, SCENES, array_file, shard_name
 
-MAX_BYTES = 50_000_000
-"""Greatest size of a card, which holds a whole world."""
 CARD, README, PLAN = "card.json", "README.md", "plan.yaml"
 FORMAT = "fpplab dataset 1"
 """Value of the card's field `format`."""
@@ -117,7 +115,7 @@ def read_card(folder: Path) -> dict[str, Any]:
     """Read the card in a folder."""
     path = folder / CARD
     try:
-        card = parse_json(read_bounded(path, MAX_BYTES))
+        card = parse_json(read_bounded(path, 50_000_000))  # bytes: it holds a whole world
     except FileNotFoundError:
         raise DataError(f"{folder}: is not a data set (it has no {CARD})") from None
     except (OSError, ValueError) as error:

@@ -24,9 +24,7 @@ from fpplab.targets import Target
 from sim.studio import DatasetScene
 
 MAX_TRIES = 2000
-"""Random poses, or sizes, that are tried before giving up."""
-MIN_IN_VIEW = 0.5
-"""Share of an item's bounding box that must lie in view of camera and projector, without shadows."""
+"""Random poses, or sizes, that are tried before giving up (chosen)."""
 
 Interval = tuple[float, float]
 """Least and greatest value."""
@@ -215,12 +213,12 @@ def _box(bounds: Floats) -> Floats:
 def _pose(
     scenes: SceneRanges, box: Floats, upright: bool, devices: Calibration, random: np.random.Generator
 ) -> PoseFile:
-    """Draw T_camera_item with enough of the item's box in view. upright: its z axis points to the camera."""
+    """Draw T_camera_item with half of the item's box in view. upright: its z axis points to the camera."""
     for _ in range(MAX_TRIES):
         pose = _random_pose(scenes, upright, devices, random)
         points = pose.apply(box)
         visible = devices.camera.sees(points) & devices.projector.sees(points, devices.T_projector_camera)
-        if visible.mean() >= MIN_IN_VIEW:
+        if visible.mean() >= 0.5:
             return PoseFile.of(pose)
     raise ConfigError(
         f"'distance_mm' is {list(scenes.distance_mm)}: hardly any item lies there in the camera's image and "

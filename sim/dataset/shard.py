@@ -29,9 +29,6 @@ from sim.dataset.fields import Arrays, FieldSpec
 CHECKSUMS, SCENES = "sha256.json", "scenes.jsonl"
 """Files besides the arrays: checksums of all others, and a line for each sample with all that was drawn."""
 
-MAX_SUMS_BYTES = 1_000_000
-"""Greatest size of the file of checksums."""
-
 
 def shard_name(number: int) -> str:
     """Name the folder of a shard."""
@@ -141,7 +138,7 @@ class _Hashed:
 def check_shard(shard: Path) -> None:
     """Compare every file of a shard with its checksum."""
     try:
-        sums = parse_object(read_bounded(shard / CHECKSUMS, MAX_SUMS_BYTES))
+        sums = parse_object(read_bounded(shard / CHECKSUMS, 1_000_000))  # bytes
         for name, expected in sums.items():
             if Path(name).name != name:
                 raise DataError(f"{shard / CHECKSUMS}: names '{name}', which is not in its folder")

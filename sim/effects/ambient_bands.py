@@ -19,9 +19,6 @@ from sim.effects.base import Effect, EffectWorld, FrameOfSequence, LightChange
 from sim.effects.step import ParametersT, StepContext
 from sim.parameter_entry import table_entry
 
-STREAM = 1
-"""Separates the random number of where bands begin from those of other effects."""
-
 
 class AmbientBands(Document):
     """Bands of ambient light that ripples with the mains, in the rows of a rolling shutter."""
@@ -103,7 +100,8 @@ class RollingBands(Effect[BandsField]):
         if bands is None:
             return LightChange()
         if bands.cycles_per_frame is not None:
-            start = float(np.random.default_rng([world.seed, *frame.sequence, STREAM]).uniform())
+            # 1 separates the random number of where bands begin from those of other effects.
+            start = float(np.random.default_rng([world.seed, *frame.sequence, 1]).uniform())
             phase = start + bands.cycles_per_frame * frame.number
         period = bands.period_px / world.camera.binning
         return LightChange(room=1.0 + bands.ripple * np.sin(2 * np.pi * (rows / period + phase)))

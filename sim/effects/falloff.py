@@ -16,8 +16,6 @@ from sim.effects.base import Effect, EffectProjector
 from sim.effects.step import ParametersT, StepContext
 from sim.parameter_entry import FitRange, table_entry
 
-MIN_LIGHT = 0.01
-"""Share of the light that every mirror gets: a polynomial may fall below zero, light does not."""
 FALLOFF = ("falloff_x", "falloff_y", "falloff_xx", "falloff_xy", "falloff_yy")
 """Names of the coefficients."""
 
@@ -84,4 +82,4 @@ def _field(size: tuple[int, int], lattice: Lattice, coefficients: tuple[float, .
     y = (v - 0.5 * (size[1] - 1)) / (rows_per_column * half)
     terms = (x, y, x * x, x * y, y * y)
     light = 1.0 + sum(c * term for c, term in zip(coefficients, terms, strict=True))
-    return np.maximum(light, MIN_LIGHT).astype(np.float32)
+    return np.maximum(light, 0.01).astype(np.float32)  # a polynomial may fall below zero, light does not

@@ -16,8 +16,6 @@ from sim.effects.step import ParametersT, StepContext
 from sim.parameter_entry import FitRange, SubstituteNumber, table_entry
 from sim.scene import PointLamp
 
-MIN_DISTANCE_MM = 100.0
-"""Minimum distance of a lamp from the point that it is aimed at."""
 ROOM = "room"
 """Name of the lamp that can be matched."""
 ROOM_LAMP = ("lamp_irradiance", "lamp_angle_deg", "lamp_azimuth_deg", "lamp_nearness")
@@ -37,7 +35,7 @@ class RoomLamp(Document):
     at the side of the part."""
     azimuth_deg: Annotated[float, Field(ge=-360, le=360)] = -90.0
     """Direction of the lamp in the camera's image, in degrees: 0 to the right, 90 below, -90 above."""
-    distance_mm: Annotated[float, Field(ge=MIN_DISTANCE_MM, le=1e5)] = 2000.0
+    distance_mm: Annotated[float, Field(ge=100.0, le=1e5)] = 2000.0
     """Distance of the lamp, in mm."""
 
     @property

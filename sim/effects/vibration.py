@@ -20,10 +20,7 @@ from sim.effects.step import FrameFluctuation, ParametersT, StepContext
 from sim.parameter_entry import table_entry
 
 MAX_VIBRATION_MM = 10
-"""Greatest displacement by vibration."""
-STREAM = 2
-"""Separates the random numbers of phases from those of other effects."""
-
+"""Greatest displacement by vibration (chosen)."""
 
 NO_LINE = (0.0, 0.0, 0.0)
 """Of a vibration that has no direction."""
@@ -146,7 +143,8 @@ def vibration_displacement_mm(
 
 def wave_phase(world: EffectWorld, *numbers: int) -> float:
     """Draw where a vibration of one frequency begins."""
-    return float(np.random.default_rng([world.seed, *numbers, STREAM]).uniform())
+    # 2 separates the random numbers of phases from those of other effects.
+    return float(np.random.default_rng([world.seed, *numbers, 2]).uniform())
 
 
 def with_vibration_of(now: ParametersT, change: FrameFluctuation) -> ParametersT:

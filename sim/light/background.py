@@ -27,20 +27,13 @@ from sim.texture import MirrorTexture
 from sim.world import World
 from sim.world.render import shifts
 
-KEEP_BYTES = 1 << 29
-"""Size of the tables in memory."""
-SIDE = 2
-"""Points of a pixel along each side."""
-BAND_PIXELS = 1 << 18
-"""Pixels that are traced at once."""
-
 
 class Background:
     """The light of the surroundings of one world."""
 
     def __init__(self, world: World, surface: Surface) -> None:
         self._world, self._surface, self._views = world, surface, _views(world)
-        self._tables: ByteLimitedCache[LightTable] = ByteLimitedCache(KEEP_BYTES)
+        self._tables: ByteLimitedCache[LightTable] = ByteLimitedCache()
         self._scene: tuple[SceneState, RenderScene, MirrorTexture] | None = None
 
     def pictures(
@@ -116,7 +109,7 @@ def _whole(scene: RenderScene, views: list[SubpixelView], shown: int) -> LightTa
     table = LightTable(samples, albedo, (left, top))
     if right <= left or bottom <= top:  # in an empty window nothing is seen
         return table
-    bodies, step = Bodies(scene, shown), max(1, BAND_PIXELS // (right - left))
+    bodies, step = Bodies(scene, shown), max(1, (1 << 18) // (right - left))  # rows of some 260,000 pixels
     for first in range(top, bottom, step):
         rows, columns = np.mgrid[first : min(first + step, bottom), left:right]
         band = bodies.traced(views, (rows.ravel(), columns.ravel()))
@@ -126,8 +119,8 @@ def _whole(scene: RenderScene, views: list[SubpixelView], shown: int) -> LightTa
 
 
 def _views(world: World) -> list[SubpixelView]:
-    """Few points of every pixel: surfaces far behind the item are not sharp."""
-    places = shifts(SIDE)
+    """Two by two points of every pixel, which are few: surfaces far behind the item are not sharp."""
+    places = shifts(2)
     if not world.camera.aperture_mm:
         return [SubpixelView(place) for place in places]
     return [SubpixelView(place, lens) for place, lens in zip(places, lens_points(len(places)), strict=True)]

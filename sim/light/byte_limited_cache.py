@@ -20,10 +20,13 @@ T = TypeVar("T", bound=Sized)
 
 
 class ByteLimitedCache(Generic[T]):
-    """Results by key; when they exceed a limit the least recently used are dropped."""
+    """Results by key; when they exceed a limit the least recently used are dropped.
 
-    def __init__(self, limit: int) -> None:
-        self._limit = limit
+    The usual limit is 512 MiB (chosen).
+    """
+
+    def __init__(self, limit_bytes: int = 1 << 29) -> None:
+        self._limit_bytes = limit_bytes
         self._results: OrderedDict[object, T] = OrderedDict()
 
     def get(self, key: object, make: Callable[[], T]) -> T:
@@ -31,7 +34,7 @@ class ByteLimitedCache(Generic[T]):
         if key not in self._results:
             self._results[key] = make()
         self._results.move_to_end(key)
-        while len(self._results) > 1 and sum(r.nbytes for r in self._results.values()) > self._limit:
+        while len(self._results) > 1 and sum(r.nbytes for r in self._results.values()) > self._limit_bytes:
             self._results.popitem(last=False)
         return self._results[key]
 

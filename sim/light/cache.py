@@ -27,8 +27,6 @@ from fpplab.core.system import cache_directory
 from sim.light.table import LightTable
 from sim.scene import RenderScene, SubpixelView
 
-LIMIT_BYTES = 2 << 30
-"""Greatest size of all files together."""
 FORMAT = "fpplab light table 4"
 """First line of a file."""
 
@@ -74,9 +72,9 @@ def renderer() -> str:
 class TableCache:
     """Tables in one directory, of which the least recently used are removed beyond a limit."""
 
-    def __init__(self, directory: Path | None = None, limit: int = LIMIT_BYTES) -> None:
+    def __init__(self, directory: Path | None = None, limit_bytes: int = 2 << 30) -> None:
         self._directory = directory or cache_directory() / "light"
-        self._limit = limit
+        self._limit_bytes = limit_bytes
 
     def load(self, key: str) -> LightTable | None:
         """Read a table; a file that is damaged or of another renderer is removed."""
@@ -97,7 +95,7 @@ class TableCache:
 
     def store(self, key: str, table: LightTable) -> None:
         """Write a table; a failure is only logged, because the table can be rendered again."""
-        if table.nbytes > self._limit:
+        if table.nbytes > self._limit_bytes:
             _log.warning("%.1f GB of light exceed the cache's limit and are not stored", table.nbytes / 1e9)
             return
         try:
@@ -130,7 +128,7 @@ class TableCache:
                 files.append((path.stat(), path))
         total = sum(stat.st_size for stat, _ in files)
         for stat, path in sorted(files, key=lambda entry: entry[0].st_mtime_ns):
-            if total <= self._limit:
+            if total <= self._limit_bytes:
                 return
             with suppress(OSError):
                 path.unlink(missing_ok=True)

@@ -20,7 +20,7 @@ from sim.scene import RenderScene, SubpixelView
 from sim.texture import MirrorTexture
 
 BATCH_PATTERNS = 16
-"""Patterns that are looked up at once."""
+"""Patterns that are looked up at once (chosen)."""
 
 
 @dataclass(frozen=True, eq=False)

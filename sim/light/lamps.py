@@ -31,8 +31,6 @@ from sim.world import World
 
 RoomLightAt = Callable[[PixelIndices | None], Irradiance | np.float32]
 """Gives the light on what some pixels see, or all for None, see `RoomLight.on`."""
-KEEP_BYTES = 1 << 28
-"""Size of the pictures in memory."""
 
 
 class RoomLight:
@@ -40,7 +38,7 @@ class RoomLight:
 
     def __init__(self, world: World) -> None:
         self._world = world
-        self._kept: ByteLimitedCache[Irradiance] = ByteLimitedCache(KEEP_BYTES)
+        self._kept: ByteLimitedCache[Irradiance] = ByteLimitedCache(1 << 28)
 
     def on(self, scene: RenderScene, pixels: PixelIndices | None = None) -> Irradiance | np.float32:
         """Compute the light on what pixels see."""

@@ -16,8 +16,6 @@ import numpy as np
 from fpplab.core.conventions import Floats
 from sim.world.render import shifts
 
-TRIES = 500
-"""Random orders of the points, of which the least correlated one is taken."""
 GOLDEN_RAD = np.pi * (3 - np.sqrt(5))
 """The golden angle in rad."""
 
@@ -47,5 +45,5 @@ def _half_disc(pairs: int, alone: int) -> Floats:
 def _least_correlated(places: Floats, points: Floats) -> Floats:
     """Order and mirror the points so that they are least correlated with the places."""
     random = np.random.default_rng(0)
-    orders = [random.permutation(points) * random.choice([-1.0, 1.0], (len(points), 1)) for _ in range(TRIES)]
+    orders = [random.permutation(points) * random.choice([-1.0, 1.0], (len(points), 1)) for _ in range(500)]
     return min(orders, key=lambda order: float(np.abs(places.T @ order).max()))

@@ -32,7 +32,7 @@ from sim.light.cache import TableCache, digest
 from sim.light.differentiated import DifferentiatedLight
 from sim.light.lamps import RoomLight, point_lamps
 from sim.light.lens import lens_points
-from sim.light.mirrors import KEEP_BYTES, Mirrors, MirrorStates
+from sim.light.mirrors import Mirrors, MirrorStates
 from sim.light.plane import can_compute, computed, computed_motion
 from sim.light.slopes import MotionTable
 from sim.light.solid import can_trace, traced
@@ -88,12 +88,12 @@ class Light:
         self._world, self._blender, self._analytic = world, blender, analytic
         self._cache = cache if cache or not world.render.cache else TableCache()
         self._projector = Mirrors(world.projector)
-        self._tables: ByteLimitedCache[LightTable] = ByteLimitedCache(2 * KEEP_BYTES)
-        self._motions: ByteLimitedCache[MotionTable] = ByteLimitedCache(2 * KEEP_BYTES)
+        self._tables: ByteLimitedCache[LightTable] = ByteLimitedCache(1 << 30)
+        self._motions: ByteLimitedCache[MotionTable] = ByteLimitedCache(1 << 30)
         self._displaced: tuple[str, LightTable] | None = None
-        self._pictures: ByteLimitedCache[PatternLevels] = ByteLimitedCache(KEEP_BYTES)
-        self._bases: ByteLimitedCache[Rendered] = ByteLimitedCache(2 * KEEP_BYTES)
-        self._albedos: ByteLimitedCache[PatternLevels] = ByteLimitedCache(KEEP_BYTES)
+        self._pictures: ByteLimitedCache[PatternLevels] = ByteLimitedCache()
+        self._bases: ByteLimitedCache[Rendered] = ByteLimitedCache(1 << 30)
+        self._albedos: ByteLimitedCache[PatternLevels] = ByteLimitedCache()
         self._scene: tuple[SceneState, RenderScene, MirrorTexture] | None = None
         self._around = surroundings_surface(world)
         # On the path `transport` items and surroundings have tables of their own.

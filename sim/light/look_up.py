@@ -17,7 +17,7 @@ WINDOW = TAPS + 2
 """Texels along a side of the window in which a pixel's weights are added up."""
 
 _PIXELS = 256
-"""Pixels for which one thread allocates its window."""
+"""Pixels for which one thread allocates its window (chosen); a global, which numba compiles as a constant."""
 _FAST = {"contract", "reassoc", "nsz"}
 
 

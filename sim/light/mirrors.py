@@ -15,9 +15,6 @@ from sim.light.byte_limited_cache import ByteLimitedCache
 from sim.texture import MirrorTexture, Part, PatternTextures
 from sim.world import ProjectorWorld
 
-KEEP_BYTES = 1 << 29
-"""Size of each cache in memory."""
-
 
 @dataclass(frozen=True, eq=False)
 class MirrorStates:
@@ -44,8 +41,8 @@ class Mirrors:
 
     def __init__(self, projector: ProjectorWorld) -> None:
         self._projector, self._factor = projector, mirror_light(projector)
-        self._kept: ByteLimitedCache[PatternLevels] = ByteLimitedCache(KEEP_BYTES)
-        self._textures: ByteLimitedCache[PatternTextures] = ByteLimitedCache(KEEP_BYTES)
+        self._kept: ByteLimitedCache[PatternLevels] = ByteLimitedCache()
+        self._textures: ByteLimitedCache[PatternTextures] = ByteLimitedCache()
         self._loaded: tuple[tuple[Pattern, ...], MirrorStates] | None = None
         self._planes: tuple[Pattern, MirrorStates] | None = None
         self._basis: tuple[MirrorStates, Basis] | None = None

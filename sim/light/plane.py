@@ -30,9 +30,6 @@ from sim.light.slopes import MotionTable
 from sim.light.table import Irradiance, LightTable, circle_level
 from sim.scene import Paint, RenderScene, SubpixelView
 
-STRAIGHT = 0.1
-"""Least determinant of the distortion's derivatives for which it is straight over one pixel."""
-
 _cache = PrintCache()
 
 
@@ -286,7 +283,7 @@ def _trace(
                 out=motion[i],
             )
         for k in range(len(views)):
-            if determinant > STRAIGHT:
+            if determinant > 0.1:  # the distortion is straight over one pixel (chosen)
                 along, upright = views[k, 0] / matrix[0, 0], views[k, 1] / matrix[1, 1]
                 x = x0 + (yy * along - xy * upright) / determinant
                 y = y0 + (xx * upright - xy * along) / determinant

@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from fpplab.core.conventions import Floats
 
 SIZE_RATIO = 1.2
-"""Ratio of the variances of successive sizes of spots; between them the print is interpolated."""
+"""Ratio of the variances of successive sizes of spots; between them the print is interpolated (chosen)."""
 RIM_SIGMAS = 4.0
-"""Margin of the blurred print beyond the item's edges, in standard deviations of the blur."""
+"""Margin of the blurred print beyond the item's edges, in standard deviations of the blur (chosen)."""
 KEEP_BYTES = 1 << 28
-"""Greatest size of a print that is kept for sizes which are not asked for now; all have twice as much."""
+"""Size up to which a print is kept for sizes not asked for now (chosen); all together have twice as much."""
 
 _Picture = NDArray[np.float32]
 

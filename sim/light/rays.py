@@ -8,11 +8,6 @@ import numpy as np
 from fpplab.core.conventions import Floats
 from fpplab.core.geometry import distort
 
-NEWTON_STEPS = 20
-"""Greatest number of steps of Newton's method for a ray."""
-CONVERGED = 1e-20
-"""Square of a step in slopes below which Newton's method ends; far below what a pixel can resolve."""
-
 distorted = numba.njit(inline="always")(distort)
 """`distort`, to be compiled into a caller's loop."""
 
@@ -22,7 +17,7 @@ def undistorted(xd: float, yd: float, lens: Floats, reach: float) -> tuple[float
     """Undistort a ray by Newton's method; a step beyond the distortion model's reach is halved."""
     # lens (8,)
     x, y, x0, y0 = xd, yd, 0.0, 0.0
-    for _ in range(NEWTON_STEPS):
+    for _ in range(20):
         if x * x + y * y >= reach * reach:
             x, y = 0.5 * (x + x0), 0.5 * (y + y0)
             continue
@@ -32,7 +27,7 @@ def undistorted(xd: float, yd: float, lens: Floats, reach: float) -> tuple[float
         determinant = xx * yy - xy * xy
         step_x, step_y = (yy * off_x - xy * off_y) / determinant, (xx * off_y - xy * off_x) / determinant
         x, y = x + step_x, y + step_y
-        if step_x * step_x + step_y * step_y < CONVERGED:
+        if step_x * step_x + step_y * step_y < 1e-20:  # squared slopes, far below what a pixel resolves
             break
     return x, y
 

@@ -23,17 +23,8 @@ from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.core.robust import huber_weights, robust_spread
 from fpplab.targets import Target
 
-EDGE_POINTS = 50
-"""Points along each edge of a board's outline, since the distortion of the lens bends it."""
-MARGIN_PX = 4
-"""Edge margin of the board's area: half of the SSIM's window of 7 px, rounded up."""
-
 SURROUNDINGS_PX = 3
-"""Width of the surroundings of the board that are compared too, since its edge shows where it is."""
-HUBER_LIMIT = 3.0
-"""Residuals beyond this many robust standard deviations count linearly (Huber)."""
-ROUNDING_SIGMA = 0.29
-"""Standard deviation of rounding to integers, the minimum that residuals can have."""
+"""Width of the surroundings of the board that are compared too: its edge shows where it is (chosen)."""
 
 
 class Weights(Document):
@@ -109,10 +100,8 @@ def ssim(reference: NDArray[Any], twin: NDArray[Any], full_scale: float, board: 
     return float(mean), float(every[board].mean())
 
 
-def board_mask(
-    camera: Pinhole, T_camera_board: RigidTransform, target: Target, margin_px: int = MARGIN_PX
-) -> Mask:
-    """Find the pixels that see the board."""
+def board_mask(camera: Pinhole, T_camera_board: RigidTransform, target: Target, margin_px: int = 4) -> Mask:
+    """Find the pixels that see the board; the margin is half of the SSIM's window of 7 px, rounded up."""
     half = 0.5 * np.array(target.size_mm)
     return rectangle_mask(camera, T_camera_board, -half, half, margin_px)
 
@@ -122,7 +111,7 @@ def rectangle_mask(
 ) -> Mask:
     """Find the pixels that see a rectangle on a board."""
     # low, high (2,) mm
-    along = np.linspace(-1.0, 1.0, EDGE_POINTS, endpoint=False)
+    along = np.linspace(-1.0, 1.0, 50, endpoint=False)  # many points: the lens bends the edges
     edge = np.ones_like(along)
     square = np.stack(
         [np.concatenate([along, edge, -along, -edge]), np.concatenate([-edge, along, edge, -along])]
@@ -149,6 +138,6 @@ def subsample_pixels(area: Mask, count: int) -> PixelIndices:
 
 
 def level_weights(residual: Floats) -> tuple[Floats, float]:
-    """Compute robust weights of residuals of grey levels."""
-    sigma = robust_spread(residual, ROUNDING_SIGMA)
-    return huber_weights(residual, sigma, HUBER_LIMIT), sigma
+    """Compute Huber's weights of residuals of grey levels, 1 up to three robust standard deviations."""
+    sigma = robust_spread(residual, 0.29)  # at least that of rounding to whole levels, √(1/12)
+    return huber_weights(residual, sigma, 3.0), sigma

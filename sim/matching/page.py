@@ -42,8 +42,6 @@ GreyPicture = NDArray[np.float32]
 """Image [v, u] in raw levels."""
 
 COLUMNS = ("Refined", "Response", "SSIM", "SSIM over the board", "ε_d in px", "Loss", "Loss over the board")
-SHOWN_POSES = 5
-"""Poses whose images are shown, from the nearest to the farthest."""
 
 
 def write_matching_report(
@@ -252,7 +250,7 @@ def _images_section(matching: MatchingResult, twin: Twin) -> ReportSection:
     reference, figures = matching.reference, []
     images = reference.finest[:1]
     looks = matching.appearance.appearance if matching.appearance else Appearance()
-    for pose in reference.spread_poses(SHOWN_POSES):
+    for pose in reference.spread_poses(5):  # from the nearest to the farthest
         before, after = (
             _seen(reference, twin, *at, pose, images)
             for at in ((matching.nominal, Appearance()), (matching.matched.parameters, looks))

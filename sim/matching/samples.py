@@ -18,12 +18,8 @@ from sim.matching.reference import Reference
 from sim.parameters import TwinParameters
 from sim.twin import Twin
 
-MAX_PIXELS = 8_000
-"""Pixels of each pose that are compared."""
-DARK_LEVELS = 2.0
-"""Raw levels above the darkest places up to which there is no light."""
 TILES = 5
-"""Tiles along each side of the board whose residuals count as dependent in standard uncertainties."""
+"""Tiles along each side of the board, in which residuals count as dependent (chosen)."""
 
 
 class LightSample(Protocol):
@@ -80,7 +76,7 @@ class PixelSample:
         patterns = reference.shown(self.images)
         here = twin.expected_at(self.pose, patterns, reference.settings, self.pixels).astype(np.float64)
         # Where there is no light there is hardly any noise, and all levels are rounded to the same side.
-        lit = self.levels > reference.darkest_level + DARK_LEVELS
+        lit = self.levels > reference.darkest_level + 2.0
         valid = lit & (self.levels < reference.full_scale) & (here < reference.full_scale)
         return np.where(valid, self.levels - here, 0.0).ravel()
 
@@ -101,7 +97,7 @@ def sample_pixels(
         area = board_mask(
             parameters.calibration.camera, parameters.poses[pose], reference.target, -SURROUNDINGS_PX
         )
-        pixels = subsample_pixels(area, MAX_PIXELS)
+        pixels = subsample_pixels(area, 8_000)
         levels = reference.frames(pose, images)[:, *pixels].astype(np.float64)
         return PixelSample(pose, tuple(images), pixels, levels)
 

@@ -34,7 +34,7 @@ from sim.parameters import TwinParameters
 from sim.twin import Twin
 
 SAMPLED_POSES = 6
-"""Greatest number of poses whose pixels are compared by steps that fit light and noise."""
+"""Greatest number of poses whose pixels are compared by steps that fit light and noise (chosen)."""
 MIN_CONTRAST, SIGNIFICANT = 0.02, 3.0
 """Relative difference of the contrast, and standard errors of it, by which the board must be sharper than
 contrasts on parts say."""

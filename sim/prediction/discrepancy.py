@@ -22,9 +22,7 @@ are large."""
 DISCREPANCY = "discrepancy.yaml"
 """Name of the file, next to the rig file of a matched twin."""
 COVERAGE = 1.96
-"""Half width of an interval of 95 %, in standard deviations."""
-MIN_SIGMA = 0.02
-"""Least standard deviation of a logarithm: what a few poses agree on by chance is not believed."""
+"""Half width of an interval of 95 %, in standard deviations (of the normal distribution)."""
 
 
 class Deviation(Document):
@@ -64,7 +62,8 @@ class Deviation(Document):
 
         The mean is not corrected for, since it is a fault of the twin which another plan need not share.
         """
-        return float(np.sqrt(self.mean**2 + self.spread**2 * (1.0 + 1.0 / self.count) + MIN_SIGMA**2))
+        # A few poses may agree by chance, which is not believed beyond 2 % (chosen).
+        return float(np.sqrt(self.mean**2 + self.spread**2 * (1.0 + 1.0 / self.count) + 0.02**2))
 
 
 class ContrastDeviation(Document):

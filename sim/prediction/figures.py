@@ -21,7 +21,7 @@ from fpplab.phase.order_risk import order_risk
 from fpplab.reconstruction.triangulation import camera_rays
 
 EDGE_PX = 0.5
-"""By how much a projected point must lie within the projector's image to count as lit, in px."""
+"""By how much a projected point must lie within the projector's image to count as lit, in px (chosen)."""
 
 
 @dataclass(frozen=True)

@@ -17,11 +17,6 @@ from fpplab.core.conventions import Floats, Mask
 from fpplab.core.geometry import RigidTransform
 from fpplab.reconstruction.uncertainty import CoordinateNoise, displacements_by_mode, rigid_motions
 
-POINTS = 4_000
-"""Number of points by which the mean distance is computed, about."""
-DRAWS = 500
-"""Number of calibrations that are drawn."""
-
 
 def form_errors(points: Floats, normals: Floats, calibration: Calibration, noise: CoordinateNoise) -> Floats:
     """Compute what the modes of calibration error leave of form along the normals, after an alignment."""
@@ -36,14 +31,14 @@ def distance_factors(
     cloud: Cloud, on_shape: Mask, mesh: trimesh.Trimesh, calibration: Calibration, noise: CoordinateNoise
 ) -> Floats:
     """Draw factors by which calibration errors change the mean distance from a true surface."""
-    # on_shape (height, width); returns (DRAWS,)
+    # on_shape (height, width); returns (500,)
     if calibration.uncertainty is None:
         return np.ones(1)
     assert cloud.pixels is not None
     u, v = cloud.pixels.T
     points = cloud.points[on_shape[v, u]]
-    sample = points[:: max(1, len(points) // POINTS)].astype(np.float64)
+    sample = points[:: max(1, len(points) // 4_000)].astype(np.float64)  # some 4,000 give the mean
     distances, _, normals = AlignmentMesh(mesh).residuals(sample, RigidTransform.identity())
     modes = form_errors(sample, normals, calibration, noise)
-    drawn = np.random.default_rng(0).standard_normal((DRAWS, modes.shape[1]))
+    drawn = np.random.default_rng(0).standard_normal((500, modes.shape[1]))
     return np.asarray(np.abs(distances + drawn @ modes.T).mean(axis=1) / np.abs(distances).mean())

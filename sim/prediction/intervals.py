@@ -12,11 +12,6 @@ from fpplab.core.conventions import Floats
 from sim.prediction.discrepancy import COVERAGE, Discrepancy
 from sim.prediction.figures import MeasuredFigures
 
-TAIL = 0.025
-"""Share of the draws beyond each end of an interval."""
-STEPS = 1_000
-"""Number of equally likely steps of a normal distribution."""
-
 
 @dataclass(frozen=True)
 class FigureInterval:
@@ -75,8 +70,9 @@ def figure_intervals(
 
 def _scaled(values: Floats, relative: float) -> FigureInterval:
     """Median and interval of equally likely values that a log-normal factor multiplies."""
-    factors = np.exp(relative * ndtri((np.arange(STEPS) + 0.5) / STEPS))
-    low, high = np.quantile(values[:, None] * factors, (TAIL, 1.0 - TAIL))
+    steps = (np.arange(1_000) + 0.5) / 1_000  # equally likely
+    factors = np.exp(relative * ndtri(steps))
+    low, high = np.quantile(values[:, None] * factors, (0.025, 1.0 - 0.025))
     return FigureInterval(float(np.median(values)), float(low), float(high))
 
 

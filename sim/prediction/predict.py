@@ -37,12 +37,8 @@ from sim.prediction.form import distance_factors
 from sim.prediction.intervals import FigureInterval, figure_intervals
 from sim.sampling import SimSampler
 
-PIXELS = 40_000
-"""Number of pixels on the item that are simulated, about."""
 BAND, MARGIN = 12, 2
 """Rows of a band, and how many at each of its ends serve as neighbours alone."""
-DRAWS = 8
-"""Number of draws of noise, flicker and vibration; the last two are common to a whole frame."""
 
 
 @dataclass(frozen=True)
@@ -79,9 +75,9 @@ class Prediction:
 
 
 def predict(
-    rig: Rig, plan: Plan, item: str, calibration: Calibration | None = None, pixels: int = PIXELS
+    rig: Rig, plan: Plan, item: str, calibration: Calibration | None = None, pixels: int = 40_000
 ) -> Prediction:
-    """Predict a measurement of an item on an open rig of a simulation."""
+    """Predict a measurement of an item on an open rig of a simulation, by about `pixels` of its pixels."""
     if not isinstance(rig.simulation, VirtualBench):
         raise ConfigError(f"{rig.source}: is no simulation that can predict; name a twin's rig file")
     sampler, folder = rig.simulation.sampler(), Path(rig.source).parent
@@ -94,7 +90,8 @@ def predict(
     counted = np.zeros_like(seen)
     counted[inner] = True
     study = _Sampled(rig, plan, item, used_calibration, sampler, mesh, rows, (seen & counted, lit & counted))
-    draws = [study.measured(seed) for seed in range(DRAWS)]
+    # Noise, flicker and vibration are drawn anew; the last two are common to a whole frame.
+    draws = [study.measured(seed) for seed in range(8)]
     _, decoded, cloud = draws[0]
     discrepancy = Discrepancy.beside(Path(rig.source))
     surface = sampler.surface(item)

@@ -408,7 +408,7 @@ def aged(folder: Path, name: str, seconds: float) -> None:
 
 
 def test_the_least_recently_used_are_removed_first(tmp_path: Path, written: bytes) -> None:
-    store = TableCache(tmp_path, limit=3 * len(written))
+    store = TableCache(tmp_path, limit_bytes=3 * len(written))
     for age, key in ((300, "a"), (200, "b"), (100, "c")):
         store.store(key, small_table())
         aged(tmp_path, f"{key}.table", age)
@@ -422,7 +422,7 @@ def test_the_least_recently_used_are_removed_first(tmp_path: Path, written: byte
 def test_a_table_greater_than_the_limit_is_not_stored(
     tmp_path: Path, written: bytes, caplog: pytest.LogCaptureFixture
 ) -> None:
-    store = TableCache(tmp_path, limit=len(written))
+    store = TableCache(tmp_path, limit_bytes=len(written))
     store.store("small", small_table())
     store.store("great", small_table(shape=(60, 50)))
     assert names(tmp_path) == {"small"}
@@ -433,14 +433,14 @@ def test_temporary_files_of_killed_processes_are_removed_too(tmp_path: Path, wri
     (tmp_path / ".k.table.x8f3").write_bytes(bytes(10 * len(written)))
     aged(tmp_path, ".k.table.x8f3", 1000)
     (tmp_path / "notes.txt").write_text("somebody's own")
-    TableCache(tmp_path, limit=3 * len(written)).store("a", small_table())
+    TableCache(tmp_path, limit_bytes=3 * len(written)).store("a", small_table())
     assert {path.name for path in tmp_path.iterdir()} == {"a.table", "notes.txt"}
 
 
 def test_a_file_that_another_process_removed_is_ignored(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, written: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    store = TableCache(tmp_path, limit=len(written))
+    store = TableCache(tmp_path, limit_bytes=len(written))
     store.store("a", small_table())
     listed = list(tmp_path.glob("*.table*"))
     monkeypatch.setattr(

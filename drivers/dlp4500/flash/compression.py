@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 ImageBytes = NDArray[np.uint8]
 
 STORED_ROWS = 4
-"""Rows that the four-line compression stores."""
+"""Rows that the four-line compression stores (TI's client)."""
 MAX_RUN = 255
-"""Pixels that one count byte can announce."""
+"""Pixels that one count byte can announce (derived: 8 bits)."""
 
 
 class Compression(IntEnum):

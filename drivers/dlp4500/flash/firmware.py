@@ -26,7 +26,7 @@ from fpplab.core.files import read_bounded
 from fpplab.patterns.fringes import Pattern
 
 TABLE = 0x20000
-"""Offset of the table of blocks."""
+"""Offset of the table of blocks, in bytes (TI's client)."""
 
 TABLE_SECTOR = memory.sector_of(TABLE)
 """Sector of the table of blocks."""
@@ -51,7 +51,7 @@ STORED = (2, 1, 0)
 """Order of the colour planes in a stored pixel: blue, red, green."""
 
 MAX_IMAGES = 256
-"""Entries of the splash area's table."""
+"""Entries of the splash area's table (TI's client)."""
 _SPLASH_SIGNATURE = struct.pack("<II", 0x12345678, 0x87654321)
 _IMAGES_AT = len(_SPLASH_SIGNATURE) + 4 + MAX_IMAGES * _BLOCK.size
 """Offset of the first image in the splash area."""

@@ -10,7 +10,7 @@ SIZE = 256 * SECTOR
 """Bytes of the whole flash."""
 
 ADDRESS = 0xF9000000
-"""Address of the first byte; tables in flash hold such addresses, the boot loader takes offsets."""
+"""Address of the first byte (TI's client); tables in flash hold such, the boot loader takes offsets."""
 
 
 def flash_checksum(data: bytes) -> int:

@@ -8,9 +8,6 @@ import bpy
 
 from ..nodes import Nodes
 
-RADIUS_MM = 0.15
-"""Of the spheres that points are drawn as."""
-
 COLOURS = "Col"
 """Name that Blender gives the colours of a PLY file's vertices."""
 
@@ -46,7 +43,7 @@ def _spheres(material: Any) -> Any:
         group.interface.new_socket("Geometry", in_out=way, socket_type="NodeSocketGeometry")
     nodes = Nodes(group)
     points, painted = nodes.add("GeometryNodeMeshToPoints"), nodes.add("GeometryNodeSetMaterial")
-    points.inputs["Radius"].default_value = RADIUS_MM
+    points.inputs["Radius"].default_value = 0.15  # mm
     painted.inputs["Material"].default_value = material
     nodes.join(nodes.add("NodeGroupInput").outputs[0], points.inputs[0])
     nodes.join(points.outputs[0], painted.inputs[0])

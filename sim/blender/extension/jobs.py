@@ -11,9 +11,6 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-STOP_S = 10.0
-"""Time that a cancelled command has to end by itself, in s."""
-
 _running: set[Job] = set()
 
 
@@ -85,7 +82,7 @@ class Job:
         if not self.is_done():
             self._process.send_signal(signal.SIGTERM if os.name == "nt" else signal.SIGINT)
             try:
-                self._process.wait(STOP_S)
+                self._process.wait(timeout=10.0)
             except subprocess.TimeoutExpired:
                 self._process.kill()
                 self._process.wait()

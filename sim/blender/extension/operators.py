@@ -20,9 +20,6 @@ from .settings import forget_shown, remember, settings_of, shown_preview
 OperatorResult = set[str]
 """What Blender expects of an operator."""
 
-LOOK_S = 0.2
-"""How often a running command is looked at, in s."""
-
 _FINISHED, _CANCELLED = {"FINISHED"}, {"CANCELLED"}
 
 
@@ -51,7 +48,7 @@ class _CommandOperator:
         except JobFailedError as failed:
             return self._refuse(failed)
         manager = context.window_manager
-        self._timer = manager.event_timer_add(LOOK_S, window=context.window)
+        self._timer = manager.event_timer_add(0.2, window=context.window)  # s
         manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
 

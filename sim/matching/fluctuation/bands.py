@@ -33,12 +33,10 @@ class BandLimits:
     nearby: int = 12  # periods over the board whose power is that of all that is no wave (chosen)
     advance_step: float = 2e-3  # periods; step of the search for the advance from frame to frame (chosen)
     min_explained: float = 0.5  # share of the power that one advance must explain (chosen)
+    in_step_period_px: float = 1e5  # of bands that are in step in all rows: far more than a sensor has
 
 
 LIMITS = BandLimits()
-
-IN_STEP_PX = 1e5
-"""Period of bands so long that all rows are in step."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,7 +159,8 @@ def ripple_in_step(terms: Sequence[FrameTerms]) -> Ripple:
     oscillates = bool(fluctuation.oscillation.any())
     rms = abs(float(fluctuation.oscillation[0])) if oscillates else fluctuation.random.isotropic
     advance = fluctuation.cycles_per_frame if oscillates else None
-    return Ripple(float(np.sqrt(2.0)) * rms, fluctuation.sigma, IN_STEP_PX, 0.0, advance, fluctuation.gained)
+    amplitude, period_px = float(np.sqrt(2.0)) * rms, LIMITS.in_step_period_px
+    return Ripple(amplitude, fluctuation.sigma, period_px, 0.0, advance, fluctuation.gained)
 
 
 def strongest_ripple(terms: Sequence[FrameTerms], rests: Sequence[FringeResidual]) -> Ripple | None:

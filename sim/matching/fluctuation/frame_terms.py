@@ -29,14 +29,20 @@ from sim.matching.reference import Reference
 from sim.matching.samples import TILES, tile_numbers
 from sim.twin import Twin
 
-MAX_PIXELS = 15_000
-"""Pixels of each pose that are compared."""
+
+@dataclass(frozen=True)
+class TermLimits:
+    """How finely the terms of frames are estimated."""
+
+    max_pixels: int = 15_000  # of each pose that are compared (chosen)
+    min_gain: float = 3e-4  # of the projector's light, relative; faults of the fit look like less (chosen)
+    min_room_share: float = 1e-3  # of the level; changes of less light of the room cannot be seen (chosen)
+
+
+LIMITS = TermLimits()
+
 GAIN, ROOM, MOVES = (0,), (1,), (2, 3, 4)
 """Columns of a frame's terms: share of the projector's light, of the room's light, and mm along the axes."""
-MIN_GAIN = 3e-4
-"""Standard deviation of the projector's light below which faults of the fit look the same (chosen)."""
-MIN_ROOM_SHARE = 1e-3
-"""Share of the level below which changes of the room's light cannot be seen (chosen)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +62,7 @@ class FrameTerms:
         of = list(columns)
         # A fringe that the twin has elsewhere in all frames looks like a motion, but not like more light.
         measured = self.noise if columns == GAIN else self.covariance
-        min_variance = MIN_GAIN**2 if columns == GAIN else 0.0
+        min_variance = LIMITS.min_gain**2 if columns == GAIN else 0.0
         covariance = measured[:, of][:, :, of] + min_variance * np.eye(len(of))
         return Series(self.frames, self.sets, self.values[:, of], covariance)
 
@@ -65,7 +71,7 @@ def terms_of_pose(reference: Reference, twin: Twin, pose: int) -> FrameTerms:
     """Estimate the terms of every frame of a pose."""
     now, images, sets = twin.parameters, *_finest(reference.plan)
     board = board_mask(now.calibration.camera, now.poses[pose], reference.target)
-    pixels = subsample_pixels(board, MAX_PIXELS)
+    pixels = subsample_pixels(board, LIMITS.max_pixels)
     first = reference.shown(images[:1])
     expected, gradient = levels_with_gradient(reference, twin, pose, images, pixels)
     dark = replace(now, ambient=0.0)
@@ -77,7 +83,7 @@ def terms_of_pose(reference: Reference, twin: Twin, pose: int) -> FrameTerms:
     above = expected - now.black_level * reference.full_scale
     share = float(room.mean() / above.mean())
     projected = above - room
-    other = room if share > MIN_ROOM_SHARE else np.ones_like(room)
+    other = room if share > LIMITS.min_room_share else np.ones_like(room)
     frames = reference.frames(pose, images)[:, *pixels].astype(np.float64)
     bases = [np.column_stack([light, other, slope]) for light, slope in zip(projected, slopes, strict=True)]
     differences = frames - expected - change_by_bend(reference, now, pose, pixels, slopes)
@@ -88,7 +94,7 @@ def terms_of_pose(reference: Reference, twin: Twin, pose: int) -> FrameTerms:
         np.array([_covariance(rest, basis, tiles) for rest, basis in zip(residual, bases, strict=True)])
         for residual in (residuals, _changing(residuals, reference.plan, sets))
     ]
-    room_share = share if share > MIN_ROOM_SHARE else 0.0
+    room_share = share if share > LIMITS.min_room_share else 0.0
     return FrameTerms(pose, np.array(images, np.float64), sets, values, both[0], both[1], room_share)
 
 

@@ -28,10 +28,6 @@ from sim.parameters import TwinParameters
 
 Complex = NDArray[np.complex128]
 """Arrays of waves."""
-PIXELS = 8_000
-"""Pixels of the board that are used in each pose, about."""
-MIN_IMAGES = 7
-"""Least number of images of a set in which waves differ from motion (derived)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,10 +68,10 @@ def fringe_residuals(
 
 def _of_pose(reference: Reference, parameters: TwinParameters, pose: int) -> Iterator[FringeResidual]:
     area = board_mask(parameters.calibration.camera, parameters.poses[pose], reference.target)
-    pixels, grey = subsample_pixels(area, PIXELS), raw_per_grey(reference.settings.bits)
+    pixels, grey = subsample_pixels(area, 8_000), raw_per_grey(reference.settings.bits)
     plan, black = reference.plan, 255.0 * parameters.black_level
     for index, fringe in enumerate(plan.fringes):
-        if fringe.images < MIN_IMAGES:
+        if fringe.images < 7:  # of fewer, waves do not differ from motion (derived)
             continue
         images = range(plan.set_starts[index], plan.set_starts[index + 1])
         frames = reference.frames(pose, images)

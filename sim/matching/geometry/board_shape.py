@@ -14,16 +14,11 @@ from sim.matching.geometry.surface_points import surface_and_projector_points
 from sim.matching.reference import Reference
 from sim.parameters import TwinParameters
 
-DEGREE = 3
-"""Of the polynomial of the board's shape."""
-MIN_BEND_MM = 1e-4
-"""Distance from the plane below which a board is flat."""
-
 
 def bend_mm(board: Floats, places: Floats) -> Floats:
-    """Interpolate a board's shape by a polynomial, extended beyond its points as at the last."""
+    """Interpolate a board's shape by a cubic polynomial, extended beyond its points as at the last."""
     # board (N, 3) mm; places (P, 2) mm; returns (P,) mm
-    if np.abs(board[:, 2]).max() < MIN_BEND_MM:
+    if np.abs(board[:, 2]).max() < 1e-4:  # mm (chosen); such a board is flat
         return np.zeros(len(places))
     low, high = board[:, :2].min(axis=0), board[:, :2].max(axis=0)
     middle, half = 0.5 * (low + high), np.maximum(0.5 * (high - low), 1e-9)
@@ -33,7 +28,7 @@ def bend_mm(board: Floats, places: Floats) -> Floats:
 
 def _terms(places: Floats) -> Floats:
     x, y = places.T
-    powers = [(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)]
+    powers = [(i, j) for i in range(4) for j in range(4 - i)]
     return np.stack([x**i * y**j for i, j in powers], axis=1)
 
 

@@ -12,9 +12,8 @@ from fpplab.core.robust import huber_weights, robust_spread
 from fpplab.pipeline import reconstruct_points
 from fpplab.sessions.session import Session
 
-ROUNDS = 10
 MAX_BENT_MM = 0.5
-"""Robust standard deviation of a card's points from a plane, in mm, beyond which it is no flat card."""
+"""Robust standard deviation of points from a plane beyond which they are of no flat card (chosen)."""
 
 
 def card_pose(session: Session, calibration: Calibration, nominal: RigidTransform) -> RigidTransform:
@@ -40,7 +39,7 @@ def fitted_plane(points: Floats) -> tuple[Floats, Floats, float]:
     """Fit a plane, robust against points of other objects."""
     # points (P, 3) mm; returns centre (3,) mm, normal (3,)
     weight = np.ones(len(points))
-    for _ in range(ROUNDS):
+    for _ in range(10):  # of new weights (chosen)
         centre = weight @ points / weight.sum()
         off = points - centre
         normal = np.linalg.eigh((off * weight[:, None]).T @ off)[1][:, 0]

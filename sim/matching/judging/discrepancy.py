@@ -35,12 +35,6 @@ from sim.prediction.discrepancy import (
 )
 from sim.twin import Twin
 
-PIXELS = 5_000
-"""Pixels of each pose at which levels are compared, about."""
-TWIN_SCANS = 5
-"""Scans of the twin whose median is compared with one of the bench: flicker and vibration differ from one to
-the next, and of the twin there may be any number."""
-
 
 def discrepancy_of(reference: Reference, twin: Twin, scans: Sequence[BenchScan]) -> Discrepancy:
     """Compare bench and twin where both are known."""
@@ -92,7 +86,7 @@ def _relative_squares(
 ) -> tuple[Floats, Floats, Floats]:
     """Mean square over the board of every image (n,), and sum and number of pixels of the tiles (TILES²,)."""
     now = twin.parameters
-    pixels = subsample_pixels(board_mask(now.calibration.camera, now.poses[pose], reference.target), PIXELS)
+    pixels = subsample_pixels(board_mask(now.calibration.camera, now.poses[pose], reference.target), 5_000)
     recorded = reference.frames(pose, images)[:, *pixels].astype(np.float64)
     expected = twin.expected_at(pose, reference.shown(images), reference.settings, pixels)
     square = ((recorded - expected) / recorded.mean()) ** 2
@@ -158,7 +152,8 @@ def scan_figures(
     settings = session.records[0].settings
     patterns, depth = make_patterns(plan, size, lattice), depth_range_of(session)
     own = []
-    for _ in range(TWIN_SCANS):
+    # Flicker and vibration differ from one scan to the next, of which the twin may have any number.
+    for _ in range(5):
         frames = twin.scan(scan.item, scan.T_camera_item, patterns, settings)
         recording = Recording(frames, plan, size, settings.bits, f"the twin's {scan.item}")
         own.append(expected_figures(recording, calibration, placed, depth))

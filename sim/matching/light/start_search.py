@@ -8,7 +8,7 @@ irradiance, so that the best direction is found by least squares. `light_fit.fit
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,11 +22,18 @@ from sim.matching.samples import LightSample, PixelSample
 from sim.parameters import ADJUSTABLE, TwinParameters
 from sim.twin import Twin
 
-ANGLES_DEG = (25.0, 50.0, 75.0)
-AZIMUTHS_DEG = tuple(45.0 * n - 180.0 for n in range(8))
-DISTANCE_MM = 1500.0
-PROBE = 0.02
-"""Irradiance of the lamp whose effect is computed for each direction."""
+
+@dataclass(frozen=True)
+class LampGrid:
+    """Lamps from which the fit of a lamp of the room may start (chosen)."""
+
+    angles_deg: tuple[float, ...] = (25.0, 50.0, 75.0)
+    azimuths_deg: tuple[float, ...] = tuple(45.0 * n - 180.0 for n in range(8))
+    distance_mm: float = 1500.0  # from the point that they light
+    irradiance: float = 0.02  # relative to the projector's white, for which the effect of each is computed
+
+
+LAMPS = LampGrid()
 
 
 def search_lamp(
@@ -40,13 +47,13 @@ def search_lamp(
     others = level_slopes(reference, dark, names, samples, residual)
     best, lowest = start, np.inf
     lower = np.array([*np.full(len(names), -np.inf), 0.0])
-    for angle in ANGLES_DEG:
-        for azimuth in AZIMUTHS_DEG:
+    for angle in LAMPS.angles_deg:
+        for azimuth in LAMPS.azimuths_deg:
             lamp = replace(
-                start, lamp_angle_deg=angle, lamp_azimuth_deg=azimuth, lamp_distance_mm=DISTANCE_MM
+                start, lamp_angle_deg=angle, lamp_azimuth_deg=azimuth, lamp_distance_mm=LAMPS.distance_mm
             )
-            lit = twin.with_parameters(replace(lamp, lamp_irradiance=PROBE))
-            own = (residual - light_residuals(reference, lit, samples)) / PROBE
+            lit = twin.with_parameters(replace(lamp, lamp_irradiance=LAMPS.irradiance))
+            own = (residual - light_residuals(reference, lit, samples)) / LAMPS.irradiance
             matrix = np.column_stack([others, own]) * weight[:, None]
             # On normal equations, which are few: least squares with a bound would copy all levels.
             scale = np.sqrt(np.sum(matrix**2, axis=0))

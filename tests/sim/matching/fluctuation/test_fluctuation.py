@@ -10,7 +10,7 @@ import pytest
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
 from sim.effects.vibration import Vibration
-from sim.matching.fluctuation.bands import IN_STEP_PX, Bands
+from sim.matching.fluctuation.bands import LIMITS, Bands
 from sim.matching.fluctuation.frame_series import fit_fluctuation
 from sim.matching.fluctuation.frame_terms import GAIN
 from sim.matching.fluctuation.fringe_residuals import Variances, fringe_residuals, residual_of_set
@@ -92,9 +92,9 @@ def test_light_in_step_is_found_where_no_fit_of_phase_steps_sees_it(
 ) -> None:
     """An eighth of a period for each of eight phase steps: it shifts the phase, and leaves nothing."""
     lit = replace(truth, ambient=0.05)
-    bench = replace(lit, ambient_ripple=0.2, band_period_px=IN_STEP_PX, band_advance=advance)
+    bench = replace(lit, ambient_ripple=0.2, band_period_px=LIMITS.in_step_period_px, band_advance=advance)
     found = proposed("rolling bands", bench, lit)
-    assert found.band_period_px == IN_STEP_PX
+    assert found.band_period_px == LIMITS.in_step_period_px
     assert found.band_advance == pytest.approx(advance, abs=5e-3)
     assert found.ambient_ripple == pytest.approx(0.2, rel=0.1)
     assert abs(found.ambient_ripple - 0.2) < 4 * found.sigma["ambient_ripple"]
