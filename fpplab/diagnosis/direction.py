@@ -11,10 +11,6 @@ from fpplab.core.config import Positive
 from fpplab.core.conventions import Axis, Floats, Map
 from fpplab.diagnosis.limits import LimitsSection
 
-DISTANCE_BASELINES = 3.0
-"""Distance in baselines of the surface on which the change is computed; the direction hardly depends on
-it."""
-
 
 class DirectionLimits(LimitsSection):
     """From when on a coordinate runs backwards."""
@@ -45,5 +41,6 @@ def _change_along_image(calibration: Calibration) -> Floats:
     camera, pose = calibration.camera, calibration.T_projector_camera
     pixels = np.array(camera.size) / 2.0 + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
     rays = np.concatenate([camera.normalise(pixels), np.ones((3, 1))], axis=1)
-    projected = calibration.projector.project(DISTANCE_BASELINES * calibration.baseline_mm * rays, pose)
+    # On a surface three baselines away; the direction hardly depends on the distance.
+    projected = calibration.projector.project(3.0 * calibration.baseline_mm * rays, pose)
     return np.stack([projected[1] - projected[0], projected[2] - projected[0]], axis=1)

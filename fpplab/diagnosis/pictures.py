@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from fpplab.core.conventions import Floats
@@ -22,9 +23,10 @@ from fpplab.diagnosis.brightness import BrightnessLimits, frame_levels
 from fpplab.diagnosis.fringe_shape import FringeShapeLimits, phase_deviations
 from fpplab.diagnosis.sample import FrameSample
 
-CURVE_HEIGHT = 2.4  # in inches
-BINS = 48  # of a period
-MIN_BIN_VALUES = 50  # of a bin that is drawn
+
+def curve_axes() -> tuple[Figure, Axes]:
+    """Make a figure of half width for a curve or a histogram."""
+    return single_axes(HALF, 2.4)
 
 
 def sample_extent(sample: FrameSample) -> tuple[float, float, float, float]:
@@ -95,19 +97,19 @@ def draw_errors_by_phase(sample: FrameSample) -> Figure:
     return figure
 
 
-def _binned(angles: Floats, values: Floats) -> tuple[Floats, Floats]:
+def _binned(angles: Floats, values: Floats, bins: int = 48) -> tuple[Floats, Floats]:
     """Mean of values over one period."""
-    place = np.floor((angles % (2 * np.pi)) / (2 * np.pi) * BINS).astype(np.intp).ravel() % BINS
-    total, count = np.bincount(place, values.ravel(), BINS), np.bincount(place, minlength=BINS)
+    place = np.floor((angles % (2 * np.pi)) / (2 * np.pi) * bins).astype(np.intp).ravel() % bins
+    total, count = np.bincount(place, values.ravel(), bins), np.bincount(place, minlength=bins)
     with np.errstate(invalid="ignore"):
-        mean = np.where(count >= MIN_BIN_VALUES, total / count, np.nan)
-    return (np.arange(BINS) + 0.5) / BINS * 2 * np.pi, mean
+        mean = np.where(count >= 50, total / count, np.nan)  # the mean of fewer values is rough
+    return (np.arange(bins) + 0.5) / bins * 2 * np.pi, mean
 
 
 def draw_brightness_by_frame(sample: FrameSample, max_scatter: float) -> Figure:
     """Draw the brightness of each frame relative to the mean of its set, and the limit of its scatter."""
     levels, starts = frame_levels(sample), sample.recording.plan.set_starts
-    figure, axes = single_axes(HALF, CURVE_HEIGHT)
+    figure, axes = curve_axes()
     sets = sample.recording.plan.fringes
     # The mean of a frame of few stripes depends on their phase.
     min_stripes = min(sample.limits.of(BrightnessLimits).min_stripes, max(fringe.stripes for fringe in sets))

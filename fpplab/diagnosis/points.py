@@ -11,9 +11,6 @@ from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
 from fpplab.core.conventions import Floats
 
-POINTS = 4000  # that are evaluated, at least where there are as many
-NEIGHBOURS = 64  # over which epipolar distances are averaged: noise then falls to an eighth
-
 
 @dataclass(frozen=True, eq=False)
 class PointSample:
@@ -24,8 +21,8 @@ class PointSample:
 
     @cached_property
     def points(self) -> Floats:
-        """(N, 3) some of the points in mm."""
-        return self.cloud.points[:: max(1, len(self.cloud) // POINTS)].astype(np.float64)
+        """(N, 3) some of the points in mm: at least 4000 where there are as many."""
+        return self.cloud.points[:: max(1, len(self.cloud) // 4000)].astype(np.float64)
 
     @cached_property
     def projector_px_per_px(self) -> Floats:
@@ -54,10 +51,10 @@ def triangulation_angles_deg(points: Floats, calibration: Calibration) -> Floats
     return np.asarray(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
 
 
-def systematic_epipolar_px(cloud: Cloud) -> float | None:
+def systematic_epipolar_px(cloud: Cloud, neighbours: int = 64) -> float | None:
     """Compute how far points are off their epipolar lines, where noise averages out over neighbours."""
-    if cloud.epipolar_px is None or len(cloud) < 2 * NEIGHBOURS:
+    if cloud.epipolar_px is None or len(cloud) < 2 * neighbours:
         return None
-    usable = len(cloud) // NEIGHBOURS * NEIGHBOURS
-    groups = cloud.epipolar_px[:usable].astype(np.float64).reshape(-1, NEIGHBOURS)
+    usable = len(cloud) // neighbours * neighbours
+    groups = cloud.epipolar_px[:usable].astype(np.float64).reshape(-1, neighbours)
     return float(np.median(np.abs(np.median(groups, axis=1))))

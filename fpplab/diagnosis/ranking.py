@@ -5,11 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import replace
 
-from fpplab.diagnosis.causes.stale_calibration import STALE_CALIBRATION, USELESS_EXCESS
+from fpplab.diagnosis.causes.stale_calibration import STALE_CALIBRATION
 from fpplab.diagnosis.finding import FaultCause, Finding
-
-MAX_SIDE_EFFECT = 0.9
-"""Maximum excess of a side effect relative to that of its cause. Chosen: it ranks behind the cause."""
 
 
 def ranked(findings: Iterable[Finding]) -> tuple[Finding, ...]:
@@ -36,10 +33,10 @@ def _with_rig_first(findings: list[Finding]) -> list[Finding]:
 
 
 def _weight(finding: Finding, findings: list[Finding]) -> float:
-    """Excess of a finding, below those of all its possible causes."""
+    """Excess of a finding, limited to nine tenths of its possible causes' so that it ranks behind them."""
     others = [other for other in findings if other is not finding]
     lowest = min((_weight(other, others) for other in _causes(finding, findings)), default=float("inf"))
-    return min(finding.excess, MAX_SIDE_EFFECT * lowest)
+    return min(finding.excess, 0.9 * lowest)
 
 
 def _source(finding: Finding, findings: list[Finding]) -> FaultCause | None:
@@ -50,7 +47,7 @@ def _source(finding: Finding, findings: list[Finding]) -> FaultCause | None:
 
 def _causes(finding: Finding, findings: list[Finding]) -> list[Finding]:
     """Which of these may have caused a finding."""
-    if finding.cause == STALE_CALIBRATION and finding.excess >= USELESS_EXCESS:
+    if finding.cause == STALE_CALIBRATION and finding.excess >= STALE_CALIBRATION.useless_from:
         return []
     return [
         other for other in findings if other is not finding and finding.cause.key in _effects(other, findings)

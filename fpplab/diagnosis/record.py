@@ -19,8 +19,6 @@ from fpplab.diagnosis.criteria import Criterion
 from fpplab.diagnosis.finding import Finding
 from fpplab.diagnosis.verdict import Diagnosis, Verdict
 
-MAX_EXCESS = 1e9  # stands for an infinite excess, which a file does not hold
-
 
 class FindingFile(Document):
     """A finding in a file."""
@@ -115,5 +113,5 @@ def load_diagnosis(folder: Path) -> DiagnosisFile | None:
 
 
 def _finite(excess: float) -> float:
-    """A file holds no infinite number."""
-    return min(float(excess), MAX_EXCESS)
+    """A file holds no infinite number: 1e9 stands for it."""
+    return min(float(excess), 1e9)

@@ -24,7 +24,7 @@ from fpplab.phase.error_model import ErrorModel, error_model_of
 from fpplab.phase.quality import phase_uncertainty
 
 MEDIAN = 0.6745
-"""Median absolute value of a normal variable of unit standard deviation."""
+"""Median absolute value of a normal variable, in its standard deviations."""
 
 
 class SampleLimits(LimitsSection):

@@ -20,8 +20,6 @@ from fpplab.diagnosis.sample import FrameSample
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-GAIN_PIXELS = 10_000  # that give the brightness of a frame: their noise changes it by less than 0.1 %
-
 
 class FlickerLimits(LimitsSection):
     """How much the brightness of frames may scatter."""
@@ -113,7 +111,8 @@ def _residual_gains(sample: FrameSample, k: int) -> Floats | None:
     """
     fit, plan, shape = sample.fits[k], sample.recording.plan, sample.limits.of(FringeShapeLimits)
     used = np.flatnonzero(sample.measured)
-    used = used[:: max(1, len(used) // GAIN_PIXELS)]
+    # Noise changes the mean brightness of 10 000 pixels by less than 0.1 %.
+    used = used[:: max(1, len(used) // 10_000)]
     offset, modulation, phase = (part.ravel()[used] for part in (fit.offset, fit.modulation, fit.phase))
     if len(phase) < shape.min_pixels or (
         unevenness(phase, np.full(phase.shape, True)) > shape.max_unevenness

@@ -23,10 +23,6 @@ from fpplab.diagnosis.sample import MEDIAN, FrameSample
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-PHASE_BLOCK = 8  # side in pixels of the sample of blocks over which phase errors are averaged
-DIRECTION_BLOCK = 24  # the same in which a direction is judged: harmonics average out
-SMOOTHED = 17  # pixels of the sample over which contrasts are averaged
-
 
 class InterreflectionLimits(LimitsSection):
     """How much light may come by way of other surfaces."""
@@ -78,7 +74,7 @@ def _stray_rad(sample: FrameSample, k: int, expected: Floats, deviation: Floats)
     residuals = np.full(deviation.shape, np.nan)
     strengths = np.linalg.lstsq(waves.T, deviation[finite], rcond=1e-6)[0]
     residuals[finite] = deviation[finite] - strengths @ waves
-    side = PHASE_BLOCK
+    side = 8  # of the blocks in which neighbours are compared, in pixels of the sample (chosen)
     rows, columns = (n // side * side for n in residuals.shape)
     blocks = residuals[:rows, :columns].reshape(rows // side, side, columns // side, side)
     blocks = blocks.transpose(0, 2, 1, 3).reshape(-1, side * side)
@@ -120,7 +116,8 @@ def _runs_backward(sample: FrameSample, calibration: Calibration, axis: Axis) ->
 
     No surface that both devices see shows that, but its image in another surface does.
     """
-    limits, side = sample.limits.of(InterreflectionLimits), DIRECTION_BLOCK
+    limits = sample.limits.of(InterreflectionLimits)
+    side = 24  # of the blocks, in pixels of the sample (chosen): harmonics average out
     shares = changes_along_image(sample.coordinates[axis], calibration, axis, sample.step)
     height, width = sample.spread.shape[1:]
     rows, columns = (-(-n // side) for n in (height, width))
@@ -158,8 +155,9 @@ def _phase_error(sample: FrameSample, axis: Axis, backward: Mask) -> float:
         return 0.0
     fine, coarse = sample.fits[finest], sample.fits[wide]
     contrast = np.where(used, fine.modulation / np.where(used, coarse.modulation, 1.0), 0.0)
-    coverage = np.maximum(uniform_filter(used.astype(np.float64), SMOOTHED), 1e-9)
-    deviation = np.abs(contrast * coverage / np.maximum(uniform_filter(contrast, SMOOTHED), 1e-9) - 1.0)
+    window = 17  # in pixels of the sample (chosen)
+    coverage = np.maximum(uniform_filter(used.astype(np.float64), window), 1e-9)
+    deviation = np.abs(contrast * coverage / np.maximum(uniform_filter(contrast, window), 1e-9) - 1.0)
     return float(np.median(np.where(backward, np.inf, deviation)[used])) / MEDIAN / sample.phase_noise(finest)
 
 

@@ -9,7 +9,8 @@ from fpplab.diagnosis.finding import FaultCause
 from fpplab.diagnosis.limits import LimitsSection, ShareLimit
 
 SHOWN_BY = "the page of the acceptance test"
-USELESS_ERROR = 10.0  # as a multiple of the permissible one, above which the system must not be used
+USELESS_ERROR = 10.0
+"""Error as a multiple of the permissible one, above which the system must not be used. Chosen."""
 
 
 class AcceptanceTestLimits(LimitsSection):

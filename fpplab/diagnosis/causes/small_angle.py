@@ -36,11 +36,11 @@ def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
 
 def _draw(evidence: Evidence, _: Finding) -> Figure:
     """The angles between the rays of camera and projector."""
-    from fpplab.core.drawing import ACCENT, HALF, single_axes
-    from fpplab.diagnosis.pictures import CURVE_HEIGHT, draw_limit
+    from fpplab.core.drawing import ACCENT
+    from fpplab.diagnosis.pictures import curve_axes, draw_limit
 
     points = evidence.points
-    figure, axes = single_axes(HALF, CURVE_HEIGHT)
+    figure, axes = curve_axes()
     axes.hist(triangulation_angles_deg(points.points, points.calibration), bins=60, color=ACCENT)
     draw_limit(axes, evidence.limits.of(SmallAngleLimits).min_angle_deg, "least")
     axes.set(xlabel="angle between the rays in degrees", ylabel="points")

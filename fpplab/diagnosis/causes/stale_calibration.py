@@ -16,12 +16,6 @@ from fpplab.diagnosis.points import systematic_epipolar_px
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-FOREIGN_EXCESS = 5.0
-"""Excess of a calibration that was made with other devices: points may be far off, or right by chance."""
-
-USELESS_EXCESS = 10.0
-"""Excess of a calibration that is so far off that nothing else explains it."""
-
 
 class StaleCalibrationLimits(LimitsSection):
     """How far points may be off their epipolar lines."""
@@ -35,7 +29,9 @@ class StaleCalibrationLimits(LimitsSection):
 def _find_other_devices(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
     if evidence.foreign:
         advice = "give the calibration of these devices, or characterise them"
-        yield Finding(STALE_CALIBRATION, evidence.foreign, FOREIGN_EXCESS, advice)
+        # Half of what makes points useless: they may be far off, or right by chance.
+        excess = 0.5 * STALE_CALIBRATION.useless_from
+        yield Finding(STALE_CALIBRATION, evidence.foreign, excess, advice)
 
 
 def _find_moved_rig(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
@@ -82,5 +78,5 @@ STALE_CALIBRATION = FaultCause(
         Detector(DetectionStage.POINTS, _find_moved_rig),
     ),
     picture=Picture(Needs.POINTS, _draw),
-    useless_from=USELESS_EXCESS,
+    useless_from=10.0,  # chosen: nothing else explains a distance of 3 px
 )

@@ -46,13 +46,13 @@ def _find_low_peaks(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Findin
 
 def _draw(evidence: Evidence, _: Finding) -> Figure:
     """How bright lit pixels become, and what the brightest should reach."""
-    from fpplab.core.drawing import ACCENT, HALF, single_axes
-    from fpplab.diagnosis.pictures import CURVE_HEIGHT, draw_limit
+    from fpplab.core.drawing import ACCENT
+    from fpplab.diagnosis.pictures import curve_axes, draw_limit
 
     sample = evidence.frames
     brightest = sample.spread.max(axis=0)
     shown = brightest[sample.lit] if sample.lit.any() else brightest.ravel()
-    figure, axes = single_axes(HALF, CURVE_HEIGHT)
+    figure, axes = curve_axes()
     axes.hist(100.0 * shown / 255.0, bins=list(range(101)), color=ACCENT)
     limit = 100.0 * evidence.limits.of(GreyLevelLimits).min_peak_share
     draw_limit(axes, limit, "least that the brightest should reach")

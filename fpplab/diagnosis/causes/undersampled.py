@@ -41,8 +41,8 @@ def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
 
 def _draw(evidence: Evidence, _: Finding) -> Figure:
     """The finest fringes along some pixels in the middle of the image."""
-    from fpplab.core.drawing import ACCENT, HALF, single_axes
-    from fpplab.diagnosis.pictures import CURVE_HEIGHT
+    from fpplab.core.drawing import ACCENT
+    from fpplab.diagnosis.pictures import curve_axes
 
     sample = evidence.frames
     plan = sample.recording.plan
@@ -53,7 +53,7 @@ def _draw(evidence: Evidence, _: Finding) -> Figure:
     along_u = plan.fringes[k].axis == "x"
     line, middle = (frame[row], column) if along_u else (frame[:, column], row)
     shown = np.arange(max(middle - 30, 0), min(middle + 30, len(line)))
-    figure, axes = single_axes(HALF, CURVE_HEIGHT)
+    figure, axes = curve_axes()
     axes.plot(shown, line[shown], "o-", color=ACCENT, markersize=3, linewidth=0.8)
     axes.set(xlabel=f"camera {'u' if along_u else 'v'} in px", ylabel="grey level")
     limit = evidence.limits.of(UndersampledLimits).min_px_per_stripe

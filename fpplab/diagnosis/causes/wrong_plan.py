@@ -26,9 +26,9 @@ from fpplab.phase import Decoded
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-DIRECTION_STRIDE = 8  # in rows and columns, at which the coordinate's change from pixel to pixel is sampled
 EXCESS = 1e3
-"""Excess of a plan that is wrong: every other finding follows from it."""
+"""Excess of a plan that is wrong, a multiple of its limit. Chosen: above those of other causes, since every
+other finding follows from it."""
 
 
 class WrongPlanLimits(LimitsSection):
@@ -109,7 +109,7 @@ def _runs_against(
     min_pixels = evidence.limits.of(WrongPlanLimits).min_directed_pixels
     min_change = evidence.limits.of(DirectionLimits).min_change
     for axis in axes:
-        shares = changes_along_image(decoded.coordinate(axis), calibration, axis, DIRECTION_STRIDE)
+        shares = changes_along_image(decoded.coordinate(axis), calibration, axis, stride=8)
         finite = np.isfinite(shares)
         if finite.sum() >= min_pixels and np.median(shares[finite]) < min_change:
             return axis

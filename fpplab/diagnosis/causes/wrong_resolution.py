@@ -23,9 +23,6 @@ if TYPE_CHECKING:
 ASPECTS = {Lattice.SQUARE: 1.0, Lattice.DIAMOND: 2.0}
 """Distance of columns as a multiple of that of rows, by lattice."""
 
-MOIRE_POINTS = 60_000  # coordinates at most that a moiré is looked for in
-SMOOTHED_PX = 24  # camera px over which a surface is taken as straight
-
 
 class WrongResolutionLimits(LimitsSection):
     """What an error of the coordinate may be that repeats with the projector's pixels."""
@@ -162,10 +159,10 @@ def _roughness(coordinate: Map, even: Mask, step: int) -> tuple[Floats, Floats]:
     steep = np.nanmedian(right) if np.isfinite(right).any() else 0.0
     turned = steep < (np.nanmedian(down) if np.isfinite(down).any() else 0.0)
     along, smooth = (coordinate.T, even.T) if turned else (coordinate, even)
-    every = slice(None, None, max(1, along.size // MOIRE_POINTS))
+    every = slice(None, None, max(1, along.size // 60_000))  # of which 60 000 coordinates are left at most
     rows, smooth = along[every].astype(np.float64), smooth[every]
-    half = SMOOTHED_PX // 2
-    if rows.shape[1] <= 2 * SMOOTHED_PX:
+    half = 12  # camera px to each side over which a surface is taken as straight (chosen)
+    if rows.shape[1] <= 4 * half:
         return np.empty(0), np.empty(0)
     sums = np.cumsum(np.pad(np.nan_to_num(rows), ((0, 0), (1, 0))), axis=1)
     counts = np.cumsum(np.pad(np.isfinite(rows).astype(np.float64), ((0, 0), (1, 0))), axis=1)
@@ -187,14 +184,14 @@ def _even(image: Image, max_change: float) -> Mask:
 
 def _draw(evidence: Evidence, _: Finding) -> Figure | None:
     """How often along the projector's pixels errors of the coordinate repeat."""
-    from fpplab.core.drawing import ACCENT, ALARM, HALF, single_axes
-    from fpplab.diagnosis.pictures import CURVE_HEIGHT
+    from fpplab.core.drawing import ACCENT, ALARM
+    from fpplab.diagnosis.pictures import curve_axes
 
     spectrum = _strongest_moire(evidence.frames)
     if spectrum is None:
         return None
     limit = evidence.limits.of(WrongResolutionLimits).max_moire_px
-    figure, axes = single_axes(HALF, CURVE_HEIGHT)
+    figure, axes = curve_axes()
     axes.plot(*spectrum, color=ACCENT, linewidth=1.0)
     axes.axhline(limit, color=ALARM, linewidth=1.2, label=f"limit {limit:g} px")
     axes.set(xlabel="cycles per projector px", ylabel="error of the coordinate\nin projector px")

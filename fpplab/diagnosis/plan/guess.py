@@ -12,11 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fpplab.core.conventions import AXES, Floats, Image, full_scale, phase_steps
+from fpplab.core.conventions import AXES, Floats, Image, Mask, full_scale, phase_steps
 from fpplab.core.errors import DataError
 from fpplab.diagnosis.plan.check import disagreement
 from fpplab.diagnosis.plan.edits import Sets, refined_stripes, upright, with_origins
-from fpplab.diagnosis.plan.other_patterns import name_other_patterns
+from fpplab.diagnosis.plan.limits import GUESS_LIMITS, GuessLimits
+from fpplab.diagnosis.plan.other_patterns import name_other_patterns, sampled_levels
 from fpplab.diagnosis.plan.sample import PhaseSample, directions
 from fpplab.patterns.fringe_sets import Sinusoid, indices_along
 from fpplab.patterns.plan import Plan
@@ -24,20 +25,8 @@ from fpplab.patterns.recording import Recording
 from fpplab.patterns.unwrapping.heterodyne import Heterodyne
 from fpplab.patterns.unwrapping.hierarchical import Hierarchical
 
-PIXELS = 4_000  # that decide which images form a set, about
-MIN_STEPS = 3  # of a set: three unknowns
-MAX_STRIPES = 400  # of a coarsest set that is tried
-USUAL_MISFIT = 0.04
-"""Misfit of a sinusoid, as a share of its modulation. Chosen."""
-MIN_SQUARES_PER_SET = 12.0
-"""Squares of the usual misfit by which another set must reduce the misfit. Chosen."""
-MAX_MISFIT = 0.2
-"""RMS misfit, as a share of the modulation, up to which images are taken for sets of sinusoids. Chosen."""
-MAX_WHOLE_DIFFERENCE = 0.004
-"""Relative difference from whole numbers of stripes. Chosen."""
-MAX_VISIBLE_PERIODS = 1.2
-"""Periods of the coarsest set that may be seen if it has one stripe. Derived: gradients are known to a
-tenth."""
+MIN_STEPS = 3
+"""Fewest images of a set. Derived: a sinusoid has three unknowns."""
 
 
 @dataclass(frozen=True)
@@ -50,11 +39,15 @@ class PlanGuess:
 
 
 def guess_plan(
-    frames: Sequence[Image], bits: int, projector_size: tuple[int, int], finest: float | None = None
+    frames: Sequence[Image],
+    bits: int,
+    projector_size: tuple[int, int],
+    finest: float | None = None,
+    limits: GuessLimits = GUESS_LIMITS,
 ) -> PlanGuess:
     """Find a plan that describes images."""
     # frames (height, width); projector_size (width, height) px
-    images = set_sizes(frames, full_scale(bits))
+    images = set_sizes(frames, full_scale(bits), limits)
     sample = PhaseSample.of(frames, images, full_scale(bits))
     if sample is None:
         raise DataError("too few pixels see the fringes of every set; look at the images")
@@ -65,7 +58,7 @@ def guess_plan(
         projector_size,
         bits,
     )
-    for sets in _with_stripes(upright_sets, sample, finest):
+    for sets in _with_stripes(upright_sets, sample, finest, limits):
         coarsest = max(sets[along[0]].stripes for axis in AXES if (along := indices_along(sets, axis)))
         method = Hierarchical.name if coarsest <= 1.0 else Heterodyne.name
         plan = Plan(fringes=with_origins(sets, sample) if coarsest <= 1.0 else sets, unwrapping=method)
@@ -90,20 +83,20 @@ def _assumed(coarsest: float, finest: float | None) -> tuple[str, ...]:
     )
 
 
-def set_sizes(frames: Sequence[Image], full: int) -> list[int]:
+def set_sizes(frames: Sequence[Image], full: int, limits: GuessLimits = GUESS_LIMITS) -> list[int]:
     """Find which runs of images are sets of phase-shifted sinusoids."""
     # frames (height, width)
     count = len(frames)
     if count < MIN_STEPS:
         raise DataError(f"{count} images are too few: a set has at least {MIN_STEPS}")
-    moments = _moments(frames, full)
+    moments = _moments(frames, full, limits)
     cost, last = [0.0] + [np.inf] * count, [0] * (count + 1)
     for end in range(MIN_STEPS, count + 1):
         for start in range(end - MIN_STEPS + 1):
             worth = (
                 cost[start]
-                + _residual_squares(moments[start:end, start:end]) / USUAL_MISFIT**2
-                + MIN_SQUARES_PER_SET
+                + _residual_squares(moments[start:end, start:end]) / limits.usual_misfit**2
+                + limits.min_squares_per_set
             )
             if worth < cost[end]:
                 cost[end], last[end] = worth, start
@@ -116,8 +109,11 @@ def set_sizes(frames: Sequence[Image], full: int) -> list[int]:
     misfit = sum(
         _residual_squares(moments[a : a + n, a : a + n]) for a, n in zip(starts, sizes, strict=False)
     )
-    if np.sqrt(misfit / max(count - 2 * len(sizes), 1)) > MAX_MISFIT:
-        explanation = name_other_patterns(frames, full) or "leave out white, black and other images by --skip"
+    if np.sqrt(misfit / max(count - 2 * len(sizes), 1)) > limits.max_misfit:
+        explanation = (
+            name_other_patterns(frames, full, limits=limits)
+            or "leave out white, black and other images by --skip"
+        )
         raise DataError(
             f"the {count} images are not made up of sets of phase-shifted sinusoids with equal steps, one "
             f"set after the other; {explanation}"
@@ -125,11 +121,9 @@ def set_sizes(frames: Sequence[Image], full: int) -> list[int]:
     return sizes
 
 
-def _moments(frames: Sequence[Image], full: int) -> Floats:
+def _moments(frames: Sequence[Image], full: int, limits: GuessLimits) -> Floats:
     """Second moments (K, K) of what frames differ from their mean, in squares of the modulation."""
-    height, width = frames[0].shape
-    step = max(1, int(np.sqrt(height * width / PIXELS)))
-    levels = np.stack([frame[::step, ::step].ravel() for frame in frames]).astype(np.float64)
+    levels = sampled_levels(frames, limits.pixels)
     levels = levels[:, levels.max(axis=0) < full]
     ripple = levels - levels.mean(axis=0)
     strength = np.sqrt(2.0 * np.mean(ripple * ripple, axis=0))
@@ -160,10 +154,14 @@ def _axes_and_signs(images: list[int], sample: PhaseSample, size: tuple[int, int
     return sets if edit is None else edit.sets
 
 
-def _with_stripes(sets: Sets, sample: PhaseSample, finest: float | None) -> Iterator[Sets]:
+def _with_stripes(
+    sets: Sets, sample: PhaseSample, finest: float | None, limits: GuessLimits
+) -> Iterator[Sets]:
     """Numbers of stripes that have the ratios measured, the least first."""
     by_axis = [along for axis in AXES if (along := indices_along(sets, axis))]
-    scaled = [_scaled(_ratios(sets, along), _visible_periods(sample, along[0]), finest) for along in by_axis]
+    scaled = [
+        _scaled(_ratios(sets, along), _visible_periods(sample, along[0]), finest, limits) for along in by_axis
+    ]
     for numbers in zip(*scaled, strict=False):
         edited = list(sets)
         for along, stripes in zip(by_axis, numbers, strict=True):
@@ -188,19 +186,21 @@ def _visible_periods(sample: PhaseSample, k: int) -> float:
     return float(max(right * width, down * height) / (2.0 * np.pi))
 
 
-def _scaled(ratios: Floats, turns: float, finest: float | None) -> Iterator[Floats]:
+def _scaled(ratios: Floats, turns: float, finest: float | None, limits: GuessLimits) -> Iterator[Floats]:
     """Go through stripes of the sets of one axis, coarsest first."""
     if finest is not None:
         stripes = ratios * finest / ratios[-1]
-        yield np.where(
-            np.abs(stripes - np.rint(stripes)) < MAX_WHOLE_DIFFERENCE * stripes, np.rint(stripes), stripes
-        )
+        yield np.where(_nearly_whole(stripes, limits), np.rint(stripes), stripes)
         yield stripes
         return
-    if turns <= MAX_VISIBLE_PERIODS:
+    if turns <= limits.max_visible_periods:
         yield ratios
         return
-    for coarsest in range(max(int(turns / MAX_VISIBLE_PERIODS), 2), MAX_STRIPES):
+    for coarsest in range(max(int(turns / limits.max_visible_periods), 2), limits.max_stripes):
         stripes = ratios * coarsest
-        if len(ratios) > 1 and np.all(np.abs(stripes - np.rint(stripes)) < MAX_WHOLE_DIFFERENCE * stripes):
+        if len(ratios) > 1 and np.all(_nearly_whole(stripes, limits)):
             yield np.rint(stripes)
+
+
+def _nearly_whole(stripes: Floats, limits: GuessLimits) -> Mask:
+    return np.asarray(np.abs(stripes - np.rint(stripes)) < limits.max_whole_difference * stripes)

@@ -1,7 +1,8 @@
-"""Limits by which a plan is called wrong, and another one right."""
+"""Limits by which a plan is called wrong, another one right, or one is guessed."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import ClassVar
 
 from fpplab.core.config import Positive
@@ -38,6 +39,8 @@ class PlanCheckLimits(LimitsSection):
     taken. Chosen."""
     max_turn_rad: Positive = 1.2
     """Typical change of phase in rad over the distance chosen. Derived: well below π it is unambiguous."""
+    pixels: CountLimit = 12_000
+    """Pixels that are looked at, about. Chosen."""
     min_lit_share: ShareLimit = 0.2
     """Modulation of a pixel that sees the fringes of a set, as a share of the strongest. Chosen."""
     min_lit_level: Positive = 1.0
@@ -47,3 +50,44 @@ class PlanCheckLimits(LimitsSection):
     min_coherence: ShareLimit = 0.5
     """Mean of exp(i times the second difference of a set's phase) from pixel to pixel. Derived: it is near
     1 for fringes, 0 for noise, and 0.5 where noise is 0.5 rad."""
+
+
+@dataclass(frozen=True)
+class GuessLimits:
+    """Limits by which images are taken for fringe sets, and stripes for whole numbers."""
+
+    pixels: int = 4_000
+    """Pixels that decide what images are, about. Chosen."""
+    usual_misfit: float = 0.04
+    """Misfit of a sinusoid, as a share of its modulation. Chosen."""
+    min_squares_per_set: float = 12.0
+    """Squares of the usual misfit by which another set must reduce the misfit. Chosen."""
+    max_misfit: float = 0.2
+    """RMS misfit, as a share of the modulation, up to which images are sets of sinusoids. Chosen."""
+    max_stripes: int = 400
+    """Stripes of a coarsest set that is tried. Chosen."""
+    max_whole_difference: float = 0.004
+    """Relative difference from whole numbers of stripes. Chosen."""
+    max_visible_periods: float = 1.2
+    """Periods of the coarsest set that may be seen if it has one stripe. Derived: gradients are known to a
+    tenth."""
+    near: float = 0.2
+    """Distance from a pixel's darkest or brightest level, as a share of its range, within which it is either.
+    Chosen."""
+    min_binary_share: float = 0.85
+    """Share of the pixels that are dark or bright in an image of two levels. Chosen: a sinusoid has 59 %."""
+    min_uniform_share: float = 0.97
+    """Share of the pixels that are bright in a white image, or dark in a black one. Chosen."""
+    min_range: float = 0.05
+    """Range of a pixel, as a share of full scale, from which it carries information. Chosen."""
+    max_rank_misfit: float = 0.1
+    """What two waves may leave of sinusoids of any steps, as a share of their mean square. Chosen."""
+    min_equal_misfit: float = 0.05
+    """What equal steps leave of unequal ones, as a share of all. Chosen."""
+    min_misfit_ratio: float = 3.0
+    """The same, as a multiple of what free steps leave. Chosen."""
+    max_step_error_deg: float = 15.0
+    """Greatest error of steps that are taken for equal ones in another order. Chosen."""
+
+
+GUESS_LIMITS = GuessLimits()

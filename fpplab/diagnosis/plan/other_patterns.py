@@ -8,33 +8,18 @@ from itertools import groupby
 import numpy as np
 
 from fpplab.core.conventions import Floats, Image, phase_steps
-
-PIXELS = 4_000  # that decide, about
-NEAR = 0.2
-"""Distance from a pixel's darkest or brightest level, as a share of its range, within which it is either."""
-BINARY_SHARE = 0.85
-"""Share of the pixels that are dark or bright in an image of two levels; of a sinusoid 59 % are."""
-UNIFORM_SHARE = 0.97
-"""Share of the pixels that are bright in a white image, or dark in a black one."""
-MIN_RANGE = 0.05
-"""Range of a pixel, as a share of full scale, from which it carries information."""
-MAX_RANK_MISFIT = 0.1
-"""What two waves may leave of sinusoids of any steps, as a share of their mean square."""
-MIN_EQUAL_MISFIT = 0.05
-MIN_MISFIT_RATIO = 3.0
-"""What equal steps leave of unequal ones: as a share of all, and times what free steps leave. Chosen."""
-MAX_STEP_ERROR_DEG = 15.0
-"""Greatest error of steps that are taken for equal ones in another order."""
-MIN_IMAGES = 4  # of sinusoids whose steps can be measured: three images fit any steps
+from fpplab.diagnosis.plan.limits import GUESS_LIMITS, GuessLimits
 
 
-def name_other_patterns(frames: Sequence[Image], full: int, sizes: Sequence[int] = ()) -> str | None:
+def name_other_patterns(
+    frames: Sequence[Image], full: int, sizes: Sequence[int] = (), limits: GuessLimits = GUESS_LIMITS
+) -> str | None:
     """Say which images are no sinusoids with equal steps, and what they are."""
     # frames (height, width)
-    levels = _lit_levels(frames, full)
+    levels = _lit_levels(frames, full, limits)
     if levels is None:
         return None
-    kinds = _kinds(levels)
+    kinds = _kinds(levels, limits)
     descriptions = [f"{_listed(numbers)} {text}" for text, numbers in _by_description(kinds).items()]
     if descriptions:
         others = [k for k, kind in enumerate(kinds) if kind is not None]
@@ -43,18 +28,24 @@ def name_other_patterns(frames: Sequence[Image], full: int, sizes: Sequence[int]
             f"{'; '.join(descriptions)}: only phase-shifted sinusoids are decoded; leave these images out "
             f"with '--skip {ranges}', where the sinusoids alone suffice, and count them from 0"
         )
-    return _unequal(levels, sizes)
+    return _unequal(levels, sizes, limits)
 
 
-def _lit_levels(frames: Sequence[Image], full: int) -> Floats | None:
-    """Levels (K, P) of pixels that change, 0 at the darkest and 1 at the brightest of each."""
+def sampled_levels(frames: Sequence[Image], pixels: int) -> Floats:
+    """Read the grey levels of about a number of pixels that are spread over the image."""
+    # frames (height, width); returns (frames, pixels)
     height, width = frames[0].shape
-    step = max(1, int(np.sqrt(height * width / PIXELS)))
-    levels = np.stack([frame[::step, ::step].ravel() for frame in frames]).astype(np.float64)
+    step = max(1, int(np.sqrt(height * width / pixels)))
+    return np.asarray(np.stack([frame[::step, ::step].ravel() for frame in frames]), np.float64)
+
+
+def _lit_levels(frames: Sequence[Image], full: int, limits: GuessLimits) -> Floats | None:
+    """Levels (K, P) of pixels that change, 0 at the darkest and 1 at the brightest of each."""
+    levels = sampled_levels(frames, limits.pixels)
     low, high = levels.min(axis=0), levels.max(axis=0)
     span = high - low
-    lit = (span > MIN_RANGE * full) & (span > 0.3 * np.quantile(span, 0.95)) & (high < full)
-    if lit.sum() < PIXELS // 50:
+    lit = (span > limits.min_range * full) & (span > 0.3 * np.quantile(span, 0.95)) & (high < full)
+    if lit.sum() < limits.pixels // 50:
         return None
     return np.asarray((levels[:, lit] - low[lit]) / span[lit])
 
@@ -67,16 +58,16 @@ DESCRIPTIONS = {
 }
 
 
-def _kinds(levels: Floats) -> list[str | None]:
+def _kinds(levels: Floats, limits: GuessLimits) -> list[str | None]:
     kinds: list[str | None] = []
     for image in levels:
-        bright, dark = float(np.mean(image > 1.0 - NEAR)), float(np.mean(image < NEAR))
-        if bright > UNIFORM_SHARE:
+        bright, dark = float(np.mean(image > 1.0 - limits.near)), float(np.mean(image < limits.near))
+        if bright > limits.min_uniform_share:
             kinds.append("white")
-        elif dark > UNIFORM_SHARE:
+        elif dark > limits.min_uniform_share:
             kinds.append("black")
         else:
-            kinds.append("binary" if bright + dark > BINARY_SHARE else None)
+            kinds.append("binary" if bright + dark > limits.min_binary_share else None)
     return [
         kind if kind == "binary" or _has_other_neighbour(kinds, k) else None for k, kind in enumerate(kinds)
     ]
@@ -112,18 +103,18 @@ def _listed(numbers: Sequence[int]) -> str:
     return f"image {runs}" if len(numbers) == 1 else f"images {runs}"
 
 
-def _unequal(levels: Floats, sizes: Sequence[int]) -> str | None:
+def _unequal(levels: Floats, sizes: Sequence[int], limits: GuessLimits) -> str | None:
     """Sets of sinusoids whose steps are not equal."""
     sentences = []
     for k, (start, count) in enumerate(zip(np.cumsum([0, *sizes]), sizes, strict=False)):
-        shifts = measured_phase_shifts(levels[start : start + count]) if count >= MIN_IMAGES else None
-        if shifts is None:
-            continue
-        if not _fits_badly(levels[start : start + count]):
+        of_set = levels[start : start + count]
+        # Three images fit any steps.
+        shifts = measured_phase_shifts(of_set, limits) if count > 3 else None
+        if shifts is None or not _fits_badly(of_set, limits):
             continue
         expected = np.degrees(phase_steps(count))
         turned = min((shifts, -shifts % 360.0), key=lambda candidate: _worst(candidate, expected))
-        if _worst(np.sort(turned), expected) <= MAX_STEP_ERROR_DEG:
+        if _worst(np.sort(turned), expected) <= limits.max_step_error_deg:
             continue  # equal steps in another order, of which other checks say which images were exchanged
         degrees = ", ".join(f"{shift:.0f}" for shift in turned)
         sentences.append(f"the images of 'fringes[{k}]' have unequal phase steps, at {degrees} degrees")
@@ -135,7 +126,7 @@ def _unequal(levels: Floats, sizes: Sequence[int]) -> str | None:
     )
 
 
-def _fits_badly(levels: Floats) -> bool:
+def _fits_badly(levels: Floats, limits: GuessLimits) -> bool:
     """Whether sinusoids with equal steps leave much more of a set than those with any steps."""
     changes = levels - levels.mean(axis=0)
     total = float(np.sum(changes**2))
@@ -143,19 +134,19 @@ def _fits_badly(levels: Floats) -> bool:
     shift = phase_steps(len(levels))
     waves = np.stack([np.cos(shift), np.sin(shift)]) * np.sqrt(2.0 / len(levels))
     equal = total - float(np.sum((waves @ changes) ** 2))
-    return equal > max(MIN_EQUAL_MISFIT * total, MIN_MISFIT_RATIO * free)
+    return equal > max(limits.min_equal_misfit * total, limits.min_misfit_ratio * free)
 
 
 def _worst(shifts: Floats, expected: Floats) -> float:
     return float(np.max(np.abs((shifts - expected + 180.0) % 360.0 - 180.0)))
 
 
-def measured_phase_shifts(levels: Floats) -> Floats | None:
+def measured_phase_shifts(levels: Floats, limits: GuessLimits = GUESS_LIMITS) -> Floats | None:
     """Find the phase shifts of images that are sinusoids of one number of stripes."""
     # levels (N, P); returns (N,)
     # Offset, cosine and sine span all levels of a pixel, whatever the steps are.
     directions, strength, _ = np.linalg.svd(levels - levels.mean(axis=0), full_matrices=False)
-    if np.sum(strength[2:] ** 2) > MAX_RANK_MISFIT * np.sum(strength**2):
+    if np.sum(strength[2:] ** 2) > limits.max_rank_misfit * np.sum(strength**2):
         return None
     basis = np.column_stack([np.ones(len(levels)), directions[:, :2] * strength[:2]])
     # The shifts lie on an ellipse in this plane; pixels of all phases determine its axes.

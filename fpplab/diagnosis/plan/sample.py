@@ -16,7 +16,6 @@ import numpy as np
 from fpplab.core.conventions import TWO_PI, Floats, Image, Mask, phase_steps
 from fpplab.diagnosis.plan.limits import PlanCheckLimits
 
-PIXELS = 12_000  # that are looked at, about
 LAGS = (1, 2, 4, 8, 16, 32, 64)
 """Distances in px over which phases are compared."""
 
@@ -43,7 +42,7 @@ class PhaseSample:
         # frames (height, width)
         limits = limits or PlanCheckLimits()
         height, width = frames[0].shape
-        step = max(1, int(np.sqrt(height * width / PIXELS)))
+        step = max(1, int(np.sqrt(height * width / limits.pixels)))
         lags = [lag for lag in LAGS if 4 * lag < min(height, width)]
         rows = slice(0, height - lags[-1], step), slice(0, width - lags[-1], step)
         here = _phasors(frames, images, rows, (0, 0))
