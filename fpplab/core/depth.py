@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Annotated
 
 from pydantic import AfterValidator, Field
@@ -20,3 +21,16 @@ def _rising(depth_mm: DepthInterval) -> DepthInterval:
 
 DepthField = Annotated[tuple[_Distance, _Distance], AfterValidator(_rising)]
 """Type of a document's field that holds such a range."""
+
+
+@dataclass(frozen=True)
+class DepthRange:
+    """A range of distances from the camera, and who has stated it."""
+
+    mm: DepthInterval  # least and greatest distance along the camera's axis, in mm
+    source: str  # for messages and reports: option, or file and field
+
+
+def first_stated(*stated: tuple[DepthInterval | None, str]) -> DepthRange | None:
+    """Give the range that counts."""
+    return next((DepthRange(mm, source) for mm, source in stated if mm is not None), None)

@@ -18,6 +18,7 @@ from fpplab.clouds import Cloud
 from fpplab.comparison import Comparison, compare
 from fpplab.comparison.alignment import align_mesh
 from fpplab.core.conventions import Axis
+from fpplab.core.depth import first_stated
 from fpplab.core.errors import CalibrationError, ConfigError, DataError
 from fpplab.core.geometry import RigidTransform
 from fpplab.devices.rig import Rig
@@ -31,7 +32,7 @@ from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, check_unwrapping, decode
 from fpplab.phase.bounds import PossibleCoordinates, widest
-from fpplab.reconstruction.depth_range import depth_bounds, first_stated
+from fpplab.reconstruction.depth_range import depth_bounds
 from fpplab.reconstruction.points import points_of
 from fpplab.sessions.origin import SessionOrigin
 

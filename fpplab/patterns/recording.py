@@ -13,7 +13,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from fpplab.core import buffers
-from fpplab.core.conventions import Axis, Floats, Image, Map, full_scale, raw_per_grey
+from fpplab.core.conventions import Axis, Floats, Image, Lattice, Map, full_scale, raw_per_grey
+from fpplab.core.depth import DepthRange
 from fpplab.core.errors import DataError
 from fpplab.patterns.curve import Curve
 from fpplab.patterns.fringe_sets import FringeSet
@@ -42,6 +43,12 @@ class Recording:
         What the frames are called in messages.
     response : Curve or None
         The measured response of the projector and camera, where it is known.
+    lattice : Lattice
+        How the projector's mirrors lie.
+    depth : DepthRange or None
+        Between which distances everything lies, where plan or rig state it.
+    is_imported : bool
+        Whether the frames are a session's that another program recorded.
     """
 
     frames: Sequence[Image]
@@ -50,6 +57,9 @@ class Recording:
     bits: int = 8
     name: str = "frames"
     response: Curve | None = None
+    lattice: Lattice = Lattice.SQUARE
+    depth: DepthRange | None = None
+    is_imported: bool = False
 
     def __repr__(self) -> str:
         height, width = self.frames[0].shape if self.frames else (0, 0)

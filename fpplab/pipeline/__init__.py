@@ -12,7 +12,7 @@ from fpplab.pipeline.characterising import (
 )
 from fpplab.pipeline.checking import doubts
 from fpplab.pipeline.decoding import decode_session
-from fpplab.pipeline.depth import check_plan, depth_range_of, plan_with_depth
+from fpplab.pipeline.depth import check_plan, plan_with_depth
 from fpplab.pipeline.measuring import (
     Reconstruction,
     diagnose,
@@ -33,7 +33,6 @@ __all__ = [
     "check_plan",
     "check_space",
     "decode_session",
-    "depth_range_of",
     "diagnose",
     "doubts",
     "finish_scan",

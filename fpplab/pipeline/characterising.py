@@ -137,6 +137,6 @@ def observe_session(
 ) -> Observation:
     """Find a board in one pose, and its points in camera and projector."""
     name, recording = session.path.name, session.recording()
-    if fault := fault_in_step(session, recording):
+    if fault := fault_in_step(recording):
         raise CalibrationError(f"{name}: {fault}; take this pose again")
     return observe(name, recording.mean_image(), decode(recording), target, periods, limits)

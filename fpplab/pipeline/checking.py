@@ -9,22 +9,22 @@ from fpplab.patterns.recording import Recording
 from fpplab.sessions.session import Session
 
 
-def fault_in_step(session: Session, recording: Recording) -> str | None:
+def fault_in_step(recording: Recording) -> str | None:
     """Say how the frames of a session are out of step with their plan, and what to check."""
     verdict = check_synchronisation(recording)
     if verdict.in_step:
         return None
-    if not session.is_imported:
+    if not recording.is_imported:
         return f"{verdict.describe()}; {remedy(recording.plan)}"
     sizes = [fringe.images for fringe in recording.plan.fringes]
     other = name_other_patterns(recording.frames, recording.full_scale, sizes)
     return other or f"{verdict.describe()}; {IMPORTED_REMEDY}"
 
 
-def require_in_step(session: Session, recording: Recording) -> None:
+def require_in_step(recording: Recording) -> None:
     """Refuse frames that do not show their patterns."""
-    if fault := fault_in_step(session, recording):
-        retake = "" if session.is_imported else "take it again, with --force, or "
+    if fault := fault_in_step(recording):
+        retake = "" if recording.is_imported else "take it again, with --force, or "
         raise DataError(f"{recording.name}: {fault}; {retake}--as-recorded takes the frames as they are")
 
 
@@ -38,7 +38,7 @@ def doubts(session: Session) -> list[str]:
     """Look for signs that the frames of a session are not what its plan says."""
     recording = session.recording(verify=False)
     misfit = check_plan_fit(recording)
-    signs = [fault_in_step(session, recording)]
+    signs = [fault_in_step(recording)]
     if misfit:
         signs += [misfit.fault, misfit.note]
     return [f"{session.path}: {sign}" for sign in signs if sign]

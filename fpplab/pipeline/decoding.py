@@ -16,7 +16,7 @@ def decode_session(
     # returns (height, width)
     recording = session.recording(progress=lambda share: progress(0.5 * share))
     if not as_recorded:
-        require_in_step(session, recording)
+        require_in_step(recording)
         if fault := plan_fault(recording):
             raise DataError(f"{session.path}: {fault}; --as-recorded decodes it nevertheless")
     return decode(recording, lambda share: progress(0.5 + 0.5 * share))

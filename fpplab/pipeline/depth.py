@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from fpplab.calibration.model import Calibration
 from fpplab.core import config
-from fpplab.core.depth import DepthInterval
+from fpplab.core.depth import DepthInterval, DepthRange, first_stated
 from fpplab.devices.rig import DepthSection, Rig
 from fpplab.patterns.plan import Plan
 from fpplab.phase import check_unwrapping
 from fpplab.phase.bounds import widest
-from fpplab.reconstruction.depth_range import DepthRange, depth_bounds, first_stated
-from fpplab.sessions.session import PLAN, RIG, Session
+from fpplab.reconstruction.depth_range import depth_bounds
 
 
 def plan_with_depth(plan: Plan, depth_mm: tuple[float, float] | None) -> Plan:
@@ -20,15 +19,12 @@ def plan_with_depth(plan: Plan, depth_mm: tuple[float, float] | None) -> Plan:
     return config.validate({**config.plain(plan), "depth_mm": list(depth_mm)}, Plan, "--depth")
 
 
-def depth_range_of(session: Session, given_mm: DepthInterval | None = None) -> DepthRange | None:
-    """Give the range of depths that a session is reconstructed with."""
-    plan, rig = session.plan, session.path / RIG
-    recorded = {key: value for key, value in (session.rig() or {}).items() if key == "depth_mm"}
-    return first_stated(
-        (plan_with_depth(plan, given_mm).depth_mm if given_mm else None, "--depth"),
-        (plan.depth_mm, f"{session.path / PLAN}: 'depth_mm'"),
-        (config.validate(recorded, DepthSection, rig).depth_mm, f"{rig}: 'depth_mm'"),
-    )
+def given_depth(depth_mm: DepthInterval | None) -> DepthRange | None:
+    """Give the range of depths of the option, which precedes those that plan and rig state."""
+    if depth_mm is None:
+        return None
+    given = config.validate({"depth_mm": list(depth_mm)}, DepthSection, "--depth")
+    return first_stated((given.depth_mm, "--depth"))
 
 
 def check_plan(

@@ -6,32 +6,17 @@ curve: decoding then chooses fringe orders among the coordinates on that piece a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.calibration.model import Calibration
 from fpplab.core.conventions import AXES, Axis, Floats
-from fpplab.core.depth import DepthInterval
+from fpplab.core.depth import DepthRange
 from fpplab.core.errors import ConfigError
 from fpplab.patterns.plan import Plan
 from fpplab.phase.bounds import PossibleCoordinates
 from fpplab.reconstruction.limits import RECONSTRUCTION_LIMITS as LIMITS
 from fpplab.reconstruction.triangulation import camera_slopes
-
-
-@dataclass(frozen=True)
-class DepthRange:
-    """A range of distances from the camera, and who has stated it."""
-
-    mm: DepthInterval  # least and greatest distance along the camera's axis, in mm
-    source: str  # for messages and reports: option, or file and field
-
-
-def first_stated(*stated: tuple[DepthInterval | None, str]) -> DepthRange | None:
-    """Give the range that counts."""
-    return next((DepthRange(mm, source) for mm, source in stated if mm is not None), None)
 
 
 def depth_bounds(

@@ -10,10 +10,10 @@ import numpy as np
 from fpplab.clouds import Cloud
 from fpplab.comparison import Comparison
 from fpplab.core.conventions import Axis, Image, Map
+from fpplab.core.depth import DepthRange
 from fpplab.diagnosis import Diagnosis
 from fpplab.patterns.plan import Plan
 from fpplab.phase import Decoded, Wrapped
-from fpplab.reconstruction.depth_range import DepthRange
 from fpplab.reconstruction.filtering import removal
 from fpplab.report import figures, uncertainty
 from fpplab.report.cloud_view import MAX_POINTS, cloud_view

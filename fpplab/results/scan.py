@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
+from fpplab.core.depth import DepthRange
 from fpplab.core.notebook import html_table
 from fpplab.diagnosis import Diagnosis
 from fpplab.phase import Decoded
 from fpplab.phase.precision import uncertain_orders
 from fpplab.pipeline import Reconstruction
-from fpplab.reconstruction.depth_range import DepthRange
 from fpplab.reconstruction.filtering import removal
 from fpplab.results.provenance import Provenance
 from fpplab.sessions.session import Session

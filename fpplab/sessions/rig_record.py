@@ -7,12 +7,21 @@ from typing import Any
 
 from fpplab.core import config
 from fpplab.core.conventions import Lattice
+from fpplab.core.depth import DepthRange, first_stated
 from fpplab.core.errors import DataError
+from fpplab.core.session_names import PLAN, RIG
+from fpplab.devices.rig import DepthSection
 from fpplab.patterns.curve import Curve
 from fpplab.patterns.plan import Plan
 
 RigRecord = dict[str, Any] | None
 """A rig as `Rig.described` gives it, or None for images from elsewhere."""
+
+
+def read_rig(path: Path) -> RigRecord:
+    """Read the rig that a session records."""
+    file = path / RIG
+    return config.parse_yaml(config.read_text(file), file) if file.exists() else None
 
 
 def check_same_rig(began: RigRecord, now: RigRecord, path: Path) -> None:
@@ -47,3 +56,12 @@ def recorded_response(rig: RigRecord, path: Path) -> Curve | None:
     """Give the measured response of the rig of a session, where its file states one."""
     response = (rig or {}).get("response")
     return None if response is None else config.validate(response, Curve, f"{path}: response of the rig")
+
+
+def recorded_depth(rig: RigRecord, plan: Plan, path: Path) -> DepthRange | None:
+    """Give the range of depths that the plan of a session states, or else its rig."""
+    stated = {key: value for key, value in (rig or {}).items() if key == "depth_mm"}
+    return first_stated(
+        (plan.depth_mm, f"{path / PLAN}: 'depth_mm'"),
+        (config.validate(stated, DepthSection, path / RIG).depth_mm, f"{path / RIG}: 'depth_mm'"),
+    )

@@ -20,6 +20,7 @@ import logging
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from copy import deepcopy
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,6 +28,7 @@ import numpy as np
 
 from fpplab.core import config
 from fpplab.core.conventions import Image, Lattice
+from fpplab.core.depth import DepthRange
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.files import make_directory, refuse_existing
 from fpplab.core.journals import append_line
@@ -57,7 +59,14 @@ from fpplab.sessions.journal import (
     pattern_ids,
     read_journal,
 )
-from fpplab.sessions.rig_record import RigRecord, check_same_rig, recorded_projector, recorded_response
+from fpplab.sessions.rig_record import (
+    RigRecord,
+    check_same_rig,
+    read_rig,
+    recorded_depth,
+    recorded_projector,
+    recorded_response,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -90,8 +99,8 @@ class Session:
         What was projected.
     """
 
-    def __init__(self, path: Path, plan: Plan, records: dict[int, FrameRecord]) -> None:
-        self.path, self.plan, self._records = path, plan, records
+    def __init__(self, path: Path, plan: Plan, rig: RigRecord, records: dict[int, FrameRecord]) -> None:
+        self.path, self.plan, self._rig, self._records = path, plan, rig, records
 
     def __repr__(self) -> str:
         return f"<Session {self.path}: {len(self._records)} of {self.plan.images} frames>"
@@ -102,7 +111,7 @@ class Session:
             "folder": self.path,
             "frames": f"{len(self._records)} of {self.plan.images}",
             "plan": repr(self.plan),
-            "rig": "images from elsewhere" if self.is_imported else (self.rig() or {}).get("name"),
+            "rig": "images from elsewhere" if self.is_imported else (self._rig or {}).get("name"),
             "state": "complete" if not missing else f"{missing} frames are missing",
         }
         if not self._records:
@@ -179,7 +188,7 @@ class Session:
             remove_session(path)
         make_directory(path, lambda draft: write_initial_files(draft, plan, rig))
         _log.info("session %s made for %d frames", path, plan.images)
-        return cls(path, plan, {})
+        return cls(path, plan, rig, {})
 
     @classmethod
     def create_whole(
@@ -215,7 +224,7 @@ class Session:
         if path.exists():
             require_session(path)
         remove_temporary_folders(path)
-        session = cls(path, plan, {})
+        session = cls(path, plan, rig, {})
 
         def fill_draft(draft: Path) -> None:
             write_initial_files(draft, plan, rig)
@@ -245,16 +254,16 @@ class Session:
         Raises
         ------
         DataError
-            There is none, or its journal is damaged.
+            There is none, or its plan, its rig or its journal is damaged.
         """
         path = Path(path)
         if not (path / PLAN).is_file() or not (path / JOURNAL).is_file():
             raise DataError(f"{path}: is not a session (it has no {PLAN} and {JOURNAL})")
         check_format(path)
-        plan = config.load_document(path / PLAN, Plan)
+        plan, rig = config.load_document(path / PLAN, Plan), read_rig(path)
         records = read_journal(path, plan)
         _log.info("session %s opened: %d of %d frames", path, len(records), plan.images)
-        return cls(path, plan, records)
+        return cls(path, plan, rig, records)
 
     @classmethod
     def resume(
@@ -315,13 +324,12 @@ class Session:
         dict or None
             As `Rig.described` gave it; None for imported images.
         """
-        path = self.path / RIG
-        return config.parse_yaml(config.read_text(path), path) if path.exists() else None
+        return deepcopy(self._rig)
 
     @property
     def is_imported(self) -> bool:
         """Whether the images were recorded by another program."""
-        return "name" not in (self.rig() or {})
+        return "name" not in (self._rig or {})
 
     @property
     def records(self) -> list[FrameRecord]:
@@ -470,14 +478,24 @@ class Session:
         Raises
         ------
         ConfigError
-            The projector cannot show the plan.
+            The projector cannot show the plan; as `response` and `depth`.
         DataError
             As `stack` and `projector`.
         """
-        size, _ = self.projector()
+        size, lattice = self.projector()
         self.plan.check_projector(size, self.path)
         frames = self.stack(verify, progress)
-        return Recording(frames, self.plan, size, self.bits, str(self.path), self.response())
+        return Recording(
+            frames,
+            self.plan,
+            size,
+            self.bits,
+            str(self.path),
+            response=self.response(),
+            lattice=lattice,
+            depth=self.depth(),
+            is_imported=self.is_imported,
+        )
 
     def response(self) -> Curve | None:
         """Give the measured response of the rig that took the frames, where its file states one.
@@ -492,7 +510,22 @@ class Session:
         ConfigError
             The rig's record holds something else.
         """
-        return recorded_response(self.rig(), self.path)
+        return recorded_response(self._rig, self.path)
+
+    def depth(self) -> DepthRange | None:
+        """Give the range of distances from the camera that the plan, or else the rig, states.
+
+        Returns
+        -------
+        DepthRange or None
+            The range, and which file states it.
+
+        Raises
+        ------
+        ConfigError
+            The rig's record holds something else.
+        """
+        return recorded_depth(self._rig, self.plan, self.path)
 
     @property
     def bits(self) -> int:
@@ -529,7 +562,7 @@ class Session:
         DataError
             Neither says.
         """
-        return recorded_projector(self.rig(), self.plan, self.path)
+        return recorded_projector(self._rig, self.plan, self.path)
 
 
 def recorded_sessions(paths: list[Path]) -> list[Session]:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
 from fpplab.core.conventions import TWO_PI, Axis, Lattice, Map, raw_per_grey
+from fpplab.core.depth import DepthRange
 from fpplab.core.errors import FppError
 from fpplab.core.geometry import RigidTransform
 from fpplab.core.robust import error_limit
@@ -26,7 +27,7 @@ from fpplab.patterns.plan import Plan
 from fpplab.phase import Decoded, Wrapped, wrapped_phase
 from fpplab.phase.bounds import widest
 from fpplab.phase.order_risk import order_risk
-from fpplab.reconstruction.depth_range import DepthRange, depth_bounds
+from fpplab.reconstruction.depth_range import depth_bounds
 from fpplab.viewer import layouts
 from fpplab.viewer.canvas import REACH, Canvas, CommandView, eight_bits, subsampled
 from fpplab.viewer.colours import ColourScale

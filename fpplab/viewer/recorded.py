@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud, load_cloud
+from fpplab.core.depth import DepthRange
 from fpplab.core.errors import DataError, DeviceError
 from fpplab.core.progress import Progress, no_progress
 from fpplab.devices import Frame
 from fpplab.phase import Decoded
-from fpplab.pipeline import CLOUD, DECODED, depth_range_of
-from fpplab.reconstruction.depth_range import DepthRange
+from fpplab.pipeline import CLOUD, DECODED
 from fpplab.sessions.session import Session
 from fpplab.viewer.canvas import Canvas
 from fpplab.viewer.measurement import MeasurementView, ShownFrame
@@ -83,7 +83,7 @@ def _replay(
     depth: DepthRange | None = None
     with suppress(DataError):  # a session may not know its projector; its images are shown all the same
         show(MeasurementView.plan, session.plan, *session.projector())
-        depth = depth_range_of(session)
+        depth = session.depth()
     if calibration is not None:
         show(MeasurementView.calibration, calibration)
     for number, record in enumerate(session.records, 1):

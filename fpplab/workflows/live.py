@@ -12,6 +12,7 @@ from typing import Any
 
 from fpplab.calibration.model import Calibration
 from fpplab.core.conventions import Mask
+from fpplab.core.depth import first_stated
 from fpplab.core.errors import ConfigError
 from fpplab.core.extras import how_to_install, need_extra
 from fpplab.core.files import need_suffix, refuse_existing
@@ -22,7 +23,6 @@ from fpplab.devices.rig_lock import watching_rig
 from fpplab.patterns.fringes import Pattern
 from fpplab.patterns.plan import Plan
 from fpplab.phase import check_unwrapping
-from fpplab.reconstruction.depth_range import first_stated
 from fpplab.setup.live.expectation import RigGeometry, WorkingPoint
 from fpplab.setup.live.keys import terminal_keys
 from fpplab.setup.live.loop import LiveOptions, SetUp

@@ -111,7 +111,8 @@ def _diagnosis(
         return recorded.diagnosis(), f"{local_time(recorded.made)}, fpplab {recorded.version}"
     if cloud is None or calibration is None or not (session.path / DECODED).is_file():
         return None, None
-    diagnosis = diagnose(session, Decoded.load(session.path / DECODED), cloud, calibration)
+    recording, decoded = session.recording(verify=False), Decoded.load(session.path / DECODED)
+    diagnosis = diagnose(session, recording, decoded, cloud, calibration)
     return diagnosis, "for this report"
 
 

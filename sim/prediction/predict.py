@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
 from fpplab.core.conventions import Axis, Map, Mask
+from fpplab.core.depth import first_stated
 from fpplab.core.errors import ConfigError
 from fpplab.devices.rig import Rig
 from fpplab.devices.simulation import Rows
@@ -26,7 +27,7 @@ from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode
 from fpplab.phase.bounds import PossibleCoordinates
-from fpplab.reconstruction.depth_range import depth_bounds, first_stated
+from fpplab.reconstruction.depth_range import depth_bounds
 from fpplab.reconstruction.points import points_of
 from fpplab.reconstruction.uncertainty import coordinate_noise
 from sim.bench import VirtualBench

@@ -300,9 +300,7 @@ def test_a_session_out_of_step_is_refused_by_name(trigger: str) -> None:
     plan = sets(("x", 1, 6), ("x", 8, 6)).model_copy(update={"trigger": trigger})
     late = spoilt(Scene().frames(plan), SyncFault(Cause.LATE))
     recording = Recording(late, plan, SIZE, name="pose_04")
-    session = SimpleNamespace(
-        path=Path("pose_04"), recording=lambda progress=None: recording, is_imported=False
-    )
+    session = SimpleNamespace(path=Path("pose_04"), recording=lambda progress=None: recording)
     with pytest.raises(
         CalibrationError, match=r"pose_04: every frame shows the pattern before its own"
     ) as told:

@@ -9,11 +9,12 @@ import pytest
 
 from fpplab.core.conventions import Lattice
 from fpplab.core.errors import ConfigError
+from fpplab.core.progress import no_progress
 from fpplab.devices import CameraSettings, Frame
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import MaskRules, Plan
-from fpplab.pipeline import depth_range_of
+from fpplab.pipeline.triangulating import checked_recording
 from fpplab.sessions.session import Session
 from sim.warmup import DISTANCE_MM, frames_of_plane, small_rig
 from tests.support.commands import Command
@@ -60,7 +61,8 @@ def words(session: Path) -> tuple[object, ...]:
 def test_the_option_precedes_the_plan_and_the_plan_the_rig(
     tmp_path: Path, plan_mm, rig_mm, option, source
 ) -> None:
-    used = depth_range_of(Session.open(recorded(tmp_path, plan_mm, rig_mm)), option)
+    session = Session.open(recorded(tmp_path, plan_mm, rig_mm))
+    used = checked_recording(session, RIG, option, no_progress).depth
     assert used is not None
     assert used.mm == (NEAR, FAR)
     assert used.source.endswith(source)
@@ -71,7 +73,7 @@ def test_a_damaged_range_of_a_recorded_rig_is_named(tmp_path: Path) -> None:
     with pytest.raises(
         ConfigError, match=r"rig\.yaml: 'depth_mm' is \[500\.0, 300\.0\]: the first must be less"
     ):
-        depth_range_of(session)
+        session.depth()
 
 
 def test_without_a_range_the_message_says_where_it_may_stand(fpplab: Command, tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from fpplab.core.conventions import AXES
+from fpplab.core.depth import DepthRange
 from fpplab.core.errors import ConfigError
 from fpplab.core.geometry import RigidTransform
 from fpplab.patterns.fringe_sets import Sinusoid
@@ -15,7 +16,7 @@ from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
 from fpplab.pipeline import check_plan, plan_with_depth
-from fpplab.reconstruction.depth_range import DepthRange, depth_bounds
+from fpplab.reconstruction.depth_range import depth_bounds
 from fpplab.reconstruction.limits import RECONSTRUCTION_LIMITS
 from fpplab.reconstruction.triangulation import triangulate
 from sim.warmup import DISTANCE_MM, frames_of_plane, small_rig

@@ -17,12 +17,12 @@ import numpy as np
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
 from fpplab.core.conventions import AXES, Floats, Mask, axis_length
+from fpplab.core.depth import DepthRange
 from fpplab.core.errors import ConfigError
 from fpplab.diagnosis.points import triangulation_angles_deg
 from fpplab.diagnosis.sample import FrameSample
 from fpplab.patterns.plan import Plan
 from fpplab.phase.quality import coordinate_uncertainty
-from fpplab.reconstruction.depth_range import DepthRange
 from fpplab.reconstruction.uncertainty import with_uncertainty
 from fpplab.setup.live.regions import REGIONS, region_medians
 

@@ -19,6 +19,7 @@ from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
 from fpplab.core import config
 from fpplab.core.conventions import AXES, Image, raw_dtype
+from fpplab.core.depth import first_stated
 from fpplab.core.errors import CapabilityError, ConfigError, DataError, DeviceError
 from fpplab.core.progress import Progress
 from fpplab.devices.rig import Rig
@@ -31,7 +32,7 @@ from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode
-from fpplab.reconstruction.depth_range import depth_bounds, first_stated
+from fpplab.reconstruction.depth_range import depth_bounds
 from fpplab.reconstruction.points import points_of
 from fpplab.sessions.origin import SessionOrigin
 from fpplab.setup.rig_check.devices import (

@@ -17,7 +17,6 @@ from fpplab.core.errors import ConfigError
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.recording import Recording
-from fpplab.pipeline import depth_range_of
 from fpplab.sessions.session import Session
 from sim.bench import VirtualBench
 from sim.matching.judging.measured import measured_figures, recorded_figures
@@ -75,7 +74,7 @@ def compare_rigs(rig: Rig, session: Session, item: str, calibration: Calibration
         raise ConfigError(f"{rig.source}: is no simulation that can predict; name a twin's rig file")
     _need_same_devices(rig, session)
     sampler, plan = rig.simulation.sampler(), session.plan
-    mesh, depth = sampler.mesh(item), depth_range_of(session)
+    mesh, depth = sampler.mesh(item), session.depth()
     size, lattice = session.projector()
     settings = rig.camera_settings(plan.exposure_s, plan.bits)
     rows = np.arange(rig.camera.caps.size[1])

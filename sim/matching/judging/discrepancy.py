@@ -16,7 +16,6 @@ from fpplab.core.errors import DataError
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
-from fpplab.pipeline import depth_range_of
 from sim.matching.fluctuation.scan_motion import motion_of_scan
 from sim.matching.judging.measured import expected_figures, measured_figures
 from sim.matching.light.contrast import ContrastSample, board_contrasts, sample_contrasts
@@ -150,7 +149,7 @@ def scan_figures(
     session, calibration = scan.session, twin.parameters.calibration
     plan, (size, lattice) = session.plan, session.projector()
     settings = session.records[0].settings
-    patterns, depth = make_patterns(plan, size, lattice), depth_range_of(session)
+    patterns, depth = make_patterns(plan, size, lattice), session.depth()
     own = []
     # Flicker and vibration differ from one scan to the next, of which the twin may have any number.
     for _ in range(5):

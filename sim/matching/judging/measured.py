@@ -14,11 +14,12 @@ from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
 from fpplab.comparison.alignment import align_mesh
 from fpplab.core.conventions import Mask
+from fpplab.core.depth import DepthRange
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode
-from fpplab.pipeline import depth_range_of, reconstruct_points
-from fpplab.reconstruction.depth_range import DepthRange, depth_bounds
+from fpplab.pipeline import reconstruct_points
+from fpplab.reconstruction.depth_range import depth_bounds
 from fpplab.reconstruction.points import points_of
 from fpplab.reconstruction.uncertainty import coordinate_noise
 from fpplab.sessions.session import Session
@@ -29,7 +30,7 @@ from sim.prediction.form import distance_factors
 def measured_figures(session: Session, calibration: Calibration, mesh: trimesh.Trimesh) -> MeasuredFigures:
     """Compute the figures of a scan."""
     points = reconstruct_points(session, calibration)
-    return _figures(points, calibration, mesh, session.plan, depth_range_of(session))[0]
+    return _figures(points, calibration, mesh, session.plan, session.depth())[0]
 
 
 def recorded_figures(

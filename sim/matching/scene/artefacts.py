@@ -29,7 +29,7 @@ from fpplab.diagnosis.causes.of_matching_and_search import ARTEFACT_MISFIT
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
-from fpplab.pipeline import depth_range_of, reconstruct_points
+from fpplab.pipeline import reconstruct_points
 from fpplab.reconstruction.depth_range import depth_bounds
 from fpplab.reconstruction.points import points_of
 from fpplab.reconstruction.triangulation import camera_rays
@@ -206,5 +206,5 @@ def _scanned(
     settings = session.records[0].settings
     frames = twin.scan(item, T_camera_item, make_patterns(plan, size, lattice), settings)
     recording = Recording(frames, plan, size, settings.bits, f"the twin's {item}")
-    decoded = decode(recording, bounds=depth_bounds(plan, calibration, depth_range_of(session)))
+    decoded = decode(recording, bounds=depth_bounds(plan, calibration, session.depth()))
     return points_of(decoded, calibration, plan, recording.mean_image())[1]

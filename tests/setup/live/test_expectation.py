@@ -9,12 +9,12 @@ import pytest
 
 from fpplab.calibration.model import Calibration
 from fpplab.core import config
+from fpplab.core.depth import DepthRange
 from fpplab.core.errors import ConfigError
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.devices.rig import Rig
 from fpplab.patterns.plan import Plan
 from fpplab.pipeline import reconstruct_points, take
-from fpplab.reconstruction.depth_range import DepthRange
 from fpplab.setup.live.expectation import RigGeometry, WorkingPoint
 from fpplab.setup.live.orders import Order
 from fpplab.setup.live.status import overall_median
