@@ -180,7 +180,7 @@ def _convergence(name: str, found: MatchingResult, seconds: float) -> list[Resul
         *(below(f"{name}_unlike_{of}", float(1 - ssim[of]), "1 - SSIM", most)
           for of, most in MOST_UNLIKE.items()),
         *(below(f"{name}_loss_{of}", getattr(loss, of), "L", most) for of, most in MOST_LOSS.items()),
-        below(f"{name}_epsilon_d", abs(loss.epsilon_d), "px", MOST_EPSILON_PX),
+        below(f"{name}_epsilon_d", abs(loss.rms_difference_px), "px", MOST_EPSILON_PX),
         below(f"{name}_epochs", len(found.matched.epochs) - 1, "epochs", MOST_EPOCHS),
         below(f"{name}_seconds", seconds, "s", MOST_SECONDS),
     ]  # fmt: skip

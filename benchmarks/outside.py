@@ -187,7 +187,7 @@ def judged_effect(
         said += " ".join(f"{one.discrepancy.looks_like}" for one in predicted.values() if one.discrepancy)
         calibration = found.reference.characterisation.calibration
         assert isinstance(rig.simulation, Predictable)
-        mesh = rig.simulation.sampler().mesh(PART)
+        mesh = rig.simulation.image_part_sampler().mesh(PART)
         answers = {}
         for one in questions:
             session = _taken(rig, one.loaded(), folder / one.name, effect.drift_mm)

@@ -165,7 +165,7 @@ def predictions(rig: Path, questions: Sequence[Question]) -> dict[str, Predictio
 def _measured(bench: HiddenBench, one: Question, folder: Path, known: Calibration) -> MeasuredFigures:
     session = bench.record(one.loaded(), folder / "measured" / one.name, one.item)
     assert isinstance(bench.rig.simulation, Predictable)
-    return measured_figures(session, known, bench.rig.simulation.sampler().mesh(one.item))
+    return measured_figures(session, known, bench.rig.simulation.image_part_sampler().mesh(one.item))
 
 
 def poses_off_um(found: Sequence[RigidTransform], true: Sequence[RigidTransform]) -> Floats:

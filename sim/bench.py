@@ -22,7 +22,7 @@ from sim.effects import EFFECTS
 from sim.fluctuation import Fluctuation
 from sim.items import item_poses
 from sim.light import Light, PatternLevels, ShownPattern
-from sim.sampling import SimSampler
+from sim.sampling import ImagePartSampler
 from sim.scene import RenderSettings, SubpixelView
 from sim.studio import SimStudio
 from sim.timing import is_whole, plane_weights
@@ -172,10 +172,10 @@ class VirtualBench:
         """Turn the projector towards the camera."""
         self.setup = replace(self.setup, convergence_deg=float(convergence_deg))
 
-    def sampler(self, draw: int = 0) -> SimSampler:
+    def image_part_sampler(self, world_draw: int = 0) -> ImagePartSampler:
         """Make a sampler of parts of the image, for predictions; see `fpplab.devices.simulation`."""
-        world = self.world.drawn(draw)
-        return SimSampler(world, self.light if world is self.world else self._light_of(world))
+        world = self.world.drawn(world_draw)
+        return ImagePartSampler(world, self.light if world is self.world else self._light_of(world))
 
     def studio(self) -> SimStudio:
         """Make a studio that arranges scenes for data sets."""

@@ -43,14 +43,18 @@ def build_scene(
     surfaces = _mounted(world, setup)
     if around is not None:
         surfaces = (*surfaces, *_frame(world, setup), around)
-    return _scene(world, setup, surfaces, np.concatenate([_bounding_box(surface) for surface in surfaces]))
+    return _build_scene_around(
+        world, setup, surfaces, np.concatenate([_bounding_box(surface) for surface in surfaces])
+    )
 
 
 def build_background(world: World, setup: SceneState, around: Surface) -> tuple[RenderScene, MirrorTexture]:
     """Build the scene in which the surroundings are seen behind the mounted item and in its shadow."""
     at_rest = replace(setup, vibration_mm=(0.0, 0.0, 0.0))
     surfaces = (around, *_frame(world, at_rest), *_mounted(world, at_rest))
-    return _scene(world, setup, surfaces, np.concatenate([_bounding_box(surface) for surface in surfaces]))
+    return _build_scene_around(
+        world, setup, surfaces, np.concatenate([_bounding_box(surface) for surface in surfaces])
+    )
 
 
 def _mounted(world: World, setup: SceneState) -> tuple[Surface, ...]:
@@ -69,14 +73,14 @@ def _pose(world: World, setup: SceneState) -> RigidTransform:
     return held.moved(np.array(setup.vibration_mm))
 
 
-def _scene(
-    world: World, setup: SceneState, surfaces: tuple[Surface, ...], box: Floats
+def _build_scene_around(
+    world: World, setup: SceneState, surfaces: tuple[Surface, ...], enclosed_points: Floats
 ) -> tuple[RenderScene, MirrorTexture]:
-    """Build a scene whose window and textures suffice for a box, (N, 3) in the camera's frame."""
+    """Build a scene whose window and textures suffice for points (N, 3) in the camera's frame."""
     camera = world.camera_model()
     aperture = Aperture(world.camera.aperture_mm, world.camera.focus_mm or 1.0)
-    lamp, texture = _lamp(world, setup.T_projector_camera(world), box)
-    window = _window(camera, aperture, box)
+    lamp, texture = _lamp(world, setup.T_projector_camera(world), enclosed_points)
+    window = _window(camera, aperture, enclosed_points)
     return RenderScene(_optics(camera), aperture, lamp, surfaces, window), texture
 
 
@@ -94,7 +98,9 @@ def _optics(model: Pinhole) -> PinholeOptics:
     return PinholeOptics(model.size, model.matrix, model.distortion)
 
 
-def _lamp(world: World, T_projector_camera: RigidTransform, box: Floats) -> tuple[Lamp, MirrorTexture]:
+def _lamp(
+    world: World, T_projector_camera: RigidTransform, enclosed_points: Floats
+) -> tuple[Lamp, MirrorTexture]:
     section, projector = world.projector, world.projector_model()
     texture = section.texture()
     scale = texture.texels_per_column * float(projector.matrix[0, 0])
@@ -102,7 +108,7 @@ def _lamp(world: World, T_projector_camera: RigidTransform, box: Floats) -> tupl
     circles: tuple[float, ...] = (0.0,)
     if section.focus_mm is not None:
         aperture = Aperture(section.aperture_mm, section.focus_mm)
-        circles = _circles(aperture, scale, T_projector_camera.apply(box)[:, 2])
+        circles = _circles(aperture, scale, T_projector_camera.apply(enclosed_points)[:, 2])
         texture = replace(texture, widest=circles[-1])
     fine = texture.places_per_mirror
     lamp = Lamp(

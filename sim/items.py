@@ -88,7 +88,7 @@ def item_surface(world: World, name: str, pose: RigidTransform) -> Surface:
     if isinstance(item, BoardItem):
         target = board_target(name, item)
         unpainted = target.model_copy(update={"foreground": 0.0, "background": 1.0})
-        picture = _ground_mask(unpainted, _print_resolution(world, pose))
+        picture = _ground_mask(unpainted, _print_px_per_mm(world, pose))
         printed = Paint(target.background, ink=target.foreground)
         if any(item.margins_mm) or item.texture is not None:
             with _named(f"items.{name}.texture"):
@@ -142,7 +142,7 @@ _PLATE = np.array([[0, 1, 2], [0, 2, 3]])
 _PLATE_UV = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 
 
-def _print_resolution(world: World, pose: RigidTransform) -> float:
+def _print_px_per_mm(world: World, pose: RigidTransform) -> float:
     """Choose the pixels per mm of a board's picture: at least twice what the camera resolves, within limits.
 
     A power of two, so that a board that moves a little keeps its picture.

@@ -49,7 +49,7 @@ class FramePart:
         return np.repeat(self.rows, len(self.columns)), np.tile(self.columns, len(self.rows))
 
 
-class SimSampler:
+class ImagePartSampler:
     """A `fpplab.devices.simulation.FrameSampler` of a world."""
 
     def __init__(self, world: World, light: Light) -> None:

@@ -47,7 +47,7 @@ class Controller(ProjectorBoard):
         """
         self.leds_off()
         self.prepare(program)
-        self.start(program)
+        self.start_prepared(program)
 
     def prepare(self, program: Program) -> None:
         """Stop, configure a sequence and have the controller validate it."""
@@ -84,7 +84,7 @@ class Controller(ProjectorBoard):
         if messages := validation_messages(result, VALIDATION_ERRORS):
             raise ProtocolError(self._name, "validation", "; ".join(messages), "change the plan's exposure")
 
-    def start(self, program: Program) -> None:
+    def start_prepared(self, program: Program) -> None:
         """Switch the LEDs on, start the prepared sequence and check that it runs.
 
         A board may show a little later that it runs, and may ignore the first order: other clients order

@@ -139,7 +139,7 @@ class OnVideo:
             if program != prepared:
                 board.prepare(program)
                 prepared = program
-            board.start(program)
+            board.start_prepared(program)
             board.await_end(program)
             self._clock.sleep(gap_us * 1e-6)
 

@@ -222,23 +222,23 @@ class EmulatedCamera:
     def _result(self, timeout_ms: int, handling: Any) -> Any:
         return self.instant.RetrieveResult(timeout_ms, handling)
 
-    def pulse(self, at_s: float | None = None) -> None:
+    def pulse(self, rise_s: float | None = None) -> None:
         """Take a pulse on Line1: one frame, if the camera waits for it; without effect during closing."""
         try:
-            if at_s is None or at_s >= self._ready_s - ROUNDING_S:
-                self._pulse(at_s)
+            if rise_s is None or rise_s >= self._ready_s - ROUNDING_S:
+                self._expose_on_pulse(rise_s)
         except genicam.GenericException:
             if self._emulator.has_open(self):
                 raise
 
-    def _pulse(self, at_s: float | None) -> None:
+    def _expose_on_pulse(self, rise_s: float | None) -> None:
         armed = self._features.read(TRIGGER_MODE) == "On" and self._features.read(TRIGGER_SOURCE) == "Line1"
         if self.unplugged or not armed or not self.instant.IsGrabbing():
             return
         wait_ms = READY_MS if self._emulator.policy.pulse_waits else 0
         if self.instant.WaitForFrameTriggerReady(wait_ms, pylon.TimeoutHandling_Return):
-            if at_s is not None:
-                self._ready_s = at_s + self._emulator.policy.timing.period_s(self.settings().exposure_s)
+            if rise_s is not None:
+                self._ready_s = rise_s + self._emulator.policy.timing.period_s(self.settings().exposure_s)
             self._emulator.expose(self)
             self.instant.TriggerSoftware.Execute()  # which pylon's emulator obeys with any trigger source
 
@@ -264,12 +264,12 @@ class EmulatedCamera:
 class EmulatedSensorImage:
     """The image on the sensor, as the file that the emulator reads at the end of an exposure."""
 
-    def __init__(self, place: Path) -> None:
-        self._place = place
-        self.folder = place / "light"
+    def __init__(self, image_folder: Path) -> None:
+        self._image_folder = image_folder
+        self.folder = image_folder / "light"
         self.folder.mkdir()
         for name in ("a.tif", "b.tif"):  # of a single name the emulator would read the file once
-            (self.folder / name).symlink_to(place / "now.tif")
+            (self.folder / name).symlink_to(image_folder / "now.tif")
 
     def set_image(self, image: Image, bits: int) -> None:
         """Replace the image on the sensor."""
@@ -281,6 +281,6 @@ class EmulatedSensorImage:
         self._replace(lambda path: path.write_bytes(b"no picture"))
 
     def _replace(self, write: Callable[[Path], object]) -> None:
-        draft = self._place / "draft"
+        draft = self._image_folder / "draft"
         write(draft)
-        os.replace(draft, self._place / "now.tif")
+        os.replace(draft, self._image_folder / "now.tif")

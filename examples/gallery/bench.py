@@ -87,7 +87,7 @@ def truth_of(folder: Path, world: Mapping[str, Any], item: str) -> SceneTruth:
     """The true surface of an item, and the exact calibration of the bench."""
     save(folder, world)
     with Rig.load(folder / "rig.yaml") as rig:
-        sampler = rig.simulation.sampler()  # type: ignore[union-attr]
+        sampler = rig.simulation.image_part_sampler()  # type: ignore[union-attr]
         return SceneTruth(sampler.mesh(item), sampler.calibration)
 
 

@@ -181,20 +181,22 @@ class Problem:
         """Where the points (K, 3) of a pose are in the vector."""
         return np.asarray(self.vector_offsets[-1] + 3 * self.observations[index].ids[:, None] + np.arange(3))
 
-    def whitened(self, index: int, rows: Floats, carried: float) -> Floats:
+    def whitened(self, pose_index: int, residual_rows: Floats, camera_error_share: float) -> Floats:
         """Make residuals of one pose independent of one another and of unit variance."""
-        shape = rows.shape
-        camera, projector = rows.reshape(2, shape[0] // 4, 2, -1)
-        projector = projector - carried * (self._carry[index] @ camera)
+        shape = residual_rows.shape
+        camera, projector = residual_rows.reshape(2, shape[0] // 4, 2, -1)
+        projector = projector - camera_error_share * (self._carry[pose_index] @ camera)
         whole = np.stack([camera / self.sizes.camera_px, projector / self.sizes.projector_px])
         return np.asarray(whole.reshape(shape))
 
-    def unwhitened(self, index: int, rows: Floats, carried: float) -> Floats:
+    def unwhitened(self, pose_index: int, whitened_rows: Floats, camera_error_share: float) -> Floats:
         """Make residuals of one pose of whitened ones; inverse of `whitened`."""
-        shape = rows.shape
-        camera, projector = rows.reshape(2, shape[0] // 4, 2, -1)
+        shape = whitened_rows.shape
+        camera, projector = whitened_rows.reshape(2, shape[0] // 4, 2, -1)
         camera = camera * self.sizes.camera_px
-        projector = projector * self.sizes.projector_px + carried * (self._carry[index] @ camera)
+        projector = projector * self.sizes.projector_px + camera_error_share * (
+            self._carry[pose_index] @ camera
+        )
         return np.asarray(np.stack([camera, projector]).reshape(shape))
 
     def errors(self, vector: Floats) -> tuple[Floats, Floats]:

@@ -44,7 +44,7 @@ class DirectWriter(io.BufferedIOBase):
             self._filled += len(part)
             done += len(part)
             if self._filled == STAGED_BYTES:
-                self._empty_stage()
+                self._write_staged()
         return len(source)
 
     def tell(self) -> int:
@@ -54,10 +54,10 @@ class DirectWriter(io.BufferedIOBase):
     def finish(self) -> None:
         """Write what is left, and wait until everything is on disk."""
         _set_direct(self._handle, False)  # which takes whole blocks only
-        self._empty_stage()
+        self._write_staged()
         os.fsync(self._handle)
 
-    def _empty_stage(self) -> None:
+    def _write_staged(self) -> None:
         unwritten = self._staged[: self._filled]
         while unwritten:
             unwritten = unwritten[os.write(self._handle, unwritten) :]

@@ -94,14 +94,14 @@ class FrameSampler(Protocol):
 class Predictable(Protocol):
     """A simulation that can be sampled: what a search that screens by predictions needs of a rig."""
 
-    def sampler(self, draw: int = 0) -> FrameSampler:
-        """Give a sampler of the simulation as it stands.
+    def image_part_sampler(self, world_draw: int = 0) -> FrameSampler:
+        """Give a sampler of image parts of the simulation as it stands.
 
         Called on the open rig.
 
         Parameters
         ----------
-        draw : int
+        world_draw : int
             0 for the simulation itself; any other draws one that it could as well be, within the
             uncertainty of what was fitted to a bench, and the same one each time.
 

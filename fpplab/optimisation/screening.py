@@ -108,7 +108,7 @@ class SampledEvaluator:
     def _sampler(self, seed: int) -> FrameSampler:
         if seed not in self._samplers:
             assert isinstance(self._rig.simulation, Predictable)
-            self._samplers[seed] = self._rig.simulation.sampler(seed)
+            self._samplers[seed] = self._rig.simulation.image_part_sampler(seed)
         return self._samplers[seed]
 
     def _figures(self, name: str, candidate: Candidate, seed: int) -> ArtefactFigures:

@@ -108,7 +108,7 @@ class RigSetup:
         self._discovered, self._names, self._folder = discovered, dict(names), folder
         self._ask, self._tell = ask, tell
 
-    def run(self, home: bool, operator: bool) -> RigDraft:
+    def choose_and_test_devices(self, home_stage: bool, operator_as_fixture: bool) -> RigDraft:
         """Choose, open and test camera, projector and, if there is one, stage; all are closed afterwards."""
         draft = RigDraft()
         with ExitStack() as stack:
@@ -118,8 +118,8 @@ class RigSetup:
             lit = self._device(stack, draft, "projector", Projector, lambda p: look_at_light(camera, p))  # type: ignore[type-abstract]
             if lit is None:
                 raise self._nothing("projector")
-            self._device(stack, draft, "stage", Stage, lambda one: self._stage(one, home))  # type: ignore[type-abstract]
-        if operator:
+            self._device(stack, draft, "stage", Stage, lambda one: self._stage(one, home_stage))  # type: ignore[type-abstract]
+        if operator_as_fixture:
             draft.sections["fixture"] = dict(OPERATOR)
         return draft
 

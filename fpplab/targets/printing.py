@@ -82,7 +82,7 @@ def paper_size(name: str) -> tuple[float, float]:
 def print_target(target: Target, path: Path, paper: str = "A4", name: str = "board") -> PrintedSheet:
     """Write a board as a page of vector graphics at true scale."""
     need_suffix(path, ".pdf", ".svg")
-    size = _fitting(target, paper)
+    size = _paper_size_turned_to_fit(target, paper)
     page = _Page(size)
     page.board(target)
     page.ruler()
@@ -115,7 +115,7 @@ def _box(left: float, top: float, right: float, bottom: float) -> Outline:
     return Outline(corners, closed=True)
 
 
-def _fitting(target: Target, paper: str) -> tuple[float, float]:
+def _paper_size_turned_to_fit(target: Target, paper: str) -> tuple[float, float]:
     """Choose the paper, turned if it must be, on which the board has room with its legend."""
     width, height = paper_size(paper)
     needed = _needed(target)

@@ -25,7 +25,7 @@ from fpplab.patterns.plan import Plan
 from fpplab.phase import check_unwrapping
 from fpplab.setup.live.expectation import RigGeometry, WorkingPoint
 from fpplab.setup.live.keys import terminal_keys
-from fpplab.setup.live.loop import LiveOptions, SetUp
+from fpplab.setup.live.loop import LiveOptions, LiveSetUp
 from fpplab.setup.live.orders import Order
 from fpplab.setup.live.page import SetUpPage
 from fpplab.setup.live.status import LiveStatus
@@ -135,7 +135,7 @@ def run_live(
         if has_keys:
             log("Keys: a advice, + - exposure, m measure, w white, t take, q quit; all by --help")
         observer = _Observer(page, viewer, request.recording is not None, show_status)
-        setup = SetUp(rig, options, orders, observer)
+        setup = LiveSetUp(rig, options, orders, observer)
         last = setup.run(turn)
     return LiveResult(last, setup.poses, request.recording)
 

@@ -15,9 +15,9 @@ def main(arguments: list[str]) -> None:
     described, out = arguments
     preview = read_preview(described)
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    stage = bpy.context.scene
-    stage.name = preview.rig
-    show_preview(stage, preview)
+    blender_scene = bpy.context.scene
+    blender_scene.name = preview.rig
+    show_preview(blender_scene, preview)
     for image in bpy.data.images:
         image.pack()
     bpy.ops.wm.save_as_mainfile(filepath=out, compress=True)

@@ -25,26 +25,28 @@ PreviewPixels = NDArray[np.float32]
 """Pictures (height, width)."""
 
 
-def show_preview(stage: Any, preview: Preview) -> None:
+def show_preview(blender_scene: Any, preview: Preview) -> None:
     """Add camera, projector and item to a scene in Blender that holds none, and set it up for viewing.
 
     The rendered view then shows grey levels over full scale, but for the sensor's black level.
     """
     pattern = preview.render
-    camera = add_scene(stage, pattern.scene, pattern.textures, compile_shader(), pattern.ambient)
-    add_room_lamps(stage, pattern.room_lamps)
+    camera = add_scene(blender_scene, pattern.scene, pattern.textures, compile_shader(), pattern.ambient)
+    add_room_lamps(blender_scene, pattern.room_lamps)
     aim(camera, pattern.scene.camera, _middle(pattern))
-    make_linear(stage, pattern.settings)
-    stage.cycles.device = "CPU" if pattern.settings.device == "CPU" else "GPU"
-    stage.cycles.samples = stage.cycles.preview_samples = VIEWING_SAMPLES * pattern.settings.samples
-    stage.cycles.filter_width = 1.0
-    stage.cycles.use_preview_denoising = stage.cycles.use_preview_adaptive_sampling = False
-    _show_grey_levels(stage, preview.grey_scale)
-    stage.unit_settings.system, stage.unit_settings.scale_length = "METRIC", 1e-3
-    stage.unit_settings.length_unit = "MILLIMETERS"
+    make_linear(blender_scene, pattern.settings)
+    blender_scene.cycles.device = "CPU" if pattern.settings.device == "CPU" else "GPU"
+    blender_scene.cycles.samples = blender_scene.cycles.preview_samples = (
+        VIEWING_SAMPLES * pattern.settings.samples
+    )
+    blender_scene.cycles.filter_width = 1.0
+    blender_scene.cycles.use_preview_denoising = blender_scene.cycles.use_preview_adaptive_sampling = False
+    _show_grey_levels(blender_scene, preview.grey_scale)
+    blender_scene.unit_settings.system, blender_scene.unit_settings.scale_length = "METRIC", 1e-3
+    blender_scene.unit_settings.length_unit = "MILLIMETERS"
 
 
-def take_picture(stage: Any, preview: Preview) -> PreviewPixels:
+def take_picture(blender_scene: Any, preview: Preview) -> PreviewPixels:
     """Render what the twin's camera sees on average, without noise, through the twin's own sub-pixels."""
     # returns (height, width)
     pattern = preview.render
@@ -53,45 +55,45 @@ def take_picture(stage: Any, preview: Preview) -> PreviewPixels:
     irradiance = np.zeros((height, width), np.float32)
     seen = irradiance[top:bottom, left:right]
     if seen.size:
-        with _for_pictures(stage, pattern), tempfile.TemporaryDirectory(prefix="fpplab-") as folder:
-            stage.render.filepath = str(Path(folder) / "view.exr")
+        with _for_pictures(blender_scene, pattern), tempfile.TemporaryDirectory(prefix="fpplab-") as folder:
+            blender_scene.render.filepath = str(Path(folder) / "view.exr")
             for view in pattern.views:
-                aim(stage.camera.data, pattern.scene.camera, view)
-                seen += _under_all_lights(stage)
-            aim(stage.camera.data, pattern.scene.camera, _middle(pattern))
+                aim(blender_scene.camera.data, pattern.scene.camera, view)
+                seen += _under_all_lights(blender_scene)
+            aim(blender_scene.camera.data, pattern.scene.camera, _middle(pattern))
         seen /= np.float32(len(pattern.views))
     if pattern.falloff is not None:
         irradiance *= pattern.falloff
     return preview.grey_scale.levels(irradiance)
 
 
-def _under_all_lights(stage: Any) -> PreviewPixels:
+def _under_all_lights(blender_scene: Any) -> PreviewPixels:
     """Add up pictures under one light each, since Cycles takes one of several at random for each sample.
 
     Each of them holds what glows by itself, which must count once.
     """
-    lights = [light for light in stage.objects if light.type == "LIGHT"]
+    lights = [light for light in blender_scene.objects if light.type == "LIGHT"]
     if len(lights) == 1:
-        return _rendered(stage)
-    total: PreviewPixels = (1 - len(lights)) * _with_only(stage, lights, None)
+        return _rendered(blender_scene)
+    total: PreviewPixels = (1 - len(lights)) * _with_only(blender_scene, lights, None)
     for light in lights:
-        total += _with_only(stage, lights, light)
+        total += _with_only(blender_scene, lights, light)
     return total
 
 
-def _with_only(stage: Any, lights: list[Any], shown: Any) -> PreviewPixels:
+def _with_only(blender_scene: Any, lights: list[Any], shown: Any) -> PreviewPixels:
     try:
         for light in lights:
             light.hide_render = light is not shown
-        return _rendered(stage)
+        return _rendered(blender_scene)
     finally:
         for light in lights:
             light.hide_render = False
 
 
-def _rendered(stage: Any) -> PreviewPixels:
-    bpy.ops.render.render(write_still=True, scene=stage.name)
-    return _red(stage.render.filepath)
+def _rendered(blender_scene: Any) -> PreviewPixels:
+    bpy.ops.render.render(write_still=True, scene=blender_scene.name)
+    return _red(blender_scene.render.filepath)
 
 
 def _middle(pattern: PatternRender) -> SubpixelView:
@@ -99,18 +101,18 @@ def _middle(pattern: PatternRender) -> SubpixelView:
     return SubpixelView((0.0, 0.0))
 
 
-def _show_grey_levels(stage: Any, grey_scale: GreyScale) -> None:
-    stage.display_settings.display_device = "sRGB"
-    stage.view_settings.view_transform = "Raw"
-    stage.view_settings.exposure = math.log2(grey_scale.slope / grey_scale.full_scale)
-    stage.view_settings.gamma = 1.0
+def _show_grey_levels(blender_scene: Any, grey_scale: GreyScale) -> None:
+    blender_scene.display_settings.display_device = "sRGB"
+    blender_scene.view_settings.view_transform = "Raw"
+    blender_scene.view_settings.exposure = math.log2(grey_scale.slope / grey_scale.full_scale)
+    blender_scene.view_settings.gamma = 1.0
 
 
 @contextmanager
-def _for_pictures(stage: Any, pattern: PatternRender) -> Iterator[None]:
+def _for_pictures(blender_scene: Any, pattern: PatternRender) -> Iterator[None]:
     """Set the scene to render linear light at one point of every pixel, into a file of floats."""
-    cycles, render = stage.cycles, stage.render
-    before = [(of, name, getattr(of, name)) for of, name in _changed(stage)]
+    cycles, render = blender_scene.cycles, blender_scene.render
+    before = [(of, name, getattr(of, name)) for of, name in _changed(blender_scene)]
     try:
         cycles.samples, cycles.filter_width = pattern.settings.samples, 0.01
         render.image_settings.file_format = "OPEN_EXR"
@@ -121,12 +123,12 @@ def _for_pictures(stage: Any, pattern: PatternRender) -> Iterator[None]:
             setattr(of, name, value)
 
 
-def _changed(stage: Any) -> list[tuple[Any, str]]:
-    image = stage.render.image_settings
+def _changed(blender_scene: Any) -> list[tuple[Any, str]]:
+    image = blender_scene.render.image_settings
     return [
-        *((stage.cycles, name) for name in ("samples", "filter_width")),
+        *((blender_scene.cycles, name) for name in ("samples", "filter_width")),
         *((image, name) for name in ("file_format", "color_mode", "color_depth", "exr_codec")),
-        (stage.render, "filepath"),
+        (blender_scene.render, "filepath"),
     ]
 
 

@@ -17,10 +17,10 @@ def runs_osl(device: str) -> bool:
     return device in (CPU, OPTIX)
 
 
-def choose_device(stage: Any, device: str) -> None:
+def choose_cycles_device(blender_scene: Any, device: str) -> None:
     """Set a scene to render on every device of a kind."""
     if device == CPU:
-        stage.cycles.device = CPU
+        blender_scene.cycles.device = CPU
         return
     preferences = _preferences()
     devices = _devices(preferences, device)
@@ -33,7 +33,7 @@ def choose_device(stage: Any, device: str) -> None:
     preferences.refresh_devices()
     for entry in preferences.devices:
         entry.use = entry.type == device
-    stage.cycles.device = "GPU"
+    blender_scene.cycles.device = "GPU"
 
 
 def _preferences() -> Any:

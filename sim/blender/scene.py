@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sim.blender.building import add_scene, make_linear
 from sim.blender.camera import aim, compile_shader
-from sim.blender.processors import choose_device, runs_osl
+from sim.blender.processors import choose_cycles_device, runs_osl
 from sim.scene import (
     ALBEDO,
     COLOURS,
@@ -52,11 +52,11 @@ class BlenderScene:
         if left >= right or top >= bottom:
             return
         bpy.ops.wm.read_factory_settings(use_empty=True)
-        stage = bpy.context.scene
-        make_linear(stage, effort)
-        choose_device(stage, effort.device)
+        blender_scene = bpy.context.scene
+        make_linear(blender_scene, effort)
+        choose_cycles_device(blender_scene, effort.device)
         shaders = self._bytecode if runs_osl(effort.device) else None
-        camera = add_scene(stage, scene, textures, shaders)
+        camera = add_scene(blender_scene, scene, textures, shaders)
         self._passes.clear()
         for view, picture in zip(views, out, strict=True):
             aim(camera, scene.camera, view)

@@ -112,7 +112,7 @@ def match_command(
     from sim.matching.workflow import (
         MatchRequest,
         SurfacesRequest,
-        check_match_request,
+        check_match_output,
         match,
         match_surfaces_alone,
     )
@@ -132,7 +132,7 @@ def match_command(
         target=Target.load(target) if target else None,
         force=force,
     )
-    check_match_request(request)
+    check_match_output(request)
     result = match(request, _observe_matching(context, view, keep_open, out))
     summary = result.summary()
     console.conclude(result.matching.diagnosis, str(out), summary, json, lambda: _show(summary))

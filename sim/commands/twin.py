@@ -75,8 +75,8 @@ def describe_rig(
     baseline: BaselineOption = None,
     axis: AxisOption = "x",
     stripes: StripesOption = 64.0,
-    steps: StepsOption = 12,
-    step: StepOption = 0,
+    phase_steps: StepsOption = 12,
+    shown_step: StepOption = 0,
     exposure: ExposureOption = 0.02,
     force: Force = False,
     json: Json = False,
@@ -89,17 +89,17 @@ def describe_rig(
 
     need_suffix(out, ".npz")
     refuse_existing(out, force)
-    arrangement = _arrangement(item, pose, baseline, axis, stripes, steps, exposure)
+    arrangement = _arrangement(item, pose, baseline, axis, stripes, phase_steps, exposure)
     with _simulated(rig) as bench:
         from sim.preview import arrangement_summary, save_preview
 
-        save_preview(bench, arrangement, step, out)
+        save_preview(bench, arrangement, shown_step, out)
         summary = arrangement_summary(bench, arrangement)
     console.print_result({"preview": str(out), **summary}, json)
 
 
 @twin.command("export")
-def export_rig(
+def export_blend(
     rig: RigName,
     out: Out,
     item: ItemOption = None,
@@ -107,8 +107,8 @@ def export_rig(
     baseline: BaselineOption = None,
     axis: AxisOption = "x",
     stripes: StripesOption = 64.0,
-    steps: StepsOption = 12,
-    step: StepOption = 0,
+    phase_steps: StepsOption = 12,
+    shown_step: StepOption = 0,
     exposure: ExposureOption = 0.02,
     force: Force = False,
     json: Json = False,
@@ -123,13 +123,13 @@ def export_rig(
 
     need_suffix(out, ".blend")
     refuse_existing(out, force)
-    arrangement = _arrangement(item, pose, baseline, axis, stripes, steps, exposure)
+    arrangement = _arrangement(item, pose, baseline, axis, stripes, phase_steps, exposure)
     with _simulated(rig) as bench:
         from sim.export import export_preview
         from sim.preview import arrangement_summary, make_preview
 
         with console.progress("Exporting"):
-            export_preview(make_preview(bench, arrangement, step), out)
+            export_preview(make_preview(bench, arrangement, shown_step), out)
         summary = arrangement_summary(bench, arrangement)
     console.print_result({"blend": str(out), **summary}, json)
 

@@ -39,7 +39,7 @@ class RoomLamp(Document):
     """Distance of the lamp, in mm."""
 
     @property
-    def offset(self) -> Floats:
+    def displacement_mm(self) -> Floats:
         """Place (3,) of the lamp from the point it is given from, in mm in the camera's frame."""
         angle, azimuth = np.radians([self.angle_deg, self.azimuth_deg])
         lateral = np.sin(angle)
@@ -125,7 +125,7 @@ class RoomLamps(Effect[LampsField]):
     def point_lamps(self, world: EffectWorld) -> tuple[PointLamp, ...]:
         middle = np.array([0.0, 0.0, world.projector.distance_mm])
         return tuple(
-            PointLamp(tuple((middle + lamp.offset).tolist()), lamp.irradiance * lamp.distance_mm**2)
+            PointLamp(tuple((middle + lamp.displacement_mm).tolist()), lamp.irradiance * lamp.distance_mm**2)
             for lamp in self.own(world).lamps.values()
         )
 

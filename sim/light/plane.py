@@ -24,13 +24,13 @@ from numpy.typing import NDArray
 
 from fpplab.core.conventions import Floats, PixelIndices
 from fpplab.core.geometry import Pinhole, RigidTransform
-from sim.light.prints import PrintCache, Prints, sharp_print
+from sim.light.blurred_pictures import BlurredPictureCache, BlurredPictures, unblurred_picture
 from sim.light.rays import distorted, lens_turn, on_lens, slopes_at
 from sim.light.slopes import MotionTable
 from sim.light.table import Irradiance, LightTable, circle_level
 from sim.scene import Paint, RenderScene, SubpixelView
 
-_cache = PrintCache()
+_cache = BlurredPictureCache()
 
 
 def can_compute(scene: RenderScene) -> bool:
@@ -75,7 +75,9 @@ def _tables(
     reach = Pinhole(camera.size, camera.matrix, camera.distortion).reach
     radius = 0.5 * scene.aperture.diameter_mm
     spots = spots and surface.picture is not None  # a uniform surface has nothing to blur
-    prints = _prints_blurred_by_spots(scene, len(views)) if spots else sharp_print(surface.picture)
+    blurred = (
+        _board_picture_blurred_by_defocus(scene, len(views)) if spots else unblurred_picture(surface.picture)
+    )
     shifts = np.array([view.shift for view in views])
     lens = _correlated_lens(shifts) if spots else np.array([view.lens for view in views])
     if spots and len(views) > 1:
@@ -104,11 +106,11 @@ def _tables(
         low=surface.vertices[0, :2],
         high=surface.vertices[2, :2],
         paint=np.array([surface.paint.ink, surface.paint.reflectance - surface.paint.ink]),
-        variances=prints.variances,
-        prints=prints.pictures,
-        across=prints.across,
-        down=prints.down,
-        rim=prints.rim,
+        variances=blurred.variances_mm2,
+        pictures=blurred.pictures,
+        across=blurred.across,
+        down=blurred.down,
+        rim=blurred.rim,
         samples=samples,
         albedo=albedo,
         slopes=slopes,
@@ -124,7 +126,7 @@ def _tables(
     return MotionTable(table, slopes, albedo_slopes, motion)
 
 
-def _prints_blurred_by_spots(scene: RenderScene, samples: int) -> Prints:
+def _board_picture_blurred_by_defocus(scene: RenderScene, aperture_samples: int) -> BlurredPictures:
     """Blur the print for all sizes of spots on it."""
     surface, aperture, camera = scene.surfaces[0], scene.aperture, scene.camera
     assert surface.picture is not None
@@ -140,7 +142,7 @@ def _prints_blurred_by_spots(scene: RenderScene, samples: int) -> Prints:
             1.0 / (camera.matrix[0, 0] * camera.matrix[1, 1]),
             0.5 * aperture.diameter_mm,
             aperture.focus_mm,
-            samples,
+            aperture_samples,
         )
         for point in points
     ]
@@ -228,7 +230,7 @@ def _trace(
     high: Floats,
     paint: Floats,
     variances: Floats,
-    prints: Irradiance,
+    pictures: Irradiance,
     across: Irradiance,
     down: Irradiance,
     rim: tuple[int, int],
@@ -242,9 +244,9 @@ def _trace(
 
     columns, rows: (P,) of an image of that height. views: (K, 4) shift u, v and lens x, y, with their joint
     `variance`. lamp: in the item's frame. low, high: corners of the item. paint: reflectance of the print,
-    and by how much more the ground reflects. variances, prints, across, down, rim: as in `Prints`; without
-    spots there is one variance and no rim. slopes (K, P, 2), albedo_slopes (P, 2), motion (P, 5, 3): as in
-    `MotionTable`, all of them without pixels where they are not wanted.
+    and by how much more the ground reflects. variances (mm²), pictures, across, down, rim: as in
+    `BlurredPictures`; without spots there is one variance and no rim. slopes (K, P, 2), albedo_slopes (P, 2),
+    motion (P, 5, 3): as in `MotionTable`, all of them without pixels where they are not wanted.
     """
     R, t = T_item_camera[:, :3], T_item_camera[:, 3]
     P, p = T_projector_item[:, :3], T_projector_item[:, 3]
@@ -252,8 +254,8 @@ def _trace(
     pixel = 1.0 / (matrix[0, 0] * matrix[1, 1])
     moving = len(motion) > 0
     wide, tall = high[0] - low[0], high[1] - low[1]
-    beyond_x = wide * rim[0] / (prints.shape[2] - 2 * rim[0])
-    beyond_y = tall * rim[1] / (prints.shape[1] - 2 * rim[1])
+    beyond_x = wide * rim[0] / (pictures.shape[2] - 2 * rim[0])
+    beyond_y = tall * rim[1] / (pictures.shape[1] - 2 * rim[1])
     for i in numba.prange(len(rows)):
         u, v = columns[i], rows[i]
         sine, turned = 0.0, 1.0
@@ -309,13 +311,15 @@ def _trace(
                 continue
             sx, sy = (ix - low[0]) / wide, (iy - low[1]) / tall
             if len(variances) == 1:
-                grey, by_x, by_y = _reflected(prints[0], across[0], down[0], rim, sx, sy, paint)
+                grey, by_x, by_y = _reflected(pictures[0], across[0], down[0], rim, sx, sy, paint)
             else:
                 spot = _spot(length, abs(fall), pixel, radius, focus, len(views))
                 size, more = _between_sizes(spot, variances)
-                near, near_x, near_y = _reflected(prints[size], across[size], down[size], rim, sx, sy, paint)
+                near, near_x, near_y = _reflected(
+                    pictures[size], across[size], down[size], rim, sx, sy, paint
+                )
                 size += 1
-                far, far_x, far_y = _reflected(prints[size], across[size], down[size], rim, sx, sy, paint)
+                far, far_x, far_y = _reflected(pictures[size], across[size], down[size], rim, sx, sy, paint)
                 grey = near + more * (far - near)
                 by_x, by_y = near_x + more * (far_x - near_x), near_y + more * (far_y - near_y)
             albedo[i] += share * grey

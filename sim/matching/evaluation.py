@@ -61,7 +61,7 @@ def evaluate(
     reference: Reference,
     twin: Twin,
     weights: Weights,
-    epsilon_v: float | None = None,
+    known_twin_rms_px: float | None = None,
     poses: Sequence[int] | None = None,
     progress: Progress = no_progress,
 ) -> TwinEvaluation:
@@ -77,7 +77,7 @@ def evaluate(
         for pose in every:
             if pose in chosen:
                 pairs += pose_similarity(reference, twin, pose)
-            if epsilon_v is None:
+            if known_twin_rms_px is None:
                 frames = twin.frames(pose, reference.patterns, reference.settings)
                 wait(observed)  # so that no more than two poses' frames are held
                 observed.append(pool.submit(_observed, reference, pose, frames))
@@ -90,10 +90,12 @@ def evaluate(
         except CalibrationError as error:
             left_out[reference.sessions[pose].path.name] = str(error)
     similarity = Similarity(*(np.array(future) for future in zip(*pairs, strict=True)))
-    characterisation = _characterised(reference, observations, left_out) if epsilon_v is None else None
-    own = characterisation.calibration.rms_px["joint"] if characterisation else epsilon_v
+    characterisation = (
+        _characterised(reference, observations, left_out) if known_twin_rms_px is None else None
+    )
+    own = characterisation.calibration.rms_px["joint"] if characterisation else known_twin_rms_px
     assert own is not None
-    return TwinEvaluation(Loss(weights, reference.epsilon_r, own, similarity), characterisation)
+    return TwinEvaluation(Loss(weights, reference.reference_rms_px, own, similarity), characterisation)
 
 
 def pose_similarity(reference: Reference, twin: Twin, pose: int) -> list[tuple[float, float]]:

@@ -49,14 +49,14 @@ class Loss:
     """The loss with its parts; each figure has a mean and a spread over the images."""
 
     weights: Weights  # of the two parts
-    epsilon_r: float  # joint RMS reprojection error of the reference in px
-    epsilon_v: float  # joint RMS reprojection error of the twin in px
+    reference_rms_px: float  # joint RMS reprojection error of the reference in px
+    twin_rms_px: float  # joint RMS reprojection error of the twin in px
     similarity: Similarity  # SSIM of every compared image
 
     @property
-    def epsilon_d(self) -> float:
+    def rms_difference_px(self) -> float:
         """RMS reprojection error of the reference less that of the twin, in px, signed."""
-        return self.epsilon_r - self.epsilon_v
+        return self.reference_rms_px - self.twin_rms_px
 
     @property
     def whole(self) -> float:
@@ -69,7 +69,7 @@ class Loss:
         return float(self._of(self.similarity.board).mean())
 
     def _of(self, ssim: Floats) -> Floats:
-        geometric = self.weights.alpha * np.log1p(abs(self.epsilon_d))
+        geometric = self.weights.alpha * np.log1p(abs(self.rms_difference_px))
         return np.asarray(geometric + self.weights.beta * (1.0 - ssim))
 
     def summary(self) -> dict[str, Any]:
@@ -82,9 +82,9 @@ class Loss:
             "ssim_spread": float(self.similarity.whole.std()),
             "ssim_board_spread": float(self.similarity.board.std()),
             "loss_spread": float(self._of(self.similarity.whole).std()),
-            "epsilon_d_px": self.epsilon_d,
-            "epsilon_r_px": self.epsilon_r,
-            "epsilon_v_px": self.epsilon_v,
+            "epsilon_d_px": self.rms_difference_px,
+            "epsilon_r_px": self.reference_rms_px,
+            "epsilon_v_px": self.twin_rms_px,
             "images": len(self.similarity.whole),
         }
 

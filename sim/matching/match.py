@@ -183,7 +183,7 @@ def match_twin(
     state = _State(at, weights, record, epochs, started, watch)
     if not epochs:
         watch.begin(0, "epoch 0, start", may_end=False)
-        first = _evaluated(state, at).loss.summary()
+        first = _evaluate_epoch(state, at).loss.summary()
         _record_epoch(state, "start", ParametersFile.of(start), first, _difference(at), True, observe)
     ended = _run(state, limits, observe)
     watch.begin(_usual_steps() + 1, "judging the result", may_end=False)
@@ -313,8 +313,8 @@ def _take_step(state: _State, step: MatchingStep, observe: EpochObserver) -> Non
     if step.same_images and (refused or not step.characterises):
         loss, difference = best.loss, best.difference
     else:
-        epsilon_v = None if step.characterises and not refused else best.loss["epsilon_v_px"]
-        loss = _evaluated(state, tried, epsilon_v).loss.summary()
+        known_twin_rms_px = None if step.characterises and not refused else best.loss["epsilon_v_px"]
+        loss = _evaluate_epoch(state, tried, known_twin_rms_px).loss.summary()
         samples = _samples_of_poses(at.reference, tried.twin.parameters)
         state.at = replace(state.at, samples=samples)
         difference = _difference(replace(tried, samples=samples))
@@ -322,10 +322,12 @@ def _take_step(state: _State, step: MatchingStep, observe: EpochObserver) -> Non
     _record_epoch(state, step.name, written, loss, difference, accepted, observe)
 
 
-def _evaluated(state: _State, at: MatchingContext, epsilon_v: float | None = None) -> TwinEvaluation:
+def _evaluate_epoch(
+    state: _State, context: MatchingContext, known_twin_rms_px: float | None = None
+) -> TwinEvaluation:
     """Judge an epoch by the images of some poses."""
-    compared = at.reference.spread_poses(LIMITS.compared_poses)
-    return evaluate(at.reference, at.twin, state.weights, epsilon_v, poses=compared)
+    compared = context.reference.spread_poses(LIMITS.compared_poses)
+    return evaluate(context.reference, context.twin, state.weights, known_twin_rms_px, poses=compared)
 
 
 def _accepted(best: MatchingEpoch, loss: Mapping[str, float], difference: float) -> bool:

@@ -69,7 +69,7 @@ class Reference:
         return self.sessions[0].records[0].settings
 
     @property
-    def epsilon_r(self) -> float:
+    def reference_rms_px(self) -> float:
         """Joint RMS reprojection error in px."""
         return self.characterisation.calibration.rms_px["joint"]
 

@@ -205,15 +205,15 @@ def _ends(samples: Sequence[PixelSample]) -> list[PixelSample]:
     return [samples[0], samples[len(samples) // 2], samples[-1]]
 
 
-def _fit_together(at: MatchingContext) -> TwinParameters:
+def _fit_light_and_focus_together(at: MatchingContext) -> TwinParameters:
     now = at.parameters
     names = [*at.blur_by_images, "vignetting"]
     for effect in EFFECTS:
         if effect.is_in(now):
             names += effect.fitted
-    if not at.contrasts:
-        names += at.projector_focus
-    return at.fit(*at.light_parameters(*names, *at.camera_focus))
+    if not context.contrasts:
+        names += context.projector_focus
+    return context.fit(*context.light_parameters(*names, *context.camera_focus))
 
 
 def _board_is_sharper(at: MatchingContext) -> bool:
@@ -229,7 +229,7 @@ def _board_is_sharper(at: MatchingContext) -> bool:
 def _without_contrasts(at: MatchingContext) -> TwinParameters:
     """Search the projector's focus by the board's images, and fit all light again."""
     alone = replace(at, contrasts=()).with_parameters(replace(at.parameters, projector_focus_mm=None))
-    return _fit_together(alone.with_parameters(_projector_defocus(alone)))
+    return _fit_light_and_focus_together(alone.with_parameters(_projector_defocus(alone)))
 
 
 def _contrast_left(at: MatchingContext) -> float | None:
@@ -315,7 +315,7 @@ EXPLAINS = {step.name: step.explains for step in FIRST_STEPS if step.explains}
 CHANGING = {step.name for step in FIRST_STEPS if step.same_images}
 """Those that differ from frame to frame: no expected image shows them."""
 REPEATED_STEPS = (
-    MatchingStep("together", _fit_together),
+    MatchingStep("together", _fit_light_and_focus_together),
     MatchingStep(
         "images",
         _refine_by_images,

@@ -121,7 +121,7 @@ def match(request: MatchRequest, observer: MatchObserver | None = None) -> Match
         The bench cannot be characterised, or its twin cannot become it.
     """
     follow, stopwatch = observer or MatchObserver(), Stopwatch()
-    check_match_request(request)
+    check_match_output(request)
     if request.force:
         for name in (EPOCHS, REPORT, RIG):
             (request.out / name).unlink(missing_ok=True)
@@ -163,7 +163,7 @@ def _match(request: MatchRequest, twin: Twin, observer: MatchObserver) -> Matchi
         raise with_causes(error, request.sessions, observer) from error
 
 
-def check_match_request(request: MatchRequest) -> None:
+def check_match_output(request: MatchRequest) -> None:
     """Refuse to overwrite a finished matching; an unfinished or refused one is continued."""
     out = request.out
     finished = (out / RIG).is_file() and (out / REPORT).is_file()  # which is last

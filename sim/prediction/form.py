@@ -18,7 +18,9 @@ from fpplab.core.geometry import RigidTransform
 from fpplab.reconstruction.uncertainty import CoordinateNoise, displacements_by_mode, rigid_motions
 
 
-def form_errors(points: Floats, normals: Floats, calibration: Calibration, noise: CoordinateNoise) -> Floats:
+def form_error_by_mode(
+    points: Floats, normals: Floats, calibration: Calibration, noise: CoordinateNoise
+) -> Floats:
     """Compute what the modes of calibration error leave of form along the normals, after an alignment."""
     # points (N, 3) mm; normals (N, 3); returns (N, n) mm
     moved = np.einsum("ni,nik->nk", normals, displacements_by_mode(points, calibration, noise))
@@ -39,6 +41,6 @@ def distance_factors(
     points = cloud.points[on_shape[v, u]]
     sample = points[:: max(1, len(points) // 4_000)].astype(np.float64)  # some 4,000 give the mean
     distances, _, normals = AlignmentMesh(mesh).residuals(sample, RigidTransform.identity())
-    modes = form_errors(sample, normals, calibration, noise)
+    modes = form_error_by_mode(sample, normals, calibration, noise)
     drawn = np.random.default_rng(0).standard_normal((500, modes.shape[1]))
     return np.asarray(np.abs(distances + drawn @ modes.T).mean(axis=1) / np.abs(distances).mean())

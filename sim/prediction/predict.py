@@ -36,7 +36,7 @@ from sim.prediction.discrepancy import Discrepancy
 from sim.prediction.figures import MeasuredFigures, figures_of, seen_surface
 from sim.prediction.form import distance_factors
 from sim.prediction.intervals import FigureInterval, figure_intervals
-from sim.sampling import SimSampler
+from sim.sampling import ImagePartSampler
 
 BAND, MARGIN = 12, 2
 """Rows of a band, and how many at each of its ends serve as neighbours alone."""
@@ -81,7 +81,7 @@ def predict(
     """Predict a measurement of an item on an open rig of a simulation, by about `pixels` of its pixels."""
     if not isinstance(rig.simulation, VirtualBench):
         raise ConfigError(f"{rig.source}: is no simulation that can predict; name a twin's rig file")
-    sampler, folder = rig.simulation.sampler(), Path(rig.source).parent
+    sampler, folder = rig.simulation.image_part_sampler(), Path(rig.source).parent
     used_calibration = calibration or _with_uncertainty_beside(sampler.calibration, folder)
     mesh = sampler.mesh(item)
     seen, lit = seen_surface(mesh, used_calibration)
@@ -146,7 +146,7 @@ class _Sampled:
     plan: Plan
     item: str
     calibration: Calibration
-    sampler: SimSampler
+    sampler: ImagePartSampler
     mesh: trimesh.Trimesh
     rows: Rows
     surface: tuple[Mask, Mask]  # pixels that see the item, and those where it is lit as well

@@ -47,7 +47,7 @@ class PulsingProjector(ReferenceProjector):
         for k, pattern in enumerate(self._held):
             if self._playing.is_set():
                 self._bench.on_show = pattern
-                self._bench.pylon.pulse(at_s=k * self._period_s)
+                self._bench.pylon.pulse(rise_s=k * self._period_s)
 
     def _blank(self) -> None:
         self._end()

@@ -32,7 +32,7 @@ def wanted(tmp_path_factory: pytest.TempPathFactory) -> Study:
     file = tmp_path_factory.mktemp("known") / "calibration.yaml"
     with Rig.load(RIG) as rig:
         assert isinstance(rig.simulation, Predictable)
-        rig.simulation.sampler().calibration.save(file)
+        rig.simulation.image_part_sampler().calibration.save(file)
     return study(
         artefacts=["pyramid", "steps"],
         start={"fringes": SETS, "exposure_s": 0.02, "filter": {}},

@@ -157,7 +157,9 @@ def set_up(
     **names: str,
 ) -> RigDraft:
     sentences = told if told is not None else []
-    return RigSetup(FoundDevices(devices, []), names, folder, ask, sentences.append).run(home, False)
+    return RigSetup(FoundDevices(devices, []), names, folder, ask, sentences.append).choose_and_test_devices(
+        home, False
+    )
 
 
 def test_the_only_devices_are_taken_tested_and_closed(light: Light, tmp_path: Path) -> None:

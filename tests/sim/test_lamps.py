@@ -78,8 +78,8 @@ def test_place_of_a_lamp_is_as_documented() -> None:
     assert np.allclose(point_lamps(of)[0].place, (0.0, 0.0, of.projector.distance_mm - 500.0))
     below = RoomLamp(irradiance=1.0, angle_deg=90.0, azimuth_deg=90.0, distance_mm=300.0)
     right = RoomLamp(irradiance=1.0, angle_deg=90.0, azimuth_deg=0.0, distance_mm=300.0)
-    assert np.allclose(below.offset, (0.0, 300.0, 0.0))
-    assert np.allclose(right.offset, (300.0, 0.0, 0.0))
+    assert np.allclose(below.displacement_mm, (0.0, 300.0, 0.0))
+    assert np.allclose(right.displacement_mm, (300.0, 0.0, 0.0))
 
 
 def test_light_on_a_card_is_the_formulas() -> None:

@@ -54,7 +54,7 @@ class Flash:
         part = np.frombuffer(bytes(self.content[offset : offset + size]), np.uint8)
         return int(part.sum(dtype=np.uint64)) & 0xFFFFFFFF
 
-    def listed_blocks(self) -> list[bytes] | None:
+    def read_listed_firmware_blocks(self) -> list[bytes] | None:
         """Read every block of program and configuration that the flash table lists."""
         if self.content[TABLE : TABLE + 4] != bytes.fromhex("67452301"):
             return None

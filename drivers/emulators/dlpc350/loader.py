@@ -146,12 +146,12 @@ class FlashedDlpc350(Dlpc350):
     ) -> None:
         super().__init__(clock, [], policy, on_pulse)
         self.flash = Flash(content)
-        self._program = self.flash.listed_blocks()
+        self._program = self.flash.read_listed_firmware_blocks()
         self.switch_on()
 
     def switch_on(self) -> None:
         """Start the application, or the boot loader if there is no valid application."""
-        runs = self._program is not None and self.flash.listed_blocks() == self._program
+        runs = self._program is not None and self.flash.read_listed_firmware_blocks() == self._program
         self.loader = None if runs else BootLoader(self.flash, self.clock, self.policy)
         if runs:
             try:

@@ -72,7 +72,7 @@ def new_command(
     setup = RigSetup(
         devices, names, out.absolute().parent, None if no_questions else _ask, console.log_status
     )
-    draft = setup.run(home, operator)
+    draft = setup.choose_and_test_devices(home, operator)
     write_text(out, draft.text(name))
     console.print_result(
         {"rig": str(out), **draft.summary()},

@@ -49,7 +49,7 @@ class Nsga2(SearchMethod):
             quiet_optuna,
         )
 
-        first = _seed_points(runner)
+        first = _search_for_seed_points(runner)
         with quiet_optuna():
             seed = runner.space.problem.seeds[0]
             sampler = optuna.samplers.NSGAIISampler(population_size=self.population, seed=seed)
@@ -90,7 +90,7 @@ def _step_neighbours(runner: CandidateRunner, point: Point) -> Iterator[Point]:
                 yield (*point[:i], value, *point[i + 1 :])
 
 
-def _seed_points(runner: CandidateRunner) -> list[Point]:
+def _search_for_seed_points(runner: CandidateRunner) -> list[Point]:
     """Find the start, the single-parameter optima, and phase plans at the best stripes and geometry."""
     space = runner.space
     phases, stripes, geometry = (space.of_group(group) for group in ("steps", "stripes", "geometry"))

@@ -75,10 +75,10 @@ def guided_characterisation(
     tell: Callable[[str], object], bar: Bar, observe_frame: FrameObserver = ignore,
 ) -> GuidedRun:  # fmt: skip
     """Characterise a rig by poses that are asked for one at a time."""
-    return _Loop(rig, plan, target, folder, settings, tell, bar, observe_frame).run()
+    return _PoseGuideLoop(rig, plan, target, folder, settings, tell, bar, observe_frame).run()
 
 
-class _Loop:
+class _PoseGuideLoop:
     """A guided characterisation under way."""
 
     def __init__(
@@ -124,7 +124,7 @@ class _Loop:
         reached = form is not None and until is not None and form <= until
         return reached and count >= LIMITS.min_poses and not self._guide.has_uncovered_region
 
-    def _filling_comes_first(self) -> bool:
+    def _empty_image_parts_come_first(self) -> bool:
         """Whether parts of the images without points come first: little else is left to do."""
         form, until = self._guide.form_mm, self._settings.until_mm
         last = self._settings.poses - len(self._sessions) <= LIMITS.fill_last
@@ -144,7 +144,7 @@ class _Loop:
         """Ask for a pose, take it and judge it."""
         guide, number = self._guide, self._free_number()
         if self._pose is None:
-            self._pose = guide.next_pose(fill=self._filling_comes_first())
+            self._pose = guide.next_pose(fill=self._empty_image_parts_come_first())
         pose, path = self._pose, self._path(number)
         self._tell(f"pose {len(self._sessions) + 1}: {pose.description}")
         picture = self._folder / PICTURE

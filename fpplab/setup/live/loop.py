@@ -80,7 +80,7 @@ class _RigWanted(Exception):  # noqa: N818 - no error: another command's turn
     """Ends the taking of a pose, because another command wants the rig."""
 
 
-class SetUp:
+class LiveSetUp:
     """The set-up at a bench; made for one run."""
 
     def __init__(self, rig: Rig, options: LiveOptions, orders: Orders, observe: LiveObserver) -> None:
@@ -145,7 +145,7 @@ class SetUp:
                     if self._paused_for is not None:
                         self._paused_for, self._message = None, "the rig is free again"
                     with self._rig:
-                        self._prepare()
+                        self._prepare_on_open_rig()
                         while not self._ended() and not turn.is_requested():
                             self._step(turn)
                 finally:
@@ -169,7 +169,7 @@ class SetUp:
             if self._orders.get() is Order.QUIT:
                 self._over = True
 
-    def _prepare(self) -> None:
+    def _prepare_on_open_rig(self) -> None:
         """Get ready on an open rig: at first, and after every pause."""
         rig, options = self._rig, self._options
         if options.item is not None:

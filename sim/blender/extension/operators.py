@@ -13,7 +13,7 @@ from ..preview import show_preview, take_picture
 from . import data
 from .clouds import import_cloud
 from .jobs import Job, JobFailedError
-from .pictures import show_picture
+from .pictures import make_image
 from .preferences import interpreter_of
 from .settings import forget_shown, remember, settings_of, shown_preview
 
@@ -120,25 +120,25 @@ class TakePicture(bpy.types.Operator):  # type: ignore[misc]
 
     def execute(self, context: Any) -> OperatorResult:
         """Render, and show the picture as an image; save it where the panel names a file."""
-        preview, stage = shown_preview(), data.rig_scene()
+        preview, blender_scene = shown_preview(), data.rig_scene()
         assert preview is not None
         data.remove(data.PICTURE)
         with data.tagged(data.PICTURE):
             clouds = [
                 cloud
-                for cloud in stage.objects
+                for cloud in blender_scene.objects
                 if cloud.get(data.TAG) == data.CLOUD and not cloud.hide_render
             ]
             for cloud in clouds:
                 cloud.hide_render = True
             try:
-                levels = take_picture(stage, preview)
+                levels = take_picture(blender_scene, preview)
             finally:
                 for cloud in clouds:
                     cloud.hide_render = False
             path = bpy.path.abspath(settings_of(context).picture)
             try:
-                show_picture(levels / preview.grey_scale.full_scale, path)
+                make_image(levels / preview.grey_scale.full_scale, path)
             except RuntimeError as failed:
                 self.report({"ERROR"}, f"{path}: cannot be written ({failed})")
                 return _CANCELLED

@@ -9,17 +9,17 @@ from numpy.typing import NDArray
 NAME = "fpplab picture"
 
 
-def show_picture(shares: NDArray[np.float32], path: str) -> None:
+def make_image(relative_levels: NDArray[np.float32], save_to: str) -> None:
     """Make an image, and save it."""
-    # shares (height, width)
-    rows, columns = shares.shape
+    # relative_levels (height, width)
+    rows, columns = relative_levels.shape
     image = bpy.data.images.new(NAME, columns, rows, is_data=True)
     pixels = np.ones((rows, columns, 4), np.float32)
-    pixels[..., :3] = shares[::-1, :, None]
+    pixels[..., :3] = relative_levels[::-1, :, None]
     image.pixels.foreach_set(pixels.ravel())
     image.update()
-    if path:
-        image.filepath_raw, image.file_format = path, "PNG"
+    if save_to:
+        image.filepath_raw, image.file_format = save_to, "PNG"
         image.save()
     else:
         image.pack()

@@ -81,8 +81,8 @@ def fit_fluctuation(series: Sequence[Series], oscillates: bool = True) -> FrameF
     best, still = RandomDisplacement(0.0, np.zeros(size)), _misfit_of_noise(series)
     lowest = still
     for has_axis in (False, True)[: min(size, 2)]:
-        random, residuals = _random_only(series, has_axis)
-        criterion = _criterion(series, residuals, random, random.free)
+        random = _fit_random_displacement(series, has_axis)
+        criterion = _criterion(series, _residuals_about_means(series, random), random, random.free)
         if criterion < lowest:
             best, lowest = random, criterion
     fluctuation = FrameFluctuation(best, np.zeros(size), 0.0, 0.0, _sigma(series, best), still - lowest)
@@ -116,17 +116,17 @@ def _oscillating_along(series: Sequence[Series], fluctuation: FrameFluctuation) 
 
 def _misfit_of_noise(series: Sequence[Series]) -> float:
     nothing = RandomDisplacement(0.0, np.zeros(series[0].values.shape[1]))
-    return _criterion(series, _all_centred(series, nothing), nothing, 0)
+    return _criterion(series, _residuals_about_means(series, nothing), nothing, 0)
 
 
-def _random_only(series: Sequence[Series], has_axis: bool) -> tuple[RandomDisplacement, list[Floats]]:
+def _fit_random_displacement(series: Sequence[Series], along_an_axis: bool) -> RandomDisplacement:
     random = RandomDisplacement(0.0, np.zeros(series[0].values.shape[1]))
     for _ in range(LIMITS.rounds):
-        random = _most_likely(series, _all_centred(series, random), 0.0, has_axis)
-    return random, _all_centred(series, random)
+        random = _most_likely(series, _residuals_about_means(series, random), 0.0, along_an_axis)
+    return random
 
 
-def _all_centred(series: Sequence[Series], random: RandomDisplacement) -> list[Floats]:
+def _residuals_about_means(series: Sequence[Series], random: RandomDisplacement) -> list[Floats]:
     return [pose.centred(pose.values, pose.whitening(random)) for pose in series]
 
 

@@ -45,15 +45,17 @@ def discrepancy_of(reference: Reference, twin: Twin, scans: Sequence[BenchScan])
     levels = level_differences(reference, twin)
     part_noise = [float(np.log(a.noise_um / b.noise_um)) for a, b in pairs]
     contrasts = sample_contrasts(twin, scans, reference.plan)
-    off = {sample.number: sample.relative_residual(reference, twin) for sample in contrasts}
+    contrast_differences = {sample.number: sample.relative_residual(reference, twin) for sample in contrasts}
     discrepancy = Discrepancy(
         noise=Deviation.of_kinds([noise, part_noise], fitted=not others),
         distance=_deviation([float(np.log(a.distance_um / b.distance_um)) for a, b in pairs]),
         completeness=_deviation([a.completeness - b.completeness for a, b in pairs]),
-        contrast=_contrast_deviation(reference, twin, contrasts, off, judged),
+        contrast=_finest_contrast_deviation(reference, twin, contrasts, contrast_differences, judged),
         levels=levels.model_copy(update={"left_out": tuple(_name(reference, pose) for pose in others)}),
     )
-    effects = [_effects(twin, scan, off.get(number)) for number, scan in enumerate(scans)]
+    effects = [
+        _effects_of_scan(twin, scan, contrast_differences.get(number)) for number, scan in enumerate(scans)
+    ]
     looks_like, not_for = named_effects(discrepancy, noise, part_noise, effects)
     return discrepancy.model_copy(update={"looks_like": looks_like, "not_for": not_for})
 
@@ -114,26 +116,26 @@ def _noise_difference(reference: Reference, twin: Twin, pose: int) -> float:
     return float(np.log(noise(reference.recorded(pose)) / noise(own)))
 
 
-def _effects(twin: Twin, scan: BenchScan, contrast_off: Floats | None) -> ScanEffects:
+def _effects_of_scan(twin: Twin, scan: BenchScan, contrast_differences: Floats | None) -> ScanEffects:
     """What a scan shows by itself; its contrast less the twin's, relative to the bench's, by tiles."""
-    off = 0.0 if contrast_off is None else float(np.median(contrast_off))
-    contrast = 1.0 / (1.0 - off) - 1.0  # relative to the twin's
+    difference = 0.0 if contrast_differences is None else float(np.median(contrast_differences))
+    contrast = 1.0 / (1.0 - difference) - 1.0  # relative to the twin's
     motion = motion_of_scan(twin, scan)
     moved = motion.um_per_frame if motion and motion.is_significant else None
     return ScanEffects(scan.item, contrast, moved)
 
 
-def _contrast_deviation(
+def _finest_contrast_deviation(
     reference: Reference,
     twin: Twin,
-    finer: Sequence[ContrastSample],
-    off: Mapping[int, Floats],
+    finer_than_board: Sequence[ContrastSample],
+    differences_by_sample: Mapping[int, Floats],
     poses: Sequence[int],
 ) -> ContrastDeviation:
-    """Of the finest fringes of all recordings: those on parts where they are finer than the board's."""
-    if finer:
-        stripes = max(fringe.stripes for sample in finer for fringe in sample.sets)
-        differences = np.concatenate([off[sample.number] for sample in finer])
+    """Compare contrasts of the finest fringes: on parts if they are finer there than on the board."""
+    if finer_than_board:
+        stripes = max(fringe.stripes for sample in finer_than_board for fringe in sample.sets)
+        differences = np.concatenate([differences_by_sample[sample.number] for sample in finer_than_board])
     else:
         stripes = reference.plan.finest.stripes
         differences = board_contrasts(reference, twin, poses)

@@ -105,12 +105,14 @@ def _of_fit(figures: MatchingFigures) -> Iterator[Finding]:
             f"{max_rms:.1f})"
         )
         yield Finding(UNLIKE_IMAGES, evidence, unexplained / max_rms)
-    if abs(final.epsilon_d) > LIMITS.max_reprojection_difference_px:
+    if abs(final.rms_difference_px) > LIMITS.max_reprojection_difference_px:
         evidence = (
-            f"the reprojection errors of bench and twin differ by {abs(final.epsilon_d):.3f} px "
+            f"the reprojection errors of bench and twin differ by {abs(final.rms_difference_px):.3f} px "
             f"(at most {LIMITS.max_reprojection_difference_px:g})"
         )
-        yield Finding(POINTS_MISFIT, evidence, abs(final.epsilon_d) / LIMITS.max_reprojection_difference_px)
+        yield Finding(
+            POINTS_MISFIT, evidence, abs(final.rms_difference_px) / LIMITS.max_reprojection_difference_px
+        )
 
 
 def _of_poses(figures: MatchingFigures) -> Iterator[Finding]:

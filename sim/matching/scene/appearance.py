@@ -95,21 +95,25 @@ def match_appearance(reference: Reference, twin: Twin, progress: Progress = no_p
     before = _similarity(reference, twin, held, Appearance(sheet))[0]
     after = _similarity(reference, twin, held, Appearance(sheet, around))[0] if around else before
     around_trial = PartTrial(before, after)
-    appearance = _of_all(reference, twin, [*others, held], sheet_trial, around_trial)
+    appearance = _rebuild_accepted_from_all_poses(reference, twin, [*others, held], sheet_trial, around_trial)
     progress(1.0)
     return AppearanceTrial(reference.sessions[held].path.name, sheet_trial, around_trial, appearance)
 
 
-def _of_all(
-    reference: Reference, twin: Twin, poses: Sequence[int], sheet: PartTrial, around: PartTrial
+def _rebuild_accepted_from_all_poses(
+    reference: Reference,
+    twin: Twin,
+    poses: Sequence[int],
+    sheet_trial: PartTrial,
+    surroundings_trial: PartTrial,
 ) -> Appearance:
     """Find what was accepted once more, from all poses; nothing without either."""
-    if not (sheet.accepted or around.accepted):
+    if not (sheet_trial.accepted or surroundings_trial.accepted):
         return Appearance()
     final = find_sheet(reference, twin, poses)
     bare = replace(final, texture=None)
-    final = sharpened_sheet(reference, twin, final, poses) if sheet.accepted else bare
-    around_all = rebuild_surroundings(reference, twin, final, poses) if around.accepted else None
+    final = sharpened_sheet(reference, twin, final, poses) if sheet_trial.accepted else bare
+    around_all = rebuild_surroundings(reference, twin, final, poses) if surroundings_trial.accepted else None
     return Appearance(final, around_all)
 
 

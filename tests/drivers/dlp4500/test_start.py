@@ -158,7 +158,7 @@ def test_patterns_from_the_video_port(bench: Bench, projector: Dlp4500) -> None:
     assert bench.controller._registers[protocol.INPUT_SOURCE.number] == {"source": 0, "width": 1}
     program = video_program([Slot(0, 0), Slot(0, 2)], 8333, 16_667, repeat=True)
     board.prepare(program)
-    board.start(program)
+    board.start_prepared(program)
     frame_s = bench.controller.video.vsync_s
     bench.clock.sleep(frame_s - bench.clock.now() % frame_s)
     assert bench.watched(4, frame_s / 2) == [grey_of(bench.patterns[i]) for i in (0, 2, 0, 2)]

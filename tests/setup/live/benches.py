@@ -13,7 +13,7 @@ from fpplab.devices.rig import Rig
 from fpplab.devices.rig_lock import watching_rig
 from fpplab.patterns.fringes import Pattern
 from fpplab.patterns.plan import Plan
-from fpplab.setup.live.loop import LiveOptions, SetUp
+from fpplab.setup.live.loop import LiveOptions, LiveSetUp
 from fpplab.setup.live.orders import Order
 from fpplab.setup.live.status import LiveStatus
 
@@ -92,9 +92,9 @@ class Operator:
         return True
 
 
-def operate(path: Path, operator: Operator, **options: Any) -> SetUp:
+def operate(path: Path, operator: Operator, **options: Any) -> LiveSetUp:
     """Run the set-up with this operator until it quits."""
-    setup = SetUp(Rig.load(path), LiveOptions(**{"plan": PLAN, **options}), operator.orders, operator)
+    setup = LiveSetUp(Rig.load(path), LiveOptions(**{"plan": PLAN, **options}), operator.orders, operator)
     with watching_rig(path) as turn:
         setup.run(turn)
     return setup

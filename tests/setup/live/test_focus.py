@@ -14,7 +14,7 @@ from fpplab.devices.rig import Rig
 from fpplab.devices.rig_lock import watching_rig
 from fpplab.patterns.fringes import Pattern
 from fpplab.setup.live.focus import AT_BEST_SHARE, FocusMeasure, FocusTracker, camera_sharpness
-from fpplab.setup.live.loop import LiveOptions, SetUp
+from fpplab.setup.live.loop import LiveOptions, LiveSetUp
 from fpplab.setup.live.orders import Order
 from fpplab.setup.live.regions import REGIONS
 from fpplab.setup.live.status import LiveStatus
@@ -114,7 +114,7 @@ def test_the_cameras_best_is_at_its_true_focus(tmp_path: Path) -> None:
     )
     rig = Rig.load(path)
     operator = TurningALens(rig, [414.0, 422.0, 430.0, 438.0, 446.0, 454.0, 462.0, 470.0, 486.0])
-    setup = SetUp(rig, LiveOptions(PLAN), operator.orders, operator)
+    setup = LiveSetUp(rig, LiveOptions(PLAN), operator.orders, operator)
     with watching_rig(path) as turn:
         setup.run(turn)
     found = operator.found

@@ -14,7 +14,7 @@ from fpplab.devices import Frame, State
 from fpplab.devices.rig import Rig
 from fpplab.devices.rig_lock import watching_rig
 from fpplab.patterns.fringes import Pattern
-from fpplab.setup.live.loop import LiveOptions, SetUp
+from fpplab.setup.live.loop import LiveOptions, LiveSetUp
 from fpplab.setup.live.orders import VIEW_ORDERS, Order
 from fpplab.setup.live.patterns import View
 from fpplab.setup.live.status import LiveStatus
@@ -31,7 +31,7 @@ def rig(tmp_path: Path) -> Path:
 def test_it_ends_by_itself_and_leaves_the_rig_closed(rig: Path) -> None:
     operator = Operator()
     made = Rig.load(rig)
-    setup = SetUp(made, LiveOptions(PLAN, frames=11), operator.orders, operator)
+    setup = LiveSetUp(made, LiveOptions(PLAN, frames=11), operator.orders, operator)
     with watching_rig(rig) as turn:
         last = setup.run(turn)
         assert not turn.is_mine
@@ -73,7 +73,7 @@ def test_a_command_gets_the_rig_and_the_set_up_goes_on(rig: Path) -> None:
             return super().__call__(status, frame, pattern, dark)
 
     operator, made = Watching(Order.LONGER), Rig.load(rig)
-    setup = SetUp(made, LiveOptions(PLAN, seconds=60.0), operator.orders, operator)
+    setup = LiveSetUp(made, LiveOptions(PLAN, seconds=60.0), operator.orders, operator)
     with watching_rig(rig) as turn, waiting(rig) as process:
         thread = threading.Thread(target=end_after, args=(setup, operator, process))
         thread.start()
@@ -89,7 +89,7 @@ def test_a_command_gets_the_rig_and_the_set_up_goes_on(rig: Path) -> None:
     assert last.message == "the rig is free again"
 
 
-def end_after(setup: SetUp, operator: Operator, process) -> None:  # type: ignore[no-untyped-def]
+def end_after(setup: LiveSetUp, operator: Operator, process) -> None:  # type: ignore[no-untyped-def]
     """Once the other command has had the rig for a while, end it; once frames come again, quit."""
     process.stdout.readline()
     time.sleep(0.3)

@@ -33,7 +33,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with Rig.load(path / "rig.yaml") as rig:
         take(rig, PLAN, path / "scan", (ITEM, 0))
         assert isinstance(rig.simulation, Predictable)
-        true = rig.simulation.sampler().calibration
+        true = rig.simulation.image_part_sampler().calibration
     true.save(path / "true.yaml")
     wide = RigidTransform(
         true.T_projector_camera.rotation, 1.01 * true.T_projector_camera.translation + [0.0, 0.0, 4.0]

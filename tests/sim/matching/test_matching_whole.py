@@ -271,7 +271,7 @@ def test_verdicts_on_a_matching(matching: Matching) -> None:
     at_border = with_changed(parameters=replace(whole.matched.parameters, f_number=64.0))
     assert [one.cause.key for one in diagnose_matching(at_border).findings] == ["at_border"]
     final = whole.final
-    loss = replace(final.loss, epsilon_v=final.loss.epsilon_v + 0.3)
+    loss = replace(final.loss, twin_rms_px=final.loss.twin_rms_px + 0.3)
     apart = diagnose_matching(replace(whole, final=replace(final, loss=loss)))
     assert "points_misfit" in [one.cause.key for one in apart.findings]
 

@@ -57,7 +57,7 @@ def measured(rig: Rig, plan: Plan, item: str) -> MeasuredFigures:
     """A whole measurement through the devices."""
     assert isinstance(rig.simulation, Predictable)
     assert rig.fixture is not None
-    sampler = rig.simulation.sampler()
+    sampler = rig.simulation.image_part_sampler()
     caps, known, mesh = rig.projector.caps, sampler.calibration, sampler.mesh(item)
     rig.fixture.mount(item, 0)
     settings = rig.camera.configure(rig.camera_settings(plan.exposure_s))
@@ -106,7 +106,7 @@ def test_rows_are_those_of_whole_frames(rig: Rig) -> None:
     """The mean of many draws is the light of the same pixels in a whole frame, within its noise."""
     assert isinstance(rig.simulation, Predictable)
     assert rig.fixture is not None
-    sampler, caps = rig.simulation.sampler(), rig.projector.caps
+    sampler, caps = rig.simulation.image_part_sampler(), rig.projector.caps
     patterns = tuple(make_patterns(PLAN, caps.size, caps.lattice))[8:10]
     settings, rows = rig.camera_settings(PLAN.exposure_s), np.arange(180, 240, 7)
     draws = [sampler.frames(ITEM, patterns, settings, rows, seed) for seed in range(12)]
@@ -128,7 +128,7 @@ def test_ambient_light_of_rows_is_that_of_whole_frames(rig: Rig) -> None:
     whole = rig.simulation.light.irradiance(SceneState(ITEM), None)[rows]
     assert whole.max() > 0.005
     part = FramePart(ITEM, rows, np.arange(whole.shape[1]))
-    np.testing.assert_allclose(rig.simulation.sampler()._ambient(part), whole, atol=2e-4)
+    np.testing.assert_allclose(rig.simulation.image_part_sampler()._ambient(part), whole, atol=2e-4)
 
 
 def test_columns_are_those_of_the_rows(rig: Rig) -> None:
@@ -136,7 +136,7 @@ def test_columns_are_those_of_the_rows(rig: Rig) -> None:
     assert isinstance(rig.simulation, VirtualBench)
     caps, rows, columns = rig.projector.caps, np.arange(180, 240, 7), np.arange(150, 400, 3)
     patterns = tuple(make_patterns(PLAN, caps.size, caps.lattice))[8:10]
-    sampler = rig.simulation.sampler()
+    sampler = rig.simulation.image_part_sampler()
     whole = sampler._pictures(FramePart(ITEM, rows, np.arange(rig.camera.caps.size[0])), patterns)
     part = sampler._pictures(FramePart(ITEM, rows, columns), patterns)
     np.testing.assert_array_equal(part, whole[..., columns])

@@ -148,7 +148,7 @@ def test_scans_of_a_twin_that_is_the_bench_have_its_figures(tmp_path: Path) -> N
         session = take(rig, plan, tmp_path / "scan", ("steps", 0))
         assert isinstance(rig.simulation, VirtualBench)
         assert isinstance(rig.simulation, Predictable)
-        twin, known = rig.simulation.twin("board"), rig.simulation.sampler().calibration
+        twin, known = rig.simulation.twin("board"), rig.simulation.image_part_sampler().calibration
         scan = fit_scan(twin, "steps", session, known, Refusals(frozenset()))
         reference = cast(Any, SimpleNamespace(characterisation=SimpleNamespace(calibration=known)))
         real, own = scan_figures(reference, twin, scan)

@@ -168,7 +168,7 @@ def test_dark_and_glossy_parts_are_predicted_as_a_bench_measures_them(
     with Rig.load(written(tmp_path / "bench", {item: material})) as bench:
         session = take(bench, plan, tmp_path / "scan", (item, 0), complete_too=True)
         assert isinstance(bench.simulation, Predictable)
-        sampler = bench.simulation.sampler()
+        sampler = bench.simulation.image_part_sampler()
         real = measured_figures(session, sampler.calibration, sampler.mesh(item))
     with Rig.load(twin_rig) as rig:
         white = predict(rig, plan, item)
