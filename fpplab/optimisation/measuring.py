@@ -31,7 +31,7 @@ from fpplab.optimisation.scoring import LIMITS, ArtefactFigures, TrueShape
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, check_unwrapping, decode
-from fpplab.phase.bounds import PossibleCoordinates, widest
+from fpplab.phase.bounds import PossibleCoordinates, widest_interval_share
 from fpplab.reconstruction.depth_range import depth_bounds
 from fpplab.reconstruction.points import points_of
 from fpplab.sessions.origin import SessionOrigin
@@ -187,7 +187,9 @@ def possible_coordinates(
     )
     bounds, size = depth_bounds(plan, calibration, depth), calibration.projector.size
     try:
-        check_unwrapping(plan, "plan", {axis: widest(bounds, axis, size) for axis in plan.axes})
+        check_unwrapping(
+            plan, "plan", {axis: widest_interval_share(bounds, axis, size) for axis in plan.axes}
+        )
     except ConfigError as reason:
         raise DataError(str(reason)) from None
     return bounds

@@ -30,7 +30,7 @@ class PossibleCoordinates:
         return (self.lower + half) / px, (self.upper + half) / px
 
 
-def widest(
+def widest_interval_share(
     bounds: Mapping[Axis, PossibleCoordinates] | None, axis: Axis, projector_size: tuple[int, int]
 ) -> float | None:
     """Find the greatest width of the intervals along one axis."""

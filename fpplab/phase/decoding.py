@@ -19,7 +19,7 @@ from fpplab.core.errors import DataError
 from fpplab.core.progress import Progress, no_progress
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
-from fpplab.phase.bounds import PossibleCoordinates, check_bounds, interval_of, widest
+from fpplab.phase.bounds import PossibleCoordinates, check_bounds, interval_of, widest_interval_share
 from fpplab.phase.decoded import Decoded
 from fpplab.phase.demodulation import AxisPhases, axis_phases
 from fpplab.phase.error_model import ErrorModel, error_model_of
@@ -71,7 +71,10 @@ def decode(
     plan, bits, source = recording.plan, recording.bits, recording.name
     check_bounds(bounds, recording)
     size = recording.projector_size
-    sequences = [wavelength_sequence(plan, axis, source, widest(bounds, axis, size)) for axis in plan.axes]
+    sequences = [
+        wavelength_sequence(plan, axis, source, widest_interval_share(bounds, axis, size))
+        for axis in plan.axes
+    ]
     errors = error_model_of(recording)
     recipe = recipe_of(recording, sequences, errors, bounds)
     first = recording.frames[0]

@@ -36,13 +36,13 @@ FUSION_ROWS = 10
 
 
 @compiled
-def find_repeated(offset: Any, repeated: Any, recipe: Any, n: int) -> None:
+def find_repeated(offset: Any, repeated: Any, recipe: Any, pixel_count: int) -> None:
     """Give the part of the variance that repeats, because levels are rounded."""
     # offset (n,); repeated (n,)
     constant, per_level = recipe.noise_constant, recipe.noise_per_level
     step_squared = recipe.step * recipe.step
     per_step_squared = _ONE / step_squared
-    for j in range(n):
+    for j in range(pixel_count):
         i = _u(j)
         spread = (constant + per_level * offset[i]) * per_step_squared - _TWELFTH
         repeated[i] = step_squared * _rounding(max(spread, _MIN_SPREAD))
@@ -58,7 +58,7 @@ def weigh(
     repeated: Any,
     s: int,
     recipe: Any,
-    n: int,
+    pixel_count: int,
 ) -> None:
     """Turn the offsets of one set into its weights, the inverse variances of its positions.
 
@@ -69,7 +69,7 @@ def weigh(
     constant, per_level = recipe.noise_constant, recipe.noise_per_level
     noise, rising = recipe.phase_noise[s], recipe.error_rising[s]
     square = recipe.set_stripes[s] * recipe.set_stripes[s]
-    for j in range(n):
+    for j in range(pixel_count):
         i = _u(j)
         power, level = modulation[i] * modulation[i], offset[i]
         own = noise * loss[i] * (constant + per_level * level - repeated[i]) + _ROUNDING * power + _TINY
@@ -80,10 +80,10 @@ def weigh(
 
 
 @compiled
-def _start_fusion(sums: Any, positions: Any, finest: Any, share: Any, unit: Any, n: int) -> None:
+def _start_fusion(sums: Any, positions: Any, finest: Any, share: Any, unit: Any, pixel_count: int) -> None:
     """Begin with the finest set, from whose position all others are counted."""
     per_unit = _ONE / unit
-    for j in range(n):
+    for j in range(pixel_count):
         i = _u(j)
         sums[i] = sums[i + _ALL] = sums[i + FINEST] = finest[i]
         sums[i + POSITION] = positions[i]
@@ -93,10 +93,12 @@ def _start_fusion(sums: Any, positions: Any, finest: Any, share: Any, unit: Any,
 
 
 @compiled
-def _add_set(sums: Any, turns: Any, weights: Any, share: Any, stripes: Any, unit: Any, n: int) -> None:
+def _add_set(
+    sums: Any, turns: Any, weights: Any, share: Any, stripes: Any, unit: Any, pixel_count: int
+) -> None:
     """Add another set, in the order that brings it nearest to the finest one."""
     period, per_unit = _ONE / stripes, _ONE / unit
-    for j in range(n):
+    for j in range(pixel_count):
         i = _u(j)
         w, of_finest = weights[i], sums[i + FINEST]
         off = turns[i] - sums[i + POSITION] * stripes
@@ -117,10 +119,10 @@ def _add_set(sums: Any, turns: Any, weights: Any, share: Any, stripes: Any, unit
 
 @compiled
 def _finish_fusion(
-    sums: Any, length: Any, n: int, coordinate: Any, sigma: Any, common: Any, chi2: Any
+    sums: Any, length: Any, pixel_count: int, coordinate: Any, sigma: Any, common: Any, chi2: Any
 ) -> None:
     """Write the coordinate and its uncertainties, and add the axis' χ²."""
-    for j in range(n):
+    for j in range(pixel_count):
         i = _u(j)
         weight = max(sums[i], _TINY)
         variance = _ONE / weight
@@ -135,7 +137,7 @@ def _finish_fusion(
 
 
 @compiled
-def _unit(recipe: Any, s: int) -> Any:
+def _weight_at_unit_noise(recipe: Any, s: int) -> Any:
     """Weight of a set's position where u_I/B is one."""
     return recipe.set_stripes[s] * recipe.set_stripes[s] / recipe.phase_noise[s]
 
@@ -149,7 +151,7 @@ def fuse_axis(
     turns: Any,
     weights: Any,
     shares: Any,
-    n: int,
+    pixel_count: int,
     coordinate: Any,
     sigma: Any,
     common: Any,
@@ -158,11 +160,13 @@ def fuse_axis(
     """Give the coordinate from all sets of one axis."""
     # turns (S, n); weights, shares (S, n); coordinate, sigma, common (n,) px; chi2 (n,)
     finest, count = recipe.finest[axis], 0
-    _start_fusion(sums, rows, weights[finest], shares[finest], _unit(recipe, finest), n)
+    _start_fusion(
+        sums, rows, weights[finest], shares[finest], _weight_at_unit_noise(recipe, finest), pixel_count
+    )
     for s in range(len(recipe.axis)):
         count += recipe.axis[s] == axis
         if recipe.axis[s] == axis and s != finest:
-            stripes, unit = recipe.set_stripes[s], _unit(recipe, s)
-            _add_set(sums, turns[s], weights[s], shares[s], stripes, unit, n)
-    _finish_fusion(sums, recipe.length[axis], n, coordinate, sigma, common, chi2)
+            stripes, unit = recipe.set_stripes[s], _weight_at_unit_noise(recipe, s)
+            _add_set(sums, turns[s], weights[s], shares[s], stripes, unit, pixel_count)
+    _finish_fusion(sums, recipe.length[axis], pixel_count, coordinate, sigma, common, chi2)
     return count

@@ -46,7 +46,7 @@ _OTHER, _OTHER_COST, _OTHER_WORST, _PHASE = _u(3 * ROW), _u(4 * ROW), _u(5 * ROW
 _UNWRAP_ROWS = 9
 
 
-def _arctangent() -> tuple[np.float32, ...]:
+def _arctangent_coefficients() -> tuple[np.float32, ...]:
     """Coefficients in z = q² of atan(q)/(2π q) on [0, 1]: interpolation at Chebyshev's nodes.
 
     Degree 9 leaves 4e-9 rad, so that the rounding of float32 alone limits the phase.
@@ -62,7 +62,7 @@ def _arctangent() -> tuple[np.float32, ...]:
     return tuple(np.float32(c) for c in series.convert(kind=np.polynomial.Polynomial).coef)
 
 
-_C0, _C1, _C2, _C3, _C4, _C5, _C6, _C7, _C8, _C9 = _arctangent()
+_C0, _C1, _C2, _C3, _C4, _C5, _C6, _C7, _C8, _C9 = _arctangent_coefficients()
 
 
 @intrinsic
@@ -74,31 +74,43 @@ def _pointer(_typing: Any, address: Any) -> Any:
 
 
 @compiled
-def _pixels(address: Any, start: int, n: int, like: Any) -> Any:
-    """`n` pixels of a frame from its `start`th on, as an array of the type of `like`."""
+def _pixels(address: Any, start: int, pixel_count: int, like: Any) -> Any:
+    """Pixels of a frame from its `start`th on, as an array of the type of `like`."""
     at: Any = address + _u(start * like.itemsize)
-    return carray(_pointer(at), (n,), like.dtype)  # type: ignore[call-arg]
+    return carray(_pointer(at), (pixel_count,), like.dtype)  # type: ignore[call-arg]
 
 
 @compiled
-def _accumulate_four_frames(a: Any, b: Any, c: Any, d: Any, weights: Any, sums: Any, n: int) -> None:
+def _accumulate_four_frames(
+    a: Any, b: Any, c: Any, d: Any, weights: Any, accumulators: Any, pixel_count: int
+) -> None:
     s0, s1, s2, s3 = weights[0, 0], weights[1, 0], weights[2, 0], weights[3, 0]
     c0, c1, c2, c3 = weights[0, 1], weights[1, 1], weights[2, 1], weights[3, 1]
     m0, m1, m2, m3 = weights[0, 2], weights[1, 2], weights[2, 2], weights[3, 2]
-    for j in range(n):
+    for j in range(pixel_count):
         i = _u(j)
         x, y, z, w = _f(a[i]), _f(b[i]), _f(c[i]), _f(d[i])
         mx, my, mz, mw = m0 * x, m1 * y, m2 * z, m3 * w
-        sums[i] += s0 * x + s1 * y + s2 * z + s3 * w
-        sums[i + _COS] += c0 * x + c1 * y + c2 * z + c3 * w
-        sums[i + _MEAN] += mx + my + mz + mw
-        sums[i + _SQUARE] += mx * x + my * y + mz * z + mw * w
-        sums[i + _PEAK] = max(sums[i + _PEAK], x, y, z, w)
+        accumulators[i] += s0 * x + s1 * y + s2 * z + s3 * w
+        accumulators[i + _COS] += c0 * x + c1 * y + c2 * z + c3 * w
+        accumulators[i + _MEAN] += mx + my + mz + mw
+        accumulators[i + _SQUARE] += mx * x + my * y + mz * z + mw * w
+        accumulators[i + _PEAK] = max(accumulators[i + _PEAK], x, y, z, w)
 
 
 @compiled
 def _accumulate_eight_frames(
-    a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, g: Any, h: Any, weights: Any, sums: Any, n: int
+    a: Any,
+    b: Any,
+    c: Any,
+    d: Any,
+    e: Any,
+    f: Any,
+    g: Any,
+    h: Any,
+    weights: Any,
+    accumulators: Any,
+    pixel_count: int,
 ) -> None:
     """As `_accumulate_four_frames` twice, which reads and writes the sums twice."""
     s0, s1, s2, s3 = weights[0, 0], weights[1, 0], weights[2, 0], weights[3, 0]
@@ -107,22 +119,22 @@ def _accumulate_eight_frames(
     s4, s5, s6, s7 = weights[4, 0], weights[5, 0], weights[6, 0], weights[7, 0]
     c4, c5, c6, c7 = weights[4, 1], weights[5, 1], weights[6, 1], weights[7, 1]
     m4, m5, m6, m7 = weights[4, 2], weights[5, 2], weights[6, 2], weights[7, 2]
-    for j in range(n):
+    for j in range(pixel_count):
         i = _u(j)
         x, y, z, w = _f(a[i]), _f(b[i]), _f(c[i]), _f(d[i])
         p, q, r, t = _f(e[i]), _f(f[i]), _f(g[i]), _f(h[i])
         mx, my, mz, mw = m0 * x, m1 * y, m2 * z, m3 * w
         mp, mq, mr, mt = m4 * p, m5 * q, m6 * r, m7 * t
-        sums[i] += (s0 * x + s1 * y + s2 * z + s3 * w) + (s4 * p + s5 * q + s6 * r + s7 * t)
-        sums[i + _COS] += (c0 * x + c1 * y + c2 * z + c3 * w) + (c4 * p + c5 * q + c6 * r + c7 * t)
-        sums[i + _MEAN] += (mx + my + mz + mw) + (mp + mq + mr + mt)
-        sums[i + _SQUARE] += (mx * x + my * y + mz * z + mw * w) + (mp * p + mq * q + mr * r + mt * t)
-        sums[i + _PEAK] = max(sums[i + _PEAK], x, y, z, w, p, q, r, t)
+        accumulators[i] += (s0 * x + s1 * y + s2 * z + s3 * w) + (s4 * p + s5 * q + s6 * r + s7 * t)
+        accumulators[i + _COS] += (c0 * x + c1 * y + c2 * z + c3 * w) + (c4 * p + c5 * q + c6 * r + c7 * t)
+        accumulators[i + _MEAN] += (mx + my + mz + mw) + (mp + mq + mr + mt)
+        accumulators[i + _SQUARE] += (mx * x + my * y + mz * z + mw * w) + (mp * p + mq * q + mr * r + mt * t)
+        accumulators[i + _PEAK] = max(accumulators[i + _PEAK], x, y, z, w, p, q, r, t)
 
 
 @compiled
-def _turns(s: Any, c: Any) -> Any:
-    """atan2(s, c)/2π in [0, 1] in float32, without a branch; see `_arctangent`."""
+def _arctangent_in_turns(s: Any, c: Any) -> Any:
+    """atan2(s, c)/2π in [0, 1] in float32, without a branch; see `_arctangent_coefficients`."""
     a, b = abs(s), abs(c)
     q = min(a, b) / max(a, b, _TINY)
     z = q * q
@@ -135,34 +147,41 @@ def _turns(s: Any, c: Any) -> Any:
 
 @compiled
 def _demodulate(
-    sums: Any, turns: Any, modulation: Any, offset: Any, good: Any, n: int, origin: Any, recipe: Any
+    accumulators: Any,
+    turns: Any,
+    modulation: Any,
+    offset: Any,
+    good: Any,
+    pixel_count: int,
+    origin: Any,
+    recipe: Any,
 ) -> None:
     """Compute phase, modulation and offset of one set, its masks, and the greatest raw values so far."""
     grey, full = recipe.grey, recipe.full_scale
     modulation_min, contrast = recipe.modulation_min, recipe.contrast_min
     misfit = recipe.residual_max * recipe.residual_max
-    for j in range(n):
+    for j in range(pixel_count):
         i = _u(j)
-        s, c, mean = sums[i], sums[i + _COS], sums[i + _MEAN]
+        s, c, mean = accumulators[i], accumulators[i + _COS], accumulators[i + _MEAN]
         power = s * s + c * c
         b = np.sqrt(power)
-        p = _turns(s, c) - origin
+        p = _arctangent_in_turns(s, c) - origin
         # What of the mean square is neither offset nor fringe is misfit (Parseval).
-        rest = sums[i + _SQUARE] * grey - mean * mean - _HALF * power
+        rest = accumulators[i + _SQUARE] * grey - mean * mean - _HALF * power
         kept = good[i]
         kept = kept if b >= modulation_min else _ZERO
         kept = kept if b >= contrast * mean else _ZERO
         kept = kept if rest <= misfit * power else _ZERO
-        kept = kept if sums[i + _PEAK] < full else _ZERO
+        kept = kept if accumulators[i + _PEAK] < full else _ZERO
         turns[i] = p - np.floor(p)
         modulation[i] = b
         offset[i] = mean
         good[i] = kept if b > _ZERO else _ZERO
-        sums[i + _HIGHEST] = max(sums[i + _HIGHEST], sums[i + _PEAK])
+        accumulators[i + _HIGHEST] = max(accumulators[i + _HIGHEST], accumulators[i + _PEAK])
 
 
 @compiled
-def _alone(coefficients: Any) -> int:
+def _only_set_in(coefficients: Any) -> int:
     """The set whose phase is that of a wavelength by itself; -1 where several are combined."""
     alone = -1
     for s in range(len(coefficients)):
@@ -174,33 +193,33 @@ def _alone(coefficients: Any) -> int:
 
 
 @compiled
-def _combined_phase(rows: Any, turns: Any, coefficients: Any, n: int) -> None:
+def _combined_phase(rows: Any, turns: Any, coefficients: Any, pixel_count: int) -> None:
     """Combine measured phases into the wrapped phase of a synthetic wavelength, in turns."""
-    alone = _alone(coefficients)
+    alone = _only_set_in(coefficients)
     if alone >= 0:  # a phase that is measured is wrapped already
         measured = turns[alone]
-        for j in range(n):
+        for j in range(pixel_count):
             rows[_u(j) + _PHASE] = measured[_u(j)]
         return
-    for j in range(n):
+    for j in range(pixel_count):
         rows[_u(j) + _PHASE] = _ZERO
     for s in range(len(coefficients)):
         k = coefficients[s]
         if k != _ZERO:
             measured = turns[s]
-            for j in range(n):
+            for j in range(pixel_count):
                 i = _u(j)
                 rows[i + _PHASE] += k * measured[i]
-    for j in range(n):
+    for j in range(pixel_count):
         i = _u(j)
         rows[i + _PHASE] -= np.floor(rows[i + _PHASE])
 
 
 @compiled
-def _start(rows: Any, n: int, stripes: Any) -> None:
+def _start_hypotheses(rows: Any, pixel_count: int, stripes: Any) -> None:
     """Start both hypotheses: the period of the base nearest to the middle, and the next nearest one."""
     period = _ONE / stripes
-    for j in range(n):
+    for j in range(pixel_count):
         i = _u(j)
         middle = _HALF * (rows[i + LOW] + rows[i + HIGH])
         p = (rows[i + _PHASE] + np.floor(middle * stripes - rows[i + _PHASE] + _HALF)) * period
@@ -210,10 +229,10 @@ def _start(rows: Any, n: int, stripes: Any) -> None:
 
 
 @compiled
-def _refine(rows: Any, n: int, stripes: Any, trust: Any) -> None:
+def _refine_hypotheses(rows: Any, pixel_count: int, stripes: Any, trust: Any) -> None:
     """Take both hypotheses to the next finer wavelength; disagreement is counted in its periods."""
     period = _ONE / stripes
-    for j in range(n):
+    for j in range(pixel_count):
         i = _u(j)
         measured = rows[i + _PHASE]
         d = rows[i] * stripes - measured
@@ -231,36 +250,36 @@ def _refine(rows: Any, n: int, stripes: Any, trust: Any) -> None:
 
 
 @compiled
-def _saturated(sums: Any, n: int, full: Any) -> Any:
+def _count_saturated(accumulators: Any, pixel_count: int, full_scale: Any) -> Any:
     """How many pixels have saturated samples; a sum, which unlike the maximum becomes vector instructions."""
     count = _ZERO
-    for j in range(n):
-        count += _ONE if sums[_u(j) + _PEAK] >= full else _ZERO
+    for j in range(pixel_count):
+        count += _ONE if accumulators[_u(j) + _PEAK] >= full_scale else _ZERO
     return count
 
 
 @compiled
 def _refit_saturated(
-    sums: Any, at: int, n: int, s: int, like: Any, recipe: Any, loss: Any, bent: Any
+    accumulators: Any, at: int, pixel_count: int, s: int, like: Any, recipe: Any, loss: Any, bent: Any
 ) -> None:
     """Put least squares of the unsaturated samples in place of the sums of pixels with saturated ones."""
     first, last, full, grey = recipe.first[s], recipe.first[s + 1], recipe.full_scale, recipe.grey
     count = last - first
     levels, fitted = np.empty(count, np.float32), np.empty(6, np.float64)
     cosine, sine = recipe.shift[first:last, 0], recipe.shift[first:last, 1]
-    for j in range(n):
+    for j in range(pixel_count):
         i = _u(j)
-        if sums[i + _PEAK] < full:
+        if accumulators[i + _PEAK] < full:
             continue
-        sums[i + _HIGHEST] = max(sums[i + _HIGHEST], sums[i + _PEAK])
+        accumulators[i + _HIGHEST] = max(accumulators[i + _HIGHEST], accumulators[i + _PEAK])
         for k in range(count):
             levels[k] = _f(_pixels(recipe.addresses[first + k], at + j, 1, like)[0])
         if fit_unsaturated(levels, cosine, sine, full, recipe.harmonics[s], fitted):
             offset, c, q = grey * fitted[0], grey * fitted[1], grey * fitted[2]
             rest = grey * grey * fitted[3]
-            sums[i], sums[i + _COS], sums[i + _MEAN] = _f(q), _f(c), _f(offset)
-            sums[i + _SQUARE] = _f((rest + offset * offset + 0.5 * (c * c + q * q)) / grey)
-            sums[i + _PEAK] = _ZERO
+            accumulators[i], accumulators[i + _COS], accumulators[i + _MEAN] = _f(q), _f(c), _f(offset)
+            accumulators[i + _SQUARE] = _f((rest + offset * offset + 0.5 * (c * c + q * q)) / grey)
+            accumulators[i + _PEAK] = _ZERO
             loss[i] = _f(fitted[4])
             # The gains of the lamp count as noise does; the harmonics are those of these samples.
             lamp = recipe.error_constant[s] - recipe.error_harmonic[s]
@@ -268,11 +287,13 @@ def _refit_saturated(
 
 
 @compiled
-def _choose(rows: Any, weights: Any, good: Any, n: int, length: Any, stripes: Any, recipe: Any) -> None:
+def _choose_hypothesis(
+    rows: Any, weights: Any, good: Any, pixel_count: int, length: Any, stripes: Any, recipe: Any
+) -> None:
     """Choose the hypothesis that lies in the interval of possible positions and agrees better."""
     edge_margin, share = recipe.edge_margin / length, recipe.disagreement_max
     apart = _MIN_CHI2_DIFFERENCE * stripes * stripes
-    for j in range(n):
+    for j in range(pixel_count):
         i = _u(j)
         variance = _ONE / max(weights[i], _TINY)
         tolerance = edge_margin + _EDGE_SIGMAS * np.sqrt(variance)
@@ -295,73 +316,77 @@ def _choose(rows: Any, weights: Any, good: Any, n: int, length: Any, stripes: An
 
 
 @compiled
-def _unwrap(axis: int, recipe: Any, rows: Any, turns: Any, weights: Any, good: Any, n: int) -> None:
+def _unwrap_axis(
+    axis: int, recipe: Any, rows: Any, turns: Any, weights: Any, good: Any, pixel_count: int
+) -> None:
     """Unwrap one axis to the position of its finest set."""
     first, last = recipe.wavelengths[axis], recipe.wavelengths[axis + 1]
-    _combined_phase(rows, turns, recipe.coefficients[first], n)
-    _start(rows, n, recipe.stripes[first])
+    _combined_phase(rows, turns, recipe.coefficients[first], pixel_count)
+    _start_hypotheses(rows, pixel_count, recipe.stripes[first])
     for r in range(first + 1, last):
-        _combined_phase(rows, turns, recipe.coefficients[r], n)
-        _refine(rows, n, recipe.stripes[r], recipe.trust[r])
-    _choose(rows, weights, good, n, recipe.length[axis], recipe.stripes[last - 1], recipe)
+        _combined_phase(rows, turns, recipe.coefficients[r], pixel_count)
+        _refine_hypotheses(rows, pixel_count, recipe.stripes[r], recipe.trust[r])
+    _choose_hypothesis(
+        rows, weights, good, pixel_count, recipe.length[axis], recipe.stripes[last - 1], recipe
+    )
 
 
 @compiled
-def _interval(bounds: Any, at: int, n: int, whole: Any, out: Any) -> None:
-    """One end of the interval of possible positions of a chunk; `whole` where none is known."""
+def _fill_position_limits(bounds: Any, at: int, pixel_count: int, default: Any, values: Any) -> None:
+    """One end of the interval of possible positions of a chunk; `default` where none is known."""
     if len(bounds) > 0:
-        out[:n] = bounds[at : at + n]
+        values[:pixel_count] = bounds[at : at + pixel_count]
     else:
-        out[:n] = whole
+        values[:pixel_count] = default
 
 
 @compiled
-def _reduce(out: Any, freedom: int, n: int) -> None:
+def _reduced_root_of_chi2(values: Any, freedom: int, pixel_count: int) -> None:
     """χ² to the root of its share per degree of freedom."""
     share = _f(1.0 / max(freedom, 1))
-    for j in range(n):
+    for j in range(pixel_count):
         i = _u(j)
-        out[i] = np.sqrt(out[i] * share)
+        values[i] = np.sqrt(values[i] * share)
 
 
 @compiled
-def _erase(out: Any, good: Any, n: int) -> None:
+def _erase_invalid(values: Any, good: Any, pixel_count: int) -> None:
     """NaN where a pixel is not measured."""
-    for j in range(n):
+    for j in range(pixel_count):
         i = _u(j)
-        out[i] = out[i] if good[i] > _ZERO else _f(np.nan)
+        values[i] = values[i] if good[i] > _ZERO else _f(np.nan)
 
 
 @compiled
-def _add_frames(sums: Any, at: int, n: int, s: int, like: Any, recipe: Any) -> None:
+def _add_frames(accumulators: Any, at: int, pixel_count: int, s: int, like: Any, recipe: Any) -> None:
     """Add all frames of a set to the sums of a chunk: eight at a time, and four that are left."""
     k, last = recipe.first[s], recipe.first[s + 1]
     while k + 8 <= last:
         frame = recipe.addresses[k : k + 8]
         _accumulate_eight_frames(
-            _pixels(frame[0], at, n, like),
-            _pixels(frame[1], at, n, like),
-            _pixels(frame[2], at, n, like),
-            _pixels(frame[3], at, n, like),
-            _pixels(frame[4], at, n, like),
-            _pixels(frame[5], at, n, like),
-            _pixels(frame[6], at, n, like),
-            _pixels(frame[7], at, n, like),
+            _pixels(frame[0], at, pixel_count, like),
+            _pixels(frame[1], at, pixel_count, like),
+            _pixels(frame[2], at, pixel_count, like),
+            _pixels(frame[3], at, pixel_count, like),
+            _pixels(frame[4], at, pixel_count, like),
+            _pixels(frame[5], at, pixel_count, like),
+            _pixels(frame[6], at, pixel_count, like),
+            _pixels(frame[7], at, pixel_count, like),
             recipe.weights[k : k + 8],
-            sums,
-            n,
+            accumulators,
+            pixel_count,
         )
         k += 8
     if k < last:
         frame = recipe.addresses[k : k + 4]
         _accumulate_four_frames(
-            _pixels(frame[0], at, n, like),
-            _pixels(frame[1], at, n, like),
-            _pixels(frame[2], at, n, like),
-            _pixels(frame[3], at, n, like),
+            _pixels(frame[0], at, pixel_count, like),
+            _pixels(frame[1], at, pixel_count, like),
+            _pixels(frame[2], at, pixel_count, like),
+            _pixels(frame[3], at, pixel_count, like),
             recipe.weights[k : k + 4],
-            sums,
-            n,
+            accumulators,
+            pixel_count,
         )
 
 
@@ -372,7 +397,7 @@ def decode_pixels(recipe: Recipe, like: Any, start: int, stop: int, maps: Maps) 
     Releases the interpreter's lock, so that threads may share a frame's pixels.
     """
     sets = len(recipe.origin)
-    sums, rows = np.zeros((_SUM_ROWS + 1) * ROW, np.float32), np.empty(_UNWRAP_ROWS * ROW, np.float32)
+    accumulators, rows = np.zeros((_SUM_ROWS + 1) * ROW, np.float32), np.empty(_UNWRAP_ROWS * ROW, np.float32)
     fusion = np.empty(FUSION_ROWS * ROW, np.float32)
     good, sigma = np.empty(CHUNK, np.float32), np.empty(CHUNK, np.float32)
     # Each set's offsets become its weights, once they are known.
@@ -389,49 +414,57 @@ def decode_pixels(recipe: Recipe, like: Any, start: int, stop: int, maps: Maps) 
         np.zeros(CHUNK, np.float32),
     )
     for at in range(start, stop, CHUNK):
-        n = min(CHUNK, stop - at)
+        pixel_count = min(CHUNK, stop - at)
         good[:] = _ONE
-        disagreement, freedom = maps.disagreement[at : at + n], 0
+        disagreement, freedom = maps.disagreement[at : at + pixel_count], 0
         disagreement[:] = _ZERO
         for s in range(sets):
-            sums[: _SUM_ROWS * ROW] = _ZERO
-            _add_frames(sums, at, n, s, like, recipe)
+            accumulators[: _SUM_ROWS * ROW] = _ZERO
+            _add_frames(accumulators, at, pixel_count, s, like, recipe)
             loss[:], bent[:] = _ONE, recipe.error_constant[s]
-            if _saturated(sums, n, recipe.full_scale) > _ZERO:
-                _refit_saturated(sums, at, n, s, like, recipe, loss, bent)
-            _demodulate(sums, turns[s], modulation[s], weights[s], good, n, recipe.origin[s], recipe)
+            if _count_saturated(accumulators, pixel_count, recipe.full_scale) > _ZERO:
+                _refit_saturated(accumulators, at, pixel_count, s, like, recipe, loss, bent)
+            _demodulate(
+                accumulators, turns[s], modulation[s], weights[s], good, pixel_count, recipe.origin[s], recipe
+            )
             if recipe.rounding_repeats:
-                find_repeated(weights[s], repeated, recipe, n)
-            weigh(modulation[s], weights[s], shares[s], loss, bent, repeated, s, recipe, n)
+                find_repeated(weights[s], repeated, recipe, pixel_count)
+            weigh(modulation[s], weights[s], shares[s], loss, bent, repeated, s, recipe, pixel_count)
         for axis in range(1, -1, -1):
             finest = recipe.finest[axis]
             if finest >= 0:
                 # x comes last, so that its sigma is the one that stays.
-                out = maps.u[at : at + n] if axis == 0 else maps.v[at : at + n]
-                _interval(recipe.low_u if axis == 0 else recipe.low_v, at, n, _ZERO, rows[LOW:])
-                _interval(recipe.high_u if axis == 0 else recipe.high_v, at, n, _ONE, rows[HIGH:])
-                _unwrap(axis, recipe, rows, turns, weights[finest], good, n)
+                out = maps.u[at : at + pixel_count] if axis == 0 else maps.v[at : at + pixel_count]
+                _fill_position_limits(
+                    recipe.low_u if axis == 0 else recipe.low_v, at, pixel_count, _ZERO, rows[LOW:]
+                )
+                _fill_position_limits(
+                    recipe.high_u if axis == 0 else recipe.high_v, at, pixel_count, _ONE, rows[HIGH:]
+                )
+                _unwrap_axis(axis, recipe, rows, turns, weights[finest], good, pixel_count)
                 fused = (out, sigma, common, disagreement)
-                count = fuse_axis(axis, recipe, rows, fusion, turns, weights, shares, n, *fused)
+                count = fuse_axis(axis, recipe, rows, fusion, turns, weights, shares, pixel_count, *fused)
                 freedom += count - 1
-                cause = maps.cause[at : at + n]
-                settle_orders(axis, recipe, rows, fusion, turns, weights, shares, good, n, *fused, cause)
+                cause = maps.cause[at : at + pixel_count]
+                settle_orders(
+                    axis, recipe, rows, fusion, turns, weights, shares, good, pixel_count, *fused, cause
+                )
                 doubt = maps.doubt_u if axis == 0 else maps.doubt_v
                 if len(doubt) > 0:
-                    doubt[at : at + n] = rows[_WORST : _WORST + _u(n)]
-        maps.modulation[at : at + n] = modulation[recipe.reference, :n]
-        maps.sigma[at : at + n] = sigma[:n]
-        maps.phase_error[at : at + n] = common[:n]
+                    doubt[at : at + pixel_count] = rows[_WORST : _WORST + _u(pixel_count)]
+        maps.modulation[at : at + pixel_count] = modulation[recipe.reference, :pixel_count]
+        maps.sigma[at : at + pixel_count] = sigma[:pixel_count]
+        maps.phase_error[at : at + pixel_count] = common[:pixel_count]
         if len(maps.u) > 0:
-            _erase(maps.u[at : at + n], good, n)
+            _erase_invalid(maps.u[at : at + pixel_count], good, pixel_count)
         if len(maps.v) > 0:
-            _erase(maps.v[at : at + n], good, n)
-        _reduce(disagreement, freedom, n)
-        _erase(disagreement, good, n)
-        _erase(maps.modulation[at : at + n], good, n)
-        _erase(maps.sigma[at : at + n], good, n)
-        _erase(maps.phase_error[at : at + n], good, n)
-    return sums[_SUM_ROWS * ROW :].max()
+            _erase_invalid(maps.v[at : at + pixel_count], good, pixel_count)
+        _reduced_root_of_chi2(disagreement, freedom, pixel_count)
+        _erase_invalid(disagreement, good, pixel_count)
+        _erase_invalid(maps.modulation[at : at + pixel_count], good, pixel_count)
+        _erase_invalid(maps.sigma[at : at + pixel_count], good, pixel_count)
+        _erase_invalid(maps.phase_error[at : at + pixel_count], good, pixel_count)
+    return accumulators[_SUM_ROWS * ROW :].max()
 
 
 @compiled

@@ -19,7 +19,7 @@ def order_risk(
     decoded: Decoded,
     plan: Plan,
     projector_size: tuple[int, int],
-    widths: Mapping[Axis, float | None] | None = None,
+    interval_shares: Mapping[Axis, float | None] | None = None,
 ) -> Map:
     """Estimate the probability that noise gives a pixel a wrong fringe order, from its uncertainty.
 
@@ -30,7 +30,7 @@ def order_risk(
     # projector_size (width, height) px; returns (height, width)
     risk = np.where(decoded.valid, np.float32(0.0), np.float32(np.nan))
     for axis in plan.axes:
-        sequence = wavelength_sequence(plan, axis, "plan", (widths or {}).get(axis))
+        sequence = wavelength_sequence(plan, axis, "plan", (interval_shares or {}).get(axis))
         alternatives = alternatives_of(plan, sequence)
         counted = alternatives.separations[alternatives.separations >= 0.99 * alternatives.least_separation]
         # Uncertainty of the first coded axis, and from it the noise of a grey level over its modulation.

@@ -17,7 +17,7 @@ from scipy.special import erfc
 from fpplab.core.conventions import TWO_PI, Axis, Floats, Map, axis_length
 from fpplab.patterns.recording import Recording
 from fpplab.phase.alternatives import Alternatives, alternatives_of
-from fpplab.phase.bounds import PositionInterval, PossibleCoordinates, interval_of, widest
+from fpplab.phase.bounds import PositionInterval, PossibleCoordinates, interval_of, widest_interval_share
 from fpplab.phase.demodulation import AxisPhases, axis_phases
 from fpplab.phase.error_model import error_model_of
 from fpplab.phase.limits import ORDERS
@@ -221,7 +221,8 @@ def decode_axis(
     The compiled decoder (`fpplab.phase.decoding.decode`) must give the same wherever it gives anything.
     """
     plan, length = recording.plan, axis_length(recording.projector_size, axis)
-    width, margin = widest(bounds, axis, recording.projector_size), ORDERS.edge_margin_px / length
+    width = widest_interval_share(bounds, axis, recording.projector_size)
+    margin = ORDERS.edge_margin_px / length
     sequence = wavelength_sequence(plan, axis, recording.name, width)
     measured, interval = (
         axis_phases(recording, sequence, error_model_of(recording)),

@@ -37,7 +37,7 @@ class WavelengthSequence:
 
 
 def wavelength_sequence(
-    plan: Plan, axis: Axis, source: str, width: float | None = None
+    plan: Plan, axis: Axis, source: str, interval_share: float | None = None
 ) -> WavelengthSequence:
     """Give the synthetic wavelengths of one coded axis."""
     sets, method = plan.sets_along(axis), unwrapping_methods()[plan.unwrapping]
@@ -45,14 +45,14 @@ def wavelength_sequence(
         SyntheticWavelength(tuple(int(i == k) for i in range(len(sets))), plan.fringes[index].stripes)
         for k, index in enumerate(sets)
     ]
-    if width is None and method.guided:
+    if interval_share is None and method.guided:
         raise ConfigError(
             f"{source}: 'unwrapping' is '{plan.unwrapping}', which needs a calibration and a depth range "
             "(--depth, or 'depth_mm' in plan or rig file); without them, and always to characterise, use a "
             "plan that can be unwrapped by itself: 'hierarchical' or 'heterodyne'"
         )
     wavelengths = method.wavelengths(units)
-    max_stripes = (1.0 / width if width and method.guided else 1.0) + NEGLIGIBLE
+    max_stripes = (1.0 / interval_share if interval_share and method.guided else 1.0) + NEGLIGIBLE
     coarse = [w for w in wavelengths if w.stripes <= max_stripes]
     if not coarse:
         stripes = [unit.stripes for unit in units]
@@ -61,13 +61,15 @@ def wavelength_sequence(
         raise ConfigError(f"{source}: 'fringes' along {axis} have {listed} stripes: {advice}")
     kept = (coarse[-1], *(w for w in wavelengths if w.stripes > max_stripes))
     trust = _trust(kept, [plan.fringes[i].images for i in sets])
-    return WavelengthSequence(axis, sets, kept, trust, width or 1.0)
+    return WavelengthSequence(axis, sets, kept, trust, interval_share or 1.0)
 
 
-def check_unwrapping(plan: Plan, source: str, widths: Mapping[Axis, float | None] | None = None) -> None:
+def check_unwrapping(
+    plan: Plan, source: str, interval_shares: Mapping[Axis, float | None] | None = None
+) -> None:
     """Refuse a plan that cannot be unwrapped, before anything is projected."""
     for axis in plan.axes:
-        wavelength_sequence(plan, axis, source, (widths or {}).get(axis))
+        wavelength_sequence(plan, axis, source, (interval_shares or {}).get(axis))
 
 
 def _trust(wavelengths: tuple[SyntheticWavelength, ...], images: list[int]) -> tuple[float, ...]:

@@ -29,13 +29,13 @@ _HALF, _ONE = _f(0.5), _f(1)
 def settle_orders(
     axis: int,
     recipe: Any,
-    rows: Any,
-    sums: Any,
-    off: Any,
+    unwrapping: Any,
+    fusion: Any,
+    offsets: Any,
     weights: Any,
     shares: Any,
     good: Any,
-    n: int,
+    pixel_count: int,
     coordinate: Any,
     sigma: Any,
     common: Any,
@@ -48,35 +48,45 @@ def settle_orders(
     whose steps disagree by more than the allowed share or lead out of the possible positions, or whose order
     is changed here, is measured only if the likeliest position is a possible one and noise explains χ².
     """
-    # off (S, n); weights, shares (S, n); good (n,); coordinate, sigma, common, chi2 (n,); cause (n,)
+    # unwrapping, fusion: working buffers; offsets from the finest set, weights, shares (S, n); good (n,);
+    # coordinate, sigma, common, chi2 (n,); cause (n,)
     first, last = recipe.alternatives[axis], recipe.alternatives[axis + 1]
     if first == last or recipe.wrong_order_max > 1.0:
         return
-    separation, edge = recipe.least_separation[axis], recipe.edge_shift[axis]
+    separation, edge_shift = recipe.least_separation[axis], recipe.edge_shift[axis]
     margin = recipe.order_margin[axis]
-    enough = math.log(2.0 * (last - first) / recipe.wrong_order_max)
-    # A pixel that the bound clears has at least the separation of twice `enough`, and so at most this noise.
+    min_log_odds = math.log(2.0 * (last - first) / recipe.wrong_order_max)
+    # A pixel that the bound clears has a separation of at least twice `min_log_odds`: at most this noise.
     finest, freedom = recipe.finest[axis], np.sum(recipe.axis == axis) - 1
     unit = recipe.set_stripes[finest] * recipe.set_stripes[finest] / recipe.phase_noise[finest]
-    reach = margin + ORDERS.beyond_sigmas * math.sqrt(separation / (2.0 * enough * unit))
-    if _mark_uncleared(rows, sums, good, n, _f(separation), _f(edge), _f(reach), _f(enough)) == 0:
+    reach = margin + ORDERS.beyond_sigmas * math.sqrt(separation / (2.0 * min_log_odds * unit))
+    uncleared = _mark_and_count_uncleared(
+        unwrapping, fusion, good, pixel_count, _f(separation), _f(edge_shift), _f(reach), _f(min_log_odds)
+    )
+    if uncleared == 0:
         return
-    for i in range(n):
-        if sums[_u(i) + DOUBT] == 0.0:
+    for i in range(pixel_count):
+        if fusion[_u(i) + DOUBT] == 0.0:
             continue
-        ends = (rows[_u(i) + LOW] - margin, rows[_u(i) + HIGH] + margin)
-        odds, likeliest, sign, which = _compare_shifts(axis, recipe, rows, sums, off, weights, i, ends)
+        limits = (unwrapping[_u(i) + LOW] - margin, unwrapping[_u(i) + HIGH] + margin)
+        odds, likeliest, sign, which = _compare_shifts(
+            axis, recipe, unwrapping, fusion, offsets, weights, i, limits
+        )
         moves = 0
         while likeliest > 1.0 and moves < ORDERS.max_moves:
-            _shift(axis, recipe, rows, off, i, sign, which)
-            odds, likeliest, sign, which = _compare_shifts(axis, recipe, rows, sums, off, weights, i, ends)
+            _shift_order(axis, recipe, unwrapping, offsets, i, sign, which)
+            odds, likeliest, sign, which = _compare_shifts(
+                axis, recipe, unwrapping, fusion, offsets, weights, i, limits
+            )
             moves += 1
         if moves > 0:
-            _fuse_again(axis, recipe, rows, sums, off, weights, shares, i, coordinate, sigma, common, chi2)
+            _fuse_again(
+                axis, recipe, unwrapping, fusion, offsets, weights, shares, i, coordinate, sigma, common, chi2
+            )
         if moves > 0 or good[i] < 1.0:
-            is_explained = sums[_u(i) + CHI2] <= ORDERS.agreeing_sigmas**2 * freedom
-            outside = max(ends[0] - rows[_u(i)], rows[_u(i)] - ends[1])
-            is_possible = outside <= ORDERS.edge_sigmas / math.sqrt(sums[_u(i) + FINEST])
+            is_explained = fusion[_u(i) + CHI2] <= ORDERS.agreeing_sigmas**2 * freedom
+            outside = max(limits[0] - unwrapping[_u(i)], unwrapping[_u(i)] - limits[1])
+            is_possible = outside <= ORDERS.edge_sigmas / math.sqrt(fusion[_u(i) + FINEST])
             good[i] = 1.0 if is_explained and is_possible else 0.0
         if good[i] > 0.0 and odds / (1.0 + odds) > recipe.wrong_order_max:
             good[i] = 0.0
@@ -85,20 +95,20 @@ def settle_orders(
 
 @compiled
 def _compare_shifts(
-    axis: int, recipe: Any, rows: Any, sums: Any, off: Any, weights: Any, i: int, ends: Any
+    axis: int, recipe: Any, unwrapping: Any, fusion: Any, offsets: Any, weights: Any, pixel: int, limits: Any
 ) -> tuple[float, float, float, int]:
     """Odds of all shifted positions of one pixel together; of the likeliest its own, its sign and index."""
     first, last = recipe.alternatives[axis], recipe.alternatives[axis + 1]
-    position = rows[_u(i)]
-    beyond = ORDERS.beyond_sigmas / math.sqrt(sums[_u(i) + FINEST])
-    low, high = ends[0] - position, ends[1] - position
-    best, mean, total = _evidence(axis, recipe, off, weights, i, 0.0, first)
+    position = unwrapping[_u(pixel)]
+    beyond = ORDERS.beyond_sigmas / math.sqrt(fusion[_u(pixel) + FINEST])
+    low, high = limits[0] - position, limits[1] - position
+    best, mean, total = _chi2_of_shift(axis, recipe, offsets, weights, pixel, 0.0, first)
     inside = max(_share_within(mean, total, low, high), ORDERS.min_share_inside)
     odds, likeliest, direction, which = 0.0, -1.0, 0.0, first
     for r in range(first, last):
         for sign in (-1.0, 1.0):
             if low - beyond <= sign * recipe.shifts[r] <= high + beyond:
-                other, mean, total = _evidence(axis, recipe, off, weights, i, sign, r)
+                other, mean, total = _chi2_of_shift(axis, recipe, offsets, weights, pixel, sign, r)
                 if other - best > 2.0 * ORDERS.max_log_odds:
                     continue
                 share = _share_within(mean, total, low, high)
@@ -110,25 +120,27 @@ def _compare_shifts(
 
 
 @compiled
-def _shift(axis: int, recipe: Any, rows: Any, off: Any, i: int, sign: float, r: int) -> None:
+def _shift_order(
+    axis: int, recipe: Any, unwrapping: Any, offsets: Any, pixel: int, sign: float, shift_index: int
+) -> None:
     """Change the order of one pixel by a shift."""
-    rows[_u(i)] += sign * recipe.shifts[r]
+    unwrapping[_u(pixel)] += sign * recipe.shifts[shift_index]
     for s in range(len(recipe.axis)):
         if recipe.axis[s] == axis and s != recipe.finest[axis]:
-            turn = off[s, i] * recipe.set_stripes[s] - sign * recipe.shift_turns[r, s]
-            off[s, i] = (turn - math.floor(turn + 0.5)) / recipe.set_stripes[s]
+            turn = offsets[s, pixel] * recipe.set_stripes[s] - sign * recipe.shift_turns[shift_index, s]
+            offsets[s, pixel] = (turn - math.floor(turn + 0.5)) / recipe.set_stripes[s]
 
 
 @compiled
 def _fuse_again(
     axis: int,
     recipe: Any,
-    rows: Any,
-    sums: Any,
-    off: Any,
+    unwrapping: Any,
+    fusion: Any,
+    offsets: Any,
     weights: Any,
     shares: Any,
-    i: int,
+    pixel: int,
     coordinate: Any,
     sigma: Any,
     common: Any,
@@ -137,28 +149,35 @@ def _fuse_again(
     """Repeat the fusion of one pixel, from its present position."""
     for s in range(len(recipe.axis)):
         if recipe.axis[s] == axis and s != recipe.finest[axis]:
-            off[s, i] = (off[s, i] + rows[_u(i)]) * recipe.set_stripes[s]
-    chi2[i] -= sums[_u(i) + CHI2]
-    pixel = slice(i, i + 1)
+            offsets[s, pixel] = (offsets[s, pixel] + unwrapping[_u(pixel)]) * recipe.set_stripes[s]
+    chi2[pixel] -= fusion[_u(pixel) + CHI2]
+    this = slice(pixel, pixel + 1)
     fuse_axis(
         axis,
         recipe,
-        rows[i:],
-        sums[i:],
-        off[:, pixel],
-        weights[:, pixel],
-        shares[:, pixel],
+        unwrapping[pixel:],
+        fusion[pixel:],
+        offsets[:, this],
+        weights[:, this],
+        shares[:, this],
         1,
-        coordinate[pixel],
-        sigma[pixel],
-        common[pixel],
-        chi2[pixel],
+        coordinate[this],
+        sigma[this],
+        common[this],
+        chi2[this],
     )
 
 
 @compiled
-def _mark_uncleared(
-    rows: Any, sums: Any, good: Any, n: int, separation: Any, edge: Any, tolerance: Any, enough: Any
+def _mark_and_count_uncleared(
+    unwrapping: Any,
+    fusion: Any,
+    good: Any,
+    pixel_count: int,
+    min_separation: Any,
+    edge_shift: Any,
+    reach: Any,
+    min_log_odds: Any,
 ) -> Any:
     """Mark the pixels that the bound does not clear, and count them; without a branch, as in the decoder.
 
@@ -166,36 +185,36 @@ def _mark_uncleared(
     by step order is refused are all marked.
     """
     count = _f(0)
-    for j in range(n):
+    for j in range(pixel_count):
         i = _u(j)
-        square = sums[i + LEAST] * separation
-        surplus = _HALF * square - enough
-        span = max(sums[i + POSITION] - rows[i + LOW], rows[i + HIGH] - sums[i + POSITION])
-        doubt = _f(0) if surplus * abs(surplus) >= square * sums[i + CHI2] else good[i]
-        doubt = doubt if span + tolerance < edge else good[i]
+        square = fusion[i + LEAST] * min_separation
+        surplus = _HALF * square - min_log_odds
+        span = max(fusion[i + POSITION] - unwrapping[i + LOW], unwrapping[i + HIGH] - fusion[i + POSITION])
+        doubt = _f(0) if surplus * abs(surplus) >= square * fusion[i + CHI2] else good[i]
+        doubt = doubt if span + reach < edge_shift else good[i]
         doubt = doubt if good[i] == _ONE else good[i]
-        sums[i + DOUBT] = doubt
+        fusion[i + DOUBT] = doubt
         count += doubt
     return count
 
 
 @compiled
-def _evidence(
-    axis: int, recipe: Any, off: Any, weights: Any, i: int, sign: float, r: int
+def _chi2_of_shift(
+    axis: int, recipe: Any, offsets: Any, weights: Any, pixel: int, sign: float, shift_index: int
 ) -> tuple[float, float, float]:
     """χ² of one pixel's sets with the orders of a shifted position, their mean, and its inverse variance.
 
     The mean is counted from the position.
     """
-    shift = sign * recipe.shifts[r]
+    shift = sign * recipe.shifts[shift_index]
     total, moment, square = 0.0, 0.0, 0.0
     for s in range(len(recipe.axis)):
         if recipe.axis[s] == axis:
             stripes = recipe.set_stripes[s]
-            from_finest = 0.0 if s == recipe.finest[axis] else off[s, i] * stripes
-            turn = from_finest - sign * recipe.shift_turns[r, s]
+            from_finest = 0.0 if s == recipe.finest[axis] else offsets[s, pixel] * stripes
+            turn = from_finest - sign * recipe.shift_turns[shift_index, s]
             distance = (turn - math.floor(turn + 0.5)) / stripes
-            weight = weights[s, i]
+            weight = weights[s, pixel]
             total += weight
             moment += weight * distance
             square += weight * distance * distance

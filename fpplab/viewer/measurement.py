@@ -25,7 +25,7 @@ from fpplab.devices import Frame
 from fpplab.patterns.fringes import pattern_image
 from fpplab.patterns.plan import Plan
 from fpplab.phase import Decoded, Wrapped, wrapped_phase
-from fpplab.phase.bounds import widest
+from fpplab.phase.bounds import widest_interval_share
 from fpplab.phase.order_risk import order_risk
 from fpplab.reconstruction.depth_range import depth_bounds
 from fpplab.viewer import layouts
@@ -215,9 +215,9 @@ class MeasurementView(CommandView):
         plan, size, _ = self._shown.plan
         with suppress(FppError):  # a plan that this calibration cannot unwrap has no known risk
             bounds = self._shown.calibration and depth_bounds(plan, self._shown.calibration, depth)
-            widths = {axis: widest(bounds or None, axis, size) for axis in plan.axes}
+            interval_shares = {axis: widest_interval_share(bounds or None, axis, size) for axis in plan.axes}
             u, v = cloud.pixels.T
-            return np.asarray(order_risk(decoded, plan, size, widths)[v, u])
+            return np.asarray(order_risk(decoded, plan, size, interval_shares)[v, u])
         return None
 
 

@@ -205,9 +205,9 @@ def _ends(samples: Sequence[PixelSample]) -> list[PixelSample]:
     return [samples[0], samples[len(samples) // 2], samples[-1]]
 
 
-def _fit_light_and_focus_together(at: MatchingContext) -> TwinParameters:
-    now = at.parameters
-    names = [*at.blur_by_images, "vignetting"]
+def _fit_light_and_focus_together(context: MatchingContext) -> TwinParameters:
+    now = context.parameters
+    names = [*context.blur_by_images, "vignetting"]
     for effect in EFFECTS:
         if effect.is_in(now):
             names += effect.fitted

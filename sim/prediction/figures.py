@@ -16,7 +16,7 @@ from fpplab.core.conventions import Axis, Floats, Mask
 from fpplab.core.errors import DataError
 from fpplab.patterns.plan import Plan
 from fpplab.phase import Decoded
-from fpplab.phase.bounds import PossibleCoordinates, widest
+from fpplab.phase.bounds import PossibleCoordinates, widest_interval_share
 from fpplab.phase.order_risk import order_risk
 from fpplab.reconstruction.triangulation import camera_rays
 
@@ -85,8 +85,10 @@ def figures_of(
     vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
     square = igl.point_mesh_squared_distance(points, vertices, faces)[0]
     size = calibration.projector.size
-    widths = {axis: widest(bounds, axis, size) for axis in plan.axes} if bounds else None
-    risk = order_risk(decoded, plan, size, widths)[v[counted], u[counted]]
+    interval_shares = (
+        {axis: widest_interval_share(bounds, axis, size) for axis in plan.axes} if bounds else None
+    )
+    risk = order_risk(decoded, plan, size, interval_shares)[v[counted], u[counted]]
     assert cloud.sigma_noise_mm is not None
     return MeasuredFigures(
         distance_um=1e3 * float(np.sqrt(square).mean()),

@@ -14,7 +14,7 @@ from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import MaskRules, OrderVote, Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode, wrapped_phase
-from fpplab.phase.kernels import _turns
+from fpplab.phase.kernels import _arctangent_in_turns
 from fpplab.phase.quality import coordinate_uncertainty, measurable, phase_uncertainty
 
 SIZE = (912, 40)
@@ -179,7 +179,10 @@ def test_wrapped_phase_is_phase_modulation_and_offset():
 def test_the_arctangent_is_good_to_a_millionth():
     angle = np.concatenate([np.linspace(1e-4, 2 * np.pi - 1e-4, 4001), np.arange(1, 8) * np.pi / 4])
     for radius in (1e-3, 1.0, 1e5):
-        found = [_turns(np.float32(radius * np.sin(a)), np.float32(radius * np.cos(a))) for a in angle]
+        found = [
+            _arctangent_in_turns(np.float32(radius * np.sin(a)), np.float32(radius * np.cos(a)))
+            for a in angle
+        ]
         assert np.abs(2 * np.pi * np.array(found) - angle).max() < 1e-6
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fpplab.phase import decode
-from fpplab.phase.bounds import widest
+from fpplab.phase.bounds import widest_interval_share
 from fpplab.phase.order_risk import order_risk
 from tests.phase.test_fusion import WIDTH
 from tests.phase.test_wrong_order import HEIGHT, case, limited, noisy, wrong
@@ -17,7 +17,9 @@ def test_the_risk_bounds_the_frequency(stripes, steps, unwrapping, ratio) -> Non
     recording, truth, bounds = noisy(stripes, steps, unwrapping, ratio, seed=43)
     decoded = decode(limited(recording, 1.0), bounds=bounds)
     size = (WIDTH, HEIGHT)
-    risk = order_risk(decoded, recording.plan, size, {"x": widest(bounds, "x", size)} if bounds else None)
+    risk = order_risk(
+        decoded, recording.plan, size, {"x": widest_interval_share(bounds, "x", size)} if bounds else None
+    )
     assert np.array_equal(np.isfinite(risk), decoded.valid)
     assert np.nanmax(risk) <= 1.0
     expected, seen = float(np.nansum(risk)), (wrong(decoded.u, truth, recording.plan) & decoded.valid).sum()
