@@ -44,7 +44,7 @@ from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
-from fpplab.pipeline import characterise_sessions, measure_response, take
+from fpplab.pipeline import characterise_sessions, measure_response, take_or_resume_session
 from fpplab.sessions.session import Session
 from fpplab.targets import Target
 from sim.devices import SimCamera
@@ -89,7 +89,9 @@ def _characterisation(folder: Path) -> list[Result]:
         with console.progress(f"Taking {POOL} poses of the board") as report:
             for pose in range(POOL):
                 if pose < POSES:
-                    sessions.append(take(rig, plan, folder / f"pose_{pose:02d}", ("board", pose)))
+                    sessions.append(
+                        take_or_resume_session(rig, plan, folder / f"pose_{pose:02d}", ("board", pose))
+                    )
                 view = BoardWindow.of(rig, plan, target, pose)
                 wanted = [r for r in range(REPEATS) if pose in chosen[r]]
                 for repeat, seen in zip(wanted, _in_parallel(pool, view.observe, wanted), strict=True):

@@ -29,7 +29,7 @@ from fpplab.devices import Frame
 from fpplab.devices.rig import Rig
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.response import Response
-from fpplab.pipeline import measure_response, take, take_poses
+from fpplab.pipeline import measure_response, take_or_resume_session, take_poses
 from fpplab.sessions.session import Session, recorded_sessions
 from fpplab.targets import Target
 from sim.matching.match import MatchingLimits
@@ -93,16 +93,16 @@ def record(folder: Path, trial: MatchBenchmarkSetup = FULL) -> None:
         with console.progress("Recording the response") as report:
             measure_response(rig, plan.exposure_s, progress=report)[0].save(folder / RESPONSE)
         with console.progress(f"Recording {trial.poses} poses of the board") as report:
-            take_poses(rig, plan, BOARD, trial.poses, folder / BOARD, force=False, progress=report)
+            take_poses(rig, plan, BOARD, trial.poses, folder / BOARD, replace_existing=False, progress=report)
         for item in trial.artefacts:
             with console.progress(f"Recording the {item}") as report:
                 out = folder / SCANS / item
-                take(rig, scan_plan, out, (item, 0), complete_too=True, progress=report)
+                take_or_resume_session(rig, scan_plan, out, (item, 0), accept_complete=True, progress=report)
         with console.progress(f"Recording {MOVED} poses with the focus moved"):
             virtual_bench(rig).replace_world(_refocused(virtual_bench(rig).world, trial.focus_moved_mm))
             for pose in range(trial.few - MOVED, trial.few):
                 out = folder / REFOCUSED / f"pose_{pose:02d}"
-                take(rig, plan, out, (BOARD, pose), complete_too=True)
+                take_or_resume_session(rig, plan, out, (BOARD, pose), accept_complete=True)
 
 
 def _refocused(world: World, further_mm: float) -> World:

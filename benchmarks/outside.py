@@ -33,7 +33,7 @@ from fpplab.devices.simulation import Predictable
 from fpplab.patterns.curve import DEGREE, knots
 from fpplab.patterns.fringes import Pattern
 from fpplab.patterns.plan import Plan
-from fpplab.pipeline import measure_response, take, take_poses
+from fpplab.pipeline import measure_response, take_or_resume_session, take_poses
 from fpplab.sessions.session import Session, recorded_sessions
 from sim.bench import VirtualBench
 from sim.build import SceneState
@@ -173,7 +173,7 @@ def judged_effect(
         console.log_status(f"Recording the bench '{effect.name}'")
         rig.need_fixture("the benchmark").mount(CARD, 0)
         response = measure_response(rig, plan.exposure_s)[0]
-        take_poses(rig, plan, BOARD, trial.poses, folder / BOARD, force=False)
+        take_poses(rig, plan, BOARD, trial.poses, folder / BOARD, replace_existing=False)
         virtual_bench(rig).replace_world(effect.part(world))
         scan = _taken(rig, part_plan, folder / "scan", effect.drift_mm)
         write_rig(_nominal(world), folder / "nominal", "Nominal twin")
@@ -226,7 +226,7 @@ _OTHERS = ("pyramid", "pillars", "steps", "pyramid_moved", "pyramid_painted")
 
 def _taken(rig: Rig, plan: Plan, path: Path, drift_mm: float) -> Session:
     if not drift_mm:
-        take(rig, plan, path, (PART, 0), complete_too=True)
+        take_or_resume_session(rig, plan, path, (PART, 0), accept_complete=True)
         return Session.open(path)
     return record_images(rig, plan, path, (PART, 0), partial(_moving, virtual_bench(rig), drift_mm))
 

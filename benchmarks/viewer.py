@@ -23,7 +23,7 @@ from fpplab.calibration.model import Calibration
 from fpplab.core import config
 from fpplab.devices.rig import Rig
 from fpplab.patterns.plan import Plan
-from fpplab.pipeline import take
+from fpplab.pipeline import take_or_resume_session
 from sim.world import World
 
 ROUNDS = 3
@@ -59,7 +59,7 @@ def _prepared(folder: Path) -> list[str]:
     truth = Calibration(world.camera_model(), world.projector_model(), world.T_projector_camera(), {})
     truth.save(folder / "calibration.yaml")
     with Rig.load("rig_demo") as rig:
-        take(rig, Plan.load("plan_paper"), folder / "session", ("pyramid", 0))
+        take_or_resume_session(rig, Plan.load("plan_paper"), folder / "session", ("pyramid", 0))
     rig_file = {
         "name": "Replay",
         "bench": {"backend": "fpplab.sessions.replay:RecordedSession", "session": str(folder / "session")},

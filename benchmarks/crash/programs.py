@@ -139,7 +139,7 @@ def prepare(folder: Path, programs: tuple[DisturbedProgram, ...]) -> None:
     known.save(folder / "calibration.yaml")
     if {IMPORT, MATCH} & set(programs):
         with Rig.load(folder / "rig.yaml") as rig:
-            poses = take_poses(rig, plan, "board", 3, folder / "poses", force=False)
+            poses = take_poses(rig, plan, "board", 3, folder / "poses", replace_existing=False)
         _write_images(poses[0], folder / "images")
     if UPLOAD in programs:
         shutil.copy(Path(__file__).with_name("board.py"), folder)

@@ -22,7 +22,7 @@ from fpplab.devices.rig import Rig, RigFile
 from fpplab.diagnosis import Diagnosis, Finding, diagnose_scan
 from fpplab.patterns.plan import Plan
 from fpplab.phase import decode
-from fpplab.pipeline import take
+from fpplab.pipeline import take_or_resume_session
 from fpplab.reconstruction.points import points_of
 from fpplab.setup.rig_check.check import check_rig
 from sim.world import World
@@ -92,7 +92,9 @@ def of_rig(name: str, seed: int) -> Judged:
     with TemporaryDirectory() as folder:
         rig, known = seeded_rig(name, seed, Path(folder))
         with rig:
-            session = take(rig, Plan.load("plan_paper"), Path(folder) / "scan", (ITEMS[seed % len(ITEMS)], 0))
+            session = take_or_resume_session(
+                rig, Plan.load("plan_paper"), Path(folder) / "scan", (ITEMS[seed % len(ITEMS)], 0)
+            )
         recording = session.recording()
         decoded, cloud = points_of(decode(recording), known, recording.plan, recording.mean_image())
         diagnosis = diagnose_scan(recording, decoded, cloud, known)

@@ -39,8 +39,8 @@ _watched: set[str] = set()
 class RigTurn:
     """The turn of a watcher on a rig; made by `watching_rig`."""
 
-    def __init__(self, files: Path) -> None:
-        self._files = files
+    def __init__(self, lock_stem: Path) -> None:
+        self._lock_stem = lock_stem
         self._used: int | None = None
 
     @property
@@ -50,20 +50,20 @@ class RigTurn:
 
     def is_requested(self) -> bool:
         """Tell whether another command wants the rig, or has it."""
-        handle = _opened(self._files, "wanted")
+        handle = _open_lock_file(self._lock_stem, "wanted")
         try:
-            return not _locks(handle)
+            return not _try_lock(handle)
         finally:
             os.close(handle)
 
     def requested_by(self) -> str:
         """Say who wants the rig."""
-        return lock_owner(_named(self._files, "wanted"))
+        return lock_owner(_lock_path(self._lock_stem, "wanted"))
 
     def take(self) -> bool:
         """Take the rig, if no other command wants or has it."""
         if self._used is None and not self.is_requested():
-            self._used = _if_locked(self._files, "used")
+            self._used = _open_and_try_lock(self._lock_stem, "used")
         return self.is_mine
 
     def yield_rig(self) -> None:
@@ -76,18 +76,18 @@ class RigTurn:
 @contextmanager
 def watching_rig(source: Path | str) -> Iterator[RigTurn]:
     """Watch a rig, in turn with commands that measure with it."""
-    files = _files_of(source)
-    handle = _if_locked(files, "watched")
+    lock_stem = _lock_stem_of(source)
+    handle = _open_and_try_lock(lock_stem, "watched")
     if handle is None:
-        who = lock_owner(_named(files, "watched"))
+        who = lock_owner(_lock_path(lock_stem, "watched"))
         raise DeviceError(str(source), "watch", f"{who} watches it already", "end that first")
     write_lock_owner(handle)
-    turn = RigTurn(files)
-    _watched.add(str(files))
+    turn = RigTurn(lock_stem)
+    _watched.add(str(lock_stem))
     try:
         yield turn
     finally:
-        _watched.discard(str(files))
+        _watched.discard(str(lock_stem))
         turn.yield_rig()
         os.close(handle)
 
@@ -95,77 +95,77 @@ def watching_rig(source: Path | str) -> Iterator[RigTurn]:
 @contextmanager
 def using_rig(source: Path | str) -> Iterator[None]:
     """Hold a rig for a measurement; a watcher releases it first."""
-    files = _files_of(source)
-    if str(files) in _watched:
+    lock_stem = _lock_stem_of(source)
+    if str(lock_stem) in _watched:
         yield
         return
     with ExitStack() as stack:
         for name in ("wanted", "used"):
-            handle = _opened(files, name)
+            handle = _open_lock_file(lock_stem, name)
             stack.callback(os.close, handle)
-            _await(handle, files, source)
+            _acquire_shared_lock(handle, lock_stem, source)
             if name == "wanted":
                 write_lock_owner(handle)
         yield
 
 
-def _await(handle: int, files: Path, source: Path | str) -> None:
+def _acquire_shared_lock(handle: int, lock_stem: Path, rig_file: Path | str) -> None:
     """Wait until a lock can be shared; short sleeps keep Ctrl-C working."""
     end = time.monotonic() + TURN_TIMEOUT_S
-    if _locks(handle, shared=True):
+    if _try_lock(handle, shared=True):
         return
-    _log.info("%s: waiting until %s releases it", source, lock_owner(_named(files, "watched")))
-    while not _locks(handle, shared=True):
+    _log.info("%s: waiting until %s releases it", rig_file, lock_owner(_lock_path(lock_stem, "watched")))
+    while not _try_lock(handle, shared=True):
         if time.monotonic() > end:
-            who = lock_owner(_named(files, "watched"))
+            who = lock_owner(_lock_path(lock_stem, "watched"))
             reason = f"{who} has not released it within {TURN_TIMEOUT_S:g} s"
-            raise DeviceError(str(source), "open", reason, "end that process")
+            raise DeviceError(str(rig_file), "open", reason, "end that process")
         time.sleep(0.02)  # one frame's time at 50 Hz: the operator does not notice it
 
 
-def _files_of(source: Path | str) -> Path:
+def _lock_stem_of(source: Path | str) -> Path:
     """The common beginning of a rig's lock files."""
     folder = Path(tempfile.gettempdir()) / f"fpplab-rigs-{USER}"
     try:
         folder.mkdir(mode=0o700, exist_ok=True)
         owner = folder.lstat().st_uid
     except OSError as error:
-        raise _no_locks(folder, error) from error
+        raise _lock_error(folder, error) from error
     if owner != USER:
         raise DeviceError(str(source), "open", f"{folder} belongs to another user", "delete it")
     return folder / hashlib.sha256(str(Path(source).resolve()).encode()).hexdigest()[:16]
 
 
-def _no_locks(place: Path, error: OSError) -> DeviceError:
+def _lock_error(place: Path, error: OSError) -> DeviceError:
     reason = f"{place} cannot be used ({error.strerror})"
     return DeviceError("rig", "lock", reason, "let TMPDIR name a folder that can be written to")
 
 
-def _named(files: Path, name: str) -> Path:
-    return files.with_name(f"{files.name}.{name}")
+def _lock_path(lock_stem: Path, name: str) -> Path:
+    return lock_stem.with_name(f"{lock_stem.name}.{name}")
 
 
-def _opened(files: Path, name: str) -> int:
+def _open_lock_file(lock_stem: Path, name: str) -> int:
     """A lock file; it stays, for its lock is what counts, and to delete it would make two of it."""
-    place = _named(files, name)
+    place = _lock_path(lock_stem, name)
     try:
         return open_lock(place, 0o600)
     except OSError as error:
-        raise _no_locks(place, error) from error
+        raise _lock_error(place, error) from error
 
 
-def _locks(handle: int, shared: bool = False) -> bool:
+def _try_lock(handle: int, shared: bool = False) -> bool:
     """Whether a lock was free."""
     try:
         return try_lock(handle, shared)
     except OSError as error:
-        raise _no_locks(Path(tempfile.gettempdir()), error) from error
+        raise _lock_error(Path(tempfile.gettempdir()), error) from error
 
 
-def _if_locked(files: Path, name: str) -> int | None:
+def _open_and_try_lock(lock_stem: Path, name: str) -> int | None:
     """The descriptor of a file whose lock was free and is held now, or None."""
-    handle = _opened(files, name)
-    if _locks(handle):
+    handle = _open_lock_file(lock_stem, name)
+    if _try_lock(handle):
         return handle
     os.close(handle)
     return None

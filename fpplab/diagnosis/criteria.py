@@ -74,7 +74,7 @@ def criteria_of(sample: FrameSample, decoded: Decoded, cloud: Cloud) -> tuple[Cr
 
 def _of_points(sample: FrameSample, decoded: Decoded, cloud: Cloud) -> Iterator[Criterion]:
     limits = sample.limits.of(CriteriaLimits)
-    seeing = sample.pixels_seeing_fringes(cloud)
+    seeing = sample.estimate_pixels_seeing_fringes(cloud)
     share = len(cloud) / seeing
     meaning = "the share of the pixels that see the fringes which became points"
     yield Criterion("points", meaning, share, limits.min_points_share, at_least=True)

@@ -200,7 +200,7 @@ class FrameSample:
         is_lit = self.widest.modulation >= np.maximum(of_strongest, of_noise)
         return np.asarray(is_lit | (self.saturated & (self.widest.offset > 128.0)))
 
-    def pixels_seeing_fringes(self, cloud: Cloud) -> float:
+    def estimate_pixels_seeing_fringes(self, cloud: Cloud) -> float:
         """Count the pixels of the whole image that see the projector's fringes."""
         others = self.lit.copy()
         if cloud.pixels is not None:

@@ -189,7 +189,7 @@ def _judged(
 ) -> Diagnosis:
     limits = sample.limits.of(VerdictLimits)
     pixels = sample.recording.frames[0].size
-    seeing = sample.pixels_seeing_fringes(cloud)
+    seeing = sample.estimate_pixels_seeing_fringes(cloud)
     share = len(cloud) / seeing
     counted = f"{len(cloud)} points of {seeing:.0f} pixels that see the fringes"
     if share < limits.min_points_of_lit or len(cloud) < limits.min_points_of_image * pixels:

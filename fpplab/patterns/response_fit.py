@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -71,14 +72,22 @@ def rounding_variance(spread: Floats) -> Floats:
     return np.asarray(terms.sum(axis=-1))
 
 
-def levels_of(greys: GreyLevelImages, regions: Mask) -> tuple[Floats, Floats, Mask]:
+class MeanLevels(NamedTuple):
+    """Levels averaged over regions of the image, each (L,)."""
+
+    levels: Floats
+    sigma: Floats
+    is_clipped: Mask
+
+
+def mean_levels_of_regions(greys: GreyLevelImages, regions: Mask) -> MeanLevels:
     """Average the levels over some regions.
 
     The uncertainty has three parts: the pixels' noise over all pixels and repeats; the scatter of the repeats
     beyond it (an unsteady lamp), pooled over the levels; and rounding, as far as the noise does not dither
     it away.
     """
-    # regions (GRID²,); returns levels (L,), sigma (L,), clipped (L,)
+    # regions (GRID²,)
     of_regions, weight = greys.statistics[..., regions], greys.pixels[regions]
     pixels, step = weight.sum(), 1.0 / full_scale(greys.bits)
     means, noise, spread, white = (
@@ -91,7 +100,7 @@ def levels_of(greys: GreyLevelImages, regions: Mask) -> tuple[Floats, Floats, Ma
     # Up to 1/4 they may as well be equal, on the edge between two integers; beyond, rounding has added 1/12.
     before = np.where(rounded > 1 / 4, rounded - 1 / 12, 0.0)
     variance = (of_pixels + lamp) / repeats + step**2 * rounding_variance(before)
-    return means.mean(axis=0), np.sqrt(variance), white.mean(axis=0) > LIMITS.max_clipped_share
+    return MeanLevels(means.mean(axis=0), np.sqrt(variance), white.mean(axis=0) > LIMITS.max_clipped_share)
 
 
 def fit_greys(greys: GreyLevelImages) -> Response:
@@ -144,8 +153,10 @@ def _name(index: int) -> str:
 
 
 def _fit(greys: GreyLevelImages, regions: Mask, power_only: bool = False) -> Response:
-    levels, sigma, clipped = levels_of(greys, regions)
-    return fit_response(greys.shown, levels, sigma, saturated=clipped, power_only=power_only)
+    mean = mean_levels_of_regions(greys, regions)
+    return fit_response(
+        greys.shown, mean.levels, mean.sigma, saturated=mean.is_clipped, power_only=power_only
+    )
 
 
 def _region(greys: GreyLevelImages, index: int) -> Region:
@@ -177,5 +188,5 @@ def _check_agreement(g: float, regions: tuple[Region, ...], spread: float, expec
 def _dark(greys: GreyLevelImages, regions: Mask) -> tuple[float, float]:
     """The level seen with the projector off, and its standard uncertainty."""
     dark = GreyLevelImages(greys.shown[:1], greys.dark[None, None], greys.dark, greys.pixels, greys.bits)
-    level, sigma, _ = levels_of(dark, regions)
-    return float(level[0]), float(sigma[0])
+    mean = mean_levels_of_regions(dark, regions)
+    return float(mean.levels[0]), float(mean.sigma[0])

@@ -21,7 +21,7 @@ from fpplab.pipeline.measuring import (
     reconstruct_session,
 )
 from fpplab.pipeline.response import measure_response
-from fpplab.pipeline.taking import check_space, plan_stage_moves, take, take_poses
+from fpplab.pipeline.taking import check_disk_space, plan_stage_moves, take_or_resume_session, take_poses
 
 __all__ = [
     "CALIBRATION",
@@ -30,8 +30,8 @@ __all__ = [
     "REPORT",
     "Reconstruction",
     "characterise_sessions",
+    "check_disk_space",
     "check_plan",
-    "check_space",
     "decode_session",
     "diagnose",
     "doubts",
@@ -44,6 +44,6 @@ __all__ = [
     "reconstruct_points",
     "reconstruct_session",
     "require_plan_fits",
-    "take",
+    "take_or_resume_session",
     "take_poses",
 ]

@@ -20,15 +20,15 @@ from fpplab.sessions.origin import record_origin
 from fpplab.sessions.session import Session, need_space_for_frames
 
 
-def take(
+def take_or_resume_session(
     rig: Rig,
     plan: Plan,
-    out: Path,
-    mount: Mounted | None = None,
+    session_folder: Path,
+    mounted_item: Mounted | None = None,
     *,
-    force: bool = False,
-    complete_too: bool = False,
-    bring: Callable[[], object] | None = None,
+    replace_existing: bool = False,
+    accept_complete: bool = False,
+    place_item: Callable[[], object] | None = None,
     progress: Progress = no_progress,
     observe_frame: FrameObserver = ignore,
 ) -> Session:
@@ -38,17 +38,19 @@ def take(
     """
     if plan.stage_mm is not None:
         rig.need_stage(plan.stage_mm)
-    with exclusive_write(out):
-        check_space(rig, plan, [out], force)
-        session = Session.resume(out, plan, rig.described(mount), force, complete_too)
-        begin_session_log(out)
-        record_origin(out, rig, next_frame_of(rig))
+    with exclusive_write(session_folder):
+        check_disk_space(rig, plan, [session_folder], replace_existing)
+        session = Session.resume(
+            session_folder, plan, rig.described(mounted_item), replace_existing, accept_complete
+        )
+        begin_session_log(session_folder)
+        record_origin(session_folder, rig, next_frame_of(rig))
         number_frames(rig, session)
         if plan.stage_mm is not None and session.missing():
             rig.place_stage(plan.stage_mm)
-        if mount is not None and session.missing():
-            fixture = rig.need_fixture(f"mounting the {mount[0]}")
-            bring() if bring else fixture.mount(*mount)
+        if mounted_item is not None and session.missing():
+            fixture = rig.need_fixture(f"mounting the {mounted_item[0]}")
+            place_item() if place_item else fixture.mount(*mounted_item)
 
         def report(frame: Frame) -> None:
             progress(1.0 - len(session.missing()) / plan.images)
@@ -59,18 +61,18 @@ def take(
     return session
 
 
-def plan_stage_moves(rig: Rig, plan: Plan, out: Path, force: bool) -> dict[str, Any]:
-    """Say what `take` would do, without moving, projecting or writing anything."""
-    check_space(rig, plan, [out], force)
+def plan_stage_moves(rig: Rig, plan: Plan, session_folder: Path, replace_existing: bool) -> dict[str, Any]:
+    """Say what `take_or_resume_session` would do, without moving, projecting or writing anything."""
+    check_disk_space(rig, plan, [session_folder], replace_existing)
     move = None if plan.stage_mm is None else asdict(rig.plan_stage_move(plan.stage_mm))
-    replaces = force and (out / JOURNAL).is_file()
+    replaces = replace_existing and (session_folder / JOURNAL).is_file()
     return {"images": plan.images, "stage": move, "replaces": replaces, "dry_run": True}
 
 
-def check_space(rig: Rig, plan: Plan, paths: Sequence[Path], force: bool) -> None:
+def check_disk_space(rig: Rig, plan: Plan, session_folders: Sequence[Path], replace_existing: bool) -> None:
     """Refuse sessions that do not fit on the disk, before anything is projected or written."""
     bits = rig.camera_settings(plan.exposure_s, plan.bits).bits
-    need_space_for_frames(paths, plan, rig.camera.caps.size, bits, force)
+    need_space_for_frames(session_folders, plan, rig.camera.caps.size, bits, replace_existing)
 
 
 def take_poses(
@@ -79,22 +81,22 @@ def take_poses(
     item: str,
     poses: int,
     folder: Path,
-    force: bool,
+    replace_existing: bool,
     progress: Progress = no_progress,
     observe_frame: FrameObserver = ignore,
 ) -> list[Session]:
     """Take one session for each pose of a target that the rig's fixture holds."""
     paths = [folder / f"pose_{pose:02d}" for pose in range(poses)]
-    check_space(rig, plan, paths, force)
+    check_disk_space(rig, plan, paths, replace_existing)
 
     def take_pose(pose: int) -> Session:
-        return take(
+        return take_or_resume_session(
             rig,
             plan,
             paths[pose],
             (item, pose),
-            force=force,
-            complete_too=True,
+            replace_existing=replace_existing,
+            accept_complete=True,
             progress=lambda share: progress((pose + share) / poses),
             observe_frame=observe_frame,
         )

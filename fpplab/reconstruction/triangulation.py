@@ -150,7 +150,7 @@ def _coded_maps(decoded: DecodedMaps) -> CodedMaps:
 def _solved(coded: CodedMaps, calibration: Calibration) -> Solutions:
     """Solve all pixels with coordinates, and keep those with a solution."""
     use_u, use_v = len(coded.u) > 0, len(coded.v) > 0
-    counts = _count(coded.u if use_u else coded.v, coded.v if use_v else coded.u)
+    counts = _coded_pixels_by_row(coded.u if use_u else coded.v, coded.v if use_v else coded.u)
     total = int(counts.sum())
     solutions = Solutions(
         points=buffers.empty((total, 3)),
@@ -283,19 +283,19 @@ def _are_solved(points: Map) -> Mask:
 
 
 @njit(inline="always")
-def _coded(u: float, v: float) -> bool:
+def _is_coded(u: float, v: float) -> bool:
     """Return whether a pixel has both coordinates; by comparisons, which fast-math keeps."""
     return bool(abs(u) < LIMITS.max_coordinate_px and abs(v) < LIMITS.max_coordinate_px)
 
 
 @njit(parallel=True, cache=True)
-def _count(u: Map, v: Map) -> NDArray[np.int64]:
+def _coded_pixels_by_row(u: Map, v: Map) -> NDArray[np.int64]:
     """Count the pixels of each row with both coordinates."""
     counts = np.zeros(len(u), np.int64)
     for row in prange(len(u)):
         count = 0
         for column in range(u.shape[1]):
-            count += _coded(u[row, column], v[row, column])
+            count += _is_coded(u[row, column], v[row, column])
         counts[row] = count
     return counts
 
@@ -373,7 +373,7 @@ def _solve(
             for column in range(width):
                 u = float(coded.u[row, column]) if use_u else cx
                 v = float(coded.v[row, column]) if use_v else cy
-                if not _coded(u, v):
+                if not _is_coded(u, v):
                     continue
                 at += 1
                 points[at, 0] = points[at, 1] = points[at, 2] = np.nan

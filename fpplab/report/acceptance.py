@@ -74,7 +74,7 @@ def write_acceptance_report(path: Path, result: AcceptanceResult) -> None:
     sections = [_bar_section(bar, k + 1) for k, bar in enumerate(acceptance.bars)]
     sections += [_plane_section(plane, k + 1) for k, plane in enumerate(acceptance.planes)]
     basis = PageBasis((PageVerdict.of(result.diagnosis),), result.provenance, result.summary())
-    write_page(path, "Acceptance test", _summary(acceptance), sections, facts, basis=basis)
+    write_page(path, "Acceptance test", _summary(acceptance), sections, facts, verdicts_and_sources=basis)
 
 
 def _summary(acceptance: Acceptance) -> list[ReportTable]:

@@ -17,10 +17,10 @@ def write_characterisation_report(path: Path, result: CharacterisationResult) ->
     write_report(
         path,
         f"Characterisation {path.stem}",
-        facts=result.characterisation.facts(),
+        head_facts=result.characterisation.facts(),
         characterisation=result.characterisation,
         guided=result.guided,
-        basis=PageBasis(verdicts, {"poses": result.provenance}, result.figures()),
+        verdicts_and_sources=PageBasis(verdicts, {"poses": result.provenance}, result.figures()),
     )
 
 
@@ -28,4 +28,4 @@ def write_judgement_report(path: Path, name: str, result: JudgementResult) -> No
     """Write the judgement of a calibration as one HTML file."""
     verdicts = (judgement_verdict(result.judgement),)
     basis = PageBasis(verdicts, {"poses": result.provenance}, result.figures())
-    write_report(path, f"Judgement of {name}", judgement=result.judgement, basis=basis)
+    write_report(path, f"Judgement of {name}", judgement=result.judgement, verdicts_and_sources=basis)

@@ -23,7 +23,7 @@ def write_check_report(path: Path, result: CheckResult) -> None:
     """Write what a check found as one HTML file."""
     check = result.check
     basis = PageBasis((check_verdict(check),), {"rig": result.provenance}, check.summary())
-    write_page(path, "Check of a rig", [], _sections(check, evidence_of(result)), basis=basis)
+    write_page(path, "Check of a rig", [], _sections(check, evidence_of(result)), verdicts_and_sources=basis)
 
 
 def write_check_pictures(out: Path, result: CheckResult) -> tuple[Path, ...]:

@@ -37,7 +37,7 @@ def write_comparison_report(path: Path, result: ComparisonResult) -> None:
     tables = (_figures(comparison), *lengths_tables(comparison))
     section = ReportSection("Errors", text, tables, figures, (cloud_view(name, cloud, comparison),))
     basis = PageBasis(tuple(verdicts), {name: result.provenance}, result.figures())
-    write_page(path, f"Comparison of {name}", [], [section], basis=basis)
+    write_page(path, f"Comparison of {name}", [], [section], verdicts_and_sources=basis)
 
 
 def write_errors(path: Path, result: ComparisonResult) -> None:

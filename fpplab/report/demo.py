@@ -13,9 +13,9 @@ def write_demo_report(result: DemoResult) -> None:
     write_report(
         result.report_file,
         "Demonstration on the virtual bench",
-        facts=result.characterisation.facts(),
+        head_facts=result.characterisation.facts(),
         response=(result.response, result.levels),
         characterisation=result.characterisation,
         scans=[scan_section(scan.scan, scan.comparison) for scan in result.scans],
-        basis=PageBasis(answer=result.summary()),
+        verdicts_and_sources=PageBasis(answer=result.summary()),
     )

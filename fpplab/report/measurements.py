@@ -23,18 +23,18 @@ def write_report(
     path: Path,
     title: str,
     *,
-    facts: Mapping[str, str] | None = None,
+    head_facts: Mapping[str, str] | None = None,
     response: tuple[Response, Floats] | None = None,
     characterisation: Characterisation | None = None,
     judgement: Judgement | None = None,
     guided: GuidedRun | None = None,
     scans: Sequence[ScanSection] = (),
-    basis: PageBasis | None = None,
-    when: datetime | None = None,
+    verdicts_and_sources: PageBasis | None = None,
+    written_at: datetime | None = None,
 ) -> None:
     """Write the report of measurements as one HTML file. If it fails, an earlier file is unchanged."""
-    # facts (rig, plan, operator); response (K, 2)
-    page_basis = basis or PageBasis()
+    # head_facts (rig, plan, operator); response (K, 2)
+    page_basis = verdicts_and_sources or PageBasis()
     is_single = len(scans) == 1
     verdicts = [PageVerdict.of(s.diagnosis, "" if is_single else s.name) for s in scans if s.diagnosis]
     sources = {s.name: s.provenance for s in scans if s.provenance}
@@ -53,4 +53,4 @@ def write_report(
     complete_basis = PageBasis(
         (*page_basis.verdicts, *verdicts), {**page_basis.provenance, **sources}, page_basis.answer
     )
-    write_page(path, title, [*scan_tables(scans), *summary], sections, facts, when, complete_basis)
+    write_page(path, title, [*scan_tables(scans), *summary], sections, head_facts, written_at, complete_basis)

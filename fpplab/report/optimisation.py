@@ -56,7 +56,14 @@ def write_optimisation_report(path: Path, result: OptimisationResult) -> None:
         *(_map_section(name, *both) for name, both in compared.artefacts.items()),
     ]
     basis = PageBasis((PageVerdict.of(result.diagnosis),), compared.provenance, result.summary())
-    write_page(path, f"Search: {search.study.name}", _summary(search), sections, _facts(search), basis=basis)
+    write_page(
+        path,
+        f"Search: {search.study.name}",
+        _summary(search),
+        sections,
+        _facts(search),
+        verdicts_and_sources=basis,
+    )
 
 
 def _how_scored(search: SearchResult) -> str:

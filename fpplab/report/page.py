@@ -43,12 +43,12 @@ def write_page(
     title: str,
     summary: Sequence[ReportTable],
     sections: Sequence[ReportSection],
-    facts: Mapping[str, str] | None = None,
-    when: datetime | None = None,
-    basis: PageBasis | None = None,
+    head_facts: Mapping[str, str] | None = None,
+    written_at: datetime | None = None,
+    verdicts_and_sources: PageBasis | None = None,
 ) -> None:
     """Write verdicts, tables and sections as one HTML file. If it fails, an earlier file is unchanged."""
-    page_basis = basis or PageBasis()
+    page_basis = verdicts_and_sources or PageBasis()
     environment = _environment()
     viewed = any(section.views for section in sections)
     script = environment.get_template("cloud_view.js").render() if viewed else ""
@@ -56,8 +56,8 @@ def write_page(
     tables = [*summary, *(table for section in sections for table in section.tables)]
     page = environment.get_template("report.html.j2").render(
         title=title,
-        when=(when or datetime.now().astimezone()).strftime("%Y-%m-%d %H:%M %Z").strip(),
-        facts={**_head(page_basis.provenance), **(facts or {})},
+        when=(written_at or datetime.now().astimezone()).strftime("%Y-%m-%d %H:%M %Z").strip(),
+        facts={**_head(page_basis.provenance), **(head_facts or {})},
         verdicts=page_basis.verdicts,
         summary=summary,
         sections=sections,

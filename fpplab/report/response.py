@@ -35,7 +35,7 @@ def write_response_report(path: Path, result: ResponseResult) -> None:
     section = response_section(result.response, result.levels)
     section = replace(section, tables=(*section.tables, table))
     basis = PageBasis((verdict,), {"response": result.provenance}, result.figures())
-    write_page(path, f"Response {path.stem}", [], [section], basis=basis)
+    write_page(path, f"Response {path.stem}", [], [section], verdicts_and_sources=basis)
 
 
 def response_section(response: Response, levels: Floats) -> ReportSection:

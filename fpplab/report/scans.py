@@ -18,7 +18,9 @@ from fpplab.results.scan import ScanResult
 def write_scan_report(path: Path, result: ScanResult) -> None:
     """Write one scan as an HTML page."""
     section = scan_section(result)
-    write_report(path, f"Scan {section.name}", scans=[section], basis=PageBasis(answer=result.figures()))
+    write_report(
+        path, f"Scan {section.name}", scans=[section], verdicts_and_sources=PageBasis(answer=result.figures())
+    )
 
 
 def scan_section(result: ScanResult, comparison: Comparison | None = None) -> ScanSection:

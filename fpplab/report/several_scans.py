@@ -35,7 +35,7 @@ def write_scans_report(path: Path, result: ScansResult) -> None:
     )
     by_name = {scan.name: scan for scan in scans}
     sections = [_surfaces(scans), *_maps(scans), *_differences(result.differences, by_name), *_images(scans)]
-    write_page(path, f"{len(scans)} scans", [_figures(scans)], sections, basis=basis)
+    write_page(path, f"{len(scans)} scans", [_figures(scans)], sections, verdicts_and_sources=basis)
 
 
 def scan_verdict(scan: ScanRecord) -> PageVerdict:

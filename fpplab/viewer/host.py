@@ -54,7 +54,7 @@ def run(program: str, kind: str, files: list[str]) -> None:
         rerun = _start(program, kind, files, data, raw, Path(home))
         threading.Thread(target=_end_with_parent, args=(rerun,), daemon=True).start()
         for port in (data, raw) if kind == "browser" else (data,):
-            _await(rerun, port, Path(home) / "log")
+            _wait_until_listening(rerun, port, Path(home) / "log")
         where = {"data": f"rerun+http://{LOCAL}:{data}/proxy", "pid": rerun.pid, "page": "window"}
         if kind == "browser":
             where["page"] = _serve(data, raw)
@@ -120,7 +120,7 @@ def _end_with_parent(rerun: subprocess.Popen[bytes]) -> None:
     rerun.kill()
 
 
-def _await(rerun: subprocess.Popen[bytes], port: int, log: Path) -> None:
+def _wait_until_listening(rerun: subprocess.Popen[bytes], port: int, log: Path) -> None:
     deadline = time.monotonic() + START_TIMEOUT_S
     while time.monotonic() < deadline:
         if rerun.poll() is not None:

@@ -119,7 +119,7 @@ def _scan_artefact(
     from fpplab.artefacts.recognition import recognise
     from fpplab.comparison import compare
     from fpplab.core.errors import ConfigError
-    from fpplab.pipeline import finish_scan, take
+    from fpplab.pipeline import finish_scan, take_or_resume_session
     from fpplab.reconstruction.triangulation import triangulate
     from fpplab.results.demo import DemoScan
     from fpplab.results.provenance import session_provenance
@@ -127,7 +127,9 @@ def _scan_artefact(
 
     stopwatch, calibration, out = Stopwatch(), characterised.calibration, request.out / name
     with observer.stage(f"Scanning the {name}") as progress:
-        session = take(rig, plan, out, (name, 0), force=request.force, progress=progress)
+        session = take_or_resume_session(
+            rig, plan, out, (name, 0), replace_existing=request.force, progress=progress
+        )
         reconstruction = finish_scan(session, calibration)
     reconstruction.diagnosis.require_usable(str(session.path))
     assert reconstruction.decoded is not None

@@ -231,16 +231,16 @@ def _scan_on_open_rig(request: ScanRequest, observer: Observer, stopwatch: Stopw
 
 
 def _acquire(request: ScanRequest, observer: Observer) -> Session:
-    from fpplab.pipeline import take
+    from fpplab.pipeline import take_or_resume_session
 
     with observer.stage("Scanning") as progress:
-        return take(
+        return take_or_resume_session(
             request.rig,
             request.plan_for_depth,
             request.out,
             request.mount,
-            force=request.force,
-            complete_too=request.report and not request.has_report,
+            replace_existing=request.force,
+            accept_complete=request.report and not request.has_report,
             progress=progress,
             observe_frame=observer.frame,
         )

@@ -167,7 +167,7 @@ def _scan_standard(
 def _check_devices(
     rig: Rig, plan: Plan, calibration: Calibration, sessions: Mapping[str, Path], force: bool
 ) -> None:
-    from fpplab.pipeline import check_space
+    from fpplab.pipeline import check_disk_space
 
     fixture, caps = rig.need_fixture("fpplab verify --rig"), rig.projector.caps
     plan.check_projector(caps.size, "--plan")
@@ -175,7 +175,7 @@ def _check_devices(
     calibration.check_projector(caps.size, caps.lattice, "--calibration")
     for item in sessions:
         fixture.check(item)
-    check_space(rig, plan, list(sessions.values()), force)
+    check_disk_space(rig, plan, list(sessions.values()), force)
 
 
 def _scan_item(
@@ -187,16 +187,16 @@ def _scan_item(
     force: bool,
     observer: Observer,
 ) -> None:
-    from fpplab.pipeline import finish_scan, take
+    from fpplab.pipeline import finish_scan, take_or_resume_session
 
     with observer.stage(f"Scanning {item}") as progress:
-        session = take(
+        session = take_or_resume_session(
             rig,
             plan,
             path,
             (item, 0),
-            force=force,
-            complete_too=True,
+            replace_existing=force,
+            accept_complete=True,
             progress=progress,
             observe_frame=observer.frame,
         )

@@ -67,7 +67,7 @@ def write_matching_report(
         "Unexplained difference": f"{matching.matched.unexplained:.2f} levels RMS over the board",
     }
     basis = PageBasis((PageVerdict.of(matching.diagnosis),), provenance or {}, answer or {})
-    write_page(path, "Matching of a twin", _summary(matching), sections, facts, basis=basis)
+    write_page(path, "Matching of a twin", _summary(matching), sections, facts, verdicts_and_sources=basis)
 
 
 def matching_provenance(matching: MatchingResult, scans: Mapping[str, Session]) -> dict[str, Provenance]:

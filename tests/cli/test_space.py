@@ -15,7 +15,7 @@ from fpplab.core.units import readable_bytes
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
-from fpplab.pipeline import take, take_poses
+from fpplab.pipeline import take_or_resume_session, take_poses
 from fpplab.sessions.image_selection import ImageSelection
 from fpplab.sessions.importing import import_images
 from fpplab.sessions.session import JOURNAL, Session
@@ -54,7 +54,7 @@ def test_a_scan_that_does_not_fit_is_refused_before_anything_is_done(
     leave(monkeypatch, 7 * FRAME - 1)
     out = tmp_path / "scans" / "s"
     with Rig.load(RIG) as rig, pytest.raises(DataError) as caught:
-        take(rig, PLAN, out, ("grey_card", 0))
+        take_or_resume_session(rig, PLAN, out, ("grey_card", 0))
     assert str(caught.value) == (
         f"{out}: 7 frames of 48 x 32 at 8 bits need 10.8 kB, but only 10.8 kB are free there; free some "
         "space, or name an output on another disk"
@@ -65,39 +65,41 @@ def test_a_scan_that_does_not_fit_is_refused_before_anything_is_done(
 def test_a_scan_that_just_fits_is_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     leave(monkeypatch, 7 * FRAME)
     with Rig.load(RIG) as rig:
-        assert take(rig, PLAN, tmp_path / "s").missing() == []
+        assert take_or_resume_session(rig, PLAN, tmp_path / "s").missing() == []
 
 
 def test_deeper_frames_need_twice_as_much(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     leave(monkeypatch, 7 * FRAME)
     deep = PLAN.model_copy(update={"bits": 12})
     with Rig.load(RIG) as rig, pytest.raises(DataError, match=r"at 12 bits need 21\.5 kB"):
-        take(rig, deep, tmp_path / "s")
+        take_or_resume_session(rig, deep, tmp_path / "s")
 
 
 def test_an_interrupted_scan_needs_what_it_lacks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out = tmp_path / "s"
     with Rig.load(RIG) as rig:
-        take(rig, PLAN, out)
+        take_or_resume_session(rig, PLAN, out)
         lines = (out / JOURNAL).read_bytes().splitlines(keepends=True)
         (out / JOURNAL).write_bytes(b"".join(lines[:5]))
         leave(monkeypatch, 2 * FRAME - 1)
         with pytest.raises(DataError, match="2 frames of"):
-            take(rig, PLAN, out)
+            take_or_resume_session(rig, PLAN, out)
         assert len(Session.open(out).missing()) == 2
         leave(monkeypatch, 2 * FRAME)
-        take(rig, PLAN, out)
+        take_or_resume_session(rig, PLAN, out)
         leave(monkeypatch, 0)
-        assert take(rig, PLAN, out, complete_too=True).missing() == []  # nothing is to be written
+        assert (
+            take_or_resume_session(rig, PLAN, out, accept_complete=True).missing() == []
+        )  # nothing is to be written
 
 
 def test_a_replaced_session_frees_its_own_space(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out = tmp_path / "s"
     with Rig.load(RIG) as rig:
-        take(rig, PLAN, out)
+        take_or_resume_session(rig, PLAN, out)
         leave(monkeypatch, 0)
         assert disk_bytes(out) >= 7 * FRAME
-        assert take(rig, PLAN, out, force=True).missing() == []
+        assert take_or_resume_session(rig, PLAN, out, replace_existing=True).missing() == []
 
 
 def test_all_poses_are_counted_before_the_first(

@@ -20,7 +20,7 @@ from fpplab.optimisation.scope import SearchScope
 from fpplab.optimisation.study import Study
 from fpplab.optimisation.verdict import diagnose_search
 from fpplab.patterns.plan import Plan
-from fpplab.pipeline import take
+from fpplab.pipeline import take_or_resume_session
 from fpplab.report.optimisation import write_optimisation_report
 from fpplab.results.search import OptimisationResult
 from fpplab.sessions.session import Session
@@ -145,7 +145,7 @@ def test_plan_sets_the_stage_position(tmp_path: Path, monkeypatch: pytest.Monkey
 
     monkeypatch.setattr("fpplab.pipeline.taking.acquire", acquired)
     with Rig.load("rig_demo_quick") as rig:
-        take(rig, plan, tmp_path / "s")
+        take_or_resume_session(rig, plan, tmp_path / "s")
         with pytest.raises(LimitError, match="the travel is -60 to 60 mm"):
             rig.place_stage(61.0)
     assert stood == [12.5]
@@ -157,10 +157,12 @@ def test_session_is_kept_when_the_stage_position_is_out_of_range(
     plan = config.validate({"fringes": FRINGES, "stage_mm": 12.5}, Plan, "plan.yaml")
     monkeypatch.setattr("fpplab.pipeline.taking.acquire", lambda *others: None)
     with Rig.load("rig_demo_quick") as rig:
-        take(rig, plan, tmp_path / "s")
+        take_or_resume_session(rig, plan, tmp_path / "s")
         for beyond in (61.0, -61.0):
             with pytest.raises(LimitError, match="the travel is -60 to 60 mm"):
-                take(rig, plan.model_copy(update={"stage_mm": beyond}), tmp_path / "s", force=True)
+                take_or_resume_session(
+                    rig, plan.model_copy(update={"stage_mm": beyond}), tmp_path / "s", replace_existing=True
+                )
     assert Session.open(tmp_path / "s").plan == plan
 
 

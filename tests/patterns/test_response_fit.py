@@ -17,7 +17,7 @@ from fpplab.patterns.response_fit import (
     WHITE,
     GreyLevelImages,
     fit_greys,
-    levels_of,
+    mean_levels_of_regions,
     pixels_of_regions,
     rounding_variance,
     statistics,
@@ -100,7 +100,7 @@ def test_levels_scatter_as_their_uncertainty_says(bits: int, noise: float, lamp:
     truth = TRUTH[0] * SHOWN ** TRUTH[2] + TRUTH[1]
     pulls = []
     for seed in range(12):
-        seen, sigma, clipped = levels_of(make(seed, bits=bits, noise=noise, lamp=lamp), ALL)
+        seen, sigma, clipped = mean_levels_of_regions(make(seed, bits=bits, noise=noise, lamp=lamp), ALL)
         assert not clipped.any()
         pulls.append((seen - truth) / sigma)
     # 192 pulls give their RMS to 5 %; the lamp's part is pooled over bright and dark levels.
@@ -108,7 +108,7 @@ def test_levels_scatter_as_their_uncertainty_says(bits: int, noise: float, lamp:
 
 
 def test_without_noise_the_floor_of_rounding_remains() -> None:
-    seen, sigma, _ = levels_of(make(bits=8, noise=0.0), ALL)
+    seen, sigma, _ = mean_levels_of_regions(make(bits=8, noise=0.0), ALL)
     truth = TRUTH[0] * SHOWN ** TRUTH[2] + TRUTH[1]
     assert sigma == pytest.approx(1 / 255 / np.sqrt(12), rel=0.02)
     assert np.abs(seen - truth).max() <= 0.5001 / 255

@@ -166,11 +166,11 @@ def full(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_report(
         path,
         "Demonstration <b>1</b>",
-        facts={"Rig": "Bench & twin"},
+        head_facts={"Rig": "Bench & twin"},
         response=response(),
         characterisation=characterisation(),
         scans=[scan("pyramid"), scan("steps", "xy")],
-        when=datetime(2026, 3, 4, 15, 30, tzinfo=UTC),
+        written_at=datetime(2026, 3, 4, 15, 30, tzinfo=UTC),
     )
     return path
 

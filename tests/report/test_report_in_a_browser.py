@@ -33,7 +33,9 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     doubtful = Diagnosis(Verdict.DOUBTFUL, HOSTILE, (finding,), (HOSTILE,))
     source = Provenance({"rig": HOSTILE, "camera": None, "session": "/a/very/long/path" * 20})
     one = replace(scan(HOSTILE), diagnosis=doubtful, provenance=source)
-    write_report(folder / "one.html", HOSTILE, scans=[one], basis=PageBasis(answer={"verdict": HOSTILE}))
+    write_report(
+        folder / "one.html", HOSTILE, scans=[one], verdicts_and_sources=PageBasis(answer={"verdict": HOSTILE})
+    )
     good = replace(scan("steps"), diagnosis=Diagnosis(Verdict.GOOD, "1 point of 1", ()), provenance=source)
     write_report(folder / "two.html", "Two", scans=[replace(good, name="pillars"), good])
     return {"one": folder / "one.html", "two": folder / "two.html"}

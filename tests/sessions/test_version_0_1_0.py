@@ -14,7 +14,7 @@ from fpplab.devices.backends import load_backend
 from fpplab.devices.operator import Operator
 from fpplab.devices.rig import Rig, RigFile
 from fpplab.patterns.plan import FilterRules, MaskRules
-from fpplab.pipeline import decode_session, take
+from fpplab.pipeline import decode_session, take_or_resume_session
 from fpplab.sessions.replay import RecordedSession, ReplayCamera, ReplayProjector
 
 DATA = Path(__file__).parents[1] / "data" / "version_0_1_0"
@@ -56,7 +56,7 @@ def test_a_session_that_was_interrupted_is_completed(tmp_path: Path) -> None:
     journal.write_text("".join(lines[:4]), encoding="utf-8")
     rig_file = config.load_document(Path("tests/conformance/rigs/rig_reference.yaml").resolve(), RigFile)
     with Rig(rig_file, DATA, "rig") as rig:
-        session = take(rig, Session.open(folder).plan, folder)
+        session = take_or_resume_session(rig, Session.open(folder).plan, folder)
     assert session.missing() == []
 
 

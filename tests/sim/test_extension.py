@@ -364,7 +364,7 @@ def test_twin_is_fitted_and_shown(tmp_path: Path, archive: Path, small_rig: Path
     )
     sets = [Sinusoid(axis=axis, stripes=n, steps=4) for axis in ("x", "y") for n in (1, 8, 48)]
     with Rig.load(tmp_path / "bench.yaml") as rig:
-        take_poses(rig, Plan(fringes=tuple(sets)), "board", 4, tmp_path / "board", force=False)
+        take_poses(rig, Plan(fringes=tuple(sets)), "board", 4, tmp_path / "board", replace_existing=False)
     told = operate(tmp_path, archive, small_rig, python_path, "matching")
     assert Path(told["matched"]) == tmp_path / "matched" / "rig.yaml"
     assert told["differs"] == {}

@@ -21,7 +21,7 @@ from fpplab.optimisation.measuring import RigEvaluator, candidate_from_plan
 from fpplab.optimisation.study import Study
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
-from fpplab.pipeline import reconstruct_points, take
+from fpplab.pipeline import reconstruct_points, take_or_resume_session
 from sim.items import item_poses
 from sim.world import World
 from tests.sim.conftest import RIG, plain, write_world
@@ -109,7 +109,7 @@ def test_score_agrees_with_a_scan_and_its_comparison(folder: Path, tmp_path: Pat
     plan = candidate_from_plan(START).plan(START).model_copy(update={"stage_mm": 0.0})
     score = measured(folder, (candidate_from_plan(plan), 1))[0][0]
     with Rig.load(folder / "rig.yaml") as rig:
-        session = take(rig, plan, tmp_path / "scan", ("pillars", 0))
+        session = take_or_resume_session(rig, plan, tmp_path / "scan", ("pillars", 0))
         true = artefacts.make("pillars")
         true.apply_transform(rig.fixture.pose("pillars").matrix)  # type: ignore[union-attr]
     calibration = Calibration.load(folder / "at_0.yaml")

@@ -10,7 +10,7 @@ from fpplab.devices import Frame
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
-from fpplab.pipeline import take
+from fpplab.pipeline import take_or_resume_session
 from fpplab.sessions.origin import session_origin
 from fpplab.sessions.session import Session
 
@@ -39,7 +39,9 @@ def run(rig_file: Path, folder: Path, stop: tuple[int, int] | None = None) -> No
                 if left and left[0] <= 0:
                     raise StoppedError
 
-            take(rig, PLAN, folder / name, ("board", pose), complete_too=True, observe_frame=observe)
+            take_or_resume_session(
+                rig, PLAN, folder / name, ("board", pose), accept_complete=True, observe_frame=observe
+            )
 
 
 def frames(folder: Path) -> dict[str, bytes]:
@@ -72,7 +74,7 @@ def test_sessions_in_one_process_have_noise_of_their_own(
     undisturbed: tuple[Path, dict[str, bytes]], tmp_path: Path
 ) -> None:
     with Rig.load(undisturbed[0]) as rig:
-        taken = [take(rig, PLAN, tmp_path / name, ("board", 0)) for name in POSES[:2]]
+        taken = [take_or_resume_session(rig, PLAN, tmp_path / name, ("board", 0)) for name in POSES[:2]]
     origins = [session_origin(session.path) for session in taken]
     assert [origin.first_frame for origin in origins if origin is not None] == [0, PLAN.images]
     again = [Session.open(session.path).stack() for session in taken]

@@ -58,7 +58,7 @@ class LightEngine:
         self._validated_s, self._ignored_starts, self._started_s = 0.0, 0, 0.0
         self._validation_result = dict.fromkeys((field.name for field in protocol.VALIDATION.named), 0)
         self._timing = 0
-        self._tables = PatternTables()
+        self._tables = PatternTables.at_power_on()
 
     def _report_pulse(self, pulse: Pulse) -> None:
         self.on_pulse(pulse)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TypeVar
+from typing import Self, TypeVar
 
 from drivers.dlp4500.layout import Values
 from drivers.dlp4500.protocol import ENTRY, MAX_ENTRIES
@@ -27,8 +27,14 @@ class PatternTables:
         self.patterns: RegisterContents[Values] = {}
         self.variable: RegisterContents[Values] = {}
         self.images: RegisterContents[int] = {}
-        self.fill_patterns(0, POWER_ON_PATTERNS)
-        self.fill_images(0, POWER_ON_IMAGES, len(POWER_ON_IMAGES))
+
+    @classmethod
+    def at_power_on(cls) -> Self:
+        """Give the tables that a board starts with."""
+        tables = cls()
+        tables.fill_patterns(0, POWER_ON_PATTERNS)
+        tables.fill_images(0, POWER_ON_IMAGES, len(POWER_ON_IMAGES))
+        return tables
 
     def fill_patterns(self, address: int, data: bytes) -> None:
         """Write entries of the pattern table."""

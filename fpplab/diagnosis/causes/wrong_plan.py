@@ -97,7 +97,9 @@ def _moves_origins_alone(edit: Edit | None, plan: Plan) -> bool:
 
 def _is_suspicious(evidence: Evidence, decoded: Decoded, limits: WrongPlanLimits) -> bool:
     cloud = evidence.cloud
-    if cloud is None or len(cloud) < limits.min_points_share * evidence.frames.pixels_seeing_fringes(cloud):
+    if cloud is None or len(cloud) < limits.min_points_share * evidence.frames.estimate_pixels_seeing_fringes(
+        cloud
+    ):
         return True
     return decoded.disagreement is not None and not decoded.typical_disagreement <= limits.max_disagreement
 

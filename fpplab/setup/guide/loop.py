@@ -28,7 +28,7 @@ from fpplab.core.progress import Progress, ignore
 from fpplab.devices.rig import Rig
 from fpplab.diagnosis import Finding
 from fpplab.patterns.plan import Plan
-from fpplab.pipeline import check_space, observe_session, require_plan_fits, take
+from fpplab.pipeline import check_disk_space, observe_session, require_plan_fits, take_or_resume_session
 from fpplab.sessions.origin import calibration_origin
 from fpplab.sessions.session import JOURNAL, Session
 from fpplab.setup.guide.asking import PICTURE, bring_by, held_first_pose, write_sketch
@@ -104,7 +104,7 @@ class _PoseGuideLoop:
 
     def run(self) -> GuidedRun:
         paths = [self._path(k) for k in range(self._settings.poses)]
-        check_space(self._rig, self._plan, paths, self._settings.force)
+        check_disk_space(self._rig, self._plan, paths, self._settings.force)
         if not self._settings.force:
             self._resume()
         while True:
@@ -137,7 +137,9 @@ class _PoseGuideLoop:
                 continue
             number = int(path.parent.name.removeprefix("pose_"))
             mounted = (self._settings.item, number)
-            session = take(self._rig, self._plan, path.parent, mounted, complete_too=True)
+            session = take_or_resume_session(
+                self._rig, self._plan, path.parent, mounted, accept_complete=True
+            )
             self._judge(session, "kept from before")
 
     def _next(self) -> None:
@@ -151,13 +153,13 @@ class _PoseGuideLoop:
         if pose.outline_px is not None:
             write_sketch(picture, pose, self._sizes[0], self._last_seen())
         with self._bar(f"Taking pose {len(self._sessions) + 1}") as report:
-            session = take(
+            session = take_or_resume_session(
                 self._rig,
                 self._plan,
                 path,
                 (self._settings.item, number),
-                force=True,
-                bring=lambda: self._bring(pose, picture),
+                replace_existing=True,
+                place_item=lambda: self._bring(pose, picture),
                 progress=report,
                 observe_frame=self._observe_frame,
             )

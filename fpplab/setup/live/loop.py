@@ -29,7 +29,7 @@ from fpplab.devices.rig import Rig
 from fpplab.devices.rig_lock import RigTurn
 from fpplab.patterns.fringes import Pattern
 from fpplab.patterns.plan import Plan
-from fpplab.pipeline import take
+from fpplab.pipeline import take_or_resume_session
 from fpplab.sessions.session import Session
 from fpplab.setup.live.coverage import BoardCoverage
 from fpplab.setup.live.expectation import WorkingPoint
@@ -382,7 +382,7 @@ class LiveSetUp:
             if turn.is_requested():
                 raise _RigWanted("another command wanted the rig")
 
-        return take(rig, plan, out, mounted, observe_frame=yields)
+        return take_or_resume_session(rig, plan, out, mounted, observe_frame=yields)
 
     def _counted(self) -> None:
         """Report the result of the pose that was evaluated in the background."""

@@ -14,7 +14,7 @@ from fpplab.core.errors import ConfigError
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.devices.rig import Rig
 from fpplab.patterns.plan import Plan
-from fpplab.pipeline import reconstruct_points, take
+from fpplab.pipeline import reconstruct_points, take_or_resume_session
 from fpplab.setup.live.expectation import RigGeometry, WorkingPoint
 from fpplab.setup.live.orders import Order
 from fpplab.setup.live.status import overall_median
@@ -113,7 +113,7 @@ def test_the_expected_noise_is_that_of_a_scan(exposure_s: float, axes: str, tmp_
             model.projector.T_camera_projector.transform().inverse(),
             {},
         )
-        session = take(world, plan, tmp_path / "scan")
+        session = take_or_resume_session(world, plan, tmp_path / "scan")
     _, cloud = reconstruct_points(session, known)
     assert cloud.sigma_noise_mm is not None
     found = 1e3 * float(np.median(cloud.sigma_noise_mm))

@@ -41,7 +41,7 @@ def small(name: str, folder: Path) -> Path:
 def board(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("hidden")
     with Rig.load(small("rig_hidden", folder)) as rig:
-        take_poses(rig, PLAN, "board", POSES, folder / "board", force=False)
+        take_poses(rig, PLAN, "board", POSES, folder / "board", replace_existing=False)
     return folder / "board"
 
 

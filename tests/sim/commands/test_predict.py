@@ -13,7 +13,7 @@ from fpplab.devices.rig import Rig
 from fpplab.devices.simulation import Predictable
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
-from fpplab.pipeline import take
+from fpplab.pipeline import take_or_resume_session
 from sim.prediction.discrepancy import ContrastDeviation, Deviation, Discrepancy
 from tests.support.commands import Command
 
@@ -31,7 +31,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (path / "rig.yaml").write_text(config.to_yaml(data))
     (path / "plan.yaml").write_text(config.dump(PLAN))
     with Rig.load(path / "rig.yaml") as rig:
-        take(rig, PLAN, path / "scan", (ITEM, 0))
+        take_or_resume_session(rig, PLAN, path / "scan", (ITEM, 0))
         assert isinstance(rig.simulation, Predictable)
         true = rig.simulation.image_part_sampler().calibration
     true.save(path / "true.yaml")

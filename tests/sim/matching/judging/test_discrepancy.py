@@ -15,7 +15,7 @@ from fpplab.devices.rig import Rig
 from fpplab.devices.simulation import Predictable
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
-from fpplab.pipeline import take
+from fpplab.pipeline import take_or_resume_session
 from sim.bench import VirtualBench
 from sim.matching.judging.discrepancy import discrepancy_of, level_differences, scan_figures
 from sim.matching.loss import board_mask
@@ -145,7 +145,7 @@ def test_scans_of_a_twin_that_is_the_bench_have_its_figures(tmp_path: Path) -> N
     (tmp_path / "rig.yaml").write_text(config.to_yaml(data))
     plan = Plan(fringes=tuple(Sinusoid(axis="x", stripes=n, steps=4) for n in (1, 8, 48)), exposure_s=0.02)
     with Rig.load(tmp_path / "rig.yaml") as rig:
-        session = take(rig, plan, tmp_path / "scan", ("steps", 0))
+        session = take_or_resume_session(rig, plan, tmp_path / "scan", ("steps", 0))
         assert isinstance(rig.simulation, VirtualBench)
         assert isinstance(rig.simulation, Predictable)
         twin, known = rig.simulation.twin("board"), rig.simulation.image_part_sampler().calibration

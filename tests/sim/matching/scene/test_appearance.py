@@ -69,7 +69,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> tuple[World, Path]:
     rig = {"name": "Bench", "bench": {"backend": "virtual_bench", "world": "world.yaml", "analytic": True}}
     (folder / "rig.yaml").write_text(config.to_yaml({**rig, **devices}), encoding="utf-8")
     with Rig.load(folder / "rig.yaml") as opened:
-        take_poses(opened, PLAN, "board", len(POSES), folder / "poses", force=False)
+        take_poses(opened, PLAN, "board", len(POSES), folder / "poses", replace_existing=False)
     return World.load(folder / "world.yaml"), folder
 
 
@@ -137,7 +137,7 @@ def test_nothing_is_added_where_there_is_nothing(tmp_path: Path) -> None:
     rig = {"name": "Bench", "bench": {"backend": "virtual_bench", "world": "world.yaml", "analytic": True}}
     (tmp_path / "rig.yaml").write_text(config.to_yaml({**rig, **devices}), encoding="utf-8")
     with Rig.load(tmp_path / "rig.yaml") as opened:
-        take_poses(opened, PLAN, "board", 2, tmp_path / "poses", force=False)
+        take_poses(opened, PLAN, "board", 2, tmp_path / "poses", replace_existing=False)
     twin = Twin.of(of, "board", Blender("bench"))
     twin = twin.with_parameters(replace(twin.parameters, poses=twin.parameters.poses[:2]))
     found = match_appearance(reference_of(of, tmp_path, twin), twin)

@@ -20,7 +20,7 @@ from fpplab.devices.simulation import Predictable
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import Pattern, make_patterns
 from fpplab.patterns.plan import Plan
-from fpplab.pipeline import take
+from fpplab.pipeline import take_or_resume_session
 from sim.matching.judging.measured import measured_figures
 from sim.matching.parts import match_parts
 from sim.matching.refusal import Refusals
@@ -166,7 +166,7 @@ def test_dark_and_glossy_parts_are_predicted_as_a_bench_measures_them(
     plan = Plan.load("plan_nine_images")
     (tmp_path / "bench").mkdir()
     with Rig.load(written(tmp_path / "bench", {item: material})) as bench:
-        session = take(bench, plan, tmp_path / "scan", (item, 0), complete_too=True)
+        session = take_or_resume_session(bench, plan, tmp_path / "scan", (item, 0), accept_complete=True)
         assert isinstance(bench.simulation, Predictable)
         sampler = bench.simulation.image_part_sampler()
         real = measured_figures(session, sampler.calibration, sampler.mesh(item))
