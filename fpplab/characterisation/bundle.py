@@ -125,7 +125,7 @@ def variance_components(problem: Problem, vector: Floats) -> ErrorSizes:
     leaked = effects.leaked @ variances[effects.device]
     errors, prior_residuals = problem.errors(vector), problem.prior_residuals(vector)
     noise = [
-        max(size * _ratio(residuals, len(residuals) - used, leak), MIN_ERROR_PX)
+        max(size * _residual_to_expected_ratio(residuals, len(residuals) - used, leak), MIN_ERROR_PX)
         for size, residuals, used, leak in zip(
             astuple(problem.sizes), errors, (used_by_camera, used_by_projector), leaked, strict=False
         )
@@ -135,7 +135,8 @@ def variance_components(problem: Problem, vector: Floats) -> ErrorSizes:
         pitch = float(np.median(problem.near.poses[:, 5])) / problem.near.camera[0]
         board = [
             max(
-                size * _ratio(prior_residuals[row], float((1.0 - held[row]).sum()), leak),
+                size
+                * _residual_to_expected_ratio(prior_residuals[row], float((1.0 - held[row]).sum()), leak),
                 MIN_BOARD_ERROR_RATIO * noise[0] * pitch,
             )
             for size, row, leak in zip(board, problem.board_rows, leaked[2:], strict=True)
@@ -143,7 +144,7 @@ def variance_components(problem: Problem, vector: Floats) -> ErrorSizes:
     return ErrorSizes(*noise, *board, *np.sqrt(widened(variances, uncertainties)).tolist())
 
 
-def _ratio(residuals: Floats, redundancy: float, leaked: float) -> float:
+def _residual_to_expected_ratio(residuals: Floats, redundancy: float, leaked: float) -> float:
     """Return the estimated standard deviation of residuals that should have one of 1.
 
     leaked: the part of their sum of squares that effects of the poses cause.

@@ -88,7 +88,7 @@ def _visible_poses(
     tilts = [np.eye(3), *(tilted_away(direction, TILT_DEG) for direction in DIRECTIONS)]
     for z, rotation in product(np.linspace(*depth_mm, DEPTH_LEVELS), tilts):
         board = grid @ rotation.T
-        paths = _paths(calibration, float(z))
+        paths = _paths_from_field_centre(calibration, float(z))
         share = visible_shares(calibration, paths[:, :, None] + board)
         good = (share >= min_share) & _faces_projector(calibration, rotation, paths)
         last = np.where(good.any(axis=1), STEPS - np.argmax(good[:, ::-1], axis=1), -1)
@@ -96,7 +96,7 @@ def _visible_poses(
         yield from (RigidTransform(rotation, np.array(place)) for place in sorted(placed))
 
 
-def _paths(calibration: Calibration, z: float) -> Floats:
+def _paths_from_field_centre(calibration: Calibration, z: float) -> Floats:
     """Places (9, STEPS + 1, 3) at a depth, from the middle of the field to it, the edges and the corners."""
     camera = calibration.camera
     (width, height), shares = camera.size, np.linspace(0.0, 1.0, 9)

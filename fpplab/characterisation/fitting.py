@@ -93,10 +93,12 @@ def characterise(
         sizes = (camera_size, projector_size)
         chosen = DEFAULT_LEVEL if level == "auto" else level
         model = model_of(target, sizes, chosen, refine_board is not False, limits)
-        return _characterised(observations, target, model, lattice, dict(left_out or {}), level == "auto")
+        return _characterise_fitted(
+            observations, target, model, lattice, dict(left_out or {}), level == "auto"
+        )
 
 
-def _characterised(
+def _characterise_fitted(
     observations: Sequence[Observation], target: Target, model: Model, lattice: Lattice,
     missing: dict[str, str], compares_levels: bool,
 ) -> Characterisation:  # fmt: skip
@@ -106,11 +108,13 @@ def _characterised(
     solution, sizes = fit
     # A model with few coefficients would hide that tilts are missing, so k1 to k3 are estimated here.
     richest = model if len(chosen.terms) > len(DEFAULT_LEVEL.terms) else replace(model, level=DEFAULT_LEVEL)
-    _determined(solution, uncertainty(kept, solution, richest, sizes).sigma, model.limits)
+    _require_determined_focal_lengths(
+        solution, uncertainty(kept, solution, richest, sizes).sigma, model.limits
+    )
     has_few_poses = compares_levels and len(kept) <= MIN_POSES
     without = _without_each_pose(kept, fit, model)
     tried = {
-        level: _tried(kept, fit, model, level, without)
+        level: _fit_at_level(kept, fit, model, level, without)
         for level in _candidates(chosen, compares_levels and not has_few_poses)
     }
     covariance = uncertainty(kept, solution, model, sizes)
@@ -134,7 +138,7 @@ def _characterised(
         rejected=tuple(rejected),
         warnings=(
             *(UNJUDGED,) * has_few_poses,
-            *_motion(kept, fit, model),
+            *_name_poses_with_motion(kept, fit, model),
             *(proof.warnings if proof else ()),
             *coverage.warnings(kept, poses, calibration, solution.board, model.limits),
         ),
@@ -160,7 +164,7 @@ def model_of(
     return Model(level, target.points(), refined, target.tolerance_mm, scale, image_sizes, limits)
 
 
-def _motion(observations: Sequence[Observation], fit: Fit, model: Model) -> tuple[str, ...]:
+def _name_poses_with_motion(observations: Sequence[Observation], fit: Fit, model: Model) -> tuple[str, ...]:
     """Name the poses in which the board moved, by more than noise and the other poses explain."""
     if not model.refined or len(observations) <= MIN_POSES:
         return ()
@@ -180,8 +184,8 @@ def settled(
     assert model.image_sizes is not None
     kept, limits = list(observations), model.limits
     while True:
-        _enough(kept, missing)
-        start, separate_px = _started(kept, target, model.image_sizes, limits)
+        _require_enough_poses(kept, missing)
+        start, separate_px = _calibrate_devices_for_start(kept, target, model.image_sizes, limits)
         odd = outliers.find_moved_pose(kept, start, 5.0, limits)
         if odd is None:
             pair, separate_px["stereo"] = stereo(kept, start, model.image_sizes[0])
@@ -196,7 +200,7 @@ def settled(
         del kept[odd]
 
 
-def _started(
+def _calibrate_devices_for_start(
     observations: Sequence[Observation],
     target: Target,
     sizes: tuple[ImageSize, ImageSize],
@@ -236,7 +240,7 @@ def _candidates(level: DistortionModel, compares_levels: bool) -> tuple[Distorti
     return tuple(DistortionModel) if compares_levels else (level,)
 
 
-def _tried(
+def _fit_at_level(
     observations: Sequence[Observation], settled: Fit, model: Model, level: DistortionModel,
     without: Sequence[Solution],
 ) -> ModelTrial:  # fmt: skip
@@ -278,7 +282,7 @@ def _rms_px(residuals: Sequence[Residuals]) -> dict[str, float]:
     return {"camera": rms(cameras), "projector": rms(projectors), "joint": rms(cameras + projectors)}
 
 
-def _enough(observations: Sequence[Observation], left_out: dict[str, str]) -> None:
+def _require_enough_poses(observations: Sequence[Observation], left_out: dict[str, str]) -> None:
     if len(observations) >= MIN_POSES:
         return
     why = f" ({_reasons(left_out)})" if left_out else ""
@@ -299,7 +303,9 @@ def _reasons(left_out: Mapping[str, str]) -> str:
     )
 
 
-def _determined(solution: Solution, sigma: dict[str, float], limits: CharacterisationLimits) -> None:
+def _require_determined_focal_lengths(
+    solution: Solution, sigma: dict[str, float], limits: CharacterisationLimits
+) -> None:
     """Raise `CalibrationError` for focal lengths that the poses do not determine."""
     apart_deg = coverage.spread_of_tilts([transform(p) for p in solution.poses])
     parallel = f"all poses are parallel, to within {apart_deg:.1f}°, and do not determine "

@@ -22,7 +22,9 @@ def scales_of_poses(
     The projector's coordinates show where the board is, so that its distance does not explain another scale.
     """
     # returns scales (M,), sigmas (M,)
-    estimates = [_scale(k, observation, solution, sizes) for k, observation in enumerate(observations)]
+    estimates = [
+        _best_scale_of_pose(k, observation, solution, sizes) for k, observation in enumerate(observations)
+    ]
     scales, sigmas = np.array(estimates).T
     return scales, sigmas
 
@@ -50,7 +52,7 @@ def has_focus_breathing(
     return chance < limits.max_chance and scatter > limits.max_focus_breathing
 
 
-def _scale(
+def _best_scale_of_pose(
     index: int, observation: Observation, solution: Solution, sizes: ErrorSizes
 ) -> tuple[float, float]:
     """The scale that fits one pose best together with its place, and its uncertainty."""

@@ -60,7 +60,7 @@ class Design:
     @classmethod
     def of(cls, estimate: JointEstimate, volume: WorkingVolume) -> Design:
         """Collect what the poses so far contribute."""
-        thin = _thinned(estimate)
+        thin = _thin_board_points(estimate)
         problem = Problem(thin.observations, thin.model, thin.sizes, thin.solution)
         vector, best = problem.pack(thin.solution), thin.solution
         matrix, _ = problem.normal_equations(vector, HUBER_LIMIT)
@@ -69,7 +69,7 @@ class Design:
             basis = effects_of_pose(problem, index, best)
             _, weight = problem.weighted_residuals(index, best, HUBER_LIMIT)
             through.append(problem.transposed(index, best, weight[:, None] * basis) * _shared_px(thin.sizes))
-        information, shared = _eliminated(problem, matrix, np.hstack(through))
+        information, shared = _eliminate_poses(problem, matrix, np.hstack(through))
         # Of the devices alone, and of no higher rank than they have parameters.
         factors = [
             np.asarray(np.linalg.qr(slopes, mode="r")).T for slopes in volume.slopes(best, thin.model.level)
@@ -103,7 +103,7 @@ class Design:
         problem = Problem((observation,), self.estimate.model, self.estimate.sizes, near)
         matrix, _ = problem.pose_equations(0, problem.pack(near))
         basis = effects_of_pose(problem, 0, near) * _shared_px(self.estimate.sizes)
-        return _eliminated(problem, matrix, problem.transposed(0, near, basis))
+        return _eliminate_poses(problem, matrix, problem.transposed(0, near, basis))
 
 
 def best_pose(design: Design, candidates: Sequence[RigidTransform]) -> tuple[int, float]:
@@ -114,7 +114,7 @@ def best_pose(design: Design, candidates: Sequence[RigidTransform]) -> tuple[int
     return best, float(predicted[best, 1])
 
 
-def _eliminated(problem: Problem, matrix: Floats, through: Floats) -> tuple[Floats, Floats]:
+def _eliminate_poses(problem: Problem, matrix: Floats, through: Floats) -> tuple[Floats, Floats]:
     """Eliminate the poses: normal equations (y, y), and covariance (y, y) of the right-hand side."""
     _, _, _, first, board = problem.vector_offsets
     poses = slice(first, board)
@@ -131,7 +131,7 @@ def _shared_px(sizes: ErrorSizes) -> Floats:
     return np.repeat([sizes.camera_shared_px, sizes.projector_shared_px], 2 * FUNCTIONS)
 
 
-def _thinned(estimate: JointEstimate) -> JointEstimate:
+def _thin_board_points(estimate: JointEstimate) -> JointEstimate:
     """Keep few enough points of the board for a quick choice, each in place of several."""
     count = len(estimate.solution.board)
     kept = np.arange(0, count, -(-count // MAX_POINTS))

@@ -62,9 +62,9 @@ def observe(
         raise CalibrationError(
             f"{name}: the image is {image.shape[::-1]} but the decoded maps {decoded.u.shape[::-1]}"
         )
-    detection = target.detect(image) or _part(name, image, target)
+    detection = target.detect(image) or _detect_board_part(name, image, target)
     maps = np.stack([decoded.u, decoded.v], axis=-1).astype(np.float64)
-    maps[_steep(decoded.modulation, limits.max_modulation_gradient)] = np.nan
+    maps[_find_edge_pixels(decoded.modulation, limits.max_modulation_gradient)] = np.nan
     repaired = 0.0
     if periods_px is not None:
         maps, repaired = _with_corrected_orders(name, maps, target, detection, np.array(periods_px), limits)
@@ -75,7 +75,7 @@ def observe(
     return Observation(name, detection.ids[kept], detection.pixels[kept], coordinates[kept], repaired)
 
 
-def _part(name: str, image: NDArray[Any], target: Target) -> Detection:
+def _detect_board_part(name: str, image: NDArray[Any], target: Target) -> Detection:
     """Find part of a board that was not found whole, or raise `CalibrationError` with the reason."""
     missing = f"{name}: the board was not found in the image"
     if cause := explain_missing_board(image, target):
@@ -89,7 +89,7 @@ def _part(name: str, image: NDArray[Any], target: Target) -> Detection:
     return detection
 
 
-def _steep(modulation: Map, max_gradient: float) -> NDArray[np.bool_]:
+def _find_edge_pixels(modulation: Map, max_gradient: float) -> NDArray[np.bool_]:
     """Tell which pixels lie on an edge: blur shifts the phase by its square times the relative gradient."""
     smooth = cv2.GaussianBlur(np.nan_to_num(modulation), (0, 0), 1.0)
     slope = np.hypot(cv2.Sobel(smooth, -1, 1, 0, scale=0.125), cv2.Sobel(smooth, -1, 0, 1, scale=0.125))

@@ -57,7 +57,8 @@ def reject_points(
         wrong = order[excess.max(axis=0)[order] > 1]
         rejectable[index] -= len(wrong)
         rejected += [
-            _rejected(observation, row, int(np.argmax(excess[:, row])), lengths, spreads) for row in wrong
+            _rejection_of_point(observation, row, int(np.argmax(excess[:, row])), lengths, spreads)
+            for row in wrong
         ]
         kept.append(_without(observation, wrong))
     return kept, rejected
@@ -68,7 +69,7 @@ def _spread(residuals: Sequence[Floats]) -> float:
     return robust_spread(np.concatenate(list(residuals)), 0.0)
 
 
-def _rejected(
+def _rejection_of_point(
     observation: Observation, row: int, device: int, lengths: Floats, spreads: Sequence[float]
 ) -> Rejected:
     name, point, length = ("camera", "projector")[device], int(observation.ids[row]), lengths[device, row]

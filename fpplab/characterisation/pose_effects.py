@@ -131,7 +131,7 @@ def pose_effects(problem: Problem, vector: Floats, inverse: Floats, limit: float
         block_diag(*own) + through.T @ passed,
         passed,
         device,
-        _leaked(problem, vector, bases, passed),
+        _squares_leaked_into_poses(problem, vector, bases, passed),
     )
 
 
@@ -146,7 +146,9 @@ def effects_of_pose(problem: Problem, index: int, solution: Solution) -> Floats:
     return problem.whitened(index, rows.reshape(4 * len(functions), -1), solution.carried)
 
 
-def _leaked(problem: Problem, vector: Floats, bases: list[Floats], passed: Floats) -> Floats:
+def _squares_leaked_into_poses(
+    problem: Problem, vector: Floats, bases: list[Floats], passed: Floats
+) -> Floats:
     """Sums of squares (4, E) of the whitened residuals of each kind of errors by effect."""
     solution, priors = problem.unpack(vector), problem.priors
     total = np.zeros((ERROR_KINDS, passed.shape[1]))

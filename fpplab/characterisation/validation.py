@@ -101,10 +101,12 @@ def compare_with_fewer_poses(
     share = (count - 1) / count
     around = np.array(changes) - np.mean(changes, axis=0)
     jackknife = tuple(
-        _repeat(quantity, covariance, share * around.T @ around, share * np.sum(spreads, axis=0), count - 1)
+        _judge_repeated_fits(
+            quantity, covariance, share * around.T @ around, share * np.sum(spreads, axis=0), count - 1
+        )
         for quantity in quantities
     )
-    return Validation(jackknife, _halves(whole, quantities, covariance), model.limits.max_chance)
+    return Validation(jackknife, _repeat_with_halves(whole, quantities, covariance), model.limits.max_chance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +129,7 @@ class _Quantity:
         return float(np.trace(spread) ** 2 / np.sum(spread**2))
 
 
-def _repeat(
+def _judge_repeated_fits(
     quantity: _Quantity, covariance: Floats, changed: Floats, predicted: Floats, repeats: int
 ) -> Repeat:
     was, expected = quantity.size(changed), quantity.size(predicted)
@@ -136,7 +138,9 @@ def _repeat(
     return Repeat(quantity.name, quantity.unit, quantity.size(covariance), was, expected, chance)
 
 
-def _halves(whole: _Fit, quantities: Sequence[_Quantity], covariance: Floats) -> tuple[Repeat, ...]:
+def _repeat_with_halves(
+    whole: _Fit, quantities: Sequence[_Quantity], covariance: Floats
+) -> tuple[Repeat, ...]:
     observations, best, model, sizes = whole
     if len(observations) < 2 * MIN_POSES_OF_HALF:
         return ()
@@ -150,7 +154,7 @@ def _halves(whole: _Fit, quantities: Sequence[_Quantity], covariance: Floats) ->
         spread.append(_covariance((half, solution, model, sizes)))
     change = devices[1] - devices[0]
     return tuple(
-        _repeat(quantity, covariance, np.outer(change, change), spread[0] + spread[1], 1)
+        _judge_repeated_fits(quantity, covariance, np.outer(change, change), spread[0] + spread[1], 1)
         for quantity in quantities
     )
 

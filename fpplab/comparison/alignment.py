@@ -216,7 +216,7 @@ def _axis_poses(points: Floats, mesh: trimesh.Trimesh, random: np.random.Generat
     )
     surface, normals = np.asarray(surface), np.asarray(mesh.face_normals[faces])
     from_axes, to_axes = _axes(points), _axes(surface)
-    from_middle = _middle(points, from_axes)
+    from_middle = _bounding_box_centre(points, from_axes)
     view = from_middle / np.linalg.norm(from_middle)
     before = LIMITS.start_offset * float(np.linalg.norm(mesh.extents)) * view
     poses = []
@@ -224,7 +224,7 @@ def _axis_poses(points: Floats, mesh: trimesh.Trimesh, random: np.random.Generat
         rotation = (to_axes[:, list(order)] * np.array(signs)) @ from_axes.T
         if np.linalg.det(rotation) > 0.0:
             visible = surface[normals @ (rotation @ view) < 0.0]
-            to_middle = _middle(visible if len(visible) else surface, to_axes)
+            to_middle = _bounding_box_centre(visible if len(visible) else surface, to_axes)
             poses.append(RigidTransform(rotation, to_middle - rotation @ (from_middle + before)))
     return poses
 
@@ -234,7 +234,7 @@ def _axes(points: Floats) -> Floats:
     return np.asarray(np.linalg.eigh(np.cov((points - np.median(points, axis=0)).T))[1])
 
 
-def _middle(points: Floats, axes: Floats) -> Floats:
+def _bounding_box_centre(points: Floats, axes: Floats) -> Floats:
     """Compute the centre (3,) of the bounding box along these axes."""
     along = points @ axes
     return np.asarray(axes @ ((along.min(axis=0) + along.max(axis=0)) / 2.0))

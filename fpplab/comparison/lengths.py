@@ -91,10 +91,10 @@ def measure_lengths(
 ) -> tuple[MeasuredLength, ...]:
     """Measure lengths in a cloud."""
     # points (N, 3) mm; camera (3,)
-    return tuple(_measure(points, camera, length) for length in lengths)
+    return tuple(_measure_length(points, camera, length) for length in lengths)
 
 
-def _measure(points: Floats, camera: Floats, length: FeatureLength) -> MeasuredLength:
+def _measure_length(points: Floats, camera: Floats, length: FeatureLength) -> MeasuredLength:
     first, second = length.first, length.second
     if isinstance(first, FlatFace) and isinstance(second, FlatFace):
         estimate = _distance_of_planes(points, first, second)

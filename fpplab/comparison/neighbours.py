@@ -32,7 +32,7 @@ Starts = NDArray[np.int64]
 def nearest(queries: Floats, points: Floats) -> tuple[Floats, Indices]:
     """Find the nearest neighbour of each query."""
     # queries (Q, 3); points (P, 3); returns distance (Q,), index (Q,)
-    queries, points = _checked(queries, "queries"), _checked(points, "points")
+    queries, points = _require_points(queries, "queries"), _require_points(points, "points")
     centre, axes = _principal_axes(points)
     places, sought = (points - centre) @ axes, (queries - centre) @ axes
     low, high = places[:, :2].min(axis=0), places[:, :2].max(axis=0)
@@ -66,7 +66,7 @@ def nearest(queries: Floats, points: Floats) -> tuple[Floats, Indices]:
     return distance, index
 
 
-def _checked(values: Floats, name: str) -> Floats:
+def _require_points(values: Floats, name: str) -> Floats:
     values = np.ascontiguousarray(values, np.float64)
     if values.ndim != 2 or values.shape[1] != 3 or len(values) == 0 or not np.isfinite(values).all():
         raise DataError(f"nearest neighbours: {name} must be finite (N, 3) with N at least 1")

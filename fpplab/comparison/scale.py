@@ -91,7 +91,7 @@ def fit_scale(points: Floats, target: AlignmentMesh, seed: int = 0) -> FittedSca
         smaller = centre + (points - centre) / scale
         distance, placed, normals = target.residuals(smaller, pose)
         weight = huber_weights(distance, robust_spread(distance))
-        rows = _rows(placed - centre, normals, target.size)
+        rows = _distance_derivatives(placed - centre, normals, target.size)
         matrix = rows.T @ (rows * weight[:, None])
         if not _determines_scale(matrix):
             return None
@@ -125,7 +125,7 @@ def _clear_of_edges(points: Floats, target: AlignmentMesh) -> NDArray[np.bool_]:
     return kept
 
 
-def _rows(local: Floats, normals: Floats, size: float) -> Floats:
+def _distance_derivatives(local: Floats, normals: Floats, size: float) -> Floats:
     """Differentiate the distances (N,) by rotation and scale, both times the size, and by translation."""
     along = np.einsum("ij,ij->i", local, normals)[:, None]
     return np.hstack([np.cross(local, normals) / size, normals, along / size])

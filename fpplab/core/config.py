@@ -109,7 +109,7 @@ def describe(error: ValidationError, data: Any = None) -> str:
     # A misspelt key is both unknown and missing: what the operator wrote comes first.
     details: list[Any] = sorted(error.errors(), key=lambda detail: detail["type"] != "extra_forbidden")
     if data is not None:
-        details = [_written(detail, data) for detail in details]
+        details = [_fault_in_document(detail, data) for detail in details]
     unknown = [_field(d["loc"]) for d in details if d["type"] == "extra_forbidden"]
     messages = [_fault(d) for d in details if d["type"] != "extra_forbidden" or len(unknown) == 1]
     if len(unknown) > 1:
@@ -133,7 +133,7 @@ def _fault(detail: Any) -> str:
     return f"'{field}' is {_shown(detail['input'])}: {message}"
 
 
-def _written(detail: Any, data: Any) -> dict[str, Any]:
+def _fault_in_document(detail: Any, data: Any) -> dict[str, Any]:
     """Locate a fault in the document, without the names of which of several models was tried."""
     place: list[int | str] = []
     for part in detail["loc"]:

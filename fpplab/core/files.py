@@ -22,10 +22,10 @@ from fpplab.core.units import readable_bytes
 
 def open_regular(path: Path) -> BinaryIO:
     """Open a regular file for reading; a pipe in its place would block forever."""
-    return open(path, "rb", opener=_regular)
+    return open(path, "rb", opener=_open_regular_file)
 
 
-def _regular(path: str, flags: int) -> int:
+def _open_regular_file(path: str, flags: int) -> int:
     """Open a descriptor without waiting for another process, and refuse what is not a file."""
     handle = os.open(path, flags | getattr(os, "O_NONBLOCK", 0))  # which Windows has not
     kind = os.fstat(handle).st_mode
@@ -59,7 +59,7 @@ def no_such_file(path: Path, *suffixes: str) -> str:
 def write_atomic(path: Path, write: Callable[[BinaryIO], object]) -> None:
     """Write a file that appears only once it is complete and on disk."""
     sweep_file_drafts(path)
-    with _draft(path) as stream:
+    with _draft_replacing(path) as stream:
         write(cast(BinaryIO, _Sink(stream)))
 
 
@@ -68,7 +68,7 @@ def write_large(
 ) -> None:
     """Write a large file as `write_atomic` does, from front to back and past the system's cache."""
     sweep_file_drafts(path)
-    with _draft(path) as stream:
+    with _draft_replacing(path) as stream:
         straight = DirectWriter(stream.fileno())
         write(cast(BinaryIO, straight))
         straight.finish()
@@ -103,12 +103,12 @@ def write_parts(path: Path, *parts: bytes | memoryview) -> None:
 
     The parts are not copied. On an error nothing is left behind.
     """
-    with _draft(path) as stream:
+    with _draft_replacing(path) as stream:
         stream.writelines(parts)
 
 
 @contextmanager
-def _draft(path: Path) -> Iterator[io.BufferedWriter]:
+def _draft_replacing(path: Path) -> Iterator[io.BufferedWriter]:
     """A file next to `path` that replaces it once the context ends, complete and on disk."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

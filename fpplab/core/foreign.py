@@ -74,7 +74,7 @@ def read_apart(kind: str, path: Path, opened: BinaryIO | None = None) -> Parts:
     raise ValueError("its reader fails on it; is it damaged, or nested without end?")
 
 
-def _main(kind: str, max_bytes: int) -> None:
+def _read_stdin_in_child(kind: str, max_bytes: int) -> None:
     """Read stdin in a thread of little stack, and write what it holds to stdout."""
     import threading
 
@@ -155,4 +155,4 @@ def _opencv_value(node: Any) -> Any:
 
 
 if __name__ == "__main__":
-    _main(sys.argv[1], int(sys.argv[2]))
+    _read_stdin_in_child(sys.argv[1], int(sys.argv[2]))

@@ -176,7 +176,7 @@ class Camera(Device):
             )
         with self._guard("configure"):
             back = self._of_kind(CameraSettings, self._configure(settings), "_configure")
-        if not _honoured(settings, back):
+        if not _are_settings_honoured(settings, back):
             self._settings = None  # the device now has settings that were not requested
             raise SettingError(
                 self.name,
@@ -409,7 +409,7 @@ class Camera(Device):
         """
 
 
-def _honoured(requested: CameraSettings, back: CameraSettings) -> bool:
+def _are_settings_honoured(requested: CameraSettings, back: CameraSettings) -> bool:
     """Whether a device has the requested settings, but for rounding to its grid."""
     # Chosen: wide enough for exposures in steps of a sensor row and for gains in steps of 0.5 dB, and too
     # narrow for a setting that the device has ignored.

@@ -32,13 +32,13 @@ class Operator(InstructableFixture):
 
     def _mount(self, item: str, pose: int) -> None:
         ask = "Take everything away" if item == "nothing" else f"Put {item} in pose {pose + 1}"
-        self._wait("mount", f"{ask} in front of the rig")
+        self._wait_for_answer("mount", f"{ask} in front of the rig")
 
     def _instruct(self, item: str, description: str, picture: Path | None) -> None:
         shown = f" (see {picture})" if picture else ""
-        self._wait("instruct", f"Hold {item} {description}{shown}")
+        self._wait_for_answer("instruct", f"Hold {item} {description}{shown}")
 
-    def _wait(self, doing: str, ask: str) -> None:
+    def _wait_for_answer(self, doing: str, ask: str) -> None:
         sys.stderr.write(f"{ask}, then press Enter: ")
         sys.stderr.flush()
         if not sys.stdin.readline():

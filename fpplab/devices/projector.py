@@ -126,7 +126,7 @@ class Projector(Device):
         for pattern in patterns:
             self._check_pattern(pattern, caps)
         with self._guard("load"):
-            self._loaded = tuple(self._load([_immutable(pattern) for pattern in patterns]))
+            self._loaded = tuple(self._load([_immutable_copy(pattern) for pattern in patterns]))
         return self._loaded
 
     @final
@@ -318,7 +318,7 @@ class Projector(Device):
         """
 
 
-def _immutable(pattern: Pattern) -> Pattern:
+def _immutable_copy(pattern: Pattern) -> Pattern:
     """A copy of the pattern that cannot change; the pattern itself where that cannot either."""
     flags = pattern.image.flags
     if flags.owndata and not flags.writeable:

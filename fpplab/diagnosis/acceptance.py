@@ -68,7 +68,7 @@ def _error_ratio(acceptance: Acceptance, quantity: str) -> float:
     return (abs(judgement.worst_um) + judgement.reference_uncertainty_um) / judgement.mpe_um
 
 
-def _described(acceptance: Acceptance, quantity: str) -> str:
+def _describe_quantity(acceptance: Acceptance, quantity: str) -> str:
     judgement = acceptance.judgements()[quantity]
     permitted = "" if judgement.mpe_um is None else f" (permitted {judgement.mpe_um:g})"
     return f"{quantity} is {judgement.worst_um:.1f} µm{permitted}"
@@ -85,7 +85,7 @@ def _of_form(acceptance: Acceptance, limits: AcceptanceTestLimits) -> list[Findi
             continue
         worst = max(measured, key=lambda feature: feature.span_um)
         share = shared_variance(worst)
-        evidence = _described(acceptance, name)
+        evidence = _describe_quantity(acceptance, name)
         if share is None:
             findings.append(Finding(FORM, evidence, excess))
         else:
@@ -108,7 +108,7 @@ def _of_lengths(acceptance: Acceptance, limits: AcceptanceTestLimits) -> list[Fi
         return []
     evidence = f"lengths are wrong by {100 * mean:+.3f} % on average over {len(acceptance.bars)} positions"
     if permitted > 1.0:
-        evidence = f"{_described(acceptance, 'SD')}; {evidence}"
+        evidence = f"{_describe_quantity(acceptance, 'SD')}; {evidence}"
     # One position cannot distinguish a scale from what depends on the place; the simpler one is named.
     cause = SCALE if abs(mean) > limits.min_scale_sigmas * sigma else UNEVEN_LENGTHS
     return [Finding(cause, evidence, excess)]
@@ -121,7 +121,9 @@ def _of_size(acceptance: Acceptance, limits: AcceptanceTestLimits) -> list[Findi
     mean, _ = mean_scale(acceptance) or (0.0, 0.0)
     sizes = [test for bar in acceptance.bars for test in bar.spheres]
     remaining = max(abs(sphere.size_um - 1e3 * mean * sphere.calibrated_mm) for sphere in sizes)
-    evidence = f"{_described(acceptance, 'PS')}; {remaining:.1f} µm are left when the scale is taken out"
+    evidence = (
+        f"{_describe_quantity(acceptance, 'PS')}; {remaining:.1f} µm are left when the scale is taken out"
+    )
     if remaining > (acceptance.standard.permitted_um("PS") or 0.0):
         return [Finding(SPHERE_SIZE, evidence, excess)]
     return [] if _of_lengths(acceptance, limits) else [Finding(SCALE, evidence, excess)]

@@ -81,10 +81,14 @@ def draw_errors_by_phase(sample: FrameSample) -> Figure:
             a, b = sample.recording.plan.set_starts[k : k + 2]
             angles = fit.phase[used] - fringe.phase_shifts()[:, None]
             normalised = (sample.spread[a:b, used] - fit.offset[used]) / fit.modulation[used]
-            left.plot(*_binned(angles, normalised - np.cos(angles)), linewidth=1.2, label=f"set {k + 1}")
+            left.plot(
+                *_mean_by_phase_bin(angles, normalised - np.cos(angles)), linewidth=1.2, label=f"set {k + 1}"
+            )
     for k, expected, deviation in phase_deviations(sample):
         finite = np.isfinite(deviation)
-        right.plot(*_binned(expected[finite], deviation[finite]), linewidth=1.2, label=f"set {k + 1}")
+        right.plot(
+            *_mean_by_phase_bin(expected[finite], deviation[finite]), linewidth=1.2, label=f"set {k + 1}"
+        )
     limit = sample.limits.of(FringeShapeLimits).min_harmonic_rad
     right.axhspan(-limit, limit, color=SECOND, alpha=0.2, linewidth=0)
     left.set(xlabel="phase in rad", ylabel="image − sinusoid, of the modulation")
@@ -97,7 +101,7 @@ def draw_errors_by_phase(sample: FrameSample) -> Figure:
     return figure
 
 
-def _binned(angles: Floats, values: Floats, bins: int = 48) -> tuple[Floats, Floats]:
+def _mean_by_phase_bin(angles: Floats, values: Floats, bins: int = 48) -> tuple[Floats, Floats]:
     """Mean of values over one period."""
     place = np.floor((angles % (2 * np.pi)) / (2 * np.pi) * bins).astype(np.intp).ravel() % bins
     total, count = np.bincount(place, values.ravel(), bins), np.bincount(place, minlength=bins)

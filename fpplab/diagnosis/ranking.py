@@ -13,7 +13,11 @@ def ranked(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     """Rank findings, the one to see to first at the front."""
     ordered = _with_rig_first(list(findings))
     weighed = [
-        replace(finding, excess=_weight(finding, ordered), behind=_source(finding, ordered))
+        replace(
+            finding,
+            excess=_excess_below_causes(finding, ordered),
+            behind=_worst_possible_cause(finding, ordered),
+        )
         for finding in ordered
     ]
     return tuple(sorted(weighed, key=lambda finding: -finding.excess))
@@ -32,29 +36,34 @@ def _with_rig_first(findings: list[Finding]) -> list[Finding]:
     ]
 
 
-def _weight(finding: Finding, findings: list[Finding]) -> float:
+def _excess_below_causes(finding: Finding, findings: list[Finding]) -> float:
     """Excess of a finding, limited to nine tenths of its possible causes' so that it ranks behind them."""
     others = [other for other in findings if other is not finding]
-    lowest = min((_weight(other, others) for other in _causes(finding, findings)), default=float("inf"))
+    lowest = min(
+        (_excess_below_causes(other, others) for other in _possible_causes(finding, findings)),
+        default=float("inf"),
+    )
     return min(finding.excess, 0.9 * lowest)
 
 
-def _source(finding: Finding, findings: list[Finding]) -> FaultCause | None:
+def _worst_possible_cause(finding: Finding, findings: list[Finding]) -> FaultCause | None:
     """The worst of the possible causes of a finding."""
-    causes = _causes(finding, findings)
+    causes = _possible_causes(finding, findings)
     return max(causes, key=lambda source: source.excess).cause if causes else finding.behind
 
 
-def _causes(finding: Finding, findings: list[Finding]) -> list[Finding]:
+def _possible_causes(finding: Finding, findings: list[Finding]) -> list[Finding]:
     """Which of these may have caused a finding."""
     if finding.cause == STALE_CALIBRATION and finding.excess >= STALE_CALIBRATION.useless_from:
         return []
     return [
-        other for other in findings if other is not finding and finding.cause.key in _effects(other, findings)
+        other
+        for other in findings
+        if other is not finding and finding.cause.key in _possible_effects(other, findings)
     ]
 
 
-def _effects(finding: Finding, findings: list[Finding]) -> set[str]:
+def _possible_effects(finding: Finding, findings: list[Finding]) -> set[str]:
     """What a finding may have caused, among these."""
     effects = set(finding.cause.side_effects)
     excess = {other.cause.key: other.excess for other in findings}

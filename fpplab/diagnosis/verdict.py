@@ -152,7 +152,7 @@ def diagnose_scan(
     else:
         one_axis = "stale_calibration: fringes along one axis alone do not show it"
         unknown = (one_axis,) if cloud.epipolar_px is None else ()
-        judged = _judged(evidence.frames, cloud, findings, unknown)
+        judged = _judge_findings(evidence.frames, cloud, findings, unknown)
         judged = _by_criteria(judged, criteria_of(evidence.frames, decoded, cloud))
     return replace(judged, changed_limits=limits.changes())
 
@@ -184,7 +184,7 @@ def _worst(of_poses: Sequence[tuple[str, Finding]], poses: int) -> Finding:
     return replace(worst, evidence=f"{name}: {worst.evidence}; in {len(of_poses)} of {poses} poses")
 
 
-def _judged(
+def _judge_findings(
     sample: FrameSample, cloud: Cloud, findings: tuple[Finding, ...], unknown: tuple[str, ...]
 ) -> Diagnosis:
     limits = sample.limits.of(VerdictLimits)

@@ -156,14 +156,14 @@ def sample_calibration(calibration: Calibration, random: np.random.Generator) ->
     by_name = dict.fromkeys(PARAMETERS, 0.0) | dict(zip(covariance.names, errors.tolist(), strict=True))
     pose, change = calibration.T_projector_camera, [by_name[f"T_projector_camera.{term}"] for term in POSE]
     return Calibration(
-        _changed(calibration.camera, [by_name[f"camera.{term}"] for term in INTRINSICS]),
-        _changed(calibration.projector, [by_name[f"projector.{term}"] for term in INTRINSICS]),
+        _device_with_change(calibration.camera, [by_name[f"camera.{term}"] for term in INTRINSICS]),
+        _device_with_change(calibration.projector, [by_name[f"projector.{term}"] for term in INTRINSICS]),
         RigidTransform.from_vectors(pose.rotation_vector + change[:3], pose.translation + change[3:]),
         rms_px={},
     )
 
 
-def _changed(device: Pinhole, change: Sequence[float]) -> Pinhole:
+def _device_with_change(device: Pinhole, change: Sequence[float]) -> Pinhole:
     matrix = device.matrix.copy()
     matrix[[0, 1, 0, 1], [0, 1, 2, 2]] += change[:4]
     return replace(device, matrix=matrix, distortion=device.distortion + change[4:])

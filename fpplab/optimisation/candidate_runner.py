@@ -58,7 +58,7 @@ class CandidateRunner:
     def start(self) -> MeasuredCandidate:
         """The start of the study, measured on first use; limits are relative to it."""
         begin = MeasuredCandidate(self.space.start, self.space.candidate(self.space.start))
-        trial = self._take([begin])[0]
+        trial = self._measure_candidates([begin])[0]
         if trial.failed:
             raise DataError(f"the start of the study cannot be measured: {trial.failed}")
         return trial
@@ -83,7 +83,7 @@ class CandidateRunner:
 
         If not, the refusal is counted in `refused`.
         """
-        refused = self._asked(point).refused
+        refused = self._candidate_to_measure(point).refused
         if refused:
             self.refused[refused] += 1
         return refused is None
@@ -92,9 +92,9 @@ class CandidateRunner:
         """Measure points of the space; those that were measured before are not measured again."""
         if self.start and len(self._by_candidate) >= self.space.problem.budget:
             raise BudgetExhausted
-        asked = [self._asked(point) for point in points]
+        asked = [self._candidate_to_measure(point) for point in points]
         self.refused.update(trial.refused for trial in asked if trial.refused)
-        taken = iter(self._take([trial for trial in asked if not trial.refused]))
+        taken = iter(self._measure_candidates([trial for trial in asked if not trial.refused]))
         return [trial if trial.refused else next(taken) for trial in asked]
 
     def epoch(self, step: str, trials: Sequence[MeasuredCandidate]) -> SearchEpoch:
@@ -115,12 +115,12 @@ class CandidateRunner:
             scores.append(_joined(outcomes) if not any(isinstance(o, str) for o in outcomes) else ())
         return scores
 
-    def _asked(self, point: Point) -> MeasuredCandidate:
+    def _candidate_to_measure(self, point: Point) -> MeasuredCandidate:
         candidate = self.space.candidate(point)
         refused = None if candidate == self.start.candidate else self.space.refusal(candidate)
         return MeasuredCandidate(point, candidate, refused=refused)
 
-    def _take(self, asked: Sequence[MeasuredCandidate]) -> list[MeasuredCandidate]:
+    def _measure_candidates(self, asked: Sequence[MeasuredCandidate]) -> list[MeasuredCandidate]:
         new = {trial.candidate: trial for trial in asked if trial.candidate not in self._by_candidate}
         seeds = self.space.problem.seeds
         outcomes = iter(self._outcomes([(candidate, seed) for candidate in new for seed in seeds]))

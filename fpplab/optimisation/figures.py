@@ -37,7 +37,7 @@ class CandidateFigures:
         def mean(name: str) -> float:
             return float(np.mean([getattr(score, name) for score in scores]))
 
-        seeds, artefacts = (list(_means(scores, key).values()) for key in ("seed", "artefact"))
+        seeds, artefacts = (list(_mean_scores_by(scores, key).values()) for key in ("seed", "artefact"))
         return cls(
             surface_smcd_um=mean("surface_smcd_um"),
             smcd_spread_um=float(np.std(seeds, ddof=1)) if len(seeds) > 1 else None,
@@ -56,10 +56,10 @@ class CandidateFigures:
 
 def seed_means(scores: Sequence[Score]) -> Mapping[int, float]:
     """Average the surface SMCD over the artefacts, for each seed."""
-    return _means(scores, "seed")
+    return _mean_scores_by(scores, "seed")
 
 
-def _means(scores: Sequence[Score], key: str) -> Mapping[Any, float]:
+def _mean_scores_by(scores: Sequence[Score], key: str) -> Mapping[Any, float]:
     """Average the surface SMCD by seed, or by artefact."""
     grouped = defaultdict(list)
     for score in scores:

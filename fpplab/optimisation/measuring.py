@@ -63,7 +63,7 @@ class RigEvaluator:
 
     def measure(self, candidate: Candidate, seed: int) -> tuple[Score, ...]:
         """Measure every artefact of the study, and compare it after aligning the true shape to the cloud."""
-        return tuple(self._score(name, candidate, seed) for name in self._problem.artefacts)
+        return tuple(self._measure_and_score(name, candidate, seed) for name in self._problem.artefacts)
 
     def figures(
         self, name: str, candidate: Candidate, seed: int, calibrations: StageCalibrations | None = None
@@ -72,15 +72,18 @@ class RigEvaluator:
         by_position = calibrations or self.calibrations
         calibration = by_position.at(candidate.stage_mm, candidate.convergence_deg)
         shape = self._true_shape(name, candidate)  # may raise, so before anything is acquired
-        plan, decoded = candidate.plan(self._problem.start), self._decoded(name, candidate, seed, calibration)
+        plan, decoded = (
+            candidate.plan(self._problem.start),
+            self._take_and_decode(name, candidate, seed, calibration),
+        )
         return shape.score(decoded, plan, calibration)
 
     def compare(self, name: str, candidate: Candidate, seed: int) -> tuple[Cloud, Comparison]:
         """Measure one artefact and compare all of its points, for an error map."""
         calibration = self.calibrations.at(candidate.stage_mm, candidate.convergence_deg)
         plan = candidate.plan(self._problem.start)
-        _, cloud = points_of(self._decoded(name, candidate, seed, calibration), calibration, plan)
-        return cloud, compare(cloud, self._mesh(name), calibration, align=True)
+        _, cloud = points_of(self._take_and_decode(name, candidate, seed, calibration), calibration, plan)
+        return cloud, compare(cloud, self._mesh_in_camera_frame(name), calibration, align=True)
 
     def triangulation_angle_deg(self, candidate: Candidate) -> float:
         """Compute the triangulation angle: that between camera and projector as seen from an artefact.
@@ -88,7 +91,9 @@ class RigEvaluator:
         Seen from the centre of its bounding box.
         """
         projector = self.calibrations.at(candidate.stage_mm, candidate.convergence_deg).projector_centre
-        middles = np.array([self._mesh(name).bounds.mean(axis=0) for name in self._problem.artefacts])
+        middles = np.array(
+            [self._mesh_in_camera_frame(name).bounds.mean(axis=0) for name in self._problem.artefacts]
+        )
         to_projector = projector - middles
         norms = np.linalg.norm(middles, axis=1) * np.linalg.norm(to_projector, axis=1)
         return float(np.degrees(np.arccos(-np.sum(middles * to_projector, axis=1) / norms)).mean())
@@ -122,13 +127,15 @@ class RigEvaluator:
         """Time that an image takes in addition to its exposure, as the devices state it."""
         return RigLimits.of(self._rig).dead_time_s + self._problem.start.settle_s
 
-    def _score(self, name: str, candidate: Candidate, seed: int) -> Score:
+    def _measure_and_score(self, name: str, candidate: Candidate, seed: int) -> Score:
         figures = asdict(self.figures(name, candidate, seed))
         del figures["surface_spread_um"]
         seconds = candidate.images * (candidate.exposure_s + self._image_s)
         return Score(artefact=name, seed=seed, images=candidate.images, seconds=seconds, **figures)
 
-    def _decoded(self, name: str, candidate: Candidate, seed: int, calibration: Calibration) -> Decoded:
+    def _take_and_decode(
+        self, name: str, candidate: Candidate, seed: int, calibration: Calibration
+    ) -> Decoded:
         plan, rig = candidate.plan(self._problem.start), self._rig
         bounds = possible_coordinates(plan, calibration, rig)  # may raise, so before anything is acquired
         setup = MeasuringSetup(name, candidate.exposure_s, candidate.stage_mm, candidate.convergence_deg)
@@ -144,24 +151,26 @@ class RigEvaluator:
         key = name, of.stage_mm, of.convergence_deg
         if key not in self._true_shapes:
             calibration = self.calibrations.at(of.stage_mm, of.convergence_deg)
-            self._true_shapes[key] = TrueShape(self._mesh(name), calibration, illuminated, self._samples)
+            self._true_shapes[key] = TrueShape(
+                self._mesh_in_camera_frame(name), calibration, illuminated, self._samples
+            )
         self._true_shapes.move_to_end(key)
         while len(self._true_shapes) > 6:  # chosen, for the memory they take
             self._true_shapes.popitem(last=False)
         return self._true_shapes[key]
 
-    def _mesh(self, name: str) -> trimesh.Trimesh:
+    def _mesh_in_camera_frame(self, name: str) -> trimesh.Trimesh:
         """Place the true shape in the camera's frame, known from the fixture or a first measurement."""
         if name not in self._placed:
             mesh = artefacts.make(name)
-            pose = self._rig.need_fixture("a search").pose(name) or self._located(name, mesh)
+            pose = self._rig.need_fixture("a search").pose(name) or self._locate_by_measurement(name, mesh)
             self._placed[name] = mesh.apply_transform(pose.matrix)
         return self._placed[name]
 
-    def _located(self, name: str, mesh: trimesh.Trimesh) -> RigidTransform:
+    def _locate_by_measurement(self, name: str, mesh: trimesh.Trimesh) -> RigidTransform:
         """Find a pose that the fixture does not know, by a measurement with the plan of the start."""
         calibration = self.calibrations.at(self._first.stage_mm)
-        decoded = self._decoded(name, self._first, self._problem.seeds[0], calibration)
+        decoded = self._take_and_decode(name, self._first, self._problem.seeds[0], calibration)
         _, cloud = points_of(decoded, calibration, self._problem.start)
         return align_mesh(cloud.points.astype(np.float64), mesh).transform
 

@@ -52,7 +52,7 @@ def measure_round(study: Any, runner: CandidateRunner, size: int) -> list[Measur
     asked: list[tuple[Any, Point]] = []
     for _ in range(50 * size):  # chosen: then the sampler counts as exhausted
         trial = study.ask()
-        point = tuple(_suggested(trial, parameter) for parameter in runner.space.parameters)
+        point = tuple(_suggest_value(trial, parameter) for parameter in runner.space.parameters)
         if runner.is_feasible(point):
             asked.append((trial, point))
         else:
@@ -70,7 +70,7 @@ def measure_round(study: Any, runner: CandidateRunner, size: int) -> list[Measur
     return trials
 
 
-def _suggested(trial: Any, parameter: Parameter) -> float:
+def _suggest_value(trial: Any, parameter: Parameter) -> float:
     if parameter.is_integer:
         return float(trial.suggest_int(parameter.name, int(parameter.lower), int(parameter.upper)))
     value = trial.suggest_float(

@@ -75,7 +75,7 @@ def run_search(
     searching = SampledEvaluatorFactory(_absolute(rig), study) if screened else measuring
     with closing(make_workers(searching, count, scheduler)) as searchers:
         runner = CandidateRunner(space, searchers, predicted if screened else measured, observe)
-        ended, ended_early = _search(runner, study.method)
+        ended, ended_early = _run_search_method(runner, study.method)
         optimum = runner.best
         _check_acceptable(runner, optimum)
         front = tuple(runner.front)
@@ -105,7 +105,7 @@ def run_search(
     )
     if diagnose_search(result).is_useless:
         return result
-    return replace(result, plans=_save(scope, out, result, limits, rig))
+    return replace(result, plans=_save_plans_and_calibration(scope, out, result, limits, rig))
 
 
 def worker_count(limits: RigLimits, workers: int | None) -> int:
@@ -149,7 +149,7 @@ def plan_paths(scope: SearchScope, out: Path) -> list[Path]:
     return sorted(out.glob("plan_*.yaml")) if scope is SearchScope.PARETO else [out] if out.exists() else []
 
 
-def _search(runner: CandidateRunner, method: SearchMethod) -> tuple[str, bool]:
+def _run_search_method(runner: CandidateRunner, method: SearchMethod) -> tuple[str, bool]:
     """Run a search method; returns why it ended, and whether that was too early."""
     runner.epoch("start", [runner.start])
     try:
@@ -186,7 +186,7 @@ def _check_acceptable(runner: CandidateRunner, optimum: MeasuredCandidate) -> No
         )
 
 
-def _save(
+def _save_plans_and_calibration(
     scope: SearchScope, out: Path, result: SearchResult, limits: RigLimits, rig: str
 ) -> tuple[Path, ...]:
     """Write the plans, and the calibration that holds where the stage puts the projector."""

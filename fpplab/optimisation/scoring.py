@@ -86,7 +86,7 @@ class TrueShape:
         self._shape, self._target = shape, AlignmentMesh(mesh)
         self._surface = visible_samples(mesh, shape, calibration, density, 0, illuminated).samples
         self._near_mm = LIMITS.near_spacings / np.sqrt(density)
-        self._hits = _hits(shape, calibration)
+        self._hits = _intersect_pixel_rays(shape, calibration)
         self._on_shape: Mask = np.isfinite(self._hits[..., 2])
         self._compared: Mask = self._on_shape & _random_subset(self._on_shape, samples, random)
         self._sampled = self._surface[_random_subset(np.ones(len(self._surface), np.bool_), samples, random)]
@@ -271,7 +271,7 @@ def _random_subset(of: Mask, count: int | None, random: np.random.Generator) -> 
     return np.asarray(random.random(of.shape) < count / max(1, np.count_nonzero(of)))
 
 
-def _hits(shape: RayTracedShape, calibration: Calibration) -> Floats:
+def _intersect_pixel_rays(shape: RayTracedShape, calibration: Calibration) -> Floats:
     """Intersect each pixel's ray with the shape: (height, width, 3) in mm, NaN where it misses."""
     rays = camera_rays(calibration.camera)
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)

@@ -125,7 +125,7 @@ class SampledEvaluator:
                 weighted.append((part.shape.surface_points, figures))
         if not weighted:
             raise DataError(f"nothing of the {name} could be measured")
-        return _joined(weighted, sum(part.shape.surface_points for part in parts))
+        return _combine_figures_of_parts(weighted, sum(part.shape.surface_points for part in parts))
 
     def _recorded(self, name: str, candidate: Candidate, seed: int, part: _ImagePart) -> Recording:
         plan, sampler = candidate.plan(self._problem.start), self._sampler(seed)
@@ -192,7 +192,9 @@ def _image_parts(shape: TrueShape, calibration: Calibration) -> list[_ImagePart]
     return parts
 
 
-def _joined(weighted: Sequence[tuple[int, ArtefactFigures]], of_all: int) -> ArtefactFigures:
+def _combine_figures_of_parts(
+    weighted: Sequence[tuple[int, ArtefactFigures]], of_all: int
+) -> ArtefactFigures:
     """Figures of all parts: means weighted by how much surface each has, of `of_all` points."""
     weights = np.array([points for points, _ in weighted], np.float64)
 

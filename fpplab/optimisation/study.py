@@ -48,7 +48,7 @@ class Study(SearchProblem):
         file = config.find_config(path, "study")
         data = config.parse_yaml(config.read_text(file), file)
         if isinstance(data, dict):
-            data = _resolved(data, file.parent)
+            data = _resolve_plan_and_paths(data, file.parent)
         return config.validate(data, cls, file)
 
 
@@ -62,7 +62,7 @@ def _method_kinds(several_objectives: bool) -> str:
     return " or ".join(filter(None, [", ".join(kinds[:-1]), kinds[-1]]))
 
 
-def _resolved(data: dict[str, Any], folder: Path) -> dict[str, Any]:
+def _resolve_plan_and_paths(data: dict[str, Any], folder: Path) -> dict[str, Any]:
     """Put the start's plan in place, and make the paths of files in the study's folder absolute."""
     data = dict(data)
     if isinstance(data.get("board"), dict):

@@ -56,12 +56,12 @@ def diagnose_search(result: SearchResult, confirmed: Sequence[ConfirmedPlan] = (
     search did not use or where it was confirmed.
     """
     findings = [
-        *_gain(result),
-        *_neighbours(result),
+        *_find_missing_gain(result),
+        *_find_flat_neighbourhood(result),
         *_extendable_borders(result),
         *_end(result),
-        *_limits(result),
-        *_failed(result),
+        *_find_exceeded_limits(result),
+        *_find_failed_candidates(result),
         *_confirmed(result, confirmed),
     ]
     unknown = [] if confirmed else ["not_confirmed: no rig to --confirm the plan on was given"]
@@ -77,7 +77,7 @@ def _seeks_distance(result: SearchResult) -> bool:
     return result.study.objectives[0] == DISTANCE
 
 
-def _gain(result: SearchResult) -> Iterator[Finding]:
+def _find_missing_gain(result: SearchResult) -> Iterator[Finding]:
     """Whether other seeds show a gain over the start."""
     gain = result.gain
     if gain is None or gain.uncertainty_um is None:
@@ -96,7 +96,7 @@ def _gain(result: SearchResult) -> Iterator[Finding]:
         yield Finding(NO_GAIN, "no plan is better than the start's", 1.0)
 
 
-def _neighbours(result: SearchResult) -> Iterator[Finding]:
+def _find_flat_neighbourhood(result: SearchResult) -> Iterator[Finding]:
     """Whether candidates a tenth of the ranges away are worse than the optimum beyond the uncertainty."""
     if not _seeks_distance(result) or len(result.study.seeds) < 2:
         return
@@ -110,7 +110,7 @@ def _neighbours(result: SearchResult) -> Iterator[Finding]:
     nearest = sorted(away, key=lambda trial: away[trial])[: 2 * len(parameters)]
     indistinct = []
     for trial in nearest:
-        by, sigma = _difference(trial, best)
+        by, sigma = _difference_by_seeds_um(trial, best)
         if by <= LIMITS.significance * sigma:
             indistinct.append((trial, by, sigma))
     if indistinct:
@@ -127,7 +127,7 @@ def _distance(parameters: Sequence[Parameter], point: Point, other: Point) -> fl
     return float(np.linalg.norm(differences))
 
 
-def _difference(trial: MeasuredCandidate, best: MeasuredCandidate) -> tuple[float, float]:
+def _difference_by_seeds_um(trial: MeasuredCandidate, best: MeasuredCandidate) -> tuple[float, float]:
     """By how much a candidate is worse, seed by seed, and the standard uncertainty of that, in µm."""
     best_by_seed, trial_by_seed = seed_means(best.scores), seed_means(trial.scores)
     differences = np.array(
@@ -174,7 +174,7 @@ def _end(result: SearchResult) -> Iterator[Finding]:
         yield Finding(ENDED_EARLY, evidence, 1.0, advice)
 
 
-def _limits(result: SearchResult) -> Iterator[Finding]:
+def _find_exceeded_limits(result: SearchResult) -> Iterator[Finding]:
     """Limits of the study that the optimum exceeds when it is measured with other seeds."""
     scores = result.rescored.get(result.optimum.candidate)
     if not scores:
@@ -188,7 +188,7 @@ def _limits(result: SearchResult) -> Iterator[Finding]:
         yield Finding(LIMITS_BROKEN, f"measured with other seeds it exceeds {exceeded}", 1.0)
 
 
-def _failed(result: SearchResult) -> Iterator[Finding]:
+def _find_failed_candidates(result: SearchResult) -> Iterator[Finding]:
     failed = [trial for trial in result.trials if trial.failed]
     share = len(failed) / max(len(result.trials), 1)
     if share > LIMITS.max_failed_share:

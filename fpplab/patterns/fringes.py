@@ -58,11 +58,13 @@ def make_patterns(
     arguments give the same, read-only, patterns again, so that a backend can tell them by identity.
     """
     plan.check_projector(size, "plan")
-    return _made(plan, size, lattice, bit_depth)
+    return _make_patterns_cached(plan, size, lattice, bit_depth)
 
 
 @lru_cache(maxsize=4)
-def _made(plan: Plan, size: tuple[int, int], lattice: Lattice, bit_depth: int) -> tuple[Pattern, ...]:
+def _make_patterns_cached(
+    plan: Plan, size: tuple[int, int], lattice: Lattice, bit_depth: int
+) -> tuple[Pattern, ...]:
     patterns = []
     for i, n, name in plan.steps():
         image = pattern_image(plan, i, n, size, lattice, bit_depth)

@@ -149,7 +149,10 @@ def judge_response(response: Response, plan: Plan, size: tuple[int, int]) -> Res
     A plan that corrects its patterns is judged with that correction.
     """
     curve = Curve(a=response.a, b=response.b, g=response.g, spline=response.spline)
-    ends, hidden = _ends(response, curve), LIMITS.coverage * unexplained_phase_error(response)
+    ends, hidden = (
+        _curves_within_uncertainty(response, curve),
+        LIMITS.coverage * unexplained_phase_error(response),
+    )
 
     def px(axis: Axis, stripes: float, rad: float) -> float:
         return rad / TWO_PI * axis_length(size, axis) / stripes
@@ -189,7 +192,7 @@ def _left_for_harmonics(hidden: float) -> float:
     return float(np.sqrt(max(LIMITS.max_phase_error_rad**2 - hidden**2, 0.0)))
 
 
-def _ends(response: Response, curve: Curve) -> tuple[Curve, ...]:
+def _curves_within_uncertainty(response: Response, curve: Curve) -> tuple[Curve, ...]:
     """The curve, and for a power law those at both ends of its exponent's uncertainty."""
     if curve.spline:
         return (curve,)

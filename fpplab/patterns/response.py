@@ -218,7 +218,7 @@ def _fit_for_use(shown: Floats, recorded: Floats, left_out: tuple[str, ...]) -> 
 def _fit(
     shown: Floats, recorded: Floats, sigma: Floats | None, left_out: tuple[str, ...], power_only: bool
 ) -> Response:
-    misfit = 0.0 if sigma is None else _misfit(shown, recorded, sigma)
+    misfit = 0.0 if sigma is None else _sigma_beyond_stated(shown, recorded, sigma)
     total = None if sigma is None else np.hypot(sigma, misfit)
     (a, b, g), covariance = _least_squares(shown, recorded, total)
     if a <= 0 or g <= 0 or not np.all(np.isfinite(covariance)):
@@ -254,10 +254,14 @@ def _fit(
         "spline": float(np.sqrt(np.mean(bent.left_out[1:-1] ** 2))),
     }
     response = response.model_copy(update={"prediction_errors": errors})
-    return _bent(response, bent, sigma) if prefers_spline(of_power, bent.left_out, sigma) else response
+    return (
+        _replace_by_spline(response, bent, sigma)
+        if prefers_spline(of_power, bent.left_out, sigma)
+        else response
+    )
 
 
-def _bent(power: Response, bent: SplineFit, sigma: Floats | None) -> Response:
+def _replace_by_spline(power: Response, bent: SplineFit, sigma: Floats | None) -> Response:
     """Replace the power law by a spline; the exponent stays, for information."""
     excess = float(np.sum(bent.residual**2)) / bent.freedom
     if sigma is not None:
@@ -282,7 +286,7 @@ def _bent(power: Response, bent: SplineFit, sigma: Floats | None) -> Response:
     )
 
 
-def _misfit(shown: Floats, recorded: Floats, sigma: Floats) -> float:
+def _sigma_beyond_stated(shown: Floats, recorded: Floats, sigma: Floats) -> float:
     """The further standard deviation of every level that makes chi² its degrees of freedom, or 0."""
     from scipy.optimize import brentq
 
@@ -300,7 +304,8 @@ def _least_squares(shown: Floats, recorded: Floats, sigma: Floats | None) -> tup
 
     weight = np.ones_like(recorded) if sigma is None else 1.0 / sigma
     start = min(
-        (_linear(shown, recorded, weight, g) for g in np.geomspace(0.2, 6.0, 35)), key=lambda s: s[1]
+        (_fit_offset_and_scale(shown, recorded, weight, g) for g in np.geomspace(0.2, 6.0, 35)),
+        key=lambda s: s[1],
     )[0]
     try:
         best, covariance = curve_fit(
@@ -316,7 +321,9 @@ def _vectors(matrix: Floats) -> tuple[LawParameters, LawParameters, LawParameter
     return rows[0], rows[1], rows[2]
 
 
-def _linear(shown: Floats, recorded: Floats, weight: Floats, g: float) -> tuple[LawParameters, float]:
+def _fit_offset_and_scale(
+    shown: Floats, recorded: Floats, weight: Floats, g: float
+) -> tuple[LawParameters, float]:
     """Best (a, b) for a given g, and the weighted squares it leaves."""
     basis = np.stack([shown**g, np.ones_like(shown)], axis=1) * weight[:, None]
     (a, b), *_ = np.linalg.lstsq(basis, recorded * weight, rcond=None)

@@ -27,7 +27,7 @@ MEAN, NOISE, SPREAD, WHITE = range(4)
 def statistics(image: Image, bits: int) -> Floats:
     """Compute mean, noise, variance and saturation of each region of a frame."""
     # image (height, width); returns (4, GRID²)
-    return np.stack([_of_region(part / full_scale(bits)) for part in _regions(image)], axis=1)
+    return np.stack([_of_region(part / full_scale(bits)) for part in _cut_into_regions(image)], axis=1)
 
 
 def _of_region(levels: Floats) -> Floats:
@@ -35,7 +35,7 @@ def _of_region(levels: Floats) -> Floats:
     return np.array([levels.mean(), noise, levels.var(), np.mean(levels >= 1.0)])
 
 
-def _regions(image: Image) -> list[Image]:
+def _cut_into_regions(image: Image) -> list[Image]:
     height, width = image.shape
     rows, columns = (np.linspace(0, side, GRID + 1).astype(int) for side in (height, width))
     return [
@@ -57,7 +57,7 @@ class GreyLevelImages:
 def pixels_of_regions(image: Image) -> Floats:
     """Count the pixels of each region."""
     # image (height, width); returns (GRID²,)
-    return np.array([float(part.size) for part in _regions(image)])
+    return np.array([float(part.size) for part in _cut_into_regions(image)])
 
 
 def rounding_variance(spread: Floats) -> Floats:
@@ -109,9 +109,9 @@ def fit_greys(greys: GreyLevelImages) -> Response:
     When every illuminated region saturates, its saturated levels are left out instead. Both are named in
     `Response.left_out`.
     """
-    chosen, left_out = _choose(greys)
-    response = _fit(greys, chosen)
-    regions = tuple(_region(greys, i) for i in np.flatnonzero(chosen).tolist())
+    chosen, left_out = _choose_regions(greys)
+    response = _fit_response_of_regions(greys, chosen)
+    regions = tuple(_fit_region(greys, i) for i in np.flatnonzero(chosen).tolist())
     exponents = np.array([r.g for r in regions])
     spread = float(exponents.std(ddof=1)) if len(regions) > 1 else None
     expected = float(np.sqrt(np.mean([r.sigma_g**2 for r in regions]))) if len(regions) > 1 else None
@@ -122,13 +122,13 @@ def fit_greys(greys: GreyLevelImages) -> Response:
             "regions": regions,
             "region_spread": spread,
             "region_sigma": expected,
-            "dark": _dark(greys, chosen),
+            "dark": _dark_level_and_sigma(greys, chosen),
             "left_out": left_out + response.left_out,
         }
     )
 
 
-def _choose(greys: GreyLevelImages) -> tuple[Mask, tuple[str, ...]]:
+def _choose_regions(greys: GreyLevelImages) -> tuple[Mask, tuple[str, ...]]:
     mean = greys.statistics[:, :, MEAN].mean(axis=0)
     rise = np.ptp(mean, axis=0)
     lit = rise >= LIMITS.min_rise
@@ -152,16 +152,16 @@ def _name(index: int) -> str:
     return f"region {index // GRID + 1}, {index % GRID + 1} (row, column) of {GRID} x {GRID}"
 
 
-def _fit(greys: GreyLevelImages, regions: Mask, power_only: bool = False) -> Response:
+def _fit_response_of_regions(greys: GreyLevelImages, regions: Mask, power_only: bool = False) -> Response:
     mean = mean_levels_of_regions(greys, regions)
     return fit_response(
         greys.shown, mean.levels, mean.sigma, saturated=mean.is_clipped, power_only=power_only
     )
 
 
-def _region(greys: GreyLevelImages, index: int) -> Region:
+def _fit_region(greys: GreyLevelImages, index: int) -> Region:
     alone = np.arange(GRID**2) == index
-    fitted = _fit(greys, alone, power_only=True)
+    fitted = _fit_response_of_regions(greys, alone, power_only=True)
     return Region(
         row=index // GRID,
         column=index % GRID,
@@ -185,7 +185,7 @@ def _check_agreement(g: float, regions: tuple[Region, ...], spread: float, expec
     )
 
 
-def _dark(greys: GreyLevelImages, regions: Mask) -> tuple[float, float]:
+def _dark_level_and_sigma(greys: GreyLevelImages, regions: Mask) -> tuple[float, float]:
     """The level seen with the projector off, and its standard uncertainty."""
     dark = GreyLevelImages(greys.shown[:1], greys.dark[None, None], greys.dark, greys.pixels, greys.bits)
     mean = mean_levels_of_regions(dark, regions)

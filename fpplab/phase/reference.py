@@ -65,7 +65,9 @@ def unwrap(
     tolerance = edge_margin + ORDERS.edge_sigmas * np.asarray(sigma)
     noise = (wavelengths[-1].stripes * np.asarray(sigma)) ** 2
     apart = np.maximum(ORDERS.min_cost_difference, ORDERS.min_chi2_difference * noise)
-    far_near, far_other = (_beyond(p.position, low, high, tolerance) for p in (chosen, runner_up))
+    far_near, far_other = (
+        _penalty_outside_interval(p.position, low, high, tolerance) for p in (chosen, runner_up)
+    )
     swap = cost_other + far_other < cost_near + far_near
     ambiguous = (np.abs(cost_near - cost_other) <= apart) & (far_near == 0) & (far_other == 0)
     inside = np.where(swap, far_other, far_near) == 0
@@ -107,7 +109,9 @@ def _refine(
     return _Hypothesis(position, worst, second_best), cost
 
 
-def _beyond(position: Floats, low: float | Floats, high: float | Floats, tolerance: Floats) -> Floats:
+def _penalty_outside_interval(
+    position: Floats, low: float | Floats, high: float | Floats, tolerance: Floats
+) -> Floats:
     """A penalty above every cost for positions outside of the possible ones; 0 inside."""
     outside = np.maximum(np.maximum(low - position, position - high), 0.0)
     return np.where(outside > tolerance, 100.0 + outside, 0.0)
@@ -149,7 +153,9 @@ def _distances(measured: AxisPhases, position: Floats) -> Floats:
     return np.asarray(off)
 
 
-def _evidence(measured: AxisPhases, position: Floats, ends: tuple[Floats, Floats]) -> tuple[Floats, Floats]:
+def _chi2_and_share_inside(
+    measured: AxisPhases, position: Floats, ends: tuple[Floats, Floats]
+) -> tuple[Floats, Floats]:
     """χ² of a position's orders, and the share of its mean's distribution that lies between the ends."""
     off, weight = _distances(measured, position), measured.position_sigma**-2
     total = weight.sum(axis=0)
@@ -191,10 +197,10 @@ def _likeliest_shift(
     measured: AxisPhases, position: Floats, alternatives: Alternatives, ends: tuple[Floats, Floats]
 ) -> tuple[Floats, Floats]:
     """Shift to the likeliest alternative, 0 where none is likelier; and the odds of all together."""
-    best, inside = _evidence(measured, position, ends)
+    best, inside = _chi2_and_share_inside(measured, position, ends)
     odds, likeliest, step = np.zeros_like(position), np.ones_like(position), np.zeros_like(position)
     for shift in (*alternatives.shifts, *-alternatives.shifts):
-        chi2, share = _evidence(measured, position + shift, ends)
+        chi2, share = _chi2_and_share_inside(measured, position + shift, ends)
         odds_of_shift = np.exp(np.minimum(0.5 * (best - chi2), ORDERS.cap_log_odds))
         own = odds_of_shift * share / np.maximum(inside, ORDERS.min_share_inside)
         step = np.where(own > likeliest, shift, step)
@@ -235,7 +241,7 @@ def decode_axis(
     fused, freedom = fuse(measured, settled), max(len(sequence.sets) - 1, 1)
     is_explained = fused.chi2 <= ORDERS.agreeing_sigmas**2 * freedom
     tolerance = margin + ORDERS.edge_sigmas * measured.position_sigma[-1]
-    is_possible = _beyond(settled, *interval, tolerance) == 0
+    is_possible = _penalty_outside_interval(settled, *interval, tolerance) == 0
     is_known = unwrapped.is_unique & is_possible & (is_explained | (settled == unwrapped.position))
     mask = np.where(is_known, 1.0, np.nan)
     return DecodedAxis(

@@ -84,11 +84,13 @@ def _sections(check: RigCheck, evidence: Evidence) -> list[ReportSection]:
     if runs:
         measured = any(np.isfinite(levels).any() for levels in runs.values())
         pictures = (_marker_figure(check),) if measured else ()
-        sections.append(ReportSection("Synchronisation", _settling(check), (_levels(check),), pictures))
+        sections.append(
+            ReportSection("Synchronisation", _settling_sentence(check), (_levels_table(check),), pictures)
+        )
     return sections
 
 
-def _settling(check: RigCheck) -> str:
+def _settling_sentence(check: RigCheck) -> str:
     text = "Uniform grey-level images, each of which must appear in its own frame."
     if check.settle_s is not None:
         text += f" A stepped plan needs a settling time of {check.settle_s:g} s."
@@ -101,7 +103,7 @@ def _marker_figure(check: RigCheck) -> ReportFigure:
     return ReportFigure.of(drawn, "Levels seen frame by frame", caption, wide=True)
 
 
-def _levels(check: RigCheck) -> ReportTable:
+def _levels_table(check: RigCheck) -> ReportTable:
     rows = tuple(
         (str(k), str(shown), *(_level(run.levels[k]) for run in check.runs))
         for k, shown in enumerate(check.shown.tolist())

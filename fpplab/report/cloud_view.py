@@ -99,15 +99,15 @@ def cloud_view(
     shown = cloud.only(kept)
     quantities = _quantities(shown, None if errors is None else errors[kept])
     centre, radius = _centre_and_radius(shown.points)
-    left_out = len(cloud) - int(np.count_nonzero(_near(cloud.points)))
+    left_out = len(cloud) - int(np.count_nonzero(_drop_far_points(cloud.points)))
     caption = f"{count_text(len(shown))} of {count_text(len(cloud))} points."
     if left_out:
         caption += f" {count_text(left_out)} points far from all others are not shown."
-    still = _still(shown, quantities[0], centre, radius)
+    still = _draw_first_view(shown, quantities[0], centre, radius)
     return CloudView(
         name,
         _described(shown, quantities, centre, radius),
-        base64.b64encode(_packed(shown, quantities)).decode("ascii"),
+        base64.b64encode(_pack_points(shown, quantities)).decode("ascii"),
         base64.b64encode(still).decode("ascii"),
         f"The points of the {name} seen obliquely, coloured by {quantities[0].label}",
         caption,
@@ -117,7 +117,7 @@ def cloud_view(
 def decimate(cloud: Cloud, max_points: int) -> NDArray[np.bool_]:
     """Choose points that represent a cloud: every k-th column and row of the camera, or every k-th point."""
     # returns (N,)
-    near = _near(cloud.points)
+    near = _drop_far_points(cloud.points)
     if cloud.pixels is not None:
         u, v = cloud.pixels.T
         for step in range(max(1, int(np.sqrt(near.sum() / max_points))), 1 << 16):
@@ -132,7 +132,7 @@ def decimate(cloud: Cloud, max_points: int) -> NDArray[np.bool_]:
     return kept
 
 
-def _near(points: NDArray[np.float32]) -> NDArray[np.bool_]:
+def _drop_far_points(points: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Points that do not lie far from all others."""
     low, high = np.percentile(points, (0.5, 99.5), axis=0)
     reach = BEYOND * (high - low) + 1e-3
@@ -210,7 +210,7 @@ def _spacing(points: NDArray[np.float32]) -> float:
     return max(float(np.median(cKDTree(points).query(some, k=2)[0][:, 1])), 1e-6)
 
 
-def _packed(cloud: Cloud, quantities: list[CloudQuantity]) -> bytes:
+def _pack_points(cloud: Cloud, quantities: list[CloudQuantity]) -> bytes:
     low, high = cloud.points.min(axis=0), cloud.points.max(axis=0)
     share = (cloud.points - low) / np.maximum(high - low, 1e-9)
     parts = [np.rint(share * STEPS).astype("<u2").tobytes()]
@@ -221,17 +221,17 @@ def _packed(cloud: Cloud, quantities: list[CloudQuantity]) -> bytes:
 
 
 @as_png
-def _still(cloud: Cloud, quantity: CloudQuantity, centre: Floats, radius: float) -> Figure:
+def _draw_first_view(cloud: Cloud, quantity: CloudQuantity, centre: Floats, radius: float) -> Figure:
     """The first view, painted from the farthest point to the nearest."""
     figure, axes = single_axes(9.6, 5.4)
-    axes.imshow(_painted(cloud, quantity, centre, radius), interpolation="nearest")
+    axes.imshow(_point_colours(cloud, quantity, centre, radius), interpolation="nearest")
     axes.set_axis_off()
     scale = mpl.colors.Normalize(quantity.low, quantity.high)
     colour_bar(figure, axes, ScalarMappable(scale, quantity.colours), quantity.label)
     return figure
 
 
-def _painted(cloud: Cloud, quantity: CloudQuantity, centre: Floats, radius: float) -> Floats:
+def _point_colours(cloud: Cloud, quantity: CloudQuantity, centre: Floats, radius: float) -> Floats:
     turned = _towards_eye(cloud.points - centre)
     width, height = STILL
     focal = 0.5 * height / np.tan(np.radians(FIELD_DEG) / 2)
@@ -245,11 +245,11 @@ def _painted(cloud: Cloud, quantity: CloudQuantity, centre: Floats, radius: floa
     order = order[inside]
     picture = np.ones((height, width, 3))
     # Of points at one place the last is kept, which is the nearest.
-    picture[place[order, 1], place[order, 0]] = _shaded(cloud, quantity)[order % len(cloud)]
+    picture[place[order, 1], place[order, 0]] = _point_shades(cloud, quantity)[order % len(cloud)]
     return picture
 
 
-def _shaded(cloud: Cloud, quantity: CloudQuantity) -> Floats:
+def _point_shades(cloud: Cloud, quantity: CloudQuantity) -> Floats:
     share = np.clip((quantity.values - quantity.low) / (quantity.high - quantity.low), 0, 1)
     colours = mpl.colormaps[quantity.colours](np.nan_to_num(share))[:, :3]
     colours[~np.isfinite(share)] = GREY

@@ -12,11 +12,11 @@ from fpplab.report.parts import ReportFigure
 
 def evidence_pictures(findings: Sequence[Finding], evidence: Evidence) -> list[tuple[Finding, bytes]]:
     """Draw what shows each finding."""
-    pictures = [(finding, _drawn(finding, evidence)) for finding in findings]
+    pictures = [(finding, _draw_finding(finding, evidence)) for finding in findings]
     return [(finding, picture) for finding, picture in pictures if picture is not None]
 
 
-def _drawn(finding: Finding, evidence: Evidence) -> bytes | None:
+def _draw_finding(finding: Finding, evidence: Evidence) -> bytes | None:
     picture = finding.cause.picture
     if picture is None or not evidence.has(picture.needs):
         return None

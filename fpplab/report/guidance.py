@@ -29,7 +29,7 @@ FIGURE = (
 
 def guided_section(run: GuidedRun) -> ReportSection:
     """Show the poses of a guided characterisation in their order."""
-    rows = tuple(_row(k, attempt) for k, attempt in enumerate(run.attempts, 1))
+    rows = tuple(_attempt_row(k, attempt) for k, attempt in enumerate(run.attempts, 1))
     picture = ReportFigure.of(sequence_figure(run), "Uncertainty and residuals by pose", FIGURE, wide=True)
     text = run.sentence[0].upper() + run.sentence[1:] + "."
     return ReportSection(
@@ -80,7 +80,7 @@ def _draw_residuals(axes: Axes, attempts: Sequence[PoseAttempt], device: str) ->
         axes.set_xlabel("pose")
 
 
-def _row(number: int, attempt: PoseAttempt) -> tuple[str, ...]:
+def _attempt_row(number: int, attempt: PoseAttempt) -> tuple[str, ...]:
     cells = []
     for device in ("camera", "projector"):
         expected = f" ({getattr(attempt.fit, device).predicted_px:.3f})" if attempt.fit else ""

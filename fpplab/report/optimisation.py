@@ -61,7 +61,7 @@ def write_optimisation_report(path: Path, result: OptimisationResult) -> None:
         f"Search: {search.study.name}",
         _summary(search),
         sections,
-        _facts(search),
+        _head_facts(search),
         verdicts_and_sources=basis,
     )
 
@@ -72,7 +72,7 @@ def _how_scored(search: SearchResult) -> str:
     return "predicted from bands of rows; what has figures of other seeds was measured whole with these"
 
 
-def _facts(search: SearchResult) -> dict[str, str]:
+def _head_facts(search: SearchResult) -> dict[str, str]:
     failed = sum(not trial.measured for trial in search.trials)
     facts = {
         "Rig": search.rig,
@@ -94,9 +94,9 @@ def _facts(search: SearchResult) -> dict[str, str]:
 
 
 def _summary(search: SearchResult) -> list[ReportTable]:
-    rows = [_row("start", search.start, search), _row("found", search.optimum, search)]
+    rows = [_candidate_row("start", search.start, search), _candidate_row("found", search.optimum, search)]
     if len(search.front) > 1:
-        rows += [_row(f"front {i}", trial, search) for i, trial in enumerate(search.front, 1)]
+        rows += [_candidate_row(f"front {i}", trial, search) for i, trial in enumerate(search.front, 1)]
     objectives = _objectives_in_order(search)
     columns = (*PLAN_COLUMNS, *(objective.label for objective in objectives), *OTHER_COLUMNS)
     caption = (
@@ -114,7 +114,7 @@ def _objectives_in_order(search: SearchResult) -> list[Objective]:
     return list((chosen | registered_objectives()).values())
 
 
-def _row(name: str, trial: MeasuredCandidate, search: SearchResult) -> tuple[str, ...]:
+def _candidate_row(name: str, trial: MeasuredCandidate, search: SearchResult) -> tuple[str, ...]:
     figures, candidate = trial.figures, trial.candidate
     rescored = search.rescored.get(candidate)
     stage = candidate.stage_mm
@@ -221,10 +221,10 @@ def _columns(pairs: Sequence[tuple[float, float]]) -> tuple[list[float], list[fl
 def _logarithmic_if_wide(axes: Axes, values: Sequence[float]) -> None:
     """Set a logarithmic scale where the distances of failed plans would hide the others."""
     if min(values) > 0 and max(values) > 5 * min(values):
-        _ratios(axes.yaxis, axes.set_yscale)
+        _set_ratio_scale(axes.yaxis, axes.set_yscale)
 
 
-def _ratios(axis: Axis, scale: Callable[[str], None]) -> None:
+def _set_ratio_scale(axis: Axis, scale: Callable[[str], None]) -> None:
     """Set a logarithmic scale with plain numbers."""
     scale("log")
     for formatter in (axis.set_major_formatter, axis.set_minor_formatter):
@@ -354,7 +354,7 @@ def distance_by_parameter(search: SearchResult, i: int, parameter: Parameter) ->
         axes.plot(trial.point[i], trial.figures.surface_smcd_um, "o", color=colour, markersize=5, label=label)
     axes.set(xlabel=parameter.name, ylabel=DISTANCE)
     if parameter.is_logarithmic:
-        _ratios(axes.xaxis, axes.set_xscale)
+        _set_ratio_scale(axes.xaxis, axes.set_xscale)
     _logarithmic_if_wide(axes, [trial.figures.surface_smcd_um for trial in measured])
     axes.legend()
     return figure

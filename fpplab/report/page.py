@@ -57,7 +57,7 @@ def write_page(
     page = environment.get_template("report.html.j2").render(
         title=title,
         when=(written_at or datetime.now().astimezone()).strftime("%Y-%m-%d %H:%M %Z").strip(),
-        facts={**_head(page_basis.provenance), **(head_facts or {})},
+        facts={**_shared_head_facts(page_basis.provenance), **(head_facts or {})},
         verdicts=page_basis.verdicts,
         summary=summary,
         sections=sections,
@@ -92,7 +92,7 @@ def _environment() -> Environment:
     )
 
 
-def _head(sources: Mapping[str, Provenance]) -> dict[str, str]:
+def _shared_head_facts(sources: Mapping[str, Provenance]) -> dict[str, str]:
     """The most important facts, where they are the same for everything on the page."""
     tables = [dict(source.values) for source in sources.values()]
     return {

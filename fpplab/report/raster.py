@@ -51,7 +51,7 @@ def raster_of(cloud: CloudLike) -> Raster:
         u, v = cloud.pixels.T.astype(np.int64)
         return Raster(u, v, (0.0, 0.0), 1.0, ("camera u in px", "camera v in px"))
     x, y = cloud.points[:, :2].T.astype(np.float64)
-    left, top, right, bottom = _box(x, y)
+    left, top, right, bottom = _bounds_without_outliers(x, y)
     wide, high = right - left, bottom - top
     pitch = max(float(np.sqrt(wide * high / len(x))), (wide + high) / 4000, 1e-9)
     columns, rows = (np.rint((c - lower) / pitch).astype(np.int64) for c, lower in ((x, left), (y, top)))
@@ -65,7 +65,7 @@ def rasterise(grid: Raster, values: NDArray[np.float32]) -> tuple[Map, Extent]:
     it.
     """
     # values (N, C); returns (h, w, C)
-    left, top, right, bottom = (round(edge) for edge in _box(grid.columns, grid.rows))
+    left, top, right, bottom = (round(edge) for edge in _bounds_without_outliers(grid.columns, grid.rows))
     inside = (grid.columns >= left) & (grid.columns <= right) & (grid.rows >= top) & (grid.rows <= bottom)
     mapped = np.full((bottom - top + 1, right - left + 1, values.shape[1]), np.nan, np.float32)
     mapped[grid.rows[inside] - top, grid.columns[inside] - left] = values[inside]
@@ -89,7 +89,7 @@ def block_mean(values: Map, columns: int) -> Map:
     return cast(Map, mean.astype(np.float32))
 
 
-def _box(columns: NDArray[Any], rows: NDArray[Any]) -> tuple[float, float, float, float]:
+def _bounds_without_outliers(columns: NDArray[Any], rows: NDArray[Any]) -> tuple[float, float, float, float]:
     """Left, top, right and bottom without outliers, with a margin."""
     (left, right), (top, bottom) = (
         np.percentile(c, (OUTLIER_PERCENT, 100 - OUTLIER_PERCENT)) for c in (columns, rows)

@@ -113,10 +113,10 @@ def section_of(scan: ScanSection, points: int = MAX_POINTS) -> ReportSection:
     views = () if scan.cloud is None else (cloud_view(name, scan.cloud, comparison, points),)
     tables = () if comparison is None else lengths_tables(comparison)
     title = name[:1].upper() + name[1:]
-    return ReportSection(title, _text(scan), tables, tuple(_pictures(scan)), views)
+    return ReportSection(title, _describe_scan(scan), tables, tuple(_pictures_of_scan(scan)), views)
 
 
-def _text(scan: ScanSection) -> str:
+def _describe_scan(scan: ScanSection) -> str:
     """What the figures do not show."""
     text, decoded = f"{scan.images} images", scan.decoded
     if decoded is None:
@@ -141,7 +141,7 @@ def _text(scan: ScanSection) -> str:
     return f"{text} Grey: not measured."
 
 
-def _pictures(scan: ScanSection) -> Iterator[ReportFigure]:
+def _pictures_of_scan(scan: ScanSection) -> Iterator[ReportFigure]:
     """What speaks against the scan, then results, then what they come from."""
     name, cloud, decoded = scan.name, scan.cloud, scan.decoded
     yield from scan.evidence

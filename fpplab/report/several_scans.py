@@ -34,7 +34,12 @@ def write_scans_report(path: Path, result: ScansResult) -> None:
         result.figures(),
     )
     by_name = {scan.name: scan for scan in scans}
-    sections = [_surfaces(scans), *_maps(scans), *_differences(result.differences, by_name), *_images(scans)]
+    sections = [
+        _surfaces_section(scans),
+        *_map_sections(scans),
+        *_difference_sections(result.differences, by_name),
+        *_image_sections(scans),
+    ]
     write_page(path, f"{len(scans)} scans", [_figures(scans)], sections, verdicts_and_sources=basis)
 
 
@@ -63,13 +68,13 @@ def _figures(scans: Sequence[ScanRecord]) -> ReportTable:
     return ReportTable(("Scan", "Verdict", "Points", "Roughness in µm", "Noise in µm"), rows, ROUGHNESS)
 
 
-def _surfaces(scans: Sequence[ScanRecord]) -> ReportSection:
+def _surfaces_section(scans: Sequence[ScanRecord]) -> ReportSection:
     share = MAX_POINTS // len(scans)
     views = tuple(cloud_view(scan.name, scan.cloud, max_points=share) for scan in scans if scan.cloud)
     return ReportSection("Surfaces", "", views=views)
 
 
-def _maps(scans: Sequence[ScanRecord]) -> list[ReportSection]:
+def _map_sections(scans: Sequence[ScanRecord]) -> list[ReportSection]:
     """Maps of one quantity side by side, on one scale of colours."""
     depths = {scan.name: (scan.cloud, scan.cloud.points[:, 2]) for scan in scans if scan.cloud}
     sigmas = {
@@ -103,7 +108,7 @@ def _map_section(
     return ReportSection(title, "All on one scale of colours. Grey: not measured.", figures=drawn)
 
 
-def _differences(
+def _difference_sections(
     differences: Sequence[CloudDifference], scans: Mapping[str, ScanRecord]
 ) -> list[ReportSection]:
     """Maps of the differences, and the figures of all."""
@@ -134,7 +139,7 @@ def _difference_row(figures: Mapping[str, Any]) -> tuple[str, ...]:
     return (name, count_text(figures["pixels"]), *values, "")
 
 
-def _images(scans: Sequence[ScanRecord]) -> list[ReportSection]:
+def _image_sections(scans: Sequence[ScanRecord]) -> list[ReportSection]:
     drawn = tuple(
         ReportFigure.of(
             figures.camera_image(*scan.frame),

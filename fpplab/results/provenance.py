@@ -88,7 +88,7 @@ def session_provenance(
         **_device_values(rig, origin),
         "plan": plan_description(session.plan),
         "images": str(session.plan.images),
-        **_settings(session),
+        **_camera_settings_as_read(session),
         "taken": f"{local_time(times[0])}, in {duration_text(times[1] - times[0])}" if times else None,
         "session": str(session.path),
         **calibration_values(calibration, file, times[0] if times else None, origin),
@@ -193,7 +193,7 @@ def calibration_values(
         "calibration_poses": local_time(origin.poses_taken) if origin and origin.poses_taken else None,
         "calibration_age": _age(used - began) if used and began else None,
         "calibration_rms": rms or None,
-        "calibration_devices": _compared(origin, devices) if origin else None,
+        "calibration_devices": _compare_devices(origin, devices) if origin else None,
     }
 
 
@@ -237,7 +237,7 @@ def _age(length: timedelta) -> str:
     return text if length >= timedelta() else f"none, it was made {text} after the measurement began"
 
 
-def _compared(calibration: CalibrationOrigin, measured: SessionOrigin | None) -> str | None:
+def _compare_devices(calibration: CalibrationOrigin, measured: SessionOrigin | None) -> str | None:
     """The calibration's devices, and whether they are those of the measurement."""
     devices = [device for device in (calibration.camera, calibration.projector) if device]
     if not devices:
@@ -266,7 +266,7 @@ def _device_values(rig: Mapping[str, object], origin: SessionOrigin | None) -> d
     return values
 
 
-def _settings(session: Session) -> dict[str, str | None]:
+def _camera_settings_as_read(session: Session) -> dict[str, str | None]:
     """Exposure, gain and bits as they were read back; of images from elsewhere only the bits are known."""
     if session.is_imported:
         return {"exposure": None, "gain": None, "bits": str(session.bits)}

@@ -59,8 +59,10 @@ def write_bug_report(out: Path, sources: Sequence[Path], frames: bool) -> list[R
     """Write a bug report."""
     entries = [_host()]
     for number, source in enumerate(sources, 1):
-        entries += _session(source, number, frames) if source.is_dir() else [_file(source, number)]
-    listed = [_contents(entries), *entries]
+        entries += (
+            _session_entries(source, number, frames) if source.is_dir() else [_file_entry(source, number)]
+        )
+    listed = [_contents_entry(entries), *entries]
 
     def write(stream: BinaryIO) -> None:
         with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
@@ -76,13 +78,13 @@ def _host() -> ReportEntry:
     return ReportEntry("host.json", facts, "versions of fpplab and its packages, and the computer")
 
 
-def _contents(entries: Sequence[ReportEntry]) -> ReportEntry:
+def _contents_entry(entries: Sequence[ReportEntry]) -> ReportEntry:
     lines = [f"{entry.name}  ({entry.size} bytes): {entry.what}" for entry in entries]
     text = "What is in this bug report of fpplab; look through it before you send it.\n\n" + "\n".join(lines)
     return ReportEntry("contents.txt", f"{text}\n".encode(), "this list")
 
 
-def _session(path: Path, number: int, frames: bool) -> Iterator[ReportEntry]:
+def _session_entries(path: Path, number: int, frames: bool) -> Iterator[ReportEntry]:
     folder = f"{number}_{path.resolve().name}"
     for name, what in SMALL.items():
         if (path / name).is_file():
@@ -101,7 +103,7 @@ def _verified(path: Path) -> bytes:
     return ("\n".join(messages) + "\n").encode()
 
 
-def _file(path: Path, number: int) -> ReportEntry:
+def _file_entry(path: Path, number: int) -> ReportEntry:
     if not path.is_file():
         raise ConfigError(f"{path}: there is no such file or session")
     if path.stat().st_size > LIMITS.max_attachment_bytes:

@@ -58,7 +58,7 @@ def require_session(path: Path) -> None:
     """Refuse to replace a directory that is not a session, or holds files that fpplab did not write."""
     if not (path / JOURNAL).is_file():
         raise DataError(f"{path}: is not a session, so --force does not replace it; remove it yourself")
-    if foreign := _foreign(path):
+    if foreign := _foreign_file_names(path):
         shown = ", ".join(foreign[:5]) + (f" and {len(foreign) - 5} more" if len(foreign) > 5 else "")
         raise DataError(
             f"{path}: holds files that are not part of a session ({shown}), so --force does not replace "
@@ -66,7 +66,7 @@ def require_session(path: Path) -> None:
         )
 
 
-def _foreign(path: Path) -> list[str]:
+def _foreign_file_names(path: Path) -> list[str]:
     """Names of what fpplab did not write into a session; drafts of its own files count as written."""
     names = "|".join(map(re.escape, sorted(SESSION_FILES)))
     own = re.compile(rf"{names}|\.({names})\.[a-z0-9_]{{8}}")

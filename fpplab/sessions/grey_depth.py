@@ -47,9 +47,9 @@ class StoredLevels:
 
     def depth(self, bits: int | None, warn: Say, tell: Say) -> tuple[int, int]:
         """Find the depth, or confirm the one that is said."""
-        return self._detected(tell) if bits is None else self._confirmed(bits, warn)
+        return self._detect_bits(tell) if bits is None else self._confirm_bits(bits, warn)
 
-    def _detected(self, tell: Say) -> tuple[int, int]:
+    def _detect_bits(self, tell: Say) -> tuple[int, int]:
         upper = self._upper_bits()
         if upper is not None:
             tell(f"the images hold {upper} bits, in the upper bits of 16; they were moved to the lower ones")
@@ -64,7 +64,7 @@ class StoredLevels:
         tell(f"the grey levels reach {self.greatest}: {possible[0]} bits")
         return possible[0], 0
 
-    def _confirmed(self, bits: int, warn: Say) -> tuple[int, int]:
+    def _confirm_bits(self, bits: int, warn: Say) -> tuple[int, int]:
         if self.greatest > full_scale(bits):
             if not _fills_upper(self.levels, bits):
                 raise DataError(

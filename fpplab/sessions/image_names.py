@@ -29,7 +29,7 @@ class NumberedNames:
     @classmethod
     def parse(cls, folder: Path, form: str, first: int, first_step: int | None) -> NumberedNames:
         """Check a format."""
-        fields = _fields(form)
+        fields = _format_fields(form)
         if fields == ["index"] and first_step is not None:
             raise ConfigError("--first-step goes with names that have a {step}; --first is the first {index}")
         if fields == ["index"]:
@@ -83,7 +83,7 @@ class NumberedNames:
             raise DataError(
                 f"{self.folder}: {len(missing)} of {whole} are missing "
                 f"({shown(self.name(number) for number in missing)}); looked for '{self.form}' from "
-                f"{self._begin(self.first)}{self._hint(expected, existing)}"
+                f"{self._begin(self.first)}{self._hint_at_other_numbers(expected, existing)}"
             )
         if surplus:
             those = f"the plan's {len(expected)}" if planned else f"those from {self._begin(self.first)}"
@@ -105,7 +105,7 @@ class NumberedNames:
     def _begin(self, numbers: NameNumbers) -> str:
         return " and ".join(f"{field} {n}" for field, n in zip(self._fields, numbers, strict=True))
 
-    def _hint(self, expected: Sequence[NameNumbers], existing: Sequence[NameNumbers]) -> str:
+    def _hint_at_other_numbers(self, expected: Sequence[NameNumbers], existing: Sequence[NameNumbers]) -> str:
         """What to say where all are there, but counted from other numbers."""
         if not existing:
             return f"; {self._other()}"
@@ -124,7 +124,7 @@ class NumberedNames:
         return f"the folder has {shown(names)}" if names else "the folder is empty"
 
 
-def _fields(form: str) -> list[str]:
+def _format_fields(form: str) -> list[str]:
     """The fields of a format, in the order of `_ALLOWED`."""
     try:
         parts = [part for part in string.Formatter().parse(form) if part[1] is not None]

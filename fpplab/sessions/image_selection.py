@@ -35,12 +35,12 @@ class ImageSelection:
         self, sets: Sequence[int] | None = None, warn: Say = ignore, tell: Say = ignore
     ) -> list[ImagePlace]:
         """Find the images."""
-        numbered = self._numbered()
+        numbered = self._numbered_names()
         if numbered is not None:
             return self._by_numbers(numbered, sets)
         if self.first_step is not None:
             raise ConfigError("--first-step goes with names that have a {step}")
-        files = self._files(warn, tell)
+        files = self._named_files(warn, tell)
         every = [place for file in files for place in places_in(file)]
         for number in self.skip:
             if not self.first <= number < self.first + len(every):
@@ -51,11 +51,11 @@ class ImageSelection:
         _check_count(self.title, taken, sets)
         return taken
 
-    def _numbered(self) -> NumberedNames | None:
+    def _numbered_names(self) -> NumberedNames | None:
         """The names as a format; None where they are a pattern, a list or files."""
         if self.names is None or self.names.startswith("@") or _is_pattern(self.names):
             return None
-        names = NumberedNames.parse(self._folder(), self.names, self.first, self.first_step)
+        names = NumberedNames.parse(self._only_folder(), self.names, self.first, self.first_step)
         if names.has_steps and self.skip:
             raise ConfigError(
                 "--skip counts images by one number; with {set} and {step} in --frames, files of other names "
@@ -82,7 +82,7 @@ class ImageSelection:
                 )
         return [inside[0] for inside in places]
 
-    def _folder(self) -> Path:
+    def _only_folder(self) -> Path:
         """The only place, which has to be a folder."""
         if len(self.places) != 1:
             raise ConfigError(f"--frames is '{self.names}': name the one folder that it is for")
@@ -90,12 +90,12 @@ class ImageSelection:
             raise ConfigError(f"{self.places[0]}: is not a folder; --frames names the images of one")
         return self.places[0]
 
-    def _files(self, warn: Say, tell: Say) -> list[Path]:
+    def _named_files(self, warn: Say, tell: Say) -> list[Path]:
         """Files one by one, in the order taken."""
         if self.names is not None and self.names.startswith("@"):
-            files = self._listed(Path(self.names[1:]))
+            files = self._files_in_list(Path(self.names[1:]))
         elif self.names is not None:
-            return self._matching(self.names, tell)
+            return self._files_matching(self.names, tell)
         else:
             files = list(self.places)
             folders = [place for place in files if place.is_dir()]
@@ -113,9 +113,9 @@ class ImageSelection:
             )
         return files
 
-    def _listed(self, path: Path) -> list[Path]:
+    def _files_in_list(self, path: Path) -> list[Path]:
         """Files by a list, relative to the folder that is named, or else to the list's own."""
-        folder = self._folder() if self.places else path.parent
+        folder = self._only_folder() if self.places else path.parent
         names = [line.strip() for line in read_text(path).splitlines()]
         for name in names:
             if Path(name).is_absolute() or ".." in Path(name).parts:
@@ -127,8 +127,8 @@ class ImageSelection:
             raise DataError(f"{path}: names no image")
         return files
 
-    def _matching(self, pattern: str, tell: Say) -> list[Path]:
-        folder = self._folder()
+    def _files_matching(self, pattern: str, tell: Say) -> list[Path]:
+        folder = self._only_folder()
         if Path(pattern).is_absolute() or ".." in Path(pattern).parts or "**" in pattern:
             raise ConfigError(
                 f"--frames is '{pattern}': a pattern of names below the folder, such as '*.png'"

@@ -45,7 +45,7 @@ def import_images(
     # projector_size (width, height) px
     check_bits(bits)
     rig = _projector_record(plan, projector_size, lattice)
-    images = _checked(source, [fringe.images for fringe in plan.fringes], bits, warn, tell)
+    images = _find_and_check_images(source, [fringe.images for fringe in plan.fringes], bits, warn, tell)
 
     def fill(session: Session) -> None:
         for index, ((_, _, pattern), image) in enumerate(zip(plan.steps(), images.read(), strict=True)):
@@ -67,7 +67,7 @@ def read_images(
     """Read grey images whose plan is not known."""
     # returns images (height, width)
     check_bits(bits)
-    images = _checked(source, None, bits, warn, tell)
+    images = _find_and_check_images(source, None, bits, warn, tell)
     return list(images.read()), images.bits
 
 
@@ -87,7 +87,7 @@ class _CheckedImages:
             yield (image >> self.shift).astype(raw_dtype(self.bits))
 
 
-def _checked(
+def _find_and_check_images(
     source: ImageSelection, sets: list[int] | None, bits: int | None, warn: Say, tell: Say
 ) -> _CheckedImages:
     """Find the images of a source and look at each of them."""

@@ -76,7 +76,7 @@ def _restore_small_files(path: Path, report: RepairReport) -> None:
         copy = newest.get(name)
         if copy is None or copy.text is None or _holds(path / name, copy.text):
             continue
-        _replace(path, name, copy.text, report)
+        _replace_session_file(path, name, copy.text, report)
         report.restored.append(f"{name}, from its copy in {CHECKSUMS}")
 
 
@@ -87,7 +87,7 @@ def _readable_records(path: Path, report: RepairReport) -> Iterable[RecordedFile
     except DataError as error:
         report.lost.append(f"{error}; the checksums in it can no longer be verified")
         records = list(_renewed_records(path))
-        _replace(path, CHECKSUMS, "".join(f"{record.line}\n" for record in records), report)
+        _replace_session_file(path, CHECKSUMS, "".join(f"{record.line}\n" for record in records), report)
         report.restored.append(CHECKSUMS)
         return records
 
@@ -137,7 +137,7 @@ def _restore_journal(path: Path, plan: Plan, report: RepairReport, progress: Pro
         if (path / name).exists():
             _set_aside(path, name, report)
     if lines.faults or bad:
-        _replace(path, JOURNAL, "".join(_line(record) for record in whole), report)
+        _replace_session_file(path, JOURNAL, "".join(_line(record) for record in whole), report)
         report.restored.append(f"{JOURNAL}, with the {len(whole)} frames that are whole")
 
 
@@ -145,7 +145,7 @@ def _line(record: FrameRecord) -> str:
     return json.dumps(record.model_dump()) + "\n"
 
 
-def _replace(path: Path, name: str, text: str, report: RepairReport) -> None:
+def _replace_session_file(path: Path, name: str, text: str, report: RepairReport) -> None:
     """Rewrite a file of the session, and keep the old one next to the session."""
     if not (path / name).exists():
         write_text(path / name, text)

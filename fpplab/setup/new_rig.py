@@ -114,11 +114,11 @@ class RigSetup:
         with ExitStack() as stack:
             camera = self._device(stack, draft, "camera", Camera, look_at_scene)  # type: ignore[type-abstract]
             if camera is None:
-                raise self._nothing("camera")
+                raise self._no_device_error("camera")
             lit = self._device(stack, draft, "projector", Projector, lambda p: look_at_light(camera, p))  # type: ignore[type-abstract]
             if lit is None:
-                raise self._nothing("projector")
-            self._device(stack, draft, "stage", Stage, lambda one: self._stage(one, home_stage))  # type: ignore[type-abstract]
+                raise self._no_device_error("projector")
+            self._device(stack, draft, "stage", Stage, lambda one: self._test_stage(one, home_stage))  # type: ignore[type-abstract]
         if operator_as_fixture:
             draft.sections["fixture"] = dict(OPERATOR)
         return draft
@@ -127,11 +127,11 @@ class RigSetup:
         self, stack: ExitStack, draft: RigDraft, kind: str, base: type[Chosen], test: Callable[[Chosen], Any]
     ) -> Chosen | None:
         """One device that has passed its test, open until the stack ends; None for none."""
-        while (chosen := self._chosen(kind)) is not None:
+        while (chosen := self._choose_device(kind)) is not None:
             try:
                 with ExitStack() as attempt:
                     self._tell(f"{kind}: {chosen.title}")
-                    device: Chosen = self._made(chosen, kind, base)
+                    device: Chosen = self._open_chosen(chosen, kind, base)
                     attempt.enter_context(device)
                     draft.tests[kind] = test(device)
                     stack.push(attempt.pop_all())
@@ -148,23 +148,25 @@ class RigSetup:
             return device
         return None
 
-    def _chosen(self, kind: str) -> FoundDevice | None:
+    def _choose_device(self, kind: str) -> FoundDevice | None:
         named = self._names.get(kind)
         if named == NONE:
             return None
         all_of_kind = [d for d in self._discovered.devices if d.kind == kind and d.section]
         if named is not None:
-            return _only([d for d in all_of_kind if d.is_called(named)], all_of_kind, kind, named)
+            return _require_one_device(
+                [d for d in all_of_kind if d.is_called(named)], all_of_kind, kind, named
+            )
         if self._ask is None:
             certain = [d for d in all_of_kind if d.is_certain]
-            return _only(certain, all_of_kind, kind, None) if certain else None
+            return _require_one_device(certain, all_of_kind, kind, None) if certain else None
         if not all_of_kind:
             return None
         answers = [d.title for d in all_of_kind] + ([NONE] if kind == "stage" else [])
         k = self._ask(f"Which {kind}?", answers)
         return all_of_kind[k] if k < len(all_of_kind) else None
 
-    def _made(self, chosen: FoundDevice, kind: str, base: type[Chosen]) -> Chosen:
+    def _open_chosen(self, chosen: FoundDevice, kind: str, base: type[Chosen]) -> Chosen:
         options = dict(chosen.section)
         name = options.pop("backend")
         backend = load_backend(name, "rig", kind)
@@ -176,14 +178,14 @@ class RigSetup:
         device: Chosen = backend(kind, options, None)
         return device
 
-    def _stage(self, stage: Stage, home: bool) -> StageTest:
+    def _test_stage(self, stage: Stage, home: bool) -> StageTest:
         if not home and self._ask is not None:
             home = self._ask("Home the stage? Its carriage moves", ["no", "yes"]) == 1
         if home:
             stage.home()
         return StageTest(stage.homed, stage.caps.travel_mm)
 
-    def _nothing(self, kind: str) -> DeviceError:
+    def _no_device_error(self, kind: str) -> DeviceError:
         hints = [sentence for sentence in self._discovered.missing if kind in sentence]
         others = [d.title for d in self._discovered.devices if d.kind == kind]
         evidence = f"none is connected{'; ' + hints[0] if hints else ''}"
@@ -193,7 +195,7 @@ class RigSetup:
         return DeviceError(kind, "choose", evidence, remedy)
 
 
-def _only(
+def _require_one_device(
     chosen: list[FoundDevice], all_of_kind: list[FoundDevice], kind: str, named: str | None
 ) -> FoundDevice:
     """The one device that is meant, or `ConfigError`."""

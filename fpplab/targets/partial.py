@@ -88,7 +88,7 @@ def _placements(layout: BoardLayout, patch: GridPatch) -> list[Detection]:
     placements = []
     for turn in TURNS:
         laid = patch.cells @ (lattice.basis @ turn).T
-        if not _could_be_seen(layout, np.asarray(laid * lattice.step_mm, np.float64), patch.pixels):
+        if not _could_a_camera_see(layout, np.asarray(laid * lattice.step_mm, np.float64), patch.pixels):
             continue
         for place in lattice.places:
             ids = [id_of_place.get((x, y)) for x, y in (laid + place - laid[0]).tolist()]
@@ -97,7 +97,7 @@ def _placements(layout: BoardLayout, patch: GridPatch) -> list[Detection]:
     return placements
 
 
-def _could_be_seen(layout: BoardLayout, board: Floats, pixels: Floats) -> bool:
+def _could_a_camera_see(layout: BoardLayout, board: Floats, pixels: Floats) -> bool:
     """Whether points (n, 2) in mm could be seen at these pixels without a board at grazing angles.
 
     Of a board that is the same after half a turn, the placement whose x axis points right or down is taken.

@@ -118,7 +118,7 @@ def _box(left: float, top: float, right: float, bottom: float) -> Outline:
 def _paper_size_turned_to_fit(target: Target, paper: str) -> tuple[float, float]:
     """Choose the paper, turned if it must be, on which the board has room with its legend."""
     width, height = paper_size(paper)
-    needed = _needed(target)
+    needed = _paper_size_needed(target)
     ways = [(width, height)]
     if paper.lower() in _KNOWN:
         ways.append((height, width))
@@ -132,7 +132,7 @@ def _paper_size_turned_to_fit(target: Target, paper: str) -> tuple[float, float]
     )
 
 
-def _needed(target: Target) -> tuple[float, float]:
+def _paper_size_needed(target: Target) -> tuple[float, float]:
     """Return the least paper size: the legend is below a board that is at the page's centre."""
     width, height = target.size_mm
     marked = width + 2 * (LAYOUT.margin_mm + 2 * LAYOUT.mark_mm)

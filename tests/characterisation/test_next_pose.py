@@ -14,7 +14,7 @@ from fpplab.characterisation.bundle import uncertainty
 from fpplab.characterisation.candidate_poses import (
     DIRECTIONS,
     MAX_SLANT_DEG,
-    _paths,
+    _paths_from_field_centre,
     board_grid,
     candidate_poses,
     tilted_away,
@@ -70,7 +70,7 @@ def candidates(estimate: JointEstimate) -> list[RigidTransform]:
 
 
 def test_paths_of_candidates_end_at_the_edges_of_the_image() -> None:
-    paths = _paths(Calibration(CAMERA, PROJECTOR, PAIR, {}), 450.0)
+    paths = _paths_from_field_centre(Calibration(CAMERA, PROJECTOR, PAIR, {}), 450.0)
     ends = CAMERA.project(paths[:, -1])
     middle, (width, height) = ends[0], CAMERA.size
     for end, (x, y) in zip(ends[1:], DIRECTIONS, strict=True):

@@ -10,7 +10,7 @@ import pytest
 
 from fpplab.characterisation import finest_periods, observe
 from fpplab.characterisation.limits import USUAL_LIMITS
-from fpplab.characterisation.observation import _steep
+from fpplab.characterisation.observation import _find_edge_pixels
 from fpplab.core.errors import CalibrationError
 from fpplab.core.geometry import Pinhole
 from fpplab.patterns.plan import Plan
@@ -97,7 +97,7 @@ def test_an_edge_is_where_the_modulation_changes_by_too_great_a_share(share: flo
     limit = USUAL_LIMITS.max_modulation_gradient
     ramp = np.exp(share * limit * np.arange(40.0))
     modulation = np.broadcast_to(ramp, (40, 40)).astype(np.float32)
-    edges = _steep(modulation if axis else modulation.T, limit)[8:-8, 8:-8]
+    edges = _find_edge_pixels(modulation if axis else modulation.T, limit)[8:-8, 8:-8]
     assert edges.all() == edges.any() == (share > 1.0)
 
 

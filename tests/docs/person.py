@@ -30,6 +30,6 @@ class Person(Operator):
         self._hands.mount(item, self._taken % ((self._hands.caps.items or {}).get(item) or 1))
         self._taken += 1
 
-    def _wait(self, doing: str, ask: str) -> None:
+    def _wait_for_answer(self, doing: str, ask: str) -> None:
         sys.stderr.write(f"{ask}, then press Enter: \n")
         sys.stderr.flush()

@@ -125,14 +125,14 @@ def test_a_camera_that_is_not_ready_yet(folder: Path, untold_us: float, dead_s: 
 
 @SLOW
 def test_a_slip_that_does_not_happen_again(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    really_run = marker_check._run
+    really_run = marker_check._show_marker_once
 
     def once(rig: Rig, plan: Plan, *more: Any) -> MarkerRun:
         bench_of(rig).faults = BenchFaults(missed=missed.pop() if plan.trigger == "triggered" else ())
         return really_run(rig, plan, *more)
 
     missed: list[tuple[int, ...]] = [(), (), (3,)]
-    monkeypatch.setattr(marker_check, "_run", once)
+    monkeypatch.setattr(marker_check, "_show_marker_once", once)
     (finding,) = checked(rig_file(folder)).findings
     assert (finding.cause, missed) == (OUT_OF_STEP, [])
     assert finding.evidence.endswith("when it was repeated, all frames were in step")

@@ -46,11 +46,11 @@ class RandomSearch(SearchMethod):
 USE = """
 from pathlib import Path
 from fpplab.core.errors import ConfigError
-from fpplab.optimisation.run import _search
+from fpplab.optimisation.run import _run_search_method
 from tests.support.searching import runner_of, study
 
 runner = runner_of(Path(), method={"kind": "random", "count": 7})
-ended = _search(runner, runner.space.problem.method)
+ended = _run_search_method(runner, runner.space.problem.method)
 print(*ended, len(runner.epochs), 1 < len(runner.trials) <= 8)
 try:
     study(method={"kind": "random", "count": "many"})

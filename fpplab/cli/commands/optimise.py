@@ -84,7 +84,7 @@ def optimise_command(
     request = OptimisationRequest(
         scope=what,
         rig=rig,
-        study=_changed(Study.load(name), calibration, seeds),
+        study=_study_with_overrides(Study.load(name), calibration, seeds),
         study_name=name,
         out=out,
         workers=workers,
@@ -98,7 +98,7 @@ def optimise_command(
     console.conclude(result.diagnosis, str(out), answer, json, lambda: _show(answer))
 
 
-def _changed(study: Study, calibration: Path | None, seeds: int | None) -> Study:
+def _study_with_overrides(study: Study, calibration: Path | None, seeds: int | None) -> Study:
     """The study with what the command says instead. Raises `ConfigError`, `CalibrationError`."""
     from fpplab.calibration.model import Calibration
     from fpplab.optimisation.problem import CalibrationAt

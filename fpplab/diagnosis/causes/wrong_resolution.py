@@ -99,7 +99,7 @@ def moire_spectrum(sample: FrameSample, axis: Axis) -> tuple[Floats, Floats] | N
     """Measure what of the coordinate's roughness repeats with a frequency along the projector's pixels."""
     # returns cycles (F,), amplitudes (F,)
     limits = sample.limits.of(WrongResolutionLimits)
-    even = _even(sample.recording.mean_image(), limits.max_even_change)
+    even = _find_evenly_bright_pixels(sample.recording.mean_image(), limits.max_even_change)
     position, rough = _roughness(sample.coordinates[axis], even, sample.step)
     if len(position) < sample.limits.of(FringeShapeLimits).min_pixels:
         return None
@@ -175,7 +175,7 @@ def _roughness(coordinate: Map, even: Mask, step: int) -> tuple[Floats, Floats]:
     return middle[whole], rough[whole]
 
 
-def _even(image: Image, max_change: float) -> Mask:
+def _find_evenly_bright_pixels(image: Image, max_change: float) -> Mask:
     """Which pixels have neighbours of nearly their own brightness."""
     level = cv2.GaussianBlur(image, (0, 0), 1.0).astype(np.float32)
     change = np.hypot(cv2.Sobel(level, -1, 1, 0, scale=0.125), cv2.Sobel(level, -1, 0, 1, scale=0.125))

@@ -83,12 +83,16 @@ def check_plan_fit(recording: Recording, limits: DiagnosisLimits = USUAL_LIMITS)
         return None
     sampled = replace(recording, frames=[np.ascontiguousarray(f[sample.rows]) for f in recording.frames])
     stated = disagreement(sampled, recording.plan, sample)
-    if stated.median > check_limits.max_agreeing and (better := _better(sampled, sets, sample, stated)):
+    if stated.median > check_limits.max_agreeing and (
+        better := _find_better_plan(sampled, sets, sample, stated)
+    ):
         return better
     return _orientation(sets, sample, stated.median)
 
 
-def _better(sampled: Recording, sets: Sets, sample: PhaseSample, stated: Disagreement) -> PlanCheck | None:
+def _find_better_plan(
+    sampled: Recording, sets: Sets, sample: PhaseSample, stated: Disagreement
+) -> PlanCheck | None:
     """Find the simplest of the plans that fit much better."""
     limits = sample.limits
     tried = [(edit, disagreement(sampled, edit.plan(sampled.plan), sample)) for edit in edits(sets, sample)]

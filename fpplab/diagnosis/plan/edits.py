@@ -77,9 +77,9 @@ def _other_axes(sets: Sets, observed: list[Direction], finest: int) -> Edit | No
     if not wrong:
         return None
     return Edit(
-        f"the fringes of {_named(sets, wrong)} run along the other axis than those of "
-        f"{_named(sets, [finest])}",
-        _written(sets, wrong, "axis", lambda k: axes[k]),
+        f"the fringes of {_name_sets(sets, wrong)} run along the other axis than those of "
+        f"{_name_sets(sets, [finest])}",
+        _text_to_write_in_sets(sets, wrong, "axis", lambda k: axes[k]),
         tuple(s.model_copy(update={"axis": axis}) for s, axis in zip(sets, axes, strict=True)),
     )
 
@@ -113,8 +113,8 @@ def _other_signs(sets: Sets, observed: list[Direction]) -> Edit | None:
     if not wrong:
         return None
     return Edit(
-        f"the phase of {_named(sets, wrong)} runs against that of the others",
-        _written(sets, wrong, "shift_sign", lambda k: -sets[k].shift_sign),
+        f"the phase of {_name_sets(sets, wrong)} runs against that of the others",
+        _text_to_write_in_sets(sets, wrong, "shift_sign", lambda k: -sets[k].shift_sign),
         tuple(_turned(s) if k in wrong else s for k, s in enumerate(sets)),
     )
 
@@ -139,8 +139,8 @@ def _other_stripes(sets: Sets, observed: list[Direction], sample: PhaseSample) -
 
 def _with_stripes(sets: Sets, stripes: Mapping[int, float]) -> Edit:
     return Edit(
-        "; ".join(f"{_named(sets, [k])} shows {number:g} stripes" for k, number in stripes.items()),
-        _written(sets, list(stripes), "stripes", lambda k: f"{stripes[k]:g}"),
+        "; ".join(f"{_name_sets(sets, [k])} shows {number:g} stripes" for k, number in stripes.items()),
+        _text_to_write_in_sets(sets, list(stripes), "stripes", lambda k: f"{stripes[k]:g}"),
         tuple(s.model_copy(update={"stripes": stripes.get(k, s.stripes)}) for k, s in enumerate(sets)),
     )
 
@@ -188,8 +188,8 @@ def _other_origins(sets: Sets, sample: PhaseSample) -> Edit | None:
     if not wrong:
         return None
     return Edit(
-        f"the phase of {_named(sets, wrong)} does not begin where that of the coarser sets does",
-        _written(sets, wrong, "phase_origin_rad", lambda k: f"{moved[k].phase_origin_rad:.3f}"),
+        f"the phase of {_name_sets(sets, wrong)} does not begin where that of the coarser sets does",
+        _text_to_write_in_sets(sets, wrong, "phase_origin_rad", lambda k: f"{moved[k].phase_origin_rad:.3f}"),
         moved,
     )
 
@@ -244,11 +244,15 @@ def upright(sets: Sets, observed: list[Direction]) -> Edit | None:
         return None
     mistakes, remedies = [], []
     if other_axes:
-        mistakes.append(f"the fringes of {_named(sets, other_axes)} run along the other axis of the image")
-        remedies.append(_written(sets, other_axes, "axis", lambda k: axes[k]))
+        mistakes.append(
+            f"the fringes of {_name_sets(sets, other_axes)} run along the other axis of the image"
+        )
+        remedies.append(_text_to_write_in_sets(sets, other_axes, "axis", lambda k: axes[k]))
     if other_signs:
-        mistakes.append(f"the phase of {_named(sets, other_signs)} rises to the left or upwards")
-        remedies.append(_written(sets, other_signs, "shift_sign", lambda k: -sets[k].shift_sign))
+        mistakes.append(f"the phase of {_name_sets(sets, other_signs)} rises to the left or upwards")
+        remedies.append(
+            _text_to_write_in_sets(sets, other_signs, "shift_sign", lambda k: -sets[k].shift_sign)
+        )
     edited = tuple(
         s.model_copy(update={"axis": axes[k], "shift_sign": observed[k].way(observed[k].level)})
         for k, s in enumerate(sets)
@@ -282,7 +286,7 @@ def _other(axis: Axis) -> Axis:
     return "y" if axis == "x" else "x"
 
 
-def _named(sets: Sets, which: Sequence[int]) -> str:
+def _name_sets(sets: Sets, which: Sequence[int]) -> str:
     """Name sets by index and stripes, or all along an axis at once."""
     names = []
     for axis in AXES:
@@ -294,9 +298,9 @@ def _named(sets: Sets, which: Sequence[int]) -> str:
     return " and ".join(names)
 
 
-def _written(sets: Sets, which: Sequence[int], key: str, value: Callable[[int], object]) -> str:
+def _text_to_write_in_sets(sets: Sets, which: Sequence[int], key: str, value: Callable[[int], object]) -> str:
     """Say what to write in which sets."""
     by_value: dict[str, list[int]] = {}
     for k in which:
         by_value.setdefault(str(value(k)), []).append(k)
-    return "; ".join(f"write '{key}: {text}' in {_named(sets, ks)}" for text, ks in by_value.items())
+    return "; ".join(f"write '{key}: {text}' in {_name_sets(sets, ks)}" for text, ks in by_value.items())

@@ -64,14 +64,14 @@ def guess_plan(
         plan = Plan(fringes=with_origins(sets, sample) if coarsest <= 1.0 else sets, unwrapping=method)
         misfit = disagreement(sampled, plan, sample).median
         if not misfit > sample.limits.max_agreeing:
-            return PlanGuess(plan, misfit, _assumed(coarsest, finest))
+            return PlanGuess(plan, misfit, _list_assumptions(coarsest, finest))
     raise DataError(
         f"the images show sets of {str(images)[1:-1]} steps, but how many stripes they have across the whole "
         "projector cannot be determined; say with --finest how many the finest set has"
     )
 
 
-def _assumed(coarsest: float, finest: float | None) -> tuple[str, ...]:
+def _list_assumptions(coarsest: float, finest: float | None) -> tuple[str, ...]:
     sentences = ["camera and projector stand upright: columns run to the right in the image, rows down"]
     if coarsest <= 1.0:
         sentences.append("the coarsest set of each axis has one stripe across the whole projector")
@@ -160,7 +160,8 @@ def _with_stripes(
     """Numbers of stripes that have the ratios measured, the least first."""
     by_axis = [along for axis in AXES if (along := indices_along(sets, axis))]
     scaled = [
-        _scaled(_ratios(sets, along), _visible_periods(sample, along[0]), finest, limits) for along in by_axis
+        _scaled_stripes(_ratios(sets, along), _visible_periods(sample, along[0]), finest, limits)
+        for along in by_axis
     ]
     for numbers in zip(*scaled, strict=False):
         edited = list(sets)
@@ -186,7 +187,9 @@ def _visible_periods(sample: PhaseSample, k: int) -> float:
     return float(max(right * width, down * height) / (2.0 * np.pi))
 
 
-def _scaled(ratios: Floats, turns: float, finest: float | None, limits: GuessLimits) -> Iterator[Floats]:
+def _scaled_stripes(
+    ratios: Floats, turns: float, finest: float | None, limits: GuessLimits
+) -> Iterator[Floats]:
     """Go through stripes of the sets of one axis, coarsest first."""
     if finest is not None:
         stripes = ratios * finest / ratios[-1]

@@ -23,12 +23,12 @@ def name_other_patterns(
     descriptions = [f"{_listed(numbers)} {text}" for text, numbers in _by_description(kinds).items()]
     if descriptions:
         others = [k for k, kind in enumerate(kinds) if kind is not None]
-        ranges = ",".join(_range(run) for run in _runs(others))
+        ranges = ",".join(_range(run) for run in _runs_of_successive_numbers(others))
         return (
             f"{'; '.join(descriptions)}: only phase-shifted sinusoids are decoded; leave these images out "
             f"with '--skip {ranges}', where the sinusoids alone suffice, and count them from 0"
         )
-    return _unequal(levels, sizes, limits)
+    return _describe_unequal_steps(levels, sizes, limits)
 
 
 def sampled_levels(frames: Sequence[Image], pixels: int) -> Floats:
@@ -88,7 +88,7 @@ def _by_description(kinds: Sequence[str | None]) -> dict[str, list[int]]:
     return by_text
 
 
-def _runs(numbers: Sequence[int]) -> list[tuple[int, int]]:
+def _runs_of_successive_numbers(numbers: Sequence[int]) -> list[tuple[int, int]]:
     """First and last of each run of successive numbers."""
     runs = [list(run) for _, run in groupby(enumerate(numbers), key=lambda pair: pair[1] - pair[0])]
     return [(run[0][1], run[-1][1]) for run in runs]
@@ -99,11 +99,11 @@ def _range(run: tuple[int, int]) -> str:
 
 
 def _listed(numbers: Sequence[int]) -> str:
-    runs = ", ".join(map(_range, _runs(numbers)))
+    runs = ", ".join(map(_range, _runs_of_successive_numbers(numbers)))
     return f"image {runs}" if len(numbers) == 1 else f"images {runs}"
 
 
-def _unequal(levels: Floats, sizes: Sequence[int], limits: GuessLimits) -> str | None:
+def _describe_unequal_steps(levels: Floats, sizes: Sequence[int], limits: GuessLimits) -> str | None:
     """Sets of sinusoids whose steps are not equal."""
     sentences = []
     for k, (start, count) in enumerate(zip(np.cumsum([0, *sizes]), sizes, strict=False)):

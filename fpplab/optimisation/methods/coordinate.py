@@ -51,11 +51,11 @@ def coordinate_search(
     places = range(len(runner.space.parameters)) if free is None else free
     length = settings.first
     while True:
-        points = list(dict.fromkeys(_moves(runner, current.point, places, length)))
+        points = list(dict.fromkeys(_moves_along_parameters(runner, current.point, places, length)))
         trials = runner.measure(points)
         best = min([current, *trials], key=rank)
         if rank(best) < rank(current):
-            further = runner.measure(list(_doubled(runner, current.point, best.point)))
+            further = runner.measure(list(_double_move(runner, current.point, best.point)))
             current = min([best, *further], key=rank)
             runner.epoch("move", [*trials, *further])
             continue
@@ -76,11 +76,13 @@ def _integer_move(parameter: Parameter, length: float) -> int:
     return max(1, round(length * (parameter.upper - parameter.lower)))
 
 
-def _moves(runner: CandidateRunner, point: Point, places: Sequence[int], length: float) -> Iterator[Point]:
+def _moves_along_parameters(
+    runner: CandidateRunner, point: Point, places: Sequence[int], length: float
+) -> Iterator[Point]:
     parameters = runner.space.parameters
     for i in places:
         for sign in (-1, 1):
-            value = _moved(parameters[i], point[i], sign * length)
+            value = _move_value(parameters[i], point[i], sign * length)
             if value is not None:
                 yield _changed(point, {i: value})
     counts = [i for i in places if parameters[i].name.startswith("steps")]
@@ -92,7 +94,7 @@ def _moves(runner: CandidateRunner, point: Point, places: Sequence[int], length:
     if len(stripes) > 1:
         for sign in (-1, 1):
             shares = [sign * length * (k + 1) / len(stripes) for k in range(len(stripes))]
-            moved = [_moved(parameters[i], point[i], s) for i, s in zip(stripes, shares, strict=True)]
+            moved = [_move_value(parameters[i], point[i], s) for i, s in zip(stripes, shares, strict=True)]
             yield _changed(point, {i: m for i, m in zip(stripes, moved, strict=True) if m is not None})
 
 
@@ -100,7 +102,7 @@ def _changed(point: Point, values: dict[int, float]) -> Point:
     return tuple(values.get(i, value) for i, value in enumerate(point))
 
 
-def _moved(parameter: Parameter, value: float, length: float) -> float | None:
+def _move_value(parameter: Parameter, value: float, length: float) -> float | None:
     """Move a value by a share of its range; None where nothing in the range lies there."""
     if parameter.is_integer:
         moved = value + _integer_move(parameter, abs(length)) * (1 if length > 0 else -1)
@@ -110,7 +112,7 @@ def _moved(parameter: Parameter, value: float, length: float) -> float | None:
     return moved if moved != value else None
 
 
-def _doubled(runner: CandidateRunner, start: Point, end: Point) -> Iterator[Point]:
+def _double_move(runner: CandidateRunner, start: Point, end: Point) -> Iterator[Point]:
     """Double a move that improved, where the range allows."""
     further = []
     for parameter, a, b in zip(runner.space.parameters, start, end, strict=True):

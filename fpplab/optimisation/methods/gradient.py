@@ -56,13 +56,13 @@ class Gradient(SearchMethod):
     def search(self, runner: CandidateRunner) -> str:
         """Descend from the start."""
         current = runner.start
-        lowest = [_objective(runner, current)]
+        lowest = [_penalised_objective(runner, current)]
         while True:
-            around = _around(runner, current.point, self)
+            around = _points_around(runner, current.point, self)
             trials = runner.measure([point for pair in around for point in pair])
             pairs = list(zip(trials[::2], trials[1::2], strict=True))
             moves = [
-                _move(runner, parameter, current, pair, self, i)
+                _step_along_parameter(runner, parameter, current, pair, self, i)
                 for i, (parameter, pair) in enumerate(zip(runner.space.parameters, pairs, strict=True))
             ]
             if not any(moves):
@@ -74,18 +74,18 @@ class Gradient(SearchMethod):
                 return "the next step leads to what cannot be shown or measured"
             current = moved
             runner.epoch("step", [*trials, current])
-            lowest.append(min(lowest[-1], _objective(runner, current)))
+            lowest.append(min(lowest[-1], _penalised_objective(runner, current)))
             if len(lowest) > self.patience and lowest[-1 - self.patience] - lowest[-1] < self.gain:
                 return f"improved by less than {self.gain:g} in {self.patience} epochs"
 
 
-def _objective(runner: CandidateRunner, trial: MeasuredCandidate) -> float:
+def _penalised_objective(runner: CandidateRunner, trial: MeasuredCandidate) -> float:
     """Compute the objective in its own unit, with a penalty where the plan exceeds a limit."""
     value, scale = runner.ranking.values(trial)[0], abs(runner.ranking.values(runner.start)[0])
     return value + LIMITS.penalty * scale * runner.ranking.violation(trial)
 
 
-def _around(runner: CandidateRunner, point: Point, settings: Gradient) -> list[tuple[Point, Point]]:
+def _points_around(runner: CandidateRunner, point: Point, settings: Gradient) -> list[tuple[Point, Point]]:
     """Choose a point below and one above along each parameter; the point itself at the end of a range."""
     pairs = []
     for i, parameter in enumerate(runner.space.parameters):
@@ -103,7 +103,7 @@ def _neighbour(parameter: Parameter, value: float, share: float, integer_step: i
     return parameter.value_at(min(max(parameter.fraction(value) + share, 0.0), 1.0))
 
 
-def _move(
+def _step_along_parameter(
     runner: CandidateRunner,
     parameter: Parameter,
     current: MeasuredCandidate,
@@ -114,7 +114,7 @@ def _move(
     """Compute the step along parameter `i`: a share of its range, or -1, 0 or 1 for an integer."""
     measured = [trial for trial in pair if trial.measured]
     if parameter.is_integer:
-        best = min([current, *measured], key=lambda trial: _objective(runner, trial))
+        best = min([current, *measured], key=lambda trial: _penalised_objective(runner, trial))
         return best.point[i] - current.point[i]
     # Where one side cannot be measured, the slope is taken over the other side alone.
     low, high = (trial if trial.measured else current for trial in pair)
@@ -122,7 +122,7 @@ def _move(
     if width == 0:
         return 0.0
     scale = abs(runner.ranking.values(runner.start)[0])
-    slope = (_objective(runner, high) - _objective(runner, low)) / scale / width
+    slope = (_penalised_objective(runner, high) - _penalised_objective(runner, low)) / scale / width
     down = min(max(-settings.rate * slope, -LIMITS.max_step), LIMITS.max_step)
     share = parameter.fraction(current.point[i])
     return min(max(share + down, 0.0), 1.0) - share

@@ -61,11 +61,11 @@ class Nsga2(SearchMethod):
                 runner.epoch("generation", measure_round(study, runner, self.population))
                 unchanged = unchanged + 1 if runner.front == front else 0
                 front = runner.front
-        _refine(runner)
+        _refine_front(runner)
         return f"the front did not change for {self.max_unchanged} generations, and was refined"
 
 
-def _refine(runner: CandidateRunner) -> None:
+def _refine_front(runner: CandidateRunner) -> None:
     """Refine the continuous parameters of each plan of the front, which evolution finds only roughly.
 
     Then measure every plan of the front with one image more and one less in each set, until none is new.

@@ -101,7 +101,7 @@ def accepted_sentence(number: int, attempt: PoseAttempt, until_mm: float | None)
     """Describe a pose that counts."""
     parts = [f"pose {number}: {attempt.points} points"]
     if attempt.rms_px:
-        parts.append(_residuals(attempt))
+        parts.append(_residuals_text(attempt))
     now_um, until_um = in_um(attempt.form_mm), in_um(until_mm)
     if now_um is None:
         parts.append("uncertainty not known yet")
@@ -118,7 +118,7 @@ def rejected_sentence(number: int, attempt: PoseAttempt) -> str:
     return f"pose {number} rejected: {worst.sentence}{more}; {worst.remedy}"
 
 
-def _residuals(attempt: PoseAttempt) -> str:
+def _residuals_text(attempt: PoseAttempt) -> str:
     parts = []
     for device in ("camera", "projector"):
         errors = getattr(attempt.fit, device) if attempt.fit else None

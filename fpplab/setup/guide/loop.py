@@ -103,21 +103,21 @@ class _PoseGuideLoop:
         self._pose: WantedPose | None = None
 
     def run(self) -> GuidedRun:
-        paths = [self._path(k) for k in range(self._settings.poses)]
+        paths = [self._pose_folder(k) for k in range(self._settings.poses)]
         check_disk_space(self._rig, self._plan, paths, self._settings.force)
         if not self._settings.force:
-            self._resume()
+            self._count_poses_of_earlier_run()
         while True:
-            while not self._enough():
-                self._next()
-            run = self._characterised()
+            while not self._has_enough_poses():
+                self._take_next_pose()
+            run = self._characterise_accepted()
             if run.reached or len(self._sessions) >= self._settings.poses:
                 self._tell(run.sentence)
                 return run
             self._tell(f"{run.sentence.split(';')[0]}, without outlying points: one more pose")
-            self._next()
+            self._take_next_pose()
 
-    def _enough(self) -> bool:
+    def _has_enough_poses(self) -> bool:
         form, until, count = self._guide.form_mm, self._settings.until_mm, len(self._sessions)
         if count >= self._settings.poses:
             return True
@@ -130,7 +130,7 @@ class _PoseGuideLoop:
         last = self._settings.poses - len(self._sessions) <= LIMITS.fill_last
         return last or (form is not None and until is not None and form <= until)
 
-    def _resume(self) -> None:
+    def _count_poses_of_earlier_run(self) -> None:
         """Count the complete poses of an earlier run, as they were judged then."""
         for path in sorted(self._folder.glob(f"pose_*/{JOURNAL}")):
             if len(self._sessions) == self._settings.poses or Session.open(path.parent).missing():
@@ -140,18 +140,18 @@ class _PoseGuideLoop:
             session = take_or_resume_session(
                 self._rig, self._plan, path.parent, mounted, accept_complete=True
             )
-            self._judge(session, "kept from before")
+            self._accept_or_reject_pose(session, "kept from before")
 
-    def _next(self) -> None:
+    def _take_next_pose(self) -> None:
         """Ask for a pose, take it and judge it."""
         guide, number = self._guide, self._free_number()
         if self._pose is None:
             self._pose = guide.next_pose(fill=self._empty_image_parts_come_first())
-        pose, path = self._pose, self._path(number)
+        pose, path = self._pose, self._pose_folder(number)
         self._tell(f"pose {len(self._sessions) + 1}: {pose.description}")
         picture = self._folder / PICTURE
         if pose.outline_px is not None:
-            write_sketch(picture, pose, self._sizes[0], self._last_seen())
+            write_sketch(picture, pose, self._sizes[0], self._last_pose_image())
         with self._bar(f"Taking pose {len(self._sessions) + 1}") as report:
             session = take_or_resume_session(
                 self._rig,
@@ -165,7 +165,7 @@ class _PoseGuideLoop:
             )
         if not self._attempts:
             require_plan_fits(session)
-        if self._judge(session, pose.description):
+        if self._accept_or_reject_pose(session, pose.description):
             self._pose, self._tried = None, 0
             return
         self._tried += 1
@@ -173,42 +173,42 @@ class _PoseGuideLoop:
             guide.exclude(pose)
             self._pose, self._tried = None, 0
 
-    def _judge(self, session: Session, description: str) -> bool:
+    def _accept_or_reject_pose(self, session: Session, description: str) -> bool:
         """Observe a pose once, and accept or reject it."""
         with self._bar("Evaluating the pose") as report:
-            observation, reason = self._observed(session)
+            observation, reason = self._observe_board(session)
             report(0.5)
             findings = frame_findings(session.recording(verify=False))
         if observation is None:
-            self._reject(session, description, unseen_board(reason, findings))
+            self._reject_pose(session, description, unseen_board(reason, findings))
             return False
         fit = self._guide.judged(observation)
         misfit = residual_finding(fit)
         if fit is not None and fit.outlying_pose is not None:
-            self._reject_later(
+            self._reject_accepted_pose(
                 fit.outlying_pose, f"the poses agree without it, and not with {fit.outlying_pose}"
             )
             misfit = None
-        if misfit is not None or (findings and not self._usual(findings)):
+        if misfit is not None or (findings and not self._were_in_pose_before(findings)):
             # The frames may show the cause of the residuals.
             all_findings = (*findings, misfit) if misfit is not None else findings
-            self._reject(session, description, all_findings, observation, fit)
+            self._reject_pose(session, description, all_findings, observation, fit)
             return False
-        self._accept(session, description, observation, fit, findings)
+        self._accept_pose(session, description, observation, fit, findings)
         return True
 
-    def _usual(self, findings: tuple[Finding, ...]) -> bool:
+    def _were_in_pose_before(self, findings: tuple[Finding, ...]) -> bool:
         """Whether the pose before shows the same: then it is the rig's, and no pose will be without it."""
         before = {finding.cause for finding in self._attempts[-1].findings} if self._attempts else set()
         return {finding.cause for finding in findings} <= before
 
-    def _observed(self, session: Session) -> tuple[Observation | None, str]:
+    def _observe_board(self, session: Session) -> tuple[Observation | None, str]:
         try:
             return observe_session(session, self._target, self._periods), ""
         except CalibrationError as error:
             return None, str(error).removeprefix(f"{session.path.name}: ")
 
-    def _accept(
+    def _accept_pose(
         self, session: Session, description: str, observation: Observation, fit: PoseFit | None,
         findings: tuple[Finding, ...],
     ) -> None:  # fmt: skip
@@ -223,9 +223,9 @@ class _PoseGuideLoop:
         self._attempts.append(attempt)
         self._tell(accepted_sentence(len(self._sessions), attempt, self._settings.until_mm))
         for other, why in odd.items():
-            self._reject_later(other, why.removeprefix(f"{other}: "))
+            self._reject_accepted_pose(other, why.removeprefix(f"{other}: "))
 
-    def _reject(
+    def _reject_pose(
         self, session: Session, description: str, findings: tuple[Finding, ...],
         observation: Observation | None = None, fit: PoseFit | None = None,
     ) -> None:  # fmt: skip
@@ -243,7 +243,7 @@ class _PoseGuideLoop:
                 f"{first.remedy}; the same command goes on"
             )
 
-    def _reject_later(self, name: str, why: str) -> None:
+    def _reject_accepted_pose(self, name: str, why: str) -> None:
         """Take back the acceptance of an earlier pose."""
         finding = inconsistent_pose(why)
         at = max(k for k, attempt in enumerate(self._attempts) if attempt.name == name and attempt.accepted)
@@ -260,7 +260,7 @@ class _PoseGuideLoop:
         number = sum(1 for _ in aside.glob(f"{session.path.name}_*"))
         session.path.rename(aside / f"{session.path.name}_{number + 1}")
 
-    def _characterised(self) -> GuidedRun:
+    def _characterise_accepted(self) -> GuidedRun:
         guide, settings = self._guide, self._settings
         with self._bar("Characterising"):
             result = characterise(
@@ -273,16 +273,18 @@ class _PoseGuideLoop:
         result = replace(result, calibration=dated)
         return _run_of(result, self._target, sessions, tuple(self._attempts), settings, depth)
 
-    def _last_seen(self) -> NDArray[Any] | None:
+    def _last_pose_image(self) -> NDArray[Any] | None:
         if not self._sessions:
             return None
         return list(self._sessions.values())[-1].recording(verify=False).mean_image()
 
     def _free_number(self) -> int:
         """Of the first pose that does not count yet."""
-        return next(k for k in range(len(self._sessions) + 1) if self._path(k).name not in self._sessions)
+        return next(
+            k for k in range(len(self._sessions) + 1) if self._pose_folder(k).name not in self._sessions
+        )
 
-    def _path(self, number: int) -> Path:
+    def _pose_folder(self, number: int) -> Path:
         return self._folder / f"pose_{number:02d}"
 
 

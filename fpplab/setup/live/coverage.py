@@ -103,7 +103,7 @@ def advise_by_coverage(
     advice: list[str] = []
     if len(observations) >= MIN_POSES_TO_FIT:
         try:
-            advice += _shortcomings(observations, target, camera_size, projector_size)
+            advice += _uncovered_regions(observations, target, camera_size, projector_size)
         except CalibrationError as error:
             advice.append(
                 f"the poses do not determine the devices yet ({error}); tilt the board by 20 to 35°"
@@ -124,7 +124,7 @@ def _uncovered_parts(observations: Sequence[Observation], camera_size: tuple[int
     return [f"hold it also in these parts of the image: {where}"] if where else []
 
 
-def _shortcomings(
+def _uncovered_regions(
     observations: Sequence[Observation],
     target: Target,
     camera_size: tuple[int, int],

@@ -68,12 +68,12 @@ class RigGeometry:
 
     def overlap(self, distance_mm: float) -> float:
         """Compute which share of the camera's image the projector lights."""
-        return float(self._lit(distance_mm).mean())
+        return float(self._pixels_lit_at(distance_mm).mean())
 
     def outline(self, distance_mm: float) -> Floats:
         """Draw the part of a plane that both devices see."""
         # returns (K, 3) mm
-        points = (self.rays * distance_mm)[self._lit(distance_mm)]
+        points = (self.rays * distance_mm)[self._pixels_lit_at(distance_mm)]
         if len(points) < 3:
             return np.empty((0, 3))
         hull = cv2.convexHull(points[:, :2].astype(np.float32))[:, 0].astype(np.float64)
@@ -92,7 +92,7 @@ class RigGeometry:
             return self.meeting_mm, self.meeting_mm
         return float(overlapping[0]), float(overlapping[-1])
 
-    def _lit(self, distance_mm: float) -> Mask:
+    def _pixels_lit_at(self, distance_mm: float) -> Mask:
         has_ray = np.isfinite(self.rays).all(axis=-1)
         points = np.where(has_ray[..., None], self.rays, 1.0) * distance_mm
         return np.asarray(
@@ -109,7 +109,7 @@ class WorkingPoint:
     distance_mm: float  # from the camera, in mm
 
     @cached_property
-    def _points(self) -> Floats:
+    def _points_in_both_views(self) -> Floats:
         """(N, 3) points in mm that both devices see."""
         points = self.geometry.rays * self.distance_mm
         lit = self.geometry.calibration.projector.sees(
@@ -120,9 +120,11 @@ class WorkingPoint:
     @cached_property
     def angle_deg(self) -> float | None:
         """Angle of triangulation in degrees, the median; None where the fields do not overlap."""
-        if not len(self._points):
+        if not len(self._points_in_both_views):
             return None
-        return float(np.median(triangulation_angles_deg(self._points, self.geometry.calibration)))
+        return float(
+            np.median(triangulation_angles_deg(self._points_in_both_views, self.geometry.calibration))
+        )
 
     @cached_property
     def px_per_mm(self) -> Floats:
@@ -141,10 +143,10 @@ class WorkingPoint:
     def calibration_um(self) -> tuple[float, float] | None:
         """Standard uncertainty by the calibration in µm, of position and of form; None where not known."""
         calibration = self.geometry.calibration
-        if calibration.uncertainty is None or not len(self._points):
+        if calibration.uncertainty is None or not len(self._points_in_both_views):
             return None
         noise = (1.0 if "x" in self.plan.axes else np.inf, 1.0 if "y" in self.plan.axes else np.inf)
-        cloud = with_uncertainty(Cloud(self._points.astype(np.float32)), calibration, noise)
+        cloud = with_uncertainty(Cloud(self._points_in_both_views.astype(np.float32)), calibration, noise)
         assert cloud.sigma_calibration_mm is not None
         assert cloud.sigma_form_mm is not None
         position, form = (

@@ -144,8 +144,8 @@ def advise_exposure(levels: LightLevels, now: CameraSettings, limits: ExposureLi
     factor = GOALS.saturated_factor if levels.is_saturated else (GOALS.peak - levels.black) / above
     light = now.exposure_s * _of_gain(now.gain_db) * factor
     reasons: list[str] = []
-    exposure_s = _exposure(light / _of_gain(limits.gain_db[0]), limits, reasons)
-    gain_db = _gain(light / exposure_s, exposure_s, limits, reasons)
+    exposure_s = _limit_exposure(light / _of_gain(limits.gain_db[0]), limits, reasons)
+    gain_db = _limit_gain(light / exposure_s, exposure_s, limits, reasons)
     change = exposure_s * _of_gain(gain_db) / (now.exposure_s * _of_gain(now.gain_db))
     peak = None if levels.is_saturated else levels.black + above * change
     if (
@@ -167,7 +167,7 @@ def _of_gain(gain_db: float) -> float:
     return float(10.0 ** (gain_db / 20.0))
 
 
-def _exposure(wanted_s: float, limits: ExposureLimits, reasons: list[str]) -> float:
+def _limit_exposure(wanted_s: float, limits: ExposureLimits, reasons: list[str]) -> float:
     """The longest exposure that is allowed and not too long; adds a sentence where it is too bright."""
     lower_s, upper_s = limits.exposure_s
     shortest_s = max(lower_s, limits.period_s)
@@ -188,7 +188,7 @@ def _exposure(wanted_s: float, limits: ExposureLimits, reasons: list[str]) -> fl
     return min(limits.on_grid(wanted_s), upper_s)
 
 
-def _gain(factor: float, exposure_s: float, limits: ExposureLimits, reasons: list[str]) -> float:
+def _limit_gain(factor: float, exposure_s: float, limits: ExposureLimits, reasons: list[str]) -> float:
     """The gain for what the exposure leaves; adds a sentence where that is not enough."""
     min_db, max_db = limits.gain_db
     gain_db = 20.0 * math.log10(factor)

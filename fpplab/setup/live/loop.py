@@ -137,28 +137,28 @@ class LiveSetUp:
         if self._options.seconds is not None:
             self._end_s = time.monotonic() + self._options.seconds
         with ThreadPoolExecutor(1) as self._worker:
-            while not self._ended():
+            while not self._has_ended():
                 if not turn.take():
-                    self._pause(turn)
+                    self._pause_until_rig_is_free(turn)
                     continue
                 try:
                     if self._paused_for is not None:
                         self._paused_for, self._message = None, "the rig is free again"
                     with self._rig:
                         self._prepare_on_open_rig()
-                        while not self._ended() and not turn.is_requested():
-                            self._step(turn)
+                        while not self._has_ended() and not turn.is_requested():
+                            self._obey_and_take_frame(turn)
                 finally:
                     turn.yield_rig()
         self._counted()
         return self.status
 
-    def _ended(self) -> bool:
+    def _has_ended(self) -> bool:
         frames = self._options.frames
         spent = frames is not None and self._frames >= frames
         return self._over or spent or time.monotonic() >= self._end_s
 
-    def _pause(self, turn: RigTurn) -> None:
+    def _pause_until_rig_is_free(self, turn: RigTurn) -> None:
         """Wait for the command that has the rig."""
         if self._paused_for is None:
             self._pauses += 1
@@ -193,23 +193,23 @@ class LiveSetUp:
         if self._frames == 0:
             dark = self._watch.dark_frame()
             self._measures.black = float(np.median(dark.image)) / full_scale(dark.settings.bits)
-        self._begin()
+        self._begin_view()
 
-    def _begin(self, view: View | None = None) -> None:
+    def _begin_view(self, view: View | None = None) -> None:
         """Restart the view, or begin another one."""
         self._view, self._turn_of_view = view or self._view, 0
         self._advice = None
         self._measures.begin(self._patterns, self._view, self._rig.projector.caps.size)
 
-    def _step(self, turn: RigTurn) -> None:
+    def _obey_and_take_frame(self, turn: RigTurn) -> None:
         """Obey, and take one frame."""
         try:
             order = self._orders.get_nowait()
         except Empty:
             order = None
         if order is not None:
-            self._obey(order, turn)
-        if self._ended() or turn.is_requested():
+            self._obey_order(order, turn)
+        if self._has_ended() or turn.is_requested():
             return
         self._counted()
         shown = self._patterns.views[self._view]
@@ -219,7 +219,7 @@ class LiveSetUp:
         self._frames += 1
         self._times.append(time.monotonic())
         if self._measures.add(frame):
-            self._advise()
+            self._advise_exposure()
         self._show(frame, self._patterns.patterns[index])
 
     def _show(self, frame: Frame | None, pattern: Pattern | None) -> None:
@@ -229,7 +229,7 @@ class LiveSetUp:
 
     # --- exposure
 
-    def _advise(self) -> None:
+    def _advise_exposure(self) -> None:
         """Compute the advice, and follow it further where the operator has taken it."""
         levels, settings = self._measures.levels, self._settings
         assert settings is not None
@@ -247,31 +247,31 @@ class LiveSetUp:
         settings = replace(self._settings, exposure_s=exposure_s, gain_db=gain_db)
         self._settings = self._watch.configure(settings)
         self._message = _settings_text(self._settings)
-        self._begin()
+        self._begin_view()
 
     def _take_advice(self) -> None:
         if self._view is View.BLACK:
-            self._begin(View.MEASURE)
+            self._begin_view(View.MEASURE)
         self._seeks = 6  # steps at most, where one is not enough because the image was saturated
         if self._advice is None:
             self._message = "the exposure is being measured"
             return
         limits = "; ".join(self._advice.limits)
-        self._advise()
+        self._advise_exposure()
         self._message = f"{self._message}; {limits}" if limits else self._message
 
     # --- orders
 
-    def _obey(self, order: Order, turn: RigTurn) -> None:
+    def _obey_order(self, order: Order, turn: RigTurn) -> None:
         assert self._settings is not None
         if order is not Order.ADVICE:
             self._seeks = 0
         try:
-            self._act(order, turn)
+            self._carry_out_order(order, turn)
         except REFUSALS as error:
             self._seeks, self._message = 0, str(error)
 
-    def _act(self, order: Order, turn: RigTurn) -> None:
+    def _carry_out_order(self, order: Order, turn: RigTurn) -> None:
         assert self._settings is not None
         exposure_s, gain_db = self._settings.exposure_s, self._settings.gain_db
         step_mm = self._options.stage_step_mm
@@ -283,25 +283,25 @@ class LiveSetUp:
             Order.MORE_GAIN: lambda: self._configure(exposure_s, gain_db + GAIN_STEP_DB),
             Order.LESS_GAIN: lambda: self._configure(exposure_s, gain_db - GAIN_STEP_DB),
             Order.ADVICE: self._take_advice,
-            Order.FORWARD: lambda: self._move(step_mm),
-            Order.BACK: lambda: self._move(-step_mm),
+            Order.FORWARD: lambda: self._move_stage(step_mm),
+            Order.BACK: lambda: self._move_stage(-step_mm),
             Order.HOME: self._home,
-            Order.TAKE: lambda: self._take(turn),
+            Order.TAKE: lambda: self._take_pose(turn),
             Order.NEXT_POSE: self._next_pose,
             Order.RESET: self._reset,
             Order.QUIT: self._quit,
         }
         if order in VIEW_ORDERS:
-            self._choose(VIEW_ORDERS[order])
+            self._choose_view(VIEW_ORDERS[order])
         else:
             actions[order]()
 
-    def _choose(self, view: View) -> None:
+    def _choose_view(self, view: View) -> None:
         if view not in self._patterns.views:
             self._message = f"the projector's memory has no {view} image; it shows the plan's own patterns"
             return
         self._message = WORDS[Order(view.value)][1]
-        self._begin(view)
+        self._begin_view(view)
 
     def _reset(self) -> None:
         self._measures.forget_focus()
@@ -316,7 +316,7 @@ class LiveSetUp:
         stage = self._rig.stage
         self._stage = None if stage is None else StageState(stage.homed, stage.position_mm)
 
-    def _move(self, by_mm: float) -> None:
+    def _move_stage(self, by_mm: float) -> None:
         stage = self._rig.stage
         if stage is None:
             self._message = "the rig has no stage"
@@ -335,7 +335,7 @@ class LiveSetUp:
         self._read_stage()
         assert self._stage is not None
         self._message = f"the stage is at {self._stage.position_mm:g} mm"
-        self._begin()
+        self._begin_view()
 
     def _next_pose(self) -> None:
         item = self._options.item
@@ -345,11 +345,11 @@ class LiveSetUp:
         self._rig.need_fixture(f"--item {item}").mount(item, self._pose + 1)
         self._pose += 1
         self._message = f"{item} in pose {self._pose}"
-        self._begin()
+        self._begin_view()
 
     # --- poses of the board
 
-    def _take(self, turn: RigTurn) -> None:
+    def _take_pose(self, turn: RigTurn) -> None:
         folder = self._options.poses
         if folder is None or self._coverage is None:
             self._message = "give --target with the file of your board to take poses of it"

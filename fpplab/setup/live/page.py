@@ -85,7 +85,7 @@ class SetUpPage:
 
     def _content(self, method: str, name: str, body: bytes) -> tuple[int, str, bytes]:
         if (method, name) == ("GET", ""):
-            return HTTPStatus.OK, "text/html; charset=utf-8", self._html()
+            return HTTPStatus.OK, "text/html; charset=utf-8", self._page_html()
         if (method, name) == ("GET", "state"):
             self._left_s, self._opened = None, True
             return HTTPStatus.OK, "application/json", self._state
@@ -93,10 +93,10 @@ class SetUpPage:
             self._left_s = time.monotonic()
             return HTTPStatus.OK, "application/json", b"{}"
         if (method, name) == ("POST", "order"):
-            return self._ordered(body)
+            return self._accept_order(body)
         return _refused(HTTPStatus.NOT_FOUND, "there is no such address")
 
-    def _ordered(self, body: bytes) -> tuple[int, str, bytes]:
+    def _accept_order(self, body: bytes) -> tuple[int, str, bytes]:
         try:
             order = Order(json.loads(body)["order"])
         except (ValueError, KeyError, TypeError):
@@ -104,7 +104,7 @@ class SetUpPage:
         self._orders.put(order)
         return HTTPStatus.ACCEPTED, "application/json", b"{}"
 
-    def _html(self) -> bytes:
+    def _page_html(self) -> bytes:
         text = files(__package__).joinpath(TEMPLATE).read_text(encoding="utf-8")
         orders = {order.value: {"key": key, "label": label} for order, (key, label) in WORDS.items()}
         content = json.dumps({"orders": orders, "viewer": self._viewer}).replace("<", "\\u003c")

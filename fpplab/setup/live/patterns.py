@@ -55,8 +55,8 @@ class LivePatterns:
 
 def live_patterns(plan: Plan, caps: ProjectorCaps) -> Iterator[LivePatterns]:
     """Make the patterns for a plan, and fewer for a projector that only shows what is in its memory."""
-    yield _with_stills(_short(plan), caps)
-    yield _of_cycle(_own(plan), caps)
+    yield _with_stills(_short_plan(plan), caps)
+    yield _of_cycle(_widest_and_finest_sets(plan), caps)
 
 
 def loaded_patterns(plan: Plan, projector: Projector) -> LivePatterns:
@@ -72,14 +72,14 @@ def loaded_patterns(plan: Plan, projector: Projector) -> LivePatterns:
     return choices[-1]
 
 
-def _own(plan: Plan) -> Plan:
+def _widest_and_finest_sets(plan: Plan) -> Plan:
     """The widest and the finest set of the plan along its first axis."""
     sets = plan.sets_along(plan.axes[0])
     chosen = tuple(plan.fringes[k] for k in dict.fromkeys((sets[0], sets[-1])))
     return plan.model_copy(update={"fringes": chosen})
 
 
-def _short(plan: Plan) -> Plan:
+def _short_plan(plan: Plan) -> Plan:
     """The same with few steps, and with wide stripes where the plan has none."""
     finest = plan.finest
     widest = plan.fringes[plan.sets_along(plan.axes[0])[0]]
@@ -105,28 +105,28 @@ def _with_stills(plan: Plan, caps: ProjectorCaps) -> LivePatterns:
     stills = {
         View.WHITE: white,
         View.BLACK: black,
-        View.CHECKER: Pattern("live-checker", _checker(caps.size, caps.lattice)),
-        View.CROSS: Pattern("live-cross", _cross(caps.size, caps.lattice)),
+        View.CHECKER: Pattern("live-checker", _checker_image(caps.size, caps.lattice)),
+        View.CROSS: Pattern("live-cross", _cross_image(caps.size, caps.lattice)),
     }
     first = len(cycle.patterns)
     views = cycle.views | {view: (first + k,) for k, view in enumerate(stills)}
     return LivePatterns(plan, (*cycle.patterns, *stills.values()), views)
 
 
-def _sides(size: tuple[int, int], lattice: Lattice, across: int) -> tuple[int, int]:
+def _square_sides(size: tuple[int, int], lattice: Lattice, across: int) -> tuple[int, int]:
     """Width and height in mirrors of a square of which this number lies across the projector."""
     side = max(1, size[0] // across)
     return side, side * (2 if lattice is Lattice.DIAMOND else 1)
 
 
-def _checker(size: tuple[int, int], lattice: Lattice) -> NDArray[np.uint8]:
-    side, rise = _sides(size, lattice, SQUARES)
+def _checker_image(size: tuple[int, int], lattice: Lattice) -> NDArray[np.uint8]:
+    side, rise = _square_sides(size, lattice, SQUARES)
     columns, rows = np.arange(size[0]) // side, np.arange(size[1]) // rise
     return np.asarray(255 * ((rows[:, None] + columns) % 2), np.uint8)
 
 
-def _cross(size: tuple[int, int], lattice: Lattice) -> NDArray[np.uint8]:
-    (width, height), (side, rise) = size, _sides(size, lattice, 10 * SQUARES)
+def _cross_image(size: tuple[int, int], lattice: Lattice) -> NDArray[np.uint8]:
+    (width, height), (side, rise) = size, _square_sides(size, lattice, 10 * SQUARES)
     image = np.zeros((height, width), np.uint8)
     image[:rise], image[-rise:], image[:, :side], image[:, -side:] = 255, 255, 255, 255
     image[(height - rise) // 2 : (height + rise) // 2 + 1] = 255

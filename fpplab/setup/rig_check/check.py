@@ -114,7 +114,7 @@ def check_rig(
                 rig.fixture.mount(item)
             marker_inspection.at(rig, lambda share: progress(0.4 * share))
             fringes.at(rig, marker_inspection.fringe_plan, lambda share: progress(0.4 + 0.6 * share))
-            timing = _timing(rig, plan)
+            timing = _plan_timing(rig, plan)
             failed += _of_transport(rig, plan, timing, folder)
     except DeviceError as error:
         failed.append(device_finding(error))
@@ -127,8 +127,8 @@ def check_rig(
     return RigCheck(
         shown=marker(),
         runs=tuple(marker_inspection.runs),
-        findings=_ranked([*failed, *marker_inspection.findings, *of_light]),
-        unknown=(*_unseen(of_light), *unknown),
+        findings=_rank_findings([*failed, *marker_inspection.findings, *of_light]),
+        unknown=(*_causes_invisible_in_darkness(of_light), *unknown),
         settle_s=marker_inspection.settle_s,
         timing=timing,
         recording=fringes.recording,
@@ -139,13 +139,13 @@ def check_rig(
     )
 
 
-def _unseen(findings: Sequence[Finding]) -> tuple[str, ...]:
+def _causes_invisible_in_darkness(findings: Sequence[Finding]) -> tuple[str, ...]:
     """What frames of a dark projector do not show."""
     dark = {PROJECTOR_DARK, UNDEREXPOSED, MISSING_COLOUR}
     return (UNSEEN_COLOUR,) if any(finding.cause in dark for finding in findings) else ()
 
 
-def _timing(rig: Rig, plan: Plan) -> PulseTiming | None:
+def _plan_timing(rig: Rig, plan: Plan) -> PulseTiming | None:
     """The plan's times, where the devices can show it."""
     caps = rig.projector.caps
     patterns = make_patterns(plan, caps.size, caps.lattice)
@@ -172,7 +172,7 @@ def _of_transport(rig: Rig, plan: Plan, timing: PulseTiming | None, folder: Path
     return [finding for finding in findings if finding is not None]
 
 
-def _ranked(findings: list[Finding]) -> tuple[Finding, ...]:
+def _rank_findings(findings: list[Finding]) -> tuple[Finding, ...]:
     """The worst first, each cause once."""
     first: dict[FaultCause, Finding] = {}
     for finding in sorted(findings, key=lambda finding: -finding.excess):
@@ -207,18 +207,18 @@ class _FringeInspection:
             return
         for shown_plan in _with_both_axes(plan) if self._calibration else (plan,):
             try:
-                recording = _taken(rig, shown_plan, lambda share: progress(0.8 * share))
+                recording = _take_frames(rig, shown_plan, lambda share: progress(0.8 * share))
             except CapabilityError as error:
                 missing = error
                 continue
             self.recording = recording
-            self.diagnosis = self._judged(recording, rig)
+            self.diagnosis = self._judge_frames(recording, rig)
             findings = with_mains(self.diagnosis.findings, mains_finding(rig, plan))
             self.diagnosis = replace(self.diagnosis, findings=findings)
             return
         self.unknown.append(f"light, focus and geometry: {missing.found}; {missing.remedy}")
 
-    def _judged(self, recording: Recording, rig: Rig) -> Diagnosis:
+    def _judge_frames(self, recording: Recording, rig: Rig) -> Diagnosis:
         in_step = check_synchronisation(recording)
         if in_step.in_step:
             return self._of_frames(recording, rig)
@@ -260,7 +260,7 @@ def _with_both_axes(plan: Plan) -> Iterator[Plan]:
     yield plan
 
 
-def _taken(rig: Rig, plan: Plan, progress: Progress) -> Recording:
+def _take_frames(rig: Rig, plan: Plan, progress: Progress) -> Recording:
     """The frames of a plan, in memory."""
     caps = rig.projector.caps
     patterns = make_patterns(plan, caps.size, caps.lattice)

@@ -105,13 +105,13 @@ def disk_finding(
 
 def mains_finding(rig: Rig, plan: Plan) -> Finding | None:
     """Look for light at the mains' frequency: unlike random flicker, exposures of whole periods reduce it."""
-    flicker = _scatter(rig, plan, plan.exposure_s)
+    flicker = _brightness_scatter(rig, plan, plan.exposure_s)
     if flicker is None or flicker <= LIMITS.min_mains_scatter:
         return None
     by_exposure: list[tuple[float, float, float]] = []
     for hertz in LIMITS.mains_hz:
         exposure_s = max(1, round(plan.exposure_s * hertz)) / hertz
-        if (scatter := _scatter(rig, plan, exposure_s)) is not None:
+        if (scatter := _brightness_scatter(rig, plan, exposure_s)) is not None:
             by_exposure.append((scatter, exposure_s, hertz))
     scatter, exposure_s, hertz = min(by_exposure, default=(math.inf, 0.0, 0.0))
     if scatter > LIMITS.max_calm_share * flicker:
@@ -131,7 +131,7 @@ def mains_finding(rig: Rig, plan: Plan) -> Finding | None:
 
 def flickers(rig: Rig, plan: Plan) -> bool:
     """Return whether the light flickers, by frames of one grey level, which no slip changes."""
-    levels = _levels(rig, plan, plan.exposure_s)
+    levels = _mean_frame_levels(rig, plan, plan.exposure_s)
     if levels is None:
         return False
     middle = float(np.median(levels))
@@ -147,13 +147,13 @@ def with_mains(findings: Sequence[Finding], mains: Finding | None) -> tuple[Find
     return tuple(sorted([first, *findings], key=lambda finding: -finding.excess))
 
 
-def _scatter(rig: Rig, plan: Plan, exposure_s: float) -> float | None:
+def _brightness_scatter(rig: Rig, plan: Plan, exposure_s: float) -> float | None:
     """Standard deviation of the frames' brightness as a share; None where they saturate."""
-    levels = _levels(rig, plan, exposure_s)
+    levels = _mean_frame_levels(rig, plan, exposure_s)
     return None if levels is None else float(np.std(levels, ddof=1) / np.mean(levels))
 
 
-def _levels(rig: Rig, plan: Plan, exposure_s: float) -> Floats | None:
+def _mean_frame_levels(rig: Rig, plan: Plan, exposure_s: float) -> Floats | None:
     """Mean levels (frames,) of frames of one grey level; None where they saturate or are not shown."""
     patterns = uniform_patterns([middle_level()] * LIMITS.frames, rig.projector.caps.size)
     settings = rig.camera_settings(exposure_s, plan.bits)

@@ -39,14 +39,16 @@ def exposure_shift(stepped: Floats, triggered: Floats) -> ExposureShift | None:
     # stepped (K,); triggered (K,)
     if not (np.isfinite(stepped).all() and np.isfinite(triggered).all()):
         return None
-    mixtures = [(_mixture(stepped, triggered, neighbour), neighbour) for neighbour in (1, -1)]
+    mixtures = [
+        (_fit_mixture_with_neighbour(stepped, triggered, neighbour), neighbour) for neighbour in (1, -1)
+    ]
     (misfit, share), neighbour = min(mixtures)
     if misfit > LIMITS.max_misfit * np.ptp(stepped) or not LIMITS.min_share <= share <= LIMITS.max_share:
         return None
     return ExposureShift(neighbour > 0, share)
 
 
-def _mixture(stepped: Floats, triggered: Floats, step: int) -> tuple[float, float]:
+def _fit_mixture_with_neighbour(stepped: Floats, triggered: Floats, step: int) -> tuple[float, float]:
     """RMS misfit of the best mixture with the neighbour `step` patterns on, and that one's share."""
     inner = slice(1, -1)
     neighbour = np.roll(stepped, -step)[inner]

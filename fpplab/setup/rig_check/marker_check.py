@@ -100,16 +100,20 @@ def matching_faults(shown: Sequence[int] | NDArray[np.int64], levels: Floats) ->
     """
     # shown (K,); levels (K,)
     greys, in_step = np.asarray(shown), list(range(len(shown)))
-    if _departure(greys, levels, in_step) <= LIMITS.max_departure:
+    if _departure_from_monotonic(greys, levels, in_step) <= LIMITS.max_departure:
         return ()
     rows = {f: f.shown(len(greys)) for f in faults(len(greys)) if f.cause is not Cause.SWAPPED}
-    fitting = [fault for fault, row in rows.items() if _departure(greys, levels, row) <= LIMITS.max_departure]
+    fitting = [
+        fault
+        for fault, row in rows.items()
+        if _departure_from_monotonic(greys, levels, row) <= LIMITS.max_departure
+    ]
     explained = {f: sum(k is not None for k in np.array(rows[f])[np.isfinite(levels)]) for f in fitting}
     most_explained = max(explained.values(), default=0)
     return tuple(fault for fault in fitting if explained[fault] == most_explained) or None
 
 
-def _departure(greys: NDArray[np.int64], levels: Floats, shown: Sequence[int | None]) -> float:
+def _departure_from_monotonic(greys: NDArray[np.int64], levels: Floats, shown: Sequence[int | None]) -> float:
     """RMS by which levels depart from any that rise with the grey levels shown, as a share of their range."""
     valid = np.array([k is not None for k in shown]) & np.isfinite(levels)
     grey, level = greys[[k or 0 for k in shown]][valid], levels[valid]
@@ -136,7 +140,7 @@ class MarkerInspection:
         """Show the marker, stepped and where the rig can triggered."""
         shown = marker()
         stepped = self._plan.model_copy(update={"trigger": "stepped"})
-        self.runs.append(run := _run(rig, stepped, shown))
+        self.runs.append(run := _show_marker_once(rig, stepped, shown))
         progress(0.4)
         self.light = _of_light(run)
         if run.rise < LIMITS.min_rise:
@@ -145,15 +149,15 @@ class MarkerInspection:
             self.light = [colour]
             return
         if (slipped := matching_faults(shown, run.levels)) != ():
-            repeated = matching_faults(shown, _run(rig, stepped, shown).levels)
-            self.settle_s = _settling(rig, stepped, shown)
+            repeated = matching_faults(shown, _show_marker_once(rig, stepped, shown).levels)
+            self.settle_s = _find_settling_time(rig, stepped, shown)
             recurs = repeated != () if self.settle_s else bool({*(slipped or ())} & {*(repeated or ())})
             self.findings.append(_of_display(slipped, stepped.settle_s, self.settle_s, recurs))
         self._of_stepped = list(self.findings)
         progress(0.7)
         if rig.projector.caps.trigger_outputs and "hardware" in rig.camera.caps.triggers:
             triggered = self._plan.model_copy(update={"trigger": "triggered"})
-            run = _run(rig, triggered, shown)
+            run = _show_marker_once(rig, triggered, shown)
             if run.frames:
                 self.runs.append(run)
             self.findings += self._of_trigger(rig, triggered, shown, run)
@@ -193,7 +197,7 @@ class MarkerInspection:
             return [_shifted(shift, plan.exposure_s)] if shift else []
         if not run.frames:
             return [_no_pulse(len(shown))]
-        slow_run = _run(rig, plan, shown, plan.exposure_s + LIMITS.safe_gap_s)
+        slow_run = _show_marker_once(rig, plan, shown, plan.exposure_s + LIMITS.safe_gap_s)
         if _shows_darkness(slow_run, LIMITS.max_dark_range * self.runs[0].rise):
             return [_wrong_edge()]
         if shift is not None:
@@ -207,7 +211,8 @@ class MarkerInspection:
                 )
             ]
         gap_s = next(
-            (s for s in LIMITS.gaps_s if _is_in_step(shown, _run(rig, plan, shown, s))), LIMITS.safe_gap_s
+            (s for s in LIMITS.gaps_s if _is_in_step(shown, _show_marker_once(rig, plan, shown, s))),
+            LIMITS.safe_gap_s,
         )
         if gap_s == 0.0:
             return [_slipped(slipped, run, remedy(plan), "when it was repeated, all frames were in step")]
@@ -222,12 +227,18 @@ def _as_uncertain(finding: Finding) -> Finding:
 
 def _missing_colour(shown: NDArray[np.int64], levels: Floats) -> Finding | None:
     """A third of the frames darker than the curve by which the others rise with the grey levels."""
-    if not np.isfinite(levels).all() or _departure(shown, levels, range(len(shown))) <= LIMITS.max_departure:
+    if (
+        not np.isfinite(levels).all()
+        or _departure_from_monotonic(shown, levels, range(len(shown))) <= LIMITS.max_departure
+    ):
         return None
     places = np.arange(len(shown))
     for colour in range(COLOURS):
         others = places % COLOURS != colour
-        if _departure(shown[others], levels[others], range(int(others.sum()))) > LIMITS.max_departure:
+        if (
+            _departure_from_monotonic(shown[others], levels[others], range(int(others.sum())))
+            > LIMITS.max_departure
+        ):
             continue
         order = np.argsort(shown[others])
         expected = np.interp(shown, shown[others][order], levels[others][order])
@@ -245,7 +256,7 @@ def recover_camera(rig: Rig) -> None:
         rig.camera.open()
 
 
-def _run(rig: Rig, plan: Plan, shown: NDArray[np.int64], gap_s: float = 0.0) -> MarkerRun:
+def _show_marker_once(rig: Rig, plan: Plan, shown: NDArray[np.int64], gap_s: float = 0.0) -> MarkerRun:
     """Show the marker once. A triggered run that ends too early is judged by the frames that came."""
     recover_camera(rig)
     patterns = uniform_patterns(shown.tolist(), rig.projector.caps.size)
@@ -269,11 +280,13 @@ def _run(rig: Rig, plan: Plan, shown: NDArray[np.int64], gap_s: float = 0.0) -> 
     return MarkerRun(plan.trigger, levels, float((illuminated >= 1.0).any(axis=0).mean()))
 
 
-def _settling(rig: Rig, plan: Plan, shown: NDArray[np.int64]) -> float | None:
+def _find_settling_time(rig: Rig, plan: Plan, shown: NDArray[np.int64]) -> float | None:
     """The first settling time with which a stepped plan is in step, twice; None where none is."""
     for settle_s in LIMITS.settle_s:
         slower = plan.model_copy(update={"settle_s": settle_s})
-        if settle_s > plan.settle_s and all(_is_in_step(shown, _run(rig, slower, shown)) for _ in range(2)):
+        if settle_s > plan.settle_s and all(
+            _is_in_step(shown, _show_marker_once(rig, slower, shown)) for _ in range(2)
+        ):
             return settle_s
     return None
 
