@@ -18,21 +18,22 @@ from sim.light.basis import PatternLevels
 from sim.light.byte_limited_cache import ByteLimitedCache
 from sim.light.cache import digest
 from sim.light.lamps import RoomLightAt
-from sim.light.lens import lens_points
+from sim.light.lens import lens_views
 from sim.light.mirrors import Mirrors
 from sim.light.solid import Bodies, traced
 from sim.light.table import Irradiance, LightTable
 from sim.scene import RenderScene, SubpixelView, Surface
 from sim.texture import MirrorTexture
 from sim.world import World
-from sim.world.render import shifts
 
 
 class Background:
     """The light of the surroundings of one world."""
 
     def __init__(self, world: World, surface: Surface) -> None:
-        self._world, self._surface, self._views = world, surface, _views(world)
+        self._world, self._surface = world, surface
+        # Two by two points of every pixel are few: surfaces far behind the item are not sharp.
+        self._views = lens_views(2, world.camera.aperture_mm)
         self._tables: ByteLimitedCache[LightTable] = ByteLimitedCache()
         self._scene: tuple[SceneState, RenderScene, MirrorTexture] | None = None
 
@@ -116,11 +117,3 @@ def _whole(scene: RenderScene, views: list[SubpixelView], shown: int) -> LightTa
         samples[:, rows[:, 0] - top] = band.samples.reshape(len(views), *rows.shape, 4)
         albedo[rows, columns] = band.albedo.reshape(rows.shape)
     return table
-
-
-def _views(world: World) -> list[SubpixelView]:
-    """Two by two points of every pixel, which are few: surfaces far behind the item are not sharp."""
-    places = shifts(2)
-    if not world.camera.aperture_mm:
-        return [SubpixelView(place) for place in places]
-    return [SubpixelView(place, lens) for place, lens in zip(places, lens_points(len(places)), strict=True)]

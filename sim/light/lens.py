@@ -14,10 +14,19 @@ from functools import lru_cache
 import numpy as np
 
 from fpplab.core.conventions import Floats
+from sim.scene import SubpixelView
 from sim.world.render import shifts
 
 GOLDEN_RAD = np.pi * (3 - np.sqrt(5))
 """The golden angle in rad."""
+
+
+def lens_views(side: int, aperture_mm: float) -> list[SubpixelView]:
+    """Choose `side` by `side` points of every pixel, each with a point of a lens that is open."""
+    places = shifts(side)
+    if not aperture_mm:
+        return [SubpixelView(place) for place in places]
+    return [SubpixelView(place, lens) for place, lens in zip(places, lens_points(len(places)), strict=True)]
 
 
 @lru_cache

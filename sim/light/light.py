@@ -31,7 +31,7 @@ from sim.light.byte_limited_cache import ByteLimitedCache
 from sim.light.cache import TableCache, digest
 from sim.light.differentiated import DifferentiatedLight
 from sim.light.lamps import RoomLight, point_lamps
-from sim.light.lens import lens_points
+from sim.light.lens import lens_views
 from sim.light.mirrors import Mirrors, MirrorStates
 from sim.light.plane import can_compute, computed, computed_motion
 from sim.light.slopes import MotionTable
@@ -43,7 +43,6 @@ from sim.surroundings import surroundings_surface
 from sim.texture import MirrorTexture
 from sim.worker import Blender
 from sim.world import World
-from sim.world.render import shifts
 
 BATCH_PATTERNS, BATCH_BYTES = 40, 1 << 28
 """Patterns that are looked up at once, and the greatest size of their pictures."""
@@ -341,12 +340,7 @@ class Light:
     def _views(self, setup: SceneState) -> list[SubpixelView]:
         render = self._world.render
         more = render.computed_subpixels if self.computes(setup) else None
-        places = shifts(more or render.subpixels)
-        if not self._world.camera.aperture_mm:
-            return [SubpixelView(place) for place in places]
-        return [
-            SubpixelView(place, lens) for place, lens in zip(places, lens_points(len(places)), strict=True)
-        ]
+        return lens_views(more or render.subpixels, self._world.camera.aperture_mm)
 
     def _built(self, setup: SceneState) -> tuple[SceneState, RenderScene, MirrorTexture]:
         if self._scene is None or self._scene[0] != setup:
