@@ -25,8 +25,8 @@ from tests.conformance.dlp4500 import FLASH, flash
 RIGS = Path(__file__).parent / "rigs"
 RECORDED = RIGS / "rig_reference.yaml"
 ON_X_SERVER = "rig_display"
-WHOLE_RIGS = (ON_X_SERVER, "rig_emulated", "rig_dlp4500_video")
-"""Rigs with a video port, of which every frame of 912 x 1140 mirrors is emulated."""
+QUICK_RIGS = ("rig_reference", "rig_simulated", "rig_pylon")
+"""The reference, the simulation, and a driver on an emulator; the quick tests of tests/drivers try the others."""
 KINDS = ("camera", "projector", "stage", "fixture")
 CAPS_OF_CAMERA = "test_camera.py", "test_caps_make_sense"
 """The test that comes first on each rig: the others use what the camera says of itself."""
@@ -79,7 +79,7 @@ def _judged(path: Path) -> tuple[str, ...]:
 
 
 def _marks(path: Path) -> tuple[pytest.MarkDecorator, ...]:
-    return (pytest.mark.whole,) if path.parent == RIGS and path.stem in WHOLE_RIGS else ()
+    return (pytest.mark.whole,) if path.parent == RIGS and path.stem not in QUICK_RIGS else ()
 
 
 def _rig_files(settings: pytest.Config) -> list[Path]:
