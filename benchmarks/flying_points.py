@@ -24,7 +24,7 @@ from fpplab.patterns.plan import FilterRules, Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode
 from fpplab.reconstruction.filtering import filtered
-from fpplab.reconstruction.triangulation import triangulate
+from fpplab.reconstruction.points import triangulate
 
 WIDTH, HEIGHT, RAYS = 560, 480, 4
 RIG = Calibration(

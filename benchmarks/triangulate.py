@@ -17,7 +17,8 @@ from fpplab.clouds import Cloud
 from fpplab.core.conventions import Floats, Map
 from fpplab.core.errors import DataError
 from fpplab.core.geometry import Pinhole, RigidTransform
-from fpplab.reconstruction import triangulation
+from fpplab.reconstruction.points import triangulate
+from fpplab.reconstruction.triangulation import camera_slopes, forget_cameras
 
 T = TypeVar("T")
 
@@ -43,13 +44,13 @@ def run() -> list[Result]:
     """
     calibration = _bench()
     maps, pixels, coordinates = _scene(calibration)
-    triangulation.triangulate(maps, calibration)  # compiles
+    triangulate(maps, calibration)  # compiles
     seconds: dict[str, list[float]] = {"": [], "_first": [], "_normals": [], "baseline": []}
     for _ in range(ROUNDS):
-        cloud = _timed(seconds[""], lambda: triangulation.triangulate(maps, calibration, normals=False))
-        _timed(seconds["_normals"], lambda: triangulation.triangulate(maps, calibration))
-        triangulation.forget_cameras()
-        _timed(seconds["_first"], lambda: triangulation.triangulate(maps, calibration, normals=False))
+        cloud = _timed(seconds[""], lambda: triangulate(maps, calibration, normals=False))
+        _timed(seconds["_normals"], lambda: triangulate(maps, calibration))
+        forget_cameras()
+        _timed(seconds["_first"], lambda: triangulate(maps, calibration, normals=False))
         baseline = _timed(seconds["baseline"], lambda: _opencv(calibration, pixels, coordinates))
         _agree(cloud, baseline)
     slow = median(seconds.pop("baseline"))
@@ -81,7 +82,7 @@ def _bench() -> Calibration:
 
 def _scene(calibration: Calibration) -> tuple[_Maps, Floats, Floats]:
     """A waved surface: what decoding gives, and the same as pixels (N, 2) and coordinates (N, 2)."""
-    a, b = triangulation.camera_slopes(calibration.camera)
+    a, b = camera_slopes(calibration.camera)
     z = 450.0 + 15.0 * np.sin(40.0 * a) * np.cos(30.0 * b) + 40.0 * a
     exact = calibration.projector.project(
         np.stack([a * z, b * z, z], axis=-1), calibration.T_projector_camera

@@ -1,6 +1,6 @@
 """A cloud as a surface over its camera's pixels: connectivity, normals, faces, local fits.
 
-Which points lie on one surface is the rule of `fpplab.clouds.continuity`. Everything is computed in w = 1/z
+Which points lie on one surface is the rule of `fpplab.clouds.surfaces`. Everything is computed in w = 1/z
 over the ray's slopes (a, b) = (x/z, y/z), where a plane is linear: α a + β b + γ = w, with (α, β, γ) along
 its normal.
 """
@@ -8,14 +8,12 @@ its normal.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from fpplab.clouds.continuity import NOISE_SIGMAS, is_continuous
-from fpplab.clouds.normals import surface_normals
+from fpplab.clouds.surfaces import NOISE_SIGMAS, is_continuous, surface_normals
 from fpplab.core import buffers
 from fpplab.core.conventions import Floats, Map
 
@@ -146,20 +144,6 @@ def _scatter(
             spread = np.sqrt(spread * spread + other_sigma[i] * other_sigma[i])
         if spread > 0.0:
             noise[v, u] = weight * spread * inverse_depth
-
-
-def at_pixels(values: NDArray[Any], pixels: PixelColumnsRows) -> NDArray[Any]:
-    """Select the pixels of a map, on all processors."""
-    # values (height, width); pixels (N, 2); returns (N,)
-    selected = buffers.empty(len(pixels), values.dtype)
-    _at_pixels(values, pixels, selected)
-    return selected
-
-
-@njit(parallel=True, cache=True)
-def _at_pixels(values: NDArray[Any], pixels: PixelColumnsRows, selected: NDArray[Any]) -> None:
-    for i in prange(len(pixels)):
-        selected[i] = values[pixels[i, 1], pixels[i, 0]]
 
 
 @njit(parallel=True, cache=True)

@@ -26,7 +26,7 @@ from fpplab.artefacts.parts import unpaired_edges
 from fpplab.artefacts.recognition import PlacedArtefact
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
-from fpplab.clouds.continuity import STEEPEST_DEG
+from fpplab.clouds.surfaces import STEEPEST_DEG
 from fpplab.comparison.alignment import Alignment, AlignmentMesh, align_mesh
 from fpplab.comparison.lengths import MeasuredLength, measure_lengths
 from fpplab.comparison.neighbours import nearest

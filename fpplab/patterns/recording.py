@@ -13,7 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from fpplab.core import buffers
-from fpplab.core.conventions import Axis, Floats, Image, Lattice, Map, full_scale, raw_per_grey
+from fpplab.core.conventions import Axis, Floats, Image, Map, full_scale, raw_per_grey
 from fpplab.core.depth import DepthRange
 from fpplab.core.errors import DataError
 from fpplab.patterns.curve import Curve
@@ -43,8 +43,6 @@ class Recording:
         What the frames are called in messages.
     response : Curve or None
         The measured response of the projector and camera, where it is known.
-    lattice : Lattice
-        How the projector's mirrors lie.
     depth : DepthRange or None
         Between which distances everything lies, where plan or rig state it.
     is_imported : bool
@@ -57,7 +55,6 @@ class Recording:
     bits: int = 8
     name: str = "frames"
     response: Curve | None = None
-    lattice: Lattice = Lattice.SQUARE
     depth: DepthRange | None = None
     is_imported: bool = False
 

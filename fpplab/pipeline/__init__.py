@@ -15,7 +15,6 @@ from fpplab.pipeline.decoding import decode_session
 from fpplab.pipeline.depth import check_plan, plan_with_depth
 from fpplab.pipeline.measuring import (
     Reconstruction,
-    diagnose,
     finish_scan,
     reconstruct_points,
     reconstruct_session,
@@ -33,7 +32,6 @@ __all__ = [
     "check_disk_space",
     "check_plan",
     "decode_session",
-    "diagnose",
     "doubts",
     "finish_scan",
     "judge_sessions",

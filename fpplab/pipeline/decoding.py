@@ -1,12 +1,39 @@
-"""Projector coordinates of a session's frames."""
+"""Frames of a session that are what they should be, and their projector coordinates."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+from fpplab.calibration.model import Calibration
+from fpplab.core.depth import DepthInterval
 from fpplab.core.errors import DataError
 from fpplab.core.progress import Progress, no_progress
+from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode
 from fpplab.pipeline.checking import plan_fault, require_in_step
+from fpplab.pipeline.depth import given_depth
 from fpplab.sessions.session import Session
+
+
+def checked_recording(
+    session: Session,
+    calibration: Calibration,
+    depth_mm: DepthInterval | None,
+    progress: Progress,
+    *,
+    as_recorded: bool = False,
+) -> Recording:
+    """Read the frames of a session of the calibration's rig, in step with their plan.
+
+    `depth_mm` replaces the range of depths that plan or rig state.
+    """
+    given = given_depth(depth_mm)
+    calibration.check_camera(session.format[:2], session.path)
+    calibration.check_projector(*session.projector(), session.path)
+    recording = session.recording(progress=lambda share: progress(0.3 * share))
+    if not as_recorded:
+        require_in_step(recording)
+    return replace(recording, depth=given) if given else recording
 
 
 def decode_session(

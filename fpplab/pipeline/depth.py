@@ -21,10 +21,8 @@ def plan_with_depth(plan: Plan, depth_mm: tuple[float, float] | None) -> Plan:
 
 def given_depth(depth_mm: DepthInterval | None) -> DepthRange | None:
     """Give the range of depths of the option, which precedes those that plan and rig state."""
-    if depth_mm is None:
-        return None
-    given = config.validate({"depth_mm": list(depth_mm)}, DepthSection, "--depth")
-    return first_stated((given.depth_mm, "--depth"))
+    option = {} if depth_mm is None else {"depth_mm": list(depth_mm)}
+    return first_stated((config.validate(option, DepthSection, "--depth").depth_mm, "--depth"))
 
 
 def check_plan(

@@ -15,10 +15,11 @@ from fpplab.core.session_names import CALIBRATION, CLOUD, DECODED
 from fpplab.diagnosis import Diagnosis, UselessScanError, diagnose_scan
 from fpplab.diagnosis.limits import USUAL_LIMITS, DiagnosisLimits
 from fpplab.diagnosis.record import save_diagnosis
-from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded
-from fpplab.pipeline.triangulating import checked_recording, triangulate_recording
-from fpplab.reconstruction.uncertainty import coordinate_noise, with_uncertainty
+from fpplab.pipeline.decoding import checked_recording
+from fpplab.pipeline.triangulating import triangulate_recording
+from fpplab.reconstruction.triangulation import coordinate_noise
+from fpplab.reconstruction.uncertainty import with_uncertainty
 from fpplab.sessions.lock import exclusive_write
 from fpplab.sessions.log import begin_session_log
 from fpplab.sessions.origin import foreign_calibration
@@ -51,12 +52,10 @@ def reconstruct_points(
     A session without a single point is a `UselessScanError`, which says why.
     """
     recording = checked_recording(session, calibration, depth_mm, progress, as_recorded=as_recorded)
-    triangulated = triangulate_recording(recording, calibration, filtering, progress)
-    if isinstance(triangulated.points, Diagnosis):
-        raise UselessScanError(recording.name, triangulated.points)
-    return triangulated.decoded, _with_sigmas(
-        triangulated.decoded, triangulated.points, calibration, progress
-    )
+    decoded, points = triangulate_recording(recording, calibration, filtering, progress)
+    if isinstance(points, Diagnosis):
+        raise UselessScanError(recording.name, points)
+    return decoded, _with_sigmas(decoded, points, calibration, progress)
 
 
 def reconstruct_session(
@@ -72,13 +71,14 @@ def reconstruct_session(
 ) -> Reconstruction:
     """Reconstruct a session and judge the result; nothing is written."""
     recording = checked_recording(session, calibration, depth_mm, progress, as_recorded=as_recorded)
-    triangulated = triangulate_recording(recording, calibration, filtering, progress, limits)
-    observe_maps(triangulated.decoded)
-    if isinstance(triangulated.points, Diagnosis):
-        return Reconstruction(session, calibration, recording.depth, None, None, triangulated.points)
-    cloud = _with_sigmas(triangulated.decoded, triangulated.points, calibration, progress)
-    diagnosis = diagnose(session, recording, triangulated.decoded, cloud, calibration, limits)
-    return Reconstruction(session, calibration, recording.depth, triangulated.decoded, cloud, diagnosis)
+    decoded, points = triangulate_recording(recording, calibration, filtering, progress, limits)
+    observe_maps(decoded)
+    if isinstance(points, Diagnosis):
+        return Reconstruction(session, calibration, recording.depth, None, None, points)
+    cloud = _with_sigmas(decoded, points, calibration, progress)
+    foreign = foreign_calibration(calibration, session)
+    diagnosis = diagnose_scan(recording, decoded, cloud, calibration, foreign=foreign, limits=limits)
+    return Reconstruction(session, calibration, recording.depth, decoded, cloud, diagnosis)
 
 
 def finish_scan(
@@ -96,13 +96,13 @@ def finish_scan(
         ThreadPoolExecutor(1) as writer,
     ):  # the disk has time until the cloud is known
         begin_session_log(session.path)
-        triangulated = triangulate_recording(recording, calibration, None, progress, limits)
-        saved_maps = writer.submit(triangulated.decoded.save, session.path / DECODED)
-        if isinstance(triangulated.points, Diagnosis):
+        decoded, points = triangulate_recording(recording, calibration, None, progress, limits)
+        saved_maps = writer.submit(decoded.save, session.path / DECODED)
+        if isinstance(points, Diagnosis):
             saved_maps.result()
-            save_diagnosis(triangulated.points, session.path)
-            return Reconstruction(session, calibration, recording.depth, None, None, triangulated.points)
-        cloud = _with_sigmas(triangulated.decoded, triangulated.points, calibration, progress)
+            save_diagnosis(points, session.path)
+            return Reconstruction(session, calibration, recording.depth, None, None, points)
+        cloud = _with_sigmas(decoded, points, calibration, progress)
         saved_maps.result()  # a cloud is not written where its maps could not be
         verdict: Future[Diagnosis] = Future()
         saved_cloud = writer.submit(
@@ -112,7 +112,8 @@ def finish_scan(
             lambda: verdict.result().require_usable(str(session.path)),
         )
         try:
-            diagnosis = diagnose(session, recording, triangulated.decoded, cloud, calibration, limits)
+            foreign = foreign_calibration(calibration, session)
+            diagnosis = diagnose_scan(recording, decoded, cloud, calibration, foreign=foreign, limits=limits)
             save_diagnosis(diagnosis, session.path)
         except BaseException as error:
             verdict.set_exception(error)  # the writer waits for it
@@ -125,20 +126,7 @@ def finish_scan(
             saved_cloud.result()
             write_recorded(session.path / CALIBRATION, calibration.to_yaml(CALIBRATION))
             session.check_kept()
-    return Reconstruction(session, calibration, recording.depth, triangulated.decoded, cloud, diagnosis)
-
-
-def diagnose(
-    session: Session,
-    recording: Recording,
-    decoded: Decoded,
-    cloud: Cloud,
-    calibration: Calibration,
-    limits: DiagnosisLimits = USUAL_LIMITS,
-) -> Diagnosis:
-    """Judge whether to believe a reconstruction."""
-    foreign = foreign_calibration(calibration, session)
-    return diagnose_scan(recording, decoded, cloud, calibration, foreign=foreign, limits=limits)
+    return Reconstruction(session, calibration, recording.depth, decoded, cloud, diagnosis)
 
 
 def _with_sigmas(decoded: Decoded, cloud: Cloud, calibration: Calibration, progress: Progress) -> Cloud:

@@ -35,9 +35,9 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from fpplab.clouds import Cloud
-from fpplab.clouds.continuity import is_continuous
 from fpplab.clouds.pixelgrid import PixelColumnsRows, PixelGrid
 from fpplab.clouds.selection import places_of
+from fpplab.clouds.surfaces import is_continuous
 from fpplab.core import buffers
 from fpplab.core.conventions import Map, Mask
 from fpplab.core.errors import DataError
@@ -72,7 +72,8 @@ def filtered(
     rules = plan.filter
     if rules is None:
         return decoded, cloud
-    grid, removed = cloud.grid(), buffers.empty(decoded.u.shape, np.uint8)
+    grid = cloud.grid()
+    removed = buffers.empty(grid.index.shape, np.uint8)
     removed[:] = 0
     if plan.order_vote is None and rules.disagreement_max > 0.0 and decoded.disagreement is not None:
         limit = np.float32(_greatest_disagreement(decoded, rules.disagreement_max))

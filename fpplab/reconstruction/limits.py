@@ -40,7 +40,7 @@ class ReconstructionLimits(NamedTuple):
     neighbours is itself two or three standard deviations too great."""
     flying_noise_share: float = 0.5
     """Allowance for noise in a step to a neighbour where the majority of all decides, as a share of
-    `fpplab.clouds.continuity.NOISE_SIGMAS`. Chosen."""
+    `fpplab.clouds.surfaces.NOISE_SIGMAS`. Chosen."""
     finer_steps: int = 6
     """Steps between two nodes of a ray grid at which cubic polynomials are evaluated; between these, values
     are linear. Chosen."""

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
+from fpplab.core.errors import DataError
 from fpplab.patterns.plan import Plan
 from fpplab.phase import Decoded
 from fpplab.reconstruction.filtering import filtered
-from fpplab.reconstruction.triangulation import triangulate
+from fpplab.reconstruction.triangulation import DecodedMaps, coded_maps, solve_pixels
 
 
 def points_of(
@@ -20,3 +23,38 @@ def points_of(
     # texture (height, width)
     cloud = triangulate(decoded, calibration, texture, normals=plan.filter is None)
     return filtered(decoded, cloud, plan, calibration.projector.size)
+
+
+def triangulate(
+    decoded: DecodedMaps,
+    calibration: Calibration,
+    texture: NDArray[np.uint8] | None = None,
+    normals: bool = True,
+) -> Cloud:
+    """Intersect camera rays with the projector's coordinate surfaces.
+
+    Where two axes are coded a pixel needs both, and each is weighted by its inverse variance. Left out are
+    points behind a device, outside the projector's image or where its distortion folds back, and pixels
+    without a solution.
+    """
+    # decoded (height, width) px; texture (height, width); returns (N, 3) mm
+    height, width = decoded.u.shape
+    calibration.check_camera((width, height), "decoded maps")
+    if texture is not None and texture.shape != (height, width):
+        raise DataError(
+            f"texture: {texture.shape[1]} x {texture.shape[0]} pixels, but the maps have {width} x {height}; "
+            "take it from the same session"
+        )
+    coded = coded_maps(decoded, texture)
+    solutions = solve_pixels(coded, calibration)
+    points, pixels = solutions.points, solutions.pixels
+    cloud = Cloud(
+        points=points,
+        pixels=pixels,
+        size=(width, height),
+        colour=None if texture is None else solutions.colour,
+        sigma_noise_mm=solutions.sigma,
+        epipolar_px=solutions.epipolar if len(coded.u) and len(coded.v) else None,
+        sigma_phase_error_mm=None if decoded.sigma_phase_error is None else solutions.phase_error,
+    )
+    return replace(cloud, normals=cloud.grid().normals()) if normals else cloud

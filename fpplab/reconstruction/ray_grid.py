@@ -13,7 +13,6 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from fpplab.core import buffers
 from fpplab.core.conventions import Floats
 from fpplab.reconstruction.limits import RECONSTRUCTION_LIMITS as LIMITS
 
@@ -52,22 +51,20 @@ class RayGrid:
         across, down, depth = (each.ravel() for each in np.meshgrid(*axes, indexing="ij"))
         return np.stack([across * depth, down * depth, depth], axis=-1)
 
-    def interpolate(self, values: Floats, points: AnyPoints) -> NDArray[np.float32]:
+    def interpolate(self, values: Floats, points: AnyPoints, out: Singles) -> None:
         """Interpolate by cubic polynomials to `finer_steps` times as many nodes, linearly between those."""
-        # values (nodes, K); points (N, 3); returns (K, N)
+        # values (nodes, K); points (N, 3); out (K, N)
         finer = values.reshape(*NODES, -1)
         for axis, nodes in enumerate(NODES):
             finer = np.moveaxis(np.tensordot(_cubic_weights(nodes), finer, (1, axis)), 0, axis)
         per_step = LIMITS.finer_steps * (np.array(NODES) - 1) / (self.upper - self.lower)
-        interpolated = buffers.empty((values.shape[1], len(points)))
         _interpolate(
             np.ascontiguousarray(points),
             self.lower,
             per_step,
             np.ascontiguousarray(finer, np.float32),
-            interpolated,
+            out,
         )
-        return interpolated
 
 
 def _cubic_weights(nodes: int) -> Floats:

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from dataclasses import replace
 from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
@@ -19,8 +18,6 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from fpplab.calibration.model import Calibration
-from fpplab.clouds import Cloud
-from fpplab.clouds.pixelgrid import at_pixels
 from fpplab.clouds.selection import select
 from fpplab.core import buffers
 from fpplab.core.conventions import Floats, Map, Mask
@@ -61,13 +58,20 @@ class DecodedMaps(Protocol):
         """As `sigma`, by errors that are common to all pixels of one phase; None where not known."""
 
 
+CoordinateNoise = tuple[float, float]
+"""Standard deviations of the projector's u and v, relative to one another; infinite for an axis not coded."""
+
+_UNKNOWN = np.empty((0, 0), np.float32)
+
+
 class CodedMaps(NamedTuple):
-    """What is known of every pixel, float32 (height, width); maps without rows are not known."""
+    """What is known of every pixel, (height, width); maps without rows are not known."""
 
     u: Map  # px
     v: Map  # px
     sigma: Map  # px
     phase_error: Map  # px
+    texture: NDArray[np.uint8]  # grey levels
     v_per_u: float  # ratio of the standard deviation of v to that of u
 
 
@@ -95,69 +99,46 @@ class Solutions(NamedTuple):
     sigma: Map  # (N,) mm along the ray, by noise
     phase_error: Map  # (N,) mm along the ray, by errors that all pixels of one phase share
     epipolar: Map  # (N,) px
+    colour: NDArray[np.uint8]  # (N,)
 
 
-def triangulate(
-    decoded: DecodedMaps,
-    calibration: Calibration,
-    texture: NDArray[np.uint8] | None = None,
-    normals: bool = True,
-) -> Cloud:
-    """Intersect camera rays with the projector's coordinate surfaces.
-
-    Where two axes are coded a pixel needs both, and each is weighted by its inverse variance. Left out are
-    points behind a device, outside the projector's image or where its distortion folds back, and pixels
-    without a solution.
-    """
-    # decoded (height, width) px; texture (height, width); returns (N, 3) mm
-    height, width = decoded.u.shape
-    calibration.check_camera((width, height), "decoded maps")
-    if texture is not None and texture.shape != (height, width):
-        raise DataError(
-            f"texture: {texture.shape[1]} x {texture.shape[0]} pixels, but the maps have {width} x {height}; "
-            "take it from the same session"
-        )
-    coded = _coded_maps(decoded)
-    solutions = _solved(coded, calibration)
-    points, pixels = solutions.points, solutions.pixels
-    cloud = Cloud(
-        points=points,
-        pixels=pixels,
-        size=(width, height),
-        colour=None if texture is None else at_pixels(np.asarray(texture, np.uint8), pixels),
-        sigma_noise_mm=solutions.sigma,
-        epipolar_px=solutions.epipolar if len(coded.u) and len(coded.v) else None,
-        sigma_phase_error_mm=None if decoded.sigma_phase_error is None else solutions.phase_error,
-    )
-    return replace(cloud, normals=cloud.grid().normals()) if normals else cloud
-
-
-def _coded_maps(decoded: DecodedMaps) -> CodedMaps:
+def coded_maps(decoded: DecodedMaps, texture: NDArray[np.uint8] | None = None) -> CodedMaps:
+    """Collect what is known of every pixel, as arrays that kernels take."""
+    # texture (height, width)
     use_u, use_v = any_known(decoded.u), any_known(decoded.v)
     if not (use_u or use_v):
         raise DataError("decoded maps: no pixel has a projector coordinate; look at exposure and modulation")
-    unknown = np.empty((0, decoded.u.shape[1]), np.float32)
-    phase_error = unknown if decoded.sigma_phase_error is None else decoded.sigma_phase_error
+    phase_error = _UNKNOWN if decoded.sigma_phase_error is None else decoded.sigma_phase_error
     return CodedMaps(
-        u=np.ascontiguousarray(decoded.u if use_u else unknown, np.float32),
-        v=np.ascontiguousarray(decoded.v if use_v else unknown, np.float32),
+        u=np.ascontiguousarray(decoded.u if use_u else _UNKNOWN, np.float32),
+        v=np.ascontiguousarray(decoded.v if use_v else _UNKNOWN, np.float32),
         sigma=np.ascontiguousarray(decoded.sigma, np.float32),
         phase_error=np.ascontiguousarray(phase_error, np.float32),
+        texture=np.ascontiguousarray(_UNKNOWN if texture is None else texture, np.uint8),
         v_per_u=float(decoded.v_per_u),
     )
 
 
-def _solved(coded: CodedMaps, calibration: Calibration) -> Solutions:
+def coordinate_noise(decoded: DecodedMaps) -> CoordinateNoise:
+    """Find the relative noise of the projector coordinates, by which triangulation weights them."""
+    if not any_known(decoded.u):
+        return np.inf, 1.0
+    return 1.0, decoded.v_per_u if any_known(decoded.v) else np.inf
+
+
+def solve_pixels(coded: CodedMaps, calibration: Calibration) -> Solutions:
     """Solve all pixels with coordinates, and keep those with a solution."""
     use_u, use_v = len(coded.u) > 0, len(coded.v) > 0
+    use_phase_error, use_texture = len(coded.phase_error) > 0, len(coded.texture) > 0
     counts = _coded_pixels_by_row(coded.u if use_u else coded.v, coded.v if use_v else coded.u)
     total = int(counts.sum())
     solutions = Solutions(
         points=buffers.empty((total, 3)),
         pixels=buffers.empty((total, 2), np.int32),
         sigma=buffers.empty(total),
-        phase_error=buffers.empty(total if len(coded.phase_error) else 0),
+        phase_error=buffers.empty(total if use_phase_error else 0),
         epipolar=buffers.empty(total if use_u and use_v else 0),
+        colour=buffers.empty(total if use_texture else 0, np.uint8),
     )
     projector = calibration.projector
     model = ProjectorModel(
@@ -175,13 +156,7 @@ def _solved(coded: CodedMaps, calibration: Calibration) -> Solutions:
         )
     if solved.all():
         return solutions
-    return Solutions(
-        points=_kept(solutions.points, solved),
-        pixels=_kept(solutions.pixels, solved),
-        sigma=_kept(solutions.sigma, solved),
-        phase_error=_kept(solutions.phase_error, solved),
-        epipolar=_kept(solutions.epipolar, solved),
-    )
+    return Solutions._make(_kept(values, solved) for values in solutions)
 
 
 def _kept(values: NDArray[T], solved: Mask) -> NDArray[T]:
@@ -359,7 +334,7 @@ def _solve(
     (height, width), reach = coded.sigma.shape, projector.reach
     use_u, use_v, v_per_u = len(coded.u) > 0, len(coded.v) > 0, coded.v_per_u
     # In a parallel loop tuples cannot hold tuples, and what they hold cannot be written.
-    points, pixels, epipolar = out.points, out.pixels, out.epipolar
+    points, pixels, epipolar, colour = out.points, out.pixels, out.epipolar, out.colour
     spread, common_spread = out.sigma, out.phase_error
     device, pose, size = projector.intrinsics, projector.pose, projector.size
     fx, fy, cx, cy = device[0], device[1], device[2], device[3]
@@ -403,6 +378,8 @@ def _solve(
                             if len(common_spread) > 0:
                                 share = coded.phase_error[row, column] / coded.sigma[row, column]
                                 common_spread[at] = spread[at] * share
+                            if len(colour) > 0:
+                                colour[at] = coded.texture[row, column]
                             if use_u and use_v:
                                 epipolar[at] = _epipolar_px(u - pu, v - pv, ju, jv * v_per_u)
                         break

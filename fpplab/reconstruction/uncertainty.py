@@ -33,23 +33,14 @@ import numpy as np
 from fpplab.calibration.error_modes import error_modes
 from fpplab.calibration.model import INTRINSICS, PARAMETERS, Calibration
 from fpplab.clouds import Cloud
+from fpplab.core import buffers
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import CalibrationError
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.core.progress import Progress, no_progress
 from fpplab.reconstruction.limits import RECONSTRUCTION_LIMITS as LIMITS
 from fpplab.reconstruction.ray_grid import AnyPoints, RayGrid, are_positive
-from fpplab.reconstruction.triangulation import DecodedMaps, any_known
-
-CoordinateNoise = tuple[float, float]
-"""Standard deviations of the projector's u and v, relative to one another; infinite for an axis not coded."""
-
-
-def coordinate_noise(decoded: DecodedMaps) -> CoordinateNoise:
-    """Find the relative noise of the projector coordinates, by which triangulation weights them."""
-    if not any_known(decoded.u):
-        return np.inf, 1.0
-    return 1.0, decoded.v_per_u if any_known(decoded.v) else np.inf
+from fpplab.reconstruction.triangulation import CoordinateNoise
 
 
 def with_uncertainty(
@@ -84,10 +75,11 @@ def _by_grid(
     points: AnyPoints, exactly: Callable[[AnyPoints, Progress], Floats], progress: Progress
 ) -> AnyPoints:
     """Evaluate at nodes and interpolate, and exactly where points are few or far from the others."""
+    variances = buffers.empty((2, len(points)))
     grid = RayGrid.around(points)
     if grid is None:
         return exactly(points, progress)
-    variances = grid.interpolate(exactly(grid.points, lambda share: progress(0.9 * share)).T, points)
+    grid.interpolate(exactly(grid.points, lambda share: progress(0.9 * share)).T, points, variances)
     # Outside, or so near to 0 that interpolation passes it.
     if not are_positive(variances):
         outside = np.flatnonzero(~((variances[0] > 0) & (variances[1] > 0)))

@@ -34,6 +34,7 @@ from fpplab.sessions.format import check_format, session_format
 from fpplab.sessions.frame_files import read_frame
 from fpplab.sessions.journal import FrameRecord, readable_lines
 from fpplab.sessions.origin import session_origin, taken_at
+from fpplab.sessions.rig_record import read_rig
 from fpplab.sessions.session import Session
 
 RESULTS = (DECODED, CLOUD, CALIBRATION, VERDICT, REPORT)
@@ -110,9 +111,7 @@ def _small_files(path: Path) -> dict[str, Callable[[], object]]:
         CHECKSUMS: lambda: recorded_files(path),
         FORMAT: lambda: check_format(path),
         PLAN: lambda: config.load_document(path / PLAN, Plan),
-        RIG: lambda: (
-            config.parse_yaml(config.read_text(path / RIG), path / RIG) if _there(path, RIG) else None
-        ),
+        RIG: lambda: read_rig(path),
         ORIGIN: lambda: session_origin(path),
     }
 
@@ -124,10 +123,6 @@ def _results(path: Path) -> dict[str, Callable[[], object]]:
         CALIBRATION: lambda: Calibration.load(path / CALIBRATION),
         VERDICT: lambda: config.parse_yaml(config.read_text(path / VERDICT), path / VERDICT),
     }
-
-
-def _there(path: Path, name: str) -> bool:
-    return (path / name).exists()
 
 
 @contextmanager

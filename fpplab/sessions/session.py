@@ -478,24 +478,15 @@ class Session:
         Raises
         ------
         ConfigError
-            The projector cannot show the plan; as `response` and `depth`.
+            The projector cannot show the plan, or the rig's response or depths are not valid as recorded.
         DataError
             As `stack` and `projector`.
         """
-        size, lattice = self.projector()
+        size, _ = self.projector()
         self.plan.check_projector(size, self.path)
         frames = self.stack(verify, progress)
-        return Recording(
-            frames,
-            self.plan,
-            size,
-            self.bits,
-            str(self.path),
-            response=self.response(),
-            lattice=lattice,
-            depth=self.depth(),
-            is_imported=self.is_imported,
-        )
+        known = self.response(), self.depth, self.is_imported
+        return Recording(frames, self.plan, size, self.bits, str(self.path), *known)
 
     def response(self) -> Curve | None:
         """Give the measured response of the rig that took the frames, where its file states one.
@@ -512,19 +503,9 @@ class Session:
         """
         return recorded_response(self._rig, self.path)
 
+    @property
     def depth(self) -> DepthRange | None:
-        """Give the range of distances from the camera that the plan, or else the rig, states.
-
-        Returns
-        -------
-        DepthRange or None
-            The range, and which file states it.
-
-        Raises
-        ------
-        ConfigError
-            The rig's record holds something else.
-        """
+        """Range of distances from the camera that the plan, or else the rig, states."""
         return recorded_depth(self._rig, self.plan, self.path)
 
     @property

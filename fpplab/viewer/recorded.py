@@ -83,7 +83,7 @@ def _replay(
     depth: DepthRange | None = None
     with suppress(DataError):  # a session may not know its projector; its images are shown all the same
         show(MeasurementView.plan, session.plan, *session.projector())
-        depth = session.depth()
+        depth = session.depth
     if calibration is not None:
         show(MeasurementView.calibration, calibration)
     for number, record in enumerate(session.records, 1):

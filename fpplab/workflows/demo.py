@@ -120,7 +120,7 @@ def _scan_artefact(
     from fpplab.comparison import compare
     from fpplab.core.errors import ConfigError
     from fpplab.pipeline import finish_scan, take_or_resume_session
-    from fpplab.reconstruction.triangulation import triangulate
+    from fpplab.reconstruction.points import triangulate
     from fpplab.results.demo import DemoScan
     from fpplab.results.provenance import session_provenance
     from fpplab.results.scan import scan_result

@@ -15,7 +15,8 @@ from fpplab.clouds import Cloud
 from fpplab.comparison.alignment import AlignmentMesh
 from fpplab.core.conventions import Floats, Mask
 from fpplab.core.geometry import RigidTransform
-from fpplab.reconstruction.uncertainty import CoordinateNoise, displacements_by_mode, rigid_motions
+from fpplab.reconstruction.triangulation import CoordinateNoise
+from fpplab.reconstruction.uncertainty import displacements_by_mode, rigid_motions
 
 
 def form_error_by_mode(

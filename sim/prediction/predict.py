@@ -29,7 +29,7 @@ from fpplab.phase import Decoded, decode
 from fpplab.phase.bounds import PossibleCoordinates
 from fpplab.reconstruction.depth_range import depth_bounds
 from fpplab.reconstruction.points import points_of
-from fpplab.reconstruction.uncertainty import coordinate_noise
+from fpplab.reconstruction.triangulation import coordinate_noise
 from sim.bench import VirtualBench
 from sim.part_surface import PartSurface
 from sim.prediction.discrepancy import Discrepancy

@@ -14,7 +14,7 @@ from fpplab.calibration.model import Calibration
 from fpplab.characterisation import Observation, characterise, finest_periods, observe
 from fpplab.core.conventions import Floats
 from fpplab.pipeline import decode_session
-from fpplab.reconstruction.triangulation import triangulate
+from fpplab.reconstruction.points import triangulate
 from fpplab.sessions.session import Session, recorded_sessions
 from fpplab.targets import Target
 from tests.support.commands import Command

@@ -14,7 +14,7 @@ from fpplab.devices import CameraSettings, Frame
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import MaskRules, Plan
-from fpplab.pipeline.triangulating import checked_recording
+from fpplab.pipeline.decoding import checked_recording
 from fpplab.sessions.session import Session
 from sim.warmup import DISTANCE_MM, frames_of_plane, small_rig
 from tests.support.commands import Command
@@ -73,7 +73,7 @@ def test_a_damaged_range_of_a_recorded_rig_is_named(tmp_path: Path) -> None:
     with pytest.raises(
         ConfigError, match=r"rig\.yaml: 'depth_mm' is \[500\.0, 300\.0\]: the first must be less"
     ):
-        session.depth()
+        _ = session.depth
 
 
 def test_without_a_range_the_message_says_where_it_may_stand(fpplab: Command, tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from fpplab.phase import decode
 from fpplab.pipeline import check_plan, plan_with_depth
 from fpplab.reconstruction.depth_range import depth_bounds
 from fpplab.reconstruction.limits import RECONSTRUCTION_LIMITS
-from fpplab.reconstruction.triangulation import triangulate
+from fpplab.reconstruction.points import triangulate
 from sim.warmup import DISTANCE_MM, frames_of_plane, small_rig
 
 RIG = small_rig()

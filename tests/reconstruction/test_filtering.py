@@ -18,7 +18,7 @@ from fpplab.patterns.plan import FilterRules, OrderVote, Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode
 from fpplab.reconstruction.filtering import Rule, filtered, removal
-from fpplab.reconstruction.triangulation import triangulate
+from fpplab.reconstruction.points import triangulate
 
 W, H = 120, 90
 TURN = RigidTransform.from_vectors(np.array([0.0, -0.33, 0.0]), np.array([150.0, 0.0, 0.0]))

@@ -13,7 +13,8 @@ from fpplab.clouds import local_quadric_distance
 from fpplab.core.errors import CalibrationError, DataError
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.reconstruction import triangulation
-from fpplab.reconstruction.triangulation import camera_rays, camera_slopes, triangulate
+from fpplab.reconstruction.points import triangulate
+from fpplab.reconstruction.triangulation import camera_rays, camera_slopes
 
 W, H = 160, 120
 CAMERA = Pinhole.from_focal((W, H), (420.0, 424.0), (77.0, 61.0), (-0.25, 0.1, 0.002, -0.001, 0.03))

@@ -8,7 +8,7 @@ import pytest
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
-from fpplab.reconstruction.triangulation import triangulate
+from fpplab.reconstruction.points import triangulate
 from sim.warmup import DISTANCE_MM, SIZE, frames_of_plane, small_rig, warm_up
 
 

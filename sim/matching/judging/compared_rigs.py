@@ -74,7 +74,7 @@ def compare_rigs(rig: Rig, session: Session, item: str, calibration: Calibration
         raise ConfigError(f"{rig.source}: is no simulation that can predict; name a twin's rig file")
     _need_same_devices(rig, session)
     sampler, plan = rig.simulation.image_part_sampler(), session.plan
-    mesh, depth = sampler.mesh(item), session.depth()
+    mesh, depth = sampler.mesh(item), session.depth
     size, lattice = session.projector()
     settings = rig.camera_settings(plan.exposure_s, plan.bits)
     rows = np.arange(rig.camera.caps.size[1])

@@ -151,7 +151,7 @@ def scan_figures(
     session, calibration = scan.session, twin.parameters.calibration
     plan, (size, lattice) = session.plan, session.projector()
     settings = session.records[0].settings
-    patterns, depth = make_patterns(plan, size, lattice), session.depth()
+    patterns, depth = make_patterns(plan, size, lattice), session.depth
     own = []
     # Flicker and vibration differ from one scan to the next, of which the twin may have any number.
     for _ in range(5):

@@ -21,7 +21,7 @@ from fpplab.phase import Decoded, decode
 from fpplab.pipeline import reconstruct_points
 from fpplab.reconstruction.depth_range import depth_bounds
 from fpplab.reconstruction.points import points_of
-from fpplab.reconstruction.uncertainty import coordinate_noise
+from fpplab.reconstruction.triangulation import coordinate_noise
 from fpplab.sessions.session import Session
 from sim.prediction.figures import MeasuredFigures, figures_of, seen_surface
 from sim.prediction.form import distance_factors
@@ -30,7 +30,7 @@ from sim.prediction.form import distance_factors
 def measured_figures(session: Session, calibration: Calibration, mesh: trimesh.Trimesh) -> MeasuredFigures:
     """Compute the figures of a scan."""
     points = reconstruct_points(session, calibration)
-    return _figures(points, calibration, mesh, session.plan, session.depth())[0]
+    return _figures(points, calibration, mesh, session.plan, session.depth)[0]
 
 
 def recorded_figures(

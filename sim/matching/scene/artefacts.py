@@ -206,5 +206,5 @@ def _scanned(
     settings = session.records[0].settings
     frames = twin.scan(item, T_camera_item, make_patterns(plan, size, lattice), settings)
     recording = Recording(frames, plan, size, settings.bits, f"the twin's {item}")
-    decoded = decode(recording, bounds=depth_bounds(plan, calibration, session.depth()))
+    decoded = decode(recording, bounds=depth_bounds(plan, calibration, session.depth))
     return points_of(decoded, calibration, plan, recording.mean_image())[1]

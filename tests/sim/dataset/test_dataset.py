@@ -28,7 +28,7 @@ from fpplab.devices.rig import Rig
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import Plan
-from fpplab.reconstruction.triangulation import triangulate
+from fpplab.reconstruction.points import triangulate
 from fpplab.targets import Target
 from sim.dataset import Dataset
 from sim.dataset.card import prepare_folder

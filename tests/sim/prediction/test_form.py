@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
-from fpplab.reconstruction.triangulation import triangulate
-from fpplab.reconstruction.uncertainty import coordinate_noise
+from fpplab.reconstruction.points import triangulate
+from fpplab.reconstruction.triangulation import coordinate_noise
 from sim.prediction.discrepancy import ContrastDeviation, Deviation, Discrepancy
 from sim.prediction.figures import MeasuredFigures
 from sim.prediction.form import distance_factors

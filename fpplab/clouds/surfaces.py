@@ -1,8 +1,14 @@
-"""Normals of the points of a pixel grid: compiled, for the processor's vector units.
+"""Surfaces that a camera sees: whether two points lie on one, and the normal of each point.
 
-The sums of some hundred pixels of a row stay in the cache while one neighbour after the other is added to
-all of them. They lie in one buffer at constant distances, and there are no branches, because only then
-vector instructions are compiled.
+Two points lie on one surface when the step in depth between them is no more than a surface
+inclined by `STEEPEST_DEG` to the image plane would show over the footprint that separates
+their rays at that depth, plus `NOISE_SIGMAS` standard deviations of the step's own noise.
+A longer step is a jump from one surface to another. In w = 1/z over the slopes (a, b) the rule reads
+`|Δw| <= w (tan(STEEPEST) |Δ(a, b)| + NOISE_SIGMAS σ(Δz)/z)`.
+
+Normals are compiled for the processor's vector units: the sums of some hundred pixels of a row stay in the
+cache while one neighbour after the other is added to all of them. They lie in one buffer at constant
+distances, and there are no branches, because only then vector instructions are compiled.
 """
 
 from __future__ import annotations
@@ -13,12 +19,16 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from fpplab.clouds.continuity import is_continuous
 from fpplab.core.conventions import Map
 
+STEEPEST_DEG = 80.0
+"""Greatest inclination of a surface to the image plane."""
+NOISE_SIGMAS = 4.0
+"""Standard deviations of noise that are allowed in a step within one surface."""
 NORMAL_REACH = 2
 """A point's normal is that of the plane through it and its eight neighbours this many px away."""
 
+_STEEPEST = np.float32(np.tan(np.radians(STEEPEST_DEG)))
 _LINE = 1e-3
 """Neighbours lie on a line when the squared correlation of their places is within this of 1."""
 _PART = 512
@@ -28,6 +38,12 @@ _u = np.uintp
 # Rows of the buffer: count, sums, and sums of products of the differences of a, b and w.
 _SA, _SB, _SW, _SAA, _SAB, _SBB, _SAW, _SBW = (_u(k * (_PART + 16)) for k in range(1, 9))
 _ROWS = 9 * (_PART + 16)
+
+
+@njit(inline="always")
+def is_continuous(da: float, db: float, dw: float, w: float, noise: float) -> bool:
+    """Decide whether two points lie on one surface, by the rule of this module."""
+    return bool(abs(dw) <= w * (_STEEPEST * np.sqrt(da * da + db * db) + noise))
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
