@@ -60,10 +60,10 @@ class VirtualBenchOptions(Document):
         if self.subpixels is not None:
             render = world.render.model_copy(update={"subpixels": self.subpixels})
             world = world.model_copy(update={"render": render})
-        return _still(world) if self.still else world
+        return _world_without_displacement(world) if self.still else world
 
 
-def _still(world: World) -> World:
+def _world_without_displacement(world: World) -> World:
     """Make the same world without the effects that displace the item."""
     data = world.model_dump(mode="json")
     for effect in EFFECTS:
@@ -194,13 +194,13 @@ class VirtualBench:
         if size_mm and setup.item != "nothing" and not self.light.computes(setup):
             steps = moved / size_mm
             picture = displaced_irradiance(self.light, setup, self._displaced(setup), steps, show, weights)
-            return self._fluctuating(setup, picture, frame)
+            return self._with_fluctuation(setup, picture, frame)
         if size_mm:  # computed light is exact for every displacement at no greater cost
             x, y, z = moved.tolist()
             setup = replace(setup, vibration_mm=(x, y, z))
-        return self._fluctuating(setup, self.light.irradiance(setup, show, weights), frame)
+        return self._with_fluctuation(setup, self.light.irradiance(setup, show, weights), frame)
 
-    def _fluctuating(self, setup: SceneState, picture: PatternLevels, frame: int) -> PatternLevels:
+    def _with_fluctuation(self, setup: SceneState, picture: PatternLevels, frame: int) -> PatternLevels:
         changes = Fluctuation.of(self.world)
         if changes is None:
             return picture

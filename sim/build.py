@@ -42,7 +42,7 @@ def build_scene(
     """Build the scene with the mounted item in its pose."""
     surfaces = _mounted(world, setup)
     if around is not None:
-        surfaces = (*surfaces, *_frame(world, setup), around)
+        surfaces = (*surfaces, *_frame_surfaces(world, setup), around)
     return _build_scene_around(
         world, setup, surfaces, np.concatenate([_bounding_box(surface) for surface in surfaces])
     )
@@ -51,7 +51,7 @@ def build_scene(
 def build_background(world: World, setup: SceneState, around: Surface) -> tuple[RenderScene, MirrorTexture]:
     """Build the scene in which the surroundings are seen behind the mounted item and in its shadow."""
     at_rest = replace(setup, vibration_mm=(0.0, 0.0, 0.0))
-    surfaces = (around, *_frame(world, at_rest), *_mounted(world, at_rest))
+    surfaces = (around, *_frame_surfaces(world, at_rest), *_mounted(world, at_rest))
     return _build_scene_around(
         world, setup, surfaces, np.concatenate([_bounding_box(surface) for surface in surfaces])
     )
@@ -62,7 +62,7 @@ def _mounted(world: World, setup: SceneState) -> tuple[Surface, ...]:
     return () if setup.item == NOTHING else (item_surface(world, setup.item, _pose(world, setup)),)
 
 
-def _frame(world: World, setup: SceneState) -> tuple[Surface, ...]:
+def _frame_surfaces(world: World, setup: SceneState) -> tuple[Surface, ...]:
     """The frame of a mounted board that has one."""
     rim = None if setup.item == NOTHING else rim_surface(world, setup.item, _pose(world, setup))
     return () if rim is None else (rim,)
@@ -79,8 +79,8 @@ def _build_scene_around(
     """Build a scene whose window and textures suffice for points (N, 3) in the camera's frame."""
     camera = world.camera_model()
     aperture = Aperture(world.camera.aperture_mm, world.camera.focus_mm or 1.0)
-    lamp, texture = _lamp(world, setup.T_projector_camera(world), enclosed_points)
-    window = _window(camera, aperture, enclosed_points)
+    lamp, texture = _build_lamp(world, setup.T_projector_camera(world), enclosed_points)
+    window = _window_around(camera, aperture, enclosed_points)
     return RenderScene(_optics(camera), aperture, lamp, surfaces, window), texture
 
 
@@ -98,7 +98,7 @@ def _optics(model: Pinhole) -> PinholeOptics:
     return PinholeOptics(model.size, model.matrix, model.distortion)
 
 
-def _lamp(
+def _build_lamp(
     world: World, T_projector_camera: RigidTransform, enclosed_points: Floats
 ) -> tuple[Lamp, MirrorTexture]:
     section, projector = world.projector, world.projector_model()
@@ -108,7 +108,7 @@ def _lamp(
     circles: tuple[float, ...] = (0.0,)
     if section.focus_mm is not None:
         aperture = Aperture(section.aperture_mm, section.focus_mm)
-        circles = _circles(aperture, scale, T_projector_camera.apply(enclosed_points)[:, 2])
+        circles = _circle_diameters(aperture, scale, T_projector_camera.apply(enclosed_points)[:, 2])
         texture = replace(texture, widest=circles[-1])
     fine = texture.places_per_mirror
     lamp = Lamp(
@@ -128,7 +128,7 @@ def _lamp(
     return lamp, texture
 
 
-def _circles(aperture: Aperture, scale: float, depths: Floats) -> tuple[float, ...]:
+def _circle_diameters(aperture: Aperture, scale: float, depths: Floats) -> tuple[float, ...]:
     """List diameters in texels that suffice for these depths, rising."""
     near, far = max(float(depths.min()), 1.0), max(float(depths.max()), 1.0)
     ends = scale * aperture.circle_per_px(np.array([near, far]))
@@ -163,7 +163,7 @@ def _placed(surface: Surface, points: Floats) -> Floats:
     return RigidTransform(matrix[:3, :3], matrix[:3, 3]).apply(points)
 
 
-def _window(camera: Pinhole, aperture: Aperture, box: Floats) -> tuple[int, int, int, int]:
+def _window_around(camera: Pinhole, aperture: Aperture, box: Floats) -> tuple[int, int, int, int]:
     """Find the pixels (left, top, right, bottom) that hold a box, with a margin."""
     width, height = camera.size
     if box[:, 2].min() <= 0:

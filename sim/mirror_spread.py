@@ -93,14 +93,14 @@ class Interpolation:
 @lru_cache(maxsize=256)
 def interpolation(spread: MirrorPointSpread) -> Interpolation:
     """Choose interpolation and filter for a spread."""
-    weights, gain = _interpolation(spread.interpolated)
+    weights, gain = _interpolation_weights(spread.interpolated)
     wider = math.sqrt(max(spread.blur**2 - WIDEST_BLUR**2, 0.0))
     gain_of_filter = spread.modulation(_FREQUENCIES) / gain
-    return Interpolation(weights.astype(np.float32), _filter(gain_of_filter, 8 + math.ceil(5 * wider)))
+    return Interpolation(weights.astype(np.float32), _fit_filter(gain_of_filter, 8 + math.ceil(5 * wider)))
 
 
 @lru_cache(maxsize=1024)
-def _interpolation(spread: MirrorPointSpread) -> tuple[Floats, Floats]:
+def _interpolation_weights(spread: MirrorPointSpread) -> tuple[Floats, Floats]:
     """Solve for the weights (STEPS + 1, TAPS), and for the modulation that they leave at each frequency.
 
     At each frequency the waves that the weights give at the places x shall be those of `spread` but for one
@@ -109,7 +109,7 @@ def _interpolation(spread: MirrorPointSpread) -> tuple[Floats, Floats]:
     it is even only where mirrors fill their squares.
     """
     places = np.arange(STEPS // 2 + 1) / STEPS
-    near, goal = _waves(spread, places)
+    near, goal = _waves_and_light(spread, places)
     count, size = len(places), len(places) * TAPS
     share = np.where(_FREQUENCIES <= BAND, 1.0, _REST)
     squares = np.einsum("f,fpa,fpb->pab", share + _PULL, near.conj(), near).real
@@ -126,7 +126,7 @@ def _interpolation(spread: MirrorPointSpread) -> tuple[Floats, Floats]:
     return np.concatenate([half[:0:-1, ::-1], half]), along @ solved / power * spread.modulation(_FREQUENCIES)
 
 
-def _waves(
+def _waves_and_light(
     spread: MirrorPointSpread, places: Floats
 ) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
     """Give waves of all frequencies at the nearest mirrors, and the light `spread` makes of them."""
@@ -181,7 +181,7 @@ def _disc_modulation(periods: Floats) -> Floats:
     return np.divide(2 * j1(x), x, out=np.ones_like(x), where=np.abs(x) > 1e-9)
 
 
-def _filter(modulation: Floats, reach: int) -> Floats:
+def _fit_filter(modulation: Floats, reach: int) -> Floats:
     """Fit a symmetric filter (2 reach + 1,) to a gain at each frequency."""
     order = np.arange(reach + 1)
     cosines = np.where(order == 0, 1.0, 2.0) * np.cos(2 * np.pi * np.outer(_FREQUENCIES, order))

@@ -187,7 +187,7 @@ class AdjustableParameter:
         return self.set(parameters, min(max(value, self.fit.lower), self.fit.upper))
 
 
-def _number(name: str, fit: FitRange) -> AdjustableParameter:
+def _number_parameter(name: str, fit: FitRange) -> AdjustableParameter:
     def read(parameters: TwinParameters) -> float:
         return float(getattr(parameters, name))
 
@@ -198,7 +198,7 @@ def _number(name: str, fit: FitRange) -> AdjustableParameter:
     return AdjustableParameter(fit, read, set_)
 
 
-def _part(name: str, index: int, fit: FitRange) -> AdjustableParameter:
+def _tuple_part_parameter(name: str, index: int, fit: FitRange) -> AdjustableParameter:
     """One of the numbers of a tuple."""
 
     def read(parameters: TwinParameters) -> float:
@@ -213,7 +213,7 @@ def _part(name: str, index: int, fit: FitRange) -> AdjustableParameter:
 
 
 def _substitute(number: SubstituteNumber) -> AdjustableParameter:
-    parameter = _number(number.parameter, number.fit)
+    parameter = _number_parameter(number.parameter, number.fit)
     return AdjustableParameter(
         number.fit,
         lambda p: number.from_parameter(parameter.read(p)),
@@ -222,9 +222,13 @@ def _substitute(number: SubstituteNumber) -> AdjustableParameter:
 
 
 ADJUSTABLE: dict[str, AdjustableParameter] = {
-    **{name: _number(name, entry.fit) for name, entry in TABLE.items() if entry.fit and not entry.parts},
     **{
-        part: _part(name, index, entry.fit)
+        name: _number_parameter(name, entry.fit)
+        for name, entry in TABLE.items()
+        if entry.fit and not entry.parts
+    },
+    **{
+        part: _tuple_part_parameter(name, index, entry.fit)
         for name, entry in TABLE.items()
         if entry.fit
         for index, part in enumerate(entry.parts)

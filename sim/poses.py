@@ -27,7 +27,7 @@ def _poses_of(
     world = World.model_validate_json(world_key)
     random = np.random.default_rng([world.seed, *name.encode()])
     camera, projector = world.camera_model(), world.projector_model()
-    outline = _outline(size_mm)
+    outline = _sample_board_edge(size_mm)
     T_projector_camera = world.T_projector_camera()
     margin = rules.margin_px + 0.5  # `margin_px` is measured from the centres of the outermost pixels
     chosen: list[RigidTransform] = []
@@ -49,7 +49,7 @@ def _poses_of(
         ):
             fitting.append(pose)
         if len(fitting) == 6:
-            chosen.append(_farthest(fitting, chosen))
+            chosen.append(_farthest_pose(fitting, chosen))
             fitting.clear()
     raise AssertionError
 
@@ -65,7 +65,7 @@ def board_poses(
     return _poses_of(world.model_dump_json(), name, size_mm, rules)
 
 
-def _outline(size_mm: tuple[float, float]) -> Floats:
+def _sample_board_edge(size_mm: tuple[float, float]) -> Floats:
     """Sample points along a board's edge, so that distortion cannot bend a part of it out of the image."""
     corners = plate_corners(size_mm)
     steps = np.linspace(0, 1, 5)[:-1, None]
@@ -87,7 +87,7 @@ def _random_pose(random: np.random.Generator, camera: Pinhole, rules: PoseRules)
     return RigidTransform(tilted.rotation @ turned.rotation, centre)
 
 
-def _farthest(fitting: list[RigidTransform], chosen: list[RigidTransform]) -> RigidTransform:
+def _farthest_pose(fitting: list[RigidTransform], chosen: list[RigidTransform]) -> RigidTransform:
     if not chosen:
         return fitting[0]
     before = np.array([pose.translation for pose in chosen])

@@ -56,7 +56,7 @@ _CLASSES = {
 def write_preview(preview: Preview, stream: IO[bytes]) -> None:
     """Write a preview."""
     arrays: dict[str, NDArray[Any]] = {}
-    tree = json.dumps(_plain(preview, arrays))
+    tree = json.dumps(_to_plain_value(preview, arrays))
     np.savez(stream, **{_TREE: np.array(tree)}, **arrays)
 
 
@@ -65,31 +65,31 @@ def read_preview(path: Path | str) -> Preview:
     with np.load(path, allow_pickle=False) as archive:
         if _TREE not in archive:
             raise ValueError(f"{path} describes no rig")
-        preview = _restored(json.loads(str(archive[_TREE])), archive)
+        preview = _restore_value(json.loads(str(archive[_TREE])), archive)
     if not isinstance(preview, Preview):
         raise ValueError(f"{path} describes no rig")
     return preview
 
 
-def _plain(value: Any, arrays: dict[str, NDArray[Any]]) -> Any:
+def _to_plain_value(value: Any, arrays: dict[str, NDArray[Any]]) -> Any:
     if isinstance(value, np.ndarray):
         name = f"array_{len(arrays)}"
         arrays[name] = value
         return {"array": name}
     if is_dataclass(value):
-        parts = {field.name: _plain(getattr(value, field.name), arrays) for field in fields(value)}
+        parts = {field.name: _to_plain_value(getattr(value, field.name), arrays) for field in fields(value)}
         return {"class": type(value).__name__, "parts": parts}
     if isinstance(value, tuple):
-        return [_plain(part, arrays) for part in value]
+        return [_to_plain_value(part, arrays) for part in value]
     return value.item() if isinstance(value, np.generic) else value
 
 
-def _restored(value: Any, arrays: Any) -> Any:
+def _restore_value(value: Any, arrays: Any) -> Any:
     if isinstance(value, list):
-        return tuple(_restored(part, arrays) for part in value)
+        return tuple(_restore_value(part, arrays) for part in value)
     if not isinstance(value, dict):
         return value
     if "array" in value:
         return arrays[value["array"]]
-    parts = {name: _restored(part, arrays) for name, part in value["parts"].items()}
+    parts = {name: _restore_value(part, arrays) for name, part in value["parts"].items()}
     return _CLASSES[value["class"]](**parts)

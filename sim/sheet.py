@@ -89,7 +89,7 @@ def _draw(
     paper, ink = target.background, target.foreground
     reflectance = np.float32(ink) + np.float32((paper - ink) / 255) * wide
     if texture is not None:
-        factor = _factor(Path(texture))
+        factor = _read_texture_factor(Path(texture))
         reflectance *= cv2.resize(factor, wide.shape[::-1], interpolation=cv2.INTER_LINEAR)
     reflectance = np.minimum(reflectance, 1.0)
     white = float(reflectance.max())
@@ -101,7 +101,7 @@ def _changed_ns(name: str) -> int:
     return path.stat().st_mtime_ns if path.is_file() else 0
 
 
-def _factor(path: Path) -> NDArray[np.float32]:
+def _read_texture_factor(path: Path) -> NDArray[np.float32]:
     try:
         pictures = list(grey_images(places_in(path)))
     except (FppError, OSError) as error:

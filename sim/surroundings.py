@@ -26,8 +26,8 @@ def surroundings_surface(world: World) -> Surface | None:
     section = world.surroundings
     if section is None:
         return None
-    vertices, faces = _mesh(Path(section.mesh), _changed_ns(section.mesh))
-    picture = _picture(Path(section.picture), _changed_ns(section.picture))
+    vertices, faces = _read_mesh_cached(Path(section.mesh), _changed_ns(section.mesh))
+    picture = _read_picture_cached(Path(section.picture), _changed_ns(section.picture))
     return _surface(vertices, faces, picture, section.reflectance, world.camera_model())
 
 
@@ -39,7 +39,7 @@ def _surface(
     return Surface(vertices, faces, np.eye(4), Paint(white), picture, uv, shades_room=False)
 
 
-def _grey(surroundings: BenchSurroundings) -> tuple[NDArray[np.uint8], float]:
+def _reflectance_picture(surroundings: BenchSurroundings) -> tuple[NDArray[np.uint8], float]:
     """The reflectance as a picture, and that of its white."""
     white = max(float(surroundings.reflectance.max()), 1e-3)  # below it surroundings are black
     return np.rint(surroundings.reflectance * np.float32(255 / white)).astype(np.uint8), white
@@ -48,7 +48,7 @@ def _grey(surroundings: BenchSurroundings) -> tuple[NDArray[np.uint8], float]:
 def save_surroundings(surroundings: BenchSurroundings, folder: Path) -> SurroundingsSection:
     """Write the files of surroundings."""
     mesh, picture = (folder.resolve() / f"surroundings{suffix}" for suffix in (".ply", ".png"))
-    grey, white = _grey(surroundings)
+    grey, white = _reflectance_picture(surroundings)
     content = export_ply(surroundings.mesh)
     write_atomic(mesh, lambda stream: stream.write(content))
     write_atomic(picture, lambda stream: Pillow.fromarray(grey).save(stream, "PNG"))
@@ -61,7 +61,7 @@ def _changed_ns(name: str) -> int:
 
 
 @lru_cache(maxsize=4)
-def _mesh(path: Path, changed_ns: int) -> tuple[Floats, NDArray[np.int64]]:
+def _read_mesh_cached(path: Path, changed_ns: int) -> tuple[Floats, NDArray[np.int64]]:
     try:
         mesh = load_mesh(path)
     except FppError as error:
@@ -76,7 +76,7 @@ def _mesh(path: Path, changed_ns: int) -> tuple[Floats, NDArray[np.int64]]:
 
 
 @lru_cache(maxsize=4)
-def _picture(path: Path, changed_ns: int) -> NDArray[np.uint8]:
+def _read_picture_cached(path: Path, changed_ns: int) -> NDArray[np.uint8]:
     try:
         pictures = list(grey_images(places_in(path)))
     except (FppError, OSError) as error:

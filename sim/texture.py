@@ -88,12 +88,12 @@ class MirrorTexture:
 
     @property
     def _layout(self) -> _Layout:
-        return _layout(self.size, self.lattice, self._margin)
+        return _texture_layout(self.size, self.lattice, self._margin)
 
     @property
     def affine(self) -> Floats:
         """(2, 3): projector pixels (u, v, 1) to texture (column, row); texel centres are integers."""
-        return _affine(self.size, self.lattice, self._margin)
+        return _lattice_affine(self.size, self.lattice, self._margin)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -116,7 +116,7 @@ class MirrorTexture:
         filters = [self._filters(circle) for circle in circles]
         reach = max(sum(len(kernel) // 2 for kernel in of_circle) for of_circle in filters)
         sharp, inside = self._sharp(light, part, reach)
-        return [_convolved(sharp, of_circle)[inside] for of_circle in filters]
+        return [_convolve_texture(sharp, of_circle)[inside] for of_circle in filters]
 
     def textures(
         self, levels: Sequence[Texels] | Texels, circles: Sequence[float] = (0.0,), part: Part | None = None
@@ -141,8 +141,8 @@ class MirrorTexture:
         profile = narrow.profile(np.arange(-reach, reach + 1) / fine)
         disc = disc_filter(circle)
         placed = np.zeros((fine * sharp.shape[0], fine * sharp.shape[1]), np.float32)
-        placed[::fine, ::fine] = sharp if disc is None else _convolved(sharp, (disc,))
-        return np.asarray(spline_filter(_convolved(placed, (profile,)), order=3, output=np.float32))
+        placed[::fine, ::fine] = sharp if disc is None else _convolve_texture(sharp, (disc,))
+        return np.asarray(spline_filter(_convolve_texture(placed, (profile,)), order=3, output=np.float32))
 
     def _spread(self, circle: float) -> MirrorPointSpread:
         return MirrorPointSpread(self.blur, self.fill, min(circle, WIDEST_CIRCLE))
@@ -169,7 +169,7 @@ class MirrorTexture:
         return texture, (slice(top - y, bottom - y), slice(left - x, right - x))
 
 
-def _convolved(texture: Texels, filters: Sequence[Floats]) -> Texels:
+def _convolve_texture(texture: Texels, filters: Sequence[Floats]) -> Texels:
     filtered: MatLike = texture
     for kernel in filters:
         if kernel.ndim == 1 and len(kernel) > 1:
@@ -179,7 +179,7 @@ def _convolved(texture: Texels, filters: Sequence[Floats]) -> Texels:
     return np.asarray(filtered, np.float32)
 
 
-def _affine(size: tuple[int, int], lattice: Lattice, margin: int) -> Floats:
+def _lattice_affine(size: tuple[int, int], lattice: Lattice, margin: int) -> Floats:
     if lattice is Lattice.SQUARE:
         return np.array([[1.0, 0.0, margin], [0.0, 1.0, margin]])
     least_t = -((size[1] - 1) // 2) - (size[1] - 1) % 2
@@ -199,9 +199,11 @@ class _Layout:
 
 
 @lru_cache(maxsize=8)
-def _layout(size: tuple[int, int], lattice: Lattice, margin: int) -> _Layout:
+def _texture_layout(size: tuple[int, int], lattice: Lattice, margin: int) -> _Layout:
     u, v = mirror_centres(size, lattice)
-    column, row = np.einsum("ij,jvu->ivu", _affine(size, lattice, margin), np.stack([u, v, np.ones_like(u)]))
+    column, row = np.einsum(
+        "ij,jvu->ivu", _lattice_affine(size, lattice, margin), np.stack([u, v, np.ones_like(u)])
+    )
     rows, columns = np.rint(row).astype(np.intp), np.rint(column).astype(np.intp)
     shape = int(rows.max()) + margin + 1, int(columns.max()) + margin + 1
     places = np.ravel_multi_index((rows, columns), shape)

@@ -165,7 +165,7 @@ class Twin:
         """Compute what the camera sees of the board on average, without noise and vibration."""
         # returns (n, h, w)
         self.before_images()
-        return self._expected(self._setup(pose), patterns, settings)
+        return self._expected_levels(self._setup(pose), patterns, settings)
 
     def expected_at(
         self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings, pixels: PixelIndices
@@ -194,7 +194,7 @@ class Twin:
     def expected_of(self, item: str, patterns: Sequence[Pattern], settings: CameraSettings) -> ExpectedLevels:
         """Compute what the camera sees of another item of the world on average."""
         # returns (n, h, w)
-        return self._expected(SceneState(item), patterns, settings)
+        return self._expected_levels(SceneState(item), patterns, settings)
 
     def expected_part(
         self,
@@ -297,7 +297,7 @@ class Twin:
         write_text(path, config.to_yaml({"name": "Matched twin", **noted, "bench": bench, **devices}))
         return path
 
-    def _expected(
+    def _expected_levels(
         self, setup: SceneState, patterns: Sequence[Pattern], settings: CameraSettings
     ) -> ExpectedLevels:
         shown, sensor = tuple(patterns), SensorModel.of(self.world)

@@ -50,10 +50,12 @@ def frames_of_plane(plan: Plan, rig: Calibration, bits: int) -> list[Image]:
     slopes = rig.camera.normalise(np.stack([u, v], axis=-1))
     points = DISTANCE_MM * np.concatenate([slopes, np.ones((*slopes.shape[:2], 1))], axis=-1)
     coordinates = rig.projector.project(points, rig.T_projector_camera)
-    return [_frame(plan, i, n, coordinates, rig.projector.size, bits) for i, n, _ in plan.steps()]
+    return [_simulate_frame(plan, i, n, coordinates, rig.projector.size, bits) for i, n, _ in plan.steps()]
 
 
-def _frame(plan: Plan, index: int, step: int, coordinates: Floats, size: tuple[int, int], bits: int) -> Image:
+def _simulate_frame(
+    plan: Plan, index: int, step: int, coordinates: Floats, size: tuple[int, int], bits: int
+) -> Image:
     fringe = plan.fringes[index]
     coordinate = coordinates[..., 0 if fringe.axis == "x" else 1]
     phase = phase_of_coordinate(coordinate, fringe.stripes, axis_length(size, fringe.axis))

@@ -80,7 +80,7 @@ class Blender:
         finally:
             ours.close()
             theirs.close()
-        self._answer("start", START_S)
+        self._wait_for_answer("start", START_S)
 
     def render(
         self,
@@ -96,14 +96,14 @@ class Blender:
         width, height = scene.camera.size
         shape = (len(views), height, width, effort.channels)
         count = int(np.prod(shape))
-        pixels = self._reserve(4 * (count + (textures.size if textures is not None else 0)))
+        pixels = self._reserve_shared_memory(4 * (count + (textures.size if textures is not None else 0)))
         if textures is not None:
             pixels[count : count + textures.size] = textures.ravel()
         if scene is not self._scene:
             self._send("scene", scene)
             self._scene = scene
         self._send("render", {"textured": textures is not None, "views": views, "effort": effort})
-        self._answer("render", timeout_s)
+        self._wait_for_answer("render", timeout_s)
         return pixels[:count].reshape(shape)
 
     def close(self) -> None:
@@ -123,7 +123,7 @@ class Blender:
         self._process = self._connection = self._log = self._scene = None
         self._memory, self._pixels = -1, np.empty(0, np.float32)
 
-    def _reserve(self, size: int) -> NDArray[np.float32]:
+    def _reserve_shared_memory(self, size: int) -> NDArray[np.float32]:
         """Map the shared memory, grown to at least `size` bytes."""
         if size <= self._pixels.nbytes:
             return self._pixels
@@ -144,9 +144,9 @@ class Blender:
         try:
             self._connection.send((verb, content))
         except OSError as error:
-            raise self._dead(verb) from error
+            raise self._process_ended_error(verb) from error
 
-    def _answer(self, doing: str, timeout_s: float) -> None:
+    def _wait_for_answer(self, doing: str, timeout_s: float) -> None:
         """Wait for the process's answer; anything else, including an interruption, ends the process."""
         assert self._connection is not None
         try:
@@ -156,7 +156,7 @@ class Blender:
                 )
             verb, content = self._connection.recv()
         except (EOFError, OSError) as error:
-            raise self._dead(doing) from error
+            raise self._process_ended_error(doing) from error
         except BaseException:
             self._kill()
             raise
@@ -170,7 +170,7 @@ class Blender:
             self._process.kill()
         self.close()
 
-    def _dead(self, doing: str) -> DeviceError:
+    def _process_ended_error(self, doing: str) -> DeviceError:
         """Make the error for a process that is gone, with its last line of output."""
         output = ""
         if self._process is not None and self._log is not None:

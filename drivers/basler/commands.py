@@ -46,7 +46,7 @@ def save_settings(
 
     need_suffix(file, ".pfs")
     refuse_existing(file, force)
-    with _connected(serial) as device:
+    with _select_camera(serial) as device:
         device.save_features(file)
         info = device.info()
     console.print_result({"settings": str(file), "model": info.model, "serial": info.serial}, json)
@@ -60,13 +60,13 @@ def load_settings(file: SettingsFile, serial: CameraSerialOption = None, json: J
 
     Example: `fpplab camera load camera.pfs`
     """
-    with _connected(serial) as device:
+    with _select_camera(serial) as device:
         device.load_features(file)
         info = device.info()
     console.print_result({"settings": str(file), "model": info.model, "serial": info.serial}, json)
 
 
-def _connected(serial: str | None) -> CameraAsLeft:
+def _select_camera(serial: str | None) -> CameraAsLeft:
     """Return the camera of that serial number, or the only one, not open yet, or raise `DeviceError`."""
     from drivers.basler.camera import CameraAsLeft
     from drivers.basler.transport import Pylon

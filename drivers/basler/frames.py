@@ -41,7 +41,7 @@ class BufferPool:
             packed = np.frombuffer(result.GetImageMemoryView(), np.uint8)
             return unpack12(packed, result.GetHeight(), result.GetWidth(), result.GetPaddingX())
         if len(self._lent) >= self.size - SPARE_BUFFERS:
-            return cast(Image, _view(result).copy())
+            return cast(Image, _view_buffer(result).copy())
         lease = _Lease(result)
         self._lent.add(lease)
         return cast(Image, np.asarray(lease))
@@ -51,12 +51,12 @@ class _Lease:
     """Keeps a grab result alive for as long as an array uses its buffer."""
 
     def __init__(self, result: Any) -> None:
-        self._view = _view(result)
+        self._view = _view_buffer(result)
         self._result = result
         self.__array_interface__ = self._view.__array_interface__
 
 
-def _view(result: Any) -> NDArray[Any]:
+def _view_buffer(result: Any) -> NDArray[Any]:
     """Return the buffer as an array (height, width), valid while the grab result exists."""
     height, width = result.GetHeight(), result.GetWidth()
     dtype = np.dtype(np.uint8 if result.GetPixelType() == pylon.PixelType_Mono8 else np.uint16)

@@ -115,7 +115,7 @@ def serve_screen(connection: Connection, display_id: int | str, size: tuple[int,
 def serve_displays(connection: Connection) -> None:
     """Send the list of displays, or a `ScreenFailure`."""
     try:
-        with native_stderr_silenced(), _video() as sdl:
+        with native_stderr_silenced(), _sdl_video() as sdl:
             connection.send(_displays(sdl))
     except ScreenError as error:
         connection.send(error.failure)
@@ -134,7 +134,7 @@ def _displays(sdl: Any) -> list[DisplayInfo]:
 
 
 @contextmanager
-def _video() -> Iterator[Any]:
+def _sdl_video() -> Iterator[Any]:
     """SDL with its video part, or `ScreenError`."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # PySDL2 warns about which SDL library it uses
@@ -156,7 +156,7 @@ def _video() -> Iterator[Any]:
 @contextmanager
 def open_screen(display_id: int | str, size: tuple[int, int] | None = None) -> Iterator[Screen]:
     """Open a display and show black; the display is released at the end of the context."""
-    with _video() as sdl:
+    with _sdl_video() as sdl:
         yield Screen(sdl, display_id, size)
 
 

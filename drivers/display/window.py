@@ -95,7 +95,7 @@ class SdlDisplay:
             self._process.start()
         finally:
             theirs.close()  # so that the pipe ends when the process does
-        opened: OpenedScreen = self._answer("open", START_S)
+        opened: OpenedScreen = self._wait_for_answer("open", START_S)
         self.vsync_s, self.info = opened.vsync_s, opened.display
         width, height = opened.display.size
         self._shape = (height, width, 3)
@@ -112,7 +112,7 @@ class SdlDisplay:
         np.copyto(np.ndarray(self._shape, np.uint8, self._memory.buf), frame)
         with suppress(OSError):  # an answer sent before the process ended is still to be read
             self._connection.send(ShowFrame(refreshes))
-        self._answer("video", SHOW_S + (refreshes or 0) * self.vsync_s)
+        self._wait_for_answer("video", SHOW_S + (refreshes or 0) * self.vsync_s)
 
     def close(self) -> None:
         """Close the display and end the process; may be called at any time, any number of times."""
@@ -129,7 +129,7 @@ class SdlDisplay:
             self._memory.unlink()
         self._process = self._connection = self._memory = None
 
-    def _answer(self, operation: str, timeout_s: float) -> Any:
+    def _wait_for_answer(self, operation: str, timeout_s: float) -> Any:
         """Wait for the process's answer; any failure, including an interruption, ends the process."""
         assert self._connection is not None
         try:
@@ -145,12 +145,12 @@ class SdlDisplay:
                 raise DeviceError(self._name, operation, answer.reason, answer.remedy)
             return answer
         except (OSError, EOFError) as error:
-            raise self._dead(operation) from error
+            raise self._process_ended_error(operation) from error
         except BaseException:
             self.close()
             raise
 
-    def _dead(self, operation: str) -> DisconnectedError:
+    def _process_ended_error(self, operation: str) -> DisconnectedError:
         assert self._process is not None
         self._process.join(STOP_S)
         code = self._process.exitcode

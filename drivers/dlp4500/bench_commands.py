@@ -33,7 +33,7 @@ class Power(StrEnum):
 
 
 @contextmanager
-def _board(serial: str | None, echo: bool) -> Iterator[Controller]:
+def _opened_controller(serial: str | None, echo: bool) -> Iterator[Controller]:
     """Open the controller for the duration of a command."""
     from drivers.clock import RealClock
     from drivers.dlp4500.controller import Controller
@@ -53,7 +53,7 @@ def status(
 
     Example: `fpplab dlp4500 status`
     """
-    with _board(serial, echo) as board:
+    with _opened_controller(serial, echo) as board:
         status_now = board.status()
         result = {
             "firmware": board.version(),
@@ -77,7 +77,7 @@ def power(
 
     Example: `fpplab dlp4500 power off`
     """
-    with _board(serial, echo) as board:
+    with _opened_controller(serial, echo) as board:
         if state is Power.ON:
             board.wake()
             board.go_dark()
@@ -129,7 +129,7 @@ def led(
     if above and not confirm(operation, f"LEDs above their limits: {', '.join(above)}."):
         remedy = how_to_confirm(operation)
         raise LimitError(NAME, "led", f"levels above the limits: {', '.join(above)}", remedy)
-    with _board(serial, echo) as board:
+    with _opened_controller(serial, echo) as board:
         board.set_led_levels(levels, inverted)
         board.switch_on_leds([colour for colour, level in levels.items() if level])
     console.print_result(levels, json)
@@ -163,7 +163,7 @@ def show_test_pattern(
 
     if name != "off" and name not in TEST_PATTERNS:
         raise ConfigError(f"there is no test pattern '{name}'; there are {', '.join(TEST_PATTERNS)} and off")
-    with _board(serial, echo) as board:
+    with _opened_controller(serial, echo) as board:
         if name == "off":
             board.go_dark()
         else:

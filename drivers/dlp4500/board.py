@@ -93,14 +93,14 @@ class ProjectorBoard:
                 return not self.is_standby()
             return False
 
-        self._until(awake, "wake", "is still in standby", WAKING)
+        self._poll_until(awake, "wake", "is still in standby", WAKING)
 
     def enter_standby(self) -> None:
         """Switch the light off and enter standby, which is possible from video mode only."""
         self.go_dark()
         self.set_display_mode(DisplayMode.VIDEO)
         self.link.write(protocol.POWER, standby=1)
-        self._until(self.is_standby, "standby", "is still awake", WAKING)
+        self._poll_until(self.is_standby, "standby", "is still awake", WAKING)
 
     def reset(self) -> None:
         """Restart the controller and close the link: the USB device disappears and must be opened again."""
@@ -193,7 +193,9 @@ class ProjectorBoard:
         if mode is DisplayMode.PATTERN:  # with a test pattern selected the USB link was lost on the way back
             self.link.write(protocol.INPUT_SOURCE, **PARALLEL_24_BIT)
         self.link.write(protocol.DISPLAY_MODE, mode=int(mode))
-        self._until(lambda: self._mode() == mode, "display mode", f"is not in {mode.name} mode", MODE_CHANGE)
+        self._poll_until(
+            lambda: self._mode() == mode, "display mode", f"is not in {mode.name} mode", MODE_CHANGE
+        )
 
     def select_video(self) -> None:
         """Select 24-bit frames from the parallel port (HDMI), and wait until their signal is locked.
@@ -206,7 +208,7 @@ class ProjectorBoard:
         self.link.write(protocol.PIXEL_FORMAT, format=0)
         self.link.write(protocol.CHANNEL_SWAP, **BOARD_CHANNEL_SWAP)
         # TI's GUI wants the signal locked before it enters pattern mode.
-        self._until(self.is_locked, "video", "no signal is locked on the video port", LOCKING)
+        self._poll_until(self.is_locked, "video", "no signal is locked on the video port", LOCKING)
 
     def show_test_pattern(self, name: str) -> None:
         """Show an internal test pattern, white on black, lit by the LEDs at their present currents."""
@@ -236,7 +238,7 @@ class ProjectorBoard:
     def stop(self) -> None:
         """Stop the sequence and wait for it; the next start begins at its first pattern."""
         self.link.write(protocol.SEQUENCE, run=Run.STOP)
-        self._until(
+        self._poll_until(
             lambda: self.link.read(protocol.SEQUENCE)["run"] == Run.STOP,
             "stop",
             "the sequence still runs",
@@ -246,7 +248,7 @@ class ProjectorBoard:
     def _mode(self) -> int:
         return self.link.read(protocol.DISPLAY_MODE)["mode"]
 
-    def _until(self, done: Callable[[], bool], operation: str, reason: str, polling: Polling) -> None:
+    def _poll_until(self, done: Callable[[], bool], operation: str, reason: str, polling: Polling) -> None:
         """Poll until done, or raise `DeviceTimeoutError` with `reason` after the limit."""
         for _ in range(round(polling.limit_s / polling.step_s)):
             if done():

@@ -79,7 +79,7 @@ class Controller(ProjectorBoard):
 
         if result["busy"]:
             self._clock.sleep(VALIDATION.step_s)
-            self._until(done, "validation", "does not end", VALIDATION)
+            self._poll_until(done, "validation", "does not end", VALIDATION)
         self._warnings = validation_messages(result, VALIDATION_WARNINGS)
         if messages := validation_messages(result, VALIDATION_ERRORS):
             raise ProtocolError(self._name, "validation", "; ".join(messages), "change the plan's exposure")
@@ -131,7 +131,7 @@ class Controller(ProjectorBoard):
 
     def await_end(self, program: Program) -> None:
         """Wait until a sequence that is not repeated has ended, a first wait for a video frame included."""
-        self._until(
+        self._poll_until(
             lambda: not self.link.read(protocol.MAIN_STATUS)["running"],
             "play",
             "the sequence still runs",
@@ -157,24 +157,24 @@ class Controller(ProjectorBoard):
 
     def _write_patterns(self, program: Program) -> None:
         if not program.variable:
-            with self._mailbox(Mailbox.PATTERNS):
+            with self._open_mailbox(Mailbox.PATTERNS):
                 self.link.write(protocol.MAILBOX_ADDRESS, address=0)
                 self.link.write_bytes(protocol.MAILBOX_DATA, program.pattern_table())
             return
         times = {"exposure_us": program.exposure_us, "period_us": program.period_us}
-        with self._mailbox(Mailbox.VARIABLE):
+        with self._open_mailbox(Mailbox.VARIABLE):
             for i, entry in enumerate(program.entries):
                 self.link.write(protocol.VARIABLE_ADDRESS, address=i)
                 self.link.write(protocol.VARIABLE_DATA, **entry.values(), **times)
 
     def _write_images(self, program: Program) -> None:
         address = protocol.VARIABLE_ADDRESS if program.variable else protocol.MAILBOX_ADDRESS
-        with self._mailbox(Mailbox.IMAGES):
+        with self._open_mailbox(Mailbox.IMAGES):
             self.link.write(address, address=0)
             self.link.write_bytes(protocol.MAILBOX_DATA, program.image_table())
 
     @contextmanager
-    def _mailbox(self, table: Mailbox) -> Iterator[None]:
+    def _open_mailbox(self, table: Mailbox) -> Iterator[None]:
         """Open a table for writing, and close it also when writing fails."""
         self.link.write(protocol.MAILBOX, table=table)
         try:

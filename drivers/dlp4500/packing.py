@@ -36,11 +36,11 @@ def pack_images(patterns: Sequence[Pattern], slots: Sequence[Slot]) -> Iterator[
     for _, group in groupby(placed, key=lambda pair: pair[1].image):
         image = np.zeros((height, width, 3), np.uint8)
         for pattern, slot in group:
-            _put(image, shown_image(pattern), slot)
+            _write_levels(image, shown_image(pattern), slot)
         yield image
 
 
-def _put(image: Planes, levels: NDArray[np.uint8], slot: Slot) -> None:
+def _write_levels(image: Planes, levels: NDArray[np.uint8], slot: Slot) -> None:
     """Write grey levels into the bit planes of one colour, or of two adjacent ones."""
     planes = bit_planes(slot.bits, slot.number)
     colour, shift = divmod(planes.start, 8)

@@ -82,7 +82,7 @@ class EmulatedShutter:
         self._clock, self._timing = clock, timing
         self._past: deque[LightInterval] = deque()
         self._exposures: deque[Exposure] = deque()
-        clock.on_interval = self._record
+        clock.on_interval = self._record_interval
         self.clear()
 
     def clear(self) -> None:
@@ -112,7 +112,7 @@ class EmulatedShutter:
                 clock.sleep_until(min(next_change_s, deadline_s))
             clock.sleep_until(self._exposures[0].end_s)
             exposure = self._exposures.popleft()
-            return exposure.settings, self._collect(exposure)
+            return exposure.settings, self._collect_light(exposure)
 
     def expose_now(self, settings: CameraSettings) -> CollectedLight:
         """Make an exposure that begins now, and let its time pass."""
@@ -120,9 +120,9 @@ class EmulatedShutter:
             begin_s = self._clock.now()
             exposure = Exposure(settings, begin_s, begin_s + settings.exposure_s)
             self._clock.sleep_until(exposure.end_s)
-            return self._collect(exposure)
+            return self._collect_light(exposure)
 
-    def _record(self, interval: LightInterval) -> None:
+    def _record_interval(self, interval: LightInterval) -> None:
         past = self._past
         if past and _same_light(past[-1].light, interval.light):
             past[-1] = replace(past[-1], end_s=interval.end_s)
@@ -133,7 +133,7 @@ class EmulatedShutter:
         while past[0].end_s < needed_s:
             past.popleft()
 
-    def _collect(self, exposure: Exposure) -> CollectedLight:
+    def _collect_light(self, exposure: Exposure) -> CollectedLight:
         collected = []
         for interval in self._past:
             open_s = min(interval.end_s, exposure.end_s) - max(interval.begin_s, exposure.begin_s)

@@ -85,7 +85,9 @@ class PatternCache:
         self._projector.show(self._indices[key])
 
     def _load(self, images: dict[bytes, GreyImage]) -> None:
-        self._loaded = {key: self._loaded.get(key) or _pattern(key, image) for key, image in images.items()}
+        self._loaded = {
+            key: self._loaded.get(key) or _pattern_of_image(key, image) for key, image in images.items()
+        }
         self._indices = {}
         self._projector.load(list(self._loaded.values()))
         self._indices = {key: index for index, key in enumerate(self._loaded)}
@@ -102,7 +104,7 @@ def _key(image: GreyImage) -> bytes:
     return hashlib.blake2b(image.tobytes(), digest_size=16).digest()
 
 
-def _pattern(key: bytes, image: GreyImage) -> Pattern:
+def _pattern_of_image(key: bytes, image: GreyImage) -> Pattern:
     read_only = image.copy()
     read_only.flags.writeable = False
     return Pattern(key.hex(), read_only)

@@ -61,7 +61,7 @@ class Features:
                 f"{name} cannot be set to {value}",
                 "this camera has no such setting",
             )
-        if refusal := _refusal(node, value):
+        if refusal := _describe_refusal(node, value):
             raise SettingError(
                 self._device, operation, f"{name} is {_shown(value)}", f"the camera takes {refusal}"
             )
@@ -93,7 +93,7 @@ class Features:
     def write_if_possible(self, feature: FeatureNames, value: Any) -> None:
         """Set a feature where the camera takes the value; otherwise leave it unchanged."""
         node = self._node(feature)
-        if node.IsWritable() and not _refusal(node, value):
+        if node.IsWritable() and not _describe_refusal(node, value):
             node.SetValue(value)
 
     def unit(self, feature: FeatureNames) -> str | None:
@@ -123,7 +123,7 @@ def _is_integer(node: Any) -> bool:
     return hasattr(node, "GetMin") and isinstance(node.GetMin(), int)
 
 
-def _refusal(node: Any, value: Any) -> str:
+def _describe_refusal(node: Any, value: Any) -> str:
     """Describe what the node accepts, if it does not take the value; otherwise return an empty string."""
     if hasattr(node, "GetSettableValues"):
         choices = node.GetSettableValues()

@@ -31,7 +31,7 @@ def image_from(raw: NDArray[np.uint8], pixel_format: str, height: int, width: in
     if pixel_format not in PIXELS:
         raise ValueError(f"pixels of the format {pixel_format} are not known")
     dtype = np.dtype(PIXELS[pixel_format])
-    rows = _rows(raw, height, width * dtype.itemsize, padding)
+    rows = _rows_without_padding(raw, height, width * dtype.itemsize, padding)
     return rows.copy().view(dtype.newbyteorder("<")).astype(dtype, copy=False)
 
 
@@ -43,9 +43,13 @@ def unpack12(raw: NDArray[np.uint8], height: int, width: int, padding: int = 0) 
     """
     # returns (height, width)
     if not padding:
-        pixels: NDArray[np.uint16] = _unpack(_rows(raw, 1, _packed_bytes(height * width), 0), height * width)
+        pixels: NDArray[np.uint16] = _unpack_12_bit_pixels(
+            _rows_without_padding(raw, 1, _packed_bytes(height * width), 0), height * width
+        )
         return pixels.reshape(height, width)
-    unpacked: NDArray[np.uint16] = _unpack(_rows(raw, height, _packed_bytes(width), padding), width)
+    unpacked: NDArray[np.uint16] = _unpack_12_bit_pixels(
+        _rows_without_padding(raw, height, _packed_bytes(width), padding), width
+    )
     return unpacked
 
 
@@ -53,7 +57,9 @@ def _packed_bytes(pixels: int) -> int:
     return (3 * pixels + 1) // 2
 
 
-def _rows(raw: NDArray[np.uint8], height: int, row_bytes: int, padding: int) -> NDArray[np.uint8]:
+def _rows_without_padding(
+    raw: NDArray[np.uint8], height: int, row_bytes: int, padding: int
+) -> NDArray[np.uint8]:
     """A view of the rows without their padding, which the last row may lack."""
     pitch = row_bytes + padding
     if raw.size < pitch * height - padding:
@@ -62,7 +68,7 @@ def _rows(raw: NDArray[np.uint8], height: int, row_bytes: int, padding: int) -> 
 
 
 @numba.njit(cache=True, nogil=True)
-def _unpack(rows: Any, width: int) -> Any:
+def _unpack_12_bit_pixels(rows: Any, width: int) -> Any:
     """uint16 (rows, width) from uint8 (rows, bytes); of an odd number the last pixel takes two bytes."""
     out = np.empty((rows.shape[0], width), np.uint16)
     for row in range(rows.shape[0]):

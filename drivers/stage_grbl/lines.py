@@ -154,13 +154,13 @@ def parse_line(line: str) -> GrblMessage:
     if match := _SETTING.fullmatch(line):
         return Setting(int(match[1]), float(match[2]))
     if line.startswith("<") and line.endswith(">"):
-        return _report(line[1:-1])
+        return _parse_report(line[1:-1])
     if _OTHER.fullmatch(line):
         return OtherLine(line)
     raise ValueError(f"{line!r} is not a line of GRBL 1.1")
 
 
-def _report(inside: str) -> StatusReport:
+def _parse_report(inside: str) -> StatusReport:
     head, *rest = inside.split("|")
     state = _STATE.fullmatch(head)
     fields = dict(field.partition(":")[::2] for field in rest)
@@ -169,14 +169,14 @@ def _report(inside: str) -> StatusReport:
     return StatusReport(
         state[1],
         int(state[2]) if state[2] else None,
-        _axes(fields.get("MPos")),
-        _axes(fields.get("WPos")),
-        _axes(fields.get("WCO")),
+        _parse_axes(fields.get("MPos")),
+        _parse_axes(fields.get("WPos")),
+        _parse_axes(fields.get("WCO")),
         fields.get("Pn", ""),
     )
 
 
-def _axes(text: str | None) -> Axes | None:
+def _parse_axes(text: str | None) -> Axes | None:
     if text is None:
         return None
     if not _NUMBERS.fullmatch(text):

@@ -76,7 +76,7 @@ class GrblWire:
 
     def reset(self, operation: str, timeout_s: float) -> str:
         """Restart the controller, which stops it at once, and discard what it sent before."""
-        self._read(operation, time.monotonic())
+        self._wait_for_bytes(operation, time.monotonic())
         self._received.clear()  # an earlier welcome message must not be taken for the answer
         self._write(operation, RESET)
         deadline = time.monotonic() + timeout_s
@@ -224,10 +224,10 @@ class GrblWire:
                     f"{beginning!r} … has no line end",
                     f"set the controller to {BAUD} baud",
                 )
-            if not self._read(operation, deadline):
+            if not self._wait_for_bytes(operation, deadline):
                 return None
 
-    def _read(self, operation: str, deadline: float) -> bool:
+    def _wait_for_bytes(self, operation: str, deadline: float) -> bool:
         """Wait for bytes and return False at the deadline; bytes that have arrived are read even after it."""
         try:
             self._serial.timeout = max(0.0, deadline - time.monotonic())

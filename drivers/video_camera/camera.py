@@ -89,7 +89,7 @@ class VideoCamera(Camera):
         self._forget()  # settings that are refused may have been applied in part
         self._set_format(self._bits[settings.bits])
         units = round(settings.exposure_s / UNIT_S)
-        exposure_s = self._set(EXPOSURE_100_US, units, self._exposure) * UNIT_S
+        exposure_s = self._set_control(EXPOSURE_100_US, units, self._exposure) * UNIT_S
         gain_db = self._set_gain(settings.gain_db)
         self._present_caps = self._read_caps()
         return CameraSettings(exposure_s, gain_db, settings.bits)
@@ -221,7 +221,7 @@ class VideoCamera(Camera):
                 if error.errno != errno.EINVAL:  # which means that its menu has no such entry
                     raise
 
-    def _set(self, number: int, value: int, control: Control) -> int:
+    def _set_control(self, number: int, value: int, control: Control) -> int:
         """Set a control to the nearest of its steps, and read it back."""
         steps = round((value - control.minimum) / max(control.step, 1))
         self._device.set(number, min(control.minimum + steps * max(control.step, 1), control.maximum))
@@ -232,9 +232,9 @@ class VideoCamera(Camera):
         if self._gain is None:
             return 0.0
         if conversion is None:
-            self._set(GAIN, self._gain.minimum, self._gain)
+            self._set_control(GAIN, self._gain.minimum, self._gain)
             return 0.0
-        return to_db(self._set(GAIN, round(to_raw(gain_db, conversion)), self._gain), conversion)
+        return to_db(self._set_control(GAIN, round(to_raw(gain_db, conversion)), self._gain), conversion)
 
     def _gain_limits_db(self) -> tuple[float, float]:
         conversion = self._options.raw_gain

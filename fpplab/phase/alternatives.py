@@ -50,14 +50,14 @@ def alternatives_of(plan: Plan, sequence: WavelengthSequence) -> Alternatives:
     separations = np.sum(whitened**2, axis=1)
     near = separations[multiples <= 0.5 * sequence.width * stripes[-1]]
     smallest = float(near.min(initial=np.inf))
-    kept = _likeliest(turns, whitened) & (separations <= ORDERS.max_separation_ratio * smallest)
+    kept = _are_irreducible(turns, whitened) & (separations <= ORDERS.max_separation_ratio * smallest)
     causes = (
         np.array(sequence.sets)[np.argmax(whitened**2, axis=1)] if len(multiples) else np.empty(0, np.int64)
     )
     return Alternatives(multiples[kept] / stripes[-1], turns[kept], separations[kept], causes[kept], smallest)
 
 
-def _likeliest(turns: Floats, whitened: Floats) -> NDArray[np.bool_]:
+def _are_irreducible(turns: Floats, whitened: Floats) -> NDArray[np.bool_]:
     """Return which shifts are no sum of two smaller ones at an angle of at most 90°."""
     kept = np.ones(len(turns), np.bool_)
     for m in range(1, len(turns)):

@@ -140,7 +140,7 @@ def groups_of(
         return parts
     count = len(parts)
     own = np.kron(np.eye(count), np.full((3, 3), 1.0 / 3.0))
-    between = _rows(own - np.full((3 * count, 3 * count), 1.0 / (3 * count)))
+    between = _orthonormal_rows(own - np.full((3 * count, 3 * count), 1.0 / (3 * count)))
     # The mean offset: with each set's own, a gain common to all images would seem to explain their noise.
     offset = np.mean([part.offset for part in parts], axis=0)
     features = np.concatenate([offset[None], *(part.features[1:] for part in parts)])
@@ -182,7 +182,12 @@ def _set_group(index: int, sample: Floats, fitted: Floats, fringe: FringeSet) ->
     # Optics lessen harmonics differently where the picture is less sharp.
     highest = min(max((len(shift) - 3) // 2, 1), 3)
     return FringeGroup(
-        (index,), sample, features, shift, _rows(beyond_fringe(shift)), _rows(beyond_fringe(shift, highest))
+        (index,),
+        sample,
+        features,
+        shift,
+        _orthonormal_rows(beyond_fringe(shift)),
+        _orthonormal_rows(beyond_fringe(shift, highest)),
     )
 
 
@@ -199,7 +204,7 @@ def beyond_fringe(shift: Floats, highest: int = 1) -> Floats:
     return np.asarray(np.eye(len(shift)) - waves @ np.linalg.pinv(waves))
 
 
-def _rows(projection: Floats) -> Floats:
+def _orthonormal_rows(projection: Floats) -> Floats:
     """Orthonormal rows that span what a symmetric projection keeps."""
     kept, vectors = np.linalg.eigh(projection)
     return np.asarray(vectors[:, kept > 0.5].T)

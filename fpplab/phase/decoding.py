@@ -79,18 +79,20 @@ def decode(
     recipe = recipe_of(recording, sequences, errors, bounds)
     first = recording.frames[0]
     maps = _allocate(first.size, plan)
-    highest = _run(recipe, first.dtype, first.size, maps, progress)
+    highest = _run_kernel(recipe, first.dtype, first.size, maps, progress)
     if highest > full_scale(bits):
         raise DataError(
             f"{source}: holds values up to {highest:g}, above the full scale {full_scale(bits)} of "
             f"{bits} bits; say how many bits the camera gives"
         )
     outside = outside_share(recording, sequences, errors, bounds)
-    decoded = replace(_decoded(recording, maps, first.shape, errors.phase_error_is_known), outside=outside)
+    decoded = replace(
+        _decoded_from_maps(recording, maps, first.shape, errors.phase_error_is_known), outside=outside
+    )
     if plan.order_vote is not None:
         for sequence in sequences:
             doubt = maps.doubt_u if sequence.axis == "x" else maps.doubt_v
-            _repair(decoded, recording, sequence, errors, doubt, bounds)
+            _repair_orders_by_vote(decoded, recording, sequence, errors, doubt, bounds)
     return decoded
 
 
@@ -105,7 +107,9 @@ def _allocate(pixels: int, plan: Plan) -> Maps:
     return Maps(u, v, modulation, sigma, phase_error, disagreement, doubt_u, doubt_v, cause)
 
 
-def _decoded(recording: Recording, maps: Maps, shape: tuple[int, ...], phase_error_is_known: bool) -> Decoded:
+def _decoded_from_maps(
+    recording: Recording, maps: Maps, shape: tuple[int, ...], phase_error_is_known: bool
+) -> Decoded:
     plan, size = recording.plan, recording.projector_size
     spreads = [coordinate_spread(plan, axis, size) for axis in plan.axes]
     v_per_u = spreads[1] / spreads[0] if len(spreads) == 2 else 1.0
@@ -122,7 +126,9 @@ def _shaped(flat: Map, shape: tuple[int, ...]) -> Map:
     return flat.reshape(shape) if flat.size else np.broadcast_to(np.float32(np.nan), shape)
 
 
-def _run(recipe: Recipe, dtype: np.dtype[np.generic], pixels: int, maps: Maps, progress: Progress) -> float:
+def _run_kernel(
+    recipe: Recipe, dtype: np.dtype[np.generic], pixels: int, maps: Maps, progress: Progress
+) -> float:
     """The kernel on all processors, block by block; the greatest raw value met."""
     like, highest = np.empty(0, dtype), 0.0
     pool = ThreadPoolExecutor(_processors())
@@ -145,7 +151,7 @@ def _processors() -> int:
     return len(affinity(0)) if affinity else os.cpu_count() or 1
 
 
-def _repair(
+def _repair_orders_by_vote(
     decoded: Decoded,
     recording: Recording,
     sequence: WavelengthSequence,

@@ -48,11 +48,15 @@ def error_model_of(recording: Recording) -> ErrorModel:
     """Estimate the errors of a recording."""
     plan = recording.plan
     return fit_errors(
-        _sample(recording), plan.fringes, recording.bits, plan.masks.modulation_min, recording.harmonics
+        _sample_pixels(recording),
+        plan.fringes,
+        recording.bits,
+        plan.masks.modulation_min,
+        recording.harmonics,
     )
 
 
-def _sample(recording: Recording) -> list[Image]:
+def _sample_pixels(recording: Recording) -> list[Image]:
     """A sparse sample of pixels of each set, (N, P): whole cache lines of a few rows."""
     height, width = recording.frames[0].shape
     rows = max(1, height // NOISE.sample_rows)
@@ -77,19 +81,19 @@ def fit_errors(
     # samples (N, P); harmonics (K,)
     step, grey = level_step(np.concatenate([sample.ravel() for sample in samples])), 1.0 / raw_per_grey(bits)
     saturation = math.floor(full_scale(bits) - step) + 1
-    usable = np.flatnonzero(_usable(samples, saturation))
+    usable = np.flatnonzero(_find_usable_pixels(samples, saturation))
     freedom = sum(fringe.images - 3 for fringe in fringes) or len(fringes) - 1
     usable = usable[:: max(1, len(usable) * freedom // NOISE.max_values)]
     levels = [grey * sample[:, usable].astype(np.float64) for sample in samples]
     groups = groups_of(levels, fringes, modulation_min)
     fits = [fit_group(group) for group in groups]
-    noise = _noise(groups, fits, step * grey)
+    noise = _fit_noise_model(groups, fits, step * grey)
     if not groups:
         noise = _noise_beside_saturation(samples, fringes, saturation, grey, step) or noise
     return ErrorModel(noise, tuple(errors_of_sets(groups, fits, fringes, harmonics)), saturation)
 
 
-def _usable(samples: Sequence[Image], saturation: int) -> Mask:
+def _find_usable_pixels(samples: Sequence[Image], saturation: int) -> Mask:
     """Pixels that no image shows saturated or, unless too few remain, black: clipped, they scatter less."""
     lowest = np.min([s.min(axis=0) for s in samples], axis=0)
     bright: Mask = np.max([s.max(axis=0) for s in samples], axis=0) < saturation
@@ -97,7 +101,7 @@ def _usable(samples: Sequence[Image], saturation: int) -> Mask:
     return both if both.sum() >= NOISE.min_pixels else bright
 
 
-def _noise(groups: Sequence[FringeGroup], fits: Sequence[HarmonicsFit], step: float) -> NoiseModel:
+def _fit_noise_model(groups: Sequence[FringeGroup], fits: Sequence[HarmonicsFit], step: float) -> NoiseModel:
     """The line through the variances of the pixels, of all their images together."""
     parts = [noise_power(group, fit) for group, fit in zip(groups, fits, strict=True)]
     if not parts:

@@ -24,13 +24,13 @@ def vote_orders(
     other = alternative.astype(np.float32)
     backed = np.zeros(len(pixels), np.bool_)
     for _ in range(ORDERS.max_vote_passes):
-        if not _vote(coordinate, pixels, other, window // 2, np.float32(period), backed):
+        if not _vote_once(coordinate, pixels, other, window // 2, np.float32(period), backed):
             break
     return backed
 
 
 @njit(nogil=True, cache=True)
-def _vote(
+def _vote_once(
     coordinate: Map,
     pixels: NDArray[np.int64],
     other: Map,

@@ -30,7 +30,7 @@ def depth_bounds(
     columns, rows = _nodes(width), _nodes(height)
     if not np.isfinite(slopes[:, rows[:, None], columns]).all():
         columns, rows = np.arange(width), np.arange(height)
-    pixels = _segments(slopes[:, rows[:, None], columns], calibration, depth)
+    pixels = _ray_images_between_depths(slopes[:, rows[:, None], columns], calibration, depth)
     across, down = _interpolation(columns, width), _interpolation(rows, height)
     bounds: dict[Axis, PossibleCoordinates] = {}
     for axis in plan.axes:
@@ -58,7 +58,7 @@ def _interpolation(nodes: NDArray[np.intp], pixels: int) -> Floats:
     return np.stack([np.interp(at, nodes, weights) for weights in np.eye(len(nodes))], axis=1)
 
 
-def _segments(slopes: Floats, calibration: Calibration, depth: DepthRange) -> Floats:
+def _ray_images_between_depths(slopes: Floats, calibration: Calibration, depth: DepthRange) -> Floats:
     """Images in the projector of each ray between two depths, (depths, rows, columns, 2) in px."""
     rays = np.stack([*slopes, np.ones_like(slopes[0])], axis=-1)
     depths = 1.0 / np.linspace(1.0 / depth.mm[0], 1.0 / depth.mm[1], LIMITS.segment_points)

@@ -78,7 +78,7 @@ def filtered(
     if plan.order_vote is None and rules.disagreement_max > 0.0 and decoded.disagreement is not None:
         limit = np.float32(_greatest_disagreement(decoded, rules.disagreement_max))
         _contradictory(decoded.disagreement, limit, grid.w, removed)
-    across, down = _links(grid)
+    across, down = _surface_links(grid)
     phase_error = decoded.sigma_phase_error
     _half_lit(
         *(grid.a, grid.b, grid.w, grid.noise, across, down, decoded.modulation, decoded.sigma),
@@ -90,7 +90,7 @@ def filtered(
     mark_small_regions(grid.w, across, down, rules.patch_min, removed, Rule.ISOLATED)
     _erase(grid.w, removed)
     if rules.flying:
-        _flying(grid.a, grid.b, grid.w, grid.noise, removed)
+        _mark_flying_pixels(grid.a, grid.b, grid.w, grid.noise, removed)
         _erase(grid.w, removed)
     kept = buffers.empty(grid.count, np.bool_)
     _keep(grid.index, grid.w, kept)
@@ -121,7 +121,7 @@ def _greatest_disagreement(decoded: Decoded, by_noise: float) -> float:
     return by_noise * max(1.0, decoded.typical_disagreement)
 
 
-def _links(grid: PixelGrid) -> tuple[Mask, Mask]:
+def _surface_links(grid: PixelGrid) -> tuple[Mask, Mask]:
     """Return whether each pixel sees one surface with the next in its row, and in its column."""
     across, down = (buffers.empty(grid.index.shape, np.bool_) for _ in range(2))
     across[:, -1] = down[-1] = False
@@ -192,7 +192,7 @@ def _half_lit(
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
-def _flying(a: Map, b: Map, w: Map, noise: Map, removed: Removed) -> None:
+def _mark_flying_pixels(a: Map, b: Map, w: Map, noise: Map, removed: Removed) -> None:
     """Mark pixels that see another surface than most of the pixels around them that have a point."""
     height, width = w.shape
     for v in prange(height):

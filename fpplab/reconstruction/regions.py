@@ -34,7 +34,7 @@ def mark_small_regions(
     _join_bands(w, down, starts, runs, parent)
     for row in range(_BAND, len(w), _BAND):
         _join_row(w, down, starts, runs, parent, row)
-    _mark(starts, runs, parent, _sizes(runs, parent), min_pixels, removed, mark)
+    _mark(starts, runs, parent, _region_sizes(runs, parent), min_pixels, removed, mark)
 
 
 @njit(parallel=True, cache=True)
@@ -90,7 +90,7 @@ def _join_bands(w: Map, down: Mask, starts: _RowStarts, runs: _Numbers, parent: 
 
 
 @njit(cache=True)
-def _sizes(runs: _Numbers, parent: _Numbers) -> _Numbers:
+def _region_sizes(runs: _Numbers, parent: _Numbers) -> _Numbers:
     """How many pixels the region of each run has; every run then has its root as parent."""
     sizes = np.zeros(len(runs), np.int32)
     for run in range(len(runs)):

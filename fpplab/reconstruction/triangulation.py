@@ -147,7 +147,7 @@ def solve_pixels(coded: CodedMaps, calibration: Calibration) -> Solutions:
         size=projector.size,
         reach=projector.reach,
     )
-    _solve(camera_slopes(calibration.camera), coded, model, np.cumsum(counts) - counts, solutions)
+    _fill_solutions(camera_slopes(calibration.camera), coded, model, np.cumsum(counts) - counts, solutions)
     solved = _are_solved(solutions.points)
     if not solved.any():
         raise DataError(
@@ -205,7 +205,7 @@ _distort = njit(inline="always")(distort)
 
 
 @njit(cache=True, error_model="numpy")
-def _straighten(u: float, v: float, device: Numbers, reach: float) -> tuple[float, float]:
+def _undistort_pixel(u: float, v: float, device: Numbers, reach: float) -> tuple[float, float]:
     """Undistort one pixel as `Pinhole.normalise` does."""
     fx, fy, lens = device[0], device[1], device[4:]
     target_x, target_y = (u - device[2]) / fx, (v - device[3]) / fy
@@ -231,7 +231,7 @@ def _straighten(u: float, v: float, device: Numbers, reach: float) -> tuple[floa
 def _invert(camera: Numbers, reach: float, slopes: Floats) -> None:
     for v in prange(slopes.shape[1]):
         for u in range(slopes.shape[2]):
-            slopes[0, v, u], slopes[1, v, u] = _straighten(u, v, camera, reach)
+            slopes[0, v, u], slopes[1, v, u] = _undistort_pixel(u, v, camera, reach)
 
 
 @njit(cache=True)
@@ -327,7 +327,7 @@ def _epipolar_px(off_u: float, off_v: float, ju: float, jv: float) -> float:
 
 # Contracting to multiply-adds changes the last bits only, and NaN keeps its meaning.
 @njit(parallel=True, cache=True, error_model="numpy", fastmath={"contract"})
-def _solve(
+def _fill_solutions(
     slopes: Floats, coded: CodedMaps, projector: ProjectorModel, starts: NDArray[np.int64], out: Solutions
 ) -> None:
     """Fill the solutions row by row; a pixel with coordinates but without a solution has NaN as point."""
@@ -357,7 +357,7 @@ def _solve(
                 # With the distortion taken as known the equations are linear in z.
                 x, y = (u - cx) * per_fx - shift_x[column], (v - cy) * per_fy - shift_y[column]
                 if np.isnan(x):
-                    x, y = _straighten(u, v, device, reach)
+                    x, y = _undistort_pixel(u, v, device, reach)
                 z = _linear_depth(x, y, ray, weights)
                 for _ in range(LIMITS.max_steps):
                     if not (z > 0.0 and z * ray[2] + ray[5] > 0.0):

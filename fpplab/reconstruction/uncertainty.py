@@ -112,8 +112,8 @@ def calibration_jacobian(points: AnyPoints, calibration: Calibration, noise: Coo
     """
     # points (N, 3) mm; returns (N, 3, n)
     pose, n = calibration.T_projector_camera, len(INTRINSICS)
-    observed, by_camera = _slopes(points, calibration.camera, RigidTransform.identity())
-    projected, by_projector = _slopes(points, calibration.projector, pose)
+    observed, by_camera = _projection_derivatives(points, calibration.camera, RigidTransform.identity())
+    projected, by_projector = _projection_derivatives(points, calibration.projector, pose)
     seen_by_point, projected_by_point = observed[..., 3:], projected[..., 3:] @ pose.rotation
     weights = np.einsum("nij,nj->ni", projected_by_point, points) / np.square(noise)
     depth_by_point = np.einsum("ni,nij->nj", weights, projected_by_point)
@@ -121,7 +121,7 @@ def calibration_jacobian(points: AnyPoints, calibration: Calibration, noise: Coo
     slopes[:, :2, :n] = by_camera
     slopes[:, 2, n : 2 * n] = np.einsum("ni,nij->nj", weights, by_projector)
     slopes[:, 2, 2 * n :] = np.einsum("ni,nij->nj", weights, projected)
-    return -_inverse(seen_by_point[:, 0], seen_by_point[:, 1], depth_by_point) @ slopes
+    return -_invert_matrices(seen_by_point[:, 0], seen_by_point[:, 1], depth_by_point) @ slopes
 
 
 def displacements_by_mode(points: AnyPoints, calibration: Calibration, noise: CoordinateNoise) -> Floats:
@@ -134,7 +134,9 @@ def displacements_by_mode(points: AnyPoints, calibration: Calibration, noise: Co
     return _Modes.of(calibration, noise).moved(points)
 
 
-def _slopes(points: AnyPoints, device: Pinhole, pose: RigidTransform) -> tuple[Floats, Floats]:
+def _projection_derivatives(
+    points: AnyPoints, device: Pinhole, pose: RigidTransform
+) -> tuple[Floats, Floats]:
     """Differentiate the projected pixels by `POSE`, (N, 2, 6), and by `INTRINSICS`, (N, 2, n)."""
     local = np.ascontiguousarray(points, np.float64)
     turn, shift = pose.rotation_vector, pose.translation
@@ -143,7 +145,7 @@ def _slopes(points: AnyPoints, device: Pinhole, pose: RigidTransform) -> tuple[F
     return shaped[..., :6], shaped[..., 6:]
 
 
-def _inverse(first: Floats, second: Floats, third: Floats) -> Floats:
+def _invert_matrices(first: Floats, second: Floats, third: Floats) -> Floats:
     """Invert matrices with these rows, (N, 3) each, to (N, 3, 3); in a fraction of LAPACK's time."""
     columns = np.stack([np.cross(second, third), np.cross(third, first), np.cross(first, second)], axis=-1)
     return np.asarray(columns / np.einsum("ni,ni->n", third, columns[..., 2])[:, None, None])

@@ -49,7 +49,7 @@ def covered_share(shapes: Iterable[InkShape], size_mm: tuple[float, float], px_p
     return share
 
 
-def _covered(start: float, end: float, length: int) -> tuple[slice, Floats]:
+def _cells_covered(start: float, end: float, length: int) -> tuple[slice, Floats]:
     """Which of `length` unit cells an interval touches, and which share of each it covers."""
     first, last = max(int(np.floor(start)), 0), min(int(np.ceil(end)), length)
     cells = np.arange(first, last)
@@ -60,8 +60,8 @@ def _paint_box(share: Floats, box: InkBox, scale: Floats) -> None:
     """Add the exact share of each pixel that a rectangle covers; scale (2,) in px per mm."""
     height, width = share.shape
     left, top, right, bottom = box
-    columns, across = _covered(scale[0] * left + width / 2, scale[0] * right + width / 2, width)
-    rows, down = _covered(scale[1] * top + height / 2, scale[1] * bottom + height / 2, height)
+    columns, across = _cells_covered(scale[0] * left + width / 2, scale[0] * right + width / 2, width)
+    rows, down = _cells_covered(scale[1] * top + height / 2, scale[1] * bottom + height / 2, height)
     share[rows, columns] += np.outer(down, across)
 
 
@@ -70,8 +70,8 @@ def _paint_disc(share: Floats, disc: InkDisc, scale: Floats) -> None:
     height, width = share.shape
     reach = disc.radius * scale + 1
     x, y = np.array([disc.x, disc.y]) * scale + (width / 2, height / 2)
-    columns, _ = _covered(x - reach[0], x + reach[0], width)
-    rows, _ = _covered(y - reach[1], y + reach[1], height)
+    columns, _ = _cells_covered(x - reach[0], x + reach[0], width)
+    rows, _ = _cells_covered(y - reach[1], y + reach[1], height)
     v, u = np.mgrid[rows, columns] + 0.5
     distance = np.hypot((u - x) / scale[0], (v - y) / scale[1]) - disc.radius
     share[rows, columns] += np.clip(0.5 - distance * scale.mean(), 0, 1)

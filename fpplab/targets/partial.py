@@ -77,7 +77,7 @@ def _is_of_points(layout: BoardLayout, patch: GridPatch, level: Floats) -> bool:
     if np.any(off > LIMITS.max_lattice_offset * steps):
         return False
     # The lattice of a verified patch may still be in a skew basis, in which its points look different.
-    fits = [abs(look[0]) > LIMITS.min_correlation for look in _appearances(layout, matrix, board, level)]
+    fits = [abs(look[0]) > LIMITS.min_correlation for look in _compare_marks(layout, matrix, board, level)]
     return patch.verified or bool(np.mean(fits) > 0.5)
 
 
@@ -119,7 +119,7 @@ def _is_valid(layout: BoardLayout, placement: Detection, level: Floats) -> bool:
     """Whether all that should be in the image is there, and the board ends where it should."""
     matrix = homography(layout, placement)
     grounds, visible = [], _in_view(layout, placement, level)
-    looks = _appearances(layout, matrix, layout.points()[visible.ids, :2], level)
+    looks = _compare_marks(layout, matrix, layout.points()[visible.ids, :2], level)
     for id_, (likeness, bright, dark) in zip(visible.ids, looks, strict=True):
         row, column = divmod(int(id_), layout.counts[0])
         if layout.polarity(row, column) * likeness < LIMITS.min_correlation:
@@ -129,14 +129,15 @@ def _is_valid(layout: BoardLayout, placement: Detection, level: Floats) -> bool:
         layout, placement, visible, np.array(grounds), level
     ):
         return False
-    beyond = _beyond(layout)
-    in_view = _inside(layout, matrix, beyond, level)
+    beyond = _places_beyond_board(layout)
+    in_view = _are_inside_image(layout, matrix, beyond, level)
     return all(
-        abs(look[0]) < LIMITS.min_correlation for look in _appearances(layout, matrix, beyond[in_view], level)
+        abs(look[0]) < LIMITS.min_correlation
+        for look in _compare_marks(layout, matrix, beyond[in_view], level)
     )
 
 
-def _appearances(
+def _compare_marks(
     layout: BoardLayout, matrix: Floats, board: Floats, level: Floats
 ) -> Iterator[tuple[float, float, float]]:
     """Compare places (n, 2) in mm with a point's model: correlation, brightness where it is high, and low."""
@@ -153,7 +154,7 @@ def _appearances(
         yield likeness, float(max(ends)), float(min(ends))
 
 
-def _beyond(layout: BoardLayout) -> Floats:
+def _places_beyond_board(layout: BoardLayout) -> Floats:
     """Places (n, 2) in mm where the grid would continue, one step outside the board."""
     columns, rows = layout.counts
     i, j = (a.ravel() for a in np.meshgrid(np.arange(-1, columns + 1), np.arange(-1, rows + 1)))
@@ -165,11 +166,11 @@ def _beyond(layout: BoardLayout) -> Floats:
 def _in_view(layout: BoardLayout, placement: Detection, level: Floats) -> Detection:
     """All points of the board that are in the image with their surroundings."""
     matrix, board = homography(layout, placement), layout.points()[:, :2]
-    inside = _inside(layout, matrix, board, level)
+    inside = _are_inside_image(layout, matrix, board, level)
     return Detection(np.flatnonzero(inside), apply_homography(matrix, board[inside]))
 
 
-def _inside(layout: BoardLayout, matrix: Floats, board: Floats, level: Floats) -> NDArray[np.bool_]:
+def _are_inside_image(layout: BoardLayout, matrix: Floats, board: Floats, level: Floats) -> NDArray[np.bool_]:
     """Which of the places (n, 2) in mm are in the image with their surroundings."""
     pixels = apply_homography(matrix, board)
     margin = layout.point_model().half_mm * np.abs(local_frames(matrix, board)).sum(axis=2)

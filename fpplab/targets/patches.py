@@ -25,12 +25,12 @@ def patch_of_blobs(blobs: Floats) -> GridPatch | None:
     if len(blobs) < LIMITS.min_points:
         return None
     middle = np.argsort(np.linalg.norm(blobs - np.median(blobs, axis=0), axis=1))
-    patches = [_grown(blobs, seed) for seed in middle[:8]]
+    patches = [_grow_patch(blobs, seed) for seed in middle[:8]]
     best = max(patches, key=lambda patch: len(patch.cells))
     return best if np.all(np.ptp(best.cells, axis=0) > 0) else None
 
 
-def _grown(blobs: Floats, seed: int) -> GridPatch:
+def _grow_patch(blobs: Floats, seed: int) -> GridPatch:
     """Grow a patch around one blob, whose nearest neighbours are taken for steps of the lattice."""
     offsets = blobs - blobs[seed]
     order = np.argsort(np.linalg.norm(offsets, axis=1))[1:]

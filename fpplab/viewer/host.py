@@ -51,13 +51,13 @@ def run(program: str, kind: str, files: list[str]) -> None:
     rerun: subprocess.Popen[bytes] | None = None
     try:
         data, raw = _free_ports(2)
-        rerun = _start(program, kind, files, data, raw, Path(home))
+        rerun = _start_rerun(program, kind, files, data, raw, Path(home))
         threading.Thread(target=_end_with_parent, args=(rerun,), daemon=True).start()
         for port in (data, raw) if kind == "browser" else (data,):
             _wait_until_listening(rerun, port, Path(home) / "log")
         where = {"data": f"rerun+http://{LOCAL}:{data}/proxy", "pid": rerun.pid, "page": "window"}
         if kind == "browser":
-            where["page"] = _serve(data, raw)
+            where["page"] = _serve_page(data, raw)
         _report(where)
         rerun.wait()
     except OSError as error:
@@ -75,7 +75,7 @@ def _report(values: dict[str, Any]) -> None:
         sys.stdout.flush()
 
 
-def _start(
+def _start_rerun(
     program: str, kind: str, files: list[str], data: int, raw: int, home: Path
 ) -> subprocess.Popen[bytes]:
     """Start rerun, with settings of its own in which it sends no usage statistics."""
@@ -140,7 +140,7 @@ def _free_ports(n: int) -> list[int]:
     return ports
 
 
-def _serve(data: int, raw: int) -> str:
+def _serve_page(data: int, raw: int) -> str:
     """Serve the page in threads of this process; return its address."""
 
     class Handler(_PageHandler):

@@ -231,13 +231,13 @@ class LiveFrames:
             image=LitImage.of(frame.image, frame.settings.bits, dark),
             pattern=subsampled(pattern.image),
             pattern_id=pattern.id,
-            focus=self._measured(status),
+            focus=self._focus_measured(status),
             levels=levels,
             state_text=_state_text(status),
         )
         self._viewer.show_one_of_many(LiveView.snapshot, snapshot)
 
-    def _measured(self, status: LiveStatus) -> dict[str, FocusShares]:
+    def _focus_measured(self, status: LiveStatus) -> dict[str, FocusShares]:
         """The focus that was measured since the last frame that was shown."""
         trackers: dict[str, FocusTracker] = {
             "camera": status.camera_focus,

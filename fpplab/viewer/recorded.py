@@ -45,10 +45,10 @@ def view_session(
         to.parent.mkdir(parents=True, exist_ok=True)
         with Canvas(file=to) as canvas:
             view = MeasurementView(canvas)
-            _replay(session, calibration, errors, lambda method, *args: method(view, *args), progress)
+            _show_recorded(session, calibration, errors, lambda method, *args: method(view, *args), progress)
         return str(to)
     with Viewer(MeasurementView, to, complete=True) as viewer:
-        _replay(session, calibration, errors, viewer.show, progress)
+        _show_recorded(session, calibration, errors, viewer.show, progress)
         viewer.wait(announce)
         if viewer.fault is not None:
             raise DeviceError("viewer", "show", viewer.fault, "save to a file instead")
@@ -72,7 +72,7 @@ def view_recording(
         server.stop()
 
 
-def _replay(
+def _show_recorded(
     session: Session,
     calibration: Calibration | None,
     errors: CloudErrors | None,

@@ -32,7 +32,14 @@ class ViewerServer:
     """The process of rerun, reachable from this computer only; it ends with the process that started it."""
 
     def __init__(self, kind: ServerKind, files: Sequence[Path] = ()) -> None:
-        command = [sys.executable, "-I", host.__file__, _program(), kind, *(str(path) for path in files)]
+        command = [
+            sys.executable,
+            "-I",
+            host.__file__,
+            _find_rerun_program(),
+            kind,
+            *(str(path) for path in files),
+        ]
         self._process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, process_group=PROCESS_GROUP, bufsize=0
         )
@@ -99,7 +106,7 @@ def has_display() -> bool:
     return True
 
 
-def _program() -> str:
+def _find_rerun_program() -> str:
     """Find the program itself, not the script around it, which would not end the program with it."""
     spec = importlib.util.find_spec("rerun_cli")
     if spec is None or spec.origin is None:

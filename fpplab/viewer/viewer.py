@@ -137,7 +137,7 @@ class Viewer(Generic[V]):
         """
         self._closing = True
         self._outbox.end(discard=abort)
-        sent = self._thread is None or self._waited_for(_joined(self._thread), abort)
+        sent = self._thread is None or self._waited_for(_wait_for_thread(self._thread), abort)
         process = self._process
         if process is None or process.stdout is None or process.stdout.closed:
             return
@@ -145,7 +145,7 @@ class Viewer(Generic[V]):
         if sent:
             with suppress(OSError):
                 process.stdin.close()
-        if not (sent and self._waited_for(_ended(process), abort)):
+        if not (sent and self._waited_for(_wait_for_process(process), abort)):
             process.kill()
             process.wait()
             log.warning("the viewer did not end by itself and was ended; its recording is not complete")
@@ -185,13 +185,13 @@ class Viewer(Generic[V]):
             )
             self._listener = threading.Thread(target=self._listen, args=(process,), daemon=True)
             self._listener.start()
-            _write(process, self._opening)
+            _send_object(process, self._opening)
             self._opened.wait()
             if not self.where:
                 return
             self._announce(self.where)
             while (message := self._outbox.take()) is not None:
-                _write(process, message.content)
+                _send_object(process, message.content)
         except OSError as error:
             if self._listener is not None:
                 self._listener.join(self.timeouts.abort_s)  # the process may have reported why
@@ -227,14 +227,14 @@ class Viewer(Generic[V]):
             log.warning("the viewer is switched off: %s", why)
 
 
-def _write(process: subprocess.Popen[bytes], content: object) -> None:
+def _send_object(process: subprocess.Popen[bytes], content: object) -> None:
     """Send an object; protocol 5 writes arrays to the pipe without copying them."""
     assert process.stdin is not None
     pickle.dump(content, process.stdin, protocol=5)
     process.stdin.flush()
 
 
-def _joined(thread: threading.Thread) -> Callable[[float], bool]:
+def _wait_for_thread(thread: threading.Thread) -> Callable[[float], bool]:
     """A function that waits for a thread for some seconds, and returns whether it has ended."""
 
     def joined(seconds: float) -> bool:
@@ -244,7 +244,7 @@ def _joined(thread: threading.Thread) -> Callable[[float], bool]:
     return joined
 
 
-def _ended(process: subprocess.Popen[bytes]) -> Callable[[float], bool]:
+def _wait_for_process(process: subprocess.Popen[bytes]) -> Callable[[float], bool]:
     """A function that waits for a process for some seconds, and returns whether it has ended."""
 
     def ended(seconds: float) -> bool:

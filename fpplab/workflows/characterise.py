@@ -88,12 +88,12 @@ def run_characterisation(
         sessions: Sequence[Session] = recorded_sessions(list(request.sessions))
         fitted = _fit(request, sessions, observer)
     elif request.guided:
-        guided = _guide(request, request.rig, observer)
+        guided = _run_guide(request, request.rig, observer)
         sessions, fitted = guided.sessions, guided.result
     else:
-        sessions = _take(request, request.rig, observer)
+        sessions = _take_poses(request, request.rig, observer)
         fitted = _fit(request, sessions, observer)
-    return _conclude(request, fitted, sessions, guided, observer)
+    return _save_and_report(request, fitted, sessions, guided, observer)
 
 
 def check_characterisation_input(request: CharacterisationRequest) -> None:
@@ -125,7 +125,7 @@ def _check_plan(plan: Plan, name: str) -> None:
         raise ConfigError(f"{name}: has fringes along {plan.axes[0]} alone; characterisation needs x and y")
 
 
-def _take(request: CharacterisationRequest, rig: Rig, observer: Observer) -> list[Session]:
+def _take_poses(request: CharacterisationRequest, rig: Rig, observer: Observer) -> list[Session]:
     from fpplab.pipeline import take_poses
 
     plan = _plan_of(request)
@@ -146,7 +146,7 @@ def _take(request: CharacterisationRequest, rig: Rig, observer: Observer) -> lis
             )
 
 
-def _guide(request: CharacterisationRequest, rig: Rig, observer: Observer) -> GuidedRun:
+def _run_guide(request: CharacterisationRequest, rig: Rig, observer: Observer) -> GuidedRun:
     """Ask for poses one at a time, each judged while the board is still there."""
     from fpplab.setup.guide import GuidedSettings, guided_characterisation
 
@@ -201,7 +201,7 @@ def _fit(
         raise with_causes(error, sessions, observer) from error
 
 
-def _conclude(
+def _save_and_report(
     request: CharacterisationRequest,
     fitted: Characterisation,
     sessions: Sequence[Session],

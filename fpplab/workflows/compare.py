@@ -110,7 +110,7 @@ def _compare(request: ComparisonRequest, observer: Observer) -> ComparisonResult
     with observer.stage("Comparing"):
         mesh = load_mesh(request.mesh)
         if request.align:
-            comparison, misplaced = _aligned(cloud, mesh, calibration), None
+            comparison, misplaced = _align_and_compare(cloud, mesh, calibration), None
         else:
             comparison = _as_placed(cloud, mesh, calibration, request.mesh)
             misplaced = find_misplacement(cloud, mesh)
@@ -127,7 +127,7 @@ def _compare(request: ComparisonRequest, observer: Observer) -> ComparisonResult
     )
 
 
-def _aligned(cloud: Cloud, mesh: trimesh.Trimesh, calibration: Calibration | None) -> Comparison:
+def _align_and_compare(cloud: Cloud, mesh: trimesh.Trimesh, calibration: Calibration | None) -> Comparison:
     from fpplab.artefacts.recognition import recognise
     from fpplab.comparison import compare
 

@@ -61,7 +61,7 @@ def run_gamma(request: GammaRequest, observer: Observer | None = None) -> Respon
     """
     check_gamma_output(request)
     observer = observer or Observer()
-    result = _measure(request, observer)
+    result = _measure_and_save(request, observer)
     for reason in result.response.left_out:
         observer.message(f"left out: {reason}")
     observer.result(result)
@@ -93,7 +93,7 @@ def check_gamma_output(request: GammaRequest) -> None:
         refuse_existing(path, request.force or is_report(path))
 
 
-def _measure(request: GammaRequest, observer: Observer) -> ResponseResult:
+def _measure_and_save(request: GammaRequest, observer: Observer) -> ResponseResult:
     from fpplab.patterns.phase_error import judge_response
     from fpplab.patterns.plan import GreyLevels
     from fpplab.pipeline import measure_response

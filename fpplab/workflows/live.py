@@ -121,7 +121,7 @@ def run_live(
     LiveResult
         The last snapshot, and the poses that were taken.
     """
-    rig, options = _options(request)
+    rig, options = _check_request(request)
     orders: SimpleQueue[Order] = SimpleQueue()
     with ExitStack() as stack:
         turn = stack.enter_context(watching_rig(rig.source))
@@ -140,7 +140,7 @@ def run_live(
     return LiveResult(last, setup.poses, request.recording)
 
 
-def _options(request: LiveRequest) -> tuple[Rig, LiveOptions]:
+def _check_request(request: LiveRequest) -> tuple[Rig, LiveOptions]:
     """Check the request before any device is opened."""
     name = request.plan or ("plan_board.yaml" if request.target else "plan_paper.yaml")
     plan, rig = Plan.load(name), Rig.load(request.rig)

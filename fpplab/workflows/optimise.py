@@ -91,7 +91,7 @@ def run_optimisation(request: OptimisationRequest, observer: Observer | None = N
             observe=observer.result,
             progress=progress,
         )
-    confirmed = _confirm(request, search, observer)
+    confirmed = _confirm_with_other_seeds(request, search, observer)
     diagnosis = diagnose_search(search, confirmed)
     if diagnosis.is_useless:
         for path in search.plans:
@@ -124,7 +124,7 @@ def prepare_output(request: OptimisationRequest) -> None:
             path.unlink(missing_ok=True)
 
 
-def _confirm(
+def _confirm_with_other_seeds(
     request: OptimisationRequest, search: SearchResult, observer: Observer
 ) -> tuple[ConfirmedPlan, ...]:
     from fpplab.optimisation.confirm_result import confirm_result

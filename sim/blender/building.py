@@ -33,7 +33,7 @@ def add_scene(
     add_projector(blender_scene, scene.lamp, textures)
     for surface in scene.surfaces:
         _add_surface(blender_scene, surface, ambient)
-    _restrict(blender_scene, scene)
+    _restrict_to_window(blender_scene, scene)
     return camera
 
 
@@ -83,7 +83,7 @@ def make_linear(blender_scene: Any, effort: RenderSettings) -> None:
     settings.use_light_tree = False
 
 
-def _restrict(blender_scene: Any, scene: RenderScene) -> None:
+def _restrict_to_window(blender_scene: Any, scene: RenderScene) -> None:
     """Limit the render to the window."""
     (width, height), (left, top, right, bottom) = scene.camera.size, scene.window
     render = blender_scene.render

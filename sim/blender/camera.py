@@ -36,9 +36,9 @@ def add_camera(scene: Any, optics: PinholeOptics, aperture: Aperture, bytecode: 
     scene.camera = item
     scene.render.resolution_x, scene.render.resolution_y = optics.size
     if bytecode is None:
-        _pinhole(data, optics, aperture)
+        _set_pinhole_camera(data, optics, aperture)
     else:
-        _custom(data, optics, aperture, bytecode)
+        _set_ray_camera(data, optics, aperture, bytecode)
     return data
 
 
@@ -56,7 +56,7 @@ def aim(camera: Any, optics: PinholeOptics, view: SubpixelView) -> None:
     camera.update_tag()
 
 
-def _custom(data: Any, optics: PinholeOptics, aperture: Aperture, bytecode: str) -> None:
+def _set_ray_camera(data: Any, optics: PinholeOptics, aperture: Aperture, bytecode: str) -> None:
     data.type, data.custom_mode = "CUSTOM", "INTERNAL"
     data.custom_bytecode = bytecode
     data.custom_bytecode_hash = hashlib.md5(bytecode.encode()).hexdigest()
@@ -73,7 +73,7 @@ _PARAMETERS = (
 )
 
 
-def _pinhole(data: Any, optics: PinholeOptics, aperture: Aperture) -> None:
+def _set_pinhole_camera(data: Any, optics: PinholeOptics, aperture: Aperture) -> None:
     if optics.distortion.any() or aperture.diameter_mm:
         raise RenderRefused(
             "distortion and depth of field need a camera that runs on CPU and OPTIX alone; "

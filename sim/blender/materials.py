@@ -47,7 +47,7 @@ class BaseShader(NamedTuple):
     reflectance: Callable[[Nodes, Any], Any] = _unchanged_socket  # the inverse of `colour`
 
 
-def _diffuse(nodes: Nodes, parameters: LayerParameters) -> Any:
+def _diffuse_shader(nodes: Nodes, parameters: LayerParameters) -> Any:
     """Blender 5's Diffuse BSDF, Lambertian or rough.
 
     Rough is Oren-Nayar as Fujii improved it, and the light that facets pass to each other added, as
@@ -59,7 +59,7 @@ def _diffuse(nodes: Nodes, parameters: LayerParameters) -> Any:
     return node
 
 
-def _translucent(nodes: Nodes, parameters: LayerParameters) -> Any:
+def _translucent_shader(nodes: Nodes, parameters: LayerParameters) -> Any:
     """Random walk of isotropic scattering between entry and exit.
 
     The mean free path is the same at any reflectance; the single-scattering albedo follows from the
@@ -86,8 +86,8 @@ def _translucent_reflectance(nodes: Nodes, grey: Any) -> Any:
 
 
 BASE_SHADERS = {
-    "diffuse": BaseShader(_diffuse),
-    "translucent": BaseShader(_translucent, _translucent_colour, _translucent_reflectance),
+    "diffuse": BaseShader(_diffuse_shader),
+    "translucent": BaseShader(_translucent_shader, _translucent_colour, _translucent_reflectance),
 }
 """The shaders of base layers, by the name that `sim.scene.BaseLayer` has for them."""
 
@@ -105,9 +105,9 @@ def add_paint(
     nodes = Nodes(tree)
     colour: Any = (*[float(_colour(paint, 1.0))] * 3, 1.0)
     if picture is not None and uv is not None:
-        colour = _picture(nodes, mesh, _colour(paint, picture / np.float32(255)), uv)
-    normal = _normal(nodes, paint)
-    shader = _base(nodes, paint, colour, normal)
+        colour = _painted_reflectance(nodes, mesh, _colour(paint, picture / np.float32(255)), uv)
+    normal = _normal_with_relief(nodes, paint)
+    shader = _base_shader(nodes, paint, colour, normal)
     if paint.gloss > 0:
         shader = _under_gloss(nodes, paint, shader, normal)
     reflectance = _reflectance(nodes, paint, colour)
@@ -128,12 +128,12 @@ def _output_pass(nodes: Nodes, name: str, value: Any) -> None:
 
 def _reflectance(nodes: Nodes, paint: Paint, colour: Any) -> Any:
     """Grey reflectance of all layers together: the inverse of `_colour`, and what gloss adds."""
-    grey = _shader(paint).reflectance(nodes, _red(nodes, colour))
+    grey = _shader(paint).reflectance(nodes, _red_channel(nodes, colour))
     whole = nodes.total(nodes.times(grey, 1.0 - paint.gloss), paint.gloss)
     return nodes.combine("ShaderNodeCombineColor", (whole, whole, whole))
 
 
-def _red(nodes: Nodes, colour: Any) -> Any:
+def _red_channel(nodes: Nodes, colour: Any) -> Any:
     if isinstance(colour, tuple):
         return colour[0]
     split = nodes.add("ShaderNodeSeparateColor")
@@ -146,7 +146,7 @@ def _colour(paint: Paint, share: Any) -> Any:
     return _shader(paint).colour(paint.ink + (paint.reflectance - paint.ink) * share)
 
 
-def _base(nodes: Nodes, paint: Paint, colour: Any, normal: Any) -> Any:
+def _base_shader(nodes: Nodes, paint: Paint, colour: Any, normal: Any) -> Any:
     base = _shader(paint).node(nodes, dict(paint.base.parameters))
     nodes.join(colour, base.inputs["Color"])
     _tilt(nodes, normal, base)
@@ -187,13 +187,13 @@ def _tilt(nodes: Nodes, normal: Any, shader: Any) -> None:
         nodes.join(normal, shader.inputs["Normal"])
 
 
-def _normal(nodes: Nodes, paint: Paint) -> Any:
+def _normal_with_relief(nodes: Nodes, paint: Paint) -> Any:
     """Compute the normal of the surface with ridges and grain on it, None without any.
 
     A surface raised by h(X) along its normal n has the normal n - g_t, normalised, where g_t is the component
     of the gradient of h tangential to the surface. An item moves rigidly, so gradients turn as directions do.
     """
-    gradients = [*_ridges(nodes, paint.relief), *_facets(nodes, paint.grain)]
+    gradients = [*_ridge_gradient(nodes, paint.relief), *_facet_gradient(nodes, paint.grain)]
     if not gradients:
         return None
     gradient = gradients[0]
@@ -208,7 +208,7 @@ def _normal(nodes: Nodes, paint: Paint) -> Any:
     return nodes.vector("NORMALIZE", tilted)
 
 
-def _ridges(nodes: Nodes, relief: Relief) -> list[Any]:
+def _ridge_gradient(nodes: Nodes, relief: Relief) -> list[Any]:
     """Gradient of `h = depth/2 sin(2π a·X / period)`."""
     if not any(relief.axis) or relief.depth_mm == 0:
         return []
@@ -218,7 +218,7 @@ def _ridges(nodes: Nodes, relief: Relief) -> list[Any]:
     return [nodes.scaled(axis, nodes.times(nodes.math("COSINE", phase), 0.5 * relief.depth_mm * wave))]
 
 
-def _facets(nodes: Nodes, grain: Grain) -> list[Any]:
+def _facet_gradient(nodes: Nodes, grain: Grain) -> list[Any]:
     """Random gradient for every cell of a Voronoi division of space.
 
     Its components are independent and uniform, of variance slope²/2. Two of them lie in the surface, however
@@ -239,7 +239,7 @@ def _place(nodes: Nodes) -> Any:
     return nodes.add("ShaderNodeTexCoord").outputs["Object"]
 
 
-def _picture(nodes: Nodes, mesh: Any, reflectance: NDArray[np.float32], uv: Floats) -> Any:
+def _painted_reflectance(nodes: Nodes, mesh: Any, reflectance: NDArray[np.float32], uv: Floats) -> Any:
     """Reflectance [v, u] painted on the mesh."""
     layer = mesh.uv_layers.new(name="picture")
     corners = np.empty(len(mesh.loops), np.int32)

@@ -93,7 +93,7 @@ def _with_only(blender_scene: Any, lights: list[Any], shown: Any) -> PreviewPixe
 
 def _rendered(blender_scene: Any) -> PreviewPixels:
     bpy.ops.render.render(write_still=True, scene=blender_scene.name)
-    return _red(blender_scene.render.filepath)
+    return _read_first_channel(blender_scene.render.filepath)
 
 
 def _middle(pattern: PatternRender) -> SubpixelView:
@@ -132,7 +132,7 @@ def _changed(blender_scene: Any) -> list[tuple[Any, str]]:
     ]
 
 
-def _red(path: str) -> PreviewPixels:
+def _read_first_channel(path: str) -> PreviewPixels:
     """The first channel of a picture, row 0 on top."""
     image = bpy.data.images.load(path)
     try:

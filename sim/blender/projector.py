@@ -32,17 +32,17 @@ def add_projector(scene: Any, lamp: Lamp, textures: NDArray[np.float32] | None) 
     light.use_nodes = True
     light.node_tree.nodes.clear()
     nodes = Nodes(light.node_tree)
-    x, y, cosine = _direction(nodes)
+    x, y, cosine = _direction_from_projector(nodes)
     emission, output = nodes.add("ShaderNodeEmission"), nodes.add("ShaderNodeOutputLight")
     if textures is not None:
-        column, row = _texel(nodes, lamp, x, y)
-        nodes.join(_colour(nodes, lamp, column, row, cosine, textures), emission.inputs["Color"])
+        column, row = _mirror_column_row(nodes, lamp, x, y)
+        nodes.join(_mix_textures(nodes, lamp, column, row, cosine, textures), emission.inputs["Color"])
     slope2 = nodes.total(1.0, nodes.times(x, x), nodes.times(y, y))
     nodes.join(nodes.math("POWER", slope2, 1.5), emission.inputs["Strength"])
     nodes.join(emission.outputs[0], output.inputs[0])
 
 
-def _direction(nodes: Nodes) -> tuple[Any, Any, Any]:
+def _direction_from_projector(nodes: Nodes) -> tuple[Any, Any, Any]:
     """Slopes x/z and y/z of the illuminated point in the projector's frame, and cosine to the axis.
 
     The texture coordinate `Normal` points to it in the light's frame.
@@ -57,7 +57,7 @@ def _direction(nodes: Nodes) -> tuple[Any, Any, Any]:
     return x, y, depth
 
 
-def _texel(nodes: Nodes, lamp: Lamp, x: Any, y: Any) -> tuple[Any, Any]:
+def _mirror_column_row(nodes: Nodes, lamp: Lamp, x: Any, y: Any) -> tuple[Any, Any]:
     """Column and row of mirrors: lens distortion, then intrinsics and lattice as one affine map."""
     k1, k2, p1, p2, k3, k4, k5, k6 = map(float, lamp.optics.distortion)
     r2 = nodes.total(nodes.times(x, x), nodes.times(y, y))
@@ -83,7 +83,7 @@ def _one_and_powers(nodes: Nodes, x: Any, a: float, b: float, c: float) -> Any:
     return nodes.total(1.0, nodes.times(x, nodes.total(a, nodes.times(x, nodes.total(b, nodes.times(x, c))))))
 
 
-def _colour(
+def _mix_textures(
     nodes: Nodes, lamp: Lamp, column: Any, row: Any, cosine: Any, textures: NDArray[np.float32]
 ) -> Any:
     """Mix the textures at one place for the circle of confusion at the illuminated point's depth."""

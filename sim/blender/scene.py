@@ -61,9 +61,9 @@ class BlenderScene:
         for view, picture in zip(views, out, strict=True):
             aim(camera, scene.camera, view)
             bpy.ops.render.render()
-            self._take(picture[top:bottom, left:right])
+            self._copy_render_passes(picture[top:bottom, left:right])
 
-    def _take(self, out: PixelBuffer) -> None:
+    def _copy_render_passes(self, out: PixelBuffer) -> None:
         """Copy the passes of the last render in the order of `sim.scene`'s channels."""
         passes = self._passes
         out[..., :COLOURS] = passes["Combined"][..., :COLOURS]

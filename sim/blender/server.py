@@ -34,7 +34,7 @@ def serve_renders(connection: Connection, memory: int) -> None:
                 continue
             if os.fstat(memory).st_size > pixels.nbytes:
                 pixels = np.frombuffer(mmap.mmap(memory, 0), np.float32)
-            _render(renderer, scene, pixels, **content)
+            _render_views(renderer, scene, pixels, **content)
             connection.send(("done", None))
         except RenderRefused as refused:
             connection.send(("refused", str(refused)))
@@ -42,7 +42,7 @@ def serve_renders(connection: Connection, memory: int) -> None:
             connection.send(("failed", f"{type(error).__name__}: {error}"))
 
 
-def _render(
+def _render_views(
     renderer: BlenderScene,
     scene: RenderScene | None,
     pixels: NDArray[np.float32],

@@ -117,7 +117,7 @@ def match_command(
         match_surfaces_alone,
     )
 
-    surfaces, accepted = _scans(surface or [], "--surface"), acceptable_causes(accept or [])
+    surfaces, accepted = _scan_options(surface or [], "--surface"), acceptable_causes(accept or [])
     if not reference:
         alone = SurfacesRequest(Rig.load(twin), surfaces, out, item, accepted, force)
         answer = match_surfaces_alone(alone, ConsoleMatchObserver()).summary()
@@ -206,7 +206,7 @@ def _matching_request(
         card=card_item,
         card_scan=Session.open(Path(card_session)) if card_session else None,
         response=None if gamma is None else Response.load(gamma),
-        scans=_scans(scans, "--scan"),
+        scans=_scan_options(scans, "--scan"),
         weights=Weights(alpha=alpha, beta=beta),
         limits=MatchingLimits(epochs=epochs, seconds=seconds),
     )
@@ -221,7 +221,7 @@ def _show_surfaces(surfaces: list[dict[str, Any]]) -> None:
     console.table("Surfaces", ["item", "kind", "property", "value", "standard uncertainty"], rows)
 
 
-def _scans(arguments: list[str], option: str) -> dict[str, Any]:
+def _scan_options(arguments: list[str], option: str) -> dict[str, Any]:
     from fpplab.sessions.session import Session
 
     scans = {}

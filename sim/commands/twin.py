@@ -90,7 +90,7 @@ def describe_rig(
     need_suffix(out, ".npz")
     refuse_existing(out, force)
     arrangement = _arrangement(item, pose, baseline, axis, stripes, phase_steps, exposure)
-    with _simulated(rig) as bench:
+    with _load_simulated_rig(rig) as bench:
         from sim.preview import arrangement_summary, save_preview
 
         save_preview(bench, arrangement, shown_step, out)
@@ -124,7 +124,7 @@ def export_blend(
     need_suffix(out, ".blend")
     refuse_existing(out, force)
     arrangement = _arrangement(item, pose, baseline, axis, stripes, phase_steps, exposure)
-    with _simulated(rig) as bench:
+    with _load_simulated_rig(rig) as bench:
         from sim.export import export_preview
         from sim.preview import arrangement_summary, make_preview
 
@@ -164,7 +164,7 @@ def record_on_twin(
     loaded = Calibration.load(calibration) if calibration else None
     require_session_folder(out)
     arrangement = _arrangement(item, pose, baseline, axis, stripes, steps, exposure)
-    with _simulated(rig) as bench, console.stopwatch() as seconds:
+    with _load_simulated_rig(rig) as bench, console.stopwatch() as seconds:
         from fpplab.pipeline import CLOUD
         from sim.preview import arrangement_summary
         from sim.preview_scan import record_scan
@@ -177,7 +177,7 @@ def record_on_twin(
     console.print_result({"session": str(out), "cloud": str(out / CLOUD), **results, **summary}, json)
 
 
-def _simulated(path: str) -> Rig:
+def _load_simulated_rig(path: str) -> Rig:
     """Load a rig, or refuse one that is not simulated: `ConfigError`."""
     from fpplab.devices.rig import Rig
     from sim.preview import require_simulated

@@ -47,20 +47,20 @@ def trace_labels(truth: SceneTruth) -> Labels:
     # The face is found in single precision; the intersection with it is computed in double.
     depth = -np.einsum("ij,ij->i", normals, shape.triangles[met, 0]) / towards
     points = depth[:, None] * rays
-    lit = _lit(truth, shape, points, normals)
+    lit = _select_lit_points(truth, shape, points, normals)
     coordinates = devices.projector.project(points[lit], devices.T_projector_camera)
     mask = np.zeros(size, np.bool_)
     mask.flat[pixels[lit]] = True
     return Labels(
-        depth=_map(size, pixels, depth),
-        normals=np.stack([_map(size, pixels, normals[:, axis]) for axis in range(3)]),
+        depth=_map_of_values(size, pixels, depth),
+        normals=np.stack([_map_of_values(size, pixels, normals[:, axis]) for axis in range(3)]),
         mask=mask,
-        u=_map(size, pixels[lit], coordinates[:, 0]),
-        v=_map(size, pixels[lit], coordinates[:, 1]),
+        u=_map_of_values(size, pixels[lit], coordinates[:, 0]),
+        v=_map_of_values(size, pixels[lit], coordinates[:, 1]),
     )
 
 
-def _lit(truth: SceneTruth, shape: RayTracedShape, points: Floats, normals: Floats) -> Mask:
+def _select_lit_points(truth: SceneTruth, shape: RayTracedShape, points: Floats, normals: Floats) -> Mask:
     """Select the points of the surface (N, 3) that the projector illuminates."""
     devices, lamp = truth.calibration, truth.calibration.projector_centre
     facing = np.einsum("ij,ij->i", normals, lamp - points) > 0
@@ -68,7 +68,7 @@ def _lit(truth: SceneTruth, shape: RayTracedShape, points: Floats, normals: Floa
     return np.asarray(facing & reached)
 
 
-def _map(
+def _map_of_values(
     size: tuple[int, ...], pixels: np.ndarray[tuple[int, ...], np.dtype[np.int64]], values: Floats
 ) -> Map:
     filled = np.full(size, np.nan, np.float32)

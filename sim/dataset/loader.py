@@ -55,12 +55,12 @@ class Dataset:
 
     def __getitem__(self, k: int) -> Arrays:
         """Read sample `k` of the split: new arrays by field, see `card["fields"]`."""
-        shard, row = self._place(k)
+        shard, row = self._shard_and_row(k)
         return {name: _read(shard / array_file(name), row) for name in self.fields}
 
     def scene(self, k: int) -> dict[str, Any]:
         """Read what was drawn for a sample."""
-        shard, row = self._place(k)
+        shard, row = self._shard_and_row(k)
         try:
             return parse_object(whole_lines(shard / SCENES)[row])
         except (ValueError, IndexError) as error:
@@ -76,7 +76,7 @@ class Dataset:
         for number in sorted({k // self.card["shard_size"] for k in self.indices}):
             check_shard(self.folder / shard_name(number))
 
-    def _place(self, k: int) -> tuple[Path, int]:
+    def _shard_and_row(self, k: int) -> tuple[Path, int]:
         """Find the shard and row of a sample."""
         index = self.indices[operator.index(k)]
         number, row = divmod(index, self.card["shard_size"])

@@ -121,7 +121,7 @@ class DatasetMaker:
     def sample(self, index: int) -> tuple[Arrays, dict[str, Any]]:
         """Make one sample; it does not depend on the samples made before."""
         request, studio = self._request, self._studio
-        scene = self._scene(index)
+        scene = self._draw_scene(index)
         studio.arrange(scene)
         frames = self._frames(scene)
         truth = studio.truth()
@@ -135,7 +135,7 @@ class DatasetMaker:
         }
         return arrays, record
 
-    def _scene(self, index: int) -> DatasetScene:
+    def _draw_scene(self, index: int) -> DatasetScene:
         request = self._request
         stage_mm = draw_stage(request.scenes, request.seed, index)
         return draw_scene(request.scenes, request.seed, index, self._studio.calibration(stage_mm), stage_mm)

@@ -145,19 +145,19 @@ def draw_scene(
     items = (*scenes.artefacts, *scenes.targets)
     item = items[int(random.integers(len(items)))]
     if item in scenes.artefacts:
-        sizes = _varied(item, scenes.variation, random)
+        sizes = _draw_lengths(item, scenes.variation, random)
         what = {"artefact": item, "sizes": sizes}
-        box = _box(np.asarray(artefacts.make(item, sizes).bounds))
+        box = _box_points(np.asarray(artefacts.make(item, sizes).bounds))
     else:
         what = {"target": item}
         half = 0.5 * np.array([*_board_size(item), 0.0])
-        box = _box(np.stack([-half, half]))
+        box = _box_points(np.stack([-half, half]))
     return DatasetScene.model_validate(
         {
             **what,
             **{name: float(random.uniform(*getattr(scenes, name))) for name in _DRAWN_UNIFORMLY},
             "charge": float(np.exp(random.uniform(*np.log(scenes.charge)))),
-            "pose": _pose(scenes, box, "artefact" in what, devices, random),
+            "pose": _draw_pose(scenes, box, "artefact" in what, devices, random),
             "seed": int(random.integers(2**31)),
             "stage_mm": stage_mm,
         }
@@ -176,11 +176,11 @@ def _random(seed: int, index: int, what: int) -> np.random.Generator:
     return np.random.default_rng([seed, index, what])
 
 
-def _varied(name: str, variation: float, random: np.random.Generator) -> dict[str, Lengths]:
+def _draw_lengths(name: str, variation: float, random: np.random.Generator) -> dict[str, Lengths]:
     """Draw lengths around the usual ones until they make a valid solid."""
     usual = artefacts.usual_sizes(name)
     for _ in range(MAX_TRIES):
-        sizes = {field: _scaled(length, variation, random) for field, length in usual.items()}
+        sizes = {field: _scale_lengths(length, variation, random) for field, length in usual.items()}
         try:
             artefacts.make(name, sizes)
         except ConfigError:
@@ -191,7 +191,7 @@ def _varied(name: str, variation: float, random: np.random.Generator) -> dict[st
     )
 
 
-def _scaled(lengths: Lengths, variation: float, random: np.random.Generator) -> Lengths:
+def _scale_lengths(lengths: Lengths, variation: float, random: np.random.Generator) -> Lengths:
     factors = 1.0 + variation * random.uniform(-1, 1, np.shape(lengths))
     scaled = (np.asarray(lengths) * factors).tolist()
     return tuple(scaled) if isinstance(scaled, list) else float(scaled)
@@ -202,7 +202,7 @@ def _board_size(target: str) -> tuple[float, float]:
     return Target.load(target).size_mm
 
 
-def _box(bounds: Floats) -> Floats:
+def _box_points(bounds: Floats) -> Floats:
     """Make points (27, 3) in and on the box between two corners (2, 3)."""
     low, high = bounds
     share = np.linspace(0, 1, 3)
@@ -210,7 +210,7 @@ def _box(bounds: Floats) -> Floats:
     return np.asarray(low + grid * (high - low))
 
 
-def _pose(
+def _draw_pose(
     scenes: SceneRanges, box: Floats, upright: bool, devices: Calibration, random: np.random.Generator
 ) -> PoseFile:
     """Draw T_camera_item with half of the item's box in view. upright: its z axis points to the camera."""

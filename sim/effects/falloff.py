@@ -61,7 +61,7 @@ class ProjectorFalloff(Effect[FalloffField]):
     @override
     def mirror_light(self, projector: EffectProjector) -> NDArray[np.float32] | None:
         falloff = self.own(projector).falloff
-        return _field(projector.size, projector.lattice, falloff) if any(falloff) else None
+        return _falloff_over_mirrors(projector.size, projector.lattice, falloff) if any(falloff) else None
 
     @override
     def propose(self, at: StepContext[ParametersT]) -> ParametersT:
@@ -73,7 +73,9 @@ class ProjectorFalloff(Effect[FalloffField]):
 
 
 @lru_cache(maxsize=8)
-def _field(size: tuple[int, int], lattice: Lattice, coefficients: tuple[float, ...]) -> NDArray[np.float32]:
+def _falloff_over_mirrors(
+    size: tuple[int, int], lattice: Lattice, coefficients: tuple[float, ...]
+) -> NDArray[np.float32]:
     """Compute the light (rows, columns) of every mirror."""
     u, v = mirror_centres(size, lattice)
     half = 0.5 * size[0]

@@ -149,7 +149,7 @@ def wave_phase(world: EffectWorld, *numbers: int) -> float:
 
 def with_vibration_of(now: ParametersT, change: FrameFluctuation) -> ParametersT:
     """Give a twin the vibration by which a bench's item was displaced."""
-    line, oscillation = _line(change), change.oscillation
+    line, oscillation = _rms_along_line(change), change.oscillation
     x, y, z = line.tolist()
     variance = float(line @ line)
     vibration = VibrationParameters(
@@ -165,7 +165,7 @@ def with_vibration_of(now: ParametersT, change: FrameFluctuation) -> ParametersT
     )
 
 
-def _line(change: FrameFluctuation) -> Floats:
+def _rms_along_line(change: FrameFluctuation) -> Floats:
     """RMS displacement (3,) along the line, of random numbers and oscillation together."""
     random, oscillation = change.random.axis, change.oscillation
     whole = np.outer(random, random) + np.outer(oscillation, oscillation)

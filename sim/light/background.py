@@ -45,7 +45,7 @@ class Background:
     ) -> PatternLevels:
         """Compute the irradiance that the camera sees of the surroundings, without vignetting."""
         # light (rows, columns); returns (n, height, width)
-        _, scene, texture = self._built(setup)
+        _, scene, texture = self._build_scene(setup)
         table = self._table(setup, pixels)
         shown = table.look_up(texture.textures(light, scene.lamp.circles, table.part(texture.shape)))
         return shown if pixels is None else shown[:, 0]
@@ -58,7 +58,7 @@ class Background:
 
     def scene(self, setup: SceneState) -> RenderScene:
         """Give the surroundings together with the mounted item."""
-        return self._built(setup)[1]
+        return self._build_scene(setup)[1]
 
     def irradiance(
         self,
@@ -87,22 +87,24 @@ class Background:
         return light
 
     def _table(self, setup: SceneState, pixels: PixelIndices | None) -> LightTable:
-        _, scene, _ = self._built(setup)
+        _, scene, _ = self._build_scene(setup)
         shown = len(scene.surfaces) - (setup.item != NOTHING)  # the item's own light is added elsewhere
         if pixels is None:
-            return self._tables.get(digest(scene, self._views), lambda: _whole(scene, self._views, shown))
+            return self._tables.get(
+                digest(scene, self._views), lambda: _trace_window(scene, self._views, shown)
+            )
         return self._tables.get(
             digest(scene, self._views, pixels), lambda: traced(scene, self._views, pixels, shown)
         )
 
-    def _built(self, setup: SceneState) -> tuple[SceneState, RenderScene, MirrorTexture]:
+    def _build_scene(self, setup: SceneState) -> tuple[SceneState, RenderScene, MirrorTexture]:
         at_rest = replace(setup, vibration_mm=(0.0, 0.0, 0.0))
         if self._scene is None or self._scene[0] != at_rest:
             self._scene = (at_rest, *build_background(self._world, at_rest, self._surface))
         return self._scene
 
 
-def _whole(scene: RenderScene, views: list[SubpixelView], shown: int) -> LightTable:
+def _trace_window(scene: RenderScene, views: list[SubpixelView], shown: int) -> LightTable:
     """Trace all pixels of the scene's window, some rows at a time; the light of the first surfaces shown."""
     (width, height), (left, top, right, bottom) = scene.camera.size, scene.window
     samples = np.zeros((len(views), bottom - top, right - left, 4), np.float32)

@@ -34,9 +34,9 @@ def smallest_basis(levels: PatternLevels, allowed: float) -> Basis:
     # levels (patterns, rows, columns)
     n, shape = len(levels), levels.shape[1:]
     flat = levels.reshape(n, -1)
-    mean, covariance = _moments(flat)
+    mean, covariance = _means_and_covariance(flat)
     energy, vectors = np.linalg.eigh(covariance)
-    rank = next(r for r in range(n + 1) if _residual(energy, vectors, n - r) <= allowed)
+    rank = next(r for r in range(n + 1) if _residual_rms(energy, vectors, n - r) <= allowed)
     loading = vectors[:, n - rank :]
     components = loading.T.astype(np.float32) @ flat
     components -= (loading.T @ mean)[:, None].astype(np.float32)
@@ -48,7 +48,7 @@ def smallest_basis(levels: PatternLevels, allowed: float) -> Basis:
     return Basis(weights, channels.reshape(-1, *shape))
 
 
-def _moments(flat: PatternLevels) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _means_and_covariance(flat: PatternLevels) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Compute means (n,) and covariance (n, n) of n rows in float64, in blocks that fit the CPU cache."""
     n, count = flat.shape
     total, products = np.zeros(n), np.zeros((n, n))
@@ -60,7 +60,7 @@ def _moments(flat: PatternLevels) -> tuple[NDArray[np.float64], NDArray[np.float
     return mean, products / count - np.outer(mean, mean)
 
 
-def _residual(energy: NDArray[np.float64], vectors: NDArray[np.float64], count: int) -> float:
+def _residual_rms(energy: NDArray[np.float64], vectors: NDArray[np.float64], count: int) -> float:
     """Compute the greatest RMS over patterns of the `count` weakest components."""
     if count == 0:
         return 0.0

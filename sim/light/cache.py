@@ -110,7 +110,7 @@ class TableCache:
         """Rename the file once it is complete; without fsync, because the checksum reveals a torn file."""
         with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f"{path.name}.", delete=False) as draft:
             try:
-                _write(draft, table)
+                _write_table(draft, table)
                 draft.close()
                 os.replace(draft.name, path)
             except BaseException:
@@ -135,7 +135,7 @@ class TableCache:
             total -= stat.st_size
 
 
-def _write(stream: IO[bytes], table: LightTable) -> None:
+def _write_table(stream: IO[bytes], table: LightTable) -> None:
     about = {
         "renderer": renderer(),
         "samples": table.samples.shape,
@@ -160,14 +160,14 @@ def _read(stream: BinaryIO) -> LightTable:
     if about["renderer"] != renderer():
         raise ValueError(f"it was rendered by {about['renderer']}, not {renderer()}")
     hashed = hashlib.sha256(first + second)
-    samples, albedo = (_array(stream, tuple(about[part]), hashed) for part in ("samples", "albedo"))
+    samples, albedo = (_read_array(stream, tuple(about[part]), hashed) for part in ("samples", "albedo"))
     if stream.read(64) != hashed.digest():
         raise ValueError("its checksum is wrong")
     left, top = about["corner"]
     return LightTable(samples, albedo, (int(left), int(top)))
 
 
-def _array(stream: BinaryIO, shape: tuple[int, ...], hashed: hashlib._Hash) -> NDArray[np.float32]:
+def _read_array(stream: BinaryIO, shape: tuple[int, ...], hashed: hashlib._Hash) -> NDArray[np.float32]:
     if 4 * math.prod(shape) > os.fstat(stream.fileno()).st_size:  # before memory is asked for
         raise ValueError("it is truncated")
     values = np.empty(shape, np.float32)

@@ -39,7 +39,7 @@ class DifferentiatedLight:
     def at(self, patterns: tuple[Pattern, ...], pixels: PixelIndices) -> tuple[PatternLevels, PatternLevels]:
         """Compute what `Light.irradiance_at` gives, with derivatives by the places that the pixels see."""
         # returns irradiance (n, P), slopes (n, P, 4) mm
-        table = self._motion(pixels)
+        table = self._trace_motion(pixels)
         terms = np.concatenate([light for _, light in self._looked_up(table, patterns)])
         room, per_px = self.room(pixels), self.texture.affine[:, :2].astype(np.float32)
         irradiance = terms[..., 0] + room * table.table.albedo[0]
@@ -57,14 +57,14 @@ class DifferentiatedLight:
     def displaced(self, patterns: tuple[Pattern, ...], moves: Floats) -> Iterator[PatternLevels]:
         """Compute the irradiance of an item that is displaced under every pattern, to first order."""
         # moves (n, 3) mm; returns (height, width)
-        table, room = self._motion(None), self.room(None)
+        table, room = self._trace_motion(None), self.room(None)
         for first, terms in self._looked_up(table, patterns):
             displaced = table.displaced(terms, moves[first : first + len(terms)], room)
             for pattern, item in zip(patterns[first:], displaced, strict=False):
                 picture = item if self.behind is None else item + self.behind(pattern, None)
                 yield picture if self.falloff is None else picture * self.falloff
 
-    def _motion(self, pixels: PixelIndices | None) -> MotionTable:
+    def _trace_motion(self, pixels: PixelIndices | None) -> MotionTable:
         """Trace the scene at some pixels; a table of the whole image has the key of the plain table."""
         key = digest(self.scene, self.views, *(() if pixels is None else (pixels,)))
         return self.motions.get(key, lambda: computed_motion(self.scene, self.views, True, pixels))

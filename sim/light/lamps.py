@@ -123,7 +123,7 @@ def lamp_picture(world: World, scene: RenderScene) -> Irradiance:
 
 def _first_met(scene: RenderScene, pixels: PixelIndices) -> _Met:
     camera, (rows, columns) = scene.camera, pixels
-    rays = _rays(
+    rays = _pixel_rays(
         camera.size,
         tuple(camera.matrix.ravel().tolist()),
         tuple(camera.distortion.tolist()),
@@ -146,7 +146,7 @@ def _first_met(scene: RenderScene, pixels: PixelIndices) -> _Met:
 
 
 @lru_cache(maxsize=24)
-def _rays(
+def _pixel_rays(
     size: tuple[int, int],
     matrix: tuple[float, ...],
     distortion: tuple[float, ...],

@@ -115,7 +115,7 @@ class Light:
             return np.zeros((height, width), np.float32)
         picture = np.zeros((height, width), np.float32)
         if show is not None:
-            picture += self._projected(setup, show, row_weights)
+            picture += self._project_pattern(setup, show, row_weights)
         if self._world.has_room_light:
             picture += self._room.on(self._in_view(setup)) * self._albedo(setup)
         if self._falloff is not None:
@@ -205,16 +205,18 @@ class Light:
         self._projector.forget()
         self._displaced = None
 
-    def _projected(self, setup: SceneState, show: ShownPattern, row_weights: Floats | None) -> PatternLevels:
+    def _project_pattern(
+        self, setup: SceneState, show: ShownPattern, row_weights: Floats | None
+    ) -> PatternLevels:
         if row_weights is None:
-            return self._picture(setup, self._projector.states(show.patterns), show.index)
+            return self._picture_of_state(setup, self._projector.states(show.patterns), show.index)
         planes = self._projector.planes(show.pattern)
-        picture = self._picture(setup, planes, 0).copy()
+        picture = self._picture_of_state(setup, planes, 0).copy()
         for plane, weights in enumerate(row_weights, start=1):
-            picture += weights.astype(np.float32)[:, None] * self._picture(setup, planes, plane)
+            picture += weights.astype(np.float32)[:, None] * self._picture_of_state(setup, planes, plane)
         return picture
 
-    def _picture(self, setup: SceneState, levels: MirrorStates, index: int) -> PatternLevels:
+    def _picture_of_state(self, setup: SceneState, levels: MirrorStates, index: int) -> PatternLevels:
         """Compute the picture under one state of the mirrors."""
         path = self._world.path
         if path == "transport":
@@ -222,7 +224,7 @@ class Light:
         if path == "reference" or any(setup.vibration_mm):  # a basis is not worth rendering for one picture
             return self._pictures.get(
                 (setup, levels, index),
-                lambda: self._rendered(setup, levels.of(index)[None])[..., 0].mean(axis=0),
+                lambda: self._render_channels(setup, levels.of(index)[None])[..., 0].mean(axis=0),
             )
         basis = self._projector.basis(levels)
         rendered = self._basis_under(setup, basis)
@@ -257,16 +259,18 @@ class Light:
     ) -> PatternLevels:
         if basis is not None:
             light = [levels.of(n) - basis.level(n) for n in states]
-            return self._seen(setup, self._basis_under(setup, basis).table, light)
+            return self._pictures_from_table(setup, self._basis_under(setup, basis).table, light)
         light = [levels.of(n) for n in states]
         if self._background is None:
-            return self._seen(setup, self.table(setup), light)
+            return self._pictures_from_table(setup, self.table(setup), light)
         pictures = self._background.pictures(setup, light)
         if setup.item != NOTHING:
-            pictures += self._seen(setup, self.table(setup), light)
+            pictures += self._pictures_from_table(setup, self.table(setup), light)
         return pictures
 
-    def _seen(self, setup: SceneState, table: LightTable, light: Sequence[PatternLevels]) -> PatternLevels:
+    def _pictures_from_table(
+        self, setup: SceneState, table: LightTable, light: Sequence[PatternLevels]
+    ) -> PatternLevels:
         """Look up pictures under mirrors at these light levels, (levels, height, width)."""
         _, scene, texture = self._built(setup)
         return table.look_up(texture.textures(light, scene.lamp.circles, table.part(texture.shape)))
@@ -277,13 +281,13 @@ class Light:
     def _render_basis(self, setup: SceneState, basis: Basis) -> Rendered:
         """Render three channels at a time; the first render, with white as first channel, gives the table."""
         _, scene, texture = self._built(setup)
-        first = self._rendered(setup, basis.channels[:COLOURS], survey=True)
+        first = self._render_channels(setup, basis.channels[:COLOURS], survey=True)
         white = texture.textures(basis.channels[:1], scene.lamp.circles)
         table = LightTable.of(first, scene).divided_by(white)
         self._albedos.put(setup, table.albedo)
-        pictures = _colours(first)
+        pictures = _average_views(first)
         for start in range(COLOURS, len(basis.channels), COLOURS):
-            pictures += _colours(self._rendered(setup, basis.channels[start : start + COLOURS]))
+            pictures += _average_views(self._render_channels(setup, basis.channels[start : start + COLOURS]))
         return Rendered(np.stack(pictures[: len(basis.channels)]), table)
 
     def _albedo(self, setup: SceneState) -> PatternLevels:
@@ -317,7 +321,7 @@ class Light:
         scene, texture = build_scene(world, setup, self._around)
         return PatternRender(
             scene,
-            _fine(scene, texture, self._projector.level(pattern)[None])[..., 0],
+            _lamp_textures(scene, texture, self._projector.level(pattern)[None])[..., 0],
             tuple(self._views(setup)),
             self._effort(render.bounces, render.samples, survey=False),
             world.ambient,
@@ -325,10 +329,12 @@ class Light:
             point_lamps(world),
         )
 
-    def _rendered(self, setup: SceneState, channels: PatternLevels, survey: bool = False) -> PatternLevels:
+    def _render_channels(
+        self, setup: SceneState, channels: PatternLevels, survey: bool = False
+    ) -> PatternLevels:
         """Render (views, height, width, …) under mirrors (up to three channels, rows, columns)."""
         render = self._world.render
-        fine = _fine(*self._built(setup)[1:], channels)
+        fine = _lamp_textures(*self._built(setup)[1:], channels)
         return self._render(setup, fine, self._effort(render.bounces, render.samples, survey))
 
     def _in_view(self, setup: SceneState) -> RenderScene:
@@ -358,7 +364,7 @@ class Light:
         return self._blender.render(scene, textures, views, effort, START_S + paths / PATHS_PER_S)
 
 
-def _fine(scene: RenderScene, texture: MirrorTexture, channels: PatternLevels) -> PatternLevels:
+def _lamp_textures(scene: RenderScene, texture: MirrorTexture, channels: PatternLevels) -> PatternLevels:
     """Make the lamp's textures (circles, rows, columns, 3) of mirrors (up to three, rows, columns)."""
     fine = np.zeros((len(scene.lamp.circles), *scene.lamp.texture_shape, COLOURS), np.float32)
     for of_circle, circle in zip(fine, scene.lamp.circles, strict=True):
@@ -367,7 +373,7 @@ def _fine(scene: RenderScene, texture: MirrorTexture, channels: PatternLevels) -
     return fine
 
 
-def _colours(rendered: PatternLevels) -> list[PatternLevels]:
+def _average_views(rendered: PatternLevels) -> list[PatternLevels]:
     """Average the views of a render (views, height, width, …) to three pictures (height, width)."""
     total = np.zeros((*rendered.shape[1:3], COLOURS), np.float32)
     for view in rendered:  # in memory order, which is faster than a mean over the first axis

@@ -22,7 +22,7 @@ _FAST = {"contract", "reassoc", "nsz"}
 
 
 @numba.njit(inline="always", fastmath=_FAST, error_model="numpy")
-def _taps(
+def _interpolate_taps(
     weights: NDArray[np.float32], level: int, offset: np.float32
 ) -> tuple[np.float32, np.float32, np.float32, np.float32, np.float32]:
     """Interpolate the tabulated weights (TAPS,) at an offset of -0.5 to 0.5 texels."""
@@ -60,7 +60,7 @@ def _add_row(
 def _tap_slopes(
     weights: NDArray[np.float32], level: int, offset: np.float32
 ) -> tuple[np.float32, np.float32, np.float32, np.float32, np.float32]:
-    """Differentiate `_taps` by the offset."""
+    """Differentiate `_interpolate_taps` by the offset."""
     step = (offset + np.float32(0.5)) * np.float32(STEPS)
     n = np.int64(step) if step < STEPS else np.int64(STEPS - 1)
     a = np.uint64((level * (STEPS + 1) + n) * TAPS)
@@ -185,8 +185,8 @@ def interpolated_light(
                 sides = max(sides, 2 if farther > 0 else 1)
                 for side in range(2 if farther > 0 else 1):
                     weight = samples[k, p, 3] * (farther if side else np.float32(1.0) - farther)
-                    across = _taps(table, level + side, x - np.float32(i))
-                    down = _taps(table, level + side, y - np.float32(j))
+                    across = _interpolate_taps(table, level + side, x - np.float32(i))
+                    down = _interpolate_taps(table, level + side, y - np.float32(j))
                     _add_square(windows[side], start, weight, across, down)
             if level >= 0:
                 _empty(windows, sides, low, high, texels, first, rows * stride, stride, total)
@@ -239,8 +239,8 @@ def light_with_slopes(
                 for side in range(2 if farther > 0 else 1):
                     part = farther if side else np.float32(1.0) - farther
                     weight = samples[k, p, 3] * part
-                    across = _taps(table, level + side, x - np.float32(i))
-                    down = _taps(table, level + side, y - np.float32(j))
+                    across = _interpolate_taps(table, level + side, x - np.float32(i))
+                    down = _interpolate_taps(table, level + side, y - np.float32(j))
                     steep = _tap_slopes(table, level + side, x - np.float32(i))
                     _add_square(windows[0, side], start, weight, across, down)
                     _add_square(windows[1, side], start, slopes[k, p, 0] * part, across, down)

@@ -46,17 +46,17 @@ def computed(
     scene: RenderScene, views: list[SubpixelView], spots: bool = False, pixels: PixelIndices | None = None
 ) -> LightTable:
     """Compute the table that a survey of this scene gives, see `LightTable.of`."""
-    return _tables(scene, views, spots, pixels, moving=False).table
+    return _trace_tables(scene, views, spots, pixels, moving=False).table
 
 
 def computed_motion(
     scene: RenderScene, views: list[SubpixelView], spots: bool = False, pixels: PixelIndices | None = None
 ) -> MotionTable:
     """Compute the same table, and how it changes as the item moves."""
-    return _tables(scene, views, spots, pixels, moving=True)
+    return _trace_tables(scene, views, spots, pixels, moving=True)
 
 
-def _tables(
+def _trace_tables(
     scene: RenderScene, views: list[SubpixelView], spots: bool, pixels: PixelIndices | None, moving: bool
 ) -> MotionTable:
     """Trace a scene; derivatives are left empty unless it is `moving`."""
@@ -136,7 +136,7 @@ def _board_picture_blurred_by_defocus(scene: RenderScene, aperture_samples: int)
     on_print = np.stack([*np.meshgrid(*places.T), np.zeros((5, 5))], axis=-1)
     points = pose.apply(on_print.reshape(-1, 3))
     spread = [
-        _spot(
+        _spot_variance_mm2(
             float(point[2]),
             float(abs(pose.rotation[:, 2] @ point) / point[2]),
             1.0 / (camera.matrix[0, 0] * camera.matrix[1, 1]),
@@ -178,7 +178,7 @@ def _places_share(samples: int) -> float:
 
 
 @numba.njit(cache=True, inline="always")
-def _opened(circle: float, samples: int, variance: tuple[float, float]) -> float:
+def _lens_scale_with_blur(circle: float, samples: int, variance: tuple[float, float]) -> float:
     """Scale of the lens points for which pixel and lens blur as much as if they were independent.
 
     circle: radius of the circle of confusion in px, negative where the blur is inverted.
@@ -190,7 +190,9 @@ def _opened(circle: float, samples: int, variance: tuple[float, float]) -> float
 
 
 @numba.njit(cache=True, inline="always")
-def _spot(depth: float, fall: float, pixel: float, radius: float, focus: float, samples: int) -> float:
+def _spot_variance_mm2(
+    depth: float, fall: float, pixel: float, radius: float, focus: float, samples: int
+) -> float:
     """Variance in mm² of the spot of one sample of a pixel, on a plane that rays meet at `depth`.
 
     fall: component of the ray with z = 1 along the plane's normal. pixel: its area in slopes. A square of
@@ -267,7 +269,7 @@ def _trace(
             middle = -t[2] / (R[2, 0] * x + R[2, 1] * y + R[2, 2])
             circle = radius * (1.0 / middle - 1.0 / focus) / np.sqrt(pixel)
             if circle != 0:
-                reached = radius * _opened(circle, len(views), variance)
+                reached = radius * _lens_scale_with_blur(circle, len(views), variance)
         x0, y0 = slopes_at(u, v, matrix, lens, reach)
         middle_x, middle_y, xx, xy, yy = distorted(x0, y0, lens)
         determinant = xx * yy - xy * xy
@@ -311,15 +313,17 @@ def _trace(
                 continue
             sx, sy = (ix - low[0]) / wide, (iy - low[1]) / tall
             if len(variances) == 1:
-                grey, by_x, by_y = _reflected(pictures[0], across[0], down[0], rim, sx, sy, paint)
+                grey, by_x, by_y = _reflected_light(pictures[0], across[0], down[0], rim, sx, sy, paint)
             else:
-                spot = _spot(length, abs(fall), pixel, radius, focus, len(views))
+                spot = _spot_variance_mm2(length, abs(fall), pixel, radius, focus, len(views))
                 size, more = _between_sizes(spot, variances)
-                near, near_x, near_y = _reflected(
+                near, near_x, near_y = _reflected_light(
                     pictures[size], across[size], down[size], rim, sx, sy, paint
                 )
                 size += 1
-                far, far_x, far_y = _reflected(pictures[size], across[size], down[size], rim, sx, sy, paint)
+                far, far_x, far_y = _reflected_light(
+                    pictures[size], across[size], down[size], rim, sx, sy, paint
+                )
                 grey = near + more * (far - near)
                 by_x, by_y = near_x + more * (far_x - near_x), near_y + more * (far_y - near_y)
             albedo[i] += share * grey
@@ -398,7 +402,7 @@ def _between_sizes(spot: float, variances: Floats) -> tuple[int, float]:
 
 
 @numba.njit(cache=True, inline="always")
-def _reflected(
+def _reflected_light(
     picture: Irradiance,
     across: Irradiance,
     down: Irradiance,

@@ -84,7 +84,7 @@ class Bodies:
             own = faces[of] - self._first_of[number]
             places = np.asarray(surface.uv[surface.faces[own]], np.float64)
             share = np.empty(len(of), np.float32)
-            _pictured(points[of], self._shape.triangles[faces[of]], places, surface.picture, share)
+            _interpolate_picture(points[of], self._shape.triangles[faces[of]], places, surface.picture, share)
             ink = surface.paint.ink
             reflectance[of] = ink + (surface.paint.reflectance - ink) * share / np.float32(255)
         return reflectance
@@ -141,7 +141,7 @@ class Bodies:
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")
-def _pictured(
+def _interpolate_picture(
     points: Floats, corners: Floats, places: Floats, picture: NDArray[np.uint8], grey: Irradiance
 ) -> None:
     """Interpolate a picture at points (N, 3) of triangles (N, 3, 3) with corners at places (N, 3, 2)."""

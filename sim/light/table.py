@@ -41,7 +41,7 @@ class LightTable:
     @cached_property
     def reach(self) -> tuple[Floats, Floats]:
         """Least and greatest (column, row) of the texture at which illuminated samples lie."""
-        return _extent(self.samples.reshape(-1, 4))
+        return _sample_extent(self.samples.reshape(-1, 4))
 
     @classmethod
     def of(cls, rendered: Irradiance, scene: RenderScene) -> LightTable:
@@ -52,7 +52,7 @@ class LightTable:
         views, height, width, channels = survey.shape
         samples = np.empty((views, height, width, 4), np.float32)
         T = RigidTransform(lamp.T_camera_projector[:3, :3], lamp.T_camera_projector[:3, 3]).inverse()
-        _locate(
+        _locate_in_texture(
             survey.reshape(-1, channels),
             T.matrix[:3],
             lamp.optics.distortion,
@@ -120,7 +120,7 @@ _distort = numba.njit(inline="always")(distort)
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")
-def _locate(
+def _locate_in_texture(
     rendered: Irradiance,
     T_projector_camera: Floats,
     distortion: Floats,
@@ -163,7 +163,7 @@ def circle_level(depth: float, circle_scale: float, inverse_focus: float, square
 
 
 @numba.njit(cache=True)
-def _extent(samples: Irradiance) -> tuple[Floats, Floats]:
+def _sample_extent(samples: Irradiance) -> tuple[Floats, Floats]:
     low, high = np.full(2, np.inf), np.full(2, -np.inf)
     for sample in samples:
         if sample[3] > 0:

@@ -18,12 +18,12 @@ def vignetting(world: World) -> NDArray[np.float32] | None:
     if exponent == 0:
         return None
     camera = world.camera_model()
-    cosine = _cosine(camera.size, tuple(camera.matrix.ravel()), tuple(camera.distortion))
+    cosine = _cosine_to_axis(camera.size, tuple(camera.matrix.ravel()), tuple(camera.distortion))
     return np.asarray(cosine ** np.float32(exponent))
 
 
 @lru_cache(maxsize=2)
-def _cosine(
+def _cosine_to_axis(
     size: tuple[int, int], matrix: tuple[float, ...], distortion: tuple[float, ...]
 ) -> NDArray[np.float32]:
     """Cosine of the angle between each pixel's ray and the optical axis, (height, width)."""

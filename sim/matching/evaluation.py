@@ -80,7 +80,7 @@ def evaluate(
             if known_twin_rms_px is None:
                 frames = twin.frames(pose, reference.patterns, reference.settings)
                 wait(observed)  # so that no more than two poses' frames are held
-                observed.append(pool.submit(_observed, reference, pose, frames))
+                observed.append(pool.submit(_observe_board, reference, pose, frames))
             progress((pose + 1) / len(every))
     observations: list[Observation] = []
     left_out: dict[str, str] = {}
@@ -91,7 +91,7 @@ def evaluate(
             left_out[reference.sessions[pose].path.name] = str(error)
     similarity = Similarity(*(np.array(future) for future in zip(*pairs, strict=True)))
     characterisation = (
-        _characterised(reference, observations, left_out) if known_twin_rms_px is None else None
+        _characterise_twin(reference, observations, left_out) if known_twin_rms_px is None else None
     )
     own = characterisation.calibration.rms_px["joint"] if characterisation else known_twin_rms_px
     assert own is not None
@@ -111,7 +111,7 @@ def pose_similarity(reference: Reference, twin: Twin, pose: int) -> list[tuple[f
         return list(pool.map(compare, reference.frames(pose, images), expected))
 
 
-def _observed(reference: Reference, pose: int, frames: Sequence[Image]) -> Observation:
+def _observe_board(reference: Reference, pose: int, frames: Sequence[Image]) -> Observation:
     """Observe the board in the twin's frames of a pose. Raises `CalibrationError` where it is not found."""
     plan, (size, _) = reference.plan, reference.projector
     name = reference.sessions[pose].path.name
@@ -120,7 +120,7 @@ def _observed(reference: Reference, pose: int, frames: Sequence[Image]) -> Obser
     return observe(name, image, decoded, reference.target, finest_periods(plan, size))
 
 
-def _characterised(
+def _characterise_twin(
     reference: Reference, observations: Sequence[Observation], left_out: Mapping[str, str]
 ) -> Characterisation:
     bench, (size, lattice) = reference.characterisation, reference.projector

@@ -185,7 +185,7 @@ def match_twin(
         watch.begin(0, "epoch 0, start", may_end=False)
         first = _evaluate_epoch(state, at).loss.summary()
         _record_epoch(state, "start", ParametersFile.of(start), first, _difference(at), True, observe)
-    ended = _run(state, limits, observe)
+    ended = _make_steps_until_limit(state, limits, observe)
     watch.begin(_usual_steps() + 1, "judging the result", may_end=False)
     best = state.best.parameters.parameters()
     at = replace(at, samples=_samples_of_poses(reference, best)).with_parameters(best)
@@ -224,7 +224,7 @@ def _usual_steps() -> int:
     return len(FIRST_STEPS) + 2 * len(REPEATED_STEPS) + len(CHANGING_STEPS)
 
 
-def _run(state: _State, limits: MatchingLimits, observe: EpochObserver) -> str:
+def _make_steps_until_limit(state: _State, limits: MatchingLimits, observe: EpochObserver) -> str:
     """Make steps until one of the limits; return which."""
     for number, step in enumerate(FIRST_STEPS, 1):
         if ended := _step_within(state, limits, observe, number, step):
@@ -240,7 +240,7 @@ def _run(state: _State, limits: MatchingLimits, observe: EpochObserver) -> str:
             number += 1
             if ended := _step_within(state, limits, observe, number, step):
                 return ended
-        idle = 0 if _changed(before, _best(state.epochs[: number + 1]), limits) else idle + 1
+        idle = 0 if _has_round_changed(before, _best(state.epochs[: number + 1]), limits) else idle + 1
     # By the rounds alone: a matching that goes on has taken some of what follows already.
     at = state.at.with_parameters(_best(state.epochs[: number + 1]).parameters.parameters())
     last = [step for step in (SHARPNESS_OF_BOARD, *CHANGING_STEPS) if step.applies(at)]
@@ -275,7 +275,7 @@ def _step_within(
     return None
 
 
-def _changed(before: MatchingEpoch, after: MatchingEpoch, limits: MatchingLimits) -> bool:
+def _has_round_changed(before: MatchingEpoch, after: MatchingEpoch, limits: MatchingLimits) -> bool:
     """Whether a round still changed the loss, or a parameter by more than it is uncertain."""
     if before.loss["loss_board"] - after.loss["loss_board"] >= limits.converged:
         return True
@@ -318,7 +318,7 @@ def _take_step(state: _State, step: MatchingStep, observe: EpochObserver) -> Non
         samples = _samples_of_poses(at.reference, tried.twin.parameters)
         state.at = replace(state.at, samples=samples)
         difference = _difference(replace(tried, samples=samples))
-    accepted = not refused and (_accepted(best, loss, difference) if better is None else better)
+    accepted = not refused and (_is_step_accepted(best, loss, difference) if better is None else better)
     _record_epoch(state, step.name, written, loss, difference, accepted, observe)
 
 
@@ -330,7 +330,7 @@ def _evaluate_epoch(
     return evaluate(context.reference, context.twin, state.weights, known_twin_rms_px, poses=compared)
 
 
-def _accepted(best: MatchingEpoch, loss: Mapping[str, float], difference: float) -> bool:
+def _is_step_accepted(best: MatchingEpoch, loss: Mapping[str, float], difference: float) -> bool:
     """Decide by the loss over the board; where losses are equal, by the mean square difference."""
     gain = best.loss["loss_board"] - loss["loss_board"]
     if abs(gain) > LIMITS.equal_loss:
@@ -345,16 +345,16 @@ def _difference(at: MatchingContext) -> float:
 
 def _changing_shares(at: MatchingContext, mean_square: float) -> dict[str, float]:
     """Shares of what is left that flicker, bands, vibration and the sensor's noise make."""
-    now, whole = at.twin.parameters, _noise(at)
+    now, whole = at.twin.parameters, _mean_square_noise(at)
     without = {effect.name: effect.without(now) if effect.is_in(now) else None for effect in VARYING_EFFECTS}
     shares = dict.fromkeys(without, 0.0)
     for step, steady in without.items():
         if steady is not None:
-            shares[step] = (whole - _noise(at.with_parameters(steady))) / mean_square
+            shares[step] = (whole - _mean_square_noise(at.with_parameters(steady))) / mean_square
     return {**shares, "noise": whole / mean_square - sum(shares.values())}
 
 
-def _noise(at: MatchingContext) -> float:
+def _mean_square_noise(at: MatchingContext) -> float:
     """Mean square of the twin's own noise at the samples, since expected images have no noise."""
     reference, twin = at.reference, at.twin
     squares = []

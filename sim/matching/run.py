@@ -152,7 +152,7 @@ def match_sessions(
     listener = MatchingListener(progress, observe, tell, prepared)
     refusals = Refusals(request.accepted)
     _check_inputs(twin, sessions, target, request)
-    begun = _prepare(twin, sessions, target, request, refusals, listener)
+    begun = _characterise_and_place(twin, sessions, target, request, refusals, listener)
     reference = begun.reference
     matched = match_twin(
         reference,
@@ -171,7 +171,7 @@ def match_sessions(
     if request.response is not None:
         levelled = with_level_of_card(best, request.response, request.card, reference.settings)
         matched = replace(matched, parameters=levelled)
-    result, complete = _compared(begun, matched, request, listener)
+    result, complete = _compare_bench_and_twin(begun, matched, request, listener)
     result = replace(result, late=late, noted=tuple(refusals.notes))
     if not result.diagnosis.is_useless:
         tell("comparing noise and scans for the intervals of predictions")
@@ -180,7 +180,7 @@ def match_sessions(
     return result
 
 
-def _prepare(
+def _characterise_and_place(
     twin: Twin,
     sessions: Sequence[Session],
     target: Target,
@@ -199,7 +199,7 @@ def _prepare(
     parts = fit_scans(twin, request.surfaces, characterisation.calibration, refusals)
     reference = Reference.of(sessions, target, characterisation, request.response)
     listener.prepared(reference)
-    placed = _placed(
+    placed = _place_grey_card(
         with_reference_geometry(twin.parameters, characterisation), request, characterisation, twin
     )
     nominal = twin.with_parameters(request.start(placed))
@@ -216,7 +216,7 @@ def _late_findings(reference: Reference, twin: Twin, matched: MatchedTwin) -> tu
     return tuple(finding for finding in (late, blurred) if finding is not None)
 
 
-def _compared(
+def _compare_bench_and_twin(
     begun: _Prepared, matched: MatchedTwin, request: MatchingRequest, listener: MatchingListener
 ) -> tuple[MatchingResult, Twin]:
     """Compare bench and twin before and after the matching; also give the twin with all that was matched."""
@@ -242,7 +242,7 @@ def _compared(
         before=before,
         matched=matched,
         final=final,
-        rows=_table(begun, twin, request.weights, before, matched, final),
+        rows=_fill_table(begun, twin, request.weights, before, matched, final),
         artefacts=tuple(artefacts),
         accepted=request.accepted,
         card_measured=request.card_scan is not None,
@@ -263,7 +263,7 @@ def _check_inputs(twin: Twin, sessions: Sequence[Session], target: Target, reque
         twin.pose_of(request.card)
 
 
-def _placed(
+def _place_grey_card(
     nominal: TwinParameters, request: MatchingRequest, characterisation: Characterisation, twin: Twin
 ) -> TwinParameters:
     """Put the grey card where the bench's scan of it shows it."""
@@ -282,7 +282,7 @@ def with_reference_geometry(nominal: TwinParameters, characterisation: Character
     return replace(nominal, calibration=calibration, poses=characterisation.poses)
 
 
-def _table(
+def _fill_table(
     begun: _Prepared,
     twin: Twin,
     weights: Weights,

@@ -53,11 +53,11 @@ def seen_surface(mesh: trimesh.Trimesh, calibration: Calibration) -> tuple[Mask,
     seen: Mask = np.isfinite(depth)
     hits = directions[seen] * depth[seen][:, None]
     lit = np.zeros_like(seen)
-    lit[seen] = _lit(shape, hits, calibration)
+    lit[seen] = _is_lit(shape, hits, calibration)
     return seen, lit
 
 
-def _lit(shape: RayTracedShape, points: Floats, calibration: Calibration) -> Mask:
+def _is_lit(shape: RayTracedShape, points: Floats, calibration: Calibration) -> Mask:
     u, v = calibration.projector.project(points, calibration.T_projector_camera).T
     width, height = calibration.projector.size
     within = (u > EDGE_PX) & (u < width - 1 - EDGE_PX) & (v > EDGE_PX) & (v < height - 1 - EDGE_PX)

@@ -58,17 +58,19 @@ def figure_intervals(
     reach = COVERAGE * float(np.hypot(spread["completeness"], share))
     complete, risk = (float(values[name].mean()) for name in ("completeness", "wrong_order"))
     return {
-        "distance_um": _scaled(
+        "distance_um": _interval_with_factor(
             usual["distance_um"] * by_calibration, float(np.hypot(relative["distance_um"], distance))
         ),
-        "noise_um": _scaled(np.array([usual["noise_um"]]), float(np.hypot(relative["noise_um"], noise))),
+        "noise_um": _interval_with_factor(
+            np.array([usual["noise_um"]]), float(np.hypot(relative["noise_um"], noise))
+        ),
         "completeness": FigureInterval(complete, max(0.0, complete - reach), min(1.0, complete + reach)),
         # The risk falls like exp(-d²/2) in the noise: it is bounded by that of a noise that is off.
         "wrong_order": FigureInterval(risk, *_risk_ends(risk, noise + relative["noise_um"])),
     }
 
 
-def _scaled(values: Floats, relative: float) -> FigureInterval:
+def _interval_with_factor(values: Floats, relative: float) -> FigureInterval:
     """Median and interval of equally likely values that a log-normal factor multiplies."""
     steps = (np.arange(1_000) + 0.5) / 1_000  # equally likely
     factors = np.exp(relative * ndtri(steps))

@@ -326,7 +326,7 @@ def test_a_full_disk_only_warns(
         stream.write(b"half")
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(module, "_write", full)
+    monkeypatch.setattr(module, "_write_table", full)
     assert picture(world(), blender, TableCache(tmp_path / "light")).max() > 0.5
     assert "a table of light cannot be stored in" in caplog.text
     assert "No space left on device" in caplog.text

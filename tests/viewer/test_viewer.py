@@ -385,7 +385,7 @@ def test_a_viewer_that_does_not_start(tmp_path: Path, monkeypatch: pytest.Monkey
     fake = tmp_path / "rerun"
     fake.write_text('#!/bin/sh\n[ "$1" = analytics ] && exit 0\necho "no such driver" >&2\nexit 3\n')
     fake.chmod(0o755)
-    monkeypatch.setattr(servers, "_program", lambda: str(fake))
+    monkeypatch.setattr(servers, "_find_rerun_program", lambda: str(fake))
     for kind in ("window", "browser"):
         with pytest.raises(DeviceError, match="viewer: open: rerun ended: no such driver"):
             ViewerServer(kind)

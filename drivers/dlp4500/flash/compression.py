@@ -70,27 +70,27 @@ def encode_run_lengths(image: ImageBytes) -> bytes:
     height, width, _ = image.shape
     longest_row = 4 * width + 5  # each pixel a run of its own, the end of the row and its padding
     stored = np.zeros(height * longest_row + 17, np.uint8)
-    return stored[: _encode(np.ascontiguousarray(image), stored)].tobytes()
+    return stored[: _compress_into(np.ascontiguousarray(image), stored)].tobytes()
 
 
 @njit(cache=True)
-def _encode(image: ImageBytes, stored: ImageBytes) -> int:
+def _compress_into(image: ImageBytes, stored: ImageBytes) -> int:
     """Fill `stored`, which is all zeros, and return how many bytes of it are used."""
     at = 0
     for row in image:
         column = 0
         while column < len(row):
-            run = _run(row, column)
+            run = _run_length(row, column)
             single = 0
-            while single < MAX_RUN and column + single < len(row) and _run(row, column + single) == 1:
+            while single < MAX_RUN and column + single < len(row) and _run_length(row, column + single) == 1:
                 single += 1
             if single > 1:
                 stored[at + 1] = single
-                at = _put(row, column, single, stored, at + 2)
+                at = _copy_pixels(row, column, single, stored, at + 2)
                 column += single
             else:
                 stored[at] = run
-                at = _put(row, column, 1, stored, at + 1)
+                at = _copy_pixels(row, column, 1, stored, at + 1)
                 column += run
         at = (at + 2 + 3) // 4 * 4
     stored[at + 1] = 1
@@ -98,7 +98,7 @@ def _encode(image: ImageBytes, stored: ImageBytes) -> int:
 
 
 @njit(inline="always")
-def _run(row: ImageBytes, column: int) -> int:
+def _run_length(row: ImageBytes, column: int) -> int:
     """Count how often the pixel at `column` is repeated from there on, at most MAX_RUN."""
     end = column + 1
     while end < len(row) and end - column < MAX_RUN and _same(row, column, end):
@@ -112,7 +112,7 @@ def _same(row: ImageBytes, a: int, b: int) -> bool:
 
 
 @njit(inline="always")
-def _put(row: ImageBytes, column: int, count: int, stored: ImageBytes, at: int) -> int:
+def _copy_pixels(row: ImageBytes, column: int, count: int, stored: ImageBytes, at: int) -> int:
     """Copy `count` pixels and return where the next byte goes."""
     for i in range(column, column + count):
         for plane in range(3):

@@ -166,7 +166,7 @@ def boot_loader_session(connect: Connect, clock: Clock, name: str) -> Iterator[B
 
     It does not matter whether the projector runs its boot loader already.
     """
-    loader = BootLoaderLink(_entered(connect, clock, name), clock, name)
+    loader = BootLoaderLink(_enter_boot_loader(connect, clock, name), clock, name)
     try:
         loader.identify()
         yield loader
@@ -175,10 +175,10 @@ def boot_loader_session(connect: Connect, clock: Clock, name: str) -> Iterator[B
             loader.leave()
         raise
     loader.leave()
-    _restarted(connect, clock, name, into_program=True).close()
+    _reopen_after_restart(connect, clock, name, into_program=True).close()
 
 
-def _entered(connect: Connect, clock: Clock, name: str) -> Link:
+def _enter_boot_loader(connect: Connect, clock: Clock, name: str) -> Link:
     link = connect()
     if not _runs_program(link):
         return link
@@ -186,7 +186,7 @@ def _entered(connect: Connect, clock: Clock, name: str) -> Link:
         link.write(ENTER)
     finally:
         link.close()
-    return _restarted(connect, clock, name, into_program=False)
+    return _reopen_after_restart(connect, clock, name, into_program=False)
 
 
 def _runs_program(link: Link) -> bool:
@@ -198,7 +198,7 @@ def _runs_program(link: Link) -> bool:
     return True
 
 
-def _restarted(connect: Connect, clock: Clock, name: str, into_program: bool) -> Link:
+def _reopen_after_restart(connect: Connect, clock: Clock, name: str, into_program: bool) -> Link:
     """Open the projector again once it has reappeared running the other program."""
     deadline, is_last = clock.now() + RESTART.limit_s, False
     while not is_last:

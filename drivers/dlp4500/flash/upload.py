@@ -138,7 +138,7 @@ class _ProgressPage:
         return self._loader.checksum(self._mark_of(sector), _SLOT) == memory.flash_checksum(_MARK)
 
     def _holds(self, sector: int) -> bool:
-        return _is_same(self._firmware, self._loader, _part(self._firmware, sector))
+        return _is_same(self._firmware, self._loader, _sector_of_firmware(self._firmware, sector))
 
 
 def _check_program(firmware: Firmware, loader: BootLoaderLink) -> None:
@@ -159,7 +159,7 @@ def _table_differs(firmware: Firmware, loader: BootLoaderLink) -> bool:
     """Tell whether the flash table's sector must be written; equal checksums alone may be a coincidence."""
     entry = firmware.content[SPLASH_ENTRY : SPLASH_ENTRY + 4]
     return loader.read(SPLASH_ENTRY, 4) != entry or not _is_same(
-        firmware, loader, _part(firmware, TABLE_SECTOR)
+        firmware, loader, _sector_of_firmware(firmware, TABLE_SECTOR)
     )
 
 
@@ -169,14 +169,14 @@ def _is_same(firmware: Firmware, loader: BootLoaderLink, part: FlashBlock) -> bo
     return loader.checksum(part.offset, part.size) == expected
 
 
-def _part(firmware: Firmware, sector: int) -> FlashBlock:
+def _sector_of_firmware(firmware: Firmware, sector: int) -> FlashBlock:
     """Return a sector as far as the file extends."""
     start = sector * memory.SECTOR
     return FlashBlock(start, min(memory.SECTOR, len(firmware.content) - start))
 
 
 def _content(firmware: Firmware, sector: int) -> bytes:
-    part = _part(firmware, sector)
+    part = _sector_of_firmware(firmware, sector)
     return firmware.content[part.offset : part.end]
 
 

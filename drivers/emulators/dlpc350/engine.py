@@ -101,7 +101,7 @@ class LightEngine:
             return None
         inverted = bool(shown.entry["invert"]) != bool(self._registers[protocol.INVERT.number]["on"])
         levels = self._levels(enabled, tuple(colour for colour in COLOURS if shown.entry[colour]))
-        content, entry = self._content(shown.image), shown.entry
+        content, entry = self._image_or_video_frame(shown.image), shown.entry
         return self._if_illuminated(
             ProjectedLight(content, entry["depth"], entry["pattern"], inverted, levels, shown.image)
         )
@@ -129,7 +129,7 @@ class LightEngine:
         current = self._registers[protocol.LED_CURRENT.number][colour] / 255.0
         return current if self._registers[protocol.LED_POLARITY.number]["inverted"] else 1.0 - current
 
-    def _content(self, image: int) -> FlashImage:
+    def _image_or_video_frame(self, image: int) -> FlashImage:
         if self._registers[protocol.PATTERN_SOURCE.number]["source"] == Source.FLASH:
             return self.images[image] if image < len(self.images) else _black_image()
         if self._frame is None:

@@ -87,11 +87,11 @@ def stored_images(flash: bytes | bytearray) -> list[StoredImage]:
         if address - BASE_ADDRESS != end:
             raise ValueError(f"an image begins at {address:#x}, but the one before it ends at {end:#x}")
         end += size
-        images.append(_image(bytes(flash[end - size : end])))
+        images.append(_parse_image(bytes(flash[end - size : end])))
     return images
 
 
-def _image(blob: bytes) -> StoredImage:
+def _parse_image(blob: bytes) -> StoredImage:
     magic, width, height, stored, *constant, pixel_format, compression, order, chroma = _HEADER.unpack_from(
         blob
     )

@@ -42,12 +42,12 @@ def grey_levels(image: FlashImage, depth: int, number: int, inverted: bool) -> N
     """Compute the grey levels 0 … 255 of a pattern."""
     # image (height, width, 3); returns (height, width)
     full = (1 << depth) - 1
-    values = _values(image, bit_planes(depth, number), full)
+    values = _plane_values(image, bit_planes(depth, number), full)
     scale = np.rint(np.arange(full + 1) * (255.0 / full)).astype(np.uint8)
     return np.asarray((scale[::-1] if inverted else scale)[values], np.uint8)
 
 
-def _values(image: FlashImage, planes: range, full: int) -> NDArray[np.uint8]:
+def _plane_values(image: FlashImage, planes: range, full: int) -> NDArray[np.uint8]:
     """Read the values of neighbouring bit planes, which lie in one colour or in two."""
     if not planes:
         return np.zeros(image.shape[:2], np.uint8)

@@ -106,7 +106,7 @@ class Sequencer:
     def advance(self, now: float) -> None:
         """Do what was due until now."""
         while self.running and self._next_s is not None and self._next_s <= now:
-            self._step(self._next_s)
+            self._show_next_pattern(self._next_s)
 
     @property
     def tables(self) -> SequenceTables | None:
@@ -128,7 +128,7 @@ class Sequencer:
             pair, other = divmod(self._count - 1, 2)
             self._count = 2 * pair + 1 - other if number == 1 else 2 * (pair + 1)
             self._count %= len(self._tables.entries)
-            self._step(now)
+            self._show_next_pattern(now)
         elif number == 1 and self._next_s is None and now >= self._ready_s and self._next_trigger_is(edge):
             self._next_s = now + self._tables.input_delay_s
 
@@ -180,7 +180,7 @@ class Sequencer:
         else:
             self._next_s = None
 
-    def _step(self, at_s: float) -> None:
+    def _show_next_pattern(self, at_s: float) -> None:
         tables = self._tables
         assert tables is not None
         if not tables.repeat and self._count >= tables.patterns:
@@ -192,7 +192,7 @@ class Sequencer:
         exposure, period = self._times[self._count % len(self._times)]
         image = self._image
         self.shown = DisplayedPattern(entry, image, at_s, at_s + exposure)
-        self._pulse(tables, at_s)
+        self._emit_trigger_pulse(tables, at_s)
         self._count += 1
         if tables.mode is TriggerMode.ALTERNATING:
             self._next_s = None
@@ -214,7 +214,7 @@ class Sequencer:
         self._swaps += 1
         self._last_swap_s = at_s
 
-    def _pulse(self, tables: SequenceTables, at_s: float) -> None:
+    def _emit_trigger_pulse(self, tables: SequenceTables, at_s: float) -> None:
         index, entry = self._count, self._entry(self._count)
         rise, fall, second = tables.edges_s
         if not entry["share_trigger"]:

@@ -116,7 +116,7 @@ class EmulatedDevice:
             return -1
         if len(buff) != REPORT_BYTES + 1 or buff[0]:
             return -1
-        self._take(bytes(buff[1:]))
+        self._collect_report(bytes(buff[1:]))
         return len(buff)
 
     def read(self, max_length: int, timeout_ms: int = 0) -> list[int]:
@@ -142,7 +142,7 @@ class EmulatedDevice:
     def _is_alive(self) -> bool:
         return self._plug == self._hid.plugs and self._hid.is_plugged
 
-    def _take(self, report: bytes) -> None:
+    def _collect_report(self, report: bytes) -> None:
         """Collect reports until a message is complete."""
         self._incoming.append(report)
         try:
@@ -152,9 +152,9 @@ class EmulatedDevice:
             return
         if len(self._incoming) == 1 + continuation_reports(length):
             message, self._incoming = join_reports(self._incoming), []
-            self._serve(message)
+            self._answer_message(message)
 
-    def _serve(self, message: UsbMessage) -> None:
+    def _answer_message(self, message: UsbMessage) -> None:
         hid, controller = self._hid, self._hid.controller
         fault = hid.faults.get(hid.requests)
         hid.requests += 1
@@ -165,9 +165,9 @@ class EmulatedDevice:
         if fault is UsbFault.UNPLUG_AFTER:
             hid.unplug()
         elif reply is not None and fault is not UsbFault.DROP:
-            self._send(reply, fault)
+            self._send_reply(reply, fault)
 
-    def _send(self, reply: UsbMessage, fault: UsbFault | None) -> None:
+    def _send_reply(self, reply: UsbMessage, fault: UsbFault | None) -> None:
         due = self._clock.now() + self._hid.controller.policy.turnaround_s
         due += LATE_S if fault is UsbFault.LATE else 0.0
         for report in reply.reports() * (2 if fault is UsbFault.DUPLICATE else 1):

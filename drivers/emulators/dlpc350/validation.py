@@ -65,7 +65,7 @@ def _images_fit(entries: Sequence[Values], images: Sequence[int], declared: int,
     return len(images) >= declared == swaps and all(image < flash_images for image in images)
 
 
-def _groups(entries: Sequence[Values], field: str) -> list[range]:
+def _group_entries(entries: Sequence[Values], field: str) -> list[range]:
     """Group entries in runs in which all but the first have `field` set."""
     starts = [i for i, entry in enumerate(entries) if not (entry[field] and i)]
     return [range(a, b) for a, b in zip(starts, [*starts[1:], len(entries)], strict=True)]
@@ -74,7 +74,7 @@ def _groups(entries: Sequence[Values], field: str) -> list[range]:
 def _too_short(entries: Sequence[Values], times_us: Sequence[tuple[int, int]]) -> bool:
     return any(
         times_us[group[0]][0] < len(group) * max(MIN_EXPOSURE_US.get(entries[i]["depth"], 0) for i in group)
-        for group in _groups(entries, "share_trigger")
+        for group in _group_entries(entries, "share_trigger")
         if len(group)
     )
 

@@ -136,14 +136,14 @@ class Drive:
         search, way = 1.5 * self._settings.travel_mm(self.axis), max(0.0, self.carriage_mm)
         if self.switch_sticks:
             return (
-                self._legs([(0.0, seek), (pull_off, seek)]),
+                self._legs_duration_s([(0.0, seek), (pull_off, seek)]),
                 self._rail.clamp(self.carriage_mm + pull_off),
                 8,
             )
         if not self.switch_works or way > search:
-            return self._legs([(search, seek)]), self._rail.clamp(self.carriage_mm - search), 9
+            return self._legs_duration_s([(search, seek)]), self._rail.clamp(self.carriage_mm - search), 9
         legs = [(way, seek), (pull_off, seek), (pull_off, slow), (pull_off, seek)]
-        return self._legs(legs), pull_off, None
+        return self._legs_duration_s(legs), pull_off, None
 
     def set_home(self, carriage_mm: float, at_zero: bool) -> None:
         """End a homing cycle: the position becomes known."""
@@ -158,7 +158,7 @@ class Drive:
         """Sign of the machine axis in the direction away from the switch."""
         return 1 if self._settings.homes_down(self.axis) else -1
 
-    def _legs(self, legs: list[tuple[float, float]]) -> float:
+    def _legs_duration_s(self, legs: list[tuple[float, float]]) -> float:
         """Return the time in s of (length, rate) legs from rest to rest, with a pause after each."""
         acceleration, pause = self._settings.acceleration_mm_s2(self.axis), self._settings[26] / 1000
         return sum(Ramp(mm, rate, acceleration).duration_s + pause for mm, rate in legs)

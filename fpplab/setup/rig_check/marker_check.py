@@ -194,19 +194,19 @@ class MarkerInspection:
         """Diagnose a triggered run by a second one with more time between triggers."""
         shift = None if self._of_stepped else exposure_shift(self.runs[0].levels, run.levels)
         if _is_in_step(shown, run):  # levels that mix a little with their neighbours rise all the same
-            return [_shifted(shift, plan.exposure_s)] if shift else []
+            return [_exposure_shift_finding(shift, plan.exposure_s)] if shift else []
         if not run.frames:
             return [_no_pulse(len(shown))]
         slow_run = _show_marker_once(rig, plan, shown, plan.exposure_s + LIMITS.safe_gap_s)
         if _shows_darkness(slow_run, LIMITS.max_dark_range * self.runs[0].rise):
             return [_wrong_edge()]
         if shift is not None:
-            return [_shifted(shift, plan.exposure_s)]
+            return [_exposure_shift_finding(shift, plan.exposure_s)]
         slipped = matching_faults(shown, run.levels)
         if not _is_in_step(shown, slow_run):
             repeated = matching_faults(shown, slow_run.levels)
             return [
-                _slipped(
+                _slipped_frames_finding(
                     slipped, run, remedy(plan), happens_again=bool({*(slipped or ())} & {*(repeated or ())})
                 )
             ]
@@ -215,7 +215,11 @@ class MarkerInspection:
             LIMITS.safe_gap_s,
         )
         if gap_s == 0.0:
-            return [_slipped(slipped, run, remedy(plan), "when it was repeated, all frames were in step")]
+            return [
+                _slipped_frames_finding(
+                    slipped, run, remedy(plan), "when it was repeated, all frames were in step"
+                )
+            ]
         timing = _timing(rig, plan, shown, gap_s)
         dead_s = math.ceil(1e4 * (timing.period_s - timing.light_s - timing.dark_s)) / 1e4
         return [_not_ready(run, gap_s, dead_s)]
@@ -332,7 +336,7 @@ def _timing(rig: Rig, plan: Plan, shown: NDArray[np.int64], gap_s: float) -> Pul
     return pulse_timing(rig.camera, rig.projector, patterns, plan.exposure_s, dead_s, gap_s)
 
 
-def _slipped(
+def _slipped_frames_finding(
     slipped: tuple[SyncFault, ...] | None,
     run: MarkerRun,
     advice: str,
@@ -359,7 +363,7 @@ def _wrong_edge() -> Finding:
     return Finding(TRIGGER_EDGE, evidence, DECISIVE_EXCESS)
 
 
-def _shifted(shift: ExposureShift, exposure_s: float) -> Finding:
+def _exposure_shift_finding(shift: ExposureShift, exposure_s: float) -> Finding:
     direction, neighbour = ("late", "next") if shift.is_late else ("early", "previous")
     evidence = (
         f"{100 * shift.share:.0f} % of each exposure show the {neighbour} pattern: exposures begin about "

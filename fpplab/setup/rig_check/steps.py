@@ -80,7 +80,7 @@ class _Steps:
         return CheckedStep("link", True, "; ".join(devices))
 
     def lamp(self) -> CheckedStep:
-        black, white = self._taken(self._uniform([0, 255]), "stepped")
+        black, white = self._take_samples(self._uniform([0, 255]), "stepped")
         self._white, self._change = white, white - black
         rise = float(np.quantile(self._change, 0.95))
         evidence = f"white is brighter than black by {100 * rise:.3g} % of full scale"
@@ -89,10 +89,10 @@ class _Steps:
         return CheckedStep("lamp", ok, evidence, "" if ok else remedy, {"rise": rise})
 
     def one_pulse(self) -> CheckedStep:
-        return self._pulses("one pulse", [255])
+        return self._check_pulses("one pulse", [255])
 
     def ten_pulses(self) -> CheckedStep:
-        return self._pulses("ten pulses", marker().tolist()[: LIMITS.pulses])
+        return self._check_pulses("ten pulses", marker().tolist()[: LIMITS.pulses])
 
     def rate(self) -> CheckedStep:
         """Shorten the time between pulses until frames are lost or none is left."""
@@ -104,7 +104,7 @@ class _Steps:
         lost = "and none was lost at all"
         for gap_s in (*LIMITS.gaps_s, less_s / 2, less_s):
             period_s = self._timing(patterns, gap_s).period_s
-            frames = len(self._taken(patterns, "triggered", gap_s))
+            frames = len(self._take_samples(patterns, "triggered", gap_s))
             if frames < LIMITS.pulses:
                 lost = f"{frames} of {LIMITS.pulses} at {1e3 * period_s:.6g} ms"
                 break
@@ -136,7 +136,7 @@ class _Steps:
         finest = max(self._plan.fringes, key=lambda fringe: fringe.stripes)
         of_set = [n for n, (k, _, _) in enumerate(self._plan.steps()) if self._plan.fringes[k] is finest]
         patterns = make_patterns(self._plan, caps.size, caps.lattice)
-        frames = self._taken([patterns[n] for n in of_set], "stepped")
+        frames = self._take_samples([patterns[n] for n in of_set], "stepped")
         lit = self._change >= 0.5 * np.quantile(self._change, 0.95)
         # Of shifts by equal steps the standard deviation is the amplitude over the root of 2.
         half = self._change[lit] / 2
@@ -146,8 +146,8 @@ class _Steps:
         remedy = f"focus both lenses; at least {LIMITS.min_contrast:g}"
         return CheckedStep("focus", ok, evidence, "" if ok else remedy, {"contrast": contrast})
 
-    def _pulses(self, name: str, greys: Sequence[int]) -> CheckedStep:
-        frames = len(self._taken(self._uniform(greys), "triggered", LIMITS.safe_gap_s))
+    def _check_pulses(self, name: str, greys: Sequence[int]) -> CheckedStep:
+        frames = len(self._take_samples(self._uniform(greys), "triggered", LIMITS.safe_gap_s))
         evidence = f"{frames} of {len(greys)} frames came"
         ok = frames == len(greys)
         remedy = NO_TRIGGER.remedy if not frames else LOST_PULSES
@@ -165,7 +165,7 @@ class _Steps:
         dead_s = rig.file.camera.dead_time_s
         return pulse_timing(rig.camera, rig.projector, patterns, settings.exposure_s, dead_s, gap_s)
 
-    def _taken(self, patterns: Sequence[Pattern], trigger: str, gap_s: float = 0.0) -> Floats:
+    def _take_samples(self, patterns: Sequence[Pattern], trigger: str, gap_s: float = 0.0) -> Floats:
         """Samples of the frames that came, as shares of full scale: (frames, rows, columns)."""
         rig = self._rig
         recover_camera(rig)

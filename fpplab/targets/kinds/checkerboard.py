@@ -64,10 +64,10 @@ class Checkerboard(SquareLayout):
             is_found, pixels = cv2.findChessboardCornersSB(image, self.counts, flags=FINDER_FLAGS)
             if is_found:
                 corners = scale * (np.asarray(pixels, np.float64).reshape(-1, 2) + 0.5) - 0.5
-                return corners if scale == 1 else self._located(grey, corners)
+                return corners if scale == 1 else self._locate_corners(grey, corners)
         return None
 
-    def _located(self, grey: NDArray[np.uint8], corners: Floats) -> Floats:
+    def _locate_corners(self, grey: NDArray[np.uint8], corners: Floats) -> Floats:
         """Locate corners in the whole picture, in windows that the next corner's edges do not enter."""
         grid = corners.reshape(self.counts[1], self.counts[0], 2)
         smallest_step = min(np.linalg.norm(np.diff(grid, axis=axis), axis=-1).min() for axis in (0, 1))

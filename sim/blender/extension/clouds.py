@@ -16,13 +16,13 @@ def import_cloud(path: str) -> Any:
     """Add the points of a PLY file to the scene of the window, where they were measured."""
     bpy.ops.wm.ply_import(filepath=path, forward_axis="Y", up_axis="Z", import_attributes=True)
     cloud = bpy.context.view_layer.objects.active
-    material = _coloured()
+    material = _point_colour_material()
     cloud.data.materials.append(material)
-    cloud.modifiers.new("points", "NODES").node_group = _spheres(material)
+    cloud.modifiers.new("points", "NODES").node_group = _sphere_modifier(material)
     return cloud
 
 
-def _coloured() -> Any:
+def _point_colour_material() -> Any:
     """A material that shows the points' own colours in any light."""
     material = bpy.data.materials.new("errors")
     material.use_nodes = True
@@ -36,7 +36,7 @@ def _coloured() -> Any:
     return material
 
 
-def _spheres(material: Any) -> Any:
+def _sphere_modifier(material: Any) -> Any:
     """A modifier that makes spheres of vertices."""
     group = bpy.data.node_groups.new("points", "GeometryNodeTree")
     for way in ("INPUT", "OUTPUT"):

@@ -85,14 +85,20 @@ def fit_fluctuation(series: Sequence[Series], oscillates: bool = True) -> FrameF
         criterion = _criterion(series, _residuals_about_means(series, random), random, random.free)
         if criterion < lowest:
             best, lowest = random, criterion
-    fluctuation = FrameFluctuation(best, np.zeros(size), 0.0, 0.0, _sigma(series, best), still - lowest)
+    fluctuation = FrameFluctuation(
+        best, np.zeros(size), 0.0, 0.0, _relative_sigma(series, best), still - lowest
+    )
     enough = min(pose.freedom for pose in series) >= LIMITS.min_frames
     if not oscillates or not enough or not (best.axis.any() or (size == 1 and best.free)):
         return fluctuation
-    return _oscillating_along(series, fluctuation) if size > 1 else _oscillating(series, fluctuation)
+    return (
+        _oscillating_along(series, fluctuation)
+        if size > 1
+        else _with_oscillation_if_likelier(series, fluctuation)
+    )
 
 
-def _oscillating(series: Sequence[Series], alone: FrameFluctuation) -> FrameFluctuation:
+def _with_oscillation_if_likelier(series: Sequence[Series], alone: FrameFluctuation) -> FrameFluctuation:
     oscillating = _with_oscillation(series, alone.random, _misfit_of_noise(series))
     return oscillating if oscillating.gained > alone.gained else alone
 
@@ -102,7 +108,7 @@ def _oscillating_along(series: Sequence[Series], fluctuation: FrameFluctuation) 
     line = fluctuation.random.axis / np.linalg.norm(fluctuation.random.axis)
     along = [pose.along(line, fluctuation.random.isotropic) for pose in series]
     alone = fit_fluctuation(along, oscillates=False)
-    oscillating = _oscillating(along, alone)
+    oscillating = _with_oscillation_if_likelier(along, alone)
     if not oscillating.oscillation.any():
         return fluctuation
     random = RandomDisplacement(fluctuation.random.isotropic, oscillating.random.isotropic * line)
@@ -173,7 +179,7 @@ def _most_likely(
     return replace(random, isotropic=0.0) if random.isotropic < min_isotropic else random
 
 
-def _sigma(series: Sequence[Series], random: RandomDisplacement) -> float:
+def _relative_sigma(series: Sequence[Series], random: RandomDisplacement) -> float:
     """Relative standard uncertainty of the size of random numbers, by the frames that determine them."""
     information = 0.0
     for pose in series:
@@ -203,7 +209,7 @@ def _criterion(
 
 def _with_oscillation(series: Sequence[Series], random: RandomDisplacement, still: float) -> FrameFluctuation:
     size, has_axis = series[0].values.shape[1], bool(random.axis.any())
-    unknown, residuals = _start(*_strongest(series, random)), []
+    unknown, residuals = _start_of_fit(*_find_strongest_wave(series, random)), []
     for _ in range(LIMITS.rounds):
         whites = [pose.whitening(random) for pose in series]
         fit = least_squares(_whitened_residual, unknown, args=(series, whites), x_scale="jac")
@@ -224,7 +230,9 @@ def _with_oscillation(series: Sequence[Series], random: RandomDisplacement, stil
     )
 
 
-def _strongest(series: Sequence[Series], random: RandomDisplacement) -> tuple[float, NDArray[np.complex128]]:
+def _find_strongest_wave(
+    series: Sequence[Series], random: RandomDisplacement
+) -> tuple[float, NDArray[np.complex128]]:
     """Find the frequency with which waves of any size in every pose explain most.
 
     Returns it, and there the amplitudes (poses, k) x of `Re(x exp(2 pi i f n))`.
@@ -263,7 +271,7 @@ def _wave_of_pose(pose: Series, white: Floats, frequency: float) -> tuple[float,
     return whole - without, np.asarray(coefficients[-2] - 1j * coefficients[-1])
 
 
-def _start(frequency: float, amplitudes: NDArray[np.complex128]) -> Floats:
+def _start_of_fit(frequency: float, amplitudes: NDArray[np.complex128]) -> Floats:
     """Start of the fit: frequency, oscillation (k,) RMS, and the phase of every pose in rad."""
     directions = np.linalg.eigh(np.real(amplitudes.T @ amplitudes.conj()))[1]
     along = amplitudes @ directions[:, -1]

@@ -69,7 +69,7 @@ class FrameTerms:
 
 def terms_of_pose(reference: Reference, twin: Twin, pose: int) -> FrameTerms:
     """Estimate the terms of every frame of a pose."""
-    now, images, sets = twin.parameters, *_finest(reference.plan)
+    now, images, sets = twin.parameters, *_images_of_finest_sets(reference.plan)
     board = board_mask(now.calibration.camera, now.poses[pose], reference.target)
     pixels = subsample_pixels(board, LIMITS.max_pixels)
     first = reference.shown(images[:1])
@@ -92,13 +92,13 @@ def terms_of_pose(reference: Reference, twin: Twin, pose: int) -> FrameTerms:
     residuals, tiles = np.array([rest for _, rest in fits]), tile_numbers(pixels)
     both = [
         np.array([_covariance(rest, basis, tiles) for rest, basis in zip(residual, bases, strict=True)])
-        for residual in (residuals, _changing(residuals, reference.plan, sets))
+        for residual in (residuals, _remove_constant_part(residuals, reference.plan, sets))
     ]
     room_share = share if share > LIMITS.min_room_share else 0.0
     return FrameTerms(pose, np.array(images, np.float64), sets, values, both[0], both[1], room_share)
 
 
-def _finest(plan: Plan) -> tuple[tuple[int, ...], NDArray[np.int64]]:
+def _images_of_finest_sets(plan: Plan) -> tuple[tuple[int, ...], NDArray[np.int64]]:
     """Numbers (n,) and sets (n,) of the images of the finest sets."""
     finest = {plan.finest_set(axis) for axis in plan.axes}
     steps = [(n, index) for n, (index, _, _) in enumerate(plan.steps()) if index in finest]
@@ -118,7 +118,7 @@ def _sizes(basis: Floats) -> Floats:
     return np.asarray(np.where(size == 0, 1.0, size))
 
 
-def _changing(residuals: Floats, plan: Plan, sets: NDArray[np.int64]) -> Floats:
+def _remove_constant_part(residuals: Floats, plan: Plan, sets: NDArray[np.int64]) -> Floats:
     """Take off what of each pixel (n, P) is in every frame of a set: another offset, or another fringe."""
     changing = residuals.copy()
     for number in np.unique(sets):

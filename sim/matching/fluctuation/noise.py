@@ -70,7 +70,7 @@ def _sensor_noise(
     own = [_twin_noise(reference, twin, pose) for pose in poses]
     pairs = list(zip(real, own, strict=True))
     at_black = np.array([a.constant - b.constant for a, b in pairs])
-    if not _significant(at_black):
+    if not _is_mean_significant(at_black):
         shot = np.array(
             [(_above_rounding(a, x), _above_rounding(b, x)) for (a, b), x in zip(pairs, levels, strict=True)]
         )
@@ -79,7 +79,7 @@ def _sensor_noise(
         now = replace(now, read_noise_e=changed)
         shot = np.array([(a.per_level, b.per_level) for a, b in pairs])
     of_bench, of_twin = shot.sum(axis=0)
-    if min(of_bench, of_twin) <= 0 or not _significant(shot[:, 0] - shot[:, 1]):
+    if min(of_bench, of_twin) <= 0 or not _is_mean_significant(shot[:, 0] - shot[:, 1]):
         return now
     # Electrons per level: the read noise in levels is not to change with them.
     ratio = float(of_twin / of_bench)
@@ -92,7 +92,7 @@ def _bright_level(reference: Reference, pose: int) -> float:
     return float(frames[frames > frames.mean()].mean()) / reference.full_scale * 255.0
 
 
-def _significant(differences: Floats) -> bool:
+def _is_mean_significant(differences: Floats) -> bool:
     """Whether the mean of what several poses say differs from 0 by more than their scatter explains."""
     if len(differences) < 2:
         return False

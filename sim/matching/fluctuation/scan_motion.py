@@ -67,7 +67,7 @@ def motion_of_scan(twin: Twin, scan: BenchScan) -> ScanMotion | None:
     turns = {axis: _turns(twin, scan, pixels, axis) for axis in scan.session.plan.axes}
     motions = [_SetMotion.of(twin, scan, pixels, index, turns) for index in sets]
     parts = [motion for motion in motions if motion is not None]
-    return _joined(parts, twin.parameters) if parts else None
+    return _fit_common_speed(parts, twin.parameters) if parts else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +146,7 @@ def _turns(twin: Twin, scan: BenchScan, pixels: PixelIndices, axis: Axis) -> Flo
     )
 
 
-def _joined(parts: Sequence[_SetMotion], now: TwinParameters) -> ScanMotion:
+def _fit_common_speed(parts: Sequence[_SetMotion], now: TwinParameters) -> ScanMotion:
     """Fit one speed to all sets, robustly."""
     rest = np.concatenate([part.rest.ravel() for part in parts])
     speed = np.concatenate([part.speed.ravel() for part in parts])

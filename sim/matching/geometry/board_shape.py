@@ -22,11 +22,11 @@ def bend_mm(board: Floats, places: Floats) -> Floats:
         return np.zeros(len(places))
     low, high = board[:, :2].min(axis=0), board[:, :2].max(axis=0)
     middle, half = 0.5 * (low + high), np.maximum(0.5 * (high - low), 1e-9)
-    coefficients = np.linalg.lstsq(_terms((board[:, :2] - middle) / half), board[:, 2], rcond=None)[0]
-    return np.asarray(_terms(np.clip((places - middle) / half, -1.0, 1.0)) @ coefficients)
+    coefficients = np.linalg.lstsq(_bending_terms((board[:, :2] - middle) / half), board[:, 2], rcond=None)[0]
+    return np.asarray(_bending_terms(np.clip((places - middle) / half, -1.0, 1.0)) @ coefficients)
 
 
-def _terms(places: Floats) -> Floats:
+def _bending_terms(places: Floats) -> Floats:
     x, y = places.T
     powers = [(i, j) for i in range(4) for j in range(4 - i)]
     return np.stack([x**i * y**j for i, j in powers], axis=1)

@@ -137,7 +137,7 @@ def refine_by_images(reference: Reference, twin: Twin, level: DistortionModel) -
         by_tile = np.zeros((TILES**2, len(columns)))
         for image, jacobian in enumerate(residuals.jacobian(start, free)):
             own, residual = _remove_vibration(reference, twin, residuals, image, jacobian[:, shared + 3 :])
-            block, right_side, scores = _equations(
+            block, right_side, scores = _normal_equations(
                 jacobian, residual, displacement, own, start.displacement_mm, tiles
             )
             normal[np.ix_(columns, columns)] += block
@@ -150,7 +150,7 @@ def refine_by_images(reference: Reference, twin: Twin, level: DistortionModel) -
     variance = np.diag(inverse @ scatter @ inverse)
     of_places = variance[shared:].reshape(-1, per_pose)[:, 3:6].sum(axis=1)
     sigma = {**start.sigma, "poses_um": 1e3 * float(np.sqrt(of_places.mean()))}
-    return replace(_updated(start, inverse @ gradient, free, shared, per_pose), sigma=sigma)
+    return replace(_parameters_after_step(start, inverse @ gradient, free, shared, per_pose), sigma=sigma)
 
 
 def _remove_vibration(
@@ -173,7 +173,7 @@ def _remove_vibration(
     return own, residual - np.where(residuals.valid[image], level - residuals.expected[image], 0.0)
 
 
-def _equations(
+def _normal_equations(
     jacobian: Floats,
     residual: Floats,
     displacement: slice,
@@ -207,18 +207,20 @@ def _tile_members(pixels: PixelIndices) -> csr_array:
     return csr_array((np.ones(len(tiles)), (tiles, number)), shape=(TILES**2, len(tiles)))
 
 
-def _updated(start: TwinParameters, step: Floats, free: int, shared: int, per_pose: int) -> TwinParameters:
+def _parameters_after_step(
+    start: TwinParameters, step: Floats, free: int, shared: int, per_pose: int
+) -> TwinParameters:
     now = solution_of(start, np.zeros((0, 3)))
     camera, projector = now.camera.copy(), now.projector.copy()
     camera[:free] += step[:free]
     projector[:free] += step[free : 2 * free]
     moves = step[shared:].reshape(-1, per_pose)[:, :6]
-    poses = np.stack([_perturbed(pose, move) for pose, move in zip(now.poses, moves, strict=True)])
-    pair = _perturbed(now.T_projector_camera, step[2 * free : shared])
+    poses = np.stack([_perturb_pose(pose, move) for pose, move in zip(now.poses, moves, strict=True)])
+    pair = _perturb_pose(now.T_projector_camera, step[2 * free : shared])
     return with_solution(start, Solution(camera, projector, pair, poses, now.board))
 
 
-def _perturbed(pose: Floats, move: Floats) -> Floats:
+def _perturb_pose(pose: Floats, move: Floats) -> Floats:
     """Turn a pose (6,) by a small rotation about the device's axes, and move it."""
     turn = RigidTransform.from_vectors(move[:3], np.zeros(3)).rotation
     held = transform(pose)
@@ -300,12 +302,14 @@ def levels_with_gradient(
     here = seen_by(twin)
     gradient = [
         sign * (seen_by(twin.with_parameters(moved)) - here) / by
-        for moved, by, sign in _shifted(twin.parameters, pose)
+        for moved, by, sign in _board_and_projector_shifts(twin.parameters, pose)
     ]
     return here, np.stack(gradient, axis=-1)
 
 
-def _shifted(start: TwinParameters, pose: int) -> list[tuple[TwinParameters, float, float]]:
+def _board_and_projector_shifts(
+    start: TwinParameters, pose: int
+) -> list[tuple[TwinParameters, float, float]]:
     """Shift the board in its plane, and the projector's image, along each axis.
 
     With each, how far, and the sign with which the point seen moves.

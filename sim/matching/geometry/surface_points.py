@@ -17,7 +17,7 @@ from fpplab.core.geometry import Pinhole, RigidTransform, distort
 def surface_and_projector_points(pixels: Floats, calibration: Calibration, pose: RigidTransform) -> Floats:
     """Compute what pixels see of a board."""
     # pixels (P, 2) px; returns (P, 4) mm
-    points = _points(calibration.camera.normalise(pixels), pose)
+    points = _rays_on_board(calibration.camera.normalise(pixels), pose)
     lit = calibration.projector.project(points, calibration.T_projector_camera)
     return np.concatenate([pose.inverse().apply(points)[:, :2], lit], axis=-1)
 
@@ -27,7 +27,7 @@ def points_jacobian(pixels: Floats, calibration: Calibration, pose: RigidTransfo
     # pixels (P, 2) px; returns (P, 4, 2 free + 12) rad
     camera, projector, pair = calibration.camera, calibration.projector, calibration.T_projector_camera
     slopes = camera.normalise(pixels)
-    points = _points(slopes, pose)
+    points = _rays_on_board(slopes, pose)
     by_point, by_local = _by_point(points, calibration, pose)
     rays = points / points[:, 2:]
     normal = pose.rotation[:, 2]
@@ -41,12 +41,12 @@ def points_jacobian(pixels: Floats, calibration: Calibration, pose: RigidTransfo
     by_projector = np.zeros((len(points), 4, free))
     by_projector[:, 2:] = _pixels_by_intrinsics(local[:, :2] / local[:, 2:], projector)[..., :free]
     by_pair = np.zeros((len(points), 4, 6))
-    by_pair[:, 2:, :3] = by_local @ -_cross(local - pair.translation)
+    by_pair[:, 2:, :3] = by_local @ -_cross_product_matrices(local - pair.translation)
     by_pair[:, 2:, 3:] = by_local
     depth_by_turn = np.cross(normal, pose.translation - points) / fall[:, None]
     by_turn = by_point @ (rays[:, :, None] * depth_by_turn[:, None])
     # the board's own frame turns too
-    by_turn[:, :2] += (pose.rotation.T @ _cross(points - pose.translation))[:, :2]
+    by_turn[:, :2] += (pose.rotation.T @ _cross_product_matrices(points - pose.translation))[:, :2]
     by_move = _by_move(points, by_point, pose)
     return np.concatenate([by_camera, by_projector, by_pair, by_turn, by_move], axis=-1)
 
@@ -66,12 +66,12 @@ def slopes_by_move(
     """Differentiate levels by a displacement of the board."""
     # gradient (n, P, 4); returns (n, P, 3)
     points = np.stack(pixels[::-1], axis=-1).astype(np.float64)
-    surface = _points(calibration.camera.normalise(points), pose)
+    surface = _rays_on_board(calibration.camera.normalise(points), pose)
     by_point, _ = _by_point(surface, calibration, pose)
     return np.asarray(np.einsum("npk,pka->npa", gradient, _by_move(surface, by_point, pose)))
 
 
-def _points(slopes: Floats, pose: RigidTransform) -> Floats:
+def _rays_on_board(slopes: Floats, pose: RigidTransform) -> Floats:
     """Where rays (P, 2) meet the board, (P, 3) in the camera's frame."""
     rays = np.concatenate([slopes, np.ones((len(slopes), 1))], axis=-1)
     normal = pose.rotation[:, 2]
@@ -124,7 +124,7 @@ def _pixels_by_intrinsics(slopes: Floats, device: Pinhole) -> Floats:
     return out
 
 
-def _cross(vectors: Floats) -> Floats:
+def _cross_product_matrices(vectors: Floats) -> Floats:
     """Matrices (P, 3, 3) that multiply like the cross products with vectors (P, 3)."""
     x, y, z = vectors.T
     zero = np.zeros_like(x)

@@ -81,13 +81,13 @@ class ContrastSample:
         black = twin.parameters.black_level * full_scale(self.settings.bits)
         short = replace(self.settings, exposure_s=SHORT * self.settings.exposure_s)
         levels = twin.expected_part(self.item, self.T_camera_item, self.patterns, short, self.pixels)
-        own = _fitted(levels.astype(np.float64), self.sets)
+        own = _fit_offsets_and_amplitudes(levels.astype(np.float64), self.sets)
         above, scale = np.maximum(own[0] - black, 1e-9), self._scale(reference)
         brightness = (self.offset - black) / above
         difference = np.nan_to_num(scale * (self.amplitude - brightness * own[1])).ravel()
         per_offset = scale * own[1] / above * np.isfinite(self.offset)
         turned = np.stack([(per_offset * slope).ravel() for slope in self.normals.T[:2]], axis=1)
-        return _without(difference, turned)
+        return _remove_explained(difference, turned)
 
     def relative_residual(self, reference: Reference, twin: Twin) -> Floats:
         """Compare contrasts by the tiles of the part."""
@@ -185,11 +185,11 @@ def _samples(twin: Twin, scans: Sequence[BenchScan], stripes: float) -> Iterator
             tuple(shown[n] for n in images),
             pixels,
             part_surface_seen(twin, scan, pixels)[1],
-            *_fitted(levels, sets),
+            *_fit_offsets_and_amplitudes(levels, sets),
         )
 
 
-def _without(values: Floats, columns: Floats) -> Floats:
+def _remove_explained(values: Floats, columns: Floats) -> Floats:
     """Take off what columns (N, C) explain of values (N,), whatever a few outliers say."""
     weight = np.ones_like(values)
     for _ in range(LIMITS.rounds):
@@ -199,7 +199,7 @@ def _without(values: Floats, columns: Floats) -> Floats:
     return np.asarray(residual)
 
 
-def _fitted(levels: Floats, sets: Sequence[FringeSet]) -> tuple[Floats, Floats]:
+def _fit_offsets_and_amplitudes(levels: Floats, sets: Sequence[FringeSet]) -> tuple[Floats, Floats]:
     """Offsets and amplitudes (S, P) of sets whose images (n, P) follow one another."""
     ends = np.cumsum([0, *(fringe.images for fringe in sets)]).tolist()
     fits = [

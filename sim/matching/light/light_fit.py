@@ -70,14 +70,14 @@ def fit_light(
     residual = light_residuals(reference, twin, samples)
     sigma: dict[str, float] = {}
     for _ in range(LIMITS.max_rounds):
-        gained, twin, residual, sigma = _round(reference, twin, names, samples, residual)
+        gained, twin, residual, sigma = _fit_one_step(reference, twin, names, samples, residual)
         if gained < LIMITS.min_gain:
             break
     best = twin.parameters
     return replace(best, sigma={**best.sigma, **sigma})
 
 
-def _round(
+def _fit_one_step(
     reference: Reference,
     twin: Twin,
     names: Sequence[str],

@@ -63,11 +63,11 @@ def search_lamp(
             solution = lsq_linear(root.T, right, (lower, np.inf))
             if solution.cost - 0.5 * right @ right < lowest:
                 lowest = solution.cost - 0.5 * right @ right
-                best = _stepped(lamp, names, solution.x / scale)
+                best = _step_parameters(lamp, names, solution.x / scale)
     return best
 
 
-def _stepped(lamp: TwinParameters, names: Sequence[str], step: Floats) -> TwinParameters:
+def _step_parameters(lamp: TwinParameters, names: Sequence[str], step: Floats) -> TwinParameters:
     changed = replace(lamp, lamp_irradiance=min(float(step[-1]), ADJUSTABLE["lamp_irradiance"].fit.upper))
     for name, by in zip(names, step[:-1].tolist(), strict=True):
         knob = ADJUSTABLE[name]

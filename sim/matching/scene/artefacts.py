@@ -150,7 +150,7 @@ def fit_scan(
     mesh = twin.mesh(item)
     _, cloud = reconstruct_points(session, calibration)
     try:
-        T_camera_item = _aligned(cloud, mesh, twin.pose_of(item))
+        T_camera_item = _find_mesh_pose(cloud, mesh, twin.pose_of(item))
     except DataError as error:
         raise DataError(f"{session.path}: is no scan of the {item} by this bench: {error}") from error
     placed = mesh.copy().apply_transform(T_camera_item.matrix)
@@ -166,7 +166,7 @@ def fit_scan(
     return BenchScan(item, session, cloud, T_camera_item, judged)
 
 
-def _aligned(cloud: Cloud, mesh: trimesh.Trimesh, nominal: RigidTransform) -> RigidTransform:
+def _find_mesh_pose(cloud: Cloud, mesh: trimesh.Trimesh, nominal: RigidTransform) -> RigidTransform:
     """Find the pose of a mesh; where two fit equally well, the one that is near where the twin's file has it.
 
     A highlight leaves holes, without which a stepped part fits in more places than one.
@@ -191,14 +191,14 @@ def compare_artefacts(
     """Scan artefacts with the twin and compare its errors with those of recorded scans."""
     comparisons = []
     for number, scan in enumerate(scans, 1):
-        own = _scanned(twin, scan.item, scan.session, scan.T_camera_item, twin_calibration)
+        own = _scan_item(twin, scan.item, scan.session, scan.T_camera_item, twin_calibration)
         judged = compare(own, placed_part(twin, scan), twin_calibration, align=True)
         comparisons.append(ArtefactComparison(scan.item, scan.comparison, judged, scan.cloud, own))
         progress(number / len(scans))
     return comparisons
 
 
-def _scanned(
+def _scan_item(
     twin: Twin, item: str, session: Session, T_camera_item: RigidTransform, calibration: Calibration
 ) -> Cloud:
     """Scan an item at its pose `T_camera_item` with the twin, by the session's plan and settings."""

@@ -71,13 +71,13 @@ def find_sheet(
     reach = LIMITS.reach * min(reference.target.size_mm)
     wide = twin.with_appearance(Appearance(BoardSheet((reach, reach, reach, reach))))
     compared = _compare_all(reference, wide, poses, progress)
-    margins = _margins(reference, twin, compared, reach)
+    margins = _sheet_margins(reference, twin, compared, reach)
     beyond = [
         [_beyond_side(reference, twin, pose, pose.ratio, margins, k) for k in range(4)] for pose in compared
     ]
     rim = _rim_mm(beyond, reach)
     sheet = BoardSheet(margins, rim, _rim_reflectance(beyond, rim, twin.parameters.paper))
-    return replace(sheet, texture=_texture(reference, twin, compared, margins))
+    return replace(sheet, texture=_sheet_texture(reference, twin, compared, margins))
 
 
 def sharpened_sheet(
@@ -99,7 +99,7 @@ def sharpened_sheet(
     for number in range(LIMITS.sharpening_rounds):
         so_far = twin.with_appearance(Appearance(sheet))
         compared = _compare_all(reference, so_far, poses, in_round(number))
-        texture = sheet.texture * _texture(reference, twin, compared, sheet.margins_mm)
+        texture = sheet.texture * _sheet_texture(reference, twin, compared, sheet.margins_mm)
         sheet = replace(sheet, texture=np.clip(texture, 0, np.float32(LIMITS.max_factor)))
     return sheet
 
@@ -109,12 +109,12 @@ def _compare_all(
 ) -> list[_Compared]:
     compared = []
     for done, pose in enumerate(poses):
-        compared.append(_compare(reference, twin, pose))
+        compared.append(_compare_images(reference, twin, pose))
         progress((done + 1) / len(poses))
     return compared
 
 
-def _compare(reference: Reference, twin: Twin, pose: int) -> _Compared:
+def _compare_images(reference: Reference, twin: Twin, pose: int) -> _Compared:
     every = tuple(range(len(reference.patterns)))
     black = twin.parameters.black_level * reference.full_scale
     real = reference.frames(pose, every) - black
@@ -129,14 +129,14 @@ def _compare(reference: Reference, twin: Twin, pose: int) -> _Compared:
     return _Compared(ratio, correlation, twin.parameters.poses[pose])
 
 
-def _margins(reference: Reference, twin: Twin, compared: Sequence[_Compared], reach: float) -> Margins:
+def _sheet_margins(reference: Reference, twin: Twin, compared: Sequence[_Compared], reach: float) -> Margins:
     """How far the sheet goes on beyond each side of the target."""
     margins = []
     for side in range(4):
         widths = []
         for pose in compared:
             away, values = _beyond_side(reference, twin, pose, pose.as_sheet, NO_MARGINS, side)
-            widths.append(_until(away, values > LIMITS.min_blank_share, reach))
+            widths.append(_distance_until(away, values > LIMITS.min_blank_share, reach))
         measured = [width for width in widths if width is not None]
         margins.append(float(np.median(measured)) if measured else 0.0)
     return margins[0], margins[1], margins[2], margins[3]
@@ -147,7 +147,8 @@ def _rim_mm(beyond: Sequence[Sequence[_Strip]], reach: float) -> float:
     of_poses = []
     for sides in beyond:
         widths = [
-            _until(away, ratio < LIMITS.max_dark_share, reach, LIMITS.blurred_mm) for away, ratio in sides
+            _distance_until(away, ratio < LIMITS.max_dark_share, reach, LIMITS.blurred_mm)
+            for away, ratio in sides
         ]
         measured = [width for width in widths if width is not None]
         if measured:
@@ -164,7 +165,7 @@ def _rim_reflectance(beyond: Sequence[Sequence[_Strip]], rim_mm: float, paper: f
     return float(np.clip(np.median(ratios) * paper, 0.0, 1.0)) if len(ratios) else 0.0
 
 
-def _until(away_mm: Floats, holds: Mask, reach: float, first: float = 0.0) -> float | None:
+def _distance_until(away_mm: Floats, holds: Mask, reach: float, first: float = 0.0) -> float | None:
     """Distance, from the first on, up to which something holds for most pixels; None where no end is seen."""
     for width in np.arange(first, reach, LIMITS.ring_mm):
         ring = (away_mm >= width) & (away_mm < width + LIMITS.ring_mm)
@@ -194,7 +195,7 @@ def _beyond_side(
     return away[kept], values[rows[kept], columns[kept]]
 
 
-def _texture(
+def _sheet_texture(
     reference: Reference, twin: Twin, compared: Sequence[_Compared], margins: Margins
 ) -> NDArray[np.float32]:
     """Median over the poses of the factor, relative to that of the whole sheet; 1 where it is not known."""

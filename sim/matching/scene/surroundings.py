@@ -64,9 +64,9 @@ def rebuild_surroundings(
     progress: Progress = no_progress,
 ) -> BenchSurroundings | None:
     """Rebuild what stands around the board."""
-    depths = _depths(reference, twin, sheet, poses, lambda share: progress(0.6 * share))
+    depths = _median_depths(reference, twin, sheet, poses, lambda share: progress(0.6 * share))
     camera = twin.parameters.calibration.camera
-    depths = _smoothed(depths)
+    depths = _smooth_depths(depths)
     if np.isfinite(depths).sum() < LIMITS.min_cells:
         return None
     backdrop = backdrop_mesh(LIMITS.backdrop_factor * float(np.nanmax(depths)), camera)
@@ -78,7 +78,7 @@ def rebuild_surroundings(
     return replace(surroundings, reflectance=painted) if painted.any() else None
 
 
-def _depths(
+def _median_depths(
     reference: Reference, twin: Twin, sheet: BoardSheet, poses: Sequence[int], progress: Progress
 ) -> Floats:
     """Median depth of the surroundings over poses in cells of pixels, NaN where nothing is known."""
@@ -90,7 +90,7 @@ def _depths(
         except FppError:  # a pose that shows too little to be triangulated
             continue
         of_poses.append(
-            _cells(cloud, _is_outside_sheet(cloud, parameters.poses[pose], reference.target, sheet))
+            _depth_by_cell(cloud, _is_outside_sheet(cloud, parameters.poses[pose], reference.target, sheet))
         )
         progress((done + 1) / len(poses))
     if not of_poses:
@@ -110,7 +110,7 @@ def _is_outside_sheet(cloud: Cloud, pose: RigidTransform, target: Target, sheet:
     return np.asarray(~is_board)
 
 
-def _cells(cloud: Cloud, chosen: Mask) -> Floats:
+def _depth_by_cell(cloud: Cloud, chosen: Mask) -> Floats:
     """Median depth (rows, columns) of chosen points in cells of pixels, NaN where there is none."""
     assert cloud.pixels is not None
     assert cloud.size is not None
@@ -141,7 +141,7 @@ def grid_mesh(depths: Floats, camera: Pinhole) -> trimesh.Trimesh:
     middle = LIMITS.cell_px * (np.stack([u, v], axis=-1) + 0.5) - 0.5
     slopes = camera.normalise(middle.astype(np.float64))
     vertices = depths[known][:, None] * np.column_stack([slopes, np.ones(len(slopes))])
-    corners = _corners(number)
+    corners = _quadrilateral_corners(number)
     corners = corners[(corners >= 0).all(axis=1)]
     depth = vertices[:, 2][corners]
     corners = corners[depth.max(axis=1) < (1.0 + LIMITS.max_step) * depth.min(axis=1)]
@@ -197,10 +197,10 @@ def backdrop_mesh(depth_mm: float, camera: Pinhole) -> trimesh.Trimesh:
     slopes = camera.normalise(np.stack(grid, axis=-1).reshape(-1, 2))
     number = np.arange(rows * columns).reshape(rows, columns)
     vertices = depth_mm * np.column_stack([slopes, np.ones(len(slopes))])
-    return trimesh.Trimesh(vertices, _triangles(_corners(number)), process=False)
+    return trimesh.Trimesh(vertices, _triangles(_quadrilateral_corners(number)), process=False)
 
 
-def _corners(number: NDArray[np.int64]) -> NDArray[np.int64]:
+def _quadrilateral_corners(number: NDArray[np.int64]) -> NDArray[np.int64]:
     """Corners (N, 4) of the quadrilaterals between neighbours of a grid of numbered vertices."""
     corners = [number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]]
     return np.asarray(np.stack(corners, axis=-1).reshape(-1, 4))
@@ -211,7 +211,7 @@ def _triangles(corners: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]])
 
 
-def _smoothed(depths: Floats) -> Floats:
+def _smooth_depths(depths: Floats) -> Floats:
     """Median over windows of cells; NaN where too little of the window is known, or not the middle itself."""
     margin = LIMITS.smoothed_cells // 2
     wide = np.pad(depths, margin, constant_values=np.nan)
@@ -229,7 +229,7 @@ def _reflectance(
     """Ratio (height, width) of recorded levels to the twin's, times the trial's reflectance; at most 1."""
     ratios = []
     for done, pose in enumerate(poses):
-        ratios.append(_ratio(reference, twin, sheet, pose))
+        ratios.append(_recorded_to_twin_ratio(reference, twin, sheet, pose))
         progress((done + 1) / len(poses))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # a pixel that is lit in no pose
@@ -237,7 +237,7 @@ def _reflectance(
     return np.clip(np.float32(LIMITS.trial_reflectance) * np.nan_to_num(ratio), 0, 1)
 
 
-def _ratio(reference: Reference, twin: Twin, sheet: BoardSheet, pose: int) -> LevelStack:
+def _recorded_to_twin_ratio(reference: Reference, twin: Twin, sheet: BoardSheet, pose: int) -> LevelStack:
     """Recorded levels over the twin's at every pixel in one pose, NaN where nothing lit is seen."""
     every = tuple(range(len(reference.patterns)))
     black = twin.parameters.black_level * reference.full_scale
@@ -246,12 +246,12 @@ def _ratio(reference: Reference, twin: Twin, sheet: BoardSheet, pose: int) -> Le
     square = np.einsum("nvu,nvu->vu", computed, computed)
     both = np.einsum("nvu,nvu->vu", computed, real)
     is_lit = square > len(every) * (LIMITS.min_level * reference.full_scale) ** 2
-    is_lit &= ~_hidden(reference, twin, sheet, pose)
+    is_lit &= ~_pixels_on_board_or_frame(reference, twin, sheet, pose)
     ratio: LevelStack = np.divide(both, square, out=np.full_like(both, np.nan), where=is_lit)
     return ratio
 
 
-def _hidden(reference: Reference, twin: Twin, sheet: BoardSheet, pose: int) -> Mask:
+def _pixels_on_board_or_frame(reference: Reference, twin: Twin, sheet: BoardSheet, pose: int) -> Mask:
     """Pixels that see the board or its frame, and some beyond."""
     now = twin.parameters
     low, high = sheet_outline(reference.target, sheet, 0.0)

@@ -80,7 +80,7 @@ def test_the_mains_are_named_by_how_much_whole_periods_calm_them(monkeypatch: py
         starts = 2 * np.pi * np.arange(devices.LIMITS.frames) / devices.LIMITS.frames
         return np.asarray(1e4 * exposure_s * (1 + 0.3 * np.sinc(100.0 * exposure_s) * np.cos(starts)))
 
-    monkeypatch.setattr(devices, "_levels", levels)
+    monkeypatch.setattr(devices, "_mean_frame_levels", levels)
     with formula_rig(None, 3) as rig:
         found = devices.mains_finding(rig, PLAN.model_copy(update={"exposure_s": 0.013}))
     assert found is not None
@@ -92,6 +92,6 @@ def test_the_mains_are_named_by_how_much_whole_periods_calm_them(monkeypatch: py
 
 def test_random_light_is_as_restless_with_whole_periods(monkeypatch: pytest.MonkeyPatch) -> None:
     random = np.random.default_rng(2)
-    monkeypatch.setattr(devices, "_scatter", lambda *_: 0.05 * random.uniform(0.8, 1.2))
+    monkeypatch.setattr(devices, "_brightness_scatter", lambda *_: 0.05 * random.uniform(0.8, 1.2))
     with formula_rig(None, 3) as rig:
         assert devices.mains_finding(rig, PLAN) is None

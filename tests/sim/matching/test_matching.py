@@ -154,7 +154,7 @@ def test_jacobian_of_images_agrees_with_the_twin(truth: TwinParameters, referenc
     slopes = next(view.jacobian(truth, 5))
     move = np.zeros(6)
     move[3:] = 0.01, -0.01, 0.02
-    there = geometry_fit._perturbed(geometry_fit.vectors_of(truth.poses[0]), move)
+    there = geometry_fit._perturb_pose(geometry_fit.vectors_of(truth.poses[0]), move)
     twin = twin.with_parameters(replace(truth, poses=(geometry_fit.transform(there), *truth.poses[1:])))
     first = reference.finest_spread[:1]
     change = twin.expected_at(0, reference.shown(first), SETTINGS, view.pixels)[0] - view.expected[0]
@@ -170,7 +170,7 @@ def test_displacement_of_the_board_in_one_image_is_found(truth: TwinParameters, 
     twin, move = PlaneTwin(replace(truth, vibration_mm=0.05)), np.array([0.06, -0.04, 0.03])
     view = geometry_fit._residual_of_pose(reference, twin, 0)
     slopes = next(view.jacobian(truth, 5))[:, 2 * 5 + 6 + 3 :]
-    there = geometry_fit._perturbed(geometry_fit.vectors_of(truth.poses[0]), np.append(np.zeros(3), move))
+    there = geometry_fit._perturb_pose(geometry_fit.vectors_of(truth.poses[0]), np.append(np.zeros(3), move))
     displaced = twin.with_parameters(replace(truth, poses=(geometry_fit.transform(there), *truth.poses[1:])))
     seen = displaced.expected_at(0, reference.shown(view.images[:1]), SETTINGS, view.pixels)[0]
     view.residual[0] = np.where(view.valid[0], seen - view.expected[0], 0.0)
@@ -486,13 +486,13 @@ def test_a_round_that_still_moves_poses_has_not_converged(truth: TwinParameters)
     def after(parameters: TwinParameters) -> MatchingEpoch:
         return before.model_copy(update={"parameters": ParametersFile.of(parameters)})
 
-    assert not match._changed(before, after(now), limits)
-    assert not match._changed(before, after(moved(now, 0.004, 0.0)), limits)
-    assert match._changed(before, after(moved(now, 0.02, 0.0)), limits)
+    assert not match._has_round_changed(before, after(now), limits)
+    assert not match._has_round_changed(before, after(moved(now, 0.004, 0.0)), limits)
+    assert match._has_round_changed(before, after(moved(now, 0.02, 0.0)), limits)
     uncertain = replace(moved(now, 0.02, 0.0), sigma={"poses_um": 50.0})
-    assert not match._changed(before, after(uncertain), limits)
-    assert match._changed(before, after(replace(now, white=now.white + 0.01)), limits)
-    assert not match._changed(before, after(replace(now, white=now.white + 0.001)), limits)
+    assert not match._has_round_changed(before, after(uncertain), limits)
+    assert match._has_round_changed(before, after(replace(now, white=now.white + 0.01)), limits)
+    assert not match._has_round_changed(before, after(replace(now, white=now.white + 0.001)), limits)
 
 
 @pytest.mark.nightly
