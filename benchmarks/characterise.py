@@ -33,7 +33,7 @@ from fpplab.characterisation import (
 )
 from fpplab.characterisation.bundle import adjust_bundle
 from fpplab.characterisation.parameters import Model
-from fpplab.characterisation.zhang import calibrate_separately, stereo
+from fpplab.characterisation.zhang import calibrate_separately, fit_pose_between_devices
 from fpplab.cli import console
 from fpplab.core import config
 from fpplab.core.conventions import Floats
@@ -248,7 +248,7 @@ def _refinement(found: Characterisation, target: Target) -> Result:
     start, _, _ = calibrate_separately(
         observations, target.points(), calibration.camera.size, calibration.projector.size
     )
-    pair, _ = stereo(observations, start, calibration.camera.size)
+    pair, _ = fit_pose_between_devices(observations, start, calibration.camera.size)
     start = replace(start, T_projector_camera=pair)
     seconds = []
     for _ in range(3):

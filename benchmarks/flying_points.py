@@ -23,7 +23,7 @@ from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import FilterRules, Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode
-from fpplab.reconstruction.filtering import filtered
+from fpplab.reconstruction.filtering import apply_filter
 from fpplab.reconstruction.points import triangulate
 
 WIDTH, HEIGHT, RAYS = 560, 480, 4
@@ -164,7 +164,7 @@ def _removed(
     decoded: Decoded, cloud: Cloud, plan: Plan, rules: FilterRules, flying: NDArray[np.bool_]
 ) -> tuple[int, int, int, int]:
     """Flying points removed and all of them, other points removed and all of them."""
-    left, _ = filtered(decoded, cloud, plan.model_copy(update={"filter": rules}), RIG.projector.size)
+    left, _ = apply_filter(decoded, cloud, plan.model_copy(update={"filter": rules}), RIG.projector.size)
     assert left.removed is not None
     assert cloud.pixels is not None
     gone = left.removed[cloud.pixels[:, 1], cloud.pixels[:, 0]] > 0

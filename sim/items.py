@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fpplab import artefacts
 from fpplab.artefacts import Lengths
 from fpplab.artefacts.parts import load_part
-from fpplab.artefacts.slicing import sliced
+from fpplab.artefacts.slicing import slice_as_printed
 from fpplab.core import config
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import ConfigError
@@ -60,7 +60,7 @@ def _artefact(
     name: str, sizes: tuple[tuple[str, Lengths], ...], layer_mm: float | None, bead_mm: float
 ) -> trimesh.Trimesh:
     mesh = artefacts.make(name, dict(sizes))
-    return mesh if layer_mm is None else sliced(mesh, layer_mm, bead_mm)
+    return mesh if layer_mm is None else slice_as_printed(mesh, layer_mm, bead_mm)
 
 
 @lru_cache(maxsize=4)

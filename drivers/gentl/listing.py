@@ -29,7 +29,7 @@ def listed_cameras(path: Path) -> list[ListedCamera] | str:
 def send_cameras(connection: Connection, path: Path) -> None:
     """Send the list of cameras, or the reason why there is none."""
     try:
-        from drivers.gentl.producer import GentlProducer, reported
+        from drivers.gentl.producer import GentlProducer, reported_property
     except ImportError as error:
         connection.send(how_to_install(error.name or str(error)))
         return
@@ -41,7 +41,7 @@ def send_cameras(connection: Connection, path: Path) -> None:
         return
     connection.send(
         [
-            ListedCamera(serial, *(reported(info, key) for key in ("vendor", "model", "tl_type")))
+            ListedCamera(serial, *(reported_property(info, key) for key in ("vendor", "model", "tl_type")))
             for serial, info in cameras.items()
         ]
     )

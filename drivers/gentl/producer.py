@@ -54,7 +54,8 @@ class GentlProducer:
         """List the cameras that the producer sees now."""
         self._harvester.update()
         return {
-            reported(info, "serial_number") or info.id_: info for info in self._harvester.device_info_list
+            reported_property(info, "serial_number") or info.id_: info
+            for info in self._harvester.device_info_list
         }
 
     def attach(self, info: Any) -> GentlEnd:
@@ -72,9 +73,11 @@ class GentlEnd:
 
     def __init__(self, acquirer: Any, info: Any) -> None:
         self._acquirer = acquirer
-        self.model = " ".join(filter(None, (reported(info, "vendor"), reported(info, "model"))))
-        self.link = f"GenTL {reported(info, 'tl_type')}"
-        self.first_number = FIRST_FRAME.get(reported(info, "tl_type"))
+        self.model = " ".join(
+            filter(None, (reported_property(info, "vendor"), reported_property(info, "model")))
+        )
+        self.link = f"GenTL {reported_property(info, 'tl_type')}"
+        self.first_number = FIRST_FRAME.get(reported_property(info, "tl_type"))
 
     def GetNodeMap(self) -> GentlNodeMap:
         """Return the camera's node map."""
@@ -163,7 +166,7 @@ def _from_buffer(of_buffer: Callable[[], int], otherwise: Callable[[], int]) -> 
         return int(otherwise())
 
 
-def reported(info: Any, name: str) -> str:
+def reported_property(info: Any, name: str) -> str:
     """Return a property of a camera as its producer reports it; empty where it does not."""
     with suppress(gentl.GenericException, AttributeError):
         return str(getattr(info, name) or "")

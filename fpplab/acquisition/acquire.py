@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing
 
-from fpplab.acquisition.synchronisation import check_synchronisation, provable, remedy
+from fpplab.acquisition.synchronisation import check_synchronisation, provable, synchronisation_remedy
 from fpplab.acquisition.timing import check_stepped, pulse_timing
 from fpplab.core.conventions import Image
 from fpplab.core.errors import SyncError
@@ -75,11 +75,11 @@ def capture(rig: Rig, plan: Plan) -> list[Image]:
     with closing(expose(rig, patterns, settings, plan)) as shots:
         frames = [shot.image for shot in shots]
     if ends and not _ended([float(frame.mean()) for frame in frames]):
-        raise SyncError(rig.camera.name, "capture", NO_END_MARKER, remedy(plan))
+        raise SyncError(rig.camera.name, "capture", NO_END_MARKER, synchronisation_remedy(plan))
     taken = Recording(frames[: plan.images], plan, caps.size, settings.bits, "frames")
     verdict = check_synchronisation(taken)
     if not verdict.in_step:
-        raise SyncError(rig.camera.name, "capture", verdict.describe(), remedy(plan))
+        raise SyncError(rig.camera.name, "capture", verdict.describe(), synchronisation_remedy(plan))
     return frames[: plan.images]
 
 
@@ -103,7 +103,9 @@ def _prove(rig: Rig, session: Session) -> None:
 
 def _out_of_step(rig: Rig, session: Session, evidence: str) -> SyncError:
     advice = f"then take it again, with --force; the frames stay in {session.path} until then"
-    return SyncError(rig.camera.name, "acquire", evidence, f"{remedy(session.plan)}; {advice}")
+    return SyncError(
+        rig.camera.name, "acquire", evidence, f"{synchronisation_remedy(session.plan)}; {advice}"
+    )
 
 
 def expose(

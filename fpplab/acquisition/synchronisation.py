@@ -122,7 +122,7 @@ class SyncFault:
         }[self.cause]
 
 
-def faults(frames: int) -> Iterator[SyncFault]:
+def considered_faults(frames: int) -> Iterator[SyncFault]:
     """Iterate over every fault that is considered."""
     yield SyncFault(Cause.LATE)
     yield SyncFault(Cause.EARLY)
@@ -163,7 +163,7 @@ class SyncVerdict:
         return "; or ".join(fault.describe() for fault in self.causes)
 
 
-def remedy(plan: Plan) -> str:
+def synchronisation_remedy(plan: Plan) -> str:
     """Give advice to the operator on a session whose frames are out of step."""
     if plan.trigger == "stepped":
         return "give the plan a longer settle_s: `fpplab check --rig` measures what the display needs"
@@ -302,7 +302,7 @@ def _decide(moments: Moments, plan: Plan) -> SyncVerdict:
     explained = 2 * LIMITS.min_log_ratio * LIMITS.misfit_in_step**2
     if _signal_spaces(plan, LINEAR).residual(moments.all)[0] <= explained:
         return SyncVerdict(provable=provable(plan), misfit=_signal_spaces(plan, NONLINEAR).misfit(moments))
-    named = tuple(faults(plan.images))
+    named = tuple(considered_faults(plan.images))
     likelihood = _likelihood(moments, plan, named)
     misfit = _signal_spaces(plan, NONLINEAR).misfit(moments)
     best = likelihood.max()

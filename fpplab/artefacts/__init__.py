@@ -7,7 +7,7 @@ from fpplab.artefacts.base import Artefact, Lengths
 from fpplab.artefacts.catalogue import NAMES, STANDARDS, artefact_types, make, save_stl, usual_sizes
 from fpplab.artefacts.lengths import Corner, FeatureLength, FlatFace, SphereFace
 from fpplab.artefacts.parts import check_solid, load_part
-from fpplab.artefacts.slicing import layer_count, sliced
+from fpplab.artefacts.slicing import layer_count, slice_as_printed
 
 __all__ = [
     "NAMES",
@@ -24,6 +24,6 @@ __all__ = [
     "load_part",
     "make",
     "save_stl",
-    "sliced",
+    "slice_as_printed",
     "usual_sizes",
 ]

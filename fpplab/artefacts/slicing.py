@@ -45,7 +45,7 @@ class SlicingLimits:
 LIMITS = SlicingLimits()
 
 
-def sliced(mesh: trimesh.Trimesh, layer_mm: float, bead_mm: float = 0.0) -> trimesh.Trimesh:
+def slice_as_printed(mesh: trimesh.Trimesh, layer_mm: float, bead_mm: float = 0.0) -> trimesh.Trimesh:
     """Compute the shape that a 3D printer makes of a part.
 
     Layer k lies between `k * layer_mm` and `(k + 1) * layer_mm`, and is the part's cross-section at

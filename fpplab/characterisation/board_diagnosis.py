@@ -10,7 +10,7 @@ from fpplab.characterisation.descriptions import similar_descriptions
 from fpplab.characterisation.limits import USUAL_LIMITS, CharacterisationLimits
 from fpplab.characterisation.observation import Observation
 from fpplab.characterisation.parameters import ImageSize
-from fpplab.characterisation.zhang import rms, zhang
+from fpplab.characterisation.zhang import calibrate_by_zhang, rms
 from fpplab.core.errors import CalibrationError
 from fpplab.targets import Target
 from fpplab.targets.views import Detection, apply_homography, homography
@@ -59,7 +59,7 @@ def _camera_rms(observations: Sequence[Observation], target: Target, size: Image
     """Return the RMS in px of the camera calibrated alone; infinite when the poses do not determine it."""
     points = target.points()
     try:
-        rms_px, _, _ = zhang(
+        rms_px, _, _ = calibrate_by_zhang(
             "camera", [points[o.ids] for o in observations], [o.camera_px for o in observations], size
         )
     except CalibrationError:

@@ -23,7 +23,7 @@ from fpplab.characterisation.pose_effects import (
     PoseShift,
     pose_effects,
     pose_shifts,
-    widened,
+    widened_variances,
 )
 from fpplab.characterisation.problem import Problem
 from fpplab.core.conventions import Floats
@@ -141,7 +141,7 @@ def variance_components(problem: Problem, vector: Floats) -> ErrorSizes:
             )
             for size, row, leak in zip(board, problem.board_rows, leaked[2:], strict=True)
         ]
-    return ErrorSizes(*noise, *board, *np.sqrt(widened(variances, uncertainties)).tolist())
+    return ErrorSizes(*noise, *board, *np.sqrt(widened_variances(variances, uncertainties)).tolist())
 
 
 def _residual_to_expected_ratio(residuals: Floats, redundancy: float, leaked: float) -> float:
@@ -157,7 +157,7 @@ def _residual_to_expected_ratio(residuals: Floats, redundancy: float, leaked: fl
     return float(np.sqrt(max(squares - leaked, MIN_INDEPENDENT_SHARE * unclipped) / redundancy))
 
 
-def uncertainty(
+def estimate_uncertainty(
     observations: Sequence[Observation], best: Solution, model: Model, sizes: ErrorSizes
 ) -> Uncertainty:
     """Estimate the uncertainty of the devices and of the pose between them.

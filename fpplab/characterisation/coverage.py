@@ -24,7 +24,7 @@ Ninths = NDArray[np.bool_]
 """(3, 3), by row and column of an image."""
 
 
-def warnings(
+def coverage_warnings(
     observations: Sequence[Observation],
     poses: Sequence[RigidTransform],
     calibration: Calibration,

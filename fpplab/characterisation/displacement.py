@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fpplab.calibration.model import INTRINSICS
-from fpplab.characterisation.parameters import DistortionModel, Solution, view
+from fpplab.characterisation.parameters import DistortionModel, Solution, project_with_derivatives
 from fpplab.core.conventions import Floats
 from fpplab.core.geometry import RigidTransform
 
@@ -14,8 +14,10 @@ def moved_points(solution: Solution, level: DistortionModel, places: Floats) -> 
     """Differentiate triangulated points by the devices' parameters, all pixels held."""
     # places (m, 3) mm; returns (3 m, n) mm
     free, still = len(level.terms), np.zeros(6)
-    imaged = view(places, still, solution.camera)[1].reshape(-1, 2, 6 + len(INTRINSICS))
-    lit = view(places, solution.T_projector_camera, solution.projector)[1].reshape(imaged.shape)
+    imaged = project_with_derivatives(places, still, solution.camera)[1].reshape(-1, 2, 6 + len(INTRINSICS))
+    lit = project_with_derivatives(places, solution.T_projector_camera, solution.projector)[1].reshape(
+        imaged.shape
+    )
     turn = RigidTransform.from_vectors(solution.T_projector_camera[:3], np.zeros(3)).rotation
     by_place = np.concatenate([imaged[..., 3:6], lit[..., 3:6] @ turn], axis=1)
     by_device = np.zeros((len(places), 4, 2 * free + 6))

@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation.assembly import calibration_of
-from fpplab.characterisation.bundle import adjust_bundle, fit_pose, uncertainty
+from fpplab.characterisation.bundle import adjust_bundle, estimate_uncertainty, fit_pose
 from fpplab.characterisation.fitting import DEFAULT_LEVEL, model_of, settled
 from fpplab.characterisation.limits import USUAL_LIMITS, CharacterisationLimits
 from fpplab.characterisation.observation import Observation
@@ -39,7 +39,7 @@ class JointEstimate:
     def calibration(self) -> Calibration:
         """Both devices with their covariance, and the board."""
         with threadpool_limits(limits=1, user_api="blas"):
-            covariance = uncertainty(self.observations, self.solution, self.model, self.sizes)
+            covariance = estimate_uncertainty(self.observations, self.solution, self.model, self.sizes)
         pairs = [self.solution.residuals(k, o) for k, o in enumerate(self.observations)]
         cameras, projectors = zip(*pairs, strict=True)
         figures = {"camera": rms(cameras), "projector": rms(projectors), "joint": rms(cameras + projectors)}
@@ -52,7 +52,7 @@ class JointEstimate:
         """Covariance (n, n) of the devices without the board's scale, which no pose determines."""
         exact = replace(self.model, scale_tolerance=0.0)
         with threadpool_limits(limits=1, user_api="blas"):
-            return uncertainty(self.observations, self.solution, exact, self.sizes).covariance
+            return estimate_uncertainty(self.observations, self.solution, exact, self.sizes).covariance
 
     def with_pose(self, observation: Observation) -> JointEstimate:
         """Fit one more pose together with the others."""

@@ -18,10 +18,10 @@ from fpplab.characterisation.assembly import calibration_of
 from fpplab.characterisation.board_diagnosis import find_description_error
 from fpplab.characterisation.bundle import (
     adjust_bundle,
+    estimate_uncertainty,
     fit_pose,
     fits_without_each_pose,
     motions_in_poses,
-    uncertainty,
 )
 from fpplab.characterisation.limits import USUAL_LIMITS, CharacterisationLimits
 from fpplab.characterisation.observation import Observation
@@ -39,8 +39,8 @@ from fpplab.characterisation.validation import compare_with_fewer_poses
 from fpplab.characterisation.zhang import (
     calibrate_separately,
     check_not_mirrored,
+    fit_pose_between_devices,
     rms,
-    stereo,
     transform,
 )
 from fpplab.core.conventions import Floats, Lattice
@@ -109,7 +109,7 @@ def _characterise_fitted(
     # A model with few coefficients would hide that tilts are missing, so k1 to k3 are estimated here.
     richest = model if len(chosen.terms) > len(DEFAULT_LEVEL.terms) else replace(model, level=DEFAULT_LEVEL)
     _require_determined_focal_lengths(
-        solution, uncertainty(kept, solution, richest, sizes).sigma, model.limits
+        solution, estimate_uncertainty(kept, solution, richest, sizes).sigma, model.limits
     )
     has_few_poses = compares_levels and len(kept) <= MIN_POSES
     without = _without_each_pose(kept, fit, model)
@@ -117,7 +117,7 @@ def _characterise_fitted(
         level: _fit_at_level(kept, fit, model, level, without)
         for level in _candidates(chosen, compares_levels and not has_few_poses)
     }
-    covariance = uncertainty(kept, solution, model, sizes)
+    covariance = estimate_uncertainty(kept, solution, model, sizes)
     proof = compare_with_fewer_poses(kept, solution, model, sizes, without) if without else None
     cameras, projectors = zip(*(solution.residuals(i, o) for i, o in enumerate(kept)), strict=True)
     calibration = calibration_of(target, lattice, solution, sizes, model, tried[chosen].fitted_px, covariance)
@@ -140,7 +140,7 @@ def _characterise_fitted(
             *(UNJUDGED,) * has_few_poses,
             *_name_poses_with_motion(kept, fit, model),
             *(proof.warnings if proof else ()),
-            *coverage.warnings(kept, poses, calibration, solution.board, model.limits),
+            *coverage.coverage_warnings(kept, poses, calibration, solution.board, model.limits),
         ),
         drawn=model.drawn if model.refined else None,
         solution=solution,
@@ -188,7 +188,7 @@ def settled(
         start, separate_px = _calibrate_devices_for_start(kept, target, model.image_sizes, limits)
         odd = outliers.find_moved_pose(kept, start, 5.0, limits)
         if odd is None:
-            pair, separate_px["stereo"] = stereo(kept, start, model.image_sizes[0])
+            pair, separate_px["stereo"] = fit_pose_between_devices(kept, start, model.image_sizes[0])
             fit = adjust_bundle(kept, replace(start, T_projector_camera=pair), model)
             odd = outliers.find_moved_pose(kept, fit[0], 1.0, limits)
         if odd is None:

@@ -8,7 +8,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from fpplab.characterisation.observation import Observation
-from fpplab.characterisation.parameters import Solution, chain, view
+from fpplab.characterisation.parameters import Solution, compose_with_derivatives, project_with_derivatives
 from fpplab.core.conventions import Floats
 
 
@@ -46,9 +46,9 @@ def pose_slopes(
     """Compute the residuals of one pose in px, and differentiate them."""
     # returns residuals (4 K,) px, by_pose (4 K, 6), shared (4 K, 2 free + 6), by_point (4 K, 3)
     points, pose = solution.board[observation.ids], solution.poses[index]
-    chained, (by_pose, by_pair) = chain(pose, solution.T_projector_camera)
-    at_camera, imaged = view(points, pose, solution.camera)
-    at_projector, projected = view(points, chained, solution.projector)
+    chained, (by_pose, by_pair) = compose_with_derivatives(pose, solution.T_projector_camera)
+    at_camera, imaged = project_with_derivatives(points, pose, solution.camera)
+    at_projector, projected = project_with_derivatives(points, chained, solution.projector)
     raw = np.concatenate([at_camera - observation.camera_px, at_projector - observation.projector_px])
     rows, n = len(imaged), free
     shared = np.zeros((2 * rows, 2 * n + 6))

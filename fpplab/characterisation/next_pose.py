@@ -23,7 +23,13 @@ from threadpoolctl import threadpool_limits
 from fpplab.characterisation.bundle import HUBER_LIMIT
 from fpplab.characterisation.estimate import JointEstimate
 from fpplab.characterisation.observation import Observation
-from fpplab.characterisation.parameters import ErrorSizes, Solution, chain, vectors_of, view
+from fpplab.characterisation.parameters import (
+    ErrorSizes,
+    Solution,
+    compose_with_derivatives,
+    project_with_derivatives,
+    vectors_of,
+)
 from fpplab.characterisation.pose_effects import FUNCTIONS, effects_of_pose
 from fpplab.characterisation.problem import Problem
 from fpplab.characterisation.working_volume import WorkingVolume
@@ -43,8 +49,10 @@ def expected_observation(estimate: JointEstimate, pose: RigidTransform) -> Obser
         places, calibration.T_projector_camera
     )
     points = best.board[visible]
-    camera_px = view(points, vector, best.camera)[0]
-    projector_px = view(points, chain(vector, best.T_projector_camera)[0], best.projector)[0]
+    camera_px = project_with_derivatives(points, vector, best.camera)[0]
+    projector_px = project_with_derivatives(
+        points, compose_with_derivatives(vector, best.T_projector_camera)[0], best.projector
+    )[0]
     return Observation("next", np.flatnonzero(visible), camera_px, projector_px)
 
 

@@ -70,9 +70,11 @@ class Solution:
         """Compute the reprojection errors of one pose."""
         # returns camera (K, 2) px, projector (K, 2) px
         points, pose = self.board[observation.ids], self.poses[index]
-        camera_errors = view(points, pose, self.camera)[0] - observation.camera_px
-        chained, _ = chain(pose, self.T_projector_camera)
-        return camera_errors, view(points, chained, self.projector)[0] - observation.projector_px
+        camera_errors = project_with_derivatives(points, pose, self.camera)[0] - observation.camera_px
+        chained, _ = compose_with_derivatives(pose, self.T_projector_camera)
+        return camera_errors, project_with_derivatives(points, chained, self.projector)[
+            0
+        ] - observation.projector_px
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +98,7 @@ def vectors_of(transform: RigidTransform) -> Floats:
     return np.concatenate([transform.rotation_vector, transform.translation])
 
 
-def view(points: Floats, pose: Floats, intrinsics: Floats) -> tuple[Floats, Floats]:
+def project_with_derivatives(points: Floats, pose: Floats, intrinsics: Floats) -> tuple[Floats, Floats]:
     """Project points, with derivatives."""
     # points (K, 3) mm; pose (6,) rad; intrinsics (12,); returns pixels (K, 2) px, slopes (2 K, 18)
     fx, fy, cx, cy = intrinsics[:4]
@@ -105,7 +107,7 @@ def view(points: Floats, pose: Floats, intrinsics: Floats) -> tuple[Floats, Floa
     return np.asarray(pixels, np.float64).reshape(-1, 2), np.asarray(slopes, np.float64)
 
 
-def chain(pose: Floats, pair: Floats) -> tuple[Floats, tuple[Floats, Floats]]:
+def compose_with_derivatives(pose: Floats, pair: Floats) -> tuple[Floats, tuple[Floats, Floats]]:
     """Compose two rigid transforms, with derivatives."""
     # pose (6,) rad; pair (6,); returns chained (6,), slopes (6, 6)
     out = cv2.composeRT(pose[:3], pose[3:], pair[:3], pair[3:])

@@ -162,7 +162,7 @@ def _squares_leaked_into_poses(
     return total
 
 
-def widened(variances: Floats, uncertainties: Floats) -> Floats:
+def widened_variances(variances: Floats, uncertainties: Floats) -> Floats:
     """Compute the expected variances, given uncertain estimates of them."""
     at = variances / uncertainties
     return np.asarray(variances + uncertainties * np.exp(norm.logpdf(at) - norm.logcdf(at)))

@@ -18,11 +18,11 @@ import numpy as np
 from scipy.stats import chi2
 
 from fpplab.calibration.model import INTRINSICS, Calibration
-from fpplab.characterisation.bundle import adjust_bundle, uncertainty
+from fpplab.characterisation.bundle import adjust_bundle, estimate_uncertainty
 from fpplab.characterisation.displacement import moved_points, without_motion
 from fpplab.characterisation.limits import USUAL_LIMITS
 from fpplab.characterisation.observation import Observation
-from fpplab.characterisation.parameters import ErrorSizes, Model, Solution, view
+from fpplab.characterisation.parameters import ErrorSizes, Model, Solution, project_with_derivatives
 from fpplab.characterisation.problem import without_poses
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import CalibrationError
@@ -162,7 +162,7 @@ def _repeat_with_halves(
 def _covariance(fit: _Fit) -> Floats:
     """Covariance (n, n) of the devices, without the board's scale, which is the same in every fit."""
     observations, solution, model, sizes = fit
-    return uncertainty(observations, solution, replace(model, scale_tolerance=0.0), sizes).covariance
+    return estimate_uncertainty(observations, solution, replace(model, scale_tolerance=0.0), sizes).covariance
 
 
 def _devices(solution: Solution, model: Model) -> Floats:
@@ -214,7 +214,7 @@ def projected_uncertainty(
     places = distance_mm * np.column_stack([lens.normalise(pixels), np.ones(len(pixels))])
     intrinsics = np.append(lens.matrix[[0, 1, 0, 1], [0, 1, 2, 2]], lens.coefficients)
     intrinsics = np.append(intrinsics, np.zeros(len(INTRINSICS) - len(intrinsics)))
-    slopes = view(places, np.zeros(6), intrinsics)[1]
+    slopes = project_with_derivatives(places, np.zeros(6), intrinsics)[1]
     own = [k for k, name in enumerate(uncertainty.names) if name.startswith(f"{device}.")]
     terms = [6 + INTRINSICS.index(uncertainty.names[k].removeprefix(f"{device}.")) for k in own]
     turned, _ = np.linalg.qr(slopes[:, :3])

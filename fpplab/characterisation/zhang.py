@@ -30,8 +30,10 @@ def calibrate_separately(
     # board (P, 3) mm; camera_size (width, height) px; projector_size (width, height) px; returns
     # projector_poses (M, 6)
     boards = [board[o.ids] for o in observations]
-    camera_rms, camera, poses = zhang("camera", boards, [o.camera_px for o in observations], camera_size)
-    projector_rms, projector, projector_poses = zhang(
+    camera_rms, camera, poses = calibrate_by_zhang(
+        "camera", boards, [o.camera_px for o in observations], camera_size
+    )
+    projector_rms, projector, projector_poses = calibrate_by_zhang(
         "projector", boards, [o.projector_px for o in observations], projector_size
     )
     solutions = [
@@ -66,7 +68,7 @@ def _from_behind(pose: Floats) -> bool:
     return bool(away @ pose[3:] < 0)
 
 
-def zhang(
+def calibrate_by_zhang(
     device: str, boards: BoardPixels, pixels: BoardPixels, size: ImageSize
 ) -> tuple[float, Floats, Floats]:
     """Calibrate a device by Zhang's method from several guesses of the principal point.
@@ -115,7 +117,9 @@ def _zhang_from(
     return (float(rms), intrinsics, poses) if sound and poses[:, 5].min() > 0 else None
 
 
-def stereo(observations: Sequence[Observation], start: Solution, size: ImageSize) -> tuple[Floats, float]:
+def fit_pose_between_devices(
+    observations: Sequence[Observation], start: Solution, size: ImageSize
+) -> tuple[Floats, float]:
     """Fit the pose between both devices with both held."""
     # size (width, height) px; returns pair (6,) rad
     rms, *_, rotation, translation, _, _ = cv2.stereoCalibrate(

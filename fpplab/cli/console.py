@@ -107,7 +107,7 @@ def print_result(result: dict[str, Any], as_json: bool, show: Callable[[], None]
                 stdout.print(f"{key}: {readable(value)}", markup=False)
 
 
-def conclude(
+def print_verdict_and_result(
     diagnosis: Diagnosis, name: str, result: dict[str, Any], as_json: bool, show: Callable[[], None]
 ) -> None:
     """Print a verdict in the first line, and then the result; refuse a useless one."""

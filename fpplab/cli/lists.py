@@ -21,10 +21,10 @@ class VariadicOptionsCommand(TyperCommand):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the arguments of the command."""
-        return super().parse_args(ctx, spread(args))
+        return super().parse_args(ctx, repeat_option_per_path(args))
 
 
-def spread(arguments: Sequence[str]) -> list[str]:
+def repeat_option_per_path(arguments: Sequence[str]) -> list[str]:
     """Repeat an option before each of its paths: `--spheres A B` becomes `--spheres A --spheres B`."""
     plain: list[str] = []
     current, followed = "", True

@@ -10,7 +10,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from fpplab.clouds.pixelgrid import PixelGrid, are_within
-from fpplab.clouds.selection import are_finite, select
+from fpplab.clouds.selection import are_finite, select_rows
 from fpplab.core import buffers
 from fpplab.core.conventions import Map, Mask
 from fpplab.core.errors import ConfigError, DataError
@@ -312,7 +312,7 @@ class Cloud:
             raise DataError(f"cloud: a selection of {kept.shape} does not fit {len(self)} points")
         present = [name for name, part in parts.items() if part is not None]
         chosen: dict[str, Any] = dict(
-            zip(present, select([parts[name] for name in present], kept), strict=True)
+            zip(present, select_rows([parts[name] for name in present], kept), strict=True)
         )
         return replace(self, **chosen)
 

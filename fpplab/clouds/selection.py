@@ -17,7 +17,7 @@ Runs = NDArray[np.int64]
 """First and last + 1 of neighbouring rows that are kept, and where the first of them goes, (R, 3)."""
 
 
-def select(arrays: Sequence[NDArray[Any]], kept: Mask) -> list[NDArray[Any]]:
+def select_rows(arrays: Sequence[NDArray[Any]], kept: Mask) -> list[NDArray[Any]]:
     """Take the same rows of several arrays."""
     # arrays (N,); kept (N,); returns (M,)
     runs = _runs(kept)

@@ -29,7 +29,7 @@ from fpplab.clouds import Cloud
 from fpplab.clouds.surfaces import STEEPEST_DEG
 from fpplab.comparison.alignment import Alignment, AlignmentMesh, align_mesh
 from fpplab.comparison.lengths import MeasuredLength, measure_lengths
-from fpplab.comparison.neighbours import nearest
+from fpplab.comparison.neighbours import nearest_neighbours
 from fpplab.comparison.scale import FittedScale, fit_scale
 from fpplab.comparison.surfaces import distance_to_surface
 from fpplab.comparison.visibility import RayTracedShape
@@ -251,7 +251,7 @@ class Comparison:
 def mcd(a: Floats, b: Floats) -> float:
     """Compute the mean Chamfer distance from one point set to another."""
     # a (N, 3); b (M, 3)
-    return float(nearest(a, b)[0].mean())
+    return float(nearest_neighbours(a, b)[0].mean())
 
 
 def smcd(a: Floats, b: Floats) -> float:
@@ -332,7 +332,7 @@ def compare(
         )
     distances, feet = _to_mesh(points, mesh)
     measured, error = points[counted], np.abs(distances[counted])
-    to_cloud = nearest(samples, measured)[0]
+    to_cloud = nearest_neighbours(samples, measured)[0]
     scale = None if alignment is None else fit_scale(measured, AlignmentMesh(mesh), seed)
     to_surface = None if cloud.pixels is None else _to_surface(samples, cloud, counted)
     return Comparison(

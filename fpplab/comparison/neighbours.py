@@ -29,7 +29,7 @@ Indices = NDArray[np.int64]
 Starts = NDArray[np.int64]
 
 
-def nearest(queries: Floats, points: Floats) -> tuple[Floats, Indices]:
+def nearest_neighbours(queries: Floats, points: Floats) -> tuple[Floats, Indices]:
     """Find the nearest neighbour of each query."""
     # queries (Q, 3); points (P, 3); returns distance (Q,), index (Q,)
     queries, points = _require_points(queries, "queries"), _require_points(points, "points")

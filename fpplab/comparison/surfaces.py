@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from fpplab.comparison.neighbours import nearest
+from fpplab.comparison.neighbours import nearest_neighbours
 from fpplab.core.conventions import Floats
 
 Ints = NDArray[np.int64]
@@ -26,7 +26,7 @@ def distance_to_surface(queries: Floats, vertices: Floats, faces: NDArray[np.int
     touched = np.zeros(len(vertices), np.bool_)
     touched[faces] = True
     used = np.flatnonzero(touched)
-    start = used[nearest(queries, vertices[used])[1]]
+    start = used[nearest_neighbours(queries, vertices[used])[1]]
     around, begins = _faces_around(faces, len(vertices))
     distance = np.empty(len(queries))
     _walk(np.ascontiguousarray(queries, np.float64), start, vertices, faces, around, begins, distance)

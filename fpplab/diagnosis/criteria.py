@@ -13,7 +13,7 @@ from fpplab.clouds import Cloud
 from fpplab.core.config import Positive
 from fpplab.diagnosis.causes.stale_calibration import StaleCalibrationLimits
 from fpplab.diagnosis.exposure import GreyLevelLimits
-from fpplab.diagnosis.fringe_shape import FringeShapeLimits, harmonics_of_power_law_rad, ripples
+from fpplab.diagnosis.fringe_shape import FringeShapeLimits, harmonics_of_power_law_rad, phase_ripples
 from fpplab.diagnosis.limits import LimitsSection, ShareLimit
 from fpplab.diagnosis.points import systematic_epipolar_px
 from fpplab.diagnosis.sample import FrameSample
@@ -100,7 +100,7 @@ def _of_fringes(sample: FrameSample, decoded: Decoded) -> Iterator[Criterion]:
     yield Criterion(
         "contrast", "the contrast of the finest fringes", contrast, limits.min_contrast, at_least=True
     )
-    harmonic_rad = max(harmonics_of_power_law_rad(sample), *ripples(sample), 0.0)
+    harmonic_rad = max(harmonics_of_power_law_rad(sample), *phase_ripples(sample), 0.0)
     limit = max(sample.limits.of(FringeShapeLimits).min_harmonic_rad, sample.phase_noise(finest))
     yield Criterion("waves", "the phase error of harmonics of the fringes", harmonic_rad, limit, "rad")
     best = 0.5 * sample.limits.of(GreyLevelLimits).best_peak_share * 255.0

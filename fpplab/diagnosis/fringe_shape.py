@@ -30,7 +30,7 @@ class FringeShapeLimits(LimitsSection):
     """RMS phase error by harmonics in rad that is reported. Chosen."""
 
 
-def unevenness(phase: Floats, used: Mask) -> Floats:
+def phase_unevenness(phase: Floats, used: Mask) -> Floats:
     """Measure how unevenly phases are spread over a period."""
     # phase (..., P); used (..., P)
     turns = (np.where(used, np.exp(1j * m * phase), 0.0) for m in (1, 2, 3))
@@ -55,7 +55,7 @@ def phase_deviations(sample: FrameSample) -> Iterator[tuple[int, Floats, Floats]
         yield k, expected, np.angle(phasors * np.conj(phasors[used].mean()))
 
 
-def ripples(sample: FrameSample) -> Iterator[float]:
+def phase_ripples(sample: FrameSample) -> Iterator[float]:
     """Measure the phase error, N times in a period, of wider sets of as many images N as the finest.
 
     Three images show no harmonics by themselves, and four no third one; the coordinate tells which phase each

@@ -9,7 +9,7 @@ from fpplab.diagnosis.causes.stale_calibration import STALE_CALIBRATION
 from fpplab.diagnosis.finding import FaultCause, Finding
 
 
-def ranked(findings: Iterable[Finding]) -> tuple[Finding, ...]:
+def rank_findings(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     """Rank findings, the one to see to first at the front."""
     ordered = _with_rig_first(list(findings))
     weighed = [

@@ -16,7 +16,7 @@ from fpplab.diagnosis.detection import FRAME_STAGES, find_causes
 from fpplab.diagnosis.evidence import Evidence
 from fpplab.diagnosis.finding import FaultCause, Finding
 from fpplab.diagnosis.limits import USUAL_LIMITS, DiagnosisLimits, LimitsSection, ShareLimit
-from fpplab.diagnosis.ranking import ranked
+from fpplab.diagnosis.ranking import rank_findings
 from fpplab.diagnosis.sample import FrameSample
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
@@ -130,7 +130,7 @@ def diagnose_frames(
     recording: Recording, decoded: Decoded | None = None, limits: DiagnosisLimits = USUAL_LIMITS
 ) -> tuple[Finding, ...]:
     """Look for what is wrong with the frames of a recording alone."""
-    return ranked(find_causes(Evidence(recording, decoded, limits=limits), FRAME_STAGES))
+    return rank_findings(find_causes(Evidence(recording, decoded, limits=limits), FRAME_STAGES))
 
 
 def diagnose_scan(
@@ -146,7 +146,7 @@ def diagnose_scan(
     evidence = Evidence(
         recording, decoded, cloud, calibration, intended=intended, foreign=foreign, limits=limits
     )
-    findings = ranked(find_causes(evidence))
+    findings = rank_findings(find_causes(evidence))
     if cloud is None:
         judged = Diagnosis(Verdict.USELESS, "there are no points", findings)
     else:
@@ -170,7 +170,7 @@ def diagnose_poses(
         poses += 1
         for finding in diagnose_frames(recording):
             by_cause.setdefault(finding.cause, []).append((name, finding))
-    findings = ranked([*of_fit, *(_worst(of_poses, poses) for of_poses in by_cause.values())])
+    findings = rank_findings([*of_fit, *(_worst(of_poses, poses) for of_poses in by_cause.values())])
     if findings:
         return Diagnosis(Verdict.DOUBTFUL, findings[0].sentence, findings)
     sentences = [*warnings, *left_out.values()]

@@ -26,7 +26,7 @@ from fpplab.comparison.alignment import LIMITS as ALIGNMENT
 from fpplab.comparison.alignment import AlignmentMesh, refine_pose
 from fpplab.comparison.compare import LIMITS as COMPARISON
 from fpplab.comparison.compare import visible_samples
-from fpplab.comparison.neighbours import nearest
+from fpplab.comparison.neighbours import nearest_neighbours
 from fpplab.comparison.surfaces import distance_to_surface
 from fpplab.comparison.visibility import RayTracedShape
 from fpplab.core.conventions import Axis, Floats, Map, Mask, axis_length
@@ -35,7 +35,7 @@ from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.optimisation.candidate import Accuracy
 from fpplab.patterns.plan import Plan
 from fpplab.phase import Decoded
-from fpplab.reconstruction.filtering import removal
+from fpplab.reconstruction.filtering import count_removed
 from fpplab.reconstruction.points import points_of
 from fpplab.reconstruction.triangulation import camera_rays, camera_slopes
 
@@ -133,8 +133,8 @@ class TrueShape:
     def floor_um(self) -> float:
         """`smcd_um` that a perfect measurement of the counted surface would have, in µm."""
         hits = self._hits[self._on_shape]
-        perfect = hits[nearest(hits, self._surface)[0] < self._near_mm]
-        back = nearest(self._sampled, perfect)[0]
+        perfect = hits[nearest_neighbours(hits, self._surface)[0] < self._near_mm]
+        back = nearest_neighbours(self._sampled, perfect)[0]
         few = perfect[:: max(1, len(perfect) // LIMITS.samples)]
         return 1e3 * float(self._tree.query(few)[0].mean() + back.mean()) / 2.0
 
@@ -144,7 +144,7 @@ class TrueShape:
         """Triangulate a decoded measurement, filter it as its plan says, and compare it."""
         # decoded (height, width) px
         decoded, cloud = points_of(decoded, calibration, plan)
-        removed = removal(decoded)
+        removed = count_removed(decoded)
         outliers = removed["share"] if removed else 0.0
         return self.compare(decoded, cloud, plan, calibration, outliers, align)
 
@@ -172,7 +172,7 @@ class TrueShape:
         measured = points[compared]
         square = igl.point_mesh_squared_distance(measured, self._target.vertices, self._target.faces)[0]
         error, back = np.sqrt(square), distance_to_surface(self._sampled, points, faces)
-        to_points = nearest(self._sampled, points[counted])[0]
+        to_points = nearest_neighbours(self._sampled, points[counted])[0]
         spread = np.sqrt(error.var() / len(error) + back.var() / len(back)) / 2.0
         return ArtefactFigures(
             points=int(np.count_nonzero(counted)),

@@ -10,7 +10,7 @@ from fpplab.pipeline.characterising import (
     observe_session,
     require_plan_fits,
 )
-from fpplab.pipeline.checking import doubts
+from fpplab.pipeline.checking import doubts_about_session
 from fpplab.pipeline.decoding import decode_session
 from fpplab.pipeline.depth import check_plan, plan_with_depth
 from fpplab.pipeline.measuring import (
@@ -32,7 +32,7 @@ __all__ = [
     "check_disk_space",
     "check_plan",
     "decode_session",
-    "doubts",
+    "doubts_about_session",
     "finish_scan",
     "judge_sessions",
     "measure_response",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fpplab.acquisition.synchronisation import IMPORTED_REMEDY, check_synchronisation, remedy
+from fpplab.acquisition.synchronisation import IMPORTED_REMEDY, check_synchronisation, synchronisation_remedy
 from fpplab.core.errors import DataError
 from fpplab.diagnosis.plan import check_plan_fit, name_other_patterns
 from fpplab.patterns.recording import Recording
@@ -15,7 +15,7 @@ def fault_in_step(recording: Recording) -> str | None:
     if verdict.in_step:
         return None
     if not recording.is_imported:
-        return f"{verdict.describe()}; {remedy(recording.plan)}"
+        return f"{verdict.describe()}; {synchronisation_remedy(recording.plan)}"
     sizes = [fringe.images for fringe in recording.plan.fringes]
     other = name_other_patterns(recording.frames, recording.full_scale, sizes)
     return other or f"{verdict.describe()}; {IMPORTED_REMEDY}"
@@ -34,7 +34,7 @@ def plan_fault(recording: Recording) -> str | None:
     return misfit.fault if misfit else None
 
 
-def doubts(session: Session) -> list[str]:
+def doubts_about_session(session: Session) -> list[str]:
     """Look for signs that the frames of a session are not what its plan says."""
     recording = session.recording(verify=False)
     misfit = check_plan_fit(recording)

@@ -61,7 +61,7 @@ class Rule(IntEnum):
     FLYING = 4
 
 
-def filtered(
+def apply_filter(
     decoded: Decoded, cloud: Cloud, plan: Plan, projector_size: tuple[int, int]
 ) -> tuple[Decoded, Cloud]:
     """Apply the plan's filter to decoded maps and their cloud.
@@ -104,7 +104,7 @@ def filtered(
     return replace(decoded, removed=removed), replace(remaining, normals=normals)
 
 
-def removal(decoded: Decoded) -> dict[str, int | float] | None:
+def count_removed(decoded: Decoded) -> dict[str, int | float] | None:
     """Count the points that the filter removed."""
     if decoded.removed is None:
         return None

@@ -12,7 +12,7 @@ from fpplab.clouds import Cloud
 from fpplab.core.errors import DataError
 from fpplab.patterns.plan import Plan
 from fpplab.phase import Decoded
-from fpplab.reconstruction.filtering import filtered
+from fpplab.reconstruction.filtering import apply_filter
 from fpplab.reconstruction.triangulation import DecodedMaps, coded_maps, solve_pixels
 
 
@@ -22,7 +22,7 @@ def points_of(
     """Triangulate, and filter as the plan says."""
     # texture (height, width)
     cloud = triangulate(decoded, calibration, texture, normals=plan.filter is None)
-    return filtered(decoded, cloud, plan, calibration.projector.size)
+    return apply_filter(decoded, cloud, plan, calibration.projector.size)
 
 
 def triangulate(

@@ -18,7 +18,6 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from fpplab.calibration.model import Calibration
-from fpplab.clouds.selection import select
 from fpplab.core import buffers
 from fpplab.core.conventions import Floats, Map, Mask
 from fpplab.core.errors import DataError
@@ -160,7 +159,7 @@ def solve_pixels(coded: CodedMaps, calibration: Calibration) -> Solutions:
 
 
 def _kept(values: NDArray[T], solved: Mask) -> NDArray[T]:
-    return select([values], solved)[0] if len(values) else values
+    return select_rows([values], solved)[0] if len(values) else values
 
 
 def camera_slopes(camera: Pinhole) -> Floats:

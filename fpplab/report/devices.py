@@ -102,7 +102,7 @@ def characterisation_section(characterisation: Characterisation) -> ReportSectio
         )
         pictures.append(ReportFigure.of(picture, f"Reprojection errors of the {device}", caption, wide=True))
     for device, size, pixels, _ in devices:
-        picture = figures.coverage(pixels, size, device)
+        picture = figures.draw_coverage(pixels, size, device)
         caption = (
             f"Where the board's points were on the {device}, one colour per pose. No share of the image is "
             "asked for; ninths of it that both devices see and that lack points are named by a warning."

@@ -96,7 +96,7 @@ def shaded_relief(cloud: CloudLike) -> Figure:
     grid = raster_of(cloud)
     points, extent = rasterise(grid, cloud.points)
     figure, axes = map_axes(points.shape)
-    draw_map(axes, shading(points), "gray", (0.0, 1.0), extent)
+    draw_map(axes, surface_shading(points), "gray", (0.0, 1.0), extent)
     axes.set(xlabel=grid.names[0], ylabel=grid.names[1])
     return figure
 
@@ -127,13 +127,13 @@ def point_map(
 
 def thumbnail(cloud: CloudLike) -> bytes:
     """Draw the measured surface small, without axes."""
-    bright = np.nan_to_num(shading(rasterise(raster_of(cloud), cloud.points)[0]), nan=0.85)
+    bright = np.nan_to_num(surface_shading(rasterise(raster_of(cloud), cloud.points)[0]), nan=0.85)
     height = max(1, min(2 * THUMBNAIL, round(THUMBNAIL * bright.shape[0] / bright.shape[1])))
     small = cv2.resize(bright, (THUMBNAIL, height), interpolation=cv2.INTER_AREA)
     return bytes(cv2.imencode(".png", (255 * small).astype(np.uint8))[1])
 
 
-def shading(points: Map) -> Map:
+def surface_shading(points: Map) -> Map:
     """Compute the brightness of an illuminated, slightly glossy surface."""
     # points (h, w, 3) mm
     coarse = block_mean(points, RELIEF_COLUMNS)
@@ -235,7 +235,7 @@ def residuals_figure(pixels: Floats, errors: Floats, size: tuple[int, int], devi
 
 
 @as_png
-def coverage(poses: Sequence[Floats], size: tuple[int, int], device: str) -> Figure:
+def draw_coverage(poses: Sequence[Floats], size: tuple[int, int], device: str) -> Figure:
     """Draw where the board's points were on a sensor, one colour per pose."""
     # poses (N, 2) px
     figure, axes = map_axes(size[::-1])

@@ -14,7 +14,7 @@ from fpplab.core.depth import DepthRange
 from fpplab.diagnosis import Diagnosis
 from fpplab.patterns.plan import Plan
 from fpplab.phase import Decoded, Wrapped
-from fpplab.reconstruction.filtering import removal
+from fpplab.reconstruction.filtering import count_removed
 from fpplab.report import figures, uncertainty
 from fpplab.report.cloud_view import MAX_POINTS, cloud_view
 from fpplab.report.parts import ReportFigure, ReportSection, ReportTable
@@ -130,7 +130,7 @@ def _describe_scan(scan: ScanSection) -> str:
         text += "".join(
             f" Warning: {warning}." for warning in (decoded.outside.warnings() if decoded.outside else ())
         )
-    if (removed := removal(decoded)) is not None:
+    if (removed := count_removed(decoded)) is not None:
         share = removed.pop("share")
         rules = ", ".join(f"{name.replace('_', ' ')} {count}" for name, count in removed.items())
         text += f" Of these the filter removed {percent_text(share)} as outliers: {rules}."

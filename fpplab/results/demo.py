@@ -12,7 +12,7 @@ from fpplab.characterisation import Characterisation
 from fpplab.comparison import Comparison
 from fpplab.core.conventions import Floats
 from fpplab.patterns.response import Response
-from fpplab.reconstruction.filtering import removal
+from fpplab.reconstruction.filtering import count_removed
 from fpplab.results.scan import ScanResult
 
 UNFILTERED = ("points", "surface_smcd_um", "surface_rms_um", "surface_p95_um", "completeness", "outliers")
@@ -35,7 +35,7 @@ class DemoScan:
             "images": self.scan.session.plan.images,
             **self.comparison.summary(),
             "points": len(self.scan.cloud) if self.scan.cloud else 0,
-            "removed": removal(self.scan.decoded) if self.scan.decoded else None,
+            "removed": count_removed(self.scan.decoded) if self.scan.decoded else None,
             "unfiltered": {name: getattr(self.unfiltered, name) for name in UNFILTERED},
         }
 

@@ -15,7 +15,7 @@ from fpplab.diagnosis import Diagnosis
 from fpplab.phase import Decoded
 from fpplab.phase.precision import uncertain_orders
 from fpplab.pipeline import Reconstruction
-from fpplab.reconstruction.filtering import removal
+from fpplab.reconstruction.filtering import count_removed
 from fpplab.results.provenance import Provenance
 from fpplab.sessions.session import Session
 
@@ -122,7 +122,7 @@ class ScanResult:
             **verdict,
             "points": len(self.cloud),
             **images,
-            "removed": removal(self.decoded),
+            "removed": count_removed(self.decoded),
             "depth_range": asdict(self.depth) if self.depth else None,
             "warnings": list(self.decoded.outside.warnings()) if self.decoded.outside else [],
             "uncertain_orders": uncertain_orders(self.decoded, self.session.plan),

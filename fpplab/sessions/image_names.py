@@ -82,15 +82,15 @@ class NumberedNames:
             whole = f"the plan's {len(expected)} frames" if planned else f"{len(expected)} images"
             raise DataError(
                 f"{self.folder}: {len(missing)} of {whole} are missing "
-                f"({shown(self.name(number) for number in missing)}); looked for '{self.form}' from "
+                f"({first_names(self.name(number) for number in missing)}); looked for '{self.form}' from "
                 f"{self._begin(self.first)}{self._hint_at_other_numbers(expected, existing)}"
             )
         if surplus:
             those = f"the plan's {len(expected)}" if planned else f"those from {self._begin(self.first)}"
             raise DataError(
                 f"{self.folder}: has {len(surplus)} images more than {those} "
-                f"({shown(self.name(number) for number in surplus)}): the plan lacks fringe sets or steps, "
-                "these "
+                f"({first_names(self.name(number) for number in surplus)}): the plan lacks fringe sets or "
+                "steps, these "
                 "files belong elsewhere, or they are white, black or other images: --skip leaves those out"
             )
 
@@ -121,7 +121,7 @@ class NumberedNames:
 
     def _other(self) -> str:
         names = sorted(path.name for path in self.folder.iterdir())
-        return f"the folder has {shown(names)}" if names else "the folder is empty"
+        return f"the folder has {first_names(names)}" if names else "the folder is empty"
 
 
 def _format_fields(form: str) -> list[str]:
@@ -142,7 +142,7 @@ def _format_fields(form: str) -> list[str]:
     return fields
 
 
-def shown(names: Iterable[str]) -> str:
+def first_names(names: Iterable[str]) -> str:
     """Give the first names of many."""
     names = list(names)
     return ", ".join(names[: LIMITS.max_names_shown]) + (" …" if len(names) > LIMITS.max_names_shown else "")

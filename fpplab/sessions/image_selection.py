@@ -11,7 +11,7 @@ from fpplab.core.config import read_text
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.progress import Say, ignore
 from fpplab.sessions.image_files import ImagePlace, places_in
-from fpplab.sessions.image_names import NumberedNames, shown
+from fpplab.sessions.image_names import NumberedNames, first_names
 
 
 @dataclass(frozen=True)
@@ -68,8 +68,8 @@ class ImageSelection:
         skipped = [numbers for numbers in expected if not names.has_steps and numbers[0] in self.skip]
         if len(skipped) < len(set(self.skip)):
             raise ConfigError(
-                f"--skip is {shown(map(str, self.skip))}: there are {len(expected)} images, counted from "
-                f"{self.first}"
+                f"--skip is {first_names(map(str, self.skip))}: there are {len(expected)} images, counted "
+                f"from {self.first}"
             )
         taken = [numbers for numbers in expected if numbers not in skipped]
         names.check(taken, skipped, sets is not None)
@@ -167,7 +167,7 @@ def _check_files(files: Sequence[Path]) -> None:
     if missing:
         raise DataError(
             f"{missing[0].parent}: {len(missing)} of {len(files)} files do not exist "
-            f"({shown(file.name for file in missing)})"
+            f"({first_names(file.name for file in missing)})"
         )
     earlier: set[Path] = set()
     for file in files:
@@ -184,8 +184,8 @@ def _check_count(title: str, images: Sequence[ImagePlace], sets: Sequence[int] |
     said = f"{title}: has {len(images)} images, and the plan {planned}"
     if len(images) > planned:
         raise DataError(
-            f"{said}: {shown(place.name for place in images[planned:])} would be left over; the plan lacks "
-            "fringe sets or steps, or there are white, black or other images: --skip leaves those out"
+            f"{said}: {first_names(place.name for place in images[planned:])} would be left over; the plan "
+            "lacks fringe sets or steps, or there are white, black or other images: --skip leaves those out"
         )
     raise DataError(f"{said}: the last {planned - len(images)} of the plan have none after {images[-1].name}")
 

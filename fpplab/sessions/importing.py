@@ -16,7 +16,7 @@ from fpplab.devices import CameraSettings, Frame
 from fpplab.patterns.plan import Plan
 from fpplab.sessions.grey_depth import StoredLevels, check_bits
 from fpplab.sessions.image_files import ImagePlace, grey_images
-from fpplab.sessions.image_names import shown
+from fpplab.sessions.image_names import first_names
 from fpplab.sessions.image_selection import ImageSelection
 from fpplab.sessions.lock import exclusive_write
 from fpplab.sessions.session import RigRecord, Session, need_space_for_frames
@@ -116,8 +116,8 @@ def _find_and_check_images(
         lossy += [place.name] if is_lossy else []
     if lossy:
         warn(
-            f"{len(lossy)} images are compressed with loss, as JPEG files are ({shown(lossy)}): that adds "
-            "errors that no stated uncertainty counts; record PNG or TIFF"
+            f"{len(lossy)} images are compressed with loss, as JPEG files are ({first_names(lossy)}): that "
+            "adds errors that no stated uncertainty counts; record PNG or TIFF"
         )
     return _CheckedImages(places, size, *((8, 0) if stored == 8 else levels.depth(bits, warn, tell)))
 

@@ -17,7 +17,7 @@ from fpplab.core.errors import CalibrationError
 from fpplab.targets.layout import BoardLayout
 from fpplab.targets.limits import TARGET_LIMITS as LIMITS
 from fpplab.targets.point_fits import fit_centres
-from fpplab.targets.views import Detection, homography, local_frames, stretched
+from fpplab.targets.views import Detection, homography, local_frames, stretch_to_8_bits
 
 
 def detect(layout: BoardLayout, image: NDArray[Any]) -> Detection | None:
@@ -30,11 +30,11 @@ def detect(layout: BoardLayout, image: NDArray[Any]) -> Detection | None:
     if image.ndim != 2 or min(image.shape) < 16:
         raise CalibrationError(f"a board is detected in a grey image, not in an array {image.shape}")
     level = np.nan_to_num(np.asarray(image, np.float64))
-    coarse = layout.find(stretched(level), level)
-    return refined(layout, coarse, level) if coarse is not None else None
+    coarse = layout.find(stretch_to_8_bits(level), level)
+    return refine_points(layout, coarse, level) if coarse is not None else None
 
 
-def refined(layout: BoardLayout, coarse: Detection, level: Floats) -> Detection | None:
+def refine_points(layout: BoardLayout, coarse: Detection, level: Floats) -> Detection | None:
     """Locate every point by a model fit of its own."""
     # level (height, width)
     board = layout.points()[coarse.ids, :2]

@@ -22,7 +22,7 @@ from scipy.spatial import cKDTree
 
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import CalibrationError
-from fpplab.targets.detection import refined
+from fpplab.targets.detection import refine_points
 from fpplab.targets.layout import BoardLayout, GridPatch
 from fpplab.targets.limits import TARGET_LIMITS as LIMITS
 from fpplab.targets.views import (
@@ -30,8 +30,8 @@ from fpplab.targets.views import (
     apply_homography,
     homography,
     local_frames,
-    stretched,
-    window,
+    stretch_to_8_bits,
+    window_around_point,
 )
 
 TURNS = [np.array(m).reshape(2, 2) for m in product(range(-2, 3), repeat=4) if m[0] * m[3] - m[1] * m[2] == 1]
@@ -46,7 +46,7 @@ def detect_part(layout: BoardLayout, image: NDArray[Any]) -> Detection | None:
     """Find part of a board in a grey image."""
     # image (height, width)
     level = np.nan_to_num(np.asarray(image, np.float64))
-    patch = layout.find_patch(stretched(level))
+    patch = layout.find_patch(stretch_to_8_bits(level))
     if patch is None or len(patch.cells) < LIMITS.min_points or not _is_of_points(layout, patch, level):
         return None
     valid = [way for way in _placements(layout, patch) if _is_valid(layout, way, level)]
@@ -61,7 +61,7 @@ def detect_part(layout: BoardLayout, image: NDArray[Any]) -> Detection | None:
             f"{len(patch.cells)} points of the board were found but could be any of {len(valid)} parts of "
             f"it; show a corner of the board, or all of it"
         )
-    return refined(layout, _in_view(layout, valid[0], level), level)
+    return refine_points(layout, _in_view(layout, valid[0], level), level)
 
 
 def _is_of_points(layout: BoardLayout, patch: GridPatch, level: Floats) -> bool:
@@ -144,7 +144,7 @@ def _compare_marks(
     model = layout.point_model()
     pixels, frames = apply_homography(matrix, board), local_frames(matrix, board)
     for pixel, frame in zip(pixels, frames, strict=True):
-        x, y, values = window(level, pixel, frame, model.half_mm)
+        x, y, values = window_around_point(level, pixel, frame, model.half_mm)
         expected = model.brightness(model.start(frame), x, y)
         if len(values) < LIMITS.min_model_pixels or np.ptp(values) == 0 or np.ptp(np.sign(expected)) == 0:
             yield 0.0, 0.0, 0.0

@@ -69,7 +69,7 @@ def local_frames(matrix: Floats, points: Floats) -> Floats:
     return np.asarray(slopes / mapped[:, 2:, None])
 
 
-def stretched(level: Floats) -> NDArray[np.uint8]:
+def stretch_to_8_bits(level: Floats) -> NDArray[np.uint8]:
     """Stretch an image to the full 8-bit range, which feature detectors are tuned for."""
     # level (height, width)
     low, high = np.percentile(level, [0.5, 99.5])
@@ -77,7 +77,9 @@ def stretched(level: Floats) -> NDArray[np.uint8]:
     return np.asarray(np.clip(255.0 * share, 0, 255), np.uint8)
 
 
-def window(level: Floats, pixel: Floats, frame: Floats, half_mm: float) -> tuple[Floats, Floats, Floats]:
+def window_around_point(
+    level: Floats, pixel: Floats, frame: Floats, half_mm: float
+) -> tuple[Floats, Floats, Floats]:
     """Take the pixels of a square of the board around a point."""
     # level (height, width); pixel (u, v) px; frame (2, 2) px; returns x (n,) px, y (n,) px, values (n,)
     rows, columns = window_pixels(level, pixel, np.linalg.inv(frame), half_mm)

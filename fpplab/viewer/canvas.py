@@ -113,7 +113,7 @@ class Canvas:
         # values (h, w)
         import rerun as rr
 
-        sheet = scale.above_its_bar(subsampled(values))
+        sheet = scale.above_its_bar(subsample_columns(values))
         self._bytes += sheet.nbytes
         self.log(entity, rr.Image(sheet), static=static, bulky=not static)
 
@@ -220,7 +220,7 @@ def shown_step(columns: int) -> int:
     return max(1, -(-columns // SHOWN_COLUMNS))
 
 
-def subsampled(values: NDArray[Scalar]) -> NDArray[Scalar]:
+def subsample_columns(values: NDArray[Scalar]) -> NDArray[Scalar]:
     """Take every n-th pixel, so that at most `SHOWN_COLUMNS` columns remain."""
     # values (h, w)
     step = shown_step(values.shape[1])

@@ -23,7 +23,7 @@ from fpplab.setup.live.focus import FocusMeasure, FocusTracker
 from fpplab.setup.live.regions import REGIONS
 from fpplab.setup.live.status import LiveStatus
 from fpplab.viewer import layouts
-from fpplab.viewer.canvas import REACH, CommandView, eight_bits, shown_step, subsampled
+from fpplab.viewer.canvas import REACH, CommandView, eight_bits, shown_step, subsample_columns
 from fpplab.viewer.measurement import CAMERA, IMAGE, PATTERN, PROJECTOR, show_devices
 from fpplab.viewer.viewer import Viewer
 
@@ -71,7 +71,7 @@ class LitImage:
         saturated = np.zeros(grey.shape, np.bool_)
         v, u = np.nonzero(image >= full_scale(bits))
         saturated[v // step, u // step] = True
-        return cls(grey, saturated, None if dark is None else subsampled(dark).copy())
+        return cls(grey, saturated, None if dark is None else subsample_columns(dark).copy())
 
     def painted(self) -> NDArray[np.uint8]:
         """Paint in what is saturated or dark."""
@@ -229,7 +229,7 @@ class LiveFrames:
         snapshot = LiveSnapshot(
             number=status.frames,
             image=LitImage.of(frame.image, frame.settings.bits, dark),
-            pattern=subsampled(pattern.image),
+            pattern=subsample_columns(pattern.image),
             pattern_id=pattern.id,
             focus=self._focus_measured(status),
             levels=levels,

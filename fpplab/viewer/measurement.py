@@ -29,7 +29,7 @@ from fpplab.phase.bounds import widest_interval_share
 from fpplab.phase.order_risk import order_risk
 from fpplab.reconstruction.depth_range import depth_bounds
 from fpplab.viewer import layouts
-from fpplab.viewer.canvas import REACH, Canvas, CommandView, eight_bits, subsampled
+from fpplab.viewer.canvas import REACH, Canvas, CommandView, eight_bits, subsample_columns
 from fpplab.viewer.colours import ColourScale
 
 MIN_MODULATION = 2.0
@@ -51,7 +51,7 @@ class ShownFrame:
     @classmethod
     def of(cls, frame: Frame) -> ShownFrame:
         """Take what is shown of a frame."""
-        return cls(subsampled(frame.image).copy(), frame.index, frame.settings.bits)
+        return cls(subsample_columns(frame.image).copy(), frame.index, frame.settings.bits)
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +141,7 @@ class MeasurementView(CommandView):
         if self._shown.plan is not None:
             plan, size, lattice = self._shown.plan
             index, step, _ = list(plan.steps())[frame.index]
-            self.canvas.picture(PATTERN, subsampled(pattern_image(plan, index, step, size, lattice)))
+            self.canvas.picture(PATTERN, subsample_columns(pattern_image(plan, index, step, size, lattice)))
             self._collect(frame, plan, index, step)
 
     def _collect(self, frame: ShownFrame, plan: Plan, index: int, step: int) -> None:

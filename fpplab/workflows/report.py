@@ -70,7 +70,7 @@ def run_scans_report(request: ScansRequest, observer: Observer | None = None) ->
             records.append(read_scan(path, name))
             progress(len(records) / count)
     with observer.stage("Drawing"):
-        differences = tuple(difference(record, records[0]) for record in records[1:])
+        differences = tuple(subtract_clouds(record, records[0]) for record in records[1:])
         result = ScansResult(tuple(records), differences, request.out)
         write_scans_report(request.out, result)
     return result
@@ -131,7 +131,7 @@ def short_names(paths: Sequence[Path]) -> list[str]:
     return names
 
 
-def difference(scan: ScanRecord, reference: ScanRecord) -> CloudDifference:
+def subtract_clouds(scan: ScanRecord, reference: ScanRecord) -> CloudDifference:
     """Subtract two clouds, where both were reconstructed with the same calibration."""
     names = scan.name, reference.name
     cloud, reference_cloud = scan.cloud, reference.cloud

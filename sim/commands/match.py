@@ -135,7 +135,9 @@ def match_command(
     check_match_output(request)
     result = match(request, _observe_matching(context, view, keep_open, out))
     summary = result.summary()
-    console.conclude(result.matching.diagnosis, str(out), summary, json, lambda: _show(summary))
+    console.print_verdict_and_result(
+        result.matching.diagnosis, str(out), summary, json, lambda: _show(summary)
+    )
 
 
 class ConsoleMatchObserver(MatchObserver):

@@ -9,7 +9,7 @@ import numpy as np
 
 from fpplab.core.conventions import TWO_PI
 from fpplab.viewer import layouts
-from fpplab.viewer.canvas import CommandView, subsampled
+from fpplab.viewer.canvas import CommandView, subsample_columns
 from fpplab.viewer.colours import ColourScale
 from fpplab.viewer.viewer import Viewer
 from sim.dataset.fields import FRAMES, Arrays
@@ -66,10 +66,10 @@ def sample_observer(viewer: Viewer[SampleView]) -> SampleObserver:
     """Make the observer of a data set's making that shows its samples."""
 
     def observe(arrays: Arrays, record: dict[str, Any]) -> None:
-        shown = {name: subsampled(arrays[name]).copy() for name in SHOWN if name != "wrapped_phase"}
-        shown["wrapped_phase"] = subsampled(arrays["wrapped_phase"][-1]).copy()
-        shown["normals"] = subsampled(np.moveaxis(arrays["normals"], 0, -1)).copy()
-        shown[FRAMES] = subsampled(arrays[FRAMES][-1]).copy()
+        shown = {name: subsample_columns(arrays[name]).copy() for name in SHOWN if name != "wrapped_phase"}
+        shown["wrapped_phase"] = subsample_columns(arrays["wrapped_phase"][-1]).copy()
+        shown["normals"] = subsample_columns(np.moveaxis(arrays["normals"], 0, -1)).copy()
+        shown[FRAMES] = subsample_columns(arrays[FRAMES][-1]).copy()
         viewer.show_one_of_many(SampleView.sample, shown, record)
 
     return observe

@@ -16,7 +16,7 @@ from fpplab.patterns.fringes import Pattern
 from sim.build import NOTHING, SceneState, build_background
 from sim.light.basis import PatternLevels
 from sim.light.byte_limited_cache import ByteLimitedCache
-from sim.light.cache import digest
+from sim.light.cache import table_digest
 from sim.light.lamps import RoomLightAt
 from sim.light.lens import lens_views
 from sim.light.mirrors import Mirrors
@@ -91,10 +91,10 @@ class Background:
         shown = len(scene.surfaces) - (setup.item != NOTHING)  # the item's own light is added elsewhere
         if pixels is None:
             return self._tables.get(
-                digest(scene, self._views), lambda: _trace_window(scene, self._views, shown)
+                table_digest(scene, self._views), lambda: _trace_window(scene, self._views, shown)
             )
         return self._tables.get(
-            digest(scene, self._views, pixels), lambda: traced(scene, self._views, pixels, shown)
+            table_digest(scene, self._views, pixels), lambda: traced(scene, self._views, pixels, shown)
         )
 
     def _build_scene(self, setup: SceneState) -> tuple[SceneState, RenderScene, MirrorTexture]:

@@ -33,7 +33,7 @@ FORMAT = "fpplab light table 4"
 _log = logging.getLogger(__name__)
 
 
-def digest(scene: RenderScene, views: list[SubpixelView], *more: object) -> str:
+def table_digest(scene: RenderScene, views: list[SubpixelView], *more: object) -> str:
     """Hash all that a table depends on."""
     hashed = hashlib.sha256()
     _feed(hashed, (scene, views, *more))
@@ -57,7 +57,7 @@ def _feed(hashed: hashlib._Hash, value: object) -> None:
 
 
 @lru_cache(maxsize=1)
-def renderer() -> str:
+def renderer_name() -> str:
     """Identify the program that makes tables."""
     sim = Path(__file__).parents[1]
     hashed = hashlib.sha256()
@@ -137,7 +137,7 @@ class TableCache:
 
 def _write_table(stream: IO[bytes], table: LightTable) -> None:
     about = {
-        "renderer": renderer(),
+        "renderer": renderer_name(),
         "samples": table.samples.shape,
         "albedo": table.albedo.shape,
         "corner": table.corner,
@@ -157,8 +157,8 @@ def _read(stream: BinaryIO) -> LightTable:
         raise ValueError(f"it is '{name[:40]}', not '{FORMAT}'")
     second = stream.readline(1000)
     about = json.loads(second)
-    if about["renderer"] != renderer():
-        raise ValueError(f"it was rendered by {about['renderer']}, not {renderer()}")
+    if about["renderer"] != renderer_name():
+        raise ValueError(f"it was rendered by {about['renderer']}, not {renderer_name()}")
     hashed = hashlib.sha256(first + second)
     samples, albedo = (_read_array(stream, tuple(about[part]), hashed) for part in ("samples", "albedo"))
     if stream.read(64) != hashed.digest():

@@ -11,7 +11,7 @@ from fpplab.core.conventions import Floats, PixelIndices
 from fpplab.patterns.fringes import Pattern
 from sim.light.basis import PatternLevels
 from sim.light.byte_limited_cache import ByteLimitedCache
-from sim.light.cache import digest
+from sim.light.cache import table_digest
 from sim.light.lamps import RoomLightAt
 from sim.light.mirrors import Mirrors
 from sim.light.plane import computed_motion
@@ -66,7 +66,7 @@ class DifferentiatedLight:
 
     def _trace_motion(self, pixels: PixelIndices | None) -> MotionTable:
         """Trace the scene at some pixels; a table of the whole image has the key of the plain table."""
-        key = digest(self.scene, self.views, *(() if pixels is None else (pixels,)))
+        key = table_digest(self.scene, self.views, *(() if pixels is None else (pixels,)))
         return self.motions.get(key, lambda: computed_motion(self.scene, self.views, True, pixels))
 
     def _looked_up(

@@ -22,7 +22,7 @@ from fpplab.core.conventions import Floats, PixelIndices
 from fpplab.core.geometry import Pinhole
 from sim.effects import EFFECTS
 from sim.light.byte_limited_cache import ByteLimitedCache
-from sim.light.cache import digest
+from sim.light.cache import table_digest
 from sim.light.plane import can_compute
 from sim.light.solid import shape_of
 from sim.light.table import Irradiance
@@ -54,7 +54,7 @@ class RoomLight:
 
         if can_compute(scene):  # as quick as to tell whether it is there
             return make()
-        return self._kept.get(digest(scene, [], *(() if pixels is None else (pixels,))), make)
+        return self._kept.get(table_digest(scene, [], *(() if pixels is None else (pixels,))), make)
 
 
 @dataclass(frozen=True, eq=False)

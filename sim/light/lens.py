@@ -15,7 +15,7 @@ import numpy as np
 
 from fpplab.core.conventions import Floats
 from sim.scene import SubpixelView
-from sim.world.render import shifts
+from sim.world.render import subpixel_shifts
 
 GOLDEN_RAD = np.pi * (3 - np.sqrt(5))
 """The golden angle in rad."""
@@ -23,7 +23,7 @@ GOLDEN_RAD = np.pi * (3 - np.sqrt(5))
 
 def lens_views(side: int, aperture_mm: float) -> list[SubpixelView]:
     """Choose `side` by `side` points of every pixel, each with a point of a lens that is open."""
-    places = shifts(side)
+    places = subpixel_shifts(side)
     if not aperture_mm:
         return [SubpixelView(place) for place in places]
     return [SubpixelView(place, lens) for place, lens in zip(places, lens_points(len(places)), strict=True)]
@@ -37,7 +37,7 @@ def lens_points(places: int) -> tuple[tuple[float, float], ...]:
     if not pairs:
         return ((0.0, 0.0),) * places
     side = round(np.sqrt(places))
-    half = _least_correlated(np.array(shifts(side)[:pairs]), _half_disc(pairs, alone))
+    half = _least_correlated(np.array(subpixel_shifts(side)[:pairs]), _half_disc(pairs, alone))
     points = np.concatenate([half, np.zeros((alone, 2)), -half[::-1]])
     return tuple((float(x), float(y)) for x, y in points)
 

@@ -28,7 +28,7 @@ from sim.build import NOTHING, SceneState, build_scene
 from sim.light.background import Background
 from sim.light.basis import Basis, PatternLevels
 from sim.light.byte_limited_cache import ByteLimitedCache
-from sim.light.cache import TableCache, digest
+from sim.light.cache import TableCache, table_digest
 from sim.light.differentiated import DifferentiatedLight
 from sim.light.lamps import RoomLight, point_lamps
 from sim.light.lens import lens_views
@@ -170,7 +170,7 @@ class Light:
             make = partial(traced, scene, views, pixels)
         else:
             return self.table(setup).at(pixels)
-        return self._tables.get(digest(scene, views, pixels), make)
+        return self._tables.get(table_digest(scene, views, pixels), make)
 
     def computes(self, setup: SceneState) -> bool:
         """Return whether the item's light is computed, without a render."""
@@ -179,7 +179,7 @@ class Light:
     def table(self, setup: SceneState) -> LightTable:
         """Get the direct light on all that is in view, from memory, from disk, or rendered."""
         _, scene, _ = self._built(setup)
-        key = digest(scene, self._views(setup))
+        key = table_digest(scene, self._views(setup))
         if any(setup.vibration_mm):  # the next frame has another
             if self._displaced is None or self._displaced[0] != key:
                 self._displaced = (key, self._load_or_make(setup, key))

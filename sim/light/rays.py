@@ -13,7 +13,7 @@ distorted = numba.njit(inline="always")(distort)
 
 
 @numba.njit(cache=True, inline="always")
-def undistorted(xd: float, yd: float, lens: Floats, reach: float) -> tuple[float, float]:
+def undistort_ray(xd: float, yd: float, lens: Floats, reach: float) -> tuple[float, float]:
     """Undistort a ray by Newton's method; a step beyond the distortion model's reach is halved."""
     # lens (8,)
     x, y, x0, y0 = xd, yd, 0.0, 0.0
@@ -36,7 +36,7 @@ def undistorted(xd: float, yd: float, lens: Floats, reach: float) -> tuple[float
 def slopes_at(u: float, v: float, matrix: Floats, lens: Floats, reach: float) -> tuple[float, float]:
     """Compute the slopes of the ray from the middle of the lens."""
     # matrix (3, 3)
-    return undistorted((u - matrix[0, 2]) / matrix[0, 0], (v - matrix[1, 2]) / matrix[1, 1], lens, reach)
+    return undistort_ray((u - matrix[0, 2]) / matrix[0, 0], (v - matrix[1, 2]) / matrix[1, 1], lens, reach)
 
 
 @numba.njit(cache=True)

@@ -319,7 +319,7 @@ REPEATED_STEPS = (
     MatchingStep(
         "images",
         _refine_by_images,
-        allowed=lambda at: geometry_fit.contradiction(at.reference, at.parameters) <= 1.0,
+        allowed=lambda at: geometry_fit.contradiction_of_points(at.reference, at.parameters) <= 1.0,
         again=False,  # what the twin lacks and images take for geometry is the same in every round
     ),
     MatchingStep(

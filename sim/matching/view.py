@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.viewer import layouts
-from fpplab.viewer.canvas import CommandView, subsampled
+from fpplab.viewer.canvas import CommandView, subsample_columns
 from fpplab.viewer.colours import ColourScale
 from fpplab.viewer.measurement import show_devices
 from fpplab.viewer.viewer import Viewer
@@ -96,5 +96,5 @@ def show_twin(viewer: Viewer[MatchingView], reference: Reference, twin: Twin) ->
     pose, images = reference.spread_poses(1)[0], reference.finest[:1]
     expected: Any = twin.expected(pose, reference.shown(images), reference.settings)[0]
     real: Any = reference.frames(pose, images)[0]
-    bench, own = (np.asarray(subsampled(np.asarray(image)), np.float32) for image in (real, expected))
+    bench, own = (np.asarray(subsample_columns(np.asarray(image)), np.float32) for image in (real, expected))
     viewer.show(MatchingView.images, bench, own)

@@ -37,7 +37,7 @@ class Render(Document):
     """Whether tables of direct light are kept on disk, for worlds that are used again."""
 
 
-def shifts(subpixels: int) -> list[tuple[float, float]]:
+def subpixel_shifts(subpixels: int) -> list[tuple[float, float]]:
     """List the points of a pixel that are looked through: the middles of equal squares."""
     # returns (float, float) px
     steps = (np.arange(subpixels) + 0.5) / subpixels - 0.5

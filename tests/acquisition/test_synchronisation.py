@@ -26,9 +26,9 @@ from fpplab.acquisition.synchronisation import (
     SyncVerdict,
     _signal_spaces,
     check_synchronisation,
-    faults,
+    considered_faults,
     provable,
-    remedy,
+    synchronisation_remedy,
 )
 from fpplab.core.conventions import Floats, Image, axis_length, full_scale, phase_of_coordinate, phase_steps
 from fpplab.core.errors import CalibrationError, DataError
@@ -150,7 +150,7 @@ def test_frames_in_step_are_accepted(plan: Plan, scene: Scene, seed: int) -> Non
 @settings(max_examples=25, deadline=None)
 @given(st.data(), plans(least_steps=6, least_sets=2), st.floats(0.0, 0.03))
 def test_every_fault_is_named(data: st.DataObject, plan: Plan, noise: float) -> None:
-    fault = data.draw(st.sampled_from(list(faults(plan.images))))
+    fault = data.draw(st.sampled_from(list(considered_faults(plan.images))))
     verdict = judged(spoilt(Scene(noise=noise).frames(plan), fault), plan)
     assert fault in verdict.causes, verdict
 
@@ -161,7 +161,7 @@ def test_a_trigger_out_of_step_is_noticed_wherever_the_plan_can_tell(
     data: st.DataObject, plan: Plan, noise: float, gamma: float
 ) -> None:
     """For any response; where the frames cannot reveal the fault, the verdict says so."""
-    fault = data.draw(st.sampled_from([f for f in faults(plan.images) if f.cause in TRIGGERS]))
+    fault = data.draw(st.sampled_from([f for f in considered_faults(plan.images) if f.cause in TRIGGERS]))
     verdict = judged(spoilt(Scene(noise=noise, gamma=gamma).frames(plan), fault), plan)
     assert not verdict.in_step or not provable(plan), (fault, verdict)
     assert verdict.provable or not provable(plan)
@@ -173,7 +173,7 @@ def test_every_trigger_fault_of_a_plan_that_comes_with_fpplab_is_named(name: str
     plan = Plan.load(name)
     plan = plan.model_copy(update={"fringes": tuple(coarser(f) for f in plan.fringes)})
     frames = Scene(noise=noise).frames(plan)
-    for fault in faults(plan.images):
+    for fault in considered_faults(plan.images):
         if fault.cause in TRIGGERS:
             verdict = judged(spoilt(frames, fault), plan)
             assert fault in verdict.causes or not verdict.fits, fault
@@ -192,7 +192,7 @@ def test_faults_are_told_apart_by_what_they_show() -> None:
     assert SyncFault(Cause.DOUBLED, 2).shown(4) == [0, 1, 1, 2]
     assert SyncFault(Cause.FOREIGN, 3).shown(4) == [0, 1, 2, None]
     assert SyncFault(Cause.SWAPPED, 1).shown(4) == [0, 2, 1, 3]
-    rows = [tuple(fault.shown(7)) for fault in faults(7)]
+    rows = [tuple(fault.shown(7)) for fault in considered_faults(7)]
     assert len(set(rows)) == len(rows)
 
 
@@ -305,7 +305,7 @@ def test_a_session_out_of_step_is_refused_by_name(trigger: str) -> None:
         CalibrationError, match=r"pose_04: every frame shows the pattern before its own"
     ) as told:
         pipeline.observe_session(session, BOARD, (14.25, 17.8))  # type: ignore[arg-type]
-    assert remedy(plan) in str(told.value)
+    assert synchronisation_remedy(plan) in str(told.value)
     with pytest.raises(DataError, match=r"pose_04: every frame .* --force"):
         pipeline.decode_session(session)  # type: ignore[arg-type]
 
@@ -319,7 +319,7 @@ def test_real_captures_are_in_step_until_a_trigger_slips(captures: Path, name: s
     assert judged(frames, plan).in_step
     assert judged(frames, plan).misfit < 0.03
     # A last set of three coarse stripes seen in part differs from a dark frame by brightness alone.
-    told = [f for f in faults(plan.images) if f.cause in (Cause.LATE, Cause.EARLY, Cause.DOUBLED)]
+    told = [f for f in considered_faults(plan.images) if f.cause in (Cause.LATE, Cause.EARLY, Cause.DOUBLED)]
     told += [SyncFault(Cause.MISSED, k) for k in range(1, plan.images - 3)]
     for fault in told:
         assert not judged(spoilt(frames, fault), plan).in_step, fault

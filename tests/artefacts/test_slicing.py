@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fpplab import artefacts
-from fpplab.artefacts import layer_count, load_part, sliced
+from fpplab.artefacts import layer_count, load_part, slice_as_printed
 from fpplab.core.errors import ConfigError
 
 BEAD = 0.03
@@ -76,7 +76,7 @@ def width_at(mesh: trimesh.Trimesh, z: float) -> float:
 
 @given(height=st.floats(1.0, 30.0), layer=st.floats(0.05, 1.0), width=st.floats(1.0, 90.0))
 def test_a_box_stays_a_box_of_whole_layers(height: float, layer: float, width: float) -> None:
-    mesh = sliced(box(width, 10.0, height), layer)
+    mesh = slice_as_printed(box(width, 10.0, height), layer)
     printed = layer_count(height, layer) * layer
     assert abs(printed - height) <= layer / 2 + 1e-4
     assert mesh.volume == pytest.approx(width * 10.0 * printed, rel=1e-6)
@@ -92,7 +92,7 @@ def test_height_is_rounded_to_whole_layers_half_a_layer_down(height: float, laye
 
 
 def test_a_slope_of_45_degrees_is_the_sum_of_its_cross_sections() -> None:
-    mesh = sliced(pyramid_of_45_degrees(10.0), LAYER)
+    mesh = slice_as_printed(pyramid_of_45_degrees(10.0), LAYER)
     middles = LAYER * (np.arange(50) + 0.5)
     assert mesh.volume == pytest.approx(LAYER * np.sum((2 * (10.0 - middles)) ** 2), rel=1e-5)
     assert_one_solid(mesh)
@@ -100,7 +100,7 @@ def test_a_slope_of_45_degrees_is_the_sum_of_its_cross_sections() -> None:
 
 def test_corners_of_a_staircase_are_half_a_layer_off() -> None:
     drawn = pyramid_of_45_degrees(10.0)
-    mesh = sliced(drawn, LAYER)
+    mesh = slice_as_printed(drawn, LAYER)
     nominal = 10.0 - np.abs(mesh.vertices[:, :2]).max(axis=1)
     assert np.abs(mesh.vertices[:, 2] - nominal) == pytest.approx(LAYER / 2, abs=1e-4)
     middles = LAYER * (np.arange(1, 50) + 0.5)
@@ -117,7 +117,7 @@ def test_artefacts_are_one_solid_close_to_the_drawn_one(
     tmp_path: Path, name: str, layer: float, bead: float
 ) -> None:
     nominal = artefacts.make(name)
-    mesh = sliced(nominal, layer, bead)
+    mesh = slice_as_printed(nominal, layer, bead)
     assert_one_solid(mesh)
     # In height a layer is off by half of itself at most, across a wall by the marks.
     assert distances(mesh.vertices, nominal).max() <= np.hypot(layer / 2, bead * np.sqrt(2)) + 1e-4
@@ -129,22 +129,22 @@ def test_artefacts_are_one_solid_close_to_the_drawn_one(
 
 @pytest.mark.parametrize("name", ["pyramid", "steps"])
 def test_artefacts_take_marks_at_a_layer_of_a_real_printer(name: str) -> None:
-    assert_one_solid(sliced(artefacts.make(name), LAYER, BEAD))
+    assert_one_solid(slice_as_printed(artefacts.make(name), LAYER, BEAD))
 
 
 def test_plain_walls_stay_as_drawn() -> None:
-    mesh = sliced(artefacts.make("steps"), LAYER)
+    mesh = slice_as_printed(artefacts.make("steps"), LAYER)
     assert mesh.volume == pytest.approx(artefacts.make("steps").volume, rel=1e-9)
     assert set(np.round(mesh.vertices[:, 2], 9)) == {0, 5, 10, 15, 20, 25}
 
 
 def test_a_face_in_the_middle_of_a_layer_is_rounded_down() -> None:
-    mesh = sliced(artefacts.make("steps"), 0.4)
+    mesh = slice_as_printed(artefacts.make("steps"), 0.4)
     assert set(np.round(mesh.vertices[:, 2], 9)) == {0, 4.8, 10, 14.8, 20, 24.8}
 
 
 def test_marks_on_a_wall_have_the_stated_depth_and_a_round_profile() -> None:
-    mesh = sliced(box(20, 10, 2), LAYER, BEAD)
+    mesh = slice_as_printed(box(20, 10, 2), LAYER, BEAD)
     assert_one_solid(mesh)
     radius = ((LAYER / 2) ** 2 + BEAD**2) / (2 * BEAD)
     for k in range(10):
@@ -158,7 +158,7 @@ def test_marks_on_a_wall_have_the_stated_depth_and_a_round_profile() -> None:
 
 
 def test_marks_go_into_the_material_on_the_walls_of_a_hole() -> None:
-    mesh = sliced(frame(), LAYER, BEAD)
+    mesh = slice_as_printed(frame(), LAYER, BEAD)
     assert mesh.is_watertight
     inner = np.abs(mesh.vertices[np.abs(mesh.vertices[:, :2]).max(axis=1) < 6, :2]).max(axis=1)
     assert inner.min() == pytest.approx(5.0, abs=1e-7)
@@ -167,7 +167,7 @@ def test_marks_go_into_the_material_on_the_walls_of_a_hole() -> None:
 
 def test_a_hollow_stays_a_hollow() -> None:
     hollow = trimesh.boolean.difference([box(10, 10, 10), box(4, 4, 4, z=3)], engine="manifold")
-    mesh = sliced(hollow, LAYER)
+    mesh = slice_as_printed(hollow, LAYER)
     assert mesh.is_watertight
     assert mesh.volume == pytest.approx(1000.0 - 64.0, rel=1e-9)
 
@@ -198,8 +198,8 @@ def test_what_cannot_be_printed_is_refused(
     mesh: trimesh.Trimesh, layer: float, bead: float, sentence: str
 ) -> None:
     with pytest.raises(ConfigError, match=re.escape(sentence)):
-        sliced(mesh, layer, bead)
+        slice_as_printed(mesh, layer, bead)
 
 
 def test_a_leaning_part_is_printed_in_layers_that_overlap() -> None:
-    assert_one_solid(sliced(sheared(), 0.2))
+    assert_one_solid(slice_as_printed(sheared(), 0.2))

@@ -11,7 +11,7 @@ import pytest
 
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation import DistortionModel, Observation, characterise, finest_periods, observe
-from fpplab.characterisation.bundle import adjust_bundle, uncertainty
+from fpplab.characterisation.bundle import adjust_bundle, estimate_uncertainty
 from fpplab.characterisation.parameters import ErrorSizes, Model
 from fpplab.characterisation.problem import Problem
 from fpplab.core.geometry import Pinhole
@@ -171,7 +171,7 @@ def test_the_truth_lies_within_its_uncertainty_in_repeats(tolerance: float | Non
         bend = np.random.default_rng([7, seed]).normal(0, tolerance or 0, (52, 3))
         seen = observed(held, noise_px=0.05, points=BOARD.points() + bend, seed=seed)
         solution, sizes = adjust_bundle(seen, start, model)
-        known = uncertainty(seen, solution, model, sizes)
+        known = estimate_uncertainty(seen, solution, model, sizes)
         found = np.concatenate([solution.camera[:8], solution.projector[:8], solution.T_projector_camera])
         error = found - [expected[name] for name in known.names]
         pair = known.covariance[-3:, -3:]

@@ -10,7 +10,7 @@ import pytest
 
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation import Observation
-from fpplab.characterisation.bundle import uncertainty
+from fpplab.characterisation.bundle import estimate_uncertainty
 from fpplab.characterisation.candidate_poses import (
     DIRECTIONS,
     MAX_SLANT_DEG,
@@ -84,7 +84,7 @@ def with_expected(estimate: JointEstimate, pose: RigidTransform) -> tuple[float,
     more = replace(best, poses=np.vstack([best.poses, vectors_of(pose)]))
     observations = (*estimate.observations, expected_observation(estimate, pose))
     exact = replace(estimate.model, scale_tolerance=0.0)
-    found = uncertainty(observations, more, exact, estimate.sizes).covariance
+    found = estimate_uncertainty(observations, more, exact, estimate.sizes).covariance
     return WorkingVolume.of(estimate.calibration, DEPTH).form_mm(best, exact.level, found), found
 
 

@@ -17,7 +17,7 @@ from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
 from fpplab.comparison import compare, mcd, smcd
 from fpplab.comparison.alignment import AlignmentMesh, align_mesh, refine_pose
-from fpplab.comparison.neighbours import nearest
+from fpplab.comparison.neighbours import nearest_neighbours
 from fpplab.comparison.surfaces import distance_to_surface
 from fpplab.comparison.visibility import RayTracedShape
 from fpplab.core.errors import ConfigError, DataError
@@ -86,7 +86,7 @@ def test_nearest_and_smcd_are_those_of_their_definition(
     random = np.random.default_rng(seed)
     a, b = SHAPES[first](random, n), SHAPES[second](random, m)
     there, back = brute_force(a, b), brute_force(b, a)
-    distance, index = nearest(a, b)
+    distance, index = nearest_neighbours(a, b)
     assert distance == pytest.approx(there, rel=1e-9, abs=1e-12)
     assert np.linalg.norm(a - b[index], axis=1) == pytest.approx(there, rel=1e-9, abs=1e-12)
     assert mcd(a, b) == pytest.approx(there.mean(), rel=1e-9, abs=1e-12)
@@ -293,7 +293,7 @@ def test_alignment_corrects_a_small_motion_exactly() -> None:
 @pytest.mark.nightly
 def test_alignment_finds_a_printed_part_from_far() -> None:
     """The grooves between its layers have undersides, which say nothing about the side that is seen."""
-    printed = artefacts.sliced(artefacts.make("pyramid"), 0.4, 0.06)
+    printed = artefacts.slice_as_printed(artefacts.make("pyramid"), 0.4, 0.06)
     true = RigidTransform.from_vectors(np.array([np.pi, 0.0, 0.0]), np.array([0.0, 0.0, 460.0]))
     cloud = perfect_cloud(printed.copy().apply_transform(true.matrix), 0.03)
     found = align_mesh(cloud.points.astype(np.float64), printed).transform

@@ -5,12 +5,12 @@ from __future__ import annotations
 from fpplab.diagnosis import Finding, cause_named, known_causes
 from fpplab.diagnosis.causes.saturated import SATURATED
 from fpplab.diagnosis.causes.wrong_resolution import WRONG_RESOLUTION
-from fpplab.diagnosis.ranking import ranked
+from fpplab.diagnosis.ranking import rank_findings
 
 
 def order(**excess: float) -> list[str]:
     found = [Finding(cause_named(name), "", value) for name, value in excess.items()]
-    return [one.cause.key for one in ranked(found)]
+    return [one.cause.key for one in rank_findings(found)]
 
 
 def test_a_side_effect_ranks_behind_its_cause_however_much_it_exceeds_its_limit() -> None:
@@ -54,7 +54,7 @@ def test_another_rigs_calibration_is_first_unless_something_else_shifts_points()
 
 def test_a_side_effect_names_its_cause_in_the_remedy() -> None:
     found = [Finding(WRONG_RESOLUTION, "", 3.0), Finding(SATURATED, "", 2.0)]
-    first, second = ranked(ranked(found))
+    first, second = rank_findings(rank_findings(found))
     assert first.remedy == SATURATED.remedy
     assert second.remedy.startswith(
         "see to saturated first, which may be all that shows here; if this remains,"

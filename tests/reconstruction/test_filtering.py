@@ -17,7 +17,7 @@ from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import FilterRules, OrderVote, Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode
-from fpplab.reconstruction.filtering import Rule, filtered, removal
+from fpplab.reconstruction.filtering import Rule, apply_filter, count_removed
 from fpplab.reconstruction.points import triangulate
 
 W, H = 120, 90
@@ -81,7 +81,7 @@ def measured(of: Plan, images: list[Image]) -> tuple[Decoded, Cloud]:
 
 
 def removed_from(of: Plan, images: list[Image]) -> np.ndarray:  # type: ignore[type-arg]
-    decoded, cloud = filtered(*measured(of, images), of, RIG.projector.size)
+    decoded, cloud = apply_filter(*measured(of, images), of, RIG.projector.size)
     assert decoded.removed is not None
     assert len(cloud) == np.count_nonzero(decoded.valid & (decoded.removed == 0))
     return decoded.removed
@@ -179,7 +179,7 @@ def test_points_between_two_surfaces_are_removed_without_a_look_at_their_light(s
     decoded, cloud = between_two_planes(seed)
     between = (cloud.points[:, 2] > NEAR + 5.0) & (cloud.points[:, 2] < FAR - 5.0)
     assert between.sum() > 0.4 * H
-    decoded, cloud = filtered(decoded, cloud, plan(filter=FLYING), RIG.projector.size)
+    decoded, cloud = apply_filter(decoded, cloud, plan(filter=FLYING), RIG.projector.size)
     between = (cloud.points[:, 2] > NEAR + 5.0) & (cloud.points[:, 2] < FAR - 5.0)
     assert not between.any()
     assert decoded.removed is not None
@@ -199,7 +199,7 @@ def test_noise_alone_makes_no_point_fly(across: float) -> None:
 
 
 def test_the_rule_of_flying_points_can_be_left_out() -> None:
-    decoded, _ = filtered(
+    decoded, _ = apply_filter(
         *between_two_planes(),
         plan(filter=FLYING.model_copy(update={"flying": False})),
         RIG.projector.size,
@@ -215,7 +215,7 @@ def test_patches_are_kept_from_twenty_five_pixels_on(side: int, kept: bool) -> N
     decoded.u[stray] += 912.0 / 64.0
     # Corners of the patch of 25 would be flying points: most of their neighbours are of the plane.
     rules = plan(filter=FilterRules(flying=False))
-    result, cloud = filtered(decoded, triangulate(decoded, RIG, normals=False), rules, RIG.projector.size)
+    result, cloud = apply_filter(decoded, triangulate(decoded, RIG, normals=False), rules, RIG.projector.size)
     assert result.removed is not None
     assert (result.removed[stray] == (0 if kept else Rule.ISOLATED)).all()
     assert np.count_nonzero(result.removed) == (0 if kept else side**2)
@@ -256,22 +256,22 @@ def test_a_plan_that_votes_hears_no_contradiction() -> None:
 def test_without_a_filter_all_comes_back_as_it_was() -> None:
     unfiltered = plan(filter=None)
     decoded, cloud = measured(unfiltered, frames(unfiltered, Light(plane(NEAR), np.ones((H, W)))))
-    assert filtered(decoded, cloud, unfiltered, RIG.projector.size) == (decoded, cloud)
-    assert removal(decoded) is None
+    assert apply_filter(decoded, cloud, unfiltered, RIG.projector.size) == (decoded, cloud)
+    assert count_removed(decoded) is None
 
 
 def test_a_filter_that_leaves_nothing_is_refused() -> None:
     all_of_it = plan(filter=FilterRules(patch_min=W * H + 1))
     images = frames(all_of_it, Light(plane(NEAR), np.ones((H, W))))
     with pytest.raises(DataError, match="removes all 10800 points"):
-        filtered(*measured(all_of_it, images), all_of_it, RIG.projector.size)
+        apply_filter(*measured(all_of_it, images), all_of_it, RIG.projector.size)
 
 
 def test_points_that_stay_keep_what_is_known_of_them() -> None:
     decoded, _ = measured(plan(), frames(plan(), Light(plane(NEAR), np.ones((H, W)))))
     decoded.u[40:42, 50:52] += 912.0 / 64.0
     cloud = triangulate(decoded, RIG)
-    result, kept = filtered(decoded, cloud, plan(), RIG.projector.size)
+    result, kept = apply_filter(decoded, cloud, plan(), RIG.projector.size)
     assert cloud.pixels is not None
     assert result.removed is not None
     stays = result.removed[cloud.pixels[:, 1], cloud.pixels[:, 0]] == 0
@@ -281,7 +281,7 @@ def test_points_that_stay_keep_what_is_known_of_them() -> None:
     # Beside the strays, whose depth would have spoilt them.
     np.testing.assert_allclose(kept.normals, [[0.0, 0.0, -1.0]] * len(kept), atol=0.2)
     none = dict.fromkeys(("contradiction", "half_lit", "flying"), 0)
-    assert removal(result) == {**none, "isolated": 4, "share": 4 / (W * H)}
+    assert count_removed(result) == {**none, "isolated": 4, "share": 4 / (W * H)}
 
 
 def test_maps_keep_disagreement_and_removal_on_disk(tmp_path: Path) -> None:

@@ -50,18 +50,18 @@ def test_shading_of_a_plane_follows_the_reflection_model(slopes: tuple[float, fl
     halfway = (LIGHT + [0, 0, -1]) / np.linalg.norm(LIGHT + [0, 0, -1])
     expected = 0.08 + 0.80 * max(normal @ LIGHT, 0.0) + 0.12 * max(normal @ halfway, 0.0) ** 24
     # Blurring is one-sided within four pixels of the edge, which does not tilt a plane but shortens it.
-    assert figures.shading(tilted(*slopes))[8:-8, 8:-8] == pytest.approx(expected, abs=2e-4)
+    assert figures.surface_shading(tilted(*slopes))[8:-8, 8:-8] == pytest.approx(expected, abs=2e-4)
 
 
 def test_a_surface_facing_the_light_is_brighter() -> None:
-    away, towards = (np.nanmedian(figures.shading(tilted(s, 0.0))) for s in (0.6, -0.6))
+    away, towards = (np.nanmedian(figures.surface_shading(tilted(s, 0.0))) for s in (0.6, -0.6))
     assert away < towards
 
 
 def test_the_relief_is_empty_where_nothing_was_measured() -> None:
     points = tilted(0.2, 0.1)
     points[10:20, 15:30] = np.nan
-    shade = figures.shading(points)
+    shade = figures.surface_shading(points)
     assert np.array_equal(np.isnan(shade), np.isnan(points[..., 0]))
 
 
@@ -147,7 +147,7 @@ def test_all_other_figures_are_drawn() -> None:
         figures.shaded_relief(cloud()),
         figures.depth_map(cloud()),
         figures.residuals_figure(pixels, rng.normal(0, 0.05, (30, 2)), SIZE, "camera"),
-        figures.coverage([pixels[:15], pixels[15:]], SIZE, "projector"),
+        figures.draw_coverage([pixels[:15], pixels[15:]], SIZE, "projector"),
         response_figures.response_curve(response, np.stack([levels, 0.9 * levels**2.2 + 0.02], axis=1)),
         figures.pose_rms(["a", "b"], [0.05, 0.06], [0.07, 0.08]),
     ]

@@ -21,7 +21,7 @@ from fpplab.report.parts import ReportTable
 from fpplab.report.several_scans import write_scans_report
 from fpplab.results.provenance import Provenance, duration_text
 from fpplab.results.several_scans import ScanRecord, ScansResult
-from fpplab.workflows.report import difference, short_names
+from fpplab.workflows.report import short_names, subtract_clouds
 from tests.comparison.test_comparison import CALIBRATION
 from tests.report.test_report import Page, cloud
 
@@ -39,7 +39,7 @@ def farther(points: Cloud, mm: float) -> Cloud:
 
 
 def test_a_difference_is_that_along_the_rays() -> None:
-    found = difference(record("b", farther(cloud(), 0.25)), record("a", cloud()))
+    found = subtract_clouds(record("b", farther(cloud(), 0.25)), record("a", cloud()))
     assert found.distances_mm is not None
     assert found.distances_mm == pytest.approx(np.full(len(cloud()) - 1, 0.25), abs=1e-4)
     assert found.summary()["median_um"] == pytest.approx(250, abs=0.1)
@@ -56,13 +56,13 @@ def test_other_calibrations_and_clouds_without_pixels_are_not_compared() -> None
         (replace(one, cloud=None), "no points"),
         (replace(one, cloud=bare), "not known by pixels"),
     ):
-        assert reason in difference(other, one).summary()["not_compared"]
+        assert reason in subtract_clouds(other, one).summary()["not_compared"]
 
 
 @pytest.mark.whole
 def test_the_page_marks_what_differs(tmp_path: Path) -> None:
     scans = [record("a", cloud()), record("b", farther(cloud(), 0.1), rig="two"), record("c", None)]
-    differences = tuple(difference(one, scans[0]) for one in scans[1:])
+    differences = tuple(subtract_clouds(one, scans[0]) for one in scans[1:])
     write_scans_report(tmp_path / "s.html", ScansResult(tuple(scans), differences, tmp_path / "s.html"))
     page = Page(tmp_path / "s.html")
     text = (tmp_path / "s.html").read_text(encoding="utf-8")

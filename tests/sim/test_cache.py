@@ -280,7 +280,7 @@ def test_a_header_of_other_content_is_discarded(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, about: bytes
 ) -> None:
     """Memory is not allocated for more than the file holds."""
-    head = about.replace(b"VERSION", module.renderer().encode())
+    head = about.replace(b"VERSION", module.renderer_name().encode())
     discarded(tmp_path, f"{module.FORMAT}\n".encode() + head + b"\n" + bytes(200), caplog)
 
 
@@ -294,7 +294,7 @@ def test_the_light_of_another_blender_is_discarded(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as other:
-        other.setattr(module, "renderer", lambda: "Blender 4.2.0")
+        other.setattr(module, "renderer_name", lambda: "Blender 4.2.0")
         TableCache(tmp_path).store("k", small_table())
         content = (tmp_path / "k.table").read_bytes()
         assert TableCache(tmp_path).load("k") is not None

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from sim.build import SceneState, build_scene
-from sim.light.cache import digest
+from sim.light.cache import table_digest
 from sim.scene import RenderScene, SubpixelView
 from tests.sim.conftest import plain, world
 
@@ -28,7 +28,7 @@ def scene() -> RenderScene:
 
 SCENE = scene()
 SHIFTED = [SubpixelView((0.25, -0.25), (0.5, 0.1)), SubpixelView((-0.25, 0.25), (-0.5, 0.3))]
-KNOWN = digest(SCENE, SHIFTED)
+KNOWN = table_digest(SCENE, SHIFTED)
 
 
 def numbers(value: object, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
@@ -75,11 +75,11 @@ def test_the_scene_has_the_expected_fields() -> None:
 def test_any_one_number_changes_the_name(place: tuple[Any, ...]) -> None:
     """By the least change of the number; in arrays at both ends and in the middle."""
     for which in (0.0, 0.37, 0.999999):
-        assert digest(*altered((SCENE, SHIFTED), place, which)) != KNOWN
+        assert table_digest(*altered((SCENE, SHIFTED), place, which)) != KNOWN
 
 
 def test_the_name_depends_on_nothing_else() -> None:
-    assert digest(scene(), list(SHIFTED)) == KNOWN
-    assert digest(SCENE, SHIFTED[::-1]) != KNOWN
-    assert digest(SCENE, SHIFTED[:1]) != KNOWN
-    assert digest(dataclasses.replace(SCENE, surfaces=SCENE.surfaces[::-1]), SHIFTED) != KNOWN
+    assert table_digest(scene(), list(SHIFTED)) == KNOWN
+    assert table_digest(SCENE, SHIFTED[::-1]) != KNOWN
+    assert table_digest(SCENE, SHIFTED[:1]) != KNOWN
+    assert table_digest(dataclasses.replace(SCENE, surfaces=SCENE.surfaces[::-1]), SHIFTED) != KNOWN

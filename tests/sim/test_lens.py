@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sim.light.lens import lens_points
-from sim.world.render import shifts
+from sim.world.render import subpixel_shifts
 
 
 @pytest.mark.parametrize("side", [2, 3, 4, 5, 8])
@@ -21,7 +21,7 @@ def test_points_have_the_variance_of_the_disc(side: int) -> None:
 
 @pytest.mark.parametrize("side", [3, 4, 5])
 def test_opposite_subpixels_have_opposite_lens_points_without_correlation(side: int) -> None:
-    places, points = np.array(shifts(side)), np.array(lens_points(side**2))
+    places, points = np.array(subpixel_shifts(side)), np.array(lens_points(side**2))
     np.testing.assert_allclose(places, -places[::-1])
     np.testing.assert_allclose(points, -points[::-1])
     common = np.abs(places.T @ points) / len(points)

@@ -19,7 +19,7 @@ from sim.light.plane import can_compute, computed
 from sim.scene import SubpixelView
 from sim.worker import Blender
 from sim.world import World
-from sim.world.render import shifts
+from sim.world.render import subpixel_shifts
 from tests.sim.conftest import OTHER_MATERIALS, plain, world
 from tests.sim.raycaster import Caster, Plane
 
@@ -95,7 +95,7 @@ def test_few_spots_agree_with_many_points(pose: int, focus_mm: float | None) -> 
     """Closer to 400 points of pixel and lens than as many independent points are, and without an offset."""
 
     def seen(subpixels: int, spots: bool) -> NDArray[np.float32]:
-        places = shifts(subpixels)
+        places = subpixel_shifts(subpixels)
         lens = lens_points(len(places)) if focus_mm else [(0.0, 0.0)] * len(places)
         return computed(scene, [SubpixelView(*both) for both in zip(places, lens, strict=True)], spots).albedo
 

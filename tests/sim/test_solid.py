@@ -17,7 +17,7 @@ from sim.light.solid import can_trace, traced
 from sim.scene import SubpixelView
 from sim.worker import Blender
 from sim.world import World
-from sim.world.render import shifts
+from sim.world.render import subpixel_shifts
 from tests.sim.conftest import OTHER_MATERIALS, plain, world
 
 PLAN = Plan(fringes=tuple(Sinusoid(axis="x", stripes=s, steps=3) for s in (1, 64)))
@@ -63,7 +63,7 @@ def test_traced_light_agrees_with_blender(
     of = _world(focus_mm, projector_focus_mm, subpixels)
     light = Light(of, blender)
     rendered, scene = light.table(setup).at(_pixels(of)), build_scene(of, setup)[0]
-    places = shifts(subpixels)
+    places = subpixel_shifts(subpixels)
     lens = lens_points(len(places)) if focus_mm else [(0.0, 0.0)] * len(places)
     views = [SubpixelView(place, point) for place, point in zip(places, lens, strict=True)]
     table = traced(scene, views, _pixels(of))

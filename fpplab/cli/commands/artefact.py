@@ -49,7 +49,7 @@ def artefact_command(
     if layer is not None:
         printed["layers"] = artefacts.layer_count(mesh.extents[2], layer)
         with console.progress("Slicing"):
-            mesh = artefacts.sliced(mesh, layer, bead or 0.0)
+            mesh = artefacts.slice_as_printed(mesh, layer, bead or 0.0)
     artefacts.save_stl(mesh, out)
     result = {"size_mm": mesh.extents.tolist(), "faces": len(mesh.faces), "mesh": str(out)}
     console.print_result(result | printed, json)

@@ -66,7 +66,7 @@ def import_command(
             source, Plan.load(plan), out, bits, force, report,
             projector_size=projector_size, lattice=lattice, warn=warnings.append, tell=console.log_status,
         )  # fmt: skip
-        warnings += pipeline.doubts(session)
+        warnings += pipeline.doubts_about_session(session)
     for warning in warnings:
         console.log_status(f"warning: {warning}")
     size, shown_in = session.projector()

@@ -95,7 +95,7 @@ def optimise_command(
     observer = observe_search(context, view, keep_open, request.page.with_suffix(".rrd"))
     result = run_optimisation(request, observer)
     answer = result.summary()
-    console.conclude(result.diagnosis, str(out), answer, json, lambda: _show(answer))
+    console.print_verdict_and_result(result.diagnosis, str(out), answer, json, lambda: _show(answer))
 
 
 def _study_with_overrides(study: Study, calibration: Path | None, seeds: int | None) -> Study:

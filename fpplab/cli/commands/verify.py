@@ -94,7 +94,9 @@ def verify_command(
     observer = observe_acceptance(context, view, keep_open, out.with_suffix(".rrd"))
     result = run_acceptance(request, observer)
     acceptance = result.acceptance
-    console.conclude(result.diagnosis, str(out), result.summary(), json, lambda: _show(acceptance, out))
+    console.print_verdict_and_result(
+        result.diagnosis, str(out), result.summary(), json, lambda: _show(acceptance, out)
+    )
 
 
 def _listed(option: str) -> list[str]:

@@ -14,7 +14,7 @@ from fpplab.core.conventions import Floats
 from fpplab.diagnosis.brightness import harmonic_waves
 from fpplab.diagnosis.evidence import Evidence, Needs
 from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding, Picture
-from fpplab.diagnosis.fringe_shape import FringeShapeLimits, unevenness
+from fpplab.diagnosis.fringe_shape import FringeShapeLimits, phase_unevenness
 from fpplab.diagnosis.limits import CountLimit, LimitsSection, ShareLimit
 from fpplab.diagnosis.sample import FrameSample
 
@@ -81,7 +81,7 @@ def _evenly_spread_sets(sample: FrameSample, rows: NDArray[np.intp]) -> list[int
     Where a row has few phases, harmonics of the response change its brightness from frame to frame too.
     """
     used, max_unevenness = sample.measured[rows], sample.limits.of(FringeShapeLimits).max_unevenness
-    spread = [unevenness(fit.phase[rows], used) < max_unevenness for fit in sample.fits]
+    spread = [phase_unevenness(fit.phase[rows], used) < max_unevenness for fit in sample.fits]
     min_share = sample.limits.of(BandsLimits).min_even_rows
     return [k for k, even in enumerate(spread) if np.mean(even) >= min_share]
 

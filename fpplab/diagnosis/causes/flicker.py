@@ -13,7 +13,7 @@ from fpplab.core.conventions import Floats
 from fpplab.diagnosis.brightness import BrightnessLimits, harmonic_waves
 from fpplab.diagnosis.evidence import Evidence, Needs
 from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding, Picture
-from fpplab.diagnosis.fringe_shape import FringeShapeLimits, phase_error_finding, unevenness
+from fpplab.diagnosis.fringe_shape import FringeShapeLimits, phase_error_finding, phase_unevenness
 from fpplab.diagnosis.limits import CountLimit, LimitsSection
 from fpplab.diagnosis.sample import FrameSample
 
@@ -115,7 +115,7 @@ def _residual_gains(sample: FrameSample, k: int) -> Floats | None:
     used = used[:: max(1, len(used) // 10_000)]
     offset, modulation, phase = (part.ravel()[used] for part in (fit.offset, fit.modulation, fit.phase))
     if len(phase) < shape.min_pixels or (
-        unevenness(phase, np.full(phase.shape, True)) > shape.max_unevenness
+        phase_unevenness(phase, np.full(phase.shape, True)) > shape.max_unevenness
     ):
         return None
     frames = sample.spread[plan.set_starts[k] : plan.set_starts[k + 1]]

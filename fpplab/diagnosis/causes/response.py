@@ -14,7 +14,7 @@ from fpplab.diagnosis.fringe_shape import (
     FringeShapeLimits,
     harmonics_of_power_law_rad,
     phase_error_finding,
-    ripples,
+    phase_ripples,
 )
 from fpplab.diagnosis.limits import LimitsSection
 from fpplab.diagnosis.sample import FrameSample
@@ -44,7 +44,7 @@ def harmonics_share(sample: FrameSample) -> float:
 def unexplained_harmonics_rad(sample: FrameSample) -> float | None:
     """Measure the phase error of harmonics where these are not those of a power law."""
     limits = sample.limits.of(ResponseLimits)
-    plan, error = sample.recording.plan, max(ripples(sample), default=0.0)
+    plan, error = sample.recording.plan, max(phase_ripples(sample), default=0.0)
     # Three images do not separate a second harmonic, as of a power law, from others.
     if plan.fringes[plan.finest_set()].images <= 3:
         return None
@@ -64,7 +64,7 @@ def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
         return
     if unexplained_harmonics_rad(sample) is not None:
         return
-    rad = max(harmonics_of_power_law_rad(sample), max(ripples(sample), default=0.0))
+    rad = max(harmonics_of_power_law_rad(sample), max(phase_ripples(sample), default=0.0))
     min_rad = evidence.limits.of(FringeShapeLimits).min_harmonic_rad
     if (
         finding := phase_error_finding(sample, RESPONSE, rad, min_rad, "harmonics of the response")

@@ -16,9 +16,9 @@ import numpy as np
 
 from fpplab.core.errors import ConfigError
 from fpplab.diagnosis.limits import USUAL_LIMITS, DiagnosisLimits
-from fpplab.diagnosis.plan.edits import Edit, Sets, edits, finest_of, is_mirrored, upright
+from fpplab.diagnosis.plan.edits import Edit, Sets, finest_of, is_mirrored, neighbouring_edits, upright_edit
 from fpplab.diagnosis.plan.limits import PlanCheckLimits
-from fpplab.diagnosis.plan.sample import PhaseSample, directions
+from fpplab.diagnosis.plan.sample import PhaseSample, gradient_directions
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
@@ -95,7 +95,10 @@ def _find_better_plan(
 ) -> PlanCheck | None:
     """Find the simplest of the plans that fit much better."""
     limits = sample.limits
-    tried = [(edit, disagreement(sampled, edit.plan(sampled.plan), sample)) for edit in edits(sets, sample)]
+    tried = [
+        (edit, disagreement(sampled, edit.plan(sampled.plan), sample))
+        for edit in neighbouring_edits(sets, sample)
+    ]
     fitting = [
         (edit, misfit.median)
         for edit, misfit in tried
@@ -116,8 +119,8 @@ def _find_better_plan(
 
 
 def _orientation(sets: Sets, sample: PhaseSample, stated: float) -> PlanCheck:
-    observed = directions(sample, finest_of(sets))
-    return PlanCheck(stated, unusual=upright(sets, observed), mirrored=is_mirrored(sets, sample))
+    observed = gradient_directions(sample, finest_of(sets))
+    return PlanCheck(stated, unusual=upright_edit(sets, observed), mirrored=is_mirrored(sets, sample))
 
 
 def disagreement(sampled: Recording, plan: Plan, sample: PhaseSample) -> Disagreement:

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from fpplab.core.conventions import AXES, TWO_PI, Axis, Floats
-from fpplab.diagnosis.plan.sample import Direction, PhaseSample, directions, wrapped
+from fpplab.diagnosis.plan.sample import Direction, PhaseSample, gradient_directions, wrapped
 from fpplab.patterns.fringe_sets import Sinusoid, indices_along
 from fpplab.patterns.plan import Plan
 
@@ -29,11 +29,11 @@ class Edit:
         return stated.model_copy(update={"fringes": self.sets})
 
 
-def edits(sets: Sets, sample: PhaseSample) -> Iterator[Edit]:
+def neighbouring_edits(sets: Sets, sample: PhaseSample) -> Iterator[Edit]:
     """Go through the plans next to one, the simplest first."""
     yield from _other_steps(sets)
     finest = finest_of(sets)
-    observed = directions(sample, finest)
+    observed = gradient_directions(sample, finest)
     for edit in (
         _other_axes(sets, observed, finest),
         _other_order(sets, observed),
@@ -159,7 +159,7 @@ def _stripes_near(
 def refined_stripes(sets: Sets, along: Sequence[int], k: int, about: float, sample: PhaseSample) -> float:
     """Measure the stripes of a set by the positions that coarser sets give."""
     others = [j for j in along if j != k and sets[j].stripes < about]
-    position = unwrapped(sets, others, sample) / sets[max(others, key=lambda j: sets[j].stripes)].stripes
+    position = unwrap_finest(sets, others, sample) / sets[max(others, key=lambda j: sets[j].stripes)].stripes
     phase = phases_of(sets, sample)[k]
 
     def agreement(stripes: float) -> complex:
@@ -207,7 +207,9 @@ def with_origins(sets: Sets, sample: PhaseSample) -> Sets:
     for axis in AXES:
         along = indices_along(sets, axis)
         for last, (coarse, fine) in enumerate(pairwise(along), 1):
-            predicted = unwrapped(edited, along[:last], sample) * sets[fine].stripes / sets[coarse].stripes
+            predicted = (
+                unwrap_finest(edited, along[:last], sample) * sets[fine].stripes / sets[coarse].stripes
+            )
             residual = phases_of(edited, sample)[fine] - predicted
             origin = float(np.angle(np.mean(np.exp(1j * residual))))
             if abs(origin) > sample.limits.min_origin_rad:
@@ -223,7 +225,7 @@ def phases_of(sets: Sequence[Sinusoid], sample: PhaseSample) -> Floats:
     )
 
 
-def unwrapped(sets: Sequence[Sinusoid], along: Sequence[int], sample: PhaseSample) -> Floats:
+def unwrap_finest(sets: Sequence[Sinusoid], along: Sequence[int], sample: PhaseSample) -> Floats:
     """Unwrap the finest of some sets by the coarser ones."""
     # returns (P,) rad
     ranked = sorted(along, key=lambda k: sets[k].stripes)
@@ -235,7 +237,7 @@ def unwrapped(sets: Sequence[Sinusoid], along: Sequence[int], sample: PhaseSampl
     return np.asarray(phase)
 
 
-def upright(sets: Sets, observed: list[Direction]) -> Edit | None:
+def upright_edit(sets: Sets, observed: list[Direction]) -> Edit | None:
     """Give axes and signs by which columns run to the right in the image and rows down."""
     axes: list[Axis] = ["x" if each.level else "y" for each in observed]
     other_axes = [k for k, axis in enumerate(axes) if axis != sets[k].axis]

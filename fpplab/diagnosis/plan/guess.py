@@ -15,10 +15,10 @@ import numpy as np
 from fpplab.core.conventions import AXES, Floats, Image, Mask, full_scale, phase_steps
 from fpplab.core.errors import DataError
 from fpplab.diagnosis.plan.check import disagreement
-from fpplab.diagnosis.plan.edits import Sets, refined_stripes, upright, with_origins
+from fpplab.diagnosis.plan.edits import Sets, refined_stripes, upright_edit, with_origins
 from fpplab.diagnosis.plan.limits import GUESS_LIMITS, GuessLimits
 from fpplab.diagnosis.plan.other_patterns import name_other_patterns, sampled_levels
-from fpplab.diagnosis.plan.sample import PhaseSample, directions
+from fpplab.diagnosis.plan.sample import PhaseSample, gradient_directions
 from fpplab.patterns.fringe_sets import Sinusoid, indices_along
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
@@ -144,13 +144,13 @@ def _residual_squares(moments: Floats) -> float:
 def _axes_and_signs(images: list[int], sample: PhaseSample, size: tuple[int, int]) -> Sets:
     """Sets with the axes and signs of devices that stand upright; stripes as fast as in the image."""
     reference = int(np.argmax(np.median(np.hypot(*np.moveaxis(sample.gradients, -1, 0)), axis=1)))
-    observed = directions(sample, reference)
+    observed = gradient_directions(sample, reference)
     axis, other = AXES if observed[reference].level else AXES[::-1]
     sets = tuple(
         Sinusoid(axis=axis if each.parallel else other, stripes=each.speed, steps=n, projector_size=size)
         for each, n in zip(observed, images, strict=True)
     )
-    edit = upright(sets, observed)
+    edit = upright_edit(sets, observed)
     return sets if edit is None else edit.sets
 
 

@@ -123,7 +123,7 @@ class Direction:
         return 1 if (self.right if level else self.down) > 0 else -1
 
 
-def directions(sample: PhaseSample, reference: int) -> list[Direction]:
+def gradient_directions(sample: PhaseSample, reference: int) -> list[Direction]:
     """Compare the gradients of all sets with those of one."""
     u, v = sample.gradients[reference].T
     square = np.maximum(u * u + v * v, 1e-12)

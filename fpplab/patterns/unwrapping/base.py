@@ -53,7 +53,7 @@ class SyntheticWavelength:
         return sum(c * c for c in self.coefficients)
 
 
-def differences(sets: Sequence[SyntheticWavelength]) -> list[SyntheticWavelength]:
+def wavelength_differences(sets: Sequence[SyntheticWavelength]) -> list[SyntheticWavelength]:
     """Subtract the sets from one another.
 
     Parameters
@@ -70,7 +70,7 @@ def differences(sets: Sequence[SyntheticWavelength]) -> list[SyntheticWavelength
     return [w for w in beats if w.stripes > NEGLIGIBLE]
 
 
-def distinct(wavelengths: Sequence[SyntheticWavelength]) -> list[SyntheticWavelength]:
+def distinct_wavelengths(wavelengths: Sequence[SyntheticWavelength]) -> list[SyntheticWavelength]:
     """Sort wavelengths; of equal ones keep that with fewest phases in it, which carries least noise.
 
     Parameters

@@ -8,8 +8,8 @@ from fpplab.patterns.unwrapping.base import (
     NEGLIGIBLE,
     SyntheticWavelength,
     UnwrappingMethod,
-    differences,
-    distinct,
+    distinct_wavelengths,
+    wavelength_differences,
 )
 
 
@@ -25,8 +25,8 @@ class Guided(UnwrappingMethod):
 
     def wavelengths(self, sets: Sequence[SyntheticWavelength]) -> list[SyntheticWavelength]:
         """Give the sets, and all their differences that are coarser."""
-        coarser = [d for d in differences(sets) if d.stripes < sets[0].stripes - NEGLIGIBLE]
-        return [*distinct(coarser), *sets]
+        coarser = [d for d in wavelength_differences(sets) if d.stripes < sets[0].stripes - NEGLIGIBLE]
+        return [*distinct_wavelengths(coarser), *sets]
 
     def advice(self, stripes: Sequence[float], coarsest: float, max_stripes: float) -> str:
         """Ask for a coarser set or a narrower range of depths."""

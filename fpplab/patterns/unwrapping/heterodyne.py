@@ -10,8 +10,8 @@ from fpplab.patterns.unwrapping.base import (
     NEGLIGIBLE,
     SyntheticWavelength,
     UnwrappingMethod,
-    differences,
-    distinct,
+    distinct_wavelengths,
+    wavelength_differences,
 )
 
 
@@ -23,13 +23,13 @@ class Heterodyne(UnwrappingMethod):
     def wavelengths(self, sets: Sequence[SyntheticWavelength]) -> list[SyntheticWavelength]:
         """Give the sets and their beats."""
         # Beats of sets that are no neighbours are finer, and so nearer to the coarsest set.
-        combined, level = [*sets, *differences(sets)], list(sets)
+        combined, level = [*sets, *wavelength_differences(sets)], list(sets)
         while level and min(w.stripes for w in level) > 1 + NEGLIGIBLE:
             level = sorted(level, key=lambda w: w.stripes)
             beats = (fine.beat(coarse) for coarse, fine in pairwise(level))
             level = [b for b in beats if b.stripes > NEGLIGIBLE]
             combined += level
-        return distinct(combined)
+        return distinct_wavelengths(combined)
 
     def advice(self, stripes: Sequence[float], coarsest: float, max_stripes: float) -> str:
         """Ask for sets whose beats reach one stripe."""

@@ -10,10 +10,10 @@ import numpy as np
 
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation import Observation, finest_periods, observe
-from fpplab.characterisation.coverage import REGION_NAMES, regions_with_points, warnings
+from fpplab.characterisation.coverage import REGION_NAMES, coverage_warnings, regions_with_points
 from fpplab.characterisation.guide import Guide
 from fpplab.characterisation.parameters import Solution
-from fpplab.characterisation.zhang import calibrate_separately, stereo, transform
+from fpplab.characterisation.zhang import calibrate_separately, fit_pose_between_devices, transform
 from fpplab.core.conventions import Floats, Lattice
 from fpplab.core.depth import DepthInterval
 from fpplab.core.errors import CalibrationError, FppError
@@ -133,10 +133,12 @@ def _uncovered_regions(
     """What the poses leave undetermined, by a first estimate of both devices."""
     board = target.points()
     start, _, _ = calibrate_separately(observations, board, camera_size, projector_size)
-    pair, _ = stereo(observations, start, camera_size)
+    pair, _ = fit_pose_between_devices(observations, start, camera_size)
     estimate = replace(start, T_projector_camera=pair)
     poses = [transform(pose) for pose in estimate.poses]
-    return warnings(observations, poses, _rough_calibration(estimate, camera_size, projector_size), board)
+    return coverage_warnings(
+        observations, poses, _rough_calibration(estimate, camera_size, projector_size), board
+    )
 
 
 def _rough_calibration(

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.acquisition.acquire import expose
-from fpplab.acquisition.synchronisation import check_synchronisation, remedy
+from fpplab.acquisition.synchronisation import check_synchronisation, synchronisation_remedy
 from fpplab.acquisition.timing import PulseTiming, planned_timing
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
@@ -223,7 +223,7 @@ class _FringeInspection:
         if in_step.in_step:
             return self._of_frames(recording, rig)
         excess = DECISIVE_EXCESS if in_step.causes else UNCERTAIN_EXCESS
-        slipped = Finding(OUT_OF_STEP, in_step.describe(), excess, remedy(recording.plan))
+        slipped = Finding(OUT_OF_STEP, in_step.describe(), excess, synchronisation_remedy(recording.plan))
         # Light that flickers and parts that move look like frames out of step which no slip explains.
         others = () if in_step.causes else diagnose_frames(recording)
         return Diagnosis(Verdict.DOUBTFUL, slipped.sentence, others or (slipped,))

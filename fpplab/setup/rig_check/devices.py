@@ -129,7 +129,7 @@ def mains_finding(rig: Rig, plan: Plan) -> Finding | None:
     )
 
 
-def flickers(rig: Rig, plan: Plan) -> bool:
+def does_light_flicker(rig: Rig, plan: Plan) -> bool:
     """Return whether the light flickers, by frames of one grey level, which no slip changes."""
     levels = _mean_frame_levels(rig, plan, plan.exposure_s)
     if levels is None:

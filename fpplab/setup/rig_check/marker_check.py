@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.optimize import isotonic_regression
 
 from fpplab.acquisition.acquire import expose
-from fpplab.acquisition.synchronisation import Cause, SyncFault, faults, remedy
+from fpplab.acquisition.synchronisation import Cause, SyncFault, considered_faults, synchronisation_remedy
 from fpplab.acquisition.timing import PulseTiming, pulse_timing
 from fpplab.core.conventions import Floats, full_scale
 from fpplab.core.errors import DeviceTimeoutError
@@ -41,7 +41,7 @@ from fpplab.diagnosis.causes.projector_dark import PROJECTOR_DARK
 from fpplab.diagnosis.causes.saturated import SATURATED
 from fpplab.patterns.fringes import uniform_patterns
 from fpplab.patterns.plan import Plan
-from fpplab.setup.rig_check.devices import DECISIVE_EXCESS, flickers
+from fpplab.setup.rig_check.devices import DECISIVE_EXCESS, does_light_flicker
 from fpplab.setup.rig_check.exposure_shift import LIMITS as SHIFT_LIMITS
 from fpplab.setup.rig_check.exposure_shift import ExposureShift, exposure_shift
 from fpplab.setup.rig_check.marker import marker
@@ -102,7 +102,7 @@ def matching_faults(shown: Sequence[int] | NDArray[np.int64], levels: Floats) ->
     greys, in_step = np.asarray(shown), list(range(len(shown)))
     if _departure_from_monotonic(greys, levels, in_step) <= LIMITS.max_departure:
         return ()
-    rows = {f: f.shown(len(greys)) for f in faults(len(greys)) if f.cause is not Cause.SWAPPED}
+    rows = {f: f.shown(len(greys)) for f in considered_faults(len(greys)) if f.cause is not Cause.SWAPPED}
     fitting = [
         fault
         for fault, row in rows.items()
@@ -169,7 +169,7 @@ class MarkerInspection:
         if (
             not is_complete
             or not any(finding.cause in SLIPS for finding in self.findings)
-            or not flickers(rig, self._plan)
+            or not does_light_flicker(rig, self._plan)
         ):
             return
         self.findings, self._of_stepped = (
@@ -207,7 +207,10 @@ class MarkerInspection:
             repeated = matching_faults(shown, slow_run.levels)
             return [
                 _slipped_frames_finding(
-                    slipped, run, remedy(plan), happens_again=bool({*(slipped or ())} & {*(repeated or ())})
+                    slipped,
+                    run,
+                    synchronisation_remedy(plan),
+                    happens_again=bool({*(slipped or ())} & {*(repeated or ())}),
                 )
             ]
         gap_s = next(
@@ -217,7 +220,10 @@ class MarkerInspection:
         if gap_s == 0.0:
             return [
                 _slipped_frames_finding(
-                    slipped, run, remedy(plan), "when it was repeated, all frames were in step"
+                    slipped,
+                    run,
+                    synchronisation_remedy(plan),
+                    "when it was repeated, all frames were in step",
                 )
             ]
         timing = _timing(rig, plan, shown, gap_s)

@@ -27,7 +27,7 @@ def all_data() -> dict[int, Any]:
 
 
 @contextmanager
-def tagged(owner: str) -> Iterator[None]:
+def tag_new_data(owner: str) -> Iterator[None]:
     """Tag all data that is made within."""
     before = set(all_data())
     try:
@@ -50,7 +50,7 @@ def enter_rig_scene() -> Any:
     """
     scene, window = rig_scene(), bpy.context.window
     if scene is None:
-        with tagged(SCENE):
+        with tag_new_data(SCENE):
             scene = bpy.data.scenes.new(NAME)
         scene[_PREVIOUS] = window.scene.name if window else ""
     if window and window.scene != scene:

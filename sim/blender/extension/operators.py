@@ -123,7 +123,7 @@ class TakePicture(bpy.types.Operator):  # type: ignore[misc]
         preview, blender_scene = shown_preview(), data.rig_scene()
         assert preview is not None
         data.remove(data.PICTURE)
-        with data.tagged(data.PICTURE):
+        with data.tag_new_data(data.PICTURE):
             clouds = [
                 cloud
                 for cloud in blender_scene.objects
@@ -175,7 +175,7 @@ class ImportErrors(_CommandOperator, bpy.types.Operator):  # type: ignore[misc]
     def _use(self, context: Any, answer: dict[str, Any]) -> None:
         data.enter_rig_scene()
         data.remove(data.CLOUD)
-        with data.tagged(data.CLOUD):
+        with data.tag_new_data(data.CLOUD):
             import_cloud(str(self._job.folder / "errors.ply"))
         self.report({"INFO"}, f"{answer['surface_rms_um']:.1f} µm RMS from the true shape")
 
@@ -218,7 +218,7 @@ def _show(answer: dict[str, Any]) -> None:
     preview = read_preview(answer["preview"])
     scene = data.enter_rig_scene()
     data.remove(data.RIG)
-    with data.tagged(data.RIG):
+    with data.tag_new_data(data.RIG):
         show_preview(scene, preview)
     remember(preview, answer)
 

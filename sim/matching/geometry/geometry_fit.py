@@ -55,7 +55,7 @@ NUISANCE_PARAMETERS = 6
 """Parameters of each pose for what light and sharpness still lack: gain (3), offset, response, blur."""
 
 
-def contradiction(reference: Reference, parameters: TwinParameters) -> float:
+def contradiction_of_points(reference: Reference, parameters: TwinParameters) -> float:
     """Compute how far a geometry is from the points that the reference's characterisation is found from.
 
     Points are centres of marks: blur, grain of the print and uneven light hardly move them, while a fit of

@@ -70,7 +70,9 @@ def rebuild_surroundings(
     if np.isfinite(depths).sum() < LIMITS.min_cells:
         return None
     backdrop = backdrop_mesh(LIMITS.backdrop_factor * float(np.nanmax(depths)), camera)
-    mesh = cast(trimesh.Trimesh, trimesh.util.concatenate([grid_mesh(continued(depths), camera), backdrop]))
+    mesh = cast(
+        trimesh.Trimesh, trimesh.util.concatenate([grid_mesh(continue_surfaces(depths), camera), backdrop])
+    )
     width, height = camera.size
     surroundings = BenchSurroundings(mesh, np.full((height, width), LIMITS.trial_reflectance, np.float32))
     trial = twin.with_appearance(Appearance(sheet, surroundings))
@@ -150,7 +152,7 @@ def grid_mesh(depths: Floats, camera: Pinhole) -> trimesh.Trimesh:
     return mesh
 
 
-def continued(depths: Floats) -> Floats:
+def continue_surfaces(depths: Floats) -> Floats:
     """Let surfaces go on along their planes, up to `continued_cells`, where nothing is known.
 
     The inverse depth of a plane is linear in the image, so each ring of cells around what is known gets the

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from fpplab import artefacts
 from fpplab.artefacts.shapes.ball_bar import BallBar
 from fpplab.cli import app
-from fpplab.cli.lists import spread
+from fpplab.cli.lists import repeat_option_per_path
 from fpplab.clouds import Cloud, save_cloud
 from fpplab.comparison.acceptance import Standard, verify, verify_ball_bar, verify_plane
 from fpplab.comparison.acceptance.fitting import DISCARDED_SHARE
@@ -392,9 +392,9 @@ def test_an_impossible_ball_bar_is_refused(field: str, value: Any) -> None:
 def test_lists_of_paths_are_spread() -> None:
     words = ["--spheres", "a", "b", "--json", "--planes", "c", "--out", "x"]
     plain = ["--spheres", "a", "--spheres", "b", "--json", "--planes", "c", "--out", "x"]
-    assert spread(words) == plain
-    assert spread(plain) == plain
-    assert spread(["--spheres=a", "--planes", "c"]) == ["--spheres=a", "--planes", "c"]
+    assert repeat_option_per_path(words) == plain
+    assert repeat_option_per_path(plain) == plain
+    assert repeat_option_per_path(["--spheres=a", "--planes", "c"]) == ["--spheres=a", "--planes", "c"]
 
 
 def run(*words: object) -> Any:

@@ -7,14 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fpplab.acquisition.synchronisation import Cause, SyncFault, faults
+from fpplab.acquisition.synchronisation import Cause, SyncFault, considered_faults
 from fpplab.core.conventions import Floats
 from fpplab.setup.rig_check.marker import marker
 from fpplab.setup.rig_check.marker_check import matching_faults
 
 SHOWN = marker()
 GREYS = len(SHOWN)
-ALL = [fault for fault in faults(GREYS) if fault.cause is not Cause.SWAPPED]
+ALL = [fault for fault in considered_faults(GREYS) if fault.cause is not Cause.SWAPPED]
 
 
 def levels(fault: SyncFault | None, gamma: float, ambient: float, noise: float, seed: int) -> Floats:

@@ -89,9 +89,9 @@ def test_geometries_beyond_what_points_tell_are_contradicted(truth: TwinParamete
         calibration = replace(known, camera=replace(CAMERA, matrix=matrix))
         return replace(truth, calibration=calibration)
 
-    assert geometry_fit.contradiction(reference, moved(0.0)) == 0.0
-    assert geometry_fit.contradiction(reference, moved(1.0)) < 1.0
-    assert geometry_fit.contradiction(reference, moved(20.0)) > 1.0
+    assert geometry_fit.contradiction_of_points(reference, moved(0.0)) == 0.0
+    assert geometry_fit.contradiction_of_points(reference, moved(1.0)) < 1.0
+    assert geometry_fit.contradiction_of_points(reference, moved(20.0)) > 1.0
     bare = replace(known, uncertainty=None)
     nothing = Reference((), TARGET, cast(Any, SimpleNamespace(calibration=bare, level=level, poses=())))
-    assert geometry_fit.contradiction(nothing, moved(20.0)) == 0.0
+    assert geometry_fit.contradiction_of_points(nothing, moved(20.0)) == 0.0

@@ -23,7 +23,7 @@ def test_a_plane_goes_on_as_a_plane() -> None:
     known = true.copy()
     known[20:40, 15:50] = np.nan
     known[45:55, 60:] = np.nan
-    found = surroundings.continued(known)
+    found = surroundings.continue_surfaces(known)
     assert np.abs(found - true).max() < 0.02
 
 
@@ -32,7 +32,7 @@ def test_it_ends_where_it_is_as_near_or_far_as_anything_known() -> None:
     known[:, 40:] = np.nan
     known[59] = np.nan
     near, far = np.nanmin(known), np.nanmax(known)
-    found = surroundings.continued(known)
+    found = surroundings.continue_surfaces(known)
     assert np.isfinite(found).all()
     assert found.min() == pytest.approx(near)
     assert found.max() == pytest.approx(far)
@@ -41,7 +41,7 @@ def test_it_ends_where_it_is_as_near_or_far_as_anything_known() -> None:
 def test_it_does_not_go_on_for_ever() -> None:
     known = np.full((9, 100), np.nan)
     known[:, :10] = 500.0
-    found = np.isfinite(surroundings.continued(known)[4])
+    found = np.isfinite(surroundings.continue_surfaces(known)[4])
     assert found.sum() == 10 + surroundings.LIMITS.continued_cells
 
 
