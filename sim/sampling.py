@@ -84,8 +84,10 @@ class ImagePartSampler:
     ) -> list[Image]:
         """Take frames of some rows and columns, with noise, and vibration to first order."""
         # rows (R,); columns (C,); returns (R, C)
-        where = FramePart(item, rows, np.arange(self._world.camera.size[0]) if columns is None else columns)
-        still, *moved = self._pictures(where, tuple(patterns))
+        frame_part = FramePart(
+            item, rows, np.arange(self._world.camera.size[0]) if columns is None else columns
+        )
+        still, *moved = self._pictures(frame_part, tuple(patterns))
         sensor, random = SensorModel.of(self._world), np.random.default_rng([self._world.seed, seed])
         taken, changes = [], Fluctuation.of(self._world, seed)
         size_mm = self._world.moves_mm or 1.0
@@ -95,29 +97,31 @@ class ImagePartSampler:
                 picture = picture + np.float32(step) * (shifted[n] - still[n])
             frame = len(patterns) * seed + n
             if changes is not None:
-                picture = changes.applied(picture, self._ambient(where), rows, frame)
+                picture = changes.applied(picture, self._ambient(frame_part), rows, frame)
             taken.append(sensor.expose(np.maximum(picture, 0), settings, frame))
         return taken
 
-    def _ambient(self, where: FramePart) -> PatternLevels:
+    def _ambient(self, frame_part: FramePart) -> PatternLevels:
         """Irradiance (R, C) of the item without the projector, from two patterns: light is linear."""
-        return self._dark.get(where.key, lambda: self._ambient_now(where))
+        return self._dark.get(frame_part.key, lambda: self._ambient_now(frame_part))
 
-    def _ambient_now(self, where: FramePart) -> PatternLevels:
+    def _ambient_now(self, frame_part: FramePart) -> PatternLevels:
         size, response = self._world.projector.size, self._world.projector.response
         black, white = (Pattern(f"even {level}", np.full(size[::-1], level, np.uint8)) for level in (0, 255))
-        setup = SceneState(where.item, held=item_poses(self._world, where.item)[0])
-        under_black, under_white = self._light.irradiance_at(setup, (black, white), where.pixels)
+        setup = SceneState(frame_part.item, held=item_poses(self._world, frame_part.item)[0])
+        under_black, under_white = self._light.irradiance_at(setup, (black, white), frame_part.pixels)
         dark: PatternLevels = under_black - np.float32(response.b / response.a) * (under_white - under_black)
-        return dark.reshape(where.shape)
+        return dark.reshape(frame_part.shape)
 
     def _pictures(self, where: FramePart, patterns: tuple[Pattern, ...]) -> PatternLevels:
         """Irradiance (k, n, R, C) of the item at rest and, where it vibrates, displaced along each axis."""
         return self._seen.get((where.key, patterns), lambda: self._pictures_now(where, patterns))
 
-    def _pictures_now(self, where: FramePart, patterns: tuple[Pattern, ...]) -> PatternLevels:
-        pose, step = item_poses(self._world, where.item)[0], self._world.moves_mm
-        still = SceneState(where.item, held=pose)
+    def _pictures_now(self, frame_part: FramePart, patterns: tuple[Pattern, ...]) -> PatternLevels:
+        pose, step = item_poses(self._world, frame_part.item)[0], self._world.moves_mm
+        still = SceneState(frame_part.item, held=pose)
         setups = (still, *displaced(still, pose, step)) if step else (still,)
-        irradiance = np.stack([self._light.irradiance_at(setup, patterns, where.pixels) for setup in setups])
-        return irradiance.reshape(len(setups), len(patterns), *where.shape)
+        irradiance = np.stack(
+            [self._light.irradiance_at(setup, patterns, frame_part.pixels) for setup in setups]
+        )
+        return irradiance.reshape(len(setups), len(patterns), *frame_part.shape)

@@ -68,10 +68,10 @@ class ProjectorBoard:
         if not (status.hardware["initialised"] and status.system["memory_test_passed"]):
             raise DeviceError(self._name, "open", "; ".join(status.faults), "switch the projector off and on")
 
-    def version(self, part: str = "application") -> str:
+    def version(self, firmware_part: str = "application") -> str:
         """Read the version of a part of the firmware."""
         read = self.link.read(protocol.VERSION)
-        return ".".join(str(read[f"{part}_{field}"]) for field in ("major", "minor", "patch"))
+        return ".".join(str(read[f"{firmware_part}_{field}"]) for field in ("major", "minor", "patch"))
 
     def firmware_tag(self) -> str:
         """Read the firmware's name."""

@@ -112,7 +112,9 @@ def regions_with_points(pixels: Floats, size: tuple[int, int]) -> Ninths:
     return held
 
 
-def _seen_by_both(device: Pinhole, other: Pinhole, T_other_device: RigidTransform, distance: float) -> Ninths:
+def _seen_by_both(
+    device: Pinhole, other_device: Pinhole, T_other_device: RigidTransform, distance: float
+) -> Ninths:
     """Tell which ninths (3, 3) have a centre that the other device sees as well, at the boards' distance.
 
     The others cannot contain points of a board, and no point will ever be measured there.
@@ -121,4 +123,4 @@ def _seen_by_both(device: Pinhole, other: Pinhole, T_other_device: RigidTransfor
     u, v = np.meshgrid(shares * device.size[0] - 0.5, shares * device.size[1] - 0.5)
     slopes = device.normalise(np.stack([u, v], axis=-1))
     points = np.concatenate([slopes, np.ones_like(slopes[..., :1])], axis=-1) * distance
-    return other.sees(points, T_other_device)
+    return other_device.sees(points, T_other_device)

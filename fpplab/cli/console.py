@@ -41,15 +41,15 @@ _log = logging.getLogger(__name__)
 
 
 @contextmanager
-def progress(what: str) -> Iterator[Progress]:
+def progress(description: str) -> Iterator[Progress]:
     """Show a progress bar on stderr while the work lasts; one line where stderr is no terminal."""
     start = time.perf_counter()
     try:
-        with _bar(what) as report:
+        with _bar(description) as report:
             yield report
     finally:
         seconds = time.perf_counter() - start
-        _log.info("%s: %.3f s", what, seconds, extra={"phase": what, "seconds": seconds})
+        _log.info("%s: %.3f s", description, seconds, extra={"phase": description, "seconds": seconds})
 
 
 @contextmanager
@@ -66,9 +66,9 @@ def _bar(what: str) -> Iterator[Progress]:
 
 
 @contextmanager
-def _message_and_bar(what: str) -> Iterator[tuple[Progress, Say]]:
+def _message_and_bar(description: str) -> Iterator[tuple[Progress, Say]]:
     if not stderr.is_terminal:
-        log_status(f"{what} …")
+        log_status(f"{description} …")
         yield no_progress, ignore
         return
     # Most commands end without, and `--help` does.
@@ -77,10 +77,10 @@ def _message_and_bar(what: str) -> Iterator[tuple[Progress, Say]]:
 
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
     with ProgressBars(*columns, console=stderr, transient=True) as bars:
-        task = bars.add_task(what, total=1.0)
+        task = bars.add_task(description, total=1.0)
         yield (
             lambda share: bars.update(task, completed=share),
-            lambda message: bars.update(task, description=escape(f"{what}: {message}")),
+            lambda message: bars.update(task, description=escape(f"{description}: {message}")),
         )
 
 

@@ -74,11 +74,11 @@ def surface_normals(
 
 @njit(error_model="numpy")
 def _add_neighbours(
-    a0: Any, b0: Any, w0: Any, noise0: Any, a: Any, b: Any, w: Any, noise: Any, sums: Any, n: int
+    a0: Any, b0: Any, w0: Any, noise0: Any, a: Any, b: Any, w: Any, noise: Any, sums: Any, pixel_count: int
 ) -> None:
     """Add the neighbours of n pixels that lie on the surface of these."""
     zero = np.float32(0)
-    for j in range(n):
+    for j in range(pixel_count):
         i = _u(j)
         da, db, dw = a[i] - a0[i], b[i] - b0[i], w[i] - w0[i]
         # False where there is no point.
@@ -96,9 +96,9 @@ def _add_neighbours(
 
 
 @njit(error_model="numpy")
-def _solve_planes(index: Any, a0: Any, b0: Any, w0: Any, sums: Any, n: int, normals: Any) -> None:
+def _solve_planes(index: Any, a0: Any, b0: Any, w0: Any, sums: Any, pixel_count: int, normals: Any) -> None:
     """Turn the sums into normals."""
-    for j in range(n):
+    for j in range(pixel_count):
         i = _u(j)
         count, sa, sb, sw = sums[i], sums[i + _SA], sums[i + _SB], sums[i + _SW]
         caa, cab = sums[i + _SAA] - sa * sa / count, sums[i + _SAB] - sa * sb / count
@@ -114,7 +114,7 @@ def _solve_planes(index: Any, a0: Any, b0: Any, w0: Any, sums: Any, n: int, norm
         sums[i] = alpha * scale if spans else 0.0
         sums[i + _SA] = beta * scale if spans else 0.0
         sums[i + _SB] = gamma * scale if spans else 0.0
-    for j in range(n):
+    for j in range(pixel_count):
         i = _u(j)
         at = index[i]
         if at >= 0:

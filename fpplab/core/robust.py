@@ -35,16 +35,16 @@ def cell_numbers(places: Floats, side: float) -> NDArray[np.int64]:
     return np.asarray(numbers, np.int64).reshape(-1)
 
 
-def clustered_covariance(rows: Floats, scores: Floats, within: Mask, cell: NDArray[np.int64]) -> Floats:
+def clustered_covariance(rows: Floats, scores: Floats, is_inlier: Mask, cell: NDArray[np.int64]) -> Floats:
     """Compute the covariance of an M-estimate whose residuals are correlated within cells.
 
     The sandwich estimator for clusters.
     """
-    # rows (N, n); scores (N,); within (N,); cell (N,); returns (n, n)
+    # rows (N, n); scores (N,); is_inlier (N,); cell (N,); returns (n, n)
     cells, count = int(cell.max()) + 1, rows.shape[1]
     sums = np.zeros((cells, count))
     np.add.at(sums, cell, rows * scores[:, None])
-    inverse = np.linalg.pinv(rows[within].T @ rows[within], rcond=1e-12)
+    inverse = np.linalg.pinv(rows[is_inlier].T @ rows[is_inlier], rcond=1e-12)
     return np.asarray(inverse @ (sums.T @ sums) @ inverse * cells / (cells - count))
 
 

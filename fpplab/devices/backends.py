@@ -95,7 +95,7 @@ def load_backend(name: str, rig_file: Path | str, section: str) -> type[Any]:
         package of an extra is missing, it says how to install it.
     """
     where = f"{rig_file}: '{section}.backend' is '{name}'"
-    place = _place(name, where)
+    place = _resolve_class_path(name, where)
     module, _, attribute = place.partition(":")
     if module.rpartition(".")[2] == "__main__":
         raise ConfigError(f"{where}: is a program and not a backend")
@@ -141,7 +141,7 @@ def _why_not(module: str, attribute: str) -> str:
     return f"{module} {reason}; if you trust it, add --allow-backend {module}, or set {ALLOWED}={module}"
 
 
-def _place(name: str, where: str) -> str:
+def _resolve_class_path(name: str, error_prefix: str) -> str:
     """Where a backend is, as `module:Class`."""
     if ":" in name:
         return _as_installed(RENAMED_BACKENDS.get(name, name))
@@ -153,7 +153,7 @@ def _place(name: str, where: str) -> str:
     closest = get_close_matches(name, names, n=1, cutoff=0.6)
     question = f"did you mean {closest[0]}? " if closest else ""
     raise ConfigError(
-        f"{where}: there is no such backend; {question}installed are {', '.join(names) or 'none'}; "
+        f"{error_prefix}: there is no such backend; {question}installed are {', '.join(names) or 'none'}; "
         "any other is named as 'module:Class'"
     )
 
@@ -170,16 +170,16 @@ def _own_packages() -> list[str]:
     return ["fpplab", *(new if find_spec(new) else old for old, new in IN_WHEELS.items())]
 
 
-def _as_installed(place: str) -> str:
+def _as_installed(class_path: str) -> str:
     """Rename what rig files of a checkout name, where fpplab was installed from a wheel."""
     for old, new in IN_WHEELS.items():
-        if place.startswith((f"{old}.", f"{old}:")) and find_spec(new):
-            return new + place.removeprefix(old)
-    return place
+        if class_path.startswith((f"{old}.", f"{old}:")) and find_spec(new):
+            return new + class_path.removeprefix(old)
+    return class_path
 
 
-def _is_allowed(module: str, place: str) -> bool:
+def _is_allowed(module: str, class_path: str) -> bool:
     allowed = (*_own_packages(), *os.environ.get(ALLOWED, "").split(","))
     if any(package and (module == package or module.startswith(f"{package}.")) for package in allowed):
         return True
-    return any(entry.value == place for entry in entry_points(group=BACKENDS))
+    return any(entry.value == class_path for entry in entry_points(group=BACKENDS))

@@ -80,7 +80,7 @@ def harmonics_of_power_law_rad(sample: FrameSample) -> float:
 
 
 def phase_error_finding(
-    sample: FrameSample, cause: FaultCause, rad: float, min_rad: float, what: str
+    sample: FrameSample, cause: FaultCause, rad: float, min_rad: float, disturbance: str
 ) -> Finding | None:
     """Report an error of the phase that is above a limit and above the noise."""
     if not sample.measured.any() or not rad > min_rad:
@@ -94,7 +94,6 @@ def phase_error_finding(
     limit = max(min_rad, noise)
     if rad <= limit:
         return None
-    text = (
-        f"{what} shift the phase by {rad:.3f} rad RMS, where noise does by {noise:.3f} (at most {limit:.3f})"
-    )
+    noise_text = f"where noise does by {noise:.3f} (at most {limit:.3f})"
+    text = f"{disturbance} shift the phase by {rad:.3f} rad RMS, {noise_text}"
     return Finding(cause, text, rad / limit)

@@ -44,9 +44,9 @@ def draw_sample_map(
     return figure
 
 
-def draw_limit(axes: Any, value: float, what: str) -> None:
+def draw_limit(axes: Any, value: float, label: str) -> None:
     """Draw a limit as a line across axes."""
-    axes.axvline(value, color=ALARM, linewidth=1.2, label=f"limit {value:.3g}: {what}")
+    axes.axvline(value, color=ALARM, linewidth=1.2, label=f"limit {value:.3g}: {label}")
     axes.legend(loc="best")
 
 

@@ -70,10 +70,10 @@ def measure_round(study: Any, runner: CandidateRunner, size: int) -> list[Measur
     return trials
 
 
-def _suggest_value(trial: Any, parameter: Parameter) -> float:
+def _suggest_value(optuna_trial: Any, parameter: Parameter) -> float:
     if parameter.is_integer:
-        return float(trial.suggest_int(parameter.name, int(parameter.lower), int(parameter.upper)))
-    value = trial.suggest_float(
+        return float(optuna_trial.suggest_int(parameter.name, int(parameter.lower), int(parameter.upper)))
+    value = optuna_trial.suggest_float(
         parameter.name, parameter.lower, parameter.upper, log=parameter.is_logarithmic
     )
     return parameter.rounded(value)

@@ -42,17 +42,17 @@ class CandidateRanking:
         ]
         return tuple((objective, limit) for objective, limit in limits if limit is not None)
 
-    def violations(self, trial: MeasuredCandidate) -> dict[str, float]:
+    def violations(self, candidate: MeasuredCandidate) -> dict[str, float]:
         """Compute by how much each limit is exceeded.
 
         A share of wrong orders that the start has as well is not counted.
         """
-        if not trial.measured:
+        if not candidate.measured:
             return {"measured": 1e6}  # chosen: more than any measured candidate can exceed limits by
         share = max(self.problem.constraints.wrong_orders, self.start.figures.wrong_orders)
-        excess = {"wrong_orders": trial.figures.wrong_orders - share}
+        excess = {"wrong_orders": candidate.figures.wrong_orders - share}
         for objective, limit in self._limited:
-            value, of_start = objective.value(trial), objective.value(self.start)
+            value, of_start = objective.value(candidate), objective.value(self.start)
             excess[objective.key] = objective.excess(value, of_start, limit)
         return excess
 
@@ -60,12 +60,12 @@ class CandidateRanking:
         """Add up the excess over all limits."""
         return sum(max(excess, 0.0) for excess in self.violations(trial).values())
 
-    def values(self, trial: MeasuredCandidate) -> tuple[float, ...]:
+    def values(self, candidate: MeasuredCandidate) -> tuple[float, ...]:
         """Compute the objectives, signed so that lower is better."""
-        if not trial.measured:
+        if not candidate.measured:
             return (math.inf,) * len(self.objectives)
         return tuple(
-            -objective.value(trial) if objective.is_maximised else objective.value(trial)
+            -objective.value(candidate) if objective.is_maximised else objective.value(candidate)
             for objective in self.objectives
         )
 
@@ -73,14 +73,14 @@ class CandidateRanking:
         """Collect the objectives of a measured candidate, by key and as they are."""
         return {objective.key: objective.value(trial) for objective in self.objectives}
 
-    def rank(self, trial: MeasuredCandidate) -> Rank:
+    def rank(self, candidate: MeasuredCandidate) -> Rank:
         """Compute a sort key: acceptable before others, then by the objectives, then by the mean distance."""
-        distance = trial.figures.surface_smcd_um if trial.measured else math.inf
-        return self.violation(trial), self.values(trial), distance
+        distance = candidate.figures.surface_smcd_um if candidate.measured else math.inf
+        return self.violation(candidate), self.values(candidate), distance
 
-    def rank_by_distance(self, trial: MeasuredCandidate) -> Rank:
+    def rank_by_distance(self, candidate: MeasuredCandidate) -> Rank:
         """Compute a sort key without the objectives: acceptable first, then by mean distance."""
-        violation, _, distance = self.rank(trial)
+        violation, _, distance = self.rank(candidate)
         return violation, (distance,), distance
 
     def is_acceptable(self, trial: MeasuredCandidate) -> bool:

@@ -264,11 +264,11 @@ def _within(coordinate: Floats | Map, lower: Floats | Map, upper: Floats | Map, 
     return np.asarray((coordinate > lower - half) & (coordinate < upper + half))
 
 
-def _random_subset(of: Mask, count: int | None, random: np.random.Generator) -> Mask:
+def _random_subset(mask: Mask, count: int | None, random: np.random.Generator) -> Mask:
     """Select about `count` of the elements that are true, or all of them."""
     if count is None:
-        return of
-    return np.asarray(random.random(of.shape) < count / max(1, np.count_nonzero(of)))
+        return mask
+    return np.asarray(random.random(mask.shape) < count / max(1, np.count_nonzero(mask)))
 
 
 def _intersect_pixel_rays(shape: RayTracedShape, calibration: Calibration) -> Floats:

@@ -127,9 +127,9 @@ def _distance(parameters: Sequence[Parameter], point: Point, other: Point) -> fl
     return float(np.linalg.norm(differences))
 
 
-def _difference_by_seeds_um(trial: MeasuredCandidate, best: MeasuredCandidate) -> tuple[float, float]:
+def _difference_by_seeds_um(candidate: MeasuredCandidate, best: MeasuredCandidate) -> tuple[float, float]:
     """By how much a candidate is worse, seed by seed, and the standard uncertainty of that, in µm."""
-    best_by_seed, trial_by_seed = seed_means(best.scores), seed_means(trial.scores)
+    best_by_seed, trial_by_seed = seed_means(best.scores), seed_means(candidate.scores)
     differences = np.array(
         [trial_by_seed[seed] - best_by_seed[seed] for seed in best_by_seed if seed in trial_by_seed]
     )

@@ -186,15 +186,17 @@ def _check_number(recording: Recording) -> None:
         )
 
 
-def _check_same_format(name: str, n: int, frame: Image, first: Image) -> None:
+def _check_same_format(name: str, number: int, frame: Image, first: Image) -> None:
     if frame.ndim != 2 or frame.size == 0:
         raise DataError(
-            f"{name}: frame {n} has the shape {frame.shape}; a grey image (height, width) is needed"
+            f"{name}: frame {number} has the shape {frame.shape}; a grey image (height, width) is needed"
         )
     if frame.shape != first.shape:
-        raise DataError(f"{name}: frame {n} is {_size(frame)} pixels, but frame 0 is {_size(first)}")
+        raise DataError(f"{name}: frame {number} is {_size(frame)} pixels, but frame 0 is {_size(first)}")
     if frame.dtype != first.dtype:
-        raise DataError(f"{name}: frame {n} is {frame.dtype}, but frame 0 is {first.dtype}; use one type")
+        raise DataError(
+            f"{name}: frame {number} is {frame.dtype}, but frame 0 is {first.dtype}; use one type"
+        )
 
 
 def _check_depth(recording: Recording) -> None:

@@ -33,17 +33,17 @@ def vote_orders(
 def _vote_once(
     coordinate: Map,
     pixels: NDArray[np.int64],
-    other: Map,
+    previous: Map,
     reach: int,
     period: np.float32,
     backed: NDArray[np.bool_],
 ) -> int:
-    """One pass; returns how many pixels changed. `other` keeps what they changed from."""
+    """One pass; returns how many pixels changed. `previous` keeps what they changed from."""
     height, width = coordinate.shape
     swap = np.zeros(len(pixels), np.bool_)
     for p in range(len(pixels)):
         row, column = pixels[p] // width, pixels[p] % width
-        own, runner_up = coordinate[row, column], other[p]
+        own, runner_up = coordinate[row, column], previous[p]
         near = (abs(own - runner_up) if np.isfinite(runner_up) else period) / 4
         for_own, for_runner_up, measured = 0, 0, 0
         for r in range(max(0, row - reach), min(height, row + reach + 1)):
@@ -57,5 +57,5 @@ def _vote_once(
     for p in range(len(pixels)):
         if swap[p]:
             row, column = pixels[p] // width, pixels[p] % width
-            coordinate[row, column], other[p] = other[p], coordinate[row, column]
+            coordinate[row, column], previous[p] = previous[p], coordinate[row, column]
     return int(swap.sum())

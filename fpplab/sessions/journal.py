@@ -89,14 +89,14 @@ def pattern_ids(plan: Plan) -> list[str]:
 
 
 def check_frame_place(
-    index: int, pattern: str, ids: list[str], taken: Container[int], where: Path | str
+    index: int, pattern: str, ids: list[str], taken: Container[int], error_prefix: Path | str
 ) -> None:
     """Refuse a frame that does not belong where it claims to."""
     if index in taken:
-        raise DataError(f"{where}: frame {index} is recorded already")
+        raise DataError(f"{error_prefix}: frame {index} is recorded already")
     if not 0 <= index < len(ids) or pattern != ids[index]:
         raise DataError(
-            f"{where}: frame {index} shows '{pattern}', which is not what the plan has there: "
+            f"{error_prefix}: frame {index} shows '{pattern}', which is not what the plan has there: "
             "the frames are of another plan"
         )
 
@@ -133,16 +133,18 @@ def readable_lines(path: Path, plan: Plan | None) -> JournalLines:
     return JournalLines(records, tuple(faults))
 
 
-def _record_of(line: bytes, where: str, ids: list[str] | None, taken: Container[int]) -> FrameRecord:
+def _record_of(line: bytes, error_prefix: str, ids: list[str] | None, taken: Container[int]) -> FrameRecord:
     """The record that a line holds; raises `DataError`."""
     try:
         record = FrameRecord.model_validate_json(line)
     except ValidationError as error:
-        raise DataError(f"{where}: is not a frame's record ({config.describe(error)})") from error
+        raise DataError(f"{error_prefix}: is not a frame's record ({config.describe(error)})") from error
     if ids is not None:
-        check_frame_place(record.index, record.pattern, ids, taken, where)
+        check_frame_place(record.index, record.pattern, ids, taken, error_prefix)
     if record.file != frame_file(record.index, record.pattern):
-        raise DataError(f"{where}: frame {record.index} names the file '{record.file}', which is not its own")
+        raise DataError(
+            f"{error_prefix}: frame {record.index} names the file '{record.file}', which is not its own"
+        )
     return record
 
 

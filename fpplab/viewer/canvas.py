@@ -92,12 +92,12 @@ class Canvas:
         for stream in self._streams:
             stream.set_time(timeline, sequence=number)
 
-    def log(self, entity: str, what: Any, *, static: bool = False, bulky: bool = False) -> None:
+    def log(self, entity: str, archetype: Any, *, static: bool = False, bulky: bool = False) -> None:
         """Draw one of rerun's archetypes."""
         if self._live:
-            self._live.log(entity, what, static=static)
+            self._live.log(entity, archetype, static=static)
         if self._kept and not (bulky and self._bytes > MAX_RECORDING_BYTES):
-            self._kept.log(entity, what, static=static)
+            self._kept.log(entity, archetype, static=static)
 
     def picture(self, entity: str, pixels: NDArray[np.uint8], *, static: bool = False) -> None:
         """Show an image, compressed as JPEG, a tenth of the size, since it is only for display."""

@@ -50,7 +50,7 @@ def run(program: str, kind: str, files: list[str]) -> None:
     home = tempfile.mkdtemp(prefix="fpplab-viewer-")
     rerun: subprocess.Popen[bytes] | None = None
     try:
-        data, raw = _free_ports(2)
+        data, raw = _find_free_ports(2)
         rerun = _start_rerun(program, kind, files, data, raw, Path(home))
         threading.Thread(target=_end_with_parent, args=(rerun,), daemon=True).start()
         for port in (data, raw) if kind == "browser" else (data,):
@@ -132,8 +132,8 @@ def _wait_until_listening(rerun: subprocess.Popen[bytes], port: int, log: Path) 
     raise OSError(f"rerun did not start within {START_TIMEOUT_S:g} s")
 
 
-def _free_ports(n: int) -> list[int]:
-    sockets = [socket.create_server((LOCAL, 0)) for _ in range(n)]
+def _find_free_ports(count: int) -> list[int]:
+    sockets = [socket.create_server((LOCAL, 0)) for _ in range(count)]
     ports = [int(s.getsockname()[1]) for s in sockets]
     for s in sockets:
         s.close()

@@ -53,7 +53,7 @@ class SearchView(CommandView):
             ("optimum", epoch.best),
             *((f"front {k}", candidate) for k, candidate in enumerate(epoch.front, 1)),
         ]
-        rows = "\n".join(_row(name, candidate) for name, candidate in listed)
+        rows = "\n".join(_candidate_row(name, candidate) for name, candidate in listed)
         self.canvas.text(
             "words/optimum",
             f"**Epoch {epoch.number}**, {epoch.step}: {epoch.measured} candidates measured\n\n"
@@ -63,7 +63,7 @@ class SearchView(CommandView):
         )
 
 
-def _row(name: str, trial: MeasuredCandidate) -> str:
+def _candidate_row(name: str, trial: MeasuredCandidate) -> str:
     figures, candidate = trial.figures, trial.candidate
     cells = (
         name,

@@ -129,11 +129,11 @@ class Vibration(Effect[VibrationFields]):
 
 
 def vibration_displacement_mm(
-    own: VibrationFields, random: np.random.Generator, frame: float, phase: float
+    fields: VibrationFields, random: np.random.Generator, frame: float, phase: float
 ) -> Floats:
     """Draw by how much vibration displaces the item in one frame."""
     # returns (3,) mm
-    moved, line = own.vibration_mm * random.standard_normal(3), own.vibration_line
+    moved, line = fields.vibration_mm * random.standard_normal(3), fields.vibration_line
     if line is None:
         return moved
     swing = np.sqrt(2.0 * line.periodic) * np.sin(2 * np.pi * (line.cycles_per_frame * frame + phase))

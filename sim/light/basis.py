@@ -18,10 +18,10 @@ class Basis:
     weights: NDArray[np.float64]  # (patterns, channels)
     channels: PatternLevels  # (channels, rows, columns) of mirrors, within [0, 1]; the first is white
 
-    def level(self, n: int) -> PatternLevels:
+    def level(self, pattern_index: int) -> PatternLevels:
         """Compute the light of one pattern as the basis represents it."""
         # returns (rows, columns)
-        weights = self.weights[n].astype(np.float32)
+        weights = self.weights[pattern_index].astype(np.float32)
         return np.asarray(np.tensordot(weights, self.channels, axes=1))
 
 

@@ -188,15 +188,15 @@ class Light:
             return self._motions.get(key, lambda: computed_motion(scene, self._views(setup), True)).table
         return self._tables.get(key, lambda: self._load_or_make(setup, key))
 
-    def inherit(self, other: Light) -> None:
+    def inherit(self, other_light: Light) -> None:
         """Take over the tables of another world; those with the same key are valid here too.
 
         The other's caches are emptied, because garbage collection would free their memory only much later.
         """
-        self._tables.take(other._tables)
-        self._motions.take(other._motions)
-        self._projector.inherit(other._projector)
-        other.forget()
+        self._tables.take(other_light._tables)
+        self._motions.take(other_light._motions)
+        self._projector.inherit(other_light._projector)
+        other_light.forget()
 
     def forget(self) -> None:
         """Drop every picture and table in memory."""

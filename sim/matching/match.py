@@ -343,22 +343,22 @@ def _difference(at: MatchingContext) -> float:
     return float(np.sqrt(light_fit.mean_square_difference(at.reference, at.twin, at.samples)))
 
 
-def _changing_shares(at: MatchingContext, mean_square: float) -> dict[str, float]:
+def _changing_shares(context: MatchingContext, mean_square: float) -> dict[str, float]:
     """Shares of what is left that flicker, bands, vibration and the sensor's noise make."""
-    now, whole = at.twin.parameters, _mean_square_noise(at)
+    now, whole = context.twin.parameters, _mean_square_noise(context)
     without = {effect.name: effect.without(now) if effect.is_in(now) else None for effect in VARYING_EFFECTS}
     shares = dict.fromkeys(without, 0.0)
     for step, steady in without.items():
         if steady is not None:
-            shares[step] = (whole - _mean_square_noise(at.with_parameters(steady))) / mean_square
+            shares[step] = (whole - _mean_square_noise(context.with_parameters(steady))) / mean_square
     return {**shares, "noise": whole / mean_square - sum(shares.values())}
 
 
-def _mean_square_noise(at: MatchingContext) -> float:
+def _mean_square_noise(context: MatchingContext) -> float:
     """Mean square of the twin's own noise at the samples, since expected images have no noise."""
-    reference, twin = at.reference, at.twin
+    reference, twin = context.reference, context.twin
     squares = []
-    for sample in at.samples:
+    for sample in context.samples:
         patterns = reference.shown(sample.images)
         expected = twin.expected_at(sample.pose, patterns, reference.settings, sample.pixels)
         for frame, level in zip(

@@ -168,36 +168,38 @@ class MatchingStep:
     again: bool = True  # whether it is tried in a later round after it was refused
 
 
-def _projector_defocus(at: MatchingContext) -> TwinParameters:
-    if at.projector_focus:
-        return at.fit_projector_sharpness()
-    if at.contrasts:
-        return _focus_by_contrasts(at)
+def _search_projector_defocus(context: MatchingContext) -> TwinParameters:
+    if context.projector_focus:
+        return context.fit_projector_sharpness()
+    if context.contrasts:
+        return _focus_by_contrasts(context)
     start = start_search.search_focus_grid(
-        at.reference, at.twin, _ends(at.samples), *PROJECTOR_FOCUS, APERTURES
+        context.reference, context.twin, _ends(context.samples), *PROJECTOR_FOCUS, APERTURES
     )
-    return at.with_parameters(start).fit_projector_sharpness()
+    return context.with_parameters(start).fit_projector_sharpness()
 
 
-def _focus_by_contrasts(at: MatchingContext) -> TwinParameters:
+def _focus_by_contrasts(context: MatchingContext) -> TwinParameters:
     """Fit the sharpness without a focus, and from several: contrasts are many times quicker than images."""
-    start, candidates = at.parameters, []
+    start, candidates = context.parameters, []
     for focus in (None, *start_search.focus_distances(start, "projector_focus_mm")):
-        tried = at.with_parameters(replace(start, projector_focus_mm=focus)).fit_projector_sharpness()
-        refocused = at.twin.with_parameters(tried)
-        candidates.append((light_fit.mean_square_difference(at.reference, refocused, at.contrasts), tried))
+        tried = context.with_parameters(replace(start, projector_focus_mm=focus)).fit_projector_sharpness()
+        refocused = context.twin.with_parameters(tried)
+        candidates.append(
+            (light_fit.mean_square_difference(context.reference, refocused, context.contrasts), tried)
+        )
     return min(candidates, key=lambda candidate: candidate[0])[1]
 
 
-def _depth_of_field(at: MatchingContext) -> TwinParameters:
-    if not at.camera_focus:
+def _fit_depth_of_field(context: MatchingContext) -> TwinParameters:
+    if not context.camera_focus:
         start = start_search.search_focus_grid(
-            at.reference, at.twin, _ends(at.samples), *CAMERA_FOCUS, F_NUMBERS
+            context.reference, context.twin, _ends(context.samples), *CAMERA_FOCUS, F_NUMBERS
         )
-        at = at.with_parameters(start)
-    if not at.camera_focus:
-        return at.parameters
-    return at.fit(*at.blur_by_images, *CAMERA_FOCUS)
+        context = context.with_parameters(start)
+    if not context.camera_focus:
+        return context.parameters
+    return context.fit(*context.blur_by_images, *CAMERA_FOCUS)
 
 
 def _ends(samples: Sequence[PixelSample]) -> list[PixelSample]:
@@ -216,27 +218,29 @@ def _fit_light_and_focus_together(context: MatchingContext) -> TwinParameters:
     return context.fit(*context.light_parameters(*names, *context.camera_focus))
 
 
-def _board_is_sharper(at: MatchingContext) -> bool:
+def _board_is_sharper(context: MatchingContext) -> bool:
     """Whether the board's fringes have more contrast than the twin's, in the mean over poses.
 
     Then it is not the projector that takes contrast from fringes on the parts, but the parts themselves.
     """
-    off = board_contrasts(at.reference, at.twin, _spread(at)).mean(axis=1)
+    off = board_contrasts(context.reference, context.twin, _spread(context)).mean(axis=1)
     error = off.std(ddof=1) / np.sqrt(len(off)) if len(off) > 1 else 0.0
     return bool(off.mean() > max(MIN_CONTRAST, SIGNIFICANT * error))
 
 
-def _without_contrasts(at: MatchingContext) -> TwinParameters:
+def _fit_without_contrasts(context: MatchingContext) -> TwinParameters:
     """Search the projector's focus by the board's images, and fit all light again."""
-    alone = replace(at, contrasts=()).with_parameters(replace(at.parameters, projector_focus_mm=None))
-    return _fit_light_and_focus_together(alone.with_parameters(_projector_defocus(alone)))
+    alone = replace(context, contrasts=()).with_parameters(
+        replace(context.parameters, projector_focus_mm=None)
+    )
+    return _fit_light_and_focus_together(alone.with_parameters(_search_projector_defocus(alone)))
 
 
-def _contrast_left(at: MatchingContext) -> float | None:
+def _contrast_misfit_left(context: MatchingContext) -> float | None:
     """What is left of contrasts, of which the loss knows nothing; None without them."""
-    if not at.contrasts:
+    if not context.contrasts:
         return None
-    return light_fit.mean_square_difference(at.reference, at.twin, at.contrasts)
+    return light_fit.mean_square_difference(context.reference, context.twin, context.contrasts)
 
 
 def _refine_by_images(at: MatchingContext) -> TwinParameters:
@@ -266,7 +270,7 @@ VARYING_EFFECTS = tuple(effect for effect in EFFECTS if effect.varies)
 """Those that no expected image shows."""
 SHARPNESS_OF_BOARD = MatchingStep(
     "sharpness of the board",
-    _without_contrasts,
+    _fit_without_contrasts,
     applies=lambda at: bool(at.contrasts) and _board_is_sharper(at),
 )
 """Taken after all rounds, where contrasts gave a blur that the board's fringes do not have."""
@@ -285,13 +289,13 @@ FIRST_STEPS = (
     ),
     MatchingStep(
         "projector defocus",
-        _projector_defocus,
-        misfit=_contrast_left,
+        _search_projector_defocus,
+        misfit=_contrast_misfit_left,
         explains="blur of the projector that grows with the distance from its focus",
     ),
     MatchingStep(
         "depth of field",
-        _depth_of_field,
+        _fit_depth_of_field,
         explains="blur of the camera that grows with the distance from its focus",
     ),
     MatchingStep(
@@ -325,7 +329,7 @@ REPEATED_STEPS = (
     MatchingStep(
         "fine fringes",
         lambda at: at.fit_projector_sharpness(),
-        misfit=_contrast_left,
+        misfit=_contrast_misfit_left,
         applies=lambda at: bool(at.contrasts),
     ),
 )

@@ -121,12 +121,12 @@ def plan_seconds(rig: Rig, plan: Plan) -> float:
     return images * (plan.exposure_s + camera.readout_s + camera.dark_s + plan.settle_s)
 
 
-def sampled_rows(seen: Mask, pixels: int) -> tuple[Rows, Rows]:
+def sampled_rows(item_mask: Mask, pixels: int) -> tuple[Rows, Rows]:
     """Choose bands of rows, evenly spread over what is seen of an item."""
-    # seen (height, width)
-    used = np.flatnonzero(seen.any(axis=1))
-    first, end = max(0, int(used[0]) - MARGIN), min(len(seen), int(used[-1]) + 1 + MARGIN)
-    share = min(1.0, pixels / max(1, int(np.count_nonzero(seen))))
+    # item_mask (height, width)
+    used = np.flatnonzero(item_mask.any(axis=1))
+    first, end = max(0, int(used[0]) - MARGIN), min(len(item_mask), int(used[-1]) + 1 + MARGIN)
+    share = min(1.0, pixels / max(1, int(np.count_nonzero(item_mask))))
     inside = BAND - 2 * MARGIN
     count = max(1, round(share * (end - first) / inside))
     if count * BAND >= end - first:

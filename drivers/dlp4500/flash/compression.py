@@ -112,10 +112,10 @@ def _same(row: ImageBytes, a: int, b: int) -> bool:
 
 
 @njit(inline="always")
-def _copy_pixels(row: ImageBytes, column: int, count: int, stored: ImageBytes, at: int) -> int:
+def _copy_pixels(row: ImageBytes, column: int, count: int, stored: ImageBytes, stored_offset: int) -> int:
     """Copy `count` pixels and return where the next byte goes."""
     for i in range(column, column + count):
         for plane in range(3):
-            stored[at] = row[i, plane]
-            at += 1
-    return at
+            stored[stored_offset] = row[i, plane]
+            stored_offset += 1
+    return stored_offset

@@ -74,7 +74,7 @@ class BootLoaderLink:
     def identify(self) -> None:
         """Check the type of the flash and select the algorithm that writes it."""
         self._wait("identify")  # an interrupted upload may have left it busy
-        identity = self._number(_MANUFACTURER), self._number(_DEVICE)
+        identity = self._read_number(_MANUFACTURER), self._read_number(_DEVICE)
         if identity != EVM_FLASH:
             raise DeviceError(
                 self.name,
@@ -114,7 +114,7 @@ class BootLoaderLink:
         self.link.write(UPLOAD_SIZE, value=size)
         self.link.write(SUM)
         self._wait("start checksum")
-        return self._number(_CHECKSUM)
+        return self._read_number(_CHECKSUM)
 
     def read(self, offset: int, size: int) -> bytes:
         """Read a few bytes, one checksum for each."""
@@ -137,10 +137,10 @@ class BootLoaderLink:
                 f"{memory.SECTOR:#x} to {memory.SIZE:#x} can be written",
             )
 
-    def _number(self, what: int) -> int:
+    def _read_number(self, query: int) -> int:
         # The value is in bytes 6 to 9; the device id continues in bytes 12 to 15.
-        answer = self.link.read_bytes(READ_STATUS, what=what)
-        low, high = answer[6:10], answer[12:16] if what == _DEVICE else b""
+        answer = self.link.read_bytes(READ_STATUS, what=query)
+        low, high = answer[6:10], answer[12:16] if query == _DEVICE else b""
         return int.from_bytes(low + high, "little")
 
     def _wait(self, operation: str) -> None:

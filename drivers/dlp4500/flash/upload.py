@@ -163,10 +163,10 @@ def _table_differs(firmware: Firmware, loader: BootLoaderLink) -> bool:
     )
 
 
-def _is_same(firmware: Firmware, loader: BootLoaderLink, part: FlashBlock) -> bool:
+def _is_same(firmware: Firmware, loader: BootLoaderLink, block: FlashBlock) -> bool:
     """Tell whether the checksum of the projector's flash is that of the file."""
-    expected = memory.flash_checksum(firmware.content[part.offset : part.end])
-    return loader.checksum(part.offset, part.size) == expected
+    expected = memory.flash_checksum(firmware.content[block.offset : block.end])
+    return loader.checksum(block.offset, block.size) == expected
 
 
 def _sector_of_firmware(firmware: Firmware, sector: int) -> FlashBlock:

@@ -141,8 +141,8 @@ def _from_runs(data: bytes, width: int, height: int) -> bytes:
             return b"".join(rows)
 
 
-def _skip_padding(data: bytes, at: int, multiple: int) -> int:
-    end = at + -at % multiple
-    if any(data[at:end]):
-        raise ValueError(f"the padding at byte {at} is not zero")
+def _skip_padding(data: bytes, offset: int, multiple: int) -> int:
+    end = offset + -offset % multiple
+    if any(data[offset:end]):
+        raise ValueError(f"the padding at byte {offset} is not zero")
     return end

@@ -146,29 +146,31 @@ def _with_stripes(sets: Sets, stripes: Mapping[int, float]) -> Edit:
 
 
 def _stripes_near(
-    sets: Sets, others: Sequence[int], k: int, about: float, sample: PhaseSample
+    sets: Sets, others: Sequence[int], k: int, stated_stripes: float, sample: PhaseSample
 ) -> Sequence[float]:
     """Stripes that a set may have, other than those it is said to have."""
-    if min(sets[j].stripes for j in others) <= 1.0 < about:
-        near = [refined_stripes(sets, others, k, about, sample)]
+    if min(sets[j].stripes for j in others) <= 1.0 < stated_stripes:
+        near = [refined_stripes(sets, others, k, stated_stripes, sample)]
     else:
-        near = [float(round(about) + by) for by in (0, -1, 1, -2, 2)]
+        near = [float(round(stated_stripes) + by) for by in (0, -1, 1, -2, 2)]
     return [stripes for stripes in near if stripes > 0 and stripes != sets[k].stripes]
 
 
-def refined_stripes(sets: Sets, along: Sequence[int], k: int, about: float, sample: PhaseSample) -> float:
+def refined_stripes(
+    sets: Sets, along: Sequence[int], k: int, approximate_stripes: float, sample: PhaseSample
+) -> float:
     """Measure the stripes of a set by the positions that coarser sets give."""
-    others = [j for j in along if j != k and sets[j].stripes < about]
+    others = [j for j in along if j != k and sets[j].stripes < approximate_stripes]
     position = unwrap_finest(sets, others, sample) / sets[max(others, key=lambda j: sets[j].stripes)].stripes
     phase = phases_of(sets, sample)[k]
 
     def agreement(stripes: float) -> complex:
         return complex(np.mean(np.exp(1j * (phase - stripes * position))))
 
-    reach = max(sample.limits.stripes_searched * about, 1.0)
-    whole = np.arange(max(round(about - reach), 1), round(about + reach) + 1)
+    reach = max(sample.limits.stripes_searched * approximate_stripes, 1.0)
+    whole = np.arange(max(round(approximate_stripes - reach), 1), round(approximate_stripes + reach) + 1)
     usual = max(whole, key=lambda stripes: agreement(stripes).real)  # a whole number, and no origin
-    tried = np.linspace(about - reach, about + reach, 401)
+    tried = np.linspace(approximate_stripes - reach, approximate_stripes + reach, 401)
     best = max(tried, key=lambda stripes: abs(agreement(stripes)))
     if agreement(usual).real >= sample.limits.min_whole_agreement * abs(agreement(best)):
         return float(usual)
@@ -288,11 +290,11 @@ def _other(axis: Axis) -> Axis:
     return "y" if axis == "x" else "x"
 
 
-def _name_sets(sets: Sets, which: Sequence[int]) -> str:
+def _name_sets(sets: Sets, set_indices: Sequence[int]) -> str:
     """Name sets by index and stripes, or all along an axis at once."""
     names = []
     for axis in AXES:
-        indices = [k for k in which if sets[k].axis == axis]
+        indices = [k for k in set_indices if sets[k].axis == axis]
         if len(indices) == len(indices_along(sets, axis)) > 1:
             names.append(f"every set along {axis}")
         else:
@@ -300,9 +302,11 @@ def _name_sets(sets: Sets, which: Sequence[int]) -> str:
     return " and ".join(names)
 
 
-def _text_to_write_in_sets(sets: Sets, which: Sequence[int], key: str, value: Callable[[int], object]) -> str:
+def _text_to_write_in_sets(
+    sets: Sets, set_indices: Sequence[int], key: str, value: Callable[[int], object]
+) -> str:
     """Say what to write in which sets."""
     by_value: dict[str, list[int]] = {}
-    for k in which:
+    for k in set_indices:
         by_value.setdefault(str(value(k)), []).append(k)
     return "; ".join(f"write '{key}: {text}' in {_name_sets(sets, ks)}" for text, ks in by_value.items())

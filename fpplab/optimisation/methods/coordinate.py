@@ -43,12 +43,12 @@ def coordinate_search(
     runner: CandidateRunner,
     settings: Coordinate,
     begin: MeasuredCandidate | None = None,
-    free: Sequence[int] | None = None,
+    parameter_indices: Sequence[int] | None = None,
     rank: Callable[[MeasuredCandidate], Rank] | None = None,
 ) -> str:
     """Search along some parameters from a candidate that was measured."""
     current, rank = begin or runner.start, rank or runner.ranking.rank
-    places = range(len(runner.space.parameters)) if free is None else free
+    places = range(len(runner.space.parameters)) if parameter_indices is None else parameter_indices
     length = settings.first
     while True:
         points = list(dict.fromkeys(_moves_along_parameters(runner, current.point, places, length)))

@@ -79,10 +79,10 @@ class Gradient(SearchMethod):
                 return f"improved by less than {self.gain:g} in {self.patience} epochs"
 
 
-def _penalised_objective(runner: CandidateRunner, trial: MeasuredCandidate) -> float:
+def _penalised_objective(runner: CandidateRunner, candidate: MeasuredCandidate) -> float:
     """Compute the objective in its own unit, with a penalty where the plan exceeds a limit."""
-    value, scale = runner.ranking.values(trial)[0], abs(runner.ranking.values(runner.start)[0])
-    return value + LIMITS.penalty * scale * runner.ranking.violation(trial)
+    value, scale = runner.ranking.values(candidate)[0], abs(runner.ranking.values(runner.start)[0])
+    return value + LIMITS.penalty * scale * runner.ranking.violation(candidate)
 
 
 def _points_around(runner: CandidateRunner, point: Point, settings: Gradient) -> list[tuple[Point, Point]]:

@@ -111,10 +111,12 @@ def _search_for_seed_points(runner: CandidateRunner) -> list[Point]:
     return list(dict.fromkeys(point for point in singles if runner.is_feasible(point)))
 
 
-def _differs_only_in(trial: MeasuredCandidate, begin: MeasuredCandidate, places: Sequence[int]) -> bool:
+def _differs_only_in(
+    candidate: MeasuredCandidate, begin: MeasuredCandidate, parameter_indices: Sequence[int]
+) -> bool:
     """Whether a trial equals `begin` in all parameters but those at `places`."""
-    pairs = zip(trial.point, begin.point, strict=True)
-    return all(a == b for i, (a, b) in enumerate(pairs) if i not in places)
+    pairs = zip(candidate.point, begin.point, strict=True)
+    return all(a == b for i, (a, b) in enumerate(pairs) if i not in parameter_indices)
 
 
 def _grow_phase_plan(runner: CandidateRunner, point: Point, places: Sequence[int]) -> list[MeasuredCandidate]:

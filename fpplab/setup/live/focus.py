@@ -55,11 +55,11 @@ def camera_sharpness(
     return FocusMeasure(by_region, math.sqrt(powers / levels) if any_known else None)
 
 
-def _gradient_power(image: Floats, other: Floats) -> tuple[float, float]:
+def _gradient_power(image: Floats, second_image: Floats) -> tuple[float, float]:
     """Mean square gradient that two images share, and its standard uncertainty by noise alone."""
     power, noises = 0.0, 0.0
     for axis in (0, 1):
-        first, second = np.gradient(image, axis=axis), np.gradient(other, axis=axis)
+        first, second = np.gradient(image, axis=axis), np.gradient(second_image, axis=axis)
         # About their means: light that falls off across the region is no texture.
         power += float(np.mean(first * second) - first.mean() * second.mean())
         noises += float(np.mean(np.square(first - second)))

@@ -87,7 +87,7 @@ def terms_of_pose(reference: Reference, twin: Twin, pose: int) -> FrameTerms:
     frames = reference.frames(pose, images)[:, *pixels].astype(np.float64)
     bases = [np.column_stack([light, other, slope]) for light, slope in zip(projected, slopes, strict=True)]
     differences = frames - expected - change_by_bend(reference, now, pose, pixels, slopes)
-    fits = [_fit(off, basis) for off, basis in zip(differences, bases, strict=True)]
+    fits = [_fit_differences(off, basis) for off, basis in zip(differences, bases, strict=True)]
     values = np.array([coefficients for coefficients, _ in fits])
     residuals, tiles = np.array([rest for _, rest in fits]), tile_numbers(pixels)
     both = [
@@ -106,11 +106,11 @@ def _images_of_finest_sets(plan: Plan) -> tuple[tuple[int, ...], NDArray[np.int6
     return images, np.array(sets, np.int64)
 
 
-def _fit(off: Floats, basis: Floats) -> tuple[Floats, Floats]:
+def _fit_differences(differences: Floats, columns: Floats) -> tuple[Floats, Floats]:
     """Fit differences (P,) by a basis (P, 5); the coefficients (5,), and what they leave (P,)."""
-    size = _sizes(basis)
-    coefficients = np.linalg.lstsq(basis / size, off, rcond=1e-6)[0] / size
-    return coefficients, off - basis @ coefficients
+    size = _sizes(columns)
+    coefficients = np.linalg.lstsq(columns / size, differences, rcond=1e-6)[0] / size
+    return coefficients, differences - columns @ coefficients
 
 
 def _sizes(basis: Floats) -> Floats:

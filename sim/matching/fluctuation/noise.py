@@ -107,11 +107,11 @@ def _above_rounding(noise: NoiseModel, level: float) -> float:
 
 
 def _read_noise(
-    reference: Reference, twin: Twin, poses: Sequence[int], own: Sequence[NoiseModel], excess: float
+    reference: Reference, twin: Twin, poses: Sequence[int], twin_noise: Sequence[NoiseModel], excess: float
 ) -> float:
     """Read noise that adds `excess` to the variance at black, by what a probe adds to it."""
     now = twin.parameters
-    before = float(np.mean([model.constant for model in own]))
+    before = float(np.mean([model.constant for model in twin_noise]))
     probe_e, added = max(LIMITS.probe_e, now.read_noise_e), 0.0
     while added < 0.5 * abs(excess) and probe_e < LIMITS.max_probe_e:
         probe_e *= LIMITS.probe_factor

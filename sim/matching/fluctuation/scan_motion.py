@@ -146,24 +146,24 @@ def _turns(twin: Twin, scan: BenchScan, pixels: PixelIndices, axis: Axis) -> Flo
     )
 
 
-def _fit_common_speed(parts: Sequence[_SetMotion], now: TwinParameters) -> ScanMotion:
+def _fit_common_speed(set_motions: Sequence[_SetMotion], now: TwinParameters) -> ScanMotion:
     """Fit one speed to all sets, robustly."""
-    rest = np.concatenate([part.rest.ravel() for part in parts])
-    speed = np.concatenate([part.speed.ravel() for part in parts])
+    rest = np.concatenate([part.rest.ravel() for part in set_motions])
+    speed = np.concatenate([part.speed.ravel() for part in set_motions])
     weight = np.ones_like(rest)
     for _ in range(LIMITS.rounds):
         strength = float(np.sum(weight * speed**2))
         v = float(np.sum(weight * speed * rest)) / max(strength, 1e-12)
         residual = rest - v * speed
         weight = huber_weights(residual, robust_spread(residual))
-    tiles = np.concatenate([np.tile(part.tiles, len(part.rest)) for part in parts])
+    tiles = np.concatenate([np.tile(part.tiles, len(part.rest)) for part in set_motions])
     scores = (weight * speed * residual)[:, None]
     by_rest = float(multiway_covariance(np.array([[1.0 / max(strength, 1e-12)]]), scores, [tiles])[0, 0])
     # The speed that a displacement of a single frame looks like, whose sizes vibration draws.
-    ends = np.cumsum([0, *(part.rest.size for part in parts)])
+    ends = np.cumsum([0, *(part.rest.size for part in set_motions)])
     looks_like = [
         np.sum((weight * speed)[first:end] * shown.ravel()) / max(strength, 1e-12)
-        for part, first, end in zip(parts, ends[:-1], ends[1:], strict=True)
+        for part, first, end in zip(set_motions, ends[:-1], ends[1:], strict=True)
         for shown in part.shown
     ]
     along = now.vibration_mm**2 + now.vibration_line_mm[2] ** 2
