@@ -59,7 +59,7 @@ def acquire(rig: Rig, plan: Plan, session: Session, observe: FrameObserver = ign
             if ends:
                 brightness.append(float(shot.image.mean()))
         brightness += [float(shot.image.mean()) for shot in shots]
-    if ends and not _ended(brightness):
+    if ends and not _ends_black_and_white(brightness):
         raise _out_of_step(rig, session, NO_END_MARKER)
     if missing:
         _prove(rig, session)
@@ -74,7 +74,7 @@ def capture(rig: Rig, plan: Plan) -> list[Image]:
     settings = rig.camera_settings(plan.exposure_s, plan.bits)
     with closing(expose(rig, patterns, settings, plan)) as shots:
         frames = [shot.image for shot in shots]
-    if ends and not _ended([float(frame.mean()) for frame in frames]):
+    if ends and not _ends_black_and_white([float(frame.mean()) for frame in frames]):
         raise SyncError(rig.camera.name, "capture", NO_END_MARKER, synchronisation_remedy(plan))
     taken = Recording(frames[: plan.images], plan, caps.size, settings.bits, "frames")
     verdict = check_synchronisation(taken)
@@ -89,7 +89,7 @@ def end_markers(plan: Plan, size: tuple[int, int]) -> list[Pattern]:
     return list(uniform_patterns([0, 255], size)) if needed else []
 
 
-def _ended(brightness: Sequence[float]) -> bool:
+def _ends_black_and_white(brightness: Sequence[float]) -> bool:
     """Whether the last two frames are darker and brighter than every other."""
     *fringes, black, white = brightness
     return black < min(fringes) and white > max(fringes)

@@ -33,7 +33,7 @@ def load_part(path: Path) -> trimesh.Trimesh:
     return mesh
 
 
-def unpaired_edges(mesh: trimesh.Trimesh) -> int:
+def count_unpaired_edges(mesh: trimesh.Trimesh) -> int:
     """Count the edges of a mesh that do not join two faces; a closed surface has none."""
     _, joins = np.unique(mesh.edges_sorted, axis=0, return_counts=True)
     return int((joins != 2).sum())
@@ -43,7 +43,7 @@ def check_solid(mesh: trimesh.Trimesh, name: str) -> None:
     """Check that a mesh is closed and its faces are directed outwards."""
     if len(mesh.faces) == 0:
         raise ConfigError(f"{name}: has no faces; give the mesh of a solid")
-    if unpaired := unpaired_edges(mesh):
+    if unpaired := count_unpaired_edges(mesh):
         raise ConfigError(
             f"{name}: is not watertight, for {unpaired} open edges do not join two faces; "
             "close its surface in a mesh editor"

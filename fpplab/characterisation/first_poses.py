@@ -58,7 +58,7 @@ class RoughView:
         middle = (0.5 * (sizes[0][0] - 1), 0.5 * (sizes[0][1] - 1))
         centred = [(target.points()[o.ids], o.camera_px - middle) for o in observations]
         focal = (
-            _focal(centred)
+            _focal_length_from_homographies(centred)
             if known_pose is None
             else _focal_of_known(known_pose.apply(points), centred[0][1])
         )
@@ -111,7 +111,7 @@ def _focal_of_known(places: Floats, centred_px: Floats) -> float:
     return float(np.sum(slopes * centred_px) / np.sum(slopes**2))
 
 
-def _focal(views: Sequence[tuple[Floats, Floats]]) -> float:
+def _focal_length_from_homographies(views: Sequence[tuple[Floats, Floats]]) -> float:
     """Focal length in px by the homographies of tilted boards; NaN where they do not determine it."""
     coefficients, constants = [], []
     for points, pixels in views:

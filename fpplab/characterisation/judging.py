@@ -138,7 +138,7 @@ def judge(
     rejectable = rejectable_points(observations)
     kept, rejected = reject_points(observations, replace(judged.devices, poses=poses), rejectable)
     predictions = [_prediction(judged, o) for o in kept]
-    camera, projector = (_errors(predictions, d) for d in (0, 1))
+    camera, projector = (_errors_of_device(predictions, d) for d in (0, 1))
     return Judgement(
         tuple(_judged_pose(prediction) for prediction in predictions),
         camera,
@@ -240,11 +240,11 @@ def _prediction(judged: _Judged, observation: Observation) -> _Prediction:
 
 
 def _judged_pose(prediction: _Prediction) -> JudgedPose:
-    camera, projector = (_errors([prediction], d) for d in (0, 1))
+    camera, projector = (_errors_of_device([prediction], d) for d in (0, 1))
     return JudgedPose(prediction.name, prediction.residuals.shape[1] // 2, camera, projector)
 
 
-def _errors(predictions: Sequence[_Prediction], device: int) -> Errors:
+def _errors_of_device(predictions: Sequence[_Prediction], device: int) -> Errors:
     """Errors of one device in some poses, which share those of the devices."""
     residuals = [prediction.residuals[device].reshape(-1, 2) for prediction in predictions]
     parts = [(prediction.own[device], prediction.common[device]) for prediction in predictions]

@@ -77,7 +77,7 @@ def _value_at_centre(basis: Floats, observed: Floats, weight: Floats, centre_val
         if (
             used.sum() < MIN_FIT_PIXELS
             or middle > MAX_OFF_CENTRE
-            or not _fit(basis, observed, weight, used, coefficients)
+            or not _fit_weighted_quadric(basis, observed, weight, used, coefficients)
         ):
             centre_value[:] = np.nan
             return
@@ -92,7 +92,7 @@ def _value_at_centre(basis: Floats, observed: Floats, weight: Floats, centre_val
 
 
 @njit(cache=True, error_model="numpy")
-def _fit(
+def _fit_weighted_quadric(
     basis: Floats, observed: Floats, weight: Floats, used: NDArray[np.bool_], coefficients: Floats
 ) -> bool:
     """Weighted least squares over the pixels used, into `coefficients` (2, 6); whether they determine it."""

@@ -31,9 +31,9 @@ def describe_pose(pose: RigidTransform, camera: Pinhole, first_mm: float) -> str
     column, row = (int(np.clip(3 * (x + 0.5) / n, 0, 2)) for x, n in zip((u, v), camera.size, strict=True))
     parts = [
         f"in the {REGION_NAMES[row][column]} of the image",
-        _distance(float(pose.translation[2]), first_mm),
+        _describe_distance(float(pose.translation[2]), first_mm),
     ]
-    return ", ".join([*parts, _tilt(pose), *_turn(pose)])
+    return ", ".join([*parts, _describe_tilt(pose), *_describe_turn(pose)])
 
 
 def outline_px(pose: RigidTransform, camera: Pinhole, size_mm: tuple[float, float]) -> Floats:
@@ -46,7 +46,7 @@ def outline_px(pose: RigidTransform, camera: Pinhole, size_mm: tuple[float, floa
     return camera.project(pose.apply(np.concatenate([a + steps * (b - a) for a, b in sides])))
 
 
-def _distance(z: float, first_mm: float) -> str:
+def _describe_distance(z: float, first_mm: float) -> str:
     difference = z - first_mm
     if abs(difference) < SAME_MM:
         return f"as far as the first pose ({z:.0f} mm from the camera)"
@@ -54,7 +54,7 @@ def _distance(z: float, first_mm: float) -> str:
     return f"{abs(difference):.0f} mm {direction} than the first pose ({z:.0f} mm)"
 
 
-def _tilt(pose: RigidTransform) -> str:
+def _describe_tilt(pose: RigidTransform) -> str:
     across, down, along = pose.rotation[:, 2]
     tilt = float(np.degrees(np.arccos(np.clip(along, -1.0, 1.0))))
     if tilt < FACING_DEG:
@@ -64,7 +64,7 @@ def _tilt(pose: RigidTransform) -> str:
     return f"{EDGES[octant]} tilted away by {tilt:.0f} degrees"
 
 
-def _turn(pose: RigidTransform) -> list[str]:
+def _describe_turn(pose: RigidTransform) -> list[str]:
     turn = float(np.degrees(np.arctan2(pose.rotation[1, 0], pose.rotation[0, 0])))
     if abs(turn) < TURNED_DEG:
         return []

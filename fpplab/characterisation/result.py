@@ -100,7 +100,7 @@ class Characterisation:
         """Return the facts for the head of a report."""
         facts = {"Model": _terms(self.level)}
         for trial in self.trials:
-            facts[f"Error with {trial.level}"] = _errors(trial)
+            facts[f"Error with {trial.level}"] = _errors_text(trial)
         for number, warning in enumerate(self.warnings, 1):
             facts[f"Warning {number}"] = warning
         reasons: dict[str, list[str]] = defaultdict(list)
@@ -136,7 +136,7 @@ def _terms(level: DistortionModel) -> str:
     return f"{level}: distortion {' '.join(level.terms[4:])}"
 
 
-def _errors(trial: ModelTrial) -> str:
+def _errors_text(trial: ModelTrial) -> str:
     fitted = " / ".join(f"{trial.fitted_px[d]:.3f}" for d in ("camera", "projector"))
     if trial.held_out_px is None:
         return f"camera / projector {fitted} px fitted"

@@ -94,7 +94,7 @@ def unknown_command(path: str, word: str, purposes: Mapping[str, str]) -> str:
         for name, commands_meant in SYNONYMS.items()
         if all(meant_command in purposes for meant_command in commands_meant)
     }
-    closest = _closest(lower, [*purposes, *usable])
+    closest = _closest_name(lower, [*purposes, *usable])
     if closest is None:
         return f"{reason}; `{path} --help` lists those that there are"
     return f"{reason}; did you mean `{path} {usable.get(closest, (closest,))[0]}`?"
@@ -106,11 +106,11 @@ def unknown_option(path: str, word: str, options: Sequence[str]) -> str:
     for option in OPTION_SYNONYMS.get(word, ()):
         if option in options:
             return f"{reason}; it is {option}"
-    closest = _closest(word, [option for option in options if option.startswith("--")])
+    closest = _closest_name(word, [option for option in options if option.startswith("--")])
     return f"{reason}; " + (f"did you mean {closest}?" if closest else f"see `{path} --help`")
 
 
-def _closest(word: str, names: Sequence[str]) -> str | None:
+def _closest_name(word: str, names: Sequence[str]) -> str | None:
     """The name that is most like a word, or that the word begins."""
     begun = [name for name in names if len(word) > 2 and name.startswith(word)]
     return next(iter(begun or get_close_matches(word, names, n=1)), None)

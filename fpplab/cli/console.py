@@ -197,7 +197,7 @@ def _end_with(error: BaseException, as_json: bool) -> NoReturn:
         case SystemExit():  # wrong usage has been explained on stderr
             if as_json and error.code and not isinstance(error, CommandExit):
                 _answer_fault("wrong usage; see stderr", int(error.code))
-            _leave(error.code if isinstance(error.code, int) else int(bool(error.code)))
+            _exit_process(error.code if isinstance(error.code, int) else int(bool(error.code)))
         case ModuleNotFoundError() if missing := missing_extra(error):
             _log.debug("an extra is missing", exc_info=error)
             _fail(str(missing), missing.exit_code, as_json)
@@ -235,10 +235,10 @@ def _fail(
     log_status(f"fpplab: {sentence}")
     if as_json:
         _answer_fault(sentence, exit_code, details)
-    _leave(exit_code)
+    _exit_process(exit_code)
 
 
-def _leave(exit_code: int) -> NoReturn:
+def _exit_process(exit_code: int) -> NoReturn:
     """End the process, also where stdout takes nothing any more."""
     try:
         sys.stdout.flush()

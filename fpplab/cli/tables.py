@@ -19,16 +19,16 @@ def readable(value: Any) -> str:
 def as_table(value: Any) -> tuple[list[str], list[list[Any]]] | None:
     """Lay out what has the form of a table: dictionaries in a list, or by name."""
     if isinstance(value, dict) and value and all(isinstance(row, dict) for row in value.values()):
-        rows = [{"": name, **_flat(row)} for name, row in value.items()]
+        rows = [{"": name, **_flatten_row(row)} for name, row in value.items()]
     elif isinstance(value, list | tuple) and value and all(isinstance(row, dict) for row in value):
-        rows = [_flat(row) for row in value]
+        rows = [_flatten_row(row) for row in value]
     else:
         return None
     columns = list(dict.fromkeys(key for row in rows for key in row))
     return columns, [[row.get(column, "") for column in columns] for row in rows]
 
 
-def _flat(row: dict[str, Any]) -> dict[str, Any]:
+def _flatten_row(row: dict[str, Any]) -> dict[str, Any]:
     """A row without dictionaries in it: their keys stand behind the row's own."""
     flat: dict[str, Any] = {}
     for key, value in row.items():

@@ -22,7 +22,7 @@ import igl
 import numpy as np
 import trimesh
 
-from fpplab.artefacts.parts import unpaired_edges
+from fpplab.artefacts.parts import count_unpaired_edges
 from fpplab.artefacts.recognition import PlacedArtefact
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
@@ -356,7 +356,7 @@ def compare(
         scale=scale,
         lengths=_lengths(points, alignment, artefact),
         out_of_view=visible.out_of_view,
-        open_edges=unpaired_edges(mesh),
+        open_edges=count_unpaired_edges(mesh),
     )
 
 

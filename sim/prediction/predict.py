@@ -87,7 +87,7 @@ def predict(
     seen, lit = seen_surface(mesh, used_calibration)
     if not lit.any():
         raise ConfigError(f"{rig.source}: no pixel sees lit surface of the item '{item}'")
-    rows, inner = sampled_rows(seen, pixels)
+    rows, inner = choose_sampled_rows(seen, pixels)
     counted = np.zeros_like(seen)
     counted[inner] = True
     study = _Sampled(rig, plan, item, used_calibration, sampler, mesh, rows, (seen & counted, lit & counted))
@@ -121,7 +121,7 @@ def plan_seconds(rig: Rig, plan: Plan) -> float:
     return images * (plan.exposure_s + camera.readout_s + camera.dark_s + plan.settle_s)
 
 
-def sampled_rows(item_mask: Mask, pixels: int) -> tuple[Rows, Rows]:
+def choose_sampled_rows(item_mask: Mask, pixels: int) -> tuple[Rows, Rows]:
     """Choose bands of rows, evenly spread over what is seen of an item."""
     # item_mask (height, width)
     used = np.flatnonzero(item_mask.any(axis=1))

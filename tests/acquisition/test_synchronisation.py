@@ -16,7 +16,7 @@ from scipy.linalg import block_diag
 from scipy.stats import multivariate_normal
 
 from fpplab import pipeline
-from fpplab.acquisition.acquire import _ended
+from fpplab.acquisition.acquire import _ends_black_and_white
 from fpplab.acquisition.synchronisation import (
     LIMITS,
     LINEAR,
@@ -257,7 +257,7 @@ def test_frames_of_another_plan_do_not_fit() -> None:
 def test_the_end_is_the_darkest_frame_and_then_the_brightest(
     brightness: tuple[float, ...], is_end: bool
 ) -> None:
-    assert _ended(brightness) is is_end
+    assert _ends_black_and_white(brightness) is is_end
 
 
 def test_a_torn_frame_is_named() -> None:

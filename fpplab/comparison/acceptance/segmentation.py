@@ -99,7 +99,7 @@ def find_spheres(points: Floats, normals: Floats, radius: float, count: int, sou
     free = np.ones(len(votes), bool)
     centres: list[Floats] = []
     while len(centres) < count:
-        centre = _densest(votes[free], LIMITS.vote_reach * radius)
+        centre = _find_densest_place(votes[free], LIMITS.vote_reach * radius)
         if centre is None:
             raise DataError(_not_found(source, radius, len(centres), count))
         centre = _fit_centre(points, centre, radius)
@@ -148,7 +148,7 @@ def _ray_distance(points: Floats, centre: Floats) -> Floats:
     return np.where(along > 0.0, np.sqrt(square), np.inf)
 
 
-def _densest(votes: Floats, reach: float) -> Floats | None:
+def _find_densest_place(votes: Floats, reach: float) -> Floats | None:
     """Find where votes are densest, (3,): the best of a random sample, refined by mean shift."""
     if len(votes) == 0:
         return None

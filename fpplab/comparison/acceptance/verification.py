@@ -69,7 +69,7 @@ def verify_ball_bar(cloud: Cloud, standard: Standard, source: str) -> BallBarTes
     points = np.asarray(cloud.points, np.float64)
     radius = sum(bar.diameters_mm) / 4
     centres = find_spheres(points, normals_of(cloud), radius, 2, source)
-    fits = [_fit(points, cloud, centre, radius, standard, source) for centre in centres]
+    fits = [_fit_sphere_cap(points, cloud, centre, radius, standard, source) for centre in centres]
     # Nothing but their size distinguishes the spheres.
     by_size = sorted(fits, key=lambda fit: fit[0].radius)
     order = sorted((0, 1), key=lambda i: bar.diameters_mm[i])
@@ -94,7 +94,7 @@ def verify_plane(cloud: Cloud, standard: Standard, source: str) -> PlaneTest:
     return PlaneTest(source, plane, face.area_mm2, measured)
 
 
-def _fit(
+def _fit_sphere_cap(
     points: Floats, cloud: Cloud, centre: Floats, radius: float, standard: Standard, source: str
 ) -> tuple[Sphere, float, MeasuredFeature]:
     cap = sphere_cap(points, centre, radius, standard.evaluation, source)

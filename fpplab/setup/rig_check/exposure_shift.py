@@ -34,7 +34,7 @@ class ExposureShift:
     share: float  # share of the exposure that falls into the neighbour
 
 
-def exposure_shift(stepped: Floats, triggered: Floats) -> ExposureShift | None:
+def find_exposure_shift(stepped: Floats, triggered: Floats) -> ExposureShift | None:
     """Find the shift that explains the levels of a triggered run by those of a stepped one."""
     # stepped (K,); triggered (K,)
     if not (np.isfinite(stepped).all() and np.isfinite(triggered).all()):

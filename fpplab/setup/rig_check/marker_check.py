@@ -43,7 +43,7 @@ from fpplab.patterns.fringes import uniform_patterns
 from fpplab.patterns.plan import Plan
 from fpplab.setup.rig_check.devices import DECISIVE_EXCESS, does_light_flicker
 from fpplab.setup.rig_check.exposure_shift import LIMITS as SHIFT_LIMITS
-from fpplab.setup.rig_check.exposure_shift import ExposureShift, exposure_shift
+from fpplab.setup.rig_check.exposure_shift import ExposureShift, find_exposure_shift
 from fpplab.setup.rig_check.marker import marker
 
 UNCERTAIN_EXCESS = 1.0
@@ -192,7 +192,7 @@ class MarkerInspection:
 
     def _of_trigger(self, rig: Rig, plan: Plan, shown: NDArray[np.int64], run: MarkerRun) -> list[Finding]:
         """Diagnose a triggered run by a second one with more time between triggers."""
-        shift = None if self._of_stepped else exposure_shift(self.runs[0].levels, run.levels)
+        shift = None if self._of_stepped else find_exposure_shift(self.runs[0].levels, run.levels)
         if _is_in_step(shown, run):  # levels that mix a little with their neighbours rise all the same
             return [_exposure_shift_finding(shift, plan.exposure_s)] if shift else []
         if not run.frames:

@@ -82,7 +82,7 @@ class ContrastSample:
         short = replace(self.settings, exposure_s=SHORT * self.settings.exposure_s)
         levels = twin.expected_part(self.item, self.T_camera_item, self.patterns, short, self.pixels)
         own = _fit_offsets_and_amplitudes(levels.astype(np.float64), self.sets)
-        above, scale = np.maximum(own[0] - black, 1e-9), self._scale(reference)
+        above, scale = np.maximum(own[0] - black, 1e-9), self._factors_of_equal_noise(reference)
         brightness = (self.offset - black) / above
         difference = np.nan_to_num(scale * (self.amplitude - brightness * own[1])).ravel()
         per_offset = scale * own[1] / above * np.isfinite(self.offset)
@@ -100,9 +100,9 @@ class ContrastSample:
     def level(self, reference: Reference) -> Floats:
         """Give the amplitudes of the bench in the unit of the residuals."""
         # returns (S P,)
-        return np.nan_to_num(self._scale(reference) * self.amplitude).ravel()
+        return np.nan_to_num(self._factors_of_equal_noise(reference) * self.amplitude).ravel()
 
-    def _scale(self, reference: Reference) -> Floats:
+    def _factors_of_equal_noise(self, reference: Reference) -> Floats:
         """Factors (S, 1) that give amplitudes the noise of one image, in levels of the reference."""
         images = np.array([[fringe.images] for fringe in self.sets])
         return np.asarray(reference.full_scale / full_scale(self.settings.bits) * np.sqrt(0.5 * images))

@@ -145,14 +145,16 @@ class GreyCard:
         """Give the mean levels that the twin's camera sees of uniform grey-level images."""
         # shown (L,); returns (L,)
         levels_8_bit = [round(255 * level) for level in shown.tolist()]
-        return self._means(uniform_patterns(levels_8_bit, self.twin.parameters.calibration.projector.size))
+        return self._mean_levels(
+            uniform_patterns(levels_8_bit, self.twin.parameters.calibration.projector.size)
+        )
 
     def dark_level(self) -> float:
         """Give the mean level without the projector's light."""
         black = replace(self.twin.parameters, response=Curve(a=1.0, b=0.0, g=1.0))
         return float(self.with_parameters(black).levels(np.zeros(1))[0])
 
-    def _means(self, patterns: list[Pattern]) -> Floats:
+    def _mean_levels(self, patterns: list[Pattern]) -> Floats:
         chosen = np.zeros(GRID**2, bool)
         for region in self.response.regions:
             chosen[region.row * GRID + region.column] = True

@@ -23,7 +23,7 @@ from sim.build import SceneState
 from sim.prediction import Discrepancy, MeasuredFigures, figures_of, predict
 from sim.prediction.discrepancy import Deviation
 from sim.prediction.figures import seen_surface
-from sim.prediction.predict import BAND, MARGIN, plan_seconds, sampled_rows
+from sim.prediction.predict import BAND, MARGIN, choose_sampled_rows, plan_seconds
 from sim.sampling import FramePart
 
 PLAN = Plan(fringes=tuple(Sinusoid(axis="x", stripes=n, steps=4) for n in (1, 8, 48)), exposure_s=0.02)
@@ -147,14 +147,14 @@ def test_columns_are_those_of_the_rows(rig: Rig) -> None:
 def test_bands_are_spread_over_the_item() -> None:
     seen = np.zeros((400, 300), bool)
     seen[100:300, 50:250] = True
-    rows, inner = sampled_rows(seen, 8_000)
+    rows, inner = choose_sampled_rows(seen, 8_000)
     assert seen[inner].sum() == pytest.approx(8_000, rel=0.15)
     assert rows.min() >= 100 - MARGIN
     assert rows.max() < 300 + MARGIN
     assert set(inner) < set(rows)
     assert all({row - MARGIN, row + MARGIN} <= set(rows) for row in inner)
     assert np.ptp(inner) > 150
-    every, same = sampled_rows(seen, 10**6)
+    every, same = choose_sampled_rows(seen, 10**6)
     assert np.array_equal(every, same)
     assert len(every) == 200 + 2 * MARGIN > BAND
 
