@@ -18,6 +18,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from fpplab.calibration.model import Calibration
+from fpplab.clouds.selection import select_rows
 from fpplab.core import buffers
 from fpplab.core.conventions import Floats, Map, Mask
 from fpplab.core.errors import DataError

@@ -26,7 +26,7 @@ RIGS = Path(__file__).parent / "rigs"
 RECORDED = RIGS / "rig_reference.yaml"
 ON_X_SERVER = "rig_display"
 QUICK_RIGS = ("rig_reference", "rig_simulated", "rig_pylon")
-"""The reference, the simulation, and a driver on an emulator; the quick tests of tests/drivers try the others."""
+"""The reference, the simulation, and a driver on an emulator; quick tests of tests/drivers try the others."""
 KINDS = ("camera", "projector", "stage", "fixture")
 CAPS_OF_CAMERA = "test_camera.py", "test_caps_make_sense"
 """The test that comes first on each rig: the others use what the camera says of itself."""
