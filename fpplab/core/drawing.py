@@ -74,7 +74,8 @@ def encode_png(figure: Figure) -> bytes:
     canvas.draw()
     rgb = Pixels.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
     stream = io.BytesIO()
-    rgb.quantize(256, dither=Pixels.Dither.NONE).save(stream, "PNG", optimize=True)
+    # level 9, or `optimize`, takes four times as long for 3 % less
+    rgb.quantize(256, dither=Pixels.Dither.NONE).save(stream, "PNG", compress_level=7)
     return stream.getvalue()
 
 
