@@ -310,7 +310,8 @@ def test_a_session_out_of_step_is_refused_by_name(trigger: str) -> None:
         pipeline.decode_session(session)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("name", ["calseq1", "calseq2", "calseq3", "calseq4", "calseq5", "skull_2x3"])
+@pytest.mark.whole_after(2)
+@pytest.mark.parametrize("name", ["skull_2x3", "calseq1", "calseq2", "calseq3", "calseq4", "calseq5"])
 def test_real_captures_are_in_step_until_a_trigger_slips(captures: Path, name: str) -> None:
     plan = Plan.load("plan_slstudio_skull" if "skull" in name else "plan_slstudio_board")
     frames = [

@@ -78,7 +78,7 @@ calibrations = st.builds(
 
 
 @FORMATS
-@settings(max_examples=15)  # each is read in a process of its own
+@settings(max_examples=8)  # each is read in a process of its own
 @given(calibration=calibrations)
 def test_there_and_back_is_identity(
     tmp_path_factory: pytest.TempPathFactory, kind: Format, calibration: Calibration

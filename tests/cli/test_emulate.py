@@ -13,6 +13,7 @@ from drivers.stage_grbl import GrblStage
 from tests.support.commands import ROOT, Command
 
 
+@pytest.mark.whole_after(1)
 @pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])
 def test_a_stage_is_served_until_it_is_ended(ending: signal.Signals) -> None:
     command = [sys.executable, "-m", "fpplab", "emulate", "stage", "--json"]

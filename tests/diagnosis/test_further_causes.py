@@ -102,7 +102,8 @@ def named(recording: Recording) -> list[str]:
     return [one.cause.key for one in diagnose_frames(recording, decode(recording))]
 
 
-@pytest.mark.parametrize("name", ["calseq1", "calseq5", "skull_2x3"])
+@pytest.mark.whole_after(1)
+@pytest.mark.parametrize("name", ["skull_2x3", "calseq1", "calseq5"])
 def test_real_captures_are_good_as_they_are(captures: Path, name: str) -> None:
     assert named(real(captures, name)) == []
 

@@ -44,12 +44,14 @@ def true_error(steps: int, correction: Curve | None = None) -> float:
     return float(np.std(off))
 
 
+@pytest.mark.whole_after(3)
 @pytest.mark.parametrize("steps", range(3, 13))
 def test_the_phase_error_of_an_s_is_told(steps: int) -> None:
     for seed in range(3):
         assert shown_phase_error(measured(seed), steps) == pytest.approx(true_error(steps), rel=0.25)
 
 
+@pytest.mark.whole_after(3)
 @pytest.mark.parametrize("steps", range(3, 13))
 def test_correction_takes_the_s_away(steps: int) -> None:
     """To the rounding of patterns to 256 grey levels; where the S makes more than that, mostly."""

@@ -51,7 +51,7 @@ class Bench:
         return np.asarray((picture - self.seen.picture(light))[self.seen.smooth])
 
 
-@pytest.fixture(scope="module", params=["card", "ball", "step"])
+@pytest.fixture(scope="module", params=["step", "card", "ball"])
 def bench(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Bench:
     folder, name = tmp_path_factory.mktemp("parts"), request.param
     of = world(items={**plain()["items"], **_parts(folder)}, render={"subpixels": ACROSS})
@@ -110,6 +110,7 @@ def test_irradiance_under_white(blender: Blender, bench: Bench, path: str) -> No
     assert np.sqrt(np.mean(difference**2)) < 5e-6 + 0.36 * tilt * brightest
 
 
+@pytest.mark.whole_after(1)
 def test_edges_and_shadows_lie_where_they_should(blender: Blender, bench: Bench) -> None:
     """Hardly a sample is illuminated in one and dark in the other, edges included."""
     lit = samples_of_image(Light(bench.world, blender).table(bench.setup))[..., 3] > 0

@@ -63,7 +63,8 @@ def test_images_that_are_no_fringe_sets_are_refused() -> None:
         set_sizes([white] * 6, 255)
 
 
-@pytest.mark.parametrize("name", ["calseq1", "calseq2", "calseq3", "calseq4", "calseq5", "skull_2x3"])
+@pytest.mark.whole_after(2)
+@pytest.mark.parametrize("name", ["skull_2x3", "calseq1", "calseq2", "calseq3", "calseq4", "calseq5"])
 def test_plans_of_real_captures_are_found(captures: Path, name: str) -> None:
     count = 6 if "skull" in name else 12
     frames = [cv2.imread(str(captures / name / f"{i:02d}.png"), cv2.IMREAD_GRAYSCALE) for i in range(count)]

@@ -107,6 +107,7 @@ def test_unequal_phase_steps_are_named(shifts: tuple[float, ...]) -> None:
     assert np.abs(signed - shifts).max() < 8.0
 
 
+@pytest.mark.whole_after(2)
 @pytest.mark.parametrize("seed", range(40, 46))
 def test_sinusoids_are_left_alone(seed: int) -> None:
     bench = Bench(plan=PLAN, seed=seed, gamma=1.0 + 0.1 * (seed - 40), ambient=0.05 * (seed - 40))
@@ -147,7 +148,8 @@ def test_an_exposure_or_room_light_of_each_set_is_no_mistake(
     assert np.median(np.abs(first.u - then.u)[both]) < 0.1
 
 
-@pytest.mark.parametrize("name", ["calseq1", "calseq2", "calseq3", "calseq4", "calseq5", "skull_2x3"])
+@pytest.mark.whole_after(2)
+@pytest.mark.parametrize("name", ["skull_2x3", "calseq1", "calseq2", "calseq3", "calseq4", "calseq5"])
 def test_real_captures_are_left_alone(captures: Path, name: str) -> None:
     plan = Plan.load("plan_slstudio_skull" if "skull" in name else "plan_slstudio_board")
     paths = [captures / name / f"{i:02d}.png" for i in range(plan.images)]

@@ -53,6 +53,7 @@ def test_random_changes_along_a_line_are_told_by_direction() -> None:
     assert found.random.isotropic < 0.05 * size
 
 
+@pytest.mark.whole_after(2)
 @pytest.mark.parametrize("cycles", [0.07, 0.125, 0.31, 0.44])
 def test_a_swing_is_told_from_random_changes(cycles: float) -> None:
     random, rms = np.random.default_rng(3), np.array([0.5e-3, 3e-3, -1e-3])
