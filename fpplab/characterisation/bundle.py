@@ -8,7 +8,7 @@ estimated from the residuals themselves, as variance components.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import astuple, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.linalg import cho_solve
@@ -16,9 +16,8 @@ from scipy.optimize import least_squares
 
 from fpplab.calibration.model import INTRINSICS, Uncertainty
 from fpplab.characterisation.observation import Observation
-from fpplab.characterisation.parameters import ErrorSizes, Model, Solution, parameter_names
+from fpplab.characterisation.parameters import BundleSettings, ErrorSizes, Model, Solution, parameter_names
 from fpplab.characterisation.pose_effects import (
-    ERROR_KINDS,
     PoseEffects,
     PoseShift,
     pose_effects,
@@ -30,47 +29,8 @@ from fpplab.core.conventions import Floats
 from fpplab.core.errors import UndeterminedError
 from fpplab.core.robust import robust_spread
 
-HUBER_LIMIT = 3.0
-"""Residuals beyond this many robust standard deviations enter linearly, not squared (Huber)."""
-
-CLIPPED_MEAN_SQUARE = 0.99501
-"""Mean square of a normal variable that is cut off at `HUBER_LIMIT` standard deviations."""
-
-MIN_EIGENVALUE_RATIO = 1e-13
-"""Least significant eigenvalue of normal equations scaled to a diagonal of ones, relative to the greatest."""
-
 UNDETERMINED = "the poses do not determine all parameters; add some that are tilted by 20° or more"
 """Message for poses that leave a parameter undetermined."""
-
-INITIAL_DAMPING = 1e-6
-"""Damping at which the fit starts, relative to the diagonal of the normal equations."""
-
-MAX_DAMPING = 1e8
-"""Damping at which the fit ends: no step reduces the residuals."""
-
-MIN_RELATIVE_GAIN = 1e-7
-"""Relative reduction of the loss at which the fit ends: a thirtieth of a standard deviation
-for 10 000 residuals."""
-
-ROUNDS = 20
-"""Most iterations of the estimate of the errors' sizes."""
-
-MAX_SETTLED_CHANGE = 0.01
-"""Relative change of the errors' sizes at which their iteration ends."""
-
-INITIAL_BOARD_ERROR_MM = 0.03
-"""Size of the errors of the board's points in mm from which the estimate starts, without a tolerance."""
-
-MIN_ERROR_PX = 1e-6
-"""Least standard deviation in px that is estimated."""
-
-MIN_BOARD_ERROR_RATIO = 0.02
-"""Least size of the errors of the board that is estimated, relative to the noise of the camera's
-points: smaller ones have no effect."""
-
-
-MIN_INDEPENDENT_SHARE = 0.05
-"""Least share of the residuals' squares that is ascribed to independent errors."""
 
 
 def adjust_bundle(
@@ -85,14 +45,12 @@ def adjust_bundle(
     first = sizes or first or _first_sizes(observations, start, model)
     problem = Problem(tuple(observations), model, first, start)
     vector = _descend(problem, problem.pack(start))
-    for _ in range(0 if sizes else ROUNDS):
+    for _ in range(0 if sizes else model.settings.max_rounds):
         near = problem.unpack(vector)
         estimated = variance_components(replace(problem, near=near), vector)
-        change = np.log(
-            np.array(astuple(estimated)[:ERROR_KINDS]) / np.array(astuple(problem.sizes)[:ERROR_KINDS])
-        )
+        change = np.log(np.array(estimated.independent) / np.array(problem.sizes.independent))
         problem = replace(problem, near=near, sizes=estimated)
-        if np.abs(change).max() < MAX_SETTLED_CHANGE:
+        if np.abs(change).max() < model.settings.max_settled_change:
             break
         vector = _descend(problem, vector)
     return problem.unpack(vector), problem.sizes
@@ -101,8 +59,9 @@ def adjust_bundle(
 def _first_sizes(observations: Sequence[Observation], start: Solution, model: Model) -> ErrorSizes:
     """Sizes from the residuals of the start, robustly."""
     pairs = [start.residuals(i, o) for i, o in enumerate(observations)]
-    noise = [robust_spread(np.concatenate(device), MIN_ERROR_PX) for device in zip(*pairs, strict=True)]
-    board = (model.tolerance_mm or INITIAL_BOARD_ERROR_MM,) * 2
+    min_px = model.settings.min_error_px
+    noise = [robust_spread(np.concatenate(device), min_px) for device in zip(*pairs, strict=True)]
+    board = (model.tolerance_mm or model.settings.initial_board_error_mm,) * 2
     return ErrorSizes(noise[0], noise[1], *board)
 
 
@@ -114,47 +73,56 @@ def variance_components(problem: Problem, vector: Floats) -> ErrorSizes:
     effects the fixed point is the estimate of restricted maximum likelihood.
     """
     # vector (n,)
-    inverse = inverse_of(problem, problem.normal_equations(vector, HUBER_LIMIT)[0])
-    of_camera, _ = problem.normal_equations(vector, HUBER_LIMIT, camera_alone=True)
+    settings = problem.model.settings
+    inverse = inverse_of(problem, problem.normal_equations(vector, settings.huber_limit)[0])
+    of_camera, _ = problem.normal_equations(vector, settings.huber_limit, camera_alone=True)
     with_prior, _, sigmas = problem.priors
     held = np.diag(inverse)[with_prior] / sigmas**2
     used_by_camera = float(np.sum(inverse * of_camera))
     used_by_projector = len(vector) - used_by_camera - float(held.sum())
-    effects = pose_effects(problem, vector, inverse, HUBER_LIMIT)
+    effects = pose_effects(problem, vector, inverse, settings.huber_limit)
     variances, uncertainties = effects.variances()
     leaked = effects.leaked @ variances[effects.device]
     errors, prior_residuals = problem.errors(vector), problem.prior_residuals(vector)
     noise = [
-        max(size * _residual_to_expected_ratio(residuals, len(residuals) - used, leak), MIN_ERROR_PX)
+        max(
+            size * _residual_to_expected_ratio(residuals, len(residuals) - used, leak, settings),
+            settings.min_error_px,
+        )
         for size, residuals, used, leak in zip(
-            astuple(problem.sizes), errors, (used_by_camera, used_by_projector), leaked, strict=False
+            problem.sizes.independent, errors, (used_by_camera, used_by_projector), leaked, strict=False
         )
     ]
-    board = list(astuple(problem.sizes)[2:4])
+    board = list(problem.sizes.independent[2:])
     if problem.model.refined:
         pitch = float(np.median(problem.near.poses[:, 5])) / problem.near.camera[0]
         board = [
             max(
                 size
-                * _residual_to_expected_ratio(prior_residuals[row], float((1.0 - held[row]).sum()), leak),
-                MIN_BOARD_ERROR_RATIO * noise[0] * pitch,
+                * _residual_to_expected_ratio(
+                    prior_residuals[row], float((1.0 - held[row]).sum()), leak, settings
+                ),
+                settings.min_board_error_ratio * noise[0] * pitch,
             )
             for size, row, leak in zip(board, problem.board_rows, leaked[2:], strict=True)
         ]
     return ErrorSizes(*noise, *board, *np.sqrt(widened_variances(variances, uncertainties)).tolist())
 
 
-def _residual_to_expected_ratio(residuals: Floats, redundancy: float, leaked: float) -> float:
+def _residual_to_expected_ratio(
+    residuals: Floats, redundancy: float, leaked: float, settings: BundleSettings
+) -> float:
     """Return the estimated standard deviation of residuals that should have one of 1.
 
     leaked: the part of their sum of squares that effects of the poses cause.
     """
     if redundancy < 1e-3 * len(residuals):
         return 1.0
-    squares = float(np.sum(np.minimum(residuals**2, HUBER_LIMIT**2))) / CLIPPED_MEAN_SQUARE
+    clipped = float(np.sum(np.minimum(residuals**2, settings.huber_limit**2)))
+    squares = clipped / settings.clipped_mean_square
     # Residuals far beyond the clip must still show that their size was taken too small.
     unclipped = max(squares, robust_spread(residuals, 0.0) ** 2 * residuals.size)
-    return float(np.sqrt(max(squares - leaked, MIN_INDEPENDENT_SHARE * unclipped) / redundancy))
+    return float(np.sqrt(max(squares - leaked, settings.min_independent_share * unclipped) / redundancy))
 
 
 def estimate_uncertainty(
@@ -188,9 +156,9 @@ def motions_in_poses(
 
 def _effects(problem: Problem, best: Solution) -> tuple[Floats, PoseEffects]:
     """Inverse (n, n) of the normal equations, and the effects of the poses."""
-    vector = problem.pack(best)
-    inverse = inverse_of(problem, problem.normal_equations(vector, HUBER_LIMIT)[0])
-    return inverse, pose_effects(problem, vector, inverse, HUBER_LIMIT)
+    vector, limit = problem.pack(best), problem.model.settings.huber_limit
+    inverse = inverse_of(problem, problem.normal_equations(vector, limit)[0])
+    return inverse, pose_effects(problem, vector, inverse, limit)
 
 
 def fits_without_each_pose(
@@ -202,15 +170,16 @@ def fits_without_each_pose(
     """
     problem = Problem(tuple(observations), model, sizes, best)
     vector, (_, _, carried, first, _) = problem.pack(best), problem.vector_offsets
-    parts = [problem.pose_equations(index, vector, HUBER_LIMIT) for index in range(len(observations))]
-    normal, gradient = problem.normal_equations(vector, HUBER_LIMIT)
+    limit, damping = model.settings.huber_limit, model.settings.initial_damping**2
+    parts = [problem.pose_equations(index, vector, limit) for index in range(len(observations))]
+    normal, gradient = problem.normal_equations(vector, limit)
     solutions = []
     for index, (own, pull) in enumerate(parts):
         others = np.delete(np.arange(len(vector)), np.arange(first + 6 * index, first + 6 * index + 6))
         remaining = (normal - own)[np.ix_(others, others)]
         scale = 1.0 / np.sqrt(np.diag(remaining))
         try:
-            scaled = remaining * np.outer(scale, scale) + INITIAL_DAMPING**2 * np.eye(len(remaining))
+            scaled = remaining * np.outer(scale, scale) + damping * np.eye(len(remaining))
             factor = np.linalg.cholesky(scaled)
         except np.linalg.LinAlgError as error:
             raise UndeterminedError(UNDETERMINED) from error
@@ -234,18 +203,20 @@ def inverse_of(problem: Problem, normal: Floats) -> Floats:
     others = np.delete(np.arange(len(normal)), rational)
     values, vectors = np.linalg.eigh(scaled)
     judged = np.linalg.eigvalsh(scaled[np.ix_(others, others)]) if len(rational) else values
-    if judged[0] < MIN_EIGENVALUE_RATIO * judged[-1]:
+    min_ratio = problem.model.settings.min_eigenvalue_ratio
+    if judged[0] < min_ratio * judged[-1]:
         raise UndeterminedError(UNDETERMINED)
-    inverse = (vectors / np.maximum(values, MIN_EIGENVALUE_RATIO * values[-1])) @ vectors.T
+    inverse = (vectors / np.maximum(values, min_ratio * values[-1])) @ vectors.T
     return np.asarray(inverse / np.outer(scale, scale))
 
 
 def _descend(problem: Problem, vector: Floats) -> Floats:
     """Minimise Huber's loss by reweighted Levenberg-Marquardt, the share carried within 0 to 1."""
-    damping, carried = INITIAL_DAMPING, problem.vector_offsets[2]
-    cost = _huber(problem.misfit(vector))
-    for _ in range(200):
-        normal, gradient = problem.normal_equations(vector, HUBER_LIMIT)
+    settings, carried = problem.model.settings, problem.vector_offsets[2]
+    damping, limit = settings.initial_damping, settings.huber_limit
+    cost = _huber(problem.misfit(vector), limit)
+    for _ in range(settings.max_steps):
+        normal, gradient = problem.normal_equations(vector, limit)
         _hold_at_bound(normal, gradient, carried, vector[carried])
         normal[np.diag_indices_from(normal)] *= 1.0 + damping
         try:
@@ -253,16 +224,16 @@ def _descend(problem: Problem, vector: Floats) -> Floats:
             trial = vector - cho_solve((np.linalg.cholesky(normal), True), gradient)
         except (np.linalg.LinAlgError, ValueError) as error:
             damping *= 10.0
-            if damping > MAX_DAMPING:
+            if damping > settings.max_damping:
                 raise UndeterminedError(UNDETERMINED) from error
             continue
         trial[carried] = np.clip(trial[carried], 0.0, 1.0)
-        gain = cost - _huber(problem.misfit(trial))
+        gain = cost - _huber(problem.misfit(trial), limit)
         if gain > 0:
             vector, cost, damping = trial, cost - gain, 0.1 * damping
         else:
             damping *= 10.0
-        if abs(gain) <= MIN_RELATIVE_GAIN * cost or damping > MAX_DAMPING:
+        if abs(gain) <= settings.min_relative_gain * cost or damping > settings.max_damping:
             break
     return vector
 
@@ -274,9 +245,9 @@ def _hold_at_bound(normal: Floats, gradient: Floats, at: int, value: float) -> N
         normal[at, at] = 1.0
 
 
-def _huber(residuals: Floats) -> float:
+def _huber(residuals: Floats, limit: float) -> float:
     size = np.abs(residuals)
-    return float(np.sum(np.where(size <= HUBER_LIMIT, size**2, HUBER_LIMIT * (2 * size - HUBER_LIMIT))))
+    return float(np.sum(np.where(size <= limit, size**2, limit * (2 * size - limit))))
 
 
 def fit_pose(observation: Observation, solution: Solution, start: Floats) -> Floats:

@@ -14,24 +14,13 @@ from fpplab.core.errors import CalibrationError
 from fpplab.core.geometry import RigidTransform
 
 TILT_DEG = 35.0
-"""Tilt of the board against the image plane; more would blur and foreshorten what is printed on it."""
+"""Tilt of the board against the image plane. Chosen: more would blur and foreshorten what is printed."""
 
 DIRECTIONS = tuple((x, y) for y, x in product((-1, 0, 1), repeat=2) if x or y)
 """To the right and down: towards which part of the image the board is moved, or which edge is tilted away."""
 
 MAX_SLANT_DEG = 50.0
-"""Greatest angle between the board's normal and the line to the projector; the light is grazing beyond."""
-
-RIM_MM = 5.0
-"""Rim around the board that has to be seen too: a hand does not hold it exactly where it should."""
-
-STEPS = 12
-"""Steps from the middle of the field to the edge of the image, in which the board is moved."""
-
-MIN_VISIBLE_SHARE = 0.6
-"""Share of the board that has to be seen where it is too large to be seen whole."""
-
-DEPTH_LEVELS = 3  # near, middle, far
+"""Greatest angle between the board's normal and the way to the projector. Chosen: light is grazing beyond."""
 
 
 def tilted_away(direction: tuple[float, float], tilt_deg: float) -> Floats:
@@ -61,15 +50,18 @@ def candidate_poses(
     calibration: Calibration,
     size_mm: tuple[float, float],
     depth_mm: DepthInterval,
+    rim_mm: float = 5.0,
 ) -> list[RigidTransform]:
     """List poses of a board that both devices see whole.
+
+    A rim around the board has to be seen too: a hand does not hold it exactly where it should.
 
     For each tilt and depth the board is in the middle of the field that both devices see, and as far from
     there as it is still seen, towards each edge and corner of the camera's image.
     """
     # size_mm (width, height) mm
-    grid = board_grid(size_mm, RIM_MM)
-    for min_share in (1.0, MIN_VISIBLE_SHARE):
+    grid = board_grid(size_mm, rim_mm)
+    for min_share in (1.0, 0.6):  # most of a board that is too large to be seen whole
         if poses := list(_visible_poses(calibration, grid, depth_mm, min_share)):
             return poses
     raise CalibrationError(
@@ -86,18 +78,18 @@ def _visible_poses(
     min_share: float,
 ) -> Iterator[RigidTransform]:
     tilts = [np.eye(3), *(tilted_away(direction, TILT_DEG) for direction in DIRECTIONS)]
-    for z, rotation in product(np.linspace(*depth_mm, DEPTH_LEVELS), tilts):
+    for z, rotation in product(np.linspace(*depth_mm, 3), tilts):
         board = grid @ rotation.T
         paths = _paths_from_field_centre(calibration, float(z))
         share = visible_shares(calibration, paths[:, :, None] + board)
         good = (share >= min_share) & _faces_projector(calibration, rotation, paths)
-        last = np.where(good.any(axis=1), STEPS - np.argmax(good[:, ::-1], axis=1), -1)
+        last = np.where(good.any(axis=1), good.shape[1] - 1 - np.argmax(good[:, ::-1], axis=1), -1)
         placed = {tuple(paths[k, step]) for k, step in enumerate(last) if step >= 0}
         yield from (RigidTransform(rotation, np.array(place)) for place in sorted(placed))
 
 
-def _paths_from_field_centre(calibration: Calibration, z: float) -> Floats:
-    """Places (9, STEPS + 1, 3) at a depth, from the middle of the field to it, the edges and the corners."""
+def _paths_from_field_centre(calibration: Calibration, z: float, steps: int = 12) -> Floats:
+    """Places (9, steps + 1, 3) at a depth, from the middle of the field to it, the edges and the corners."""
     camera = calibration.camera
     (width, height), shares = camera.size, np.linspace(0.0, 1.0, 9)
     pixels = np.stack(np.meshgrid(shares * (width - 1), shares * (height - 1)), axis=-1).reshape(-1, 2)
@@ -109,8 +101,7 @@ def _paths_from_field_centre(calibration: Calibration, z: float) -> Floats:
     # Towards an edge, not the middle of it: the other coordinate stays.
     for k, direction in enumerate(DIRECTIONS, 1):
         ends[k] = np.where(np.array(direction) == 0, middle, ends[k])
-    steps = np.linspace(0.0, 1.0, STEPS + 1)[:, None]
-    along = middle + steps * (ends - middle)[:, None]
+    along = middle + np.linspace(0.0, 1.0, steps + 1)[:, None] * (ends - middle)[:, None]
     slopes = camera.normalise(along.reshape(-1, 2)).reshape(along.shape)
     return np.asarray(z * np.concatenate([slopes, np.ones((*slopes.shape[:2], 1))], axis=-1))
 

@@ -28,14 +28,8 @@ FIRST_POSES = (
 )
 """Place from the image's middle, right and down, in half sizes; depth in half ranges; edge that is away."""
 
-DEPTH_SHARE = 0.055
-"""Half the range of depths, as a share of the first board's distance, where none is stated."""
-
 FOCAL_GUESS, MIN_FOCAL, MAX_FOCAL = 2.0, 0.5, 20.0
 """Focal length, in sizes of the image, taken where a view does not determine it, and the range believed."""
-
-EDGE_SHARE = 0.06
-"""Rim of the projector's image that is avoided: the homography holds for the first board's plane alone."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,8 +71,9 @@ class RoughView:
         if not self.camera.sees(places).all():
             return False
         lit = cv2.perspectiveTransform(self.camera.project(places)[None], self.light)[0]
+        # A rim is avoided, since the homography holds for the first board's plane alone.
         size = np.array(self.projector_size)
-        return bool(((lit > EDGE_SHARE * size) & (lit < (1.0 - EDGE_SHARE) * size)).all())
+        return bool(((lit > 0.06 * size) & (lit < 0.94 * size)).all())
 
 
 def first_pose(
@@ -100,10 +95,10 @@ def first_pose(
     return RigidTransform(rotation, centre)
 
 
-def working_depth(first: RigidTransform) -> DepthInterval:
-    """Choose the working range of depths where none is stated."""
+def working_depth(first: RigidTransform, half_range: float = 0.055) -> DepthInterval:
+    """Choose the working range of depths where none is stated, as a share of the first board's distance."""
     z = float(first.translation[2])
-    return (1.0 - DEPTH_SHARE) * z, (1.0 + DEPTH_SHARE) * z
+    return (1.0 - half_range) * z, (1.0 + half_range) * z
 
 
 def _focal_of_known(places: Floats, centred_px: Floats) -> float:

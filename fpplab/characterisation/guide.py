@@ -5,7 +5,7 @@ Knows observations only: who holds the board, and how frames are taken, is not i
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from fpplab.characterisation.estimate import JointEstimate, first_estimate
 from fpplab.characterisation.first_poses import FIRST_POSES, RoughView, first_pose, working_depth
 from fpplab.characterisation.fitting import DEFAULT_LEVEL
 from fpplab.characterisation.judging import Errors, judge
+from fpplab.characterisation.limits import POSE_LIMITS, PoseLimits
 from fpplab.characterisation.next_pose import Design, best_pose, expected_observation
 from fpplab.characterisation.observation import Observation
 from fpplab.characterisation.parameters import DistortionModel, ImageSize
@@ -26,18 +27,6 @@ from fpplab.core.depth import DepthInterval
 from fpplab.core.errors import CalibrationError, UndeterminedError
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.targets import Target
-
-MAX_RESIDUAL_RATIO = 2.0
-"""Residuals of a pose relative to those predicted, above which it is rejected if chance does not explain them
-either. Chosen."""
-
-CERTAIN_POSES = 6
-"""Poses by which the devices have to be determined, and from which a pose that contradicts them is the one
-that is wrong. Chosen: twice as many as are needed."""
-
-SIMILAR_MM = 15.0
-SIMILAR_DEG = 12.0
-"""Candidates that differ by less from an excluded pose are excluded too. Chosen: what a hand holds apart."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,12 +46,14 @@ class PoseFit:
     camera: Errors  # of the two devices, with only the board's pose fitted
     projector: Errors  # of the two devices, with only the board's pose fitted
     outlying_pose: str | None = None  # name of an earlier pose, where that is the outlier
+    limits: PoseLimits = POSE_LIMITS  # by which the pose is judged
 
     @property
     def contradicting_devices(self) -> tuple[str, ...]:
         """Devices in which the residuals are far beyond those predicted."""
         pairs = (("camera", self.camera), ("projector", self.projector))
-        return tuple(n for n, e in pairs if e.contradicts and e.rms_px > MAX_RESIDUAL_RATIO * e.predicted_px)
+        max_ratio = self.limits.max_residual_ratio
+        return tuple(n for n, e in pairs if e.contradicts and e.rms_px > max_ratio * e.predicted_px)
 
 
 class Guide:
@@ -71,9 +62,10 @@ class Guide:
     def __init__(
         self, target: Target, image_sizes: tuple[ImageSize, ImageSize], lattice: Lattice = Lattice.SQUARE,
         depth_mm: DepthInterval | None = None, level: DistortionModel = DEFAULT_LEVEL, refined: bool = True,
+        limits: PoseLimits = POSE_LIMITS,
     ) -> None:  # fmt: skip
         self.target, self.sizes, self.lattice = target, image_sizes, lattice
-        self.level, self.refined = level, refined
+        self.level, self.refined, self.limits = level, refined, limits
         self.observations: list[Observation] = []
         self.estimate: JointEstimate | None = None
         self.first_known: RigidTransform | None = None
@@ -132,7 +124,7 @@ class Guide:
         assert self.estimate is not None
         assert self.depth_mm is not None
         poses = candidate_poses(self.estimate.calibration, self.target.size_mm, self.depth_mm)
-        return [pose for pose in poses if not any(_similar(pose, other) for other in self._excluded)]
+        return [pose for pose in poses if not any(self._similar(pose, other) for other in self._excluded)]
 
     def _filling(self, candidates: list[RigidTransform]) -> list[RigidTransform]:
         """Those that bring points into a part of an image that has none."""
@@ -158,9 +150,9 @@ class Guide:
         if self.estimate is None:
             return None
         judged_pose = judge(self.estimate.calibration, [observation]).poses[0]
-        fit = PoseFit(judged_pose.camera, judged_pose.projector)
+        fit = PoseFit(judged_pose.camera, judged_pose.projector, limits=self.limits)
         outlying_pose = self._outlying_pose(observation) if fit.contradicting_devices else None
-        return PoseFit(judged_pose.camera, judged_pose.projector, outlying_pose)
+        return replace(fit, outlying_pose=outlying_pose)
 
     def add(self, observation: Observation) -> dict[str, str]:
         """Add a pose to the estimate."""
@@ -175,7 +167,7 @@ class Guide:
                 self.observations, self.target, self.sizes, self.lattice, self.level, self.refined
             )
         except UndeterminedError:
-            if len(self.observations) >= CERTAIN_POSES:
+            if len(self.observations) >= self.limits.certain_poses:
                 raise
             return {}
         self.estimate, self.observations = estimate, list(estimate.observations)
@@ -203,7 +195,7 @@ class Guide:
     def _outlying_pose(self, observation: Observation) -> str | None:
         """Which of a few poses is in the wrong, if it is not the new one."""
         assert self.estimate is not None
-        if len(self.observations) >= CERTAIN_POSES:
+        if len(self.observations) >= self.limits.certain_poses:
             return None
         try:
             joint = self.estimate.with_pose(observation)
@@ -224,7 +216,7 @@ class Guide:
         outline = outline_px(pose, camera, self.target.size_mm)
         return WantedPose(describe_pose(pose, camera, first_mm), pose, outline, form_mm)
 
-
-def _similar(pose: RigidTransform, other: RigidTransform) -> bool:
-    turn = np.degrees(np.linalg.norm((pose @ other.inverse()).rotation_vector))
-    return bool(np.linalg.norm(pose.translation - other.translation) < SIMILAR_MM and turn < SIMILAR_DEG)
+    def _similar(self, pose: RigidTransform, other: RigidTransform) -> bool:
+        turn_deg = np.degrees(np.linalg.norm((pose @ other.inverse()).rotation_vector))
+        distance_mm = np.linalg.norm(pose.translation - other.translation)
+        return bool(distance_mm < self.limits.similar_mm and turn_deg < self.limits.similar_deg)

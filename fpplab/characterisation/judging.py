@@ -42,9 +42,6 @@ from fpplab.core.errors import CalibrationError
 
 DEVICES = ("camera", "projector")
 
-MAX_CONTRADICTION_CHANCE = 1e-3
-"""Probability of errors as great as those seen below which they contradict the calibration."""
-
 
 @dataclass(frozen=True)
 class Errors:
@@ -56,8 +53,8 @@ class Errors:
 
     @property
     def contradicts(self) -> bool:
-        """Whether the errors are greater than chance makes them."""
-        return self.chance < MAX_CONTRADICTION_CHANCE
+        """Whether the errors are greater than chance makes them once in a thousand times."""
+        return self.chance < 1e-3
 
 
 @dataclass(frozen=True, eq=False)

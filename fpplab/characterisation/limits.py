@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from dataclasses import dataclass
+from typing import Annotated, NamedTuple
 
 from pydantic import Field
 
@@ -62,4 +63,38 @@ class CharacterisationLimits(Document):
     """Range of distances, as a share of their mean, below which a warning is given. Chosen."""
 
 
+@dataclass(frozen=True)
+class PoseLimits:
+    """Limits by which a guide judges a pose before the board is put away, and tells poses apart."""
+
+    max_residual_ratio: float = 2.0
+    """Residuals of a pose relative to those predicted, above which it is rejected if chance does not explain
+    them either. Chosen."""
+    certain_poses: int = 6
+    """Poses by which the devices have to be determined, and from which a pose that contradicts them is the
+    wrong one. Chosen: twice as many as are needed."""
+    similar_mm: float = 15.0
+    """Distance in mm below which candidates are excluded with a pose. Chosen: what a hand holds apart."""
+    similar_deg: float = 12.0
+    """Rotation in degrees below which they are, as `similar_mm`."""
+
+
+class LocalFitLimits(NamedTuple):
+    """Limits of the fit of projector coordinates around a point, read by compiled functions."""
+
+    window_pitches: float = 0.8
+    """Half the side of the window, in pitches of the board. Chosen."""
+    min_pixels: int = 40
+    """Pixels that a fit of six coefficients needs to reject outliers. Chosen."""
+    max_off_centre: float = 0.35
+    """How far the middle of the valid pixels may be from the point, in half sides of the window. Chosen."""
+    max_median_ratio: float = 4 * 1.4826
+    """Residual beyond which a pixel is left out, in medians of the absolute residuals. Derived: 4 standard
+    deviations."""
+    max_rounds: int = 4
+    """How often outliers are left out. Chosen."""
+
+
 USUAL_LIMITS = CharacterisationLimits()
+POSE_LIMITS = PoseLimits()
+LOCAL_FIT_LIMITS = LocalFitLimits()

@@ -6,25 +6,11 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from fpplab.characterisation.limits import LOCAL_FIT_LIMITS as LIMITS
 from fpplab.core.cholesky import solve_positive
 from fpplab.core.conventions import Floats, Map
 from fpplab.targets import Target
 from fpplab.targets.views import Detection, homography, local_frames, window_pixels
-
-WINDOW_PITCHES = 0.8
-"""Half the side of the local fit's window, in pitches of the board."""
-
-MIN_FIT_PIXELS = 40
-"""Pixels that a local fit of six coefficients needs to reject outliers."""
-
-MAX_OFF_CENTRE = 0.35
-"""How far the middle of the valid pixels may be from the point, in half sides of the square."""
-
-OUTLIER = 4 * 1.4826
-"""Residual beyond which a pixel is left out, in medians of the absolute residuals: 4 standard deviations."""
-
-ROUNDS = 4
-"""How often outliers are left out at most."""
 
 
 def coordinates_at_points(maps: Floats, modulation: Map, target: Target, detection: Detection) -> Floats:
@@ -34,7 +20,7 @@ def coordinates_at_points(maps: Floats, modulation: Map, target: Target, detecti
     frames = local_frames(homography(target, detection), board)
     coordinates = np.full((len(board), 2), np.nan)
     inverses = np.ascontiguousarray(np.linalg.inv(frames))
-    half_mm = WINDOW_PITCHES * min(target.spacing_mm)
+    half_mm = LIMITS.window_pitches * min(target.spacing_mm)
     reaches = half_mm * np.abs(frames).sum(axis=2).max(axis=1)
     _fit_all(
         maps, modulation, np.ascontiguousarray(detection.pixels), inverses, half_mm, reaches, coordinates
@@ -72,11 +58,11 @@ def _value_at_centre(basis: Floats, observed: Floats, weight: Floats, centre_val
     """Fit a quadric without outliers; its value at the origin is written, or NaN."""
     used, coefficients = np.ones(len(basis), np.bool_), np.empty((2, 6))
     misfit = np.empty(observed.shape)
-    for _ in range(ROUNDS):
+    for _ in range(LIMITS.max_rounds):
         middle = np.hypot(basis[used, 1].mean(), basis[used, 2].mean()) if used.any() else np.inf
         if (
-            used.sum() < MIN_FIT_PIXELS
-            or middle > MAX_OFF_CENTRE
+            used.sum() < LIMITS.min_pixels
+            or middle > LIMITS.max_off_centre
             or not _fit_weighted_quadric(basis, observed, weight, used, coefficients)
         ):
             centre_value[:] = np.nan
@@ -84,7 +70,7 @@ def _value_at_centre(basis: Floats, observed: Floats, weight: Floats, centre_val
         agree = np.ones(len(basis), np.bool_)
         for k in range(2):
             misfit[:, k] = np.abs(observed[:, k] - basis @ coefficients[k]) * weight
-            agree &= misfit[:, k] <= OUTLIER * np.median(misfit[used, k]) + 1e-9
+            agree &= misfit[:, k] <= LIMITS.max_median_ratio * np.median(misfit[used, k]) + 1e-9
         if np.array_equal(agree, used):
             break
         used = agree

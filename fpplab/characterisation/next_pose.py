@@ -20,7 +20,6 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from threadpoolctl import threadpool_limits
 
-from fpplab.characterisation.bundle import HUBER_LIMIT
 from fpplab.characterisation.estimate import JointEstimate
 from fpplab.characterisation.observation import Observation
 from fpplab.characterisation.parameters import (
@@ -36,9 +35,6 @@ from fpplab.characterisation.working_volume import WorkingVolume
 from fpplab.core.conventions import Floats
 from fpplab.core.geometry import RigidTransform
 from fpplab.targets.limits import TARGET_LIMITS
-
-MAX_POINTS = 80
-"""Boards of more points are thinned for the choice, and the points that remain count for the others."""
 
 
 def expected_observation(estimate: JointEstimate, pose: RigidTransform) -> Observation:
@@ -71,11 +67,12 @@ class Design:
         thin = _thin_board_points(estimate)
         problem = Problem(thin.observations, thin.model, thin.sizes, thin.solution)
         vector, best = problem.pack(thin.solution), thin.solution
-        matrix, _ = problem.normal_equations(vector, HUBER_LIMIT)
+        limit = thin.model.settings.huber_limit
+        matrix, _ = problem.normal_equations(vector, limit)
         through = []
         for index in range(len(thin.observations)):
             basis = effects_of_pose(problem, index, best)
-            _, weight = problem.weighted_residuals(index, best, HUBER_LIMIT)
+            _, weight = problem.weighted_residuals(index, best, limit)
             through.append(problem.transposed(index, best, weight[:, None] * basis) * _shared_px(thin.sizes))
         information, shared = _eliminate_poses(problem, matrix, np.hstack(through))
         # Of the devices alone, and of no higher rank than they have parameters.
@@ -139,10 +136,10 @@ def _shared_px(sizes: ErrorSizes) -> Floats:
     return np.repeat([sizes.camera_shared_px, sizes.projector_shared_px], 2 * FUNCTIONS)
 
 
-def _thin_board_points(estimate: JointEstimate) -> JointEstimate:
+def _thin_board_points(estimate: JointEstimate, max_points: int = 80) -> JointEstimate:
     """Keep few enough points of the board for a quick choice, each in place of several."""
     count = len(estimate.solution.board)
-    kept = np.arange(0, count, -(-count // MAX_POINTS))
+    kept = np.arange(0, count, -(-count // max_points))
     if len(kept) == count:
         return estimate
     share = float(np.sqrt(len(kept) / count))

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.characterisation.descriptions import explain_missing_board
-from fpplab.characterisation.limits import USUAL_LIMITS, CharacterisationLimits
-from fpplab.characterisation.local_fits import MIN_FIT_PIXELS, WINDOW_PITCHES, coordinates_at_points
+from fpplab.characterisation.limits import LOCAL_FIT_LIMITS, USUAL_LIMITS, CharacterisationLimits
+from fpplab.characterisation.local_fits import coordinates_at_points
 from fpplab.core.conventions import Floats, Map
 from fpplab.core.errors import CalibrationError
 from fpplab.patterns.plan import Plan
@@ -114,7 +114,7 @@ def _with_corrected_orders(
     corrected = np.full_like(maps, np.nan)
     lit = np.isfinite(maps[..., 0]) & np.isfinite(maps[..., 1])
     v, u = np.nonzero(lit & _board_area(maps.shape[:2], target, detection))
-    if len(u) < MIN_FIT_PIXELS * TARGET_LIMITS.min_points:
+    if len(u) < LOCAL_FIT_LIMITS.min_pixels * TARGET_LIMITS.min_points:
         raise CalibrationError(f"{name}: too little of the board is illuminated by the projector")
     pixels, coordinates = np.stack([u, v], axis=-1).astype(np.float64), maps[v, u] / periods
     step = max(len(u) // 4000, 1)
@@ -132,7 +132,7 @@ def _with_corrected_orders(
 def _board_area(shape: tuple[int, ...], target: Target, detection: Detection) -> NDArray[np.bool_]:
     """Tell which pixels are within the windows of the points found."""
     area = np.zeros(shape, np.uint8)
-    half = WINDOW_PITCHES * np.array(target.spacing_mm)
+    half = LOCAL_FIT_LIMITS.window_pitches * np.array(target.spacing_mm)
     low, high = (f(target.points()[detection.ids, :2], axis=0) for f in (np.min, np.max))
     (left, top), (right, bottom) = low - half, high + half
     corners = np.array([[[left, top], [right, top], [right, bottom], [left, bottom]]])

@@ -54,6 +54,11 @@ class ErrorSizes:
     camera_shared_px: float = 0.0
     projector_shared_px: float = 0.0  # the same in the projector
 
+    @property
+    def independent(self) -> tuple[float, float, float, float]:
+        """Those of errors of one point: camera, projector, board within its plane, and out of it."""
+        return self.camera_px, self.projector_px, self.in_plane_mm, self.out_of_plane_mm
+
 
 @dataclass(frozen=True, eq=False)
 class Solution:
@@ -77,6 +82,42 @@ class Solution:
         ] - observation.projector_px
 
 
+@dataclass(frozen=True)
+class BundleSettings:
+    """Settings of the iterations of the joint adjustment."""
+
+    huber_limit: float = 3.0
+    """Residuals beyond this many robust standard deviations enter linearly, not squared (Huber). Chosen."""
+    clipped_mean_square: float = 0.99501
+    """Mean square of a normal variable that is cut off at `huber_limit` standard deviations. Derived."""
+    min_eigenvalue_ratio: float = 1e-13
+    """Least significant eigenvalue of normal equations scaled to a diagonal of ones, as a share of the
+    greatest. Chosen."""
+    initial_damping: float = 1e-6
+    """Damping at which the fit starts, relative to the diagonal of the normal equations. Chosen."""
+    max_damping: float = 1e8
+    """Damping at which the fit ends: no step reduces the residuals. Chosen."""
+    max_steps: int = 200
+    """Most steps of the fit. Chosen."""
+    min_relative_gain: float = 1e-7
+    """Relative reduction of the loss at which the fit ends. Chosen: a thirtieth of a standard deviation for
+    10 000 residuals."""
+    max_rounds: int = 20
+    """Most iterations of the estimate of the errors' sizes. Chosen."""
+    max_settled_change: float = 0.01
+    """Relative change of the errors' sizes at which their iteration ends. Chosen."""
+    initial_board_error_mm: float = 0.03
+    """Errors of the board's points in mm from which the estimate starts, without a tolerance. Chosen: printed
+    boards are off by tens of µm."""
+    min_error_px: float = 1e-6
+    """Least standard deviation in px that is estimated. Chosen."""
+    min_board_error_ratio: float = 0.02
+    """Least errors of the board that are estimated, relative to the noise of the camera's points. Chosen:
+    smaller ones have no effect."""
+    min_independent_share: float = 0.05
+    """Least share of the residuals' squares that is ascribed to independent errors. Chosen."""
+
+
 @dataclass(frozen=True, eq=False)
 class Model:
     """What is fitted to observations: the level of the distortion, and the board as it was drawn."""
@@ -90,6 +131,7 @@ class Model:
     )
     image_sizes: tuple[ImageSize, ImageSize] | None = None  # (width, height) px
     limits: CharacterisationLimits = USUAL_LIMITS  # by which the fit is judged
+    settings: BundleSettings = BundleSettings()  # of its iterations
 
 
 def vectors_of(transform: RigidTransform) -> Floats:

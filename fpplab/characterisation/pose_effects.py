@@ -23,10 +23,8 @@ from fpplab.characterisation.problem import Problem
 from fpplab.core.conventions import Floats
 
 FUNCTIONS = 6
-"""Number of smooth functions over the board, by which an effect of one pose changes one coordinate."""
-
-ERROR_KINDS = 4
-"""Kinds of independent errors: camera, projector, board within its plane, board out of its plane."""
+"""Number of smooth functions over the board, by which an effect of one pose changes one coordinate: the terms
+of a polynomial of second degree in two variables."""
 
 
 def smooth_functions(places: Floats) -> Floats:
@@ -151,7 +149,7 @@ def _squares_leaked_into_poses(
 ) -> Floats:
     """Sums of squares (4, E) of the whitened residuals of each kind of errors by effect."""
     solution, priors = problem.unpack(vector), problem.priors
-    total = np.zeros((ERROR_KINDS, passed.shape[1]))
+    total = np.zeros((len(problem.sizes.independent), passed.shape[1]))
     for index, basis in enumerate(bases):
         residuals = problem.applied(index, solution, passed)
         own = slice(index * basis.shape[1], (index + 1) * basis.shape[1])

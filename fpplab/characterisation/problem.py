@@ -23,18 +23,14 @@ from fpplab.characterisation.parameters import ErrorSizes, Model, Solution
 from fpplab.core.conventions import Floats
 from fpplab.core.robust import huber_weights
 
-RATIONAL_SIGMA = 1.0
-"""Prior standard deviation of k4, k5, k6 about zero. Wide lenses need them of order one. On a lens of little
-distortion k1, k2, k3 compensate them, and without the prior all would grow together until a pole of the
-model, cancelled at the points by a zero of the numerator, lies in the image."""
-
 DISTORTION_SHARES = {"k1": (0.3, 2), "k2": (0.1, 4), "p1": (0.01, 1), "p2": (0.01, 1), "k3": (0.05, 6)}
 """Prior standard deviation of each term's distortion about zero, as a share of the radius at the image's
 corner, and the power of that radius in it. They are several times the distortion of camera and projector
-lenses, and only limit combinations of terms that the points do not determine."""
+lenses, and only limit combinations of terms that the points do not determine.
 
-CARRIED_SIGMA = 1.0
-"""Prior standard deviation about zero of the share of the detection error that is carried; it is 0 to 1."""
+Those of k4, k5, k6 are 1, since wide lenses need them of order one. On a lens of little distortion k1, k2, k3
+compensate them, and without the prior all would grow together until a pole of the model, cancelled at the
+points by a zero of the numerator, lies in the image."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +61,7 @@ class Problem:
         """Indices (Q,) of the parameters that have a prior, its means and its standard deviations."""
         n, (_, _, carried, _, board) = self._free, self.vector_offsets
         lenses = np.concatenate([np.arange(4, n), n + np.arange(4, n)])
-        sigmas = [*self._lens_priors, CARRIED_SIGMA]
+        sigmas = [*self._lens_priors, 1.0]  # the share carried is 0 to 1
         index = np.append(lenses, carried)
         if not self.model.refined:
             return index, np.zeros(len(index)), np.array(sigmas)
@@ -89,7 +85,7 @@ class Problem:
                 pixels = np.concatenate([pixels, corners])
             radius = float(np.hypot(*((pixels - lens[2:4]) / lens[:2]).T).max())
             for term in self.model.level.terms[4:]:
-                share, power = DISTORTION_SHARES.get(term, (RATIONAL_SIGMA, 0))
+                share, power = DISTORTION_SHARES.get(term, (1.0, 0))
                 sigmas.append(share / radius**power)
         return sigmas
 

@@ -28,13 +28,6 @@ from fpplab.core.conventions import Floats
 from fpplab.core.errors import CalibrationError
 from fpplab.core.geometry import RigidTransform
 
-MIN_POSES_OF_HALF = 4
-"""Fewest poses of each half."""
-
-
-PROBES = 9
-"""Points of each pose at which place and form are compared, about."""
-
 _Fit = tuple[Sequence[Observation], Solution, Model, ErrorSizes]
 
 
@@ -142,7 +135,7 @@ def _repeat_with_halves(
     whole: _Fit, quantities: Sequence[_Quantity], covariance: Floats
 ) -> tuple[Repeat, ...]:
     observations, best, model, sizes = whole
-    if len(observations) < 2 * MIN_POSES_OF_HALF:
+    if len(observations) < 8:  # each half determines its own fit by four poses or more
         return ()
     devices, spread = [], []
     for first in (0, 1):
@@ -189,12 +182,12 @@ def _quantities(fit: _Fit) -> tuple[_Quantity, ...]:
     )
 
 
-def _probes(fit: _Fit) -> Floats:
-    """Points (m, 3) in the camera's frame where the boards were, in mm."""
+def _probes(fit: _Fit, points_per_pose: int = 9) -> Floats:
+    """Points (m, 3) in the camera's frame where the boards were, in mm; about as many for each pose."""
     observations, best, _, _ = fit
     places = []
     for observation, pose in zip(observations, best.poses, strict=True):
-        chosen = observation.ids[:: max(1, len(observation.ids) // PROBES)]
+        chosen = observation.ids[:: max(1, len(observation.ids) // points_per_pose)]
         places.append(RigidTransform.from_vectors(pose[:3], pose[3:]).apply(best.board[chosen]))
     return np.concatenate(places)
 

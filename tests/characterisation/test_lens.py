@@ -7,6 +7,7 @@ import pytest
 
 from fpplab.characterisation.bundle import _residual_to_expected_ratio
 from fpplab.characterisation.lens import has_focus_breathing
+from fpplab.characterisation.parameters import BundleSettings
 from tests.support.breathing_lens import breathing, fitted, scales
 
 
@@ -31,7 +32,7 @@ def test_much_breathing_is_named_although_it_looks_like_motion_of_the_poses(seed
 def test_noise_that_was_taken_too_small_grows_again() -> None:
     """Residuals beyond the clip tell of it even where motion of the poses could explain all of them."""
     residuals = np.random.default_rng(3).normal(0.0, 50.0, 900)
-    assert _residual_to_expected_ratio(residuals, 800.0, leaked=1e9) > 3.0
+    assert _residual_to_expected_ratio(residuals, 800.0, leaked=1e9, settings=BundleSettings()) > 3.0
 
 
 def test_one_pose_alone_is_no_lens() -> None:
