@@ -52,8 +52,7 @@ class Uncertainty:
         return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
 
 
-_MAX_COEFFICIENT = 1e9
-_MAX_SIGMA = dict.fromkeys(("fx", "fy", "cx", "cy", *POSE), 1e6)
+_MAX_SIGMA = dict.fromkeys(("fx", "fy", "cx", "cy", *POSE), 1e6) | dict.fromkeys(DISTORTION, 1e9)
 """Standard uncertainties beyond which a number is damage and not knowledge, in px, mm, and rad or degrees."""
 
 
@@ -71,7 +70,7 @@ def _no_covariance(names: tuple[str, ...], covariance: Floats) -> str | None:
     if not np.all(np.isfinite(covariance)) or np.any(scale == 0):
         return "'covariance' must be finite, and above zero on its diagonal"
     for name, sigma in zip(names, scale.tolist(), strict=True):
-        if sigma > (max_sigma := _MAX_SIGMA.get(name.rpartition(".")[2], _MAX_COEFFICIENT)):
+        if sigma > (max_sigma := _MAX_SIGMA[name.rpartition(".")[2]]):
             return (
                 f"'covariance' of '{name}' means a standard uncertainty of {sigma:.3g}, more than "
                 f"{max_sigma:g}"

@@ -31,7 +31,6 @@ from fpplab.core.files import make_directory, write_atomic, write_text
 from fpplab.core.geometry import POLYNOMIAL, Pinhole, RigidTransform
 from fpplab.core.tables import Row, write_csv
 
-M_PER_MM = 1e-3
 UNITS = {"fx": "px", "fy": "px", "cx": "px", "cy": "px", "rx": "deg", "ry": "deg", "rz": "deg"}
 UNITS |= dict.fromkeys(("x", "y", "z"), "mm")
 """Of the parameters in tables; coefficients of lenses have none."""
@@ -190,13 +189,13 @@ def _ros_matrix(matrix: NDArray[Any]) -> dict[str, Any]:
 
 def _ros_transform(T_camera_projector: RigidTransform) -> dict[str, Any]:
     parent, child = ROS_FRAMES
-    translation = (T_camera_projector.translation * M_PER_MM).tolist()
+    translation_m = (1e-3 * T_camera_projector.translation).tolist()
     rotation = Rotation.from_matrix(T_camera_projector.rotation).as_quat().tolist()
     return {
         "header": {"frame_id": parent},
         "child_frame_id": child,
         "transform": {
-            "translation": dict(zip("xyz", translation, strict=True)),
+            "translation": dict(zip("xyz", translation_m, strict=True)),
             "rotation": dict(zip("xyzw", rotation, strict=True)),
         },
     }

@@ -14,7 +14,7 @@ from fpplab.core.errors import CalibrationError
 from fpplab.core.geometry import RigidTransform
 
 TILT_DEG = 35.0
-"""Tilt of the board against the image plane. Chosen: more would blur and foreshorten what is printed."""
+"""Tilt of the board against the image plane. Chosen on drawn rigs: more would blur and foreshorten it."""
 
 DIRECTIONS = tuple((x, y) for y, x in product((-1, 0, 1), repeat=2) if x or y)
 """To the right and down: towards which part of the image the board is moved, or which edge is tilted away."""

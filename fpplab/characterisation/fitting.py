@@ -48,7 +48,7 @@ from fpplab.core.errors import CalibrationError, UndeterminedError
 from fpplab.targets import Target
 
 MIN_POSES = 3
-"""Zhang's method needs this many tilted poses when nothing of the device is known."""
+"""Fewest tilted poses. Derived: Zhang's method needs as many where nothing of the device is known."""
 
 DEFAULT_LEVEL = DistortionModel.K3
 """The level taken unless one is named: weak priors limit what the points do not determine of it."""

@@ -218,13 +218,11 @@ def _end_with(error: BaseException, as_json: bool) -> NoReturn:
             _fail(f"{sentence}; set {TRACEBACK}=1 to see where, and report it", 1, as_json)
 
 
-def _short(error: OSError) -> str:
+def _short(error: OSError, max_characters: int = 100) -> str:
     name = str(error.filename)
-    return name if len(name) <= LONGEST_NAME else f"{name[:LONGEST_NAME]}…"
+    return name if len(name) <= max_characters else f"{name[:max_characters]}…"
 
 
-LONGEST_NAME = 100
-"""Characters of a file's name that a message shows where the name is refused."""
 TRACEBACK = "FPPLAB_TRACEBACK"
 """The environment variable that has unforeseen faults shown with their traceback."""
 

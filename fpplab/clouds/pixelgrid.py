@@ -18,6 +18,7 @@ from fpplab.core import buffers
 from fpplab.core.conventions import Floats, Map
 
 _TERMS = 6
+"""Coefficients of a polynomial of second degree in two variables."""
 
 GridPoints = NDArray[np.float32]
 PixelColumnsRows = NDArray[np.int32]

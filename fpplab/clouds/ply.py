@@ -21,9 +21,8 @@ _TYPES = {
 }  # fmt: skip
 _NAMES = {"u1": "uchar", "i4": "int", "f4": "float"}
 _ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}
-_LONGEST_LINE = 1 << 12
-_FILLED = 1 << 13
 _BLOCK = 1 << 16
+"""Vertices that are written at a time (chosen)."""
 
 VertexTable = NDArray[Any]
 """A structured array, one record per vertex."""
@@ -51,10 +50,12 @@ def write(columns: Mapping[str, NDArray[Any]], comments: list[str], stream: Bina
             written.result()
 
 
-def _fill(records: VertexTable, columns: Mapping[str, NDArray[Any]], start: int) -> None:
+def _fill(
+    records: VertexTable, columns: Mapping[str, NDArray[Any]], start: int, at_a_time: int = 1 << 13
+) -> None:
     """Fill some records at a time: as a whole they would leave the processor's cache between two columns."""
-    for first in range(0, len(records), _FILLED):
-        part = records[first : first + _FILLED]
+    for first in range(0, len(records), at_a_time):
+        part = records[first : first + at_a_time]
         for name, values in columns.items():
             part[name] = values[start + first : start + first + len(part)]
 
@@ -89,7 +90,7 @@ def _header(stream: BinaryIO) -> tuple[str, int, list[tuple[str, str]], list[str
     order, count, kinds, comments, element = "", -1, [], [], ""
     if stream.readline().strip() != b"ply":
         raise ValueError("it does not begin with 'ply'")
-    while line := stream.readline(_LONGEST_LINE):
+    while line := stream.readline(1 << 12):  # a longer line is read in parts
         match line.decode("ascii", "replace").split():
             case ["format", name, *_]:
                 order = _ORDERS[name]

@@ -22,18 +22,15 @@ from numpy.typing import NDArray
 from fpplab.core.conventions import Map
 
 STEEPEST_DEG = 80.0
-"""Greatest inclination of a surface to the image plane."""
+"""Greatest inclination of a surface to the image plane (chosen: as a comparison counts)."""
 NOISE_SIGMAS = 4.0
-"""Standard deviations of noise that are allowed in a step within one surface."""
+"""Standard deviations of noise that are allowed in a step within one surface (chosen)."""
 NORMAL_REACH = 2
-"""A point's normal is that of the plane through it and its eight neighbours this many px away."""
+"""A point's normal is that of the plane through it and its eight neighbours this many px away (chosen)."""
+_PART = 512
+"""Pixels of a row whose sums are kept in the cache at a time (chosen)."""
 
 _STEEPEST = np.float32(np.tan(np.radians(STEEPEST_DEG)))
-_LINE = 1e-3
-"""Neighbours lie on a line when the squared correlation of their places is within this of 1."""
-_PART = 512
-"""Pixels of a row whose sums are kept at a time."""
-
 _u = np.uintp
 # Rows of the buffer: count, sums, and sums of products of the differences of a, b and w.
 _SA, _SB, _SW, _SAA, _SAB, _SBB, _SAW, _SBW = (_u(k * (_PART + 16)) for k in range(1, 9))
@@ -110,7 +107,8 @@ def _solve_planes(index: Any, a0: Any, b0: Any, w0: Any, sums: Any, pixel_count:
         gamma = w0[i] + (sw - alpha * sa - beta * sb) / count - alpha * a0[i] - beta * b0[i]
         # (α, β, γ)·X = 1 > 0 on the plane: it points away from the camera at the origin.
         scale = -1.0 / np.sqrt(alpha * alpha + beta * beta + gamma * gamma)
-        spans = determinant > _LINE * caa * cbb
+        # Neighbours lie on a line when the squared correlation of their places is within 0.001 of 1.
+        spans = determinant > 1e-3 * caa * cbb
         sums[i] = alpha * scale if spans else 0.0
         sums[i + _SA] = beta * scale if spans else 0.0
         sums[i + _SB] = gamma * scale if spans else 0.0

@@ -17,13 +17,10 @@ from scipy.spatial import cKDTree
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import DataError
 
-POINTS_PER_CELL = 2.0
-"""Mean number of points in a cell."""
 RINGS = 12
-"""A search that needs more rings than this is answered by the tree."""
-CROWDED = 64.0
-"""Mean number of other points in a point's cell from which the tree is faster than the cells."""
+"""A search that needs more rings of cells than this is answered by the tree (chosen)."""
 _CHUNK = 4096
+"""Queries that one thread answers in sequence (chosen)."""
 
 Indices = NDArray[np.int64]
 Starts = NDArray[np.int64]
@@ -39,12 +36,13 @@ def nearest_neighbours(queries: Floats, points: Floats) -> tuple[Floats, Indices
     area = float(np.prod(high - low))
     if not area > 0.0:
         return _by_tree(queries, points)
-    cell = np.sqrt(area * POINTS_PER_CELL / len(points))
+    cell = np.sqrt(area * 2.0 / len(points))  # two points in a cell, on average
     shape = np.maximum(np.ceil((high - low) / cell), 1.0).astype(np.int64)
     if shape.prod() > 4 * len(points):
         return _by_tree(queries, points)
     order, starts = _sort_by_cell(places, low, 1.0 / cell, shape)
-    if float((np.diff(starts).astype(np.float64) ** 2).sum()) > CROWDED * len(points):
+    # Where a point shares its cell with 64 on average, the tree is faster than the cells.
+    if float((np.diff(starts).astype(np.float64) ** 2).sum()) > 64.0 * len(points):
         return _by_tree(queries, points)
     turn, _ = _sort_by_cell(sought, low, 1.0 / cell, shape)
     distance, index = np.empty(len(queries)), np.empty(len(queries), np.int64)

@@ -16,7 +16,6 @@ from fpplab.comparison.neighbours import nearest_neighbours
 from fpplab.core.conventions import Floats
 
 Ints = NDArray[np.int64]
-_STEPS = 32
 
 
 def distance_to_surface(queries: Floats, vertices: Floats, faces: NDArray[np.int32]) -> Floats:
@@ -67,7 +66,7 @@ def _walk(
             square = _square_to_triangle(x, y, z, vertices, faces[around[k]])
             if square < best:
                 best, best_face = square, around[k]
-        for _ in range(_STEPS):
+        for _ in range(32):  # steps of the search at most
             here = best_face
             for corner in range(3):
                 vertex = faces[here, corner]

@@ -10,9 +10,6 @@ from numpy.typing import NDArray
 
 from fpplab.core.conventions import Floats, Mask
 
-OCCLUDED_MM = 0.02
-"""A surface that is nearer by more than this occludes a point; less is rounding of single-precision rays."""
-
 
 class RayTracedShape:
     """A mesh prepared for ray tracing."""
@@ -53,7 +50,8 @@ class RayTracedShape:
         # centre (3,) mm; points (N, 3) mm; returns (N,)
         rays = points - centre
         lengths = np.linalg.norm(rays, axis=1)
-        return np.asarray(self.depth(centre, rays / lengths[:, None]) >= lengths - OCCLUDED_MM)
+        # A surface that is nearer by 0.02 mm or less is the point's own: rays are of single precision.
+        return np.asarray(self.depth(centre, rays / lengths[:, None]) >= lengths - 0.02)
 
 
 def _rays(centre: Floats, directions: Floats) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

@@ -24,7 +24,7 @@ from fpplab.core.strict_yaml import load_yaml
 _log = logging.getLogger(__name__)
 
 MAX_TEXT_BYTES = 8_000_000
-"""Greatest size of a text file."""
+"""Greatest size in bytes of a text file (chosen)."""
 MAX_FAULTS = 5
 """Faults of a file that one message reports. Chosen."""
 

@@ -19,7 +19,7 @@ except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
 STAGED_BYTES = 1 << 22
-"""What is written at a time."""
+"""Bytes that are written at a time (chosen)."""
 
 
 class DirectWriter(io.BufferedIOBase):

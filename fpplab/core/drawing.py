@@ -24,9 +24,8 @@ from fpplab.core.errors import DataError
 
 HALF, FULL = 4.8, 9.6
 """Widths in inches of figures in two columns, and of the full page."""
-DPI = 144
 MAX_COLUMNS = 1200
-"""Columns beyond which a map is subsampled before it is drawn."""
+"""Columns beyond which a map is subsampled before it is drawn. Chosen."""
 UNMEASURED = "#b9bcc0"
 """Colour of what was not measured."""
 ERROR_COLOURS = "RdBu_r"
@@ -81,7 +80,7 @@ def encode_png(figure: Figure) -> bytes:
 
 def new_figure(width: float, height: float) -> Figure:
     """Make an empty figure; axes are added by `subplots` or `add_gridspec`."""
-    return Figure(figsize=(width, height), dpi=DPI, layout="compressed", facecolor="white")
+    return Figure(figsize=(width, height), dpi=144, layout="compressed", facecolor="white")
 
 
 def single_axes(width: float, height: float) -> tuple[Figure, Axes]:

@@ -41,7 +41,7 @@ class ReadingLimits:
 LIMITS = ReadingLimits()
 
 REFUSED = 3
-"""Exit code where the parser itself refused the file."""
+"""Exit code where the parser itself refused the file (chosen): Python's own are 1 and 2."""
 
 Parts = dict[str, NDArray[Any]]
 

@@ -23,9 +23,9 @@ DISTORTION = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 POLYNOMIAL = 5
 """Number of coefficients of the polynomial model; those after them are the rational model's."""
 PIXEL_TOLERANCE = 1e-10
-"""Error in px at which the iterative inversion of the distortion ends."""
+"""Error in px at which the iterative inversion of the distortion ends (chosen)."""
 INVERSION_STEPS = 50
-"""Most iterations of that inversion."""
+"""Most iterations of that inversion (chosen)."""
 
 
 @dataclass(frozen=True, eq=False)

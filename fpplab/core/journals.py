@@ -10,7 +10,7 @@ from fpplab.core.errors import DataError
 from fpplab.core.files import read_bounded, writing
 
 MAX_JOURNAL_BYTES = 256_000_000
-"""Greatest size of a journal: some 700,000 frames."""
+"""Greatest size in bytes of a journal (chosen): some 700,000 frames."""
 
 
 def make_journal(path: Path) -> None:

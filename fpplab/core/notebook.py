@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-PICTURE_PX = 240
-"""Longest side of a picture in a table."""
 CUT = (2.0, 98.0)
 """Percentiles of the values that are drawn black and white."""
 
@@ -36,12 +34,12 @@ def html_table(title: str, rows: Mapping[str, object], picture: bytes | None = N
     return f"<div style='display:flex;gap:1em'>{table}{image}</div>"
 
 
-def grey_picture(values: NDArray[Any]) -> bytes:
+def grey_picture(values: NDArray[Any], max_px: int = 240) -> bytes:
     """Draw a small picture of a map or frame."""
     # values (height, width)
     from PIL import Image as Pixels
 
-    step = max(1, -(-max(values.shape) // PICTURE_PX))
+    step = max(1, -(-max(values.shape) // max_px))
     shown = np.asarray(values[::step, ::step], np.float64)
     finite = np.isfinite(shown)
     low, high = np.percentile(shown[finite], CUT) if finite.any() else (0.0, 1.0)

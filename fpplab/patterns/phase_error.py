@@ -23,8 +23,9 @@ from fpplab.patterns.plan import Plan
 from fpplab.patterns.response import Response
 
 _PHASES = 512
+"""Phases over a period at which errors are evaluated (chosen)."""
 _REACH = 8
-_HIGHEST = 64
+"""Multiples of the number of steps to each side whose harmonics count (chosen)."""
 _TURNS = np.exp(1j * TWO_PI * np.outer(np.arange(-_REACH, _REACH + 1), np.arange(_PHASES) / _PHASES))
 """exp(imNφ) for m from -`_REACH` on, over the error's own period of Nφ."""
 
@@ -41,7 +42,7 @@ def harmonics(g: float, highest: int) -> Floats:
     return mean * np.concatenate([[1.0], np.cumprod((g - k + 1.0) / (g + k))])
 
 
-def relative_harmonics(response: Curve, correction: Curve | None = None, highest: int = _HIGHEST) -> Floats:
+def relative_harmonics(response: Curve, correction: Curve | None = None, highest: int = 64) -> Floats:
     """Compute the harmonics of a sinusoid through a response, relative to the fringe."""
     # returns (highest + 1,)
     phase = TWO_PI * np.arange(16 * _PHASES) / (16 * _PHASES)

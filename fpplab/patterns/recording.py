@@ -22,7 +22,7 @@ from fpplab.patterns.phase_error import relative_harmonics
 from fpplab.patterns.plan import Plan
 
 _BAND = 32
-"""Rows whose mean is taken while their sums are in the cache."""
+"""Rows whose mean is taken at a time (chosen): their sums stay in the cache."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ from fpplab.patterns.limits import PATTERN_LIMITS as LIMITS
 from fpplab.patterns.response import Region, Response, fit_response
 
 GRID = 3
-"""Regions along each side of the image."""
+"""Regions along each side of the image (chosen)."""
 
 MEAN, NOISE, SPREAD, WHITE = range(4)
 """Rows of the result of `statistics`."""

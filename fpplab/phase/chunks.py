@@ -6,7 +6,8 @@ import numpy as np
 from numba import njit
 
 CHUNK = 2048
-"""Pixels whose sums are kept in the cache at a time."""
+"""Pixels whose sums are kept in the cache at a time (chosen). A constant, as the others of the kernels: the
+compiler must know distances of rows."""
 
 # Rows lie a little more than a chunk apart: at multiples of a memory page the processor
 # takes a row's element for the one it has just stored in another row, and waits.

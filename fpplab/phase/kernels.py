@@ -25,7 +25,7 @@ from fpplab.phase.tables import Maps, Recipe
 from fpplab.phase.wrong_order import TO_EXPLAIN, settle_orders
 
 GROUP = 4
-"""Frames summed per visit of a chunk; every set's list of frames is padded to a multiple."""
+"""Frames summed per visit of a chunk (chosen); every set's list of frames is padded to a multiple."""
 
 
 _f = np.float32

@@ -62,7 +62,8 @@ class OutsideLimits(NamedTuple):
     max_noise_turns: float = 0.05
     """Greatest noise of a phase, in turns, of a pixel that is taken to have fringes. Chosen."""
     beyond_sigmas: float = 5.0
-    """How many standard deviations beyond the interval a position certainly lies outside. Chosen."""
+    """How many standard deviations beyond the interval a position certainly lies outside. Chosen, as those of
+    `OrderLimits`."""
     warning_share: float = 0.05
     """Share of the pixels with fringes from which on a warning is given. Chosen."""
 
@@ -134,7 +135,7 @@ class CommonErrorLimits(NamedTuple):
     """Power of gains relative to that of noise, which noise alone reaches once in a thousand times.
     Derived."""
     highest_harmonic: int = 64
-    """Of a power law. Chosen."""
+    """Highest harmonic of a power law that is computed. Chosen."""
 
 
 ORDERS = OrderLimits()

@@ -18,7 +18,7 @@ from fpplab.core.conventions import Floats, Image
 from fpplab.phase.limits import NOISE
 
 QUANTISATION = 1 / 12
-"""Variance of rounding to integers, in units of the last place squared."""
+"""Variance of rounding to integers, in units of the last place squared: that of an even distribution."""
 
 
 _f = np.float32

@@ -19,7 +19,8 @@ from fpplab.phase.fusion import CHI2, DOUBT, FINEST, LEAST, POSITION, fuse_axis
 from fpplab.phase.limits import ORDERS
 
 TO_EXPLAIN = 0.5
-"""Mark of a pixel whose step by step order is refused: measured only if the likeliest order suits."""
+"""Mark of a pixel whose step by step order is refused, between those of good pixels, 1, and bad ones, 0:
+measured only if the likeliest order suits."""
 
 _f, _u = np.float32, np.uintp
 _HALF, _ONE = _f(0.5), _f(1)

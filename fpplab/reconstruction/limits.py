@@ -40,7 +40,8 @@ class ReconstructionLimits(NamedTuple):
     neighbours is itself two or three standard deviations too great."""
     flying_noise_share: float = 0.5
     """Allowance for noise in a step to a neighbour where the majority of all decides, as a share of
-    `fpplab.clouds.surfaces.NOISE_SIGMAS`. Chosen."""
+    `fpplab.clouds.surfaces.NOISE_SIGMAS`. Measured on eight ray-cast scenes: 74 % of the flying
+    points and 0.06 % of the good ones are removed; with the whole allowance 51 % and 0.03 %."""
     finer_steps: int = 6
     """Steps between two nodes of a ray grid at which cubic polynomials are evaluated; between these, values
     are linear. Chosen."""

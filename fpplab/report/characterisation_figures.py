@@ -30,9 +30,8 @@ from fpplab.core.drawing import (
     single_axes,
 )
 
-BINS = 41
 CROWDED = 8
-"""Number of poses beyond which their names are rotated."""
+"""Number of poses beyond which their names are rotated (chosen)."""
 
 EPIPOLAR = (
     "Distance in the projector's image between each point and the epipolar line of its camera pixel; it does "
@@ -64,7 +63,7 @@ def epipolar_figure(characterisation: Characterisation) -> Figure:
     rms = float(np.sqrt(np.mean(distances**2)))
     figure, (left, right) = side_by_side(2.9, (1.0, 1.5))
     reach = max(float(np.percentile(np.abs(distances), 99.5)), 1e-9) * 1.05
-    left.hist(distances, np.linspace(-reach, reach, BINS).tolist(), color=ACCENT)
+    left.hist(distances, np.linspace(-reach, reach, 41).tolist(), color=ACCENT)
     left.axvline(0, color=INK, linewidth=0.8)
     left.set(xlabel="distance from the epipolar line in px", ylabel="points", xlim=(-reach, reach))
     beyond = int(np.sum(np.abs(distances) > reach))

@@ -25,21 +25,17 @@ from fpplab.core.drawing import as_png, colour_bar, single_axes
 from fpplab.report.wording import count_text
 
 MAX_POINTS = 60_000
-"""Points of a view; a page with several shares twice as many among them."""
+"""Points of a view (chosen: some megabytes); a page with several shares twice as many among them."""
 TILT_DEG, TURN_DEG = 50.0, 25.0
 """The view at first: tilted away from the camera's own by this, and turned about the camera's axis."""
 FIELD_DEG = 30.0
-"""Vertical field of view."""
-CLOSER = 0.8
-"""Distance of the eye at first, as a share of that from which a sphere around all points is in view."""
+"""Vertical field of view (chosen)."""
 STILL = (960, 600)
 """Width and height of the still picture in px."""
 STEPS = 65535
-"""Steps of a quantised value; 0 is a value that is not known."""
-BEYOND = 0.5
-"""How far beyond the middle 99 % of the points, as a share of their range, a point is still shown."""
+"""Steps of a quantised value, those of 16 bits; 0 is a value that is not known."""
 GREY = 0.6
-"""Colour of points without a value."""
+"""Colour of points without a value: red, green and blue as a share of full brightness (chosen)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,9 +129,9 @@ def decimate(cloud: Cloud, max_points: int) -> NDArray[np.bool_]:
 
 
 def _drop_far_points(points: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Points that do not lie far from all others."""
+    """Points that lie within the middle 99 % of all, or no farther from them than half of their range."""
     low, high = np.percentile(points, (0.5, 99.5), axis=0)
-    reach = BEYOND * (high - low) + 1e-3
+    reach = 0.5 * (high - low) + 1e-3
     return np.asarray(((points >= low - reach) & (points <= high + reach)).all(axis=1))
 
 
@@ -160,8 +156,8 @@ def _centre_and_radius(points: NDArray[np.float32]) -> tuple[Floats, float]:
 
 
 def _distance(radius: float) -> float:
-    """Of the eye at first: most of the sphere around the points is in view."""
-    return CLOSER * radius / float(np.sin(np.radians(FIELD_DEG) / 2))
+    """Of the eye at first: four fifths of that from which the whole sphere around the points is in view."""
+    return 0.8 * radius / float(np.sin(np.radians(FIELD_DEG) / 2))
 
 
 def _described(cloud: Cloud, quantities: list[CloudQuantity], centre: Floats, radius: float) -> str:

@@ -42,11 +42,6 @@ from fpplab.core.robust import error_limit
 from fpplab.patterns.fringes import Pattern
 from fpplab.report.raster import CloudLike, block_mean, raster_of, rasterise
 
-RELIEF_COLUMNS = 760
-"""Columns of a relief: points are averaged to about this number, which reduces the noise of the normals."""
-CONTOUR_COLUMNS = 400
-THUMBNAIL = 232
-
 
 @as_png
 def camera_image(image: Image, bits: int = 8) -> Figure:
@@ -70,7 +65,7 @@ def coordinate_map(values: Map, axis: Axis) -> Figure:
     limits = value_range(values, 0.1, 99.9)
     mappable = draw_map(axes, values, "viridis", limits)
     bar = colour_bar(figure, axes, mappable, f"projector {'u' if axis == 'x' else 'v'} in px")
-    coarse, (height, width) = block_mean(values, CONTOUR_COLUMNS), values.shape
+    coarse, (height, width) = block_mean(values, 400), values.shape
     levels = mpl.ticker.MaxNLocator(14).tick_values(*limits)
     finite = coarse[np.isfinite(coarse)]
     levels = [level for level in levels if len(finite) and finite.min() < level < finite.max()]
@@ -125,18 +120,18 @@ def point_map(
     return figure
 
 
-def thumbnail(cloud: CloudLike) -> bytes:
+def thumbnail(cloud: CloudLike, width_px: int = 232) -> bytes:
     """Draw the measured surface small, without axes."""
     bright = np.nan_to_num(surface_shading(rasterise(raster_of(cloud), cloud.points)[0]), nan=0.85)
-    height = max(1, min(2 * THUMBNAIL, round(THUMBNAIL * bright.shape[0] / bright.shape[1])))
-    small = cv2.resize(bright, (THUMBNAIL, height), interpolation=cv2.INTER_AREA)
+    height = max(1, min(2 * width_px, round(width_px * bright.shape[0] / bright.shape[1])))
+    small = cv2.resize(bright, (width_px, height), interpolation=cv2.INTER_AREA)
     return bytes(cv2.imencode(".png", (255 * small).astype(np.uint8))[1])
 
 
 def surface_shading(points: Map) -> Map:
     """Compute the brightness of an illuminated, slightly glossy surface."""
     # points (h, w, 3) mm
-    coarse = block_mean(points, RELIEF_COLUMNS)
+    coarse = block_mean(points, 760)  # of about 760 columns: a mean reduces the noise of the normals
     measured = np.isfinite(coarse[..., 0])
     if min(measured.shape) < 2:  # one line of pixels has no normals
         return np.where(measured, np.float32(0.5), np.float32(np.nan))

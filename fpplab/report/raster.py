@@ -10,11 +10,6 @@ from numpy.typing import NDArray
 from fpplab.core.conventions import Map, Mask
 from fpplab.core.errors import DataError
 
-OUTLIER_PERCENT = 0.5
-"""Percentage of the points at each side that may lie outside of a map."""
-MARGIN = 0.04
-"""Margin around the points, as a share of the greater side."""
-
 Extent = tuple[float, float, float, float]
 """Left, right, bottom and top edge of a map in the units of its axes."""
 
@@ -90,11 +85,9 @@ def block_mean(values: Map, columns: int) -> Map:
 
 
 def _bounds_without_outliers(columns: NDArray[Any], rows: NDArray[Any]) -> tuple[float, float, float, float]:
-    """Left, top, right and bottom without outliers, with a margin."""
-    (left, right), (top, bottom) = (
-        np.percentile(c, (OUTLIER_PERCENT, 100 - OUTLIER_PERCENT)) for c in (columns, rows)
-    )
-    margin = MARGIN * max(right - left, bottom - top)
+    """Left, top, right and bottom of the middle 99 %, with a margin."""
+    (left, right), (top, bottom) = (np.percentile(c, (0.5, 99.5)) for c in (columns, rows))
+    margin = 0.04 * max(right - left, bottom - top)
     return (
         float(max(left - margin, columns.min())),
         float(max(top - margin, rows.min())),

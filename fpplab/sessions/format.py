@@ -23,7 +23,7 @@ from fpplab.core.errors import DataError
 from fpplab.core.session_names import CHECKSUMS, FORMAT, PLAN, RIG
 
 PRESENT = 2
-"""The version that is written."""
+"""The version of the format that is written."""
 
 
 class SessionFormat(Document):

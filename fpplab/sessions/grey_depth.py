@@ -14,7 +14,7 @@ from fpplab.sessions.limits import SESSION_LIMITS as LIMITS
 
 BIT_DEPTHS = (8, 10, 12, 14, 16)
 STORED_BITS = 16
-"""Bits of a stored grey level where it has more than 8."""
+"""Bits of a stored grey level where it has more than 8: what TIFF and PNG hold."""
 
 
 def check_bits(bits: int | None) -> None:

@@ -29,6 +29,7 @@ PAPERS = {"A4": (210.0, 297.0), "A3": (297.0, 420.0), "letter": (215.9, 279.4)}
 _KNOWN = {name.lower(): size for name, size in PAPERS.items()}
 
 MM_PER_INCH = 25.4
+"""By definition."""
 
 
 @dataclass(frozen=True)

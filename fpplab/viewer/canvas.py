@@ -29,9 +29,6 @@ Opened = Literal["rig", "part"]
 """Scenes of the rig with all that is around it, and scenes of the part alone."""
 REACH: dict[Opened, str] = {"rig": "world/reach/rig", "part": "world/reach/part"}
 """Entities of invisible points, which make scenes open with all of their content in view."""
-REACH_FACTOR = 1.45
-"""Extent of these points over that of the content: rerun looks from 1.5 half diagonals away at an angle of 55
-degrees, which would cut off a third."""
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 
@@ -192,7 +189,8 @@ class Canvas:
         self._there[scene][name] = np.percentile(points, (0.5, 99.5), axis=0)
         ends = np.concatenate(list(self._there[scene].values()))
         middle = (ends.min(axis=0) + ends.max(axis=0)) / 2
-        half = REACH_FACTOR * float(np.linalg.norm(ends - middle, axis=1).max()) / math.sqrt(3.0)
+        # rerun looks from 1.5 half diagonals away at an angle of 55 degrees, which would cut off a third.
+        half = 1.45 * float(np.linalg.norm(ends - middle, axis=1).max()) / math.sqrt(3.0)
         corners = middle + half * np.array([[-1.0], [1.0]])
         self.cloud(REACH[scene], corners, np.full((2, 3), BACKGROUND, np.uint8))
 

@@ -16,7 +16,6 @@ UNMEASURED = (185, 188, 192)
 """RGB of what was not measured."""
 BAR_SIZE = (560, 92)
 """Width and height of a colour bar in px."""
-BAR_TICKS = 5
 _PAPER, _INK = (24, 27, 31), (225, 228, 232)
 _MARGIN, _HEIGHT = 60, 30
 
@@ -67,8 +66,7 @@ class ColourScale:
         ramp = self._table()[np.linspace(0, 255, across).astype(np.intp)]
         sheet.paste(Pixels.fromarray(np.repeat(ramp[None], _HEIGHT, axis=0)), (_MARGIN, 2))
         draw, font = ImageDraw.Draw(sheet), _font()
-        for k in range(BAR_TICKS):
-            share = k / (BAR_TICKS - 1)
+        for share in (0.0, 0.25, 0.5, 0.75, 1.0):
             x = _MARGIN + share * (across - 1)
             draw.line([(x, _HEIGHT), (x, _HEIGHT + 7)], fill=_INK, width=2)
             value = self.low + share * (self.high - self.low)

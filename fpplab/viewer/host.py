@@ -34,14 +34,13 @@ START_TIMEOUT_S = 20.0
 """Longest time in s that rerun may take to start (chosen)."""
 MEMORY_LIMIT = "1GB"
 """Memory limit of rerun's server (chosen)."""
-RELOAD_S = 2.0
-"""Time in s within which a page that is loaded again does not count as closed (chosen)."""
 OWN_FILES = {"/": "page.html", "/page.css": "page.css", "/page.js": "page.js"}
 """Files of the page that are fpplab's."""
 CONTENT_TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
 RERUN_FILES = ("/re_viewer.js", "/re_viewer_bg.wasm", "/favicon.svg")
 """Files of the page that rerun's program contains."""
 PR_SET_PDEATHSIG = 1
+"""Linux's number of the option that sets the signal at the end of the parent."""
 
 
 def run(program: str, kind: str, files: list[str]) -> None:
@@ -228,7 +227,7 @@ class _PageHandler(BaseHTTPRequestHandler):
             self.connection.recv(1)  # ends when the browser closes the connection
         with cls._lock:
             cls._open_pages -= 1
-        time.sleep(RELOAD_S)
+        time.sleep(2.0)  # a page that is only loaded again is open by then
         if cls._open_pages == 0:
             _report({"closed": True})
 

@@ -7,9 +7,6 @@ from typing import Any
 
 from fpplab.viewer.canvas import BACKGROUND
 
-BAR_SHARE = 10
-"""A scene is this number of times as high as the colour bar beneath it."""
-
 
 def image(name: str, origin: str) -> Any:
     """View an image, a map or a diagram."""
@@ -32,10 +29,10 @@ def scene(name: str, contents: Sequence[str], origin: str = "/world") -> Any:
 
 
 def with_bar(content: Any, bar: str, name: str) -> Any:
-    """Put a colour bar beneath a view."""
+    """Put a colour bar beneath a view that is ten times as high."""
     import rerun.blueprint as rrb
 
-    return rrb.Vertical(content, image("Colours", bar), row_shares=[BAR_SHARE, 1], name=name)
+    return rrb.Vertical(content, image("Colours", bar), row_shares=[10, 1], name=name)
 
 
 def curves(name: str, contents: Mapping[str, Sequence[str]] | Sequence[str]) -> Any:

@@ -33,15 +33,6 @@ SATURATED, DARK = (255, 48, 32), (24, 60, 150)
 UNKNOWN_FOCUS = (72, 76, 82)
 """RGB of a region whose focus is not known."""
 
-CELL_PX = 40
-"""Side of a region in the maps, in px."""
-
-MAX_QUEUED_FRAMES = 3
-"""Frames that may wait to be drawn (chosen: recent frames matter more than all of them)."""
-
-MAX_RATE_HZ = 10.0
-"""Frames per s that are shown at most: browsers fall behind with more."""
-
 OVERLAP_COLOUR, WORKING_COLOUR = (90, 170, 110), (250, 200, 60)
 """RGB of the fields' overlap, and of that at the working distance."""
 
@@ -189,7 +180,7 @@ class LiveView(CommandView):
             self._state_text = now.state_text
             self.canvas.text("words", now.state_text, static=False)
 
-    def _draw_focus(self, name: str, focus: FocusShares) -> None:
+    def _draw_focus(self, name: str, focus: FocusShares, cell_px: int = 40) -> None:
         """The focus of each region as a share of its best: colours, and figures on them."""
         import rerun as rr
 
@@ -200,8 +191,8 @@ class LiveView(CommandView):
         rgb = np.rint(200 * table).astype(np.uint8)
         rgb[~measured] = UNKNOWN_FOCUS
         entity = f"maps/{name}_focus"
-        self.canvas.log(entity, rr.Image(rgb.repeat(CELL_PX, axis=0).repeat(CELL_PX, axis=1)))
-        v, u = np.meshgrid(*((np.arange(n) + 0.5) * CELL_PX for n in REGIONS), indexing="ij")
+        self.canvas.log(entity, rr.Image(rgb.repeat(cell_px, axis=0).repeat(cell_px, axis=1)))
+        v, u = np.meshgrid(*((np.arange(n) + 0.5) * cell_px for n in REGIONS), indexing="ij")
         labels = [f"{100 * share:.0f}" if share == share else "–" for share in focus.regions.ravel()]
         centres = np.stack([u.ravel(), v.ravel()], axis=1)
         points = rr.Points2D(centres, labels=labels, show_labels=True, radii=0.0, colors=(255, 255, 255))
@@ -211,7 +202,8 @@ class LiveView(CommandView):
 class LiveFrames:
     """Sends frames of the set-up to a viewer, with what was measured since the one before."""
 
-    def __init__(self, viewer: Viewer[LiveView], max_rate_hz: float = MAX_RATE_HZ) -> None:
+    # Browsers fall behind with more than ten frames a second.
+    def __init__(self, viewer: Viewer[LiveView], max_rate_hz: float = 10.0) -> None:
         self._viewer, self._max_rate_hz = viewer, max_rate_hz
         self._last_s = -math.inf
         self._levels: LightLevels | None = None

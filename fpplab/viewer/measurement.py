@@ -32,8 +32,6 @@ from fpplab.viewer import layouts
 from fpplab.viewer.canvas import REACH, Canvas, CommandView, eight_bits, subsample_columns
 from fpplab.viewer.colours import ColourScale
 
-MIN_MODULATION = 2.0
-"""Modulation in the frames' grey levels below which a wrapped phase is noise, and drawn grey."""
 MIN_LOG_RISK, MAX_LOG_RISK = -12.0, -3.0
 """Decimal logarithms of the probabilities at the ends of the colour bar of the order risk."""
 CAMERA, PROJECTOR, CLOUD = "world/camera", "world/projector", "world/cloud"
@@ -154,7 +152,8 @@ class MeasurementView(CommandView):
             self._phase(wrapped_phase([frames[n] for n in range(fringe.images)], fringe), frame.bits)
 
     def _phase(self, wrapped: Wrapped, bits: int) -> None:
-        faint = MIN_MODULATION * raw_per_grey(bits)
+        # Below a modulation of two grey levels a phase is noise.
+        faint = 2.0 * raw_per_grey(bits)
         phase = np.where(wrapped.modulation >= faint, wrapped.phase, np.float32(np.nan))
         self.canvas.map("maps/phase", phase, ColourScale("Phase", "rad", "twilight", 0.0, TWO_PI))
 

@@ -23,18 +23,16 @@ from fpplab.core.errors import DeviceError
 from fpplab.viewer.messages import WAITING, Opening
 from fpplab.viewer.server import ViewerServer, open_server
 
-NICENESS = 5
-"""Added niceness (chosen): the measurement gets three times its share where both want the same core; with
-more, a busy computer would leave the viewer no time to finish the recording."""
-
 
 def serve() -> None:
     """Draw the messages on standard input until it ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     reports = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)  # what libraries print is no report
+    # The measurement gets three times the viewer's share where both want the same core; with a niceness of
+    # more than 5, a busy computer would leave the viewer no time to finish the recording.
     if hasattr(os, "nice"):
-        os.nice(NICENESS)
+        os.nice(5)
 
     def report(**values: Any) -> None:
         with suppress(OSError):

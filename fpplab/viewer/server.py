@@ -24,8 +24,6 @@ ViewerPlace = Literal["window", "browser", "anywhere"]
 PROCESS_GROUP = 0 if os.name == "posix" else None
 """A new process group, so that Ctrl-C is for the command alone. In a session of its own, Linux would give it
 a share of the processor whatever its niceness."""
-STOP_TIMEOUT_S = 5.0
-"""Time in s for the process to end by itself (chosen)."""
 
 
 class ViewerServer:
@@ -74,7 +72,7 @@ class ViewerServer:
         with suppress(OSError):
             self._process.stdin.close()
         try:
-            self._process.wait(STOP_TIMEOUT_S)
+            self._process.wait(timeout=5.0)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from fpplab.results.demo import DemoResult, DemoScan
 
 POSES = 12
+"""Poses of the board (chosen)."""
 TRUTH, RESULT, BOARD = "truth.stl", "demo.json", "board"
 
 

@@ -30,7 +30,7 @@ from fpplab.setup.live.orders import Order
 from fpplab.setup.live.page import SetUpPage
 from fpplab.setup.live.status import LiveStatus
 from fpplab.targets import Target
-from fpplab.viewer.live import MAX_QUEUED_FRAMES, LiveFrames, LiveView
+from fpplab.viewer.live import LiveFrames, LiveView
 from fpplab.viewer.server import ViewerPlace
 from fpplab.viewer.viewer import Viewer
 
@@ -187,7 +187,8 @@ def _viewer(request: LiveRequest, log: Callable[[str], object]) -> Viewer[LiveVi
     if shown and find_spec("rerun") is None:
         log(f"Without images: {how_to_install('rerun')}")
         shown = None
-    return Viewer(LiveView, shown, request.recording, max_queued=MAX_QUEUED_FRAMES)
+    # Recent frames matter more than all of them.
+    return Viewer(LiveView, shown, request.recording, max_queued=3)
 
 
 def _page_of(viewer: Viewer[LiveView]) -> str | None:

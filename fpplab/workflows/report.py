@@ -24,7 +24,7 @@ from fpplab.sessions.origin import foreign_calibration
 from fpplab.sessions.session import Session
 
 MAX_SCANS = 8
-"""More would not fit into a page that can be mailed."""
+"""Most scans of a page (chosen): more would not fit into one that can be mailed."""
 
 
 @dataclass(frozen=True)

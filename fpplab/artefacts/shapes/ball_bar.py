@@ -19,10 +19,6 @@ if TYPE_CHECKING:
     import trimesh
     from manifold3d import Manifold
 
-SUBDIVISIONS = 6
-"""Of an icosahedron: the facets' sagitta is 0.005 % of the radius, 0.5 µm on a sphere of 20 mm."""
-POST_CORNERS = 64
-
 
 @dataclass(frozen=True)
 class BallBar(Artefact):
@@ -65,7 +61,7 @@ class BallBar(Artefact):
 
         bar = Manifold.cube(self.bar, center=True).translate((0.0, 0.0, self.bar[2] / 2))
         radius, height = self.post / 2, float(self.centres[0, 2])
-        post = Manifold.cylinder(height - self.bar[2] / 2, radius, radius, POST_CORNERS)
+        post = Manifold.cylinder(height - self.bar[2] / 2, radius, radius, 64)
         body = bar
         for centre in self.centres:
             body += post.translate((centre[0], centre[1], self.bar[2] / 2))
@@ -77,4 +73,5 @@ class BallBar(Artefact):
 
         from fpplab.artefacts.solids import to_manifold
 
-        return to_manifold(trimesh.creation.icosphere(SUBDIVISIONS, self.diameter / 2))
+        # The facets' sagitta is 0.005 % of the radius, 0.5 µm on a sphere of 20 mm.
+        return to_manifold(trimesh.creation.icosphere(subdivisions=6, radius=self.diameter / 2))

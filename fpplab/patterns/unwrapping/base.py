@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from itertools import combinations, pairwise
 
 NEGLIGIBLE = 1e-9
-"""Stripe counts that differ by less are the same."""
+"""Stripe counts that differ by less are the same (chosen: more than rounding)."""
 
 
 @dataclass(frozen=True)

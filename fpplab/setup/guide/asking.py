@@ -20,9 +20,6 @@ from fpplab.devices import Fixture, InstructableFixture, PosableFixture
 PICTURE = "next_pose.png"
 """Name of the sketch in the folder of the poses."""
 
-WIDTH_PX = 960
-"""Width of the sketch (chosen)."""
-
 OUTLINE, TOP, INK = (60, 200, 255), (70, 110, 255), (255, 255, 255)
 """Colours of the outline, of the board's upper edge, and of text: blue, green, red."""
 
@@ -58,14 +55,16 @@ def _place(fixture: PosableFixture, item: str, pose: WantedPose) -> None:
         fixture.place(item, pose.T_camera_target)
 
 
-def write_sketch(path: Path, pose: WantedPose, size: ImageSize, image: NDArray[Any] | None = None) -> None:
+def write_sketch(
+    path: Path, pose: WantedPose, size: ImageSize, image: NDArray[Any] | None = None, width_px: int = 960
+) -> None:
     """Draw the pose that is asked for over the last image."""
     # size (width, height) px; image (height, width)
-    scale = WIDTH_PX / size[0]
-    picture = np.full((round(scale * size[1]), WIDTH_PX, 3), 40, np.uint8)
+    scale = width_px / size[0]
+    picture = np.full((round(scale * size[1]), width_px, 3), 40, np.uint8)
     if image is not None:
         grey = cv2.resize(
-            np.asarray(image, np.float32), (WIDTH_PX, len(picture)), interpolation=cv2.INTER_AREA
+            np.asarray(image, np.float32), (width_px, len(picture)), interpolation=cv2.INTER_AREA
         )
         grey = np.clip(0.6 * 255 * grey / max(float(np.percentile(grey, 99.5)), 1e-9), 0, 255)
         picture[:] = grey.astype(np.uint8)[..., None]

@@ -11,6 +11,7 @@ import numpy as np
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation import Observation, finest_periods, observe
 from fpplab.characterisation.coverage import REGION_NAMES, coverage_warnings, regions_with_points
+from fpplab.characterisation.fitting import MIN_POSES
 from fpplab.characterisation.guide import Guide
 from fpplab.characterisation.parameters import Solution
 from fpplab.characterisation.zhang import calibrate_separately, fit_pose_between_devices, transform
@@ -21,9 +22,6 @@ from fpplab.core.geometry import Pinhole
 from fpplab.pipeline import decode_session
 from fpplab.sessions.session import Session
 from fpplab.targets import Target
-
-MIN_POSES_TO_FIT = 3
-"""Poses below which nothing can be fitted, so that only parts of the image are counted."""
 
 RECOMMENDED_POSES = 10
 """Poses that make a good characterisation (chosen)."""
@@ -101,7 +99,7 @@ def advise_by_coverage(
     if not observations:
         return ("hold the board upright in the middle, and take the first pose",)
     advice: list[str] = []
-    if len(observations) >= MIN_POSES_TO_FIT:
+    if len(observations) >= MIN_POSES:
         try:
             advice += _uncovered_regions(observations, target, camera_size, projector_size)
         except CalibrationError as error:

@@ -29,7 +29,7 @@ from fpplab.sessions.session import Session
 from fpplab.setup.rig_check.marker import middle_level
 
 DECISIVE_EXCESS = 1e4
-"""Excess of a finding from which everything else follows: ranks before any measured one."""
+"""Excess of a finding from which everything else follows. Chosen: ranks before any measured one."""
 
 REFUSED = re.compile(r"permission|not permitted|may not open|access (is )?denied|errno 13\b", re.IGNORECASE)
 """How systems and libraries say that a user may not open a device."""

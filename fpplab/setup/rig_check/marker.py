@@ -11,9 +11,6 @@ neighbours differ by four steps or more this one, of many tried, leaves the grea
 slips: 6 % of the range, 2 % at a gamma of 2.2. Both its ends are brighter than the darkness around it.
 """
 
-MIDDLE_RANK = 6
-"""Rank of a level in the middle."""
-
 
 def marker() -> NDArray[np.int64]:
     """Compute the grey levels of the marker."""
@@ -23,4 +20,4 @@ def marker() -> NDArray[np.int64]:
 
 def middle_level() -> int:
     """Give a grey level of the marker in the middle of the range."""
-    return int(marker()[MARKER_ORDER.index(MIDDLE_RANK)])
+    return int(np.sort(marker())[len(MARKER_ORDER) // 2])
