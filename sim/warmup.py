@@ -1,8 +1,8 @@
 """`python -m sim.warmup`: compile the kernels once, so that no measurement waits for it.
 
-A small plane is encoded, decoded, triangulated and compared, and a measurement is predicted; numba keeps
-what it compiled next to the sources. The set-up runs this, and after a change of the sources the next
-measurement does.
+A small plane is encoded, decoded, triangulated and compared, a board is found, and a measurement is
+predicted; numba keeps what it compiled next to the sources. The set-up runs this, and after a change of the
+sources the next measurement does.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import numpy as np
 import trimesh
 
 from fpplab.calibration.model import Calibration
+from fpplab.characterisation import Observation, observe
 from fpplab.comparison import compare
 from fpplab.core.conventions import (
     Floats,
@@ -28,6 +29,7 @@ from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode
 from fpplab.reconstruction.points import points_of
+from fpplab.targets import Target
 from sim.prediction import predict
 
 DISTANCE_MM = 400.0
@@ -64,6 +66,14 @@ def _simulate_frame(
     return image
 
 
+def observe_board() -> Observation:
+    """Find a board seen from the front, where the projector's pixels are the camera's."""
+    board = Target.load("target_paper.yaml")
+    image = np.pad(board.image(px_per_mm=8.0), 40, constant_values=80)
+    v, u = np.indices(image.shape, np.float32)
+    return observe("board", image, Decoded(u, v, image.astype(np.float32), np.zeros_like(u)), board)
+
+
 def warm_up() -> int:
     """Run every compiled kernel once, for every type that measurements use."""
     rig = small_rig()
@@ -74,6 +84,7 @@ def warm_up() -> int:
     plate = trimesh.creation.box((300.0, 200.0, 10.0))
     plate.apply_translation((0.0, 0.0, DISTANCE_MM + 5.0))
     compare(cloud, plate, rig, density=0.5)
+    observe_board()
     with Rig.load("rig_matched") as twin:
         predict(twin, plan, "pyramid", pixels=2000)
     return len(cloud)

@@ -9,7 +9,7 @@ from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
 from fpplab.reconstruction.points import triangulate
-from sim.warmup import DISTANCE_MM, SIZE, frames_of_plane, small_rig, warm_up
+from sim.warmup import DISTANCE_MM, SIZE, frames_of_plane, observe_board, small_rig, warm_up
 
 
 @pytest.mark.parametrize("plan", ["plan_paper", "plan_board"])
@@ -19,6 +19,12 @@ def test_the_plane_is_measured_where_it_is(plan: str) -> None:
     cloud = triangulate(decoded, rig)
     assert len(cloud) == SIZE[0] * SIZE[1]
     assert np.abs(cloud.points[:, 2] - DISTANCE_MM).max() < 1e-3
+
+
+def test_every_point_of_the_board_is_observed_where_it_is() -> None:
+    found = observe_board()
+    assert len(found.ids) == 52
+    np.testing.assert_allclose(found.projector_px, found.camera_px, atol=1e-6)
 
 
 @pytest.mark.whole
