@@ -17,7 +17,7 @@ def main() -> None:
 
         run()
     except KeyboardInterrupt:
-        interrupts.leave_at_once()
+        interrupts.end_on_next_signal()
         os.write(2, b"fpplab: cancelled\n")
         if "--json" in sys.argv:
             os.write(1, b'{"error": "cancelled", "exit_code": 130}\n')

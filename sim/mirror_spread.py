@@ -146,8 +146,8 @@ def _rounded(size: float, step: float = 0.0025) -> float:
 
 
 @lru_cache(maxsize=256)
-def disc_filter(circle: float) -> Floats | None:
-    """Make the filter in the plane that makes an interpolated circle of confusion a disc.
+def square_to_disc_correction(circle: float) -> Floats | None:
+    """Make the filter, in both directions, that turns an interpolated circle of confusion into a disc.
 
     The interpolation of a circle goes axis by axis, with an axis-wise product of semicircles in place of a
     disc, and no wider than `WIDEST_CIRCLE`. Up to one mirror, fringes do not show the difference.

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import spline_filter
 
 from fpplab.core.conventions import Floats, Lattice, mirror_centres
-from sim.mirror_spread import TAPS, WIDEST_CIRCLE, MirrorPointSpread, disc_filter, interpolation
+from sim.mirror_spread import TAPS, WIDEST_CIRCLE, MirrorPointSpread, interpolation, square_to_disc_correction
 
 Texels = NDArray[np.float32]
 """A texture (rows, columns)."""
@@ -139,7 +139,7 @@ class MirrorTexture:
         narrow = MirrorPointSpread(self.blur, self.fill, min(circle, WIDEST_CIRCLE))
         reach = fine * math.ceil(5 * self.blur + 1 + narrow.circle / 2)
         profile = narrow.profile(np.arange(-reach, reach + 1) / fine)
-        disc = disc_filter(circle)
+        disc = square_to_disc_correction(circle)
         placed = np.zeros((fine * sharp.shape[0], fine * sharp.shape[1]), np.float32)
         placed[::fine, ::fine] = sharp if disc is None else _convolve_texture(sharp, (disc,))
         return np.asarray(spline_filter(_convolve_texture(placed, (profile,)), order=3, output=np.float32))
@@ -151,7 +151,7 @@ class MirrorTexture:
         """Filters to apply one after the other: along each axis where they are (n,), else in the plane."""
         if self.exact:
             return (np.ones(1),)
-        along, disc = interpolation(self._spread(circle)).filter, disc_filter(circle)
+        along, disc = interpolation(self._spread(circle)).filter, square_to_disc_correction(circle)
         return (along,) if disc is None else (along, disc)
 
     def _sharp(

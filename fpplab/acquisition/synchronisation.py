@@ -267,7 +267,7 @@ class _Spaces:
         total = self.has_pattern @ np.diag(moment)
         return np.asarray(np.maximum(total - np.where(self.free, spread, 0.0).sum(axis=1), 0.0))
 
-    def likelihood(self, moments: Moments) -> Floats:
+    def log_likelihoods(self, moments: Moments) -> Floats:
         """Logarithm of each hypothesis' marginal likelihood per pixel, up to a constant, (H,)."""
         residual = self.residual(moments.all)
         foreign = self.has_pattern.shape[1] - self.has_pattern.sum(axis=1)
@@ -326,7 +326,7 @@ def _likelihood(
 ) -> Floats:
     """Likelihood of frames in step, and then of the faults named, by the response that suits each better."""
     spaces = (_signal_spaces(plan, harmonics, named, own_offsets) for harmonics in (LINEAR, NONLINEAR))
-    return np.asarray(np.maximum(*(space.likelihood(moments) for space in spaces)))
+    return np.asarray(np.maximum(*(space.log_likelihoods(moments) for space in spaces)))
 
 
 def _swaps(moments: Moments, plan: Plan, min_likelihood: float) -> tuple[SyncFault, ...]:

@@ -151,7 +151,7 @@ def _squares_leaked_into_poses(
     solution, priors = problem.unpack(vector), problem.priors
     total = np.zeros((len(problem.sizes.independent), passed.shape[1]))
     for index, basis in enumerate(bases):
-        residuals = problem.applied(index, solution, passed)
+        residuals = problem.whitened_residual_changes(index, solution, passed)
         own = slice(index * basis.shape[1], (index + 1) * basis.shape[1])
         residuals[:, own] += basis
         total[:2] += np.sum(residuals.reshape(2, -1, passed.shape[1]) ** 2, axis=1)

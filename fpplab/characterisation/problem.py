@@ -162,14 +162,16 @@ class Problem:
             )
         return product
 
-    def applied(self, index: int, solution: Solution, change: Floats) -> Floats:
-        """Multiply changes of the parameters by the derivatives of the whitened residuals of one pose."""
-        # change (n, E); returns (4 K, E)
-        columns, slopes, by_point = self.slopes(index, solution)
-        product = slopes @ change[columns]
+    def whitened_residual_changes(self, pose: int, solution: Solution, parameter_changes: Floats) -> Floats:
+        """Compute how changes of the parameters change the whitened residuals of one pose, to first order."""
+        # parameter_changes (n, E); returns (4 K, E)
+        columns, slopes, by_point = self.slopes(pose, solution)
+        product = slopes @ parameter_changes[columns]
         if self.model.refined:
             shape = (2, len(by_point) // 4, 2)
-            moved = np.einsum("dkui,kie->dkue", by_point.reshape(*shape, 3), change[self._own(index)])
+            moved = np.einsum(
+                "dkui,kie->dkue", by_point.reshape(*shape, 3), parameter_changes[self._own(pose)]
+            )
             product += moved.reshape(product.shape)
         return np.asarray(product)
 

@@ -163,7 +163,7 @@ def run_program(command: Callable[[], object], as_json: bool) -> NoReturn:
         command()
         sys.stdout.flush()
     except BaseException as error:  # noqa: BLE001 - each kind has its own answer
-        waits = interrupts.leave_at_once() and not _is_answered(error)
+        waits = interrupts.end_on_next_signal() and not _is_answered(error)
         if waits or (
             interrupts.is_caused_by(error, KeyboardInterrupt) and not isinstance(error, CommandExit)
         ):
@@ -171,7 +171,7 @@ def run_program(command: Callable[[], object], as_json: bool) -> NoReturn:
         elif isinstance(error, SystemExit) and interrupts.is_caused_by(error, BrokenPipeError):
             error = BrokenPipeError(errno.EPIPE, os.strerror(errno.EPIPE))  # typer ends with code 1
         _end_with(error, as_json)
-    interrupts.leave_at_once()
+    interrupts.end_on_next_signal()
     sys.exit(0)
 
 

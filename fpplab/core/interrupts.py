@@ -63,8 +63,8 @@ def held_back() -> Iterator[None]:
             _held[-1] = interrupt
 
 
-def leave_at_once() -> bool:
-    """Have these signals end the process at once: everything is closed."""
+def end_on_next_signal() -> bool:
+    """Let the next signal end the process at once; return whether one is waiting already."""
     with _sending:
         waits = bool(_again)
         _again.clear()

@@ -88,7 +88,7 @@ class TrueShape:
         self._near_mm = LIMITS.near_spacings / np.sqrt(density)
         self._hits = _intersect_pixel_rays(shape, calibration)
         self._on_shape: Mask = np.isfinite(self._hits[..., 2])
-        self._compared: Mask = self._on_shape & _random_subset(self._on_shape, samples, random)
+        self._compared: Mask = _random_subset(self._on_shape, samples, random)
         self._sampled = self._surface[_random_subset(np.ones(len(self._surface), np.bool_), samples, random)]
         self._expected: tuple[Calibration, CoordinateBounds] | None = None
 
@@ -268,7 +268,7 @@ def _random_subset(mask: Mask, count: int | None, random: np.random.Generator) -
     """Select about `count` of the elements that are true, or all of them."""
     if count is None:
         return mask
-    return np.asarray(random.random(mask.shape) < count / max(1, np.count_nonzero(mask)))
+    return np.asarray(mask & (random.random(mask.shape) < count / max(1, np.count_nonzero(mask))))
 
 
 def _intersect_pixel_rays(shape: RayTracedShape, calibration: Calibration) -> Floats:

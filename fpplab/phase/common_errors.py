@@ -104,12 +104,12 @@ class FringeGroup:
         wave[images, column + 1] = np.sin(k * self.shift)
         return wave
 
-    def rest(self, rows: Floats, fit: HarmonicsFit) -> Floats:
-        """Take the common errors from the images."""
-        # rows (F, N); returns (F, P)
+    def combine_without_common_errors(self, weights: Floats, fit: HarmonicsFit) -> Floats:
+        """Combine the images by weights, and take off what the common errors add."""
+        # weights (F, N); returns (F, P)
         common = fit.gains[:, None] * self.fringe + np.tensordot(fit.harmonics, self.waves, 1)
-        offset = rows @ self.membership @ fit.offsets
-        return _product(rows, self.images) - _product(rows @ common, self.features) - offset[:, None]
+        offset = weights @ self.membership @ fit.offsets
+        return _product(weights, self.images) - _product(weights @ common, self.features) - offset[:, None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,7 +231,7 @@ def fit_group(group: FringeGroup) -> HarmonicsFit:
         strength, vectors = np.linalg.eigh(normal + np.diag(variance / prior**2))
         inverse = (vectors / strength) @ vectors.T
         fit = _found(group, inverse @ right, variance * inverse)
-        power = np.square(group.rest(group.visible, fit)).sum(axis=0)
+        power = np.square(group.combine_without_common_errors(group.visible, fit)).sum(axis=0)
     return fit
 
 
@@ -287,7 +287,7 @@ def noise_power(group: FringeGroup, fit: HarmonicsFit) -> tuple[Floats, int]:
     Of sets of seven images and more, harmonics 2 and 3 are left out pixel by pixel too.
     """
     # returns power (P,)
-    return np.square(group.rest(group.quiet, fit)).sum(axis=0), len(group.quiet)
+    return np.square(group.combine_without_common_errors(group.quiet, fit)).sum(axis=0), len(group.quiet)
 
 
 def errors_of_sets(

@@ -81,7 +81,7 @@ def settle_orders(
             )
             moves += 1
         if moves > 0:
-            _fuse_again(
+            _fuse_pixel_again(
                 axis, recipe, unwrapping, fusion, offsets, weights, shares, i, coordinate, sigma, common, chi2
             )
         if moves > 0 or good[i] < 1.0:
@@ -133,7 +133,7 @@ def _shift_order(
 
 
 @compiled
-def _fuse_again(
+def _fuse_pixel_again(
     axis: int,
     recipe: Any,
     unwrapping: Any,

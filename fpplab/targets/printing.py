@@ -80,19 +80,21 @@ def paper_size(name: str) -> tuple[float, float]:
     return width, height
 
 
-def print_target(target: Target, path: Path, paper: str = "A4", name: str = "board") -> PrintedSheet:
+def print_target(
+    target: Target, page_file: Path, paper: str = "A4", legend_name: str = "board"
+) -> PrintedSheet:
     """Write a board as a page of vector graphics at true scale."""
-    need_suffix(path, ".pdf", ".svg")
+    need_suffix(page_file, ".pdf", ".svg")
     size = _paper_size_turned_to_fit(target, paper)
     page = _Page(size)
     page.board(target)
     page.ruler()
-    page.write_legend(_legend(target, name))
-    kind = path.suffix.lower().removeprefix(".")
+    page.write_legend(_legend(target, legend_name))
+    kind = page_file.suffix.lower().removeprefix(".")
     unstamped = {"CreationDate": None} if kind == "pdf" else {"Date": None}
     with rc_context({"svg.hashsalt": "fpplab", "pdf.fonttype": 42}):
-        write_atomic(path, lambda out: page.figure.savefig(out, format=kind, metadata=unstamped))
-    return PrintedSheet(path, size)
+        write_atomic(page_file, lambda out: page.figure.savefig(out, format=kind, metadata=unstamped))
+    return PrintedSheet(page_file, size)
 
 
 def ink(target: Target) -> Outline:

@@ -206,14 +206,14 @@ class Light:
         self._displaced = None
 
     def _project_pattern(
-        self, setup: SceneState, show: ShownPattern, row_weights: Floats | None
+        self, scene: SceneState, shown: ShownPattern, plane_weights: Floats | None
     ) -> PatternLevels:
-        if row_weights is None:
-            return self._picture_of_state(setup, self._projector.states(show.patterns), show.index)
-        planes = self._projector.planes(show.pattern)
-        picture = self._picture_of_state(setup, planes, 0).copy()
-        for plane, weights in enumerate(row_weights, start=1):
-            picture += weights.astype(np.float32)[:, None] * self._picture_of_state(setup, planes, plane)
+        if plane_weights is None:
+            return self._picture_of_state(scene, self._projector.states(shown.patterns), shown.index)
+        planes = self._projector.planes(shown.pattern)
+        picture = self._picture_of_state(scene, planes, 0).copy()
+        for plane, weights in enumerate(plane_weights, start=1):
+            picture += weights.astype(np.float32)[:, None] * self._picture_of_state(scene, planes, plane)
         return picture
 
     def _picture_of_state(self, setup: SceneState, levels: MirrorStates, index: int) -> PatternLevels:

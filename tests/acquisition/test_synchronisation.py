@@ -226,7 +226,9 @@ def test_hypotheses_are_rated_by_their_marginal_likelihood() -> None:
         covariance = LIMITS.prior_variance * basis @ basis.T + LIMITS.misfit_in_step**2 * np.eye(len(seen))
         return float(multivariate_normal(cov=covariance).logpdf(seen))
 
-    rated = [_signal_spaces(plan, LINEAR, (), separate).likelihood(moments)[0] for separate in (False, True)]
+    rated = [
+        _signal_spaces(plan, LINEAR, (), separate).log_likelihoods(moments)[0] for separate in (False, True)
+    ]
     assert rated[1] - rated[0] == pytest.approx(expected(own) - expected(own.sum(axis=1)[:, None]), abs=0.01)
 
 

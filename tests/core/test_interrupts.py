@@ -119,7 +119,7 @@ def test_an_interruption_stops_the_work_once(moment: str, tmp_path: Path) -> Non
 def test_at_the_end_of_the_process(number: signal.Signals) -> None:
     code = f"{BEGIN}\nimport atexit\natexit.register(lambda: (print('end', flush=True), time.sleep(20)))\n"
     with subprocess.Popen(
-        [sys.executable, "-c", code + "interrupts.leave_at_once()"],
+        [sys.executable, "-c", code + "interrupts.end_on_next_signal()"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

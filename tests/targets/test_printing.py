@@ -303,7 +303,7 @@ def test_the_same_board_gives_the_same_file(suffix: str, tmp_path: Path) -> None
 
 
 def test_the_page_says_what_it_is(tmp_path: Path) -> None:
-    print_target(board("staggered"), tmp_path / "board.svg", name="target $x_1$ <&>")
+    print_target(board("staggered"), tmp_path / "board.svg", legend_name="target $x_1$ <&>")
     words = " ".join(re.findall(r"<!-- (.*?) -->", (tmp_path / "board.svg").read_text()))
     assert "13 x 4 circles of 3 mm, staggered, pitch 4.5 x 9 mm, board 60 x 42 mm." in words
     assert "Print at 100 %, then measure the ruler" in words

@@ -93,7 +93,7 @@ def _find_mirrors(evidence: Evidence, findings: Sequence[Finding]) -> Iterator[F
     """Mirrored light, and whether light by way of other surfaces makes the points useless."""
     sample, limits = evidence.frames, evidence.limits.of(InterreflectionLimits)
     calibration = evidence.points.calibration
-    backward = {axis: _runs_backward(sample, calibration, axis) for axis in sample.coordinates}
+    backward = {axis: _find_backward_areas(sample, calibration, axis) for axis in sample.coordinates}
     share = max((part for _, part in backward.values()), default=0.0)
     candidates = [finding for finding in findings if finding.cause == INTERREFLECTION]
     if share > limits.max_mirrored_share:
@@ -111,7 +111,7 @@ def _find_mirrors(evidence: Evidence, findings: Sequence[Finding]) -> Iterator[F
     yield replace(worst, evidence=worst.evidence + more, ruins_points=ruins)
 
 
-def _runs_backward(sample: FrameSample, calibration: Calibration, axis: Axis) -> tuple[Mask, float]:
+def _find_backward_areas(sample: FrameSample, calibration: Calibration, axis: Axis) -> tuple[Mask, float]:
     """Find where the coordinate runs against the calibration, and the share of the image where it does.
 
     No surface that both devices see shows that, but its image in another surface does.

@@ -139,7 +139,7 @@ class LiveSetUp:
         with ThreadPoolExecutor(1) as self._worker:
             while not self._has_ended():
                 if not turn.take():
-                    self._pause_until_rig_is_free(turn)
+                    self._pause_once_while_rig_is_busy(turn)
                     continue
                 try:
                     if self._paused_for is not None:
@@ -158,8 +158,8 @@ class LiveSetUp:
         spent = frames is not None and self._frames >= frames
         return self._over or spent or time.monotonic() >= self._end_s
 
-    def _pause_until_rig_is_free(self, turn: RigTurn) -> None:
-        """Wait for the command that has the rig."""
+    def _pause_once_while_rig_is_busy(self, turn: RigTurn) -> None:
+        """Wait a moment for the command that has the rig, and take orders."""
         if self._paused_for is None:
             self._pauses += 1
         self._paused_for = turn.requested_by()

@@ -113,20 +113,20 @@ def _with_stills(plan: Plan, caps: ProjectorCaps) -> LivePatterns:
     return LivePatterns(plan, (*cycle.patterns, *stills.values()), views)
 
 
-def _square_sides(size: tuple[int, int], lattice: Lattice, across: int) -> tuple[int, int]:
+def _square_sides(size: tuple[int, int], mirror_lattice: Lattice, across: int) -> tuple[int, int]:
     """Width and height in mirrors of a square of which this number lies across the projector."""
     side = max(1, size[0] // across)
-    return side, side * (2 if lattice is Lattice.DIAMOND else 1)
+    return side, side * (2 if mirror_lattice is Lattice.DIAMOND else 1)
 
 
-def _checker_image(size: tuple[int, int], lattice: Lattice) -> NDArray[np.uint8]:
-    side, rise = _square_sides(size, lattice, SQUARES)
+def _checker_image(size: tuple[int, int], mirror_lattice: Lattice) -> NDArray[np.uint8]:
+    side, rise = _square_sides(size, mirror_lattice, SQUARES)
     columns, rows = np.arange(size[0]) // side, np.arange(size[1]) // rise
     return np.asarray(255 * ((rows[:, None] + columns) % 2), np.uint8)
 
 
-def _cross_image(size: tuple[int, int], lattice: Lattice) -> NDArray[np.uint8]:
-    (width, height), (side, rise) = size, _square_sides(size, lattice, 10 * SQUARES)
+def _cross_image(size: tuple[int, int], mirror_lattice: Lattice) -> NDArray[np.uint8]:
+    (width, height), (side, rise) = size, _square_sides(size, mirror_lattice, 10 * SQUARES)
     image = np.zeros((height, width), np.uint8)
     image[:rise], image[-rise:], image[:, :side], image[:, -side:] = 255, 255, 255, 255
     image[(height - rise) // 2 : (height + rise) // 2 + 1] = 255

@@ -32,7 +32,9 @@ def _bending_terms(places: Floats) -> Floats:
     return np.stack([x**i * y**j for i, j in powers], axis=1)
 
 
-def bend_moves(reference: Reference, parameters: TwinParameters, pose: int, pixels: PixelIndices) -> Floats:
+def bend_displacements_mm(
+    reference: Reference, parameters: TwinParameters, pose: int, pixels: PixelIndices
+) -> Floats:
     """Compute by how much the bend moves the board's surface where pixels see it."""
     # returns (P, 3) mm
     points = np.stack(pixels[::-1], axis=-1).astype(np.float64)
@@ -46,4 +48,6 @@ def change_by_bend(
 ) -> Floats:
     """Compute by how much the bend changes levels, to first order."""
     # slopes (n, P, 3) mm; returns (n, P)
-    return np.asarray(np.einsum("npa,pa->np", slopes, bend_moves(reference, parameters, pose, pixels)))
+    return np.asarray(
+        np.einsum("npa,pa->np", slopes, bend_displacements_mm(reference, parameters, pose, pixels))
+    )

@@ -14,7 +14,7 @@ from fpplab.characterisation import DistortionModel
 from fpplab.characterisation.parameters import parameter_names
 from fpplab.core.conventions import Floats
 from sim.matching.geometry import geometry_fit
-from sim.matching.geometry.board_shape import bend_mm, bend_moves
+from sim.matching.geometry.board_shape import bend_displacements_mm, bend_mm
 from sim.matching.match import moved_um
 from sim.matching.reference import Reference
 from sim.parameters import TwinParameters
@@ -52,7 +52,7 @@ def height(x: Floats, y: Floats) -> Floats:
 def test_the_bend_moves_the_surface_along_its_normal(truth: TwinParameters) -> None:
     known = SimpleNamespace(board=bent())
     reference = Reference((), TARGET, cast(Any, known))
-    moves = bend_moves(reference, truth, 0, (np.array([150, 160]), np.array([200, 240])))
+    moves = bend_displacements_mm(reference, truth, 0, (np.array([150, 160]), np.array([200, 240])))
     np.testing.assert_allclose(np.cross(moves, truth.poses[0].rotation[:, 2]), 0.0, atol=1e-12)
     assert np.abs(moves).max() > 1e-4
 
