@@ -106,11 +106,11 @@ class EmulatedPylon(Pylon):
             )
         return self._camera(serial, super().attach(info))
 
-    def pulse(self, times: int = 1, at_s: float | None = None) -> None:
+    def pulse(self, times: int = 1, rise_s: float | None = None) -> None:
         """Send trigger pulses to Line1 of the camera that was opened last; any thread may call it."""
         for _ in range(times):
             for camera in list(self._open.values())[-1:]:
-                camera.pulse(at_s)
+                camera.pulse(rise_s)
 
     def unplug(self, noticed: bool = True) -> None:
         """Unplug the cable; the list of pylon's own emulation keeps the camera.
