@@ -204,6 +204,16 @@ def test_a_refused_load_reaches_no_hook(
         projector.load([*good, Pattern("bad", np.zeros((16, 24)))])  # type: ignore[arg-type]
 
 
+def test_a_driver_is_given_a_copy_of_each_pattern(
+    projector: ReferenceProjector, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(projector, "_load", lambda patterns: patterns)
+    (white,) = uniform_patterns([255], PROJECTOR_SIZE)
+    (loaded,) = projector.load([white])
+    white.image[:] = 0
+    assert (loaded.image == 255).all()
+
+
 def test_names_of_devices_are_in_their_errors(bench: ReferenceBench) -> None:
     device: Device = ReferenceCamera("left eye", {}, bench)
     with pytest.raises(DeviceError, match="left eye: info: is not open; open it first") as caught:
