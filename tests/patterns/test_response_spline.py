@@ -45,14 +45,14 @@ def true_error(steps: int, correction: Curve | None = None) -> float:
 
 
 @pytest.mark.whole_after(3)
-@pytest.mark.parametrize("steps", range(3, 13))
+@pytest.mark.parametrize("steps", [12, *range(3, 12)])
 def test_the_phase_error_of_an_s_is_told(steps: int) -> None:
     for seed in range(3):
         assert shown_phase_error(measured(seed), steps) == pytest.approx(true_error(steps), rel=0.25)
 
 
 @pytest.mark.whole_after(3)
-@pytest.mark.parametrize("steps", range(3, 13))
+@pytest.mark.parametrize("steps", [12, *range(3, 12)])
 def test_correction_takes_the_s_away(steps: int) -> None:
     """To the rounding of patterns to 256 grey levels; where the S makes more than that, mostly."""
     floor = shown_phase_error(Curve(a=1.0, b=0.0, g=1.0), steps)
