@@ -319,7 +319,7 @@ def _is_in_image(u: float, v: float, size: tuple[int, int]) -> bool:
 
 
 @njit(inline="always")
-def _distance_from_epipolar_line_px(off_u: float, off_v: float, along_u: float, along_v: float) -> float:
+def _epipolar_distance_px(off_u: float, off_v: float, along_u: float, along_v: float) -> float:
     """Distance of the coordinates from the epipolar curve, which has the direction (along_u, along_v)."""
     across = abs(along_u * off_v - along_v * off_u)
     return float(across / np.sqrt(along_u * along_u + along_v * along_v))
@@ -381,7 +381,5 @@ def _fill_solutions(
                             if len(colour) > 0:
                                 colour[at] = coded.texture[row, column]
                             if use_u and use_v:
-                                epipolar[at] = _distance_from_epipolar_line_px(
-                                    u - pu, v - pv, ju, jv * v_per_u
-                                )
+                                epipolar[at] = _epipolar_distance_px(u - pu, v - pv, ju, jv * v_per_u)
                         break

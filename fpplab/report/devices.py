@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from fpplab.characterisation import Characterisation, Judgement
@@ -89,25 +91,7 @@ def characterisation_section(characterisation: Characterisation) -> ReportSectio
             bars, "Bars: RMS error of each pose", "RMS reprojection error of each pose.", wide=True
         )
     ]
-    cameras, projectors = [o.camera_px for o in observations], [o.projector_px for o in observations]
-    devices = (
-        ("camera", calibration.camera.size, cameras, characterisation.camera_residuals),
-        ("projector", calibration.projector.size, projectors, characterisation.projector_residuals),
-    )
-    for device, size, pixels, residuals in devices:
-        picture = figures.residuals_figure(np.concatenate(pixels), np.concatenate(residuals), size, device)
-        caption = (
-            f"Reprojection errors of the {device}, model minus observation: over its pixels, and as a "
-            "scatter plot."
-        )
-        pictures.append(ReportFigure.of(picture, f"Reprojection errors of the {device}", caption, wide=True))
-    for device, size, pixels, _ in devices:
-        picture = figures.draw_coverage(pixels, size, device)
-        caption = (
-            f"Where the board's points were on the {device}, one colour per pose. No share of the image is "
-            "asked for; ninths of it that both devices see and that lack points are named by a warning."
-        )
-        pictures.append(ReportFigure.of(picture, f"Points of the board over the {device}'s pixels", caption))
+    pictures += _device_figures(characterisation)
     pictures.append(
         ReportFigure.of(
             drawn.epipolar_figure(characterisation), "Epipolar distances by pose", drawn.EPIPOLAR, wide=True
@@ -131,6 +115,30 @@ def characterisation_section(characterisation: Characterisation) -> ReportSectio
     left_out = tuple(characterisation.left_out.items())
     tables = (ReportTable(("Pose left out", "Why"), left_out, has_sentences=True),) if left_out else ()
     return ReportSection("Characterisation", text, (*_validation(characterisation), *tables), tuple(pictures))
+
+
+def _device_figures(characterisation: Characterisation) -> Iterator[ReportFigure]:
+    """Show the residuals of camera and projector, and where the board was in their images."""
+    observations, calibration = characterisation.observations, characterisation.calibration
+    cameras, projectors = [o.camera_px for o in observations], [o.projector_px for o in observations]
+    devices = (
+        ("camera", calibration.camera.size, cameras, characterisation.camera_residuals),
+        ("projector", calibration.projector.size, projectors, characterisation.projector_residuals),
+    )
+    for device, size, pixels, residuals in devices:
+        picture = figures.residuals_figure(np.concatenate(pixels), np.concatenate(residuals), size, device)
+        caption = (
+            f"Reprojection errors of the {device}, model minus observation: over its pixels, and as a "
+            "scatter plot."
+        )
+        yield ReportFigure.of(picture, f"Reprojection errors of the {device}", caption, wide=True)
+    for device, size, pixels, _ in devices:
+        picture = figures.draw_coverage(pixels, size, device)
+        caption = (
+            f"Where the board's points were on the {device}, one colour per pose. No share of the image is "
+            "asked for; ninths of it that both devices see and that lack points are named by a warning."
+        )
+        yield ReportFigure.of(picture, f"Points of the board over the {device}'s pixels", caption)
 
 
 def _validation(characterisation: Characterisation) -> tuple[ReportTable, ...]:
