@@ -164,7 +164,7 @@ ImagePlaces = Annotated[
     typer.Argument(
         metavar="FOLDER | FILE...",
         help="Folder of grey images; or the image files in the order shown, of one image or many: PNG, TIFF, "
-        "NPY, NPZ of one array.",
+        "BMP, PGM, PPM, JPEG, NPY, NPZ of one array.",
         show_default=False,
     ),
 ]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,25 +12,19 @@ from typing import IO, Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image as Pillow
 
 from fpplab.core.archives import array_head, check_archive
 from fpplab.core.conventions import Image
 from fpplab.core.errors import DataError, FppError
 from fpplab.core.files import open_regular
+from fpplab.sessions.channels import NotGreyError
+from fpplab.sessions.file_kinds import HEAD_BYTES, kind_of
 from fpplab.sessions.limits import SESSION_LIMITS as LIMITS
+from fpplab.sessions.netpbm import NetpbmFile, is_netpbm
+from fpplab.sessions.pictures import SIGNATURES, TIFF_SIGNATURES, PictureFile
 
 NPY, ZIP = b"\x93NUMPY", b"PK"
-FORMATS = ("PNG", "TIFF", "JPEG", "MPO", "BMP", "PPM")
-"""Formats of pictures by Pillow's names: what programs of cameras write, and readers that are used much.
-
-Pillow refuses, before it asks for memory, a picture of more than 179 million pixels.
-"""
-LOSSY = ("JPEG", "MPO", "jpeg", "tiff_jpeg")
-"""File formats, and compressions of TIFF files, that change grey levels."""
-GREY_MODES = {"L": 8, "I;16": 16, "I;16B": 16, "I;16L": 16}
-"""Grey images by Pillow's name of their kind, and the bits of a stored grey level."""
-PHOTOMETRIC, WHITE_IS_ZERO = 262, 0
+READ_FORMATS = "PNG, TIFF, JPEG, BMP, PGM, PPM, NPY and NPZ"
 
 
 class ImagePlace(NamedTuple):
@@ -93,21 +86,49 @@ class ImageFile(Protocol):
 
         Raises
         ------
-        DataError
+        NotGreyError
             It is not grey.
         """
+
+    def stated_bits(self, page: int) -> int | None:
+        """Say how many bits a level has, where the file's head tells.
+
+        Parameters
+        ----------
+        page : int
+            Of the image, from 0.
+
+        Returns
+        -------
+        int or None
+            Bits from 10 to 14; None where levels take whole bytes.
+        """
+
+
+class ReadImage(NamedTuple):
+    """One image and what its file says of it."""
+
+    place: ImagePlace
+    """Where it is."""
+    levels: Image
+    """Its grey levels as stored, (height, width)."""
+    is_lossy: bool
+    """Whether compression has changed them."""
+    stated_bits: int | None
+    """Bits of a level by the file's head, where it says more than that they take 8 or 16."""
 
 
 @contextmanager
 def open_image_file(path: Path) -> Iterator[ImageFile]:
-    """Open a file of grey images: PNG, TIFF of any number of pages, JPEG, BMP, PGM, NPY, NPZ of one array.
+    """Open a file of grey images; a TIFF, NPY or NPZ file holds any number.
 
     The first bytes decide what the file is, not its name.
     """
     try:
         with open_regular(path) as stream:
-            head = stream.read(len(NPY))
-            if head == NPY:
+            head = stream.read(HEAD_BYTES)
+            stream.seek(0)
+            if head.startswith(NPY):
                 yield _Array(path, stream, path.stat().st_size)
             elif head.startswith(ZIP):
                 with zipfile.ZipFile(stream) as archive:
@@ -115,22 +136,25 @@ def open_image_file(path: Path) -> Iterator[ImageFile]:
                     member = _only_member(path, archive)
                     with archive.open(member) as inside:
                         yield _Array(path, inside, member.file_size)
+            elif is_netpbm(head):
+                yield NetpbmFile(stream)
             else:
-                stream.seek(0)
-                with _opened(stream) as picture:
-                    yield _Picture(path, picture)
+                _refuse_other_files(path, head)
+                yield PictureFile(path, stream)
     except FppError:
         raise
+    except NotGreyError as error:
+        raise DataError(f"{path}: {error}") from error
     except Exception as error:
-        raise DataError(f"{path}: is truncated or not an image ({error})") from error
+        raise DataError(f"{path}: is truncated or damaged ({error})") from error
 
 
-def _opened(stream: IO[bytes]) -> Pillow.Image:
-    with warnings.catch_warnings():
-        warnings.simplefilter(
-            "ignore", Pillow.DecompressionBombWarning
-        )  # there are cameras of 150 megapixels
-        return Pillow.open(stream, formats=FORMATS)
+def _refuse_other_files(path: Path, head: bytes) -> None:
+    kind = kind_of(head)
+    if kind is None and head.startswith(SIGNATURES + TIFF_SIGNATURES):
+        return
+    kind = kind or (f"no image: it begins with {head[:8].hex(' ')}" if head else "empty")
+    raise DataError(f"{path}: is {kind}; save single images as PNG or TIFF (read are {READ_FORMATS})")
 
 
 def places_in(path: Path) -> list[ImagePlace]:
@@ -139,7 +163,7 @@ def places_in(path: Path) -> list[ImagePlace]:
         return [ImagePlace(path, page, file.pages) for page in range(file.pages)]
 
 
-def grey_images(places: list[ImagePlace]) -> Iterator[tuple[ImagePlace, Image, bool]]:
+def grey_images(places: list[ImagePlace]) -> Iterator[ReadImage]:
     """Read images one after the other; all have the size of the first."""
     size: tuple[int, int] | None = None
     for path, together in groupby(places, key=lambda place: place.path):
@@ -152,33 +176,11 @@ def grey_images(places: list[ImagePlace]) -> Iterator[tuple[ImagePlace, Image, b
                         f"{place}: is {own_size[0]} x {own_size[1]} pixels but the first image is "
                         f"{size[0]} x {size[1]}"
                     )
-                yield place, file.read(place.page), file.is_lossy
-
-
-class _Picture:
-    """What Pillow reads; of the files with several images only TIFF counts as such."""
-
-    def __init__(self, path: Path, picture: Pillow.Image) -> None:
-        self._path, self._picture = path, picture
-        self.pages = int(getattr(picture, "n_frames", 1)) if picture.format == "TIFF" else 1
-        self.is_lossy = picture.format in LOSSY or picture.info.get("compression") in LOSSY
-
-    def size(self, page: int) -> tuple[int, int]:
-        self._picture.seek(page)
-        return self._picture.size
-
-    def read(self, page: int) -> Image:
-        self._picture.seek(page)
-        self._picture.load()
-        mode, place = self._picture.mode, ImagePlace(self._path, page, self.pages)
-        if mode not in GREY_MODES:
-            raise DataError(
-                f"{place}: is not a grey image (its mode is {mode}); convert it to one grey channel"
-            )
-        tags = getattr(self._picture, "tag_v2", {})
-        if GREY_MODES[mode] == 16 and tags.get(PHOTOMETRIC) == WHITE_IS_ZERO:
-            raise DataError(f"{place}: is a negative (0 is white); invert its grey levels")
-        return _raw(np.asarray(self._picture))
+                try:
+                    levels = file.read(place.page)
+                except NotGreyError as error:
+                    raise DataError(f"{place}: {error}") from error
+                yield ReadImage(place, levels, file.is_lossy, file.stated_bits(place.page))
 
 
 class _Array:
@@ -200,6 +202,9 @@ class _Array:
     def size(self, page: int) -> tuple[int, int]:
         return self._shape[1], self._shape[0]
 
+    def stated_bits(self, page: int) -> None:
+        return None
+
     def read(self, page: int) -> Image:
         count = math.prod(self._shape)
         length = count * self._dtype.itemsize
@@ -216,21 +221,24 @@ def _raw(levels: NDArray[Any]) -> Image:
 def _only_member(path: Path, archive: zipfile.ZipFile) -> zipfile.ZipInfo:
     """Give the one array of an NPZ file."""
     arrays = [member for member in archive.infolist() if member.filename.endswith(".npy")]
+    if not arrays:
+        raise DataError(
+            f"{path}: is a ZIP archive without an array; unpack it and name the folder of its images"
+        )
     if len(arrays) != 1:
-        names = ", ".join(member.filename.removesuffix(".npy") for member in arrays) or "none"
+        names = ", ".join(member.filename.removesuffix(".npy") for member in arrays)
         raise DataError(f"{path}: holds {len(arrays)} arrays ({names}); save one, of all images")
     return arrays[0]
 
 
 def _array_head(path: Path, stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any]]:
     """Shape (…, height, width) and type of an array that is one of grey images, from its first bytes."""
-    stream.seek(0)
     try:
         shape, fortran, dtype = array_head(stream)
     except ValueError as error:
         raise DataError(f"{path}: is truncated or not an array of images ({error})") from error
     if dtype.kind != "u" or dtype.itemsize > 2:
-        raise DataError(f"{path}: is an array of {dtype}; grey levels are uint8 or uint16")
+        raise DataError(f"{path}: is an array of {dtype}; save the camera's own levels as uint8 or uint16")
     if len(shape) not in (2, 3, 4) or 0 in shape:
         raise DataError(
             f"{path}: is an array of {_by(shape)}; images are (height, width), (images, height, width) or "

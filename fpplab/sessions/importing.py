@@ -83,8 +83,8 @@ class _CheckedImages:
 
     def read(self) -> Iterator[Image]:
         """Read them one after the other as a session has them."""
-        for _, image, _ in grey_images(self.places):
-            yield (image >> self.shift).astype(raw_dtype(self.bits))
+        for image in grey_images(self.places):
+            yield (image.levels >> self.shift).astype(raw_dtype(self.bits))
 
 
 def _find_and_check_images(
@@ -96,7 +96,8 @@ def _find_and_check_images(
     earlier: dict[bytes, ImagePlace] = {}
     lossy: list[str] = []
     levels = StoredLevels()
-    for place, image, is_lossy in grey_images(places):
+    stated: dict[int, ImagePlace] = {}
+    for place, image, is_lossy, stated_bits in grey_images(places):
         # A sensor never gives the same image twice: a file was copied under two names.
         twin = earlier.setdefault(hashlib.sha256(np.ascontiguousarray(image).data).digest(), place)
         if twin is not place:
@@ -113,13 +114,28 @@ def _find_and_check_images(
             raise DataError(f"{place}: holds {depth}-bit grey levels but the first image {stored}-bit ones")
         if depth > 8:
             levels.add(image, str(place))
+        if stated_bits is not None:
+            stated.setdefault(stated_bits, place)
         lossy += [place.name] if is_lossy else []
     if lossy:
         warn(
             f"{len(lossy)} images are compressed with loss, as JPEG files are ({first_names(lossy)}): that "
             "adds errors that no stated uncertainty counts; record PNG or TIFF"
         )
-    return _CheckedImages(places, size, *((8, 0) if stored == 8 else levels.depth(bits, warn, tell)))
+    if stored == 8:
+        return _CheckedImages(places, size, 8, 0)
+    return _CheckedImages(places, size, *levels.depth(_known_bits(bits, stated), warn, tell))
+
+
+def _known_bits(bits: int | None, stated: dict[int, ImagePlace]) -> int | None:
+    """The depth by the command line or by the files' heads, which must agree."""
+    if len(stated) > 1:
+        said = " and ".join(f"{depth} bits ({place.name})" for depth, place in stated.items())
+        raise DataError(f"the images' heads state {said}: all images of a session have the same depth")
+    for depth, place in stated.items():
+        if bits is not None and bits > depth:
+            raise ConfigError(f"--bits is {bits}, but {place} states that its levels have {depth} bits")
+    return bits if bits is not None else next(iter(stated), None)
 
 
 def _projector_record(plan: Plan, size: tuple[int, int] | None, lattice: Lattice | None) -> RigRecord:

@@ -127,7 +127,10 @@ BAD_IMAGES = {
         image_of(2).astype(np.uint16) * 257,
         "f_02.png: holds 16-bit grey levels but the first image 8-bit ones",
     ),
-    "colour": (np.zeros((16, 20, 3), np.uint8), "f_02.png: is not a grey image (its mode is RGB)"),
+    "colour": (
+        np.arange(16 * 20 * 3, dtype=np.uint8).reshape(16, 20, 3),
+        "f_02.png: is in colour: its channels differ by up to",
+    ),
     "another size": (
         np.zeros((16, 21), np.uint8),
         "f_02.png: is 21 x 16 pixels but the first image is 20 x 16",

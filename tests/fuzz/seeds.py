@@ -120,7 +120,7 @@ def image() -> list[bytes]:
     levels = np.arange(48, dtype=np.uint8).reshape(6, 8)
     found = []
     for picture in (levels, levels.astype(np.uint16) * 1000):
-        for kind in ("PNG", "TIFF", *(("JPEG", "BMP", "PPM") if picture.dtype == np.uint8 else ())):
+        for kind in ("PNG", "TIFF", "PPM", *(("JPEG", "BMP") if picture.dtype == np.uint8 else ())):
             out = io.BytesIO()
             Pillow.fromarray(picture).save(out, kind)
             found.append(out.getvalue())

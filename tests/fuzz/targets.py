@@ -275,7 +275,11 @@ TARGETS: dict[str, Fuzzed] = {
     "decoded": Fuzzed(decoded, seeds.decoded, ("fpplab.core.archives", "zipfile", "numpy.lib.format")),
     "mesh": Fuzzed(mesh, seeds.mesh, ("trimesh.exchange",)),
     "opencv": Fuzzed(opencv, seeds.opencv, ("fpplab.calibration.interchange",)),
-    "image": Fuzzed(image, seeds.image, ("fpplab.sessions.image_files", "PIL", "fpplab.core.archives")),
+    "image": Fuzzed(
+        image,
+        seeds.image,
+        ("fpplab.sessions.image_files", "fpplab.sessions.netpbm", "PIL", "fpplab.core.archives"),
+    ),
     "records": Fuzzed(
         records, seeds.records, ("fpplab.core.checksums", "fpplab.sessions.journal", "sim.dataset.card")
     ),
