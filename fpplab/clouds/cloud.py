@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fpplab.clouds.pixelgrid import PixelGrid, are_within
 from fpplab.clouds.selection import are_finite, select_rows
 from fpplab.core import buffers
-from fpplab.core.conventions import Map, Mask
+from fpplab.core.conventions import Floats, Map, Mask
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.extras import need_extra
 from fpplab.core.notebook import axes_or_new, grey_picture, html_table, plot_map
@@ -62,6 +62,8 @@ class Cloud:
     sigma_phase_error_mm : ndarray of float32, optional
         Standard uncertainty (N,) in mm from errors of the phase that are common to all points of one phase
         (response, lamp, rounding of grey levels), along the ray.
+    origin_mm : tuple of float
+        What `coordinates` adds to `points`, where these lie too far from 0 for numbers of 32 bits.
 
     Raises
     ------
@@ -80,6 +82,7 @@ class Cloud:
     sigma_form_mm: CloudPoints | None = None
     epipolar_px: CloudPoints | None = None
     sigma_phase_error_mm: CloudPoints | None = None
+    origin_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
         n = len(self.points)
@@ -190,7 +193,7 @@ class Cloud:
     def _named(self, name: str) -> NDArray[Any]:
         """Give the attribute (N,) of this name: `ConfigError` where there is none, `DataError` unknown."""
         if name in _AXES:
-            return self.points[:, _AXES.index(name)]
+            return self.coordinates[:, _AXES.index(name)]
         if name not in _PLOTTED:
             raise ConfigError(f"values: '{name}' must be one of {', '.join((*_AXES, *_PLOTTED))}")
         values: NDArray[Any] | None = getattr(self, name)
@@ -214,8 +217,7 @@ class Cloud:
         """
         import trimesh
 
-        vertices, faces = self.grid_mesh()
-        return trimesh.Trimesh(vertices, faces, process=False)
+        return trimesh.Trimesh(self.coordinates, self.grid_mesh()[1], process=False)
 
     def to_open3d(self) -> Any:
         """Convert to a point cloud of Open3D.
@@ -233,7 +235,7 @@ class Cloud:
         need_extra("open3d")
         from open3d import geometry, utility
 
-        cloud = geometry.PointCloud(utility.Vector3dVector(self.points.astype(np.float64)))
+        cloud = geometry.PointCloud(utility.Vector3dVector(self.coordinates.astype(np.float64)))
         if self.normals is not None:
             cloud.normals = utility.Vector3dVector(self.normals.astype(np.float64))
         if self.colour is not None:
@@ -258,7 +260,7 @@ class Cloud:
         need_extra("xarray")
         import xarray
 
-        columns = {name: (self.points[:, i], "mm") for i, name in enumerate(("x", "y", "z"))}
+        columns = {name: (self._named(name), "mm") for name in _AXES}
         if self.normals is not None:
             columns |= {name: (self.normals[:, i], "1") for i, name in enumerate(("nx", "ny", "nz"))}
         for name in _PLOTTED:
@@ -270,6 +272,11 @@ class Cloud:
             for name, (values, unit) in columns.items()
         }
         return xarray.Dataset(arranged, attrs={"frame": "camera: x right, y down, z forward"})
+
+    @property
+    def coordinates(self) -> Floats | CloudPoints:
+        """The points in the frame of their file, (N, 3) in mm: of 64 bits where there is an origin."""
+        return self.points.astype(np.float64) + self.origin_mm if any(self.origin_mm) else self.points
 
     @property
     def sigma_mm(self) -> CloudPoints | None:
@@ -307,7 +314,8 @@ class Cloud:
         DataError
             The selection is of another number of points, or empty.
         """
-        parts: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "size"}
+        per_point = [f.name for f in fields(self) if f.name not in ("size", "origin_mm")]
+        parts: dict[str, Any] = {name: getattr(self, name) for name in per_point}
         if kept.shape != (len(self),):
             raise DataError(f"cloud: a selection of {kept.shape} does not fit {len(self)} points")
         present = [name for name, part in parts.items() if part is not None]

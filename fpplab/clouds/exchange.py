@@ -44,7 +44,7 @@ def check_exported(path: Path) -> None:
 def point_columns(cloud: Cloud) -> dict[str, NDArray[Any]]:
     """List all that is known of the points, by column."""
     # returns (N,)
-    columns: dict[str, NDArray[Any]] = dict(zip(("x_mm", "y_mm", "z_mm"), cloud.points.T, strict=True))
+    columns: dict[str, NDArray[Any]] = dict(zip(("x_mm", "y_mm", "z_mm"), cloud.coordinates.T, strict=True))
     if cloud.pixels is not None:
         columns |= dict(zip(("pixel_u", "pixel_v"), cloud.pixels.T, strict=True))
     if cloud.normals is not None:
@@ -136,7 +136,7 @@ def _las_step(reach_m: float) -> float:
 
 
 def _metres(cloud: Cloud) -> Floats:
-    return cloud.points.astype(np.float64) / 1000.0
+    return cloud.coordinates.astype(np.float64) / 1000.0
 
 
 _LIBRARIES = {".e57": "pye57", ".las": "laspy", ".laz": "laspy", ".3mf": "lxml"}

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import io
+import logging
+import re
 import warnings
-from collections.abc import Callable
+from codecs import BOM_UTF8
+from collections.abc import Callable, Mapping
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
@@ -12,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.clouds import ply
-from fpplab.clouds.cloud import SIGMAS, Cloud, CloudPoints
+from fpplab.clouds.cloud import SIGMAS, Cloud
 from fpplab.core.archives import load_arrays
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.files import no_such_file, open_regular, write_large
@@ -21,10 +25,14 @@ from fpplab.core.foreign import read_apart
 if TYPE_CHECKING:
     import trimesh
 
+_log = logging.getLogger(__name__)
+
 CLOUD_SUFFIXES = (".ply", ".xyz", ".npz")
 """Of files that `load_cloud` reads and `save_cloud` writes."""
 MESH_SUFFIXES = (".stl", ".ply", ".obj")
 """Of files that `load_mesh` reads."""
+FAR_MM = 8192.0
+"""Coordinate from which steps of 32-bit numbers reach 1 µm."""
 
 
 def save_cloud(cloud: Cloud, path: Path | str, approve: Callable[[], object] | None = None) -> None:
@@ -155,29 +163,76 @@ def _read_npz(path: Path) -> Cloud:
     arrays = load_arrays(path, [f.name for f in fields(Cloud)])
     if "points" not in arrays:
         raise ValueError("it has no 'points'")
-    if "size" not in arrays:
-        return Cloud(**arrays)  # type: ignore[arg-type]
-    width, height = arrays.pop("size").tolist()
-    return Cloud(**arrays, size=(int(width), int(height)))
+    points = arrays.pop("points")
+    if "origin_mm" in arrays:
+        points = points + arrays.pop("origin_mm")
+    size = arrays.pop("size").tolist() if "size" in arrays else None
+    return _cloud(path, points, arrays, None if size is None else (int(size[0]), int(size[1])))
 
 
 def _write_xyz(cloud: Cloud, stream: BinaryIO) -> None:
-    np.savetxt(stream, cloud.points, fmt="%.5f")
+    np.savetxt(stream, cloud.coordinates, fmt="%.5f")
 
 
 def _read_xyz(path: Path) -> Cloud:
     with warnings.catch_warnings(), open_regular(path) as stream:
         warnings.simplefilter("ignore", UserWarning)  # an empty file is refused as a cloud without points
-        values = np.loadtxt(stream, np.float32, ndmin=2, comments=("#", "//"), usecols=(0, 1, 2))
-    return Cloud(np.ascontiguousarray(values))
+        content = stream.read().removeprefix(BOM_UTF8)
+        try:
+            table = np.loadtxt(io.BytesIO(content), np.float64, ndmin=2, comments=("#", "//"))
+        except ValueError:  # other dialects take five times as long
+            return _read_dialect(content.splitlines(), path)
+    if not len(table):
+        raise ValueError("it holds no points")
+    if table.shape[1] < 3:
+        raise ValueError(f"its lines have {table.shape[1]} values, and a point three")
+    if table.shape[1] > 3:
+        _log.warning(_FURTHER_COLUMNS, path, table.shape[1])
+    return _cloud(path, table[:, :3], {})
 
 
-_XYZ, _NORMAL, _RGB, _PIXEL = (
-    ("x", "y", "z"),
-    ("nx", "ny", "nz"),
-    ("red", "green", "blue"),
-    ("pixel_u", "pixel_v"),
+_COMMENT = re.compile(rb"(#|//).*")
+_FURTHER_COLUMNS = "%s: has %d columns; only x, y, z are read"
+
+
+def _read_dialect(lines: list[bytes], path: Path) -> Cloud:
+    """Read rows apart by blanks, commas or semicolons, below a line of names or the number of points."""
+    rows = ply.numbered_rows((_COMMENT.sub(b"", line) for line in lines), 1)
+    number, last = rows[-1]
+    if len(last) > 1 and all(b"," in value.strip(b",") for value in last[:3]):
+        raise ValueError(f"line {number} has decimal commas; write decimals with points")
+    separator = next((each for each in (b";", b",") if each in b"".join(last)), None)
+    if separator:
+        rows = [(n, [*map(bytes.strip, b" ".join(values).split(separator))]) for n, values in rows]
+    if rows[0][1] == [b"%d" % (len(rows) - 1)]:
+        del rows[0]
+    columns, width = [0, 1, 2], len(rows[-1][1])
+    if re.search(rb"[A-Za-z]", b"".join(rows[0][1])) and not any(map(ply.is_number, rows[0][1])):
+        columns = _named_columns([value.decode("utf-8", "replace") for value in rows.pop(0)[1]])
+    ply.check_widths(rows, max(width, 3))
+    if width > 3:
+        _log.warning(_FURTHER_COLUMNS, path, width)
+    return _cloud(path, ply.parse_rows([(n, [values[i] for i in columns]) for n, values in rows], 3), {})
+
+
+def _named_columns(names: list[str]) -> list[int]:
+    """Find x, y, z in mm among the names of columns."""
+    plain = [re.sub(r"[\W_]|mm", "", name.lower()) for name in names]
+    if any(plain.count(axis) != 1 for axis in "xyz"):
+        raise ValueError(f"its first line, '{' '.join(names)[:60]}', names no x, y, z in mm")
+    return [plain.index(axis) for axis in "xyz"]
+
+
+_XYZ, _NORMAL, _PIXEL = ("x", "y", "z"), ("nx", "ny", "nz"), ("pixel_u", "pixel_v")
+_RGB = ("red", "green", "blue")
+_COLOURS = (
+    _RGB,
+    ("r", "g", "b"),
+    ("diffuse_red", "diffuse_green", "diffuse_blue"),
+    *(("intensity",), ("gray",), ("grey",), ("scalar_intensity",), ("scalar_Intensity",)),
 )
+"""Properties by which programs give colours or grey levels, the first that is there being taken."""
+_WHITE = {"u1": 255.0, "u2": 65535.0, "f4": 1.0, "f8": 1.0}
 _SIZE = "camera_size"
 _SIGMAS_EXPLAINED = (
     "sigma_noise_mm is independent from point to point, sigma_calibration_mm common to all",
@@ -189,7 +244,7 @@ _SIGMAS_EXPLAINED = (
 
 def _write_ply(cloud: Cloud, stream: BinaryIO) -> None:
     columns: dict[str, NDArray[Any]] = {}
-    parts = [(_XYZ, cloud.points), (_NORMAL, cloud.normals), (_PIXEL, cloud.pixels)]
+    parts = [(_XYZ, cloud.coordinates), (_NORMAL, cloud.normals), (_PIXEL, cloud.pixels)]
     for names, values in parts:
         if values is not None:
             columns |= dict(zip(names, np.asarray(values).T, strict=True))
@@ -212,26 +267,74 @@ def _read_ply(path: Path) -> Cloud:
     table, comments = ply.read(path)
     sizes = [text.split()[1:] for text in comments if text.split()[:1] == [_SIZE]]
     size = (int(sizes[0][0]), int(sizes[0][1])) if sizes else None
-    points = _columns(table, _XYZ, np.float32)
-    if points is None:
-        raise ValueError("a vertex has no x, y, z")
-    rgb = _columns(table, _RGB, np.uint8)
-    return Cloud(
-        points=points,
-        pixels=_columns(table, _PIXEL, np.int32) if size else None,
-        size=size,
-        normals=_columns(table, _NORMAL, np.float32),
-        colour=None if rgb is None else np.rint(rgb.mean(axis=1)).astype(np.uint8),
-        **{name: _column(table, name) for name in SIGMAS},
-        epipolar_px=_column(table, "epipolar"),
-    )
+    names = table.dtype.names or ()
+    if not set(_XYZ) <= set(names):
+        raise ValueError(f"a vertex has no x, y, z, but {', '.join(names)}")
+    points = np.stack([table[name] for name in _XYZ], axis=1)
+    attributes: dict[str, NDArray[Any] | None] = {
+        "pixels": _columns(table, _PIXEL, np.int32) if size else None,
+        "normals": _columns(table, _NORMAL, np.float32),
+        "colour": _colour(table, path),
+    }
+    columns = {"epipolar_px": "epipolar", **{name: name for name in SIGMAS}}
+    attributes |= {name: _columns(table, (column,), np.float32) for name, column in columns.items()}
+    return _cloud(path, points, attributes, size)
 
 
 def _columns(table: ply.VertexTable, names: tuple[str, ...], dtype: Any) -> NDArray[Any] | None:
+    """Give properties (N, names), or (N,) of one, or None where one is missing."""
     if not set(names) <= set(table.dtype.names or ()):
         return None
+    if len(names) == 1:
+        return np.asarray(table[names[0]], dtype)
     return np.asarray(np.stack([table[name] for name in names], axis=1), dtype)
 
 
-def _column(table: ply.VertexTable, name: str) -> CloudPoints | None:
-    return np.asarray(table[name], np.float32) if name in (table.dtype.names or ()) else None
+def _colour(table: ply.VertexTable, path: Path) -> NDArray[np.uint8] | None:
+    """Give grey levels (N,), whose scale their type states: 255, 65535, or 1 of real numbers."""
+    for names in _COLOURS:
+        values = _columns(table, names, np.float64)
+        if values is None:
+            continue
+        kinds = {table.dtype[name].str[1:] for name in names}
+        white = _WHITE.get(kinds.pop(), 0.0) if len(kinds) == 1 else 0.0
+        if white and np.isfinite(values).all() and values.min() >= 0.0 and values.max() <= white:
+            grey = values.reshape(len(values), -1).mean(axis=1) * (255.0 / white)
+            return np.asarray(np.rint(grey), np.uint8)
+        _log.warning(
+            "%s: grey levels of %s are left out: they must be of 8 or 16 bits without sign, or 0 … 1",
+            path,
+            ", ".join(names),
+        )
+    return None
+
+
+def _cloud(
+    path: Path,
+    points: NDArray[Any],
+    attributes: Mapping[str, NDArray[Any] | None],
+    size: tuple[int, int] | None = None,
+) -> Cloud:
+    """Make a cloud of what a file holds, without points that were not measured, from an origin nearby."""
+    known: dict[str, Any] = {name: values for name, values in attributes.items() if values is not None}
+    if points.shape != (len(points), 3) or any(len(values) != len(points) for values in known.values()):
+        return Cloud(points, size=size, **known)  # which refuses it
+    measured = np.isfinite(points).all(axis=1) & points.any(axis=1)
+    invalid = len(points) - int(np.count_nonzero(measured))
+    if invalid and invalid == len(points):
+        raise ValueError(f"all of its {invalid} points are 0 0 0 or not finite")
+    if invalid:
+        _log.warning(
+            "%s: %d points of %d are 0 0 0 or not finite; they are left out", path, invalid, len(points)
+        )
+        points, known = points[measured], {name: values[measured] for name, values in known.items()}
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2.0 if len(points) else np.zeros(3)
+    if points.dtype == np.float32 and np.abs(middle).max() > FAR_MM:
+        _log.warning(
+            "%s: its coordinates have steps of %.2g mm so far from 0; write them as double",
+            path,
+            np.spacing(np.float32(np.abs(middle).max())),
+        )
+    origin = np.where(np.abs(middle) > FAR_MM, np.rint(middle), 0.0)
+    near = np.ascontiguousarray(points - origin if origin.any() else points, np.float32)
+    return Cloud(near, size=size, origin_mm=tuple(origin.tolist()), **known)

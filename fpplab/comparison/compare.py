@@ -316,7 +316,7 @@ def compare(
             raise ConfigError(f"{name}: {value:g} must be a number above 0")
     if mesh.is_watertight and mesh.volume < 0.0:
         raise DataError("true mesh: its normals point inwards; turn them outwards and export it again")
-    points = cloud.points.astype(np.float64)
+    points = np.asarray(cloud.coordinates, np.float64)
     _check_units(points, mesh)
     alignment = align_mesh(points, mesh, seed) if align else None
     if alignment is not None:

@@ -45,7 +45,7 @@ class Misplacement:
 
 def find_misplacement(cloud: Cloud, mesh: trimesh.Trimesh, seed: int = 0) -> Misplacement | None:
     """Find out whether a rigid alignment explains a large distance between a cloud and a mesh."""
-    points = cloud.points.astype(np.float64)
+    points = np.asarray(cloud.coordinates, np.float64)
     before = _distance_mm(points, mesh, seed)
     if before <= LIMITS.min_distance * float(np.linalg.norm(mesh.extents)):
         return None

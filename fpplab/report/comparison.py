@@ -59,7 +59,7 @@ def write_error_cloud(path: Path, cloud: Cloud, distances_mm: Map, counted: Mask
     limit = error_limit(errors)
     colours = mpl.colormaps[ERROR_COLOURS]((errors / limit + 1) / 2, bytes=True)
     columns = {
-        **{name: cloud.points[kept, axis] for axis, name in enumerate("xyz")},
+        **{name: cloud.coordinates[kept, axis] for axis, name in enumerate("xyz")},
         **{name: colours[:, channel] for channel, name in enumerate(("red", "green", "blue"))},
         "error_um": errors,
     }

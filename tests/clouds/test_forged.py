@@ -37,8 +37,8 @@ def test_text_without_a_last_newline_is_read(tmp_path: Path) -> None:
     path = tmp_path / "cloud.ply"
     text = HEAD.format(order="ascii", vertices=2).replace("element face 1\n", "")
     text = text.replace("property list uchar int vertex_indices\n", "")
-    path.write_text(text + "0 0 0\n1 2 3", encoding="ascii")
-    assert load_cloud(path).points.tolist() == [[0, 0, 0], [1, 2, 3]]
+    path.write_text(text + "0 0 1\n1 2 3", encoding="ascii")
+    assert load_cloud(path).points.tolist() == [[0, 0, 1], [1, 2, 3]]
 
 
 @pytest.mark.nightly
@@ -56,13 +56,13 @@ def test_an_archive_that_unpacks_to_far_more_than_it_is(
 ) -> None:
     monkeypatch.setattr(archives, "LIMITS", archives.ArchiveLimits(always_allowed_bytes=1_000_000))
     path = tmp_path / "cloud.npz"
-    np.savez_compressed(path, points=np.zeros((200_000, 3), np.float32))
+    np.savez_compressed(path, points=np.ones((200_000, 3), np.float32))
     with pytest.raises(DataError, match=r"that unpack to 2\.40 MB, more than 100 times as much"):
         load_cloud(path)
     np.savez_compressed(path, images=np.zeros((40, 300, 300), np.uint8))
     with pytest.raises(DataError, match=r"that unpack to 3\.60 MB"), open_image_file(path):
         pass
-    np.savez(path, points=np.zeros((200_000, 3), np.float32))
+    np.savez(path, points=np.ones((200_000, 3), np.float32))
     assert len(load_cloud(path).points) == 200_000
 
 
