@@ -6,6 +6,7 @@ ignored: an operator's typing error must never become a default.
 
 from __future__ import annotations
 
+import codecs
 import json
 import logging
 import re
@@ -74,11 +75,13 @@ def parse_yaml(text: str, source: Path | str) -> Any:
 
 
 def read_text(path: Path) -> str:
-    """Read the text of a configuration file."""
+    """Read a text file of this or another system: UTF-8, or UTF-16 with a byte order mark."""
     try:
         content = read_bounded(path, MAX_TEXT_BYTES)
         check_recorded(path, content)
-        return content.decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")
+        is_wide = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+        text = content.decode("utf-16" if is_wide else "utf-8-sig")
+        return text.replace("\r\n", "\n").replace("\r", "\n")
     except FileNotFoundError:
         raise ConfigError(no_such_file(path)) from None
     except UnicodeDecodeError:

@@ -76,7 +76,8 @@ class NumberedNames:
         surplus = sorted(set(existing) - set(expected) - set(skipped))
         if not expected:
             raise DataError(
-                f"{self.folder}: has no image '{self.form}' from {self._begin(self.first)}; {self._other()}"
+                f"{self.folder}: has no image '{self.form}' from {self._begin(self.first)}; "
+                f"{names_in(self.folder)}"
             )
         if missing:
             whole = f"the plan's {len(expected)} frames" if planned else f"{len(expected)} images"
@@ -108,7 +109,7 @@ class NumberedNames:
     def _hint_at_other_numbers(self, expected: Sequence[NameNumbers], existing: Sequence[NameNumbers]) -> str:
         """What to say where all are there, but counted from other numbers."""
         if not existing:
-            return f"; {self._other()}"
+            return f"; {names_in(self.folder)}"
         low = tuple(map(min, zip(*existing, strict=True)))
         moved = {
             tuple(n - f + at for n, f, at in zip(numbers, self.first, low, strict=True))
@@ -118,10 +119,6 @@ class NumberedNames:
             return ""
         options = f"--first {low[0]}" + (f" --first-step {low[-1]}" if low[-1] != low[0] else "")
         return f"; they count from {self._begin(low)}: {options}"
-
-    def _other(self) -> str:
-        names = sorted(path.name for path in self.folder.iterdir())
-        return f"the folder has {first_names(names)}" if names else "the folder is empty"
 
 
 def _format_fields(form: str) -> list[str]:
@@ -140,6 +137,14 @@ def _format_fields(form: str) -> list[str]:
             "lie in the folder or below it"
         ) from None
     return fields
+
+
+def names_in(folder: Path) -> str:
+    """Say which files a folder has."""
+    if not folder.is_dir():
+        return f"{folder} is no folder"
+    names = sorted(path.name for path in folder.iterdir())
+    return f"the folder has {first_names(names)}" if names else "the folder is empty"
 
 
 def first_names(names: Iterable[str]) -> str:

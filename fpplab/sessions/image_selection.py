@@ -5,13 +5,13 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 
 from fpplab.core.config import read_text
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.progress import Say, ignore
 from fpplab.sessions.image_files import ImagePlace, places_in
-from fpplab.sessions.image_names import NumberedNames, first_names
+from fpplab.sessions.image_names import NumberedNames, first_names, names_in
 
 
 @dataclass(frozen=True)
@@ -116,13 +116,14 @@ class ImageSelection:
     def _files_in_list(self, path: Path) -> list[Path]:
         """Files by a list, relative to the folder that is named, or else to the list's own."""
         folder = self._only_folder() if self.places else path.parent
-        names = [line.strip() for line in read_text(path).splitlines()]
+        lines = (line.strip() for line in read_text(path).splitlines())
+        names = [_listed_name(line) for line in lines if line and not re.match(r"#(\s|$)", line)]
         for name in names:
-            if Path(name).is_absolute() or ".." in Path(name).parts:
+            if PureWindowsPath(name).anchor or ".." in Path(name).parts:
                 raise DataError(
                     f"{path}: names '{name}', which is not below {folder}; name that folder instead"
                 )
-        files = [folder / name for name in names if name]
+        files = [folder / name for name in names]
         if not files:
             raise DataError(f"{path}: names no image")
         return files
@@ -133,9 +134,13 @@ class ImageSelection:
             raise ConfigError(
                 f"--frames is '{pattern}': a pattern of names below the folder, such as '*.png'"
             )
-        matches = [path for path in folder.glob(pattern) if path.is_file() and not path.name.startswith(".")]
+        matches = [
+            path
+            for path in folder.glob(_any_case(pattern))
+            if path.is_file() and not path.name.startswith(".")
+        ]
         if not matches:
-            raise DataError(f"{folder}: has no file '{pattern}'")
+            raise DataError(f"{folder}: has no file '{pattern}'; {names_in(folder)}")
         files = sorted(matches, key=_by_number)
         tell(f"{len(files)} files are taken in the order of the numbers in their names: {_some(files)}")
         return files
@@ -156,6 +161,23 @@ def _is_pattern(names: str) -> bool:
     return "{" not in names and any(sign in names for sign in "*?[")
 
 
+def _any_case(pattern: str) -> str:
+    """The pattern for capitals and small letters alike, as Windows takes it; sets in brackets stay."""
+    parts = re.split(r"(\[[^]]+\])", pattern)
+    return "".join(
+        part
+        if part.startswith("[")
+        else re.sub(r"[^\W\d_]", lambda m: f"[{m[0].lower()}{m[0].upper()}]", part)
+        for part in parts
+    )
+
+
+def _listed_name(line: str) -> str:
+    """A name in a list: perhaps in quotes, its folders separated as on Windows."""
+    quoted = re.fullmatch(r"""(["'])(.*)\1""", line)
+    return (quoted[2] if quoted else line).replace("\\", "/")
+
+
 def _by_number(path: Path) -> list[tuple[int, str]]:
     """What files are sorted by so that 10 comes after 9."""
     parts = re.split(r"(\d+)", path.as_posix())
@@ -167,7 +189,7 @@ def _check_files(files: Sequence[Path]) -> None:
     if missing:
         raise DataError(
             f"{missing[0].parent}: {len(missing)} of {len(files)} files do not exist "
-            f"({first_names(file.name for file in missing)})"
+            f"({first_names(file.name for file in missing)}); {names_in(missing[0].parent)}"
         )
     earlier: set[Path] = set()
     for file in files:

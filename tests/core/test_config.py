@@ -105,6 +105,12 @@ def test_what_cannot_be_read_is_refused(tmp_path: Path) -> None:
         config.load_document(tmp_path / "body.yaml", Body)
 
 
+@pytest.mark.parametrize("coding", ["utf-8-sig", "utf-16"])
+def test_a_byte_order_mark_is_no_text(tmp_path: Path, coding: str) -> None:
+    (tmp_path / "list.txt").write_text("grün\n", encoding=coding)
+    assert config.read_text(tmp_path / "list.txt") == "grün\n"
+
+
 def test_a_configuration_is_found_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     found = config.find_config("world_demo")

@@ -132,7 +132,7 @@ def test_a_pattern_with_more_or_fewer_files(tmp_path: Path) -> None:
         Chosen((folder,), "f_[0-4].png"),
         "has 5 images, and the plan 7: the last 2 of .* after f_4.png",
     )
-    refuses(Chosen((folder,), "*.tif"), r"has no file '\*.tif'")
+    refuses(Chosen((folder,), "*.tif"), r"has no file '\*.tif'; the folder has f_0.png, .*…$")
     refuses(Chosen((folder,), "../*.png"), "a pattern of names below the folder", ConfigError)
 
 
@@ -145,7 +145,35 @@ def test_a_list_of_names(tmp_path: Path, beside: bool) -> None:
     taken(Chosen(() if beside else (folder,), f"@{listed}"))
 
 
-@pytest.mark.parametrize("name", ["../elsewhere/f.png", "/etc/hostname"])
+@pytest.mark.parametrize("pattern", ["*.png", "f_*.PNG", "F_[0-6].Png"])
+def test_a_pattern_finds_capitals_and_small_letters(tmp_path: Path, pattern: str) -> None:
+    taken(
+        Chosen((put(tmp_path / "images", [f"f_{k}.{'pnG' if k > 3 else 'PNG'}" for k in range(7)]),), pattern)
+    )
+
+
+def test_a_form_names_the_capitals_that_are_there(tmp_path: Path) -> None:
+    folder = put(tmp_path / "images", [f"{k}.PNG" for k in range(7)])
+    refuses(Chosen((folder,), "{index}.png"), r"7 of the plan's 7 frames .*; the folder has 0\.PNG, ")
+    (tmp_path / "list.txt").write_text("0.png")
+    refuses(Chosen((folder,), f"@{tmp_path / 'list.txt'}"), r"\(0\.png\); the folder has 0\.PNG, ")
+
+
+@pytest.mark.parametrize("coding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-be"])
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+def test_a_list_by_an_editor_of_another_system(tmp_path: Path, coding: str, end: str) -> None:
+    names = [f"stück {k}/bild.png" for k in range(7)]
+    folder = put(tmp_path / "images", names)
+    lines = ["# taken on Friday", f'"{names[0]}"', f"'{names[1]}'", *names[2:5], "", "#"]
+    lines += [name.replace("/", "\\") + " " for name in names[5:]]
+    mark = "\ufeff" if coding == "utf-16-be" else ""  # the others write it by themselves
+    (tmp_path / "list.txt").write_bytes((mark + end.join(lines)).encode(coding))
+    taken(Chosen((folder,), f"@{tmp_path / 'list.txt'}"))
+
+
+@pytest.mark.parametrize(
+    "name", ["../elsewhere/f.png", "/etc/hostname", r"C:\f\0.png", r"..\0.png", "C:0.png"]
+)
 def test_a_list_names_images_below_its_folder(tmp_path: Path, name: str) -> None:
     (tmp_path / "list.txt").write_text(f"{name}\n")
     refuses(Chosen((tmp_path,), f"@{tmp_path / 'list.txt'}"), "which is not below")
