@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from fpplab.acquisition.synchronisation import IMPORTED_REMEDY, check_synchronisation, synchronisation_remedy
 from fpplab.core.errors import DataError
-from fpplab.diagnosis.plan import check_plan_fit, name_other_patterns
+from fpplab.diagnosis.plan import check_plan_fit, describe_changing_brightness, name_other_patterns
 from fpplab.patterns.recording import Recording
 from fpplab.sessions.session import Session
 
@@ -17,7 +17,8 @@ def fault_in_step(recording: Recording) -> str | None:
     if not recording.is_imported:
         return f"{verdict.describe()}; {synchronisation_remedy(recording.plan)}"
     sizes = [fringe.images for fringe in recording.plan.fringes]
-    other = name_other_patterns(recording.frames, recording.full_scale, sizes)
+    images = recording.frames, recording.full_scale, sizes
+    other = describe_changing_brightness(*images) or name_other_patterns(*images)
     return other or f"{verdict.describe()}; {IMPORTED_REMEDY}"
 
 

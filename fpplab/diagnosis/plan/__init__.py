@@ -4,8 +4,16 @@ Stages: `sample` measures phases and how they change along the image, `edits` ar
 make in plans, `check` decides which plan fits, `guess` writes one.
 """
 
+from fpplab.diagnosis.plan.changing_brightness import describe_changing_brightness
 from fpplab.diagnosis.plan.check import PlanCheck, check_plan_fit
 from fpplab.diagnosis.plan.guess import PlanGuess, guess_plan
 from fpplab.diagnosis.plan.other_patterns import name_other_patterns
 
-__all__ = ["PlanCheck", "PlanGuess", "check_plan_fit", "guess_plan", "name_other_patterns"]
+__all__ = [
+    "PlanCheck",
+    "PlanGuess",
+    "check_plan_fit",
+    "describe_changing_brightness",
+    "guess_plan",
+    "name_other_patterns",
+]

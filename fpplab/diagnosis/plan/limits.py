@@ -89,6 +89,17 @@ class GuessLimits:
     """The same, as a multiple of what free steps leave. Chosen."""
     max_step_error_deg: float = 15.0
     """Greatest error of steps that are taken for equal ones in another order. Chosen."""
+    min_gain: float = 0.3
+    """Least gain of a frame, as a share of the mean, that is taken for changing brightness. Chosen: a black
+    image needs none."""
+    max_unexplained: float = 0.01
+    """What gains and offsets may leave of sinusoids, as a share of their variance. Chosen: Gray code leaves
+    almost half."""
+    min_explained_ratio: float = 4.0
+    """Factor by which gains and offsets must reduce what equal brightness leaves. Chosen: without changes it
+    is 1."""
+    min_gain_change: float = 0.01
+    """Standard deviation of gains that is told. Measured: it is 0.002 where nothing changes."""
 
 
 GUESS_LIMITS = GuessLimits()

@@ -16,9 +16,11 @@ def name_other_patterns(
 ) -> str | None:
     """Say which images are no sinusoids with equal steps, and what they are."""
     # frames (height, width)
-    levels = _lit_levels(frames, full, limits)
+    levels = lit_levels(frames, full, limits)
     if levels is None:
         return None
+    low, high = levels.min(axis=0), levels.max(axis=0)
+    levels = np.asarray((levels - low) / (high - low))
     kinds = _kinds(levels, limits)
     descriptions = [f"{_listed(numbers)} {text}" for text, numbers in _by_description(kinds).items()]
     if descriptions:
@@ -39,15 +41,16 @@ def sampled_levels(frames: Sequence[Image], pixels: int) -> Floats:
     return np.asarray(np.stack([frame[::step, ::step].ravel() for frame in frames]), np.float64)
 
 
-def _lit_levels(frames: Sequence[Image], full: int, limits: GuessLimits) -> Floats | None:
-    """Levels (K, P) of pixels that change, 0 at the darkest and 1 at the brightest of each."""
+def lit_levels(frames: Sequence[Image], full: int, limits: GuessLimits) -> Floats | None:
+    """Give the levels (K, P) of pixels that change; None where too few do."""
+    # frames (height, width)
     levels = sampled_levels(frames, limits.pixels)
     low, high = levels.min(axis=0), levels.max(axis=0)
     span = high - low
     lit = (span > limits.min_range * full) & (span > 0.3 * np.quantile(span, 0.95)) & (high < full)
     if lit.sum() < limits.pixels // 50:
         return None
-    return np.asarray((levels[:, lit] - low[lit]) / span[lit])
+    return np.asarray(levels[:, lit])
 
 
 STRIPES = "black and white stripes, as of Gray code"
