@@ -23,8 +23,9 @@ def grey_from_channels(levels: NDArray[Any]) -> Image:
     colours = levels[..., : 3 if count >= 3 else 1]
     if count in (2, 4) and (levels[..., -1] != np.iinfo(levels.dtype).max).any():
         raise NotGreyError("is transparent in part; save it as a grey image without an alpha channel")
-    difference = int(np.max(colours.max(axis=2) - colours.min(axis=2)))
-    if difference:
+    first = np.ascontiguousarray(colours[..., 0])
+    if any((colours[..., k] != first).any() for k in range(1, colours.shape[2])):
+        difference = int(np.max(colours.max(axis=2) - colours.min(axis=2)))
         means = colours.mean(axis=(0, 1))
         listed = ", ".join(f"{name} {mean:.1f}" for name, mean in zip(COLOURS, means, strict=True))
         raise NotGreyError(
@@ -32,4 +33,4 @@ def grey_from_channels(levels: NDArray[Any]) -> Image:
             "interpolates colours, so record mono or raw images; if the light has one colour, save the "
             f"{COLOURS[int(means.argmax())]} channel, which has most of it, as an 8- or 16-bit grey image"
         )
-    return np.ascontiguousarray(colours[..., 0])
+    return first

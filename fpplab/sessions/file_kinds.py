@@ -7,11 +7,13 @@ HEAD_BYTES = 512
 
 _SIGNATURES = {
     b"%PDF": "a PDF document",
+    b"%!PS": "a PostScript document",
     b"\x1a\x45\xdf\xa3": "a video (Matroska or WebM)",
     b"\x30\x26\xb2\x75\x8e\x66\xcf\x11": "a video (WMV)",
     b"\x00\x00\x01\xba": "a video (MPEG)",
     b"\x00\x00\x01\xb3": "a video (MPEG)",
     b"FLV": "a video (FLV)",
+    b"LUCAM-RECORDER": "a video (SER)",
     b"GIF8": "a GIF picture",
     b"\x00\x00\x00\x0cjP  ": "a JPEG 2000 picture",
     b"\xff\x4f\xff\x51": "a JPEG 2000 picture",

@@ -75,5 +75,6 @@ class NetpbmFile:
         dtype = np.dtype("u1" if self._max_level < 256 else ">u2")
         remaining = len(self._content) - self._start - count * dtype.itemsize
         if remaining < 0 or self._content[len(self._content) - remaining :].strip():
-            raise ValueError(f"it has {abs(remaining)} bytes too {'few' if remaining < 0 else 'many'}")
+            more_or_fewer = "fewer" if remaining < 0 else "more"
+            raise ValueError(f"bytes {more_or_fewer} than its head says: {abs(remaining)}")
         return np.frombuffer(self._content, dtype, count, self._start)

@@ -27,9 +27,9 @@ TIFF_SIGNATURES = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
 LOSSY = ("JPEG", "MPO", "jpeg", "tiff_jpeg")
 """File formats, and compressions of TIFF files, that change grey levels."""
 
-BITS_PER_SAMPLE, PHOTOMETRIC, SAMPLE_FORMAT = 258, 262, 339
+BITS_PER_SAMPLE, PHOTOMETRIC, PLANAR_CONFIGURATION, SAMPLE_FORMAT = 258, 262, 284, 339
 NEW_SUBFILE_TYPE, SUB_IFDS, DNG_VERSION = 254, 330, 50706
-WHITE_IS_ZERO = 0
+WHITE_IS_ZERO, SEPARATE_PLANES = 0, 2
 NUMBERS = {2: "signed integers", 3: "floating-point numbers", 5: "complex integers", 6: "complex numbers"}
 """Kinds of numbers in TIFF files that are not levels."""
 CONTENTS = {"1": "1-bit pixels", "I": "32-bit integers", "CMYK": "inks (CMYK)", "P": "a palette of colours"}
@@ -90,6 +90,8 @@ class PictureFile:
         is_colour = mode in ("LA", "RGB", "RGBA", "RGBX") and bits in (8, 16)
         if not (is_palette or is_grey or is_colour):
             raise NotGreyError(f"holds {CONTENTS.get(mode, f'{bits}-bit levels ({mode})')}; {WAY_OUT}")
+        if is_colour and bits > 8 and self._tags.get(PLANAR_CONFIGURATION) == SEPARATE_PLANES:
+            raise NotGreyError(f"holds 16-bit colours in separate planes; {WAY_OUT}")
         if is_grey and bits > 8 and self._tags.get(PHOTOMETRIC) == WHITE_IS_ZERO:
             raise NotGreyError("is a negative (0 is white); invert its grey levels")
 
@@ -138,6 +140,6 @@ def _describe_tiff(stream: IO[bytes]) -> str:
         form = f"{'big-endian ' if file.byteorder == '>' else ''}{'BigTIFF' if file.is_bigtiff else 'TIFF'}"
         compression = tifffile.COMPRESSION(page.compression).name.lower()
         return (
-            f"holds {numbers} of {page.bitspersample} bits ({form}, compression {compression}), which "
-            "are not read; export it as 8- or 16-bit grey TIFF or PNG"
+            f"holds {numbers} of {page.bitspersample} bits in a form that is not read ({form}, channels: "
+            f"{page.samplesperpixel}, compression: {compression}); export it as 8- or 16-bit grey TIFF or PNG"
         )
