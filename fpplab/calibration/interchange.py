@@ -135,6 +135,7 @@ def from_opencv(
     rms = {name: _number(entries[f"rms_{name}"]) for name in RMS if f"rms_{name}" in entries}
     calibration = Calibration(camera, projector, pose, rms)
     _check_ranges(calibration, source)
+    calibration.check_possible(source)
     return calibration
 
 

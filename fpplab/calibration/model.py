@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from pydantic import AfterValidator, AwareDatetime, Field, model_validator
 
 from fpplab.calibration.board import FittedBoard, FittedBoardFile
 from fpplab.calibration.drawing import calibration_table, draw_from_above
+from fpplab.calibration.plausibility import explain_impossible
 from fpplab.core import config
 from fpplab.core.config import Document
 from fpplab.core.conventions import Floats, Lattice
-from fpplab.core.errors import CalibrationError
+from fpplab.core.errors import CalibrationError, ConfigError
 from fpplab.core.files import write_text
 from fpplab.core.geometry import DISTORTION, POLYNOMIAL, Pinhole, RigidTransform
 from fpplab.core.origin import DeviceIdentity, Origin
@@ -213,6 +217,22 @@ class Calibration:
                 f"import images from elsewhere with '--lattice {self.projector.lattice}'"
             )
 
+    def check_possible(self, source: Path | str) -> None:
+        """Check that a camera and a projector can be like this.
+
+        Parameters
+        ----------
+        source : Path or str
+            Where the calibration comes from, for the error message.
+
+        Raises
+        ------
+        ConfigError
+            No lens has this distortion or these focal lengths, or no two devices this pose.
+        """
+        if complaint := explain_impossible(self.camera, self.projector, self.T_projector_camera):
+            raise ConfigError(f"{source}: no calibration of a real rig: {complaint}")
+
     def save(self, path: Path | str) -> None:
         """Write a calibration file (YAML), atomically: the file is complete or unchanged.
 
@@ -244,7 +264,8 @@ class Calibration:
         origin = self.origin
         if origin is not None and origin.file is None:
             origin = origin.model_copy(update={"file": name})
-        return config.dump(CalibrationFile.of(replace(self, origin=origin)))
+        content = config.plain(CalibrationFile.of(replace(self, origin=origin)))
+        return config.to_yaml({**content, "checksum": _checksum(content)})
 
     @classmethod
     def load(cls, path: Path | str) -> Calibration:
@@ -266,7 +287,22 @@ class Calibration:
             The file is missing, or a field of it is not valid.
         """
         path = Path(path)
-        return config.load_document(path, CalibrationFile).calibration()
+        content = config.parse_yaml(config.read_text(path), path)
+        file = config.validate(content, CalibrationFile, path)
+        if file.checksum is not None and file.checksum != _checksum(content):
+            raise ConfigError(
+                f"{path}: its numbers were changed since fpplab wrote it: they do not match its checksum; "
+                "put back the file as it was, or, if the change was meant, delete the line 'checksum'"
+            )
+        calibration = file.calibration()
+        calibration.check_possible(path)
+        return calibration
+
+
+def _checksum(content: Mapping[str, Any]) -> str:
+    """Compute the checksum of all numbers of a calibration file."""
+    numbers = {name: value for name, value in content.items() if name not in ("origin", "checksum")}
+    return hashlib.sha256(json.dumps(numbers, sort_keys=True).encode()).hexdigest()
 
 
 def _check(what: str, size: tuple[int, int], expected: tuple[int, int], source: Path | str) -> None:
@@ -398,6 +434,8 @@ class CalibrationFile(Document):
     """The board that the calibration was found with, and the errors, by which other poses are judged."""
     origin: CalibrationOrigin | None = None
     """When and from which devices' images the calibration was made, where that is known."""
+    checksum: str | None = None
+    """SHA-256 of all but the origin, as fpplab wrote it; to change a number, delete this line."""
 
     @model_validator(mode="after")
     def _has_a_baseline(self) -> CalibrationFile:

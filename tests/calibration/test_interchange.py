@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 
 from fpplab.calibration.interchange import Format, from_opencv, is_opencv, to_opencv
 from fpplab.calibration.model import Calibration
+from fpplab.calibration.plausibility import LATTICE_ASPECT
 from fpplab.cli import app
 from fpplab.core.conventions import Floats, Lattice
 from fpplab.core.errors import ConfigError
@@ -52,26 +53,41 @@ def same(a: Calibration, b: Calibration) -> None:
     assert a.rms_px == b.rms_px
 
 
-finite = {"allow_nan": False, "allow_infinity": False}
-pinholes = st.builds(
-    Pinhole.from_focal,
-    st.tuples(st.integers(2, 10_000), st.integers(2, 10_000)),
-    st.tuples(st.floats(1e-3, 1e6), st.floats(1e-3, 1e6)),
-    st.tuples(st.floats(-1e5, 1e5), st.floats(-1e5, 1e5)),
-    st.one_of(st.tuples(*[st.floats(-100, 100)] * n) for n in (5, 8)),
-)
+def lens(
+    size: tuple[int, int],
+    lattice: Lattice,
+    focal: float,
+    aspect: float,
+    centre: tuple[float, float],
+    distortion: tuple[float, ...],
+) -> Pinhole:
+    """A device that could be: its focal length in widths, its principal point in sizes."""
+    focal_px = focal * size[0], focal * size[0] * aspect * LATTICE_ASPECT[lattice]
+    centre_px = centre[0] * size[0], centre[1] * size[1]
+    return Pinhole.from_focal(size, focal_px, centre_px, distortion, lattice)
+
+
+def lenses(lattices: st.SearchStrategy[Lattice]) -> st.SearchStrategy[Pinhole]:
+    return st.builds(
+        lens,
+        st.tuples(st.integers(300, 10_000), st.integers(300, 10_000)),
+        lattices,
+        st.floats(1.0, 2.0),
+        st.floats(0.9, 1.1),
+        st.tuples(st.floats(0.4, 0.6), st.floats(0.4, 0.6)),
+        st.one_of(st.tuples(*[st.floats(-1e-3, 1e-3)] * n) for n in (5, 8)),
+    )
+
+
 poses = st.builds(
     lambda rotation, translation: RigidTransform.from_vectors(np.array(rotation), np.array(translation)),
-    st.tuples(*[st.floats(-1.7, 1.7)] * 3),
-    st.tuples(st.floats(1e-3, 1e5), st.floats(-1e5, 1e5), st.floats(-1e5, 1e5)),
+    st.tuples(*[st.floats(-0.1, 0.1)] * 3),
+    st.tuples(st.floats(1.5, 1e4), st.floats(-1.0, 1.0), st.floats(-1.0, 1.0)),
 )
 calibrations = st.builds(
-    lambda camera, projector, lattice, pose, rms: Calibration(
-        camera, Pinhole(projector.size, projector.matrix, projector.distortion, lattice), pose, rms
-    ),
-    pinholes,
-    pinholes,
-    st.sampled_from(Lattice),
+    Calibration,
+    lenses(st.just(Lattice.SQUARE)),
+    lenses(st.sampled_from(Lattice)),
     poses,
     st.dictionaries(st.sampled_from(["camera", "projector", "joint"]), st.floats(0, 10)),
 )

@@ -184,3 +184,29 @@ def test_what_is_no_covariance_is_refused(
 def test_no_covariance_is_made_in_code_either() -> None:
     with pytest.raises(CalibrationError, match="symmetric"):
         Uncertainty(("camera.fx", "camera.fy"), np.array([[1.0, 0.5], [0.4, 1.0]]))
+
+
+@pytest.mark.parametrize(
+    ("number", "other"),
+    [("3645.1234567", "3645.1234568"), ("- 683.5\n", "- 684\n"), ("0.031", "0.03"), ("diamond", "square")],
+)
+def test_a_number_that_was_changed_by_hand_is_noticed(number: str, other: str, tmp_path: Path) -> None:
+    path = tmp_path / "c.yaml"
+    projector = Pinhole.from_focal((912, 1140), (1094.4, 1400.0), (455.5, 1110.0), lattice=Lattice.DIAMOND)
+    replace(CALIBRATION, projector=replace(projector, matrix=CALIBRATION.projector.matrix)).save(path)
+    text = path.read_text()
+    assert number in text
+    path.write_text(text.replace(number, other))
+    with pytest.raises(ConfigError, match=r"c\.yaml: .*checksum; .*delete the line 'checksum'|on a square"):
+        Calibration.load(path)
+
+
+def test_without_its_checksum_a_changed_file_is_loaded_and_notes_never_matter(tmp_path: Path) -> None:
+    path = tmp_path / "c.yaml"
+    CALIBRATION.save(path)
+    lines = path.read_text().replace("683.5", "684.5").splitlines()
+    path.write_text("\n".join(line for line in lines if not line.startswith("checksum")))
+    assert Calibration.load(path).camera.matrix[0, 2] == 684.5
+    CALIBRATION.save(path)
+    path.write_text("# our rig\r\n" + path.read_text().replace("\n", "\r\n"))
+    Calibration.load(path)

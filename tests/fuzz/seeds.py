@@ -103,8 +103,8 @@ def opencv() -> list[bytes]:
     found = []
     for kind in (cv2.FILE_STORAGE_FORMAT_YAML, cv2.FILE_STORAGE_FORMAT_XML):
         storage = cv2.FileStorage("", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY | kind)
-        for name in ("M1", "M2"):
-            storage.write(name, np.array([[900.0, 0, 320], [0, 900, 240], [0, 0, 1]]))
+        for name, fy in (("M1", 900.0), ("M2", 1800.0)):  # of a camera, and of a diamond lattice
+            storage.write(name, np.array([[900.0, 0, 320], [0, fy, 240], [0, 0, 1]]))
         for name in ("D1", "D2"):
             storage.write(name, np.zeros((1, 5)))
         storage.write("R", np.eye(3))
