@@ -1,18 +1,15 @@
-"""Exchanging calibrations with other programs, as OpenCV FileStorage files in YAML or XML.
+"""Exchanging calibrations with other programs: written for OpenCV, read from all that `dialects` knows.
 
 Files are written with the names of OpenCV's own stereo sample: `M1 D1` (camera), `M2 D2` (projector), and
 `R T` with `X_2 = R X_1 + T`, which is `T_projector_camera` here; in addition the sizes and the lattice.
-These names and those of other calibration programs (`NAMES`) are read, from one file or from several.
 
-Nothing needs to be converted. Pixels: both put (0, 0) at the centre of the first pixel. Distortion:
-both use (k1, k2, p1, p2, k3), and with k4, k5, k6 the rational model. Lengths: taken as they are, so the
-foreign board must have been given in mm.
+Pixels: (0, 0) is the centre of the first pixel. Distortion: (k1, k2, p1, p2, k3), and with k4, k5, k6 the
+rational model. Lengths: in the unit that the format defines, otherwise in mm.
 
-Lattice: FileStorage files of other programs do not say how the projector's mirrors are arranged, so it must
-be given. The numbers are not changed. On a `diamond` lattice fpplab counts u in columns, with odd rows
-shifted by half a column (`fpplab.core.conventions`); a program that ignores the half column measures, on
-average, a quarter of a column too little, and so does its principal point. Characterise again where a quarter
-of a column matters.
+Lattice: files of other programs do not say how the projector's mirrors are arranged, so it must be given. The
+numbers are not changed. On a `diamond` lattice fpplab counts u in columns, with odd rows shifted by half a
+column (`fpplab.core.conventions`); a program that ignores the half column measures, on average, a quarter of
+a column too little, and so does its principal point. Characterise again where a quarter of a column matters.
 """
 
 from __future__ import annotations
@@ -26,44 +23,14 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from fpplab.calibration.dialects import ALONE, NAMES, ForeignFile, read_foreign
 from fpplab.calibration.model import Calibration, CalibrationFile
 from fpplab.core import config
 from fpplab.core.conventions import Floats, Lattice
 from fpplab.core.errors import ConfigError
-from fpplab.core.foreign import read_apart
 from fpplab.core.geometry import DISTORTION, Pinhole, RigidTransform
 
 Format = Literal["yaml", "xml", "json"]
-
-NAMES: dict[str, tuple[str, ...]] = {
-    "M1": ("M1", "cam_K", "Kc", "cameraMatrix1", "camera_matrix_1", "K1"),
-    "D1": ("D1", "cam_kc", "kc", "distCoeffs1", "distortion_coefficients_1"),
-    "M2": ("M2", "proj_K", "Kp", "cameraMatrix2", "camera_matrix_2", "K2"),
-    "D2": ("D2", "proj_kc", "kp", "distCoeffs2", "distortion_coefficients_2"),
-    "R": ("R", "Rp"),
-    "T": ("T", "Tp"),
-    "size1": ("image_size1", "camera_size", "cam_size"),
-    "size2": ("image_size2", "projector_size", "proj_size"),
-    "width1": ("frameWidth",),
-    "height1": ("frameHeight",),
-    "width2": ("screenResX",),
-    "height2": ("screenResY",),
-    "lattice2": ("lattice2",),
-    "rms_camera": ("rms_camera", "cam_error"),
-    "rms_projector": ("rms_projector", "proj_error"),
-    "rms_joint": ("rms_joint", "stereo_error"),
-}
-"""Entries, and their names in other programs: OpenCV's stereo sample, procamcalib, SLStudio."""
-
-ALONE = {
-    "camera_matrix": "M",
-    "cameraMatrix": "M",
-    "distortion_coefficients": "D",
-    "distCoeffs": "D",
-    "image_width": "width",
-    "image_height": "height",
-}
-"""Names in the file of a single device: the first such file is the camera's, the second the projector's."""
 
 RMS = ("camera", "projector", "joint")
 
@@ -80,15 +47,6 @@ class _Entry:
 
 
 _Entries = dict[str, _Entry]
-
-
-def is_opencv(path: Path) -> bool:
-    """Detect by its first characters whether a file is OpenCV's FileStorage or a calibration of fpplab."""
-    return _begins_as_opencv(config.read_text(path))
-
-
-def _begins_as_opencv(text: str) -> bool:
-    return text.lstrip("\ufeff \r\n\t").startswith(("%YAML", "<?xml", "{"))
 
 
 def to_opencv(calibration: Calibration, kind: Format) -> str:
@@ -109,14 +67,16 @@ def to_opencv(calibration: Calibration, kind: Format) -> str:
     return str(storage.releaseAndGetString())
 
 
-def from_opencv(
+def import_calibration(
     paths: Sequence[Path],
     camera_size: tuple[int, int] | None = None,
     projector_size: tuple[int, int] | None = None,
     lattice: Lattice | None = None,
+    mm_per_unit: float | None = None,
 ) -> Calibration:
-    """Read a calibration from FileStorage files that together hold both devices and R, T between them."""
-    entries = _gathered(paths)
+    """Read a calibration from other programs' files, which together hold both devices and their pose."""
+    files = [read_foreign(path) for path in paths]
+    entries = _gathered(files)
     source = " + ".join(str(path) for path in paths)
     camera = Pinhole(
         _size(entries, "1", camera_size, "--camera-size", source),
@@ -129,9 +89,7 @@ def from_opencv(
         _distortion(_needed(entries, "D2", source)),
         _lattice(entries, lattice, source),
     )
-    pose = RigidTransform(
-        _rotation(_needed(entries, "R", source)), _translation(_needed(entries, "T", source))
-    )
+    pose = _pose(entries, mm_per_unit or _mm_per_unit(files), source)
     rms = {name: _number(entries[f"rms_{name}"]) for name in RMS if f"rms_{name}" in entries}
     calibration = Calibration(camera, projector, pose, rms)
     _check_ranges(calibration, source)
@@ -139,46 +97,41 @@ def from_opencv(
     return calibration
 
 
-def _gathered(paths: Sequence[Path]) -> _Entries:
-    """Collect all entries that are known, under the names of this module."""
-    meanings = {name: what for what, names in NAMES.items() for name in names}
+def _mm_per_unit(files: Sequence[ForeignFile]) -> float:
+    """The unit of the file that has the translation; mm where its format defines none."""
+    for file in files:
+        if ("T" in file.entries or "pose" in file.entries) and file.mm_per_unit is not None:
+            return file.mm_per_unit
+    return 1.0
+
+
+def _gathered(files: Sequence[ForeignFile]) -> _Entries:
+    """Collect the entries of all files; those of single devices get their numbers."""
     entries: _Entries = {}
     alone = 0
-    for path in paths:
-        contents = _read(path)
-        alone += bool(ALONE.keys() & contents.keys())
-        for name, value in contents.items():
-            what = meanings.get(name) or (f"{ALONE[name]}{alone}" if name in ALONE else None)
-            if what is None:
-                continue
+    for file in files:
+        alone += file.is_of_single_device
+        for name, (written, value) in file.entries.items():
+            what = f"{name}{alone}" if name in ALONE or name == "pose" else name
             if what in entries:
-                raise ConfigError(f"{path}: '{name}' says again what {entries[what].where} says; keep one")
-            entries[what] = _Entry(f"{path}: '{name}'", value)
+                raise ConfigError(
+                    f"{file.path}: '{written}' says again what {entries[what].where} says; keep one"
+                )
+            entries[what] = _Entry(f"{file.path}: '{written}'", value)
     if alone > 2:
         raise ConfigError(
-            f"{paths[-1]}: is the third file of one device; give the camera's and the projector's"
+            f"{files[-1].path}: is the third file of one device; give the camera's and the projector's"
         )
     return entries
 
 
-def _read(path: Path) -> dict[str, Any]:
-    """Read the top-level entries of a FileStorage file: matrices, numbers, strings and lists of numbers."""
-    text = config.read_text(path)
-    if not _begins_as_opencv(text):
-        raise ConfigError(f"{path}: is not a file of OpenCV; those begin with %YAML:1.0, <?xml or {{")
-    try:
-        return {
-            name: value if value.ndim else value.item() for name, value in read_apart("opencv", path).items()
-        }
-    except ValueError as error:
-        raise ConfigError(f"{path}: is not readable as a file of OpenCV ({error}); write it again") from error
-
-
 def _needed(entries: _Entries, what: str, source: str) -> _Entry:
     if what not in entries:
-        alone = [name for name, kind in ALONE.items() if what == f"{kind}1"]
-        names = ", ".join([*NAMES[what], *alone])
-        raise ConfigError(f"{source}: has no entry '{what}' (or, as other programs call it, {names})")
+        names = ", ".join([*NAMES[what], *ALONE.get(what.removesuffix("1"), ())])
+        also = (
+            "; give the file that has R and T from the camera to the projector, too" if what in "RT" else ""
+        )
+        raise ConfigError(f"{source}: has no entry '{what}' (or, as other programs call it, {names}){also}")
     return entries[what]
 
 
@@ -192,6 +145,7 @@ def _numbers(entry: _Entry, expected: str) -> Floats:
 def _matrix(entry: _Entry) -> Floats:
     expected = "a 3 x 3 matrix [fx 0 cx; 0 fy cy; 0 0 1] in px"
     matrix = _numbers(entry, expected)
+    matrix = matrix.reshape(3, 3) if matrix.size == 9 else matrix
     if matrix.shape != (3, 3):
         raise ConfigError(f"{entry.where} has the shape {_shape(matrix)}; expected {expected}")
     if matrix[0, 1] != 0:
@@ -226,12 +180,32 @@ def _rotation(entry: _Entry) -> Floats:
     deviation = np.abs(rotation @ rotation.T - np.eye(3)).max()
     # Tolerance of R Rᵀ = 1, chosen: files are written with five digits and more.
     if deviation > 1e-4 or np.linalg.det(rotation) < 0:
-        raise ConfigError(f"{entry.where} is no rotation; expected {expected}")
+        raise ConfigError(
+            f"{entry.where} is no rotation: R Rᵀ differs from 1 by {deviation:.2g} (at most 1e-4), and its "
+            f"determinant is {np.linalg.det(rotation):.3g}; expected {expected}"
+        )
     return np.asarray(Rotation.from_matrix(rotation).as_matrix(), np.float64)
 
 
+def _pose(entries: _Entries, mm_per_unit: float, source: str) -> RigidTransform:
+    """Read the pose between the devices, or compute it from those of both in one frame of reference."""
+    if "R" not in entries and "pose1" in entries and "pose2" in entries:
+        vectors = [_numbers(entries[f"pose{number}"], "6 numbers").ravel() for number in (1, 2)]
+        camera, projector = (RigidTransform.from_vectors(each[:3], each[3:]) for each in vectors)
+        pose = projector @ camera.inverse()
+    elif "R" not in entries and "rotation_vector" in entries:
+        vector = _numbers(entries["rotation_vector"], "a rotation vector of 3 numbers")
+        if vector.size != 3:
+            raise ConfigError(f"{entries['rotation_vector'].where} has {vector.size} numbers; expected 3")
+        pose = RigidTransform.from_vectors(vector.ravel(), _translation(_needed(entries, "T", source)))
+    else:
+        rotation = _rotation(_needed(entries, "R", source))
+        pose = RigidTransform(rotation, _translation(_needed(entries, "T", source)))
+    return RigidTransform(pose.rotation, pose.translation * mm_per_unit)
+
+
 def _translation(entry: _Entry) -> Floats:
-    expected = "3 lengths in mm"
+    expected = "3 lengths"
     translation = _numbers(entry, expected)
     if translation.size != 3:
         raise ConfigError(f"{entry.where} has the shape {_shape(translation)}; expected {expected}")
@@ -253,6 +227,9 @@ def _size(
 ) -> tuple[int, int]:
     """Look up the size in px in the files, or take the given one where they have none."""
     size, width, height = (entries.get(f"{what}{device}") for what in ("size", "width", "height"))
+    shape = entries.get(f"shape{device}")
+    if size is None and shape is not None:  # of rows and columns
+        size = _Entry(shape.where, _numbers(shape, "rows and columns in px").ravel()[1::-1])
     if size is not None:
         expected = "width and height in px"
         pair, where = _numbers(size, expected).ravel(), size.where

@@ -16,7 +16,7 @@ class PlausibilityLimits:
     """Limits of what a pair of devices can be; all are chosen far from what real ones are."""
 
     max_aspect: float = 1.35
-    """Ratio of fy to fx, or its inverse, apart from the lattice's own. Pixels are square to 1 %; a projector
+    """Ratio of fy / fx to that of the lattice, or its inverse. Pixels are square to 1 %; a projector
     that shows a picture of 4:3 on 16:9 has 1.33."""
     max_sizes_outside: float = 2.0
     """Distance of the principal point from the image, in sizes of the image. Projectors with lens shift stay
@@ -34,8 +34,9 @@ class PlausibilityLimits:
 
 LIMITS = PlausibilityLimits()
 
-LATTICE_ASPECT = {Lattice.SQUARE: 1.0, Lattice.DIAMOND: 2.0}
-"""fy / fx of square picture elements; rows of a diamond lattice lie half as far apart as its columns."""
+ASPECTS = {Lattice.SQUARE: (1.0, 2.0), Lattice.DIAMOND: (2.0,)}
+"""fy / fx of projectors: rows of a diamond lattice lie half as far apart as its columns, also where it is
+taken for a square one."""
 
 _GRID = 33
 """Points of an image along each side at which its lens is tried. Chosen."""
@@ -52,13 +53,12 @@ def explain_impossible(camera: Pinhole, projector: Pinhole, T_projector_camera: 
 
 def _lens_faults(name: str, device: Pinhole) -> Iterator[str]:
     fx, fy = np.diag(device.matrix)[:2]
-    lattice_aspect = LATTICE_ASPECT[device.lattice]
-    aspect = max(fy / fx / lattice_aspect, fx / fy * lattice_aspect)
-    if aspect > LIMITS.max_aspect:
+    aspects = (1.0,) if name == "camera" else ASPECTS[device.lattice]
+    if all(max(fy / fx / aspect, aspect * fx / fy) > LIMITS.max_aspect for aspect in aspects):
+        ranges = " or ".join(f"{a / LIMITS.max_aspect:.3g} to {a * LIMITS.max_aspect:.3g}" for a in aspects)
         yield (
             f"the {name}'s focal lengths fx {fx:.6g} px and fy {fy:.6g} px are not those of a lens on a "
-            f"{device.lattice} lattice: fy / fx is {fy / fx:.3g}, but must be between "
-            f"{lattice_aspect / LIMITS.max_aspect:.3g} and {lattice_aspect * LIMITS.max_aspect:.3g}"
+            f"{device.lattice} lattice: fy / fx is {fy / fx:.3g}, but must be {ranges}"
         )
     for axis, size, centre in zip("xy", device.size, device.matrix[:2, 2].tolist(), strict=True):
         margin = LIMITS.max_sizes_outside * size
@@ -98,8 +98,8 @@ def _pose_faults(camera: Pinhole, projector: Pinhole, pose: RigidTransform) -> I
     if not LIMITS.min_baseline_mm <= baseline <= LIMITS.max_baseline_mm:
         yield (
             f"camera and projector stand {baseline:.4g} mm apart, but must stand between "
-            f"{LIMITS.min_baseline_mm:g} and {LIMITS.max_baseline_mm:g} mm apart; were lengths written in "
-            "another unit than mm?"
+            f"{LIMITS.min_baseline_mm:g} and {LIMITS.max_baseline_mm:g} mm apart; were lengths in another "
+            "unit than mm? (fpplab convert --unit m)"
         )
     elif not _see_the_same(camera, projector, pose):
         yield (

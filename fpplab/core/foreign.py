@@ -103,7 +103,9 @@ def _limit_memory(max_bytes: int) -> None:
 def _read(kind: str, stream: BinaryIO) -> Parts | str:
     """What a file holds, or why it cannot be read."""
     try:
-        return read_opencv(stream.read()) if kind == "opencv" else read_mesh(kind, stream.read())
+        read_calibration = CALIBRATIONS.get(kind)
+        content = stream.read()
+        return read_calibration(content) if read_calibration else read_mesh(kind, content)
     except MemoryError:
         return "it asks for more memory than a file of its size can need"
     except Exception as error:  # noqa: BLE001 - parsers raise exceptions of any kind
@@ -131,7 +133,10 @@ def read_opencv(content: bytes) -> Parts:
     switch: Any = cv2 if hasattr(cv2, "setLogLevel") else getattr(cv2.utils, "logging")  # noqa: B009
     switch.setLogLevel(0)
     try:
-        storage = cv2.FileStorage(content.decode("utf-8"), cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
+        text = content.decode("utf-8-sig")
+        if not text.lstrip().startswith(("%YAML", "<?xml", "{")):
+            text = f"%YAML:1.0\n---\n{text.lstrip().removeprefix('---')}"
+        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
         root = storage.root()  # valid only as long as `storage` exists
         entries = {name: _opencv_value(root.getNode(name)) for name in root.keys()}  # noqa: SIM118
     except cv2.error as error:
@@ -145,13 +150,63 @@ def _opencv_value(node: Any) -> Any:
     if node.isString():
         return node.string()
     if node.isSeq():
-        return np.array([node.at(i).real() for i in range(node.size())])
+        values = [_opencv_value(node.at(i)) for i in range(node.size())]
+        return np.array(values) if all(isinstance(value, float | np.ndarray) for value in values) else None
     import cv2
 
     try:
         return node.mat() if node.isMap() else None
     except cv2.error:  # a map that is no matrix
         return None
+
+
+def read_mat(content: bytes) -> Parts:
+    """Read the variables of a MAT-file; fields of structures are named with dots."""
+    from scipy.io import loadmat
+    from scipy.io.matlab import MatlabFunction, MatlabOpaque
+
+    try:
+        variables = loadmat(io.BytesIO(content))
+    except NotImplementedError:
+        raise ValueError("it is of version 7.3; in MATLAB, save(..., '-v7') writes one that is") from None
+    entries: Parts = {}
+    has_objects = "__function_workspace__" in variables
+    for name, value in variables.items():
+        has_objects |= isinstance(value, MatlabOpaque | MatlabFunction)
+        if not name.startswith("__"):
+            _add_fields(name, value, entries)
+    if has_objects:
+        raise ValueError(
+            "it holds objects, which only MATLAB can read; s = toStruct(stereoParams); "
+            "save('stereo.mat', '-struct', 's', '-v7') writes their fields"
+        )
+    return entries
+
+
+def _add_fields(name: str, value: Any, entries: Parts) -> None:
+    array = np.asarray(value)
+    if array.dtype.names is not None:
+        for field in array.dtype.names if array.size == 1 else ():
+            _add_fields(f"{name}.{field}", array.flat[0][field], entries)
+    elif array.dtype.kind in "biuf":
+        entries[name] = array.astype(np.float64)
+    elif array.dtype.kind == "U" and array.size == 1:
+        entries[name] = np.array(str(array.flat[0]))
+
+
+def read_mrcal(content: bytes) -> Parts:
+    """Read a .cameramodel of mrcal, which is the text of a dictionary of Python."""
+    import ast
+
+    model = ast.literal_eval(content.decode("utf-8").strip())
+    if not isinstance(model, dict):
+        raise ValueError("it is not a dictionary")
+    names = ("lensmodel", "intrinsics", "imagersize", "rt_cam_ref", "extrinsics")
+    return {name: np.array(model[name]) for name in names if name in model}
+
+
+CALIBRATIONS = {"opencv": read_opencv, "mat": read_mat, "mrcal": read_mrcal}
+"""Readers of calibrations by the kind of file; all other kinds are meshes."""
 
 
 if __name__ == "__main__":

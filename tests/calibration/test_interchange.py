@@ -13,9 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from fpplab.calibration.interchange import Format, from_opencv, is_opencv, to_opencv
+from fpplab.calibration.dialects import is_own
+from fpplab.calibration.interchange import Format, import_calibration, to_opencv
 from fpplab.calibration.model import Calibration
-from fpplab.calibration.plausibility import LATTICE_ASPECT
+from fpplab.calibration.plausibility import ASPECTS
 from fpplab.cli import app
 from fpplab.core.conventions import Floats, Lattice
 from fpplab.core.errors import ConfigError
@@ -61,8 +62,8 @@ def lens(
     centre: tuple[float, float],
     distortion: tuple[float, ...],
 ) -> Pinhole:
-    """A device that could be: its focal length in widths, its principal point in sizes."""
-    focal_px = focal * size[0], focal * size[0] * aspect * LATTICE_ASPECT[lattice]
+    """A device that could be: its focal length in longer sides, its principal point in sizes."""
+    focal_px = focal * max(size), focal * max(size) * aspect * ASPECTS[lattice][0]
     centre_px = centre[0] * size[0], centre[1] * size[1]
     return Pinhole.from_focal(size, focal_px, centre_px, distortion, lattice)
 
@@ -70,7 +71,7 @@ def lens(
 def lenses(lattices: st.SearchStrategy[Lattice]) -> st.SearchStrategy[Pinhole]:
     return st.builds(
         lens,
-        st.tuples(st.integers(300, 10_000), st.integers(300, 10_000)),
+        st.tuples(st.integers(1000, 2000), st.integers(1000, 2000)),
         lattices,
         st.floats(1.0, 2.0),
         st.floats(0.9, 1.1),
@@ -81,7 +82,7 @@ def lenses(lattices: st.SearchStrategy[Lattice]) -> st.SearchStrategy[Pinhole]:
 
 poses = st.builds(
     lambda rotation, translation: RigidTransform.from_vectors(np.array(rotation), np.array(translation)),
-    st.tuples(*[st.floats(-0.1, 0.1)] * 3),
+    st.tuples(*[st.floats(-0.05, 0.05)] * 3),
     st.tuples(st.floats(1.5, 1e4), st.floats(-1.0, 1.0), st.floats(-1.0, 1.0)),
 )
 calibrations = st.builds(
@@ -101,15 +102,15 @@ def test_there_and_back_is_identity(
 ) -> None:
     path = tmp_path_factory.getbasetemp() / f"stereo.{kind}"
     path.write_text(to_opencv(calibration, kind))
-    assert is_opencv(path)
-    same(from_opencv([path]), calibration)
+    assert not is_own(path)
+    same(import_calibration([path]), calibration)
 
 
 @FORMATS
-@pytest.mark.parametrize("d2", [D2, np.append(D2, [0.9, 0.3, 0.02])[None]], ids=["five", "eight"])
+@pytest.mark.parametrize("d2", [D2, np.append(D2, [0.09, 0.03, 0.02])[None]], ids=["five", "eight"])
 def test_opencv_reads_what_is_written(kind: Format, d2: Floats, tmp_path: Path) -> None:
     expected = {**STEREO, "D2": d2}
-    calibration = from_opencv([write(tmp_path / "in.yml", expected)], **TOLD)
+    calibration = import_calibration([write(tmp_path / "in.yml", expected)], **TOLD)
     path = tmp_path / f"out.{kind}"
     path.write_text(to_opencv(calibration, kind))
     storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
@@ -158,7 +159,7 @@ PROGRAMS = {
 @pytest.mark.parametrize("program", list(PROGRAMS))
 def test_other_programs_names_are_known(program: str, suffix: str, tmp_path: Path) -> None:
     entries, told = PROGRAMS[program]
-    found = from_opencv([write(tmp_path / f"in{suffix}", entries)], **told)
+    found = import_calibration([write(tmp_path / f"in{suffix}", entries)], **told)
     assert found.camera.size == (1368, 912)
     assert found.projector.size == (912, 1140)
     assert found.projector.lattice is Lattice.DIAMOND
@@ -174,7 +175,10 @@ def test_other_programs_names_are_known(program: str, suffix: str, tmp_path: Pat
 def test_intrinsics_and_extrinsics_may_stand_apart(tmp_path: Path) -> None:
     inner = write(tmp_path / "intrinsics.yml", {k: STEREO[k] for k in ("M1", "D1", "M2", "D2")})
     outer = write(tmp_path / "extrinsics.yml", {"R": R, "T": T, "R1": R, "P1": np.eye(4), "Q": np.eye(4)})
-    same(from_opencv([inner, outer], **TOLD), from_opencv([write(tmp_path / "one.yml", STEREO)], **TOLD))
+    same(
+        import_calibration([inner, outer], **TOLD),
+        import_calibration([write(tmp_path / "one.yml", STEREO)], **TOLD),
+    )
 
 
 @pytest.mark.whole
@@ -187,17 +191,17 @@ def test_each_device_may_have_a_file(tmp_path: Path) -> None:
         for i, (w, h, k, d) in enumerate([(1368, 912, K1, D1), (912, 1140, K2, D2)])
     ]
     outer = write(tmp_path / "extrinsics.yml", {"R": R, "T": T})
-    found = from_opencv([*devices, outer], lattice=Lattice.DIAMOND)
-    same(found, from_opencv([write(tmp_path / "one.yml", STEREO)], **TOLD))
+    found = import_calibration([*devices, outer], lattice=Lattice.DIAMOND)
+    same(found, import_calibration([write(tmp_path / "one.yml", STEREO)], **TOLD))
     with pytest.raises(ConfigError, match=r"third file of one device"):
-        from_opencv(
+        import_calibration(
             [*devices, outer, write(tmp_path / "3.yml", {"camera_matrix": K1})], lattice=Lattice.DIAMOND
         )
 
 
 def test_single_precision_and_fewer_coefficients_are_taken(tmp_path: Path) -> None:
     entries = {**STEREO, "R": R.astype(np.float32), "D1": D1[:, :4], "D2": np.append(D2, np.zeros(3))[None]}
-    found = from_opencv([write(tmp_path / "in.yml", entries)], **TOLD)
+    found = import_calibration([write(tmp_path / "in.yml", entries)], **TOLD)
     np.testing.assert_array_equal(found.camera.coefficients, [-0.12, 0.2, 1e-3, -8e-4, 0])
     np.testing.assert_array_equal(found.projector.coefficients, D2.ravel())
     rotation = found.T_projector_camera.rotation
@@ -231,7 +235,7 @@ def test_single_precision_and_fewer_coefficients_are_taken(tmp_path: Path) -> No
         ({"R": np.zeros((3, 1))}, r"'R' has the shape 3 x 1"),
         ({"T": np.zeros((4, 1))}, r"'T' has the shape 4 x 1; expected 3 lengths"),
         ({"T": np.zeros((3, 1))}, "is zero: camera and projector must stand apart"),
-        ({"cam_K": K1}, r"'cam_K' says again what .*in\.yml: 'M1' says"),
+        ({"cam_K": K1}, "'cam_K' says again what 'M1' says"),
         (
             {"image_size1": np.array([[1368, 912, 3]])},
             r"'image_size1' has 3 numbers; expected width and height",
@@ -246,7 +250,7 @@ def test_single_precision_and_fewer_coefficients_are_taken(tmp_path: Path) -> No
 def test_what_does_not_fit_is_refused_by_name(changes: dict[str, object], words: str, tmp_path: Path) -> None:
     entries = {k: v for k, v in {**STEREO, **changes}.items() if v is not None}
     with pytest.raises(ConfigError, match=words):
-        from_opencv([write(tmp_path / "in.yml", entries)], **TOLD)
+        import_calibration([write(tmp_path / "in.yml", entries)], **TOLD)
 
 
 @pytest.mark.parametrize(
@@ -260,14 +264,14 @@ def test_what_does_not_fit_is_refused_by_name(changes: dict[str, object], words:
 def test_what_nobody_says_is_asked_for(missing: str, words: str, tmp_path: Path) -> None:
     told = {k: v for k, v in TOLD.items() if k != missing}
     with pytest.raises(ConfigError, match=words):
-        from_opencv([write(tmp_path / "in.yml", STEREO)], **told)
+        import_calibration([write(tmp_path / "in.yml", STEREO)], **told)
 
 
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("camera: 3\n", "is not a file of OpenCV"),
-        ("", "is not a file of OpenCV"),
+        ("camera: 3\n", r"in\.yml: has no entry of a calibration that is known; it has camera"),
+        ("", r"in\.yml: has no entries by name"),
         ("%YAML:1.0\n---\nM1: !!opencv-matrix\n   rows: 3\n", "in.yml"),
         ("%YAML:1.0\n---\nM1: [ 1, 2\n", "in.yml"),
         ("<?xml version='1.0'?>\n<opencv_storage>\n<M1>", "in.yml"),
@@ -279,12 +283,12 @@ def test_what_nobody_says_is_asked_for(missing: str, words: str, tmp_path: Path)
 def test_a_damaged_file_is_refused(text: str, words: str, tmp_path: Path) -> None:
     (tmp_path / "in.yml").write_text(text)
     with pytest.raises(ConfigError, match=words):
-        from_opencv([tmp_path / "in.yml"], **TOLD)
+        import_calibration([tmp_path / "in.yml"], **TOLD)
 
 
 def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"nowhere\.yml: there is no such file"):
-        from_opencv([tmp_path / "nowhere.yml"])
+        import_calibration([tmp_path / "nowhere.yml"])
 
 
 # The command
@@ -297,7 +301,7 @@ def run(*words: object) -> Result:
 @pytest.mark.parametrize("suffix", [".xml", ".yml"])
 def test_a_calibration_goes_out_and_comes_back(suffix: str, tmp_path: Path) -> None:
     mine, theirs, back = tmp_path / "mine.yaml", tmp_path / f"stereo{suffix}", tmp_path / "back.yaml"
-    calibration = from_opencv([write(tmp_path / "in.yml", STEREO)], **TOLD)
+    calibration = import_calibration([write(tmp_path / "in.yml", STEREO)], **TOLD)
     calibration.save(mine)
     assert run(mine, "--out", theirs).exit_code == 0
     result = run(theirs, "--out", back, "--json")
@@ -313,7 +317,7 @@ def test_sizes_and_lattice_are_told_on_the_command_line(tmp_path: Path) -> None:
     theirs, mine = write(tmp_path / "stereo.yml", STEREO), tmp_path / "mine.yaml"
     sizes = ("--camera-size", 1368, 912, "--projector-size", 912, 1140)
     assert run(theirs, "--out", mine, *sizes, "--lattice", "diamond").exit_code == 0
-    same(Calibration.load(mine), from_opencv([theirs], **TOLD))
+    same(Calibration.load(mine), import_calibration([theirs], **TOLD))
     refused = run(mine, "--out", tmp_path / "out.xml", *sizes).exception
     assert isinstance(refused, ConfigError)
     assert "leave sizes and lattice out" in str(refused)
@@ -321,7 +325,7 @@ def test_sizes_and_lattice_are_told_on_the_command_line(tmp_path: Path) -> None:
 
 def test_outputs_are_named_for_what_they_hold_and_never_overwritten(tmp_path: Path) -> None:
     theirs, mine = write(tmp_path / "stereo.yml", STEREO), tmp_path / "mine.yaml"
-    from_opencv([theirs], **TOLD).save(mine)
+    import_calibration([theirs], **TOLD).save(mine)
     for words, sentence in (
         ((mine, "--out", tmp_path / "out.yaml"), "must end in .xml or .yml"),
         ((theirs, "--out", tmp_path / "out.yml"), "must end in .yaml"),
@@ -346,4 +350,4 @@ def test_nesting_that_ends_opencv_is_refused(suffix: str, text: str, tmp_path: P
     path = tmp_path / f"deep.{suffix}"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(ConfigError, match=r"not readable as a file of OpenCV"):
-        from_opencv([path])
+        import_calibration([path])

@@ -12,7 +12,7 @@ import yaml
 from scipy.io import loadmat
 from scipy.spatial.transform import Rotation
 
-from fpplab.calibration.interchange import from_opencv
+from fpplab.calibration.interchange import import_calibration
 from fpplab.calibration.model import Calibration
 from fpplab.calibration.variants import LAYOUTS, export_calibration
 from fpplab.core.conventions import Lattice
@@ -43,7 +43,7 @@ def same(made: Calibration, told: Calibration, atol: float = 0.0) -> None:
 def test_opencv(suffix: str, lens: np.ndarray, tmp_path: Path) -> None:
     path = tmp_path / f"stereo{suffix}"
     export_calibration(calibration(lens), str(path))
-    same(from_opencv([path]), calibration(lens))
+    same(import_calibration([path]), calibration(lens))
     storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
     np.testing.assert_array_equal(storage.getNode("M1").mat(), calibration().camera.matrix)
 
@@ -51,7 +51,7 @@ def test_opencv(suffix: str, lens: np.ndarray, tmp_path: Path) -> None:
 def test_slstudio(tmp_path: Path) -> None:
     path = tmp_path / "slstudio.xml"
     export_calibration(calibration(), path, "slstudio")
-    same(from_opencv([path], lattice=Lattice.DIAMOND), calibration())
+    same(import_calibration([path], lattice=Lattice.DIAMOND), calibration())
     storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
     names = ("Kc", "kc", "Kp", "kp", "Rp", "Tp")
     shapes = [storage.getNode(name).mat().shape for name in names]

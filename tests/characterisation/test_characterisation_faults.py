@@ -238,6 +238,10 @@ def looked_at(image: np.ndarray, target: Target) -> None:
     [
         ({"counts": (4, 13)}, r"'counts' should be \[13, 4\]"),
         ({"staggered": False}, "'staggered' should be true"),
+        (
+            {"counts": (4, 13), "spacing_mm": (4.5, 4.5)},
+            r"OpenCV's order: 'counts' should be \[13, 4\] and 'spacing_mm' \[4.5, 9\]",
+        ),
     ],
 )
 def test_a_board_not_found_for_its_description_is_named(wrong: dict[str, Any], cause: str) -> None:

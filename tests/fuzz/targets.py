@@ -111,7 +111,7 @@ def opencv(data: bytes, folder: Path) -> None:
     from fpplab.calibration import interchange
 
     interchange.read_apart = _in_a_fork  # type: ignore[assignment]
-    interchange.from_opencv([write(folder, "some.yml", data)], (640, 480), (912, 1140))
+    interchange.import_calibration([write(folder, "some.yml", data)], (640, 480), (912, 1140))
 
 
 def _in_a_fork(kind: str, path: Path) -> dict[str, Any]:

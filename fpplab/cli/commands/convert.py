@@ -17,7 +17,9 @@ from fpplab.core.lattice import Lattice
 def convert_command(
     files: Annotated[
         list[Path],
-        typer.Argument(help="A calibration of fpplab, or the files of OpenCV that hold one together."),
+        typer.Argument(
+            help="A calibration of fpplab, or the files of another program that hold one together."
+        ),
     ],
     out: Out,
     camera_size: Annotated[
@@ -31,32 +33,45 @@ def convert_command(
     lattice: Annotated[
         Lattice | None, typer.Option("--lattice", help="How the mirrors lie, if the files do not say.")
     ] = None,
+    unit: Annotated[
+        str | None,
+        typer.Option(
+            "--unit", help="Unit of lengths (mm, cm, m), if it is not the one of the files' format."
+        ),
+    ] = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Exchange calibrations with programs that use OpenCV's files.
+    """Exchange calibrations with other programs.
 
-    A calibration of fpplab becomes OpenCV's FileStorage (M1 D1 M2 D2 R T; .xml or .yml);
-    OpenCV's files, lengths in mm, become a calibration of fpplab (.yaml). Both count pixels in the same way.
+    A calibration of fpplab becomes OpenCV's FileStorage (M1 D1 M2 D2 R T; .xml or .yml). Files of OpenCV,
+    SLStudio, procam-calibration, MATLAB and Bouguet's toolbox (lengths in mm), and of Kalibr, ROS and mrcal
+    (lengths in m) become a calibration of fpplab (.yaml).
 
     Examples: `fpplab convert calibration.yaml --out stereo.xml`;
     `fpplab convert stereo.yml --out calibration.yaml --camera-size 1368 912 --projector-size 912 1140
     --lattice diamond`; `fpplab convert camera.yml projector.yml extrinsics.yml --out calibration.yaml
     --lattice square`
     """
-    from fpplab.calibration.interchange import from_opencv, is_opencv, to_opencv
+    from fpplab.calibration.dialects import is_own
+    from fpplab.calibration.interchange import import_calibration, to_opencv
     from fpplab.calibration.model import Calibration
     from fpplab.core.files import need_suffix, refuse_existing, write_text
+    from fpplab.core.units import length_mm
 
-    foreign = [is_opencv(file) for file in files]
-    if all(foreign):
+    own = [file for file in files if is_own(file)]
+    if not own:
         need_suffix(out, ".yaml")
         refuse_existing(out, force)
-        calibration = from_opencv(files, camera_size, projector_size, lattice)
+        mm_per_unit = length_mm(f"1{unit}", "--unit") if unit else None
+        calibration = import_calibration(files, camera_size, projector_size, lattice, mm_per_unit)
         calibration.save(out)
     elif len(files) == 1:
-        if camera_size or projector_size or lattice:
-            raise ConfigError(f"{files[0]}: says itself what its devices are; leave sizes and lattice out")
+        if camera_size or projector_size or lattice or unit:
+            raise ConfigError(
+                f"{files[0]}: is a calibration of fpplab, which says itself what its devices are; leave "
+                "sizes and lattice out, and the unit"
+            )
         need_suffix(out, ".xml", ".yml")
         refuse_existing(out, force)
         calibration = Calibration.load(files[0])
@@ -66,8 +81,7 @@ def convert_command(
             )
         write_text(out, to_opencv(calibration, "xml" if out.suffix.lower() == ".xml" else "yaml"))
     else:
-        complete = files[foreign.index(False)]
-        raise ConfigError(f"{complete}: is a calibration of fpplab and complete; give it alone")
+        raise ConfigError(f"{own[0]}: is a calibration of fpplab and complete; give it alone")
     console.print_result(
         {"file": out, "baseline_mm": calibration.baseline_mm, "lattice": str(calibration.projector.lattice)},
         json,

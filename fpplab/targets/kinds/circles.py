@@ -131,12 +131,19 @@ class CircleGrid(BoardLayout):
         return np.asarray(ellipses[:, :2, 2] / ellipses[:, 2:, 2] - apply_homography(matrix, circles))
 
     def confusable(self) -> Iterator[tuple[str, dict[str, Any]]]:
-        """List the one field that is easily described wrongly, `staggered`."""
+        """List `staggered`, and the order of counts that OpenCV has for an asymmetric grid."""
         other = not self.staggered
         description = (
             "lower by half a pitch in its odd columns" if other else "without a shift of odd columns"
         )
         yield f"{description}: 'staggered' should be {str(other).lower()}", {"staggered": other}
+        (columns, rows), (x, y) = self.counts, self.spacing_mm
+        if self.staggered and x == y:  # OpenCV states a single pitch, and shifts rows instead of columns
+            yield (
+                f"in OpenCV's order: 'counts' should be [{rows}, {columns}] "
+                f"and 'spacing_mm' [{x:g}, {2 * x:g}]",
+                {"counts": (rows, columns), "spacing_mm": (x, 2 * x)},
+            )
 
     def _blob_detector(self, grey: NDArray[np.uint8]) -> cv2.SimpleBlobDetector:
         parameters = cv2.SimpleBlobDetector.Params()
