@@ -308,10 +308,10 @@ def _of_ros_transform(path: Path, content: dict[str, Any]) -> ForeignFile:
     return ForeignFile(path, "ROS", entries, MM_PER_M)
 
 
-Detector = Callable[[dict[Any, Any]], bool]
-Converter = Callable[[Path, dict[str, Any]], ForeignFile]
+FormatDetector = Callable[[dict[Any, Any]], bool]
+FormatConverter = Callable[[Path, dict[str, Any]], ForeignFile]
 
-PLAIN_FORMATS: tuple[tuple[Detector, Converter], ...] = (
+PLAIN_FORMATS: tuple[tuple[FormatDetector, FormatConverter], ...] = (
     (_is_kalibr, _of_kalibr),
     (_is_ros_transform, _of_ros_transform),
     (_is_camera_info, _of_camera_info),

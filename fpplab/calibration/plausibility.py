@@ -12,7 +12,7 @@ from fpplab.core.geometry import Pinhole, RigidTransform
 
 
 @dataclass(frozen=True)
-class PlausibilityLimits:
+class PossibleRigLimits:
     """Limits of what a pair of devices can be; all are chosen far from what real ones are."""
 
     max_aspect: float = 1.35
@@ -32,7 +32,7 @@ class PlausibilityLimits:
     """The same. Halls are measured with less."""
 
 
-LIMITS = PlausibilityLimits()
+LIMITS = PossibleRigLimits()
 
 ASPECTS = {Lattice.SQUARE: (1.0, 2.0), Lattice.DIAMOND: (2.0,)}
 """fy / fx of projectors: rows of a diamond lattice lie half as far apart as its columns, also where it is

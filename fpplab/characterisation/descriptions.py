@@ -17,6 +17,12 @@ def explain_missing_board(image: NDArray[Any], target: Target) -> str | None:
     for description, other in similar_descriptions(target):
         if other.detect(image) is not None:
             return f"but it is there {description}"
+    inverted = target.model_copy(update={"foreground": target.background, "background": target.foreground})
+    if inverted.detect(image) is not None:
+        return (
+            "but it is there with foreground and background exchanged: 'foreground' should be "
+            f"{inverted.foreground:g} and 'background' {inverted.background:g}"
+        )
     if target.layout.shows_mirroring and target.detect(np.ascontiguousarray(image[:, ::-1])) is not None:
         return "but its mirror image is; the print, or the camera's picture, is mirrored"
     return None

@@ -286,9 +286,12 @@ def _require_enough_poses(observations: Sequence[Observation], left_out: dict[st
     if len(observations) >= MIN_POSES:
         return
     why = f" ({_reasons(left_out)})" if left_out else ""
+    shared = {reason.removeprefix(f"{name}: ") for name, reason in left_out.items()}
+    is_same_for_all = not observations and len(left_out) >= MIN_POSES and len(shared) == 1
+    remedy = "correct this first" if is_same_for_all else "capture more poses, each tilted differently"
     raise UndeterminedError(
         f"only {len(observations)} of {len(observations) + len(left_out)} poses can be used, "
-        f"at least {MIN_POSES} are needed{why}; capture more poses, each tilted differently"
+        f"at least {MIN_POSES} are needed{why}; {remedy}"
     )
 
 

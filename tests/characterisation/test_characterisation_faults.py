@@ -11,6 +11,7 @@ import pytest
 
 from fpplab.characterisation import DistortionModel, Observation, characterise, observe
 from fpplab.characterisation.board_diagnosis import find_description_error
+from fpplab.characterisation.descriptions import explain_missing_board
 from fpplab.characterisation.limits import USUAL_LIMITS
 from fpplab.core.errors import CalibrationError
 from fpplab.core.geometry import Pinhole, RigidTransform
@@ -247,6 +248,15 @@ def looked_at(image: np.ndarray, target: Target) -> None:
 def test_a_board_not_found_for_its_description_is_named(wrong: dict[str, Any], cause: str) -> None:
     with pytest.raises(CalibrationError, match=f"pose_1: the board was not found .*{cause}"):
         looked_at(picture(), BOARD.model_copy(update=wrong))
+
+
+def test_a_board_described_as_its_negative_is_named() -> None:
+    board = Target(kind="charuco", size_mm=(60, 42), counts=(7, 4), spacing_mm=(6, 6), marker_mm=4.5,
+                   dictionary="4x4_50")  # fmt: skip
+    negative = board.model_copy(update={"foreground": 0.9, "background": 0.05})
+    cause = explain_missing_board(picture(board), negative)
+    assert cause is not None
+    assert "exchanged: 'foreground' should be 0.05 and 'background' 0.9" in cause
 
 
 def test_a_mirrored_charuco_board_is_named() -> None:
