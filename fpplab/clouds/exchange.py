@@ -115,8 +115,10 @@ def _write_las(cloud: Cloud, path: Path) -> None:
     header.add_extra_dims(
         [laspy.ExtraBytesParams(name=name, type=values.dtype) for name, values in extra.items()]
     )
+    header.global_encoding.wkt = True  # LAS 1.4 demands it of this point format
     las = laspy.LasData(header)
     las.x, las.y, las.z = points.T
+    las.return_number[:] = las.number_of_returns[:] = 1
     if cloud.colour is not None:
         grey = cloud.colour.astype(np.uint16) * np.uint16(257)  # 16 bits: 255 becomes 65535
         las.intensity = las.red = las.green = las.blue = grey

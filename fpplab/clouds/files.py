@@ -144,7 +144,24 @@ def load_mesh(path: Path | str) -> trimesh.Trimesh:
         raise DataError(f"{path}: has corners that are not finite; export it again")
     import trimesh  # half a second that measuring does not need
 
-    return trimesh.Trimesh(vertices, faces)
+    return _wound_alike(trimesh.Trimesh(vertices, faces), path)
+
+
+def _wound_alike(mesh: trimesh.Trimesh, path: Path) -> trimesh.Trimesh:
+    """Turn the faces of a closed mesh outwards where they are wound this way and that."""
+    if mesh.is_winding_consistent or not mesh.is_watertight:
+        return mesh
+    import igl
+
+    faces, part = igl.bfs_orient(np.ascontiguousarray(mesh.faces, np.int64))
+    turned = mesh.copy()
+    turned.faces = faces
+    if part.any() or not turned.is_winding_consistent:  # what is inside of several shells is not known
+        return mesh
+    if turned.volume < 0.0:
+        turned.invert()
+    _log.warning("%s: its faces are not wound alike; they are turned outwards", path)
+    return turned
 
 
 def _known_suffix(path: Path, suffixes: tuple[str, ...]) -> str:

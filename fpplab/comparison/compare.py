@@ -16,6 +16,7 @@ the true shape, wherever the point itself was measured; outliers are counted and
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import igl
@@ -25,14 +26,16 @@ import trimesh
 from fpplab.artefacts.parts import count_unpaired_edges
 from fpplab.artefacts.recognition import PlacedArtefact
 from fpplab.calibration.model import Calibration
-from fpplab.clouds import Cloud
+from fpplab.clouds import Cloud, load_cloud, load_mesh
 from fpplab.clouds.surfaces import STEEPEST_DEG
 from fpplab.comparison.alignment import Alignment, AlignmentMesh, align_mesh
 from fpplab.comparison.lengths import MeasuredLength, measure_lengths
 from fpplab.comparison.neighbours import nearest_neighbours
 from fpplab.comparison.scale import FittedScale, fit_scale
 from fpplab.comparison.surfaces import distance_to_surface
+from fpplab.comparison.units import check_units
 from fpplab.comparison.visibility import RayTracedShape
+from fpplab.core.arguments import object_or_file
 from fpplab.core.conventions import Floats, Map, Mask
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.notebook import axes_or_new, html_table
@@ -55,9 +58,8 @@ class ComparisonLimits:
     max_out_of_view: float = 0.01
     """Share of the surface turned to the devices that may lie outside of their images without a warning.
     Chosen."""
-    max_size_ratio: float = 50.0
-    """Ratio of the sizes of cloud and mesh beyond which they cannot be in the same unit. Chosen: m and mm
-    differ by 1000."""
+    max_turned_share: float = 0.01
+    """Share of the edges across which faces may be wound differently: a few do not matter. Chosen."""
 
 
 LIMITS = ComparisonLimits()
@@ -261,8 +263,8 @@ def smcd(a: Floats, b: Floats) -> float:
 
 
 def compare(
-    cloud: Cloud,
-    mesh: trimesh.Trimesh,
+    cloud: Cloud | Path | str,
+    mesh: trimesh.Trimesh | Path | str,
     calibration: Calibration | None = None,
     density: float = LIMITS.density_per_mm2,
     seed: int = 0,
@@ -275,9 +277,9 @@ def compare(
 
     Parameters
     ----------
-    cloud : Cloud
+    cloud : Cloud, path or str
         In mm in the camera's frame.
-    mesh : trimesh.Trimesh
+    mesh : trimesh.Trimesh, path or str
         The true shape in mm in the camera's frame, faces outwards.
     calibration : Calibration, optional
         Determines what both devices see. Without it, all of the mesh that faces the camera counts as visible,
@@ -308,16 +310,17 @@ def compare(
     UnseenMeshError
         Nothing of the mesh is visible, or no point's camera ray meets it.
     DataError
-        The mesh is inside out or not in the cloud's unit, no alignment is found, or the points do not span a
-        surface.
+        The mesh is inside out, not wound alike or not in the cloud's unit, no alignment is found, or the
+        points do not span a surface.
     """
     for name, value in (("density", density), ("outlier_mm", outlier_mm), ("near_mm", near_mm)):
         if not (np.isfinite(value) and value > 0.0):
             raise ConfigError(f"{name}: {value:g} must be a number above 0")
-    if mesh.is_watertight and mesh.volume < 0.0:
-        raise DataError("true mesh: its normals point inwards; turn them outwards and export it again")
+    cloud = object_or_file(getattr(cloud, "cloud", cloud), Cloud, load_cloud, "cloud")
+    mesh = object_or_file(mesh, trimesh.Trimesh, load_mesh, "mesh")
+    _check_winding(mesh)
     points = np.asarray(cloud.coordinates, np.float64)
-    _check_units(points, mesh)
+    check_units(points, mesh, seed)
     alignment = align_mesh(points, mesh, seed) if align else None
     if alignment is not None:
         mesh = mesh.copy().apply_transform(alignment.transform.matrix)
@@ -370,13 +373,20 @@ def _lengths(
     return measure_lengths(pose.apply(points), pose.translation, placed.artefact.lengths())
 
 
-def _check_units(points: Floats, mesh: trimesh.Trimesh) -> None:
-    """Raise `DataError` for a mesh that cannot be in the cloud's unit."""
-    low, high = np.quantile(points, (0.01, 0.99), axis=0)
-    cloud_mm, mesh_mm = float(np.linalg.norm(high - low)), float(np.linalg.norm(mesh.extents))
-    if not 1 / LIMITS.max_size_ratio < cloud_mm / max(mesh_mm, 1e-12) < LIMITS.max_size_ratio:
+def _check_winding(mesh: trimesh.Trimesh) -> None:
+    """Raise `DataError` for a mesh whose normals point inwards, or this way and that."""
+    if mesh.is_winding_consistent:
+        if mesh.is_watertight and mesh.volume < 0.0:
+            raise DataError("true mesh: its normals point inwards; turn them outwards and export it again")
+        return
+    _, edge, uses = np.unique(mesh.edges, axis=0, return_inverse=True, return_counts=True)
+    share = float(
+        np.mean(uses[edge] > 1)
+    )  # wound alike, two faces run along their edge in opposite directions
+    if share > LIMITS.max_turned_share:
         raise DataError(
-            f"true mesh: is {mesh_mm:.3g} mm across, but the cloud {cloud_mm:.3g} mm; both must be in mm"
+            f"true mesh: its faces are not wound alike (across {100 * share:.0f} % of the edges), so that it "
+            "has no outer side; unify its normals and export it again"
         )
 
 

@@ -117,12 +117,37 @@ def read_mesh(kind: str, content: bytes) -> Parts:
     # returns (N, 3)
     import trimesh
 
+    if kind == "stl" and content:
+        _check_stl(content)
     with np.errstate(invalid="ignore"):
         # Unprocessed, since processing would silently drop corners that are not finite.
         mesh = trimesh.load_mesh(io.BytesIO(content), file_type=kind, process=False)
     if not isinstance(mesh, trimesh.Trimesh):
         return {}
     return {"vertices": np.asarray(mesh.vertices, np.float64), "faces": np.asarray(mesh.faces, np.int64)}
+
+
+def _check_stl(content: bytes) -> None:
+    """Raise `ValueError` for an STL file with other faces than it announces, which trimesh hides."""
+    announced = int.from_bytes(content[80:84], "little")
+    if len(content) == 84 + 50 * announced:
+        return
+    text = content.lower()
+    if text.lstrip().startswith(b"solid") and (b"facet" in text or b"endsolid" in text):
+        begun, ended = text.count(b"facet normal"), text.count(b"endfacet")
+        if begun != ended or b"endsolid" not in text:
+            raise ValueError(
+                f"it is cut off: {ended} of {begun} faces are complete, or 'endsolid' is missing"
+            )
+    elif len(content) < 84:
+        raise ValueError(f"it ends after {len(content)} bytes, within its header")
+    elif len(content) < 84 + 50 * announced:
+        raise ValueError(
+            f"it is cut off or its count is wrong: it holds {(len(content) - 84) // 50} of {announced} faces"
+        )
+    else:
+        excess = len(content) - 84 - 50 * announced
+        raise ValueError(f"{excess} bytes follow the {announced} faces that it announces")
 
 
 def read_opencv(content: bytes) -> Parts:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from fpplab.core import buffers
 from fpplab.core.conventions import AXES, Axis, Map, axis_length, full_scale
-from fpplab.core.errors import DataError
+from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.progress import Progress, no_progress
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
@@ -68,6 +68,10 @@ def decode(
     DataError
         The frames are not the plan's: wrong number, size, type or depth.
     """
+    if not isinstance(recording, Recording):
+        raise ConfigError(
+            f"recording: takes a Recording, such as session.recording(), not a {type(recording).__name__}"
+        )
     recording = recording.checked()
     plan, bits, source = recording.plan, recording.bits, recording.name
     check_bounds(bounds, recording)

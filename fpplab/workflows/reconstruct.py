@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from fpplab.core.arguments import object_or_file
 from fpplab.core.progress import Progress, ignore, no_progress
 from fpplab.results.observer import Observer
 from fpplab.workflows.stopwatch import Stopwatch
@@ -117,8 +118,8 @@ def check_output(request: ReconstructionRequest) -> None:
 
 
 def reconstruct(
-    session: Session,
-    calibration: Calibration,
+    session: Session | Path | str,
+    calibration: Calibration | Path | str,
     progress: Progress = no_progress,
     *,
     filtering: bool | None = None,
@@ -132,9 +133,9 @@ def reconstruct(
 
     Parameters
     ----------
-    session : Session
+    session : Session, path or str
         A complete one.
-    calibration : Calibration
+    calibration : Calibration, path or str
         Of the rig that took it.
     progress : callable
         Told the share done, 0 … 1.
@@ -170,9 +171,12 @@ def reconstruct(
     UselessScanError
         There is not a single point, or the points are useless and were to be written; it says why.
     """
+    from fpplab.calibration.model import Calibration
+    from fpplab.sessions.session import Session
+
     request = ReconstructionRequest(
-        session=session,
-        calibration=calibration,
+        session=object_or_file(session, Session, Session.open, "session"),
+        calibration=object_or_file(calibration, Calibration, Calibration.load, "calibration"),
         out=None if out is None else Path(out),
         depth_mm=depth_mm,
         filtering=filtering,

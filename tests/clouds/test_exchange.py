@@ -80,6 +80,8 @@ def test_las_within_half_a_nanometre(suffix: str, tmp_path: Path) -> None:
     assert np.abs(errors_mm).max() * NM_PER_MM <= 0.5001
     np.testing.assert_array_equal(found.intensity, 257 * cloud().colour.astype(np.uint16))
     np.testing.assert_array_equal(found.red, found.intensity)
+    assert found.header.global_encoding.wkt  # demanded by LAS 1.4 (R15) of point formats 6 to 10
+    assert set(found.return_number) == set(found.number_of_returns) == {1}
     for name, values in (
         ("pixel_v", cloud().pixels[:, 1]),
         ("nz", cloud().normals[:, 2]),

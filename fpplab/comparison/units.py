@@ -1,0 +1,66 @@
+"""Whether cloud and true shape are both in mm: a factor between their sizes that a unit explains is named."""
+
+from __future__ import annotations
+
+import igl
+import numpy as np
+import trimesh
+
+from fpplab.comparison.alignment import LIMITS as ALIGNMENT
+from fpplab.comparison.alignment import align_mesh
+from fpplab.core.conventions import Floats
+from fpplab.core.errors import DataError
+
+UNITS_MM = {"m": 1000.0, "inches": 25.4, "cm": 10.0}
+MIN_SIZE_MM = 1.0
+"""Size of cloud and mesh below which they cannot be in mm. Chosen: parts are of 1 mm to 2 m."""
+MAX_SIZE_RATIO = 50.0
+"""Ratio of the sizes of cloud and mesh beyond which they cannot be in the same unit. Chosen."""
+SEEN = (0.3, 3.0)
+"""Size of the cloud, in sizes of the mesh, that is usual: it may be of a part of the shape, or have
+surroundings. Chosen."""
+
+
+def check_units(points: Floats, mesh: trimesh.Trimesh, seed: int = 0) -> None:
+    """Raise `DataError` where cloud and mesh cannot be in the same unit, and fit in different ones."""
+    # points (N, 3) mm
+    low, high = np.quantile(points, (0.01, 0.99), axis=0)
+    cloud_mm, mesh_mm = float(np.linalg.norm(high - low)), float(np.linalg.norm(mesh.extents))
+    sizes = f"true mesh: is {mesh_mm:.3g} mm across, and the cloud {cloud_mm:.3g} mm"
+    if max(cloud_mm, mesh_mm) < MIN_SIZE_MM:
+        raise DataError(f"{sizes}; both must be in mm: of m, multiply all coordinates by 1000")
+    ratio = cloud_mm / max(mesh_mm, 1e-12)
+    small, factor = ("mesh", ratio) if ratio > 1.0 else ("cloud", 1.0 / max(ratio, 1e-12))
+    for unit, unit_mm in sorted(UNITS_MM.items(), key=lambda item: abs(np.log(factor / item[1]))):
+        scale = unit_mm if small == "mesh" else 1.0 / unit_mm
+        if not SEEN[0] < ratio / scale < SEEN[1] or SEEN[0] < ratio < SEEN[1]:
+            continue
+        scaled = trimesh.Trimesh(mesh.vertices * scale, mesh.faces, process=False)
+        if _fits(points, scaled, seed) and not _fits(points, mesh, seed):
+            raise DataError(
+                f"{sizes}: the {small} is {unit_mm:g} times too small, as between {unit} and mm, and fits if "
+                "its coordinates are multiplied by that; both must be in mm"
+            )
+    if not 1 / MAX_SIZE_RATIO < ratio < MAX_SIZE_RATIO:
+        raise DataError(f"{sizes}; both must be in mm")
+
+
+def _fits(points: Floats, mesh: trimesh.Trimesh, seed: int) -> bool:
+    """Tell whether nearly all points lie on the mesh, as it is placed or after an alignment."""
+    chosen = np.random.default_rng(seed).permutation(len(points))[: ALIGNMENT.coarse_points]
+    if _lie_on(points[chosen], mesh):
+        return True
+    try:
+        pose = align_mesh(points, mesh, seed).transform.inverse()
+    except DataError:
+        return False
+    return _lie_on(pose.apply(points[chosen]), mesh)
+
+
+def _lie_on(points: Floats, mesh: trimesh.Trimesh) -> bool:
+    square = igl.point_mesh_squared_distance(
+        points, np.ascontiguousarray(mesh.vertices, np.float64), np.ascontiguousarray(mesh.faces, np.int64)
+    )[0]
+    # Of the smaller one: a cloud that is far too small lies on any shape.
+    limit_mm = ALIGNMENT.max_misfit * min(map(np.linalg.norm, (mesh.extents, np.ptp(points, axis=0))))
+    return bool(np.quantile(np.sqrt(square), ALIGNMENT.good_share) <= limit_mm)
