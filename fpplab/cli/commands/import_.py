@@ -61,7 +61,7 @@ def import_command(
 
     source = ImageSelection(tuple(places or ()), frames, first, first_step, numbers_of(skip))
     warnings: list[str] = []
-    with console.progress("Importing") as report:
+    with console.progress("Reading images") as report:
         session = import_images(
             source, Plan.load(plan), out, bits, force, report,
             projector_size=projector_size, lattice=lattice, warn=warnings.append, tell=console.log_status,
