@@ -130,6 +130,13 @@ def test_faces_the_wrong_way_round_are_refused(tmp_path: Path) -> None:
     inwards = BOX.copy()
     inwards.invert()
     refused(tmp_path, inwards, "encloses -24000 mm³; turn its faces outwards")
+
+
+def test_faces_of_both_directions_are_turned_outwards_or_refused(tmp_path: Path) -> None:
     faces = BOX.faces.copy()
     faces[0] = faces[0, ::-1]
-    refused(tmp_path, trimesh.Trimesh(BOX.vertices, faces), "has faces of both directions")
+    mixed = trimesh.Trimesh(BOX.vertices, faces)
+    mixed.export(tmp_path / "part.stl")
+    assert load_part(tmp_path / "part.stl").volume == pytest.approx(BOX.volume)
+    inside = mixed.copy().apply_scale(0.5)  # of two shells it is not known which is the hollow of the other
+    refused(tmp_path, trimesh.util.concatenate([mixed, inside]), "has faces of both directions")

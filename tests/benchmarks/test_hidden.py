@@ -108,6 +108,7 @@ def test_a_bent_board_lies_elsewhere_on_the_projector(world: World, blender: Ble
     assert np.abs(shift - wanted).max() < 2e-3
 
 
+@pytest.mark.whole
 def test_the_print_of_a_bent_board_moves_with_it(world: World, blender: Blender, plain: Light) -> None:
     flat, bent = (
         HiddenLight(world, blender, Effects(SEED, board=board)) for board in (Print(), Print(sag_mm=0.5))

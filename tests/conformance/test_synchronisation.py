@@ -165,7 +165,7 @@ def test_the_rest_of_an_interrupted_session_is_looked_at_with_what_was_there(tmp
 def folder(tmp_path: Path) -> Path:
     """Calibration and plans."""
     camera = Pinhole.from_focal(CAMERA_SIZE, (60.0, 60.0), (23.5, 15.5))
-    projector = Pinhole.from_focal(PROJECTOR_SIZE, (30.0, 30.0), (11.5, 7.5), lattice=Lattice.DIAMOND)
+    projector = Pinhole.from_focal(PROJECTOR_SIZE, (30.0, 60.0), (11.5, 7.5), lattice=Lattice.DIAMOND)
     pose = RigidTransform.from_vectors(np.array([0.0, 0.2, 0.0]), np.array([-60.0, 0.0, 0.0]))
     Calibration(camera, projector, pose, {}).save(tmp_path / "calibration.yaml")
     for trigger in ("stepped", "triggered"):
