@@ -139,6 +139,8 @@ def _check_stl(content: bytes) -> None:
             raise ValueError(
                 f"it is cut off: {ended} of {begun} faces are complete, or 'endsolid' is missing"
             )
+    elif content[:84].isascii() and content[:84].replace(b"\n", b"").decode("ascii").isprintable():
+        raise ValueError("it is a text that does not begin with 'solid'")
     elif len(content) < 84:
         raise ValueError(f"it ends after {len(content)} bytes, within its header")
     elif len(content) < 84 + 50 * announced:

@@ -77,17 +77,17 @@ def test_files_that_are_no_mesh_are_refused(tmp_path: Path) -> None:
 
 @pytest.mark.whole_after(1)
 @pytest.mark.parametrize(
-    ("name", "content"),
+    ("name", "content", "sentence"),
     [
-        ("solid.stl", b"solid nothing\nendsolid nothing\n"),
-        ("page.stl", b"<html>" * 50),
-        ("torn.stl", BOX.export(file_type="stl")[:300]),
-        ("cloud.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\n"),
+        ("solid.stl", b"solid nothing\nendsolid nothing\n", "holds no faces; give a mesh"),
+        ("page.stl", b"<html>\n" * 50, "is no readable STL mesh .*a text that does not begin with 'solid'"),
+        ("torn.stl", BOX.export(file_type="stl")[:300], "is no readable STL mesh .*it holds 4 of 12 faces"),
+        ("cloud.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\n", "holds no faces; give a mesh"),
     ],
 )
-def test_files_without_faces_are_refused(tmp_path: Path, name: str, content: bytes) -> None:
+def test_files_without_faces_are_refused(tmp_path: Path, name: str, content: bytes, sentence: str) -> None:
     (tmp_path / name).write_bytes(content)
-    with pytest.raises(ConfigError, match=f"{name}: holds no faces; give a mesh"):
+    with pytest.raises(ConfigError, match=f"{name}: {sentence}"):
         load_part(tmp_path / name)
 
 
