@@ -15,7 +15,7 @@ PARALLEL := -n $(WORKERS) --dist worksteal
 help:
 	@echo "make setup      sets up $(VENV) and nothing else: downloads about 1 GB, takes 3 GB of disk and 2 to 4 minutes on a fast line"
 	@echo "make demo       sets up, then measures three artefacts on the virtual bench: out/demo/report.html, 2 to 5 minutes"
-	@echo "make test       sets up, then runs the quick tests, 6 minutes on two cores; make test-whole: those that a merge waits for"
+	@echo "make test       sets up, then runs the quick tests, 5 minutes on two cores; make test-whole: those that a merge waits for"
 	@echo "make docs       sets up, then builds the documentation as a site, with its pictures: build/docs/site/index.html"
 	@echo "make lint       style, types, and which package may import which"
 	@echo "make clean      removes $(VENV), out, build and dist"

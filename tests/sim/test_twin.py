@@ -218,6 +218,7 @@ def _grid() -> tuple[Any, Any]:
     return rows.ravel(), columns.ravel()
 
 
+@pytest.mark.whole
 def test_slopes_by_the_projector_s_place_agree_with_central_differences() -> None:
     twin, pixels, step = _twin(_bent()), _grid(), 0.05
     start, patterns = twin.parameters, _patterns(twin)

@@ -136,6 +136,7 @@ def test_a_page_that_is_closed_ends_the_command(
 
 WINDOW = """
 import sys
+import time
 from pathlib import Path
 from fpplab.viewer.viewer import Viewer
 from fpplab.viewer.response import ResponseView
@@ -143,6 +144,9 @@ viewer = Viewer(ResponseView, recording=Path(sys.argv[1]))
 viewer.wait_open()
 print(viewer.where, flush=True)
 sys.stdin.read(1)
+end_s = time.monotonic() + 30.0  # a thread notices the end a moment later
+while not viewer.window_closed and time.monotonic() < end_s:
+    time.sleep(0.05)
 print(viewer.window_closed, viewer.fault, flush=True)
 viewer.close()
 """
