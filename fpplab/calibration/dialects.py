@@ -26,7 +26,7 @@ from scipy.spatial.transform import Rotation
 from fpplab.core import config
 from fpplab.core.errors import ConfigError
 from fpplab.core.files import open_regular
-from fpplab.core.foreign import read_apart
+from fpplab.core.foreign import OPENCV_STARTS, read_apart
 from fpplab.core.geometry import RigidTransform
 from fpplab.core.strict_json import parse_object
 
@@ -40,18 +40,8 @@ NAMES: dict[str, tuple[str, ...]] = {
         *("cam_dist", "dist1", "distL", "distortionCoefficients1", "kc_left"),
     ),
     "M2": (
-        *(
-            "M2",
-            "K2",
-            "proj_K",
-            "Kp",
-            "cameraMatrix2",
-            "camera_matrix_2",
-            "camera_matrix2",
-            "proj_int",
-            "mtx2",
-        ),
-        *("mtxR", "intrinsicMatrix2", "KK_right"),
+        *("M2", "K2", "proj_K", "Kp", "cameraMatrix2", "camera_matrix_2", "camera_matrix2", "proj_int"),
+        *("mtx2", "mtxR", "intrinsicMatrix2", "KK_right"),
     ),
     "D2": (
         *("D2", "proj_kc", "kp", "distCoeffs2", "distortion_coefficients_2", "dist_coeffs_2", "dist_coeffs2"),
@@ -130,7 +120,7 @@ def read_foreign(path: Path) -> ForeignFile:
     """Read what a file of another program says."""
     if _is_mat(path):
         return _of_matlab(path, _apart("mat", path, "MATLAB"))
-    text = config.read_text(path).lstrip("\ufeff \r\n\t")
+    text = config.read_text(path).lstrip()
     if path.suffix.lower() == ".cameramodel" or "'lensmodel'" in text:
         return _of_mrcal(path, _apart("mrcal", path, "mrcal"))
     if text.startswith("{"):
@@ -157,7 +147,7 @@ def _is_mat(path: Path) -> bool:
 
 
 def _begins_as_opencv(text: str) -> bool:
-    return text.lstrip("\ufeff \r\n\t").startswith(("%YAML", "<?xml", "{"))
+    return text.lstrip().startswith(OPENCV_STARTS)
 
 
 def _apart(kind: str, path: Path, program: str) -> dict[str, Any]:

@@ -380,9 +380,8 @@ def _check_winding(mesh: trimesh.Trimesh) -> None:
             raise DataError("true mesh: its normals point inwards; turn them outwards and export it again")
         return
     _, edge, uses = np.unique(mesh.edges, axis=0, return_inverse=True, return_counts=True)
-    share = float(
-        np.mean(uses[edge] > 1)
-    )  # wound alike, two faces run along their edge in opposite directions
+    # Wound alike, two faces run along their edge in opposite directions.
+    share = float(np.mean(uses[edge] > 1))
     if share > LIMITS.max_turned_share:
         raise DataError(
             f"true mesh: its faces are not wound alike (across {100 * share:.0f} % of the edges), so that it "

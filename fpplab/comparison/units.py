@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import igl
 import numpy as np
 import trimesh
@@ -12,13 +14,27 @@ from fpplab.core.conventions import Floats
 from fpplab.core.errors import DataError
 
 UNITS_MM = {"m": 1000.0, "inches": 25.4, "cm": 10.0}
-MIN_SIZE_MM = 1.0
-"""Size of cloud and mesh below which they cannot be in mm. Chosen: parts are of 1 mm to 2 m."""
-MAX_SIZE_RATIO = 50.0
-"""Ratio of the sizes of cloud and mesh beyond which they cannot be in the same unit. Chosen."""
-SEEN = (0.3, 3.0)
-"""Size of the cloud, in sizes of the mesh, that is usual: it may be of a part of the shape, or have
-surroundings. Chosen."""
+
+
+@dataclass(frozen=True)
+class UnitLimits:
+    """Limits by which sizes are taken for those of another unit."""
+
+    min_size_mm: float = 1.0
+    """Size of cloud and mesh below which they cannot be in mm. Chosen: parts are of 1 mm to 2 m."""
+    max_size_ratio: float = 50.0
+    """Ratio of the sizes of cloud and mesh beyond which they cannot be in the same unit. Chosen."""
+    usual_size_ratio: tuple[float, float] = (0.3, 3.0)
+    """Size of the cloud, in sizes of the mesh, that is usual: it may be of a part of the shape, or have
+    surroundings. Chosen."""
+
+    def is_usual(self, ratio: float) -> bool:
+        """Whether the sizes speak for one unit."""
+        low, high = self.usual_size_ratio
+        return low < ratio < high
+
+
+LIMITS = UnitLimits()
 
 
 def check_units(points: Floats, mesh: trimesh.Trimesh, seed: int = 0) -> None:
@@ -27,13 +43,13 @@ def check_units(points: Floats, mesh: trimesh.Trimesh, seed: int = 0) -> None:
     low, high = np.quantile(points, (0.01, 0.99), axis=0)
     cloud_mm, mesh_mm = float(np.linalg.norm(high - low)), float(np.linalg.norm(mesh.extents))
     sizes = f"true mesh: is {mesh_mm:.3g} mm across, and the cloud {cloud_mm:.3g} mm"
-    if max(cloud_mm, mesh_mm) < MIN_SIZE_MM:
+    if max(cloud_mm, mesh_mm) < LIMITS.min_size_mm:
         raise DataError(f"{sizes}; both must be in mm: of m, multiply all coordinates by 1000")
     ratio = cloud_mm / max(mesh_mm, 1e-12)
     small, factor = ("mesh", ratio) if ratio > 1.0 else ("cloud", 1.0 / max(ratio, 1e-12))
     for unit, unit_mm in sorted(UNITS_MM.items(), key=lambda item: abs(np.log(factor / item[1]))):
         scale = unit_mm if small == "mesh" else 1.0 / unit_mm
-        if not SEEN[0] < ratio / scale < SEEN[1] or SEEN[0] < ratio < SEEN[1]:
+        if not LIMITS.is_usual(ratio / scale) or LIMITS.is_usual(ratio):
             continue
         scaled = trimesh.Trimesh(mesh.vertices * scale, mesh.faces, process=False)
         if _fits(points, scaled, seed) and not _fits(points, mesh, seed):
@@ -41,7 +57,7 @@ def check_units(points: Floats, mesh: trimesh.Trimesh, seed: int = 0) -> None:
                 f"{sizes}: the {small} is {unit_mm:g} times too small, as between {unit} and mm, and fits if "
                 "its coordinates are multiplied by that; both must be in mm"
             )
-    if not 1 / MAX_SIZE_RATIO < ratio < MAX_SIZE_RATIO:
+    if not 1 / LIMITS.max_size_ratio < ratio < LIMITS.max_size_ratio:
         raise DataError(f"{sizes}; both must be in mm")
 
 

@@ -43,6 +43,9 @@ LIMITS = ReadingLimits()
 REFUSED = 3
 """Exit code where the parser itself refused the file (chosen): Python's own are 1 and 2."""
 
+OPENCV_STARTS = ("%YAML", "<?xml", "{")
+"""What files of OpenCV's FileStorage begin with, where they have a header."""
+
 Parts = dict[str, NDArray[Any]]
 
 
@@ -161,7 +164,7 @@ def read_opencv(content: bytes) -> Parts:
     switch.setLogLevel(0)
     try:
         text = content.decode("utf-8-sig")
-        if not text.lstrip().startswith(("%YAML", "<?xml", "{")):
+        if not text.lstrip().startswith(OPENCV_STARTS):
             text = f"%YAML:1.0\n---\n{text.lstrip().removeprefix('---')}"
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
         root = storage.root()  # valid only as long as `storage` exists

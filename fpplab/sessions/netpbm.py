@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.core.conventions import Image, full_scale
-from fpplab.sessions.channels import NotGreyError, grey_from_channels
+from fpplab.sessions.channels import WAY_OUT, NotGreyError, grey_from_channels
 from fpplab.sessions.grey_depth import BIT_DEPTHS
 
 _SPACE = rb"(?:\s|#[^\r\n]*[\r\n])+"
@@ -36,7 +36,7 @@ class NetpbmFile:
     def __init__(self, stream: IO[bytes]) -> None:
         self._content = stream.read()
         if (other := _OTHERS.get(self._content[:2])) is not None:
-            raise NotGreyError(f"holds {other}; export it as 8- or 16-bit grey")
+            raise NotGreyError(f"holds {other}; {WAY_OUT}")
         head = _HEAD.match(self._content)
         if head is None:
             raise ValueError("its head lacks the width, the height or the greatest level")

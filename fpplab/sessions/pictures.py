@@ -15,7 +15,7 @@ from PIL import Image as Pillow
 from PIL import UnidentifiedImageError
 
 from fpplab.core.conventions import Image
-from fpplab.sessions.channels import NotGreyError, grey_from_channels
+from fpplab.sessions.channels import WAY_OUT, NotGreyError, grey_from_channels
 
 FORMATS = ("PNG", "TIFF", "JPEG", "BMP")
 """Formats of pictures by Pillow's names.
@@ -34,7 +34,6 @@ NUMBERS = {2: "signed integers", 3: "floating-point numbers", 5: "complex intege
 """Kinds of numbers in TIFF files that are not levels."""
 CONTENTS = {"1": "1-bit pixels", "I": "32-bit integers", "CMYK": "inks (CMYK)", "P": "a palette of colours"}
 """What pictures hold, by Pillow's name."""
-WAY_OUT = "export it as 8- or 16-bit grey"
 
 
 class PictureFile:
@@ -141,5 +140,5 @@ def _describe_tiff(stream: IO[bytes]) -> str:
         compression = tifffile.COMPRESSION(page.compression).name.lower()
         return (
             f"holds {numbers} of {page.bitspersample} bits in a form that is not read ({form}, channels: "
-            f"{page.samplesperpixel}, compression: {compression}); export it as 8- or 16-bit grey TIFF or PNG"
+            f"{page.samplesperpixel}, compression: {compression}); {WAY_OUT} TIFF or PNG"
         )
