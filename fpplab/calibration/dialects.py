@@ -111,7 +111,7 @@ class ForeignFile:
 
 def is_own(path: Path) -> bool:
     """Detect whether a file is a calibration of fpplab, complete or not."""
-    if _is_mat(path) or _begins_as_opencv(text := config.read_text(path)) or "!!opencv" in text:
+    if _is_mat(path) or _is_opencv(text := config.read_text(path)):
         return False
     return "\nT_projector_camera:" in f"\n{text}"
 
@@ -125,7 +125,7 @@ def read_foreign(path: Path) -> ForeignFile:
         return _of_mrcal(path, _apart("mrcal", path, "mrcal"))
     if text.startswith("{"):
         return _of_names(path, "OpenCV", _plain_matrices(_json(path, text)))
-    if _begins_as_opencv(text) or "!!opencv" in text:
+    if _is_opencv(text):
         return _of_names(path, "OpenCV", _apart("opencv", path, "OpenCV"))
     content = config.parse_yaml(text, path)
     if not isinstance(content, dict):
@@ -146,8 +146,8 @@ def _is_mat(path: Path) -> bool:
         return False  # whoever reads it says why it cannot be read
 
 
-def _begins_as_opencv(text: str) -> bool:
-    return text.lstrip().startswith(OPENCV_STARTS)
+def _is_opencv(text: str) -> bool:
+    return text.lstrip().startswith(OPENCV_STARTS) or "!!opencv" in text  # a tag, where the header is missing
 
 
 def _apart(kind: str, path: Path, program: str) -> dict[str, Any]:
