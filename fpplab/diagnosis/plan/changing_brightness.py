@@ -12,6 +12,7 @@ from fpplab.diagnosis.plan.limits import GUESS_LIMITS, GuessLimits
 from fpplab.diagnosis.plan.other_patterns import lit_levels
 
 ITERATIONS = 20
+"""Of gains and offsets in turn. Chosen."""
 
 
 def describe_changing_brightness(
