@@ -46,9 +46,6 @@ ExpectedLevels = NDArray[np.float32]
 """Raw levels without noise and without rounding, (n, h, w), clipped to 0 … full scale."""
 
 
-DEFAULT_SETTINGS = CameraSettings(1.0)
-
-
 def do_nothing() -> None:
     """Do nothing before images are computed."""
 
@@ -276,9 +273,7 @@ class Twin:
             board = board_relative_to(board, folder)
         return {"surroundings": around, "items": {**world.items, self.board: board}}
 
-    def save(
-        self, folder: Path, notes: Sequence[str] = (), settings: CameraSettings = DEFAULT_SETTINGS
-    ) -> Path:
+    def save(self, folder: Path, settings: CameraSettings, notes: Sequence[str] = ()) -> Path:
         """Write `rig.yaml`, `world.yaml` and `calibration.yaml`.
 
         The rig file has the camera's bit depth and gain of `settings`, and notes for every command that

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from fpplab.calibration.model import Calibration
 from fpplab.core.progress import Progress, Say, ignore, no_progress
+from fpplab.devices.rig import Rig
 from fpplab.sessions.session import Session
 from sim.matching.judging import plausibility
 from sim.matching.refusal import Refusals
@@ -43,7 +44,7 @@ def match_parts(
     twin: Twin,
     scans: Mapping[str, Session],
     folder: Path,
-    rig: Path,
+    rig: Rig,
     refusals: Refusals,
     notes: Sequence[str] = (),
     *,
@@ -52,7 +53,8 @@ def match_parts(
 ) -> list[SurfaceMatch]:
     """Match the surfaces of parts on a twin that was matched before, and save it.
 
-    What bench and twin differed by on the board and in earlier scans stays what it was.
+    What bench and twin differed by on the board and in earlier scans stays what it was, and so do
+    the settings of the rig's camera.
     """
     check_scans(twin, scans)
     tell("comparing the scans with the parts' shapes")
@@ -60,8 +62,10 @@ def match_parts(
     progress(0.3)
     matches = match_surfaces(twin, fitted, tell)
     progress(0.9)
-    discrepancy = Discrepancy.beside(rig)
+    discrepancy = Discrepancy.beside(Path(rig.source))
     if discrepancy is not None:
         discrepancy.save(folder)
-    twin.with_parameters(with_surfaces(twin.parameters, matches)).save(folder, [*notes, *refusals.notes])
+    settings = rig.camera_settings(exposure_s=1.0)  # which a rig file does not hold
+    matched = twin.with_parameters(with_surfaces(twin.parameters, matches))
+    matched.save(folder, settings, [*notes, *refusals.notes])
     return matches

@@ -176,7 +176,7 @@ def match_sessions(
     if not result.diagnosis.is_useless:
         tell("comparing noise and scans for the intervals of predictions")
         discrepancy_of(reference, complete, [*begun.scans, *begun.parts]).save(folder)
-        complete.save(folder, result.notes, reference.settings)
+        complete.save(folder, reference.settings, result.notes)
     return result
 
 

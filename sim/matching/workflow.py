@@ -209,7 +209,7 @@ def match_surfaces_alone(request: SurfacesRequest, observer: MatchObserver | Non
                 twin_of(rig, request.board),
                 request.scans,
                 out,
-                Path(rig.source),
+                rig,
                 refusals,
                 earlier,
                 progress=progress,

@@ -288,7 +288,7 @@ def test_a_saved_twin_is_a_rig_that_gives_the_same_pictures(twin: Twin, tmp_path
     twin = twin.with_parameters(replace(bench, vibration_mm=0.0, calibration=_unequal(bench.calibration)))
     patterns = _patterns(twin)
     seen = twin.expected(3, patterns, replace(SETTINGS, gain_db=6.0))
-    path = twin.save(tmp_path, settings=replace(SETTINGS, gain_db=6.0))
+    path = twin.save(tmp_path, replace(SETTINGS, gain_db=6.0))
     assert {p.name for p in tmp_path.iterdir()} == {"rig.yaml", "world.yaml", "calibration.yaml"}
     with Rig.load(path) as rig:
         assert rig.camera_settings(0.02) == replace(SETTINGS, gain_db=6.0)
@@ -314,7 +314,7 @@ def test_a_saved_twin_states_its_uncertainty(tmp_path: Path) -> None:
     sigma = {"white": 0.02 * twin.parameters.white, "projector_blur": 0.03, "poses_um": 4.0, "paper": 0.01}
     assert twin.parameters.sigma == {}
     twin = twin.with_parameters(replace(twin.parameters, sigma=sigma))
-    twin.save(tmp_path)
+    twin.save(tmp_path, SETTINGS)
     world = World.load(tmp_path / "world.yaml")
     (lamp,) = world.projector.leds.values()
     assert world.uncertainty == {
@@ -322,7 +322,7 @@ def test_a_saved_twin_states_its_uncertainty(tmp_path: Path) -> None:
         "projector.leds.green.lumens": pytest.approx(0.02 * lamp.lumens),
     }
     twin = twin.with_parameters(replace(twin.parameters, sigma={}, camera_focus_mm=None))
-    twin.save(tmp_path / "without")
+    twin.save(tmp_path / "without", SETTINGS)
     assert World.load(tmp_path / "without/world.yaml").uncertainty == {}
 
 

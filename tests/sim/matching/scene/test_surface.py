@@ -157,6 +157,17 @@ def written(folder: Path, materials: Mapping[str, Any]) -> Path:
     return folder / "rig.yaml"
 
 
+def test_a_matched_rig_keeps_the_settings_of_its_camera(twin_rig: Path, tmp_path: Path) -> None:
+    text = twin_rig.read_text()
+    changed = config.parse_yaml(text, twin_rig)
+    changed["camera"] |= {"gain_db": 15.0, "bits": 12}
+    twin_rig.with_name("gain.yaml").write_text(config.to_yaml(changed))
+    with Rig.load(twin_rig.with_name("gain.yaml")) as rig:
+        match_parts(twin_of(rig, "board"), {}, tmp_path / "matched", rig, Refusals())
+    saved = Rig.load(tmp_path / "matched" / "rig.yaml").camera_settings(0.02)
+    assert (saved.gain_db, saved.bits) == (15.0, 12)
+
+
 @pytest.mark.nightly
 @pytest.mark.parametrize(("item", "material"), [("dark", DARK), ("glossy", GLOSSY)])
 def test_dark_and_glossy_parts_are_predicted_as_a_bench_measures_them(
@@ -173,7 +184,7 @@ def test_dark_and_glossy_parts_are_predicted_as_a_bench_measures_them(
     with Rig.load(twin_rig) as rig:
         white = predict(rig, plan, item)
         twin = twin_of(rig, "board")
-        (found,) = match_parts(twin, {item: session}, tmp_path / "matched", twin_rig, Refusals())
+        (found,) = match_parts(twin, {item: session}, tmp_path / "matched", rig, Refusals())
     assert white.surface is None
     assert abs(white.figures["noise_um"].value / real.noise_um - 1) > 0.15
     assert found.surface.kind == material.get("kind", "diffuse")
