@@ -171,12 +171,28 @@ def diagnose_poses(
         for finding in diagnose_frames(recording):
             by_cause.setdefault(finding.cause, []).append((name, finding))
     findings = rank_findings([*of_fit, *(_worst(of_poses, poses) for of_poses in by_cause.values())])
-    if findings:
-        return Diagnosis(Verdict.DOUBTFUL, findings[0].sentence, findings)
-    sentences = [*warnings, *left_out.values()]
-    if sentences:
-        return Diagnosis(Verdict.DOUBTFUL, sentences[0], ())
-    return Diagnosis(Verdict.GOOD, f"nothing is wrong with the frames of {poses} poses", ())
+    good = Diagnosis(Verdict.GOOD, f"nothing is wrong with the frames of {poses} poses", ())
+    return _unless_doubtful(good, findings, warnings, left_out)
+
+
+def diagnose_points(
+    poses: int, warnings: Sequence[str], left_out: Mapping[str, str], of_fit: Sequence[Finding] = ()
+) -> Diagnosis:
+    """Judge a characterisation from points alone, without frames, by the findings of the fit."""
+    unknown = ("how the points were located: there are no frames to check",)
+    good = Diagnosis(
+        Verdict.GOOD, f"the points of {poses} poses agree; there were no frames to check", (), unknown
+    )
+    return _unless_doubtful(good, rank_findings(list(of_fit)), warnings, left_out)
+
+
+def _unless_doubtful(
+    good: Diagnosis, findings: tuple[Finding, ...], warnings: Sequence[str], left_out: Mapping[str, str]
+) -> Diagnosis:
+    reasons = [*(finding.sentence for finding in findings[:1]), *warnings, *left_out.values()]
+    if not reasons:
+        return good
+    return replace(good, verdict=Verdict.DOUBTFUL, reason=reasons[0], findings=findings)
 
 
 def _worst(of_poses: Sequence[tuple[str, Finding]], poses: int) -> Finding:

@@ -114,6 +114,13 @@ def poses_provenance(
     return first.with_values(taken=taken, session=folder, images=f"{first.values['images']} of each pose")
 
 
+def point_list_provenance(points: Path, calibration: Calibration, file: Path) -> Provenance:
+    """Describe which table of points a calibration was made from."""
+    return Provenance(
+        {"session": str(points), **calibration_values(calibration, file, None), **written_now()}
+    )
+
+
 def rig_provenance(
     rig: Mapping[str, object],
     origin: SessionOrigin | None,

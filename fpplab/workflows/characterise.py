@@ -1,9 +1,9 @@
-"""Find the models of camera and projector from poses of a board, recorded or taken now."""
+"""Find the models of camera and projector from poses of a board: recorded, taken now, or lists of points."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -14,6 +14,7 @@ from fpplab.workflows.pose_causes import diagnosed_poses, with_causes
 if TYPE_CHECKING:
     from fpplab.characterisation import Characterisation, DistortionModel
     from fpplab.characterisation.limits import CharacterisationLimits
+    from fpplab.characterisation.point_lists import PointListSource
     from fpplab.core.depth import DepthInterval
     from fpplab.devices.rig import Rig
     from fpplab.diagnosis import Finding
@@ -26,11 +27,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class CharacterisationRequest:
-    """Which board to fit, and where its poses come from: from sessions, or from a rig."""
+    """Which board to fit, and where its poses come from: sessions, a rig, or another program's points."""
 
     target: Target
     out: Path  # the calibration; a report goes next to it, poses of a rig into a folder next to it
     sessions: tuple[Path, ...] = ()  # one per pose, or the folder that holds them
+    points: PointListSource | None = None  # of poses whose points another program located
     rig: Rig | None = None  # not open
     plan: Plan | None = None  # of the poses that are taken
     plan_name: str = "plan"  # as messages call it
@@ -82,6 +84,8 @@ def run_characterisation(
     check_characterisation_input(request)
     observer = observer or Observer()
     guided = None
+    if request.points is not None:
+        return _save_and_report(request, _fit_points(request, request.points, observer), (), None, observer)
     if request.rig is None:
         from fpplab.sessions.session import recorded_sessions
 
@@ -101,8 +105,8 @@ def check_characterisation_input(request: CharacterisationRequest) -> None:
     from fpplab.core.files import refuse_existing
     from fpplab.report import is_report
 
-    if bool(request.sessions) == bool(request.rig):
-        raise ConfigError("give either sessions or --rig, to say where the poses come from")
+    if sum(map(bool, (request.sessions, request.rig, request.points))) != 1:
+        raise ConfigError("give either sessions, --points or --rig, to say where the poses come from")
     continued = request.guided and request.folder.is_dir()  # its poses are kept, its result renewed
     refuse_existing(request.out, request.force or continued)
     # A report alone is of a run that ended before its result.
@@ -201,6 +205,29 @@ def _fit(
         raise with_causes(error, sessions, observer) from error
 
 
+def _fit_points(
+    request: CharacterisationRequest, source: PointListSource, observer: Observer
+) -> Characterisation:
+    from fpplab.calibration.model import CalibrationOrigin
+    from fpplab.characterisation import characterise
+    from fpplab.characterisation.limits import USUAL_LIMITS
+    from fpplab.characterisation.point_lists import load_point_list
+
+    with observer.stage("Characterising") as progress:
+        fitted = characterise(
+            load_point_list(source, request.target),
+            request.target,
+            source.camera_size,
+            source.projector_size,
+            source.lattice,
+            level=request.level,
+            refine_board=request.refine_board,
+            limits=request.limits or USUAL_LIMITS,
+        )
+        progress(1.0)
+    return replace(fitted, calibration=replace(fitted.calibration, origin=CalibrationOrigin.now()))
+
+
 def _save_and_report(
     request: CharacterisationRequest,
     fitted: Characterisation,
@@ -209,12 +236,18 @@ def _save_and_report(
     observer: Observer,
 ) -> CharacterisationResult:
     """Judge a fit by the frames of its poses, and write report and calibration."""
+    from fpplab.diagnosis import diagnose_points
     from fpplab.report.characterisation import write_characterisation_report
     from fpplab.results.characterisation import CharacterisationResult
-    from fpplab.results.provenance import poses_provenance
+    from fpplab.results.provenance import point_list_provenance, poses_provenance
 
     findings = _lens_findings(fitted)
-    diagnosis = diagnosed_poses(sessions, fitted.warnings, fitted.left_out, findings, observer)
+    if request.points is None:
+        diagnosis = diagnosed_poses(sessions, fitted.warnings, fitted.left_out, findings, observer)
+        provenance = poses_provenance(sessions, fitted.calibration, request.out)
+    else:
+        diagnosis = diagnose_points(len(fitted.poses), fitted.warnings, fitted.left_out, findings)
+        provenance = point_list_provenance(request.points.path, fitted.calibration, request.out)
     for reason in fitted.left_out.values():
         observer.message(f"left out: {reason}")
     for warning in fitted.warnings:
@@ -225,7 +258,7 @@ def _save_and_report(
         characterisation=fitted,
         guided=guided,
         diagnosis=diagnosis,
-        provenance=poses_provenance(sessions, fitted.calibration, request.out),
+        provenance=provenance,
         calibration_file=request.out,
         report_file=request.page,
     )

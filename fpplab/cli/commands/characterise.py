@@ -13,10 +13,12 @@ from fpplab.cli.app import PREPARE, DepthOption, Force, Json, LimitsOption, Plan
 from fpplab.cli.completion import names_of
 from fpplab.cli.viewing import ConsoleObserver, KeepOpen, ViewOption, observe_characterisation
 from fpplab.core.errors import CalibrationError, ConfigError
+from fpplab.core.lattice import Lattice
 from fpplab.core.units import length_mm
 
 if TYPE_CHECKING:
     from fpplab.characterisation import Judgement
+    from fpplab.characterisation.point_lists import PointListSource
     from fpplab.core.depth import DepthInterval
 
 
@@ -45,6 +47,23 @@ def characterise_command(
     ] = None,
     out: Annotated[
         Path | None, typer.Option("--out", help="Where the result goes; with --judge, the report, if wanted.")
+    ] = None,
+    points: Annotated[
+        Path | None,
+        typer.Option(
+            "--points", help="Table of the board's points in camera and projector, located elsewhere."
+        ),
+    ] = None,
+    camera_size: Annotated[
+        tuple[int, int] | None, typer.Option("--camera-size", help="With --points: width and height in px.")
+    ] = None,
+    projector_size: Annotated[
+        tuple[int, int] | None,
+        typer.Option("--projector-size", help="With --points: width and height in px."),
+    ] = None,
+    lattice: Annotated[
+        Lattice | None,
+        typer.Option("--lattice", help="With --points: how the projector's mirrors lie; square by default."),
     ] = None,
     rig: Annotated[
         str | None,
@@ -111,16 +130,29 @@ def characterise_command(
     person is asked in words and by a picture (`next_pose.png` next to the poses); give the same command
     again to go on. `--depth` is the range of the board's distance, by default some percent about the first.
 
+    With `--points` the poses come from a text table, whose first row names its columns: `pose`, `id` (row of
+    the target's points) or `x_mm` and `y_mm`, `camera_u`, `camera_v`, `projector_u`, `projector_v`. The
+    centre of a device's first pixel is 0 0; programs that count from 1 need 1 taken off.
+
     With `--judge` only the position of the board is fitted: the errors in these poses are compared with
     those that the calibration predicts. The exit code is 5 where they contradict it.
 
     Examples: `fpplab characterise poses/ --target target_paper --out calibration.yaml`;
     `fpplab characterise --rig rig_demo --target target_paper --out calibration.yaml`;
     `fpplab characterise --rig my_rig --target target_paper --guide --until 20um --out calibration.yaml`;
+    `fpplab characterise --points corners.csv --target target_paper --camera-size 1920 1200
+    --projector-size 912 1140 --lattice diamond --out calibration.yaml`;
     `fpplab characterise --judge calibration.yaml later_poses/`
     """
     if judged:
-        _judge(judged, sessions or [], out, force, json, unused={"--rig": rig, "--target": target})
+        _judge(
+            judged,
+            sessions or [],
+            out,
+            force,
+            json,
+            unused={"--rig": rig, "--target": target, "--points": points},
+        )
         return
     from fpplab.characterisation import DistortionModel
     from fpplab.characterisation.limits import CharacterisationLimits
@@ -139,6 +171,7 @@ def characterise_command(
         target=Target.load(target),
         out=out,
         sessions=tuple(sessions or ()),
+        points=point_list_source(points, camera_size, projector_size, lattice),
         rig=Rig.load(rig) if rig else None,
         plan=Plan.load(plan) if rig else None,
         plan_name=plan,
@@ -173,8 +206,29 @@ def wanted_mm(
     return None if until is None else length_mm(until, "--until")
 
 
+def point_list_source(
+    points: Path | None,
+    camera_size: tuple[int, int] | None,
+    projector_size: tuple[int, int] | None,
+    lattice: Lattice | None,
+) -> PointListSource | None:
+    """Combine the options that go with a table of points."""
+    from fpplab.characterisation.point_lists import PointListSource
+
+    sizes = {"--camera-size": camera_size, "--projector-size": projector_size}
+    if points is None:
+        given = [option for option, value in (*sizes.items(), ("--lattice", lattice)) if value is not None]
+        if given:
+            raise ConfigError(f"{given[0]} goes with --points; sessions and rigs know it themselves")
+        return None
+    if camera_size is None or projector_size is None:
+        missing = next(option for option, value in sizes.items() if value is None)
+        raise ConfigError(f"{missing} is missing; a table of points does not say it")
+    return PointListSource(points, camera_size, projector_size, lattice or Lattice.SQUARE)
+
+
 def _judge(
-    path: Path, paths: list[Path], out: Path | None, force: bool, json: bool, unused: dict[str, str | None]
+    path: Path, paths: list[Path], out: Path | None, force: bool, json: bool, unused: dict[str, object]
 ) -> None:
     """Judge a calibration by sessions of poses that it was not fitted to."""
     from fpplab.workflows.judge import JudgementRequest, run_judgement
