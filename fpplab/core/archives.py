@@ -61,13 +61,15 @@ def array_head(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]
     return shape, columns_first, dtype
 
 
-def load_arrays(path: Path, names: Iterable[str]) -> dict[str, NDArray[Any]]:
-    """Read arrays of numbers from an NPZ file."""
+def load_arrays(path: Path, names: Iterable[str] | None) -> dict[str, NDArray[Any]]:
+    """Read arrays of numbers from an NPZ file: those of these names that are there, or all."""
     with open_regular(path) as stream:
         try:
             with zipfile.ZipFile(stream) as archive:
                 check_archive(archive, path.stat().st_size)
                 members = {member.filename: member for member in archive.infolist()}
+                if names is None:
+                    names = [name.removesuffix(".npy") for name in members if name.endswith(".npy")]
                 chosen = {name: members[f"{name}.npy"] for name in names if f"{name}.npy" in members}
                 return {name: _array(archive, member) for name, member in chosen.items()}
         except ValueError:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -17,17 +18,21 @@ from fpplab.cli.app import (
     ImagePlaces,
     Json,
     Out,
-    PlanName,
     SkippedImages,
     app,
 )
+from fpplab.cli.completion import names_of
+from fpplab.core.errors import ConfigError
 from fpplab.core.lattice import Lattice
 
 
 @app.command("import", rich_help_panel=MEASURE)
 def import_command(
-    plan: PlanName,
     out: Out,
+    plan: Annotated[
+        str | None,
+        typer.Option("--plan", help="Plan file: what the images show.", autocompletion=names_of("plan")),
+    ] = None,
     places: ImagePlaces = None,
     frames: FrameNames = None,
     bits: ImageBits = None,
@@ -42,18 +47,52 @@ def import_command(
         Lattice | None,
         typer.Option("--lattice", help="How the projector's mirrors lie; a LightCrafter's lie in a diamond."),
     ] = None,
+    phase: Annotated[
+        Path | None,
+        typer.Option("--phase", help="Instead of images: a map along x that another program decoded."),
+    ] = None,
+    phase_y: Annotated[
+        Path | None, typer.Option("--phase-y", help="The map along y, with --phase or alone.")
+    ] = None,
+    period: Annotated[
+        float | None,
+        typer.Option(
+            "--period", help="Maps are absolute phases in rad, of fringes of this period in projector px."
+        ),
+    ] = None,
+    sigma: Annotated[
+        float | None,
+        typer.Option("--sigma", help="Standard deviation of the maps in projector px, where it is known."),
+    ] = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Import image files that other programs recorded as a session.
+    """Import image files that other programs recorded as a session, or maps that they decoded.
 
     Every image is checked first: none missing, none left over, greyscale, of one size and depth. A plan that
     does not seem to describe the images gives a warning, with what to write instead; `fpplab plan guess`
     writes one from the images. Images that --skip names, such as white and black ones, are not used.
 
+    With `--phase`, `--phase-y` or both, maps of one array each (NPY, NPZ, TIFF, MATLAB) become the maps that
+    `fpplab reconstruct` takes. Their values are projector px, (0, 0) at the centre of the first one, or with
+    `--period` unwrapped phases, 0 at the projector's left and upper edge. Pixels that are not finite, or
+    exactly 0, are not measured.
+
     Examples: `fpplab import captures/pose1 --plan plan_slstudio_board --frames '{index:02d}.png' --out p`;
-    `fpplab import stack.tif --plan plan_paper --projector-size 912 1140 --lattice diamond --out p`
+    `fpplab import stack.tif --plan plan_paper --projector-size 912 1140 --lattice diamond --out p`;
+    `fpplab import --phase phi.npy --period 18 --projector-size 912 1140 --out maps.npz`
     """
+    if phase is not None or phase_y is not None:
+        unused: dict[str, object] = {
+            "--plan": plan, "PLACES": places, "--frames": frames, "--bits": bits, "--skip": skip,
+        }  # fmt: skip
+        _import_maps(phase, phase_y, period, sigma, projector_size, out, force, json, unused)
+        return
+    for option, value in (("--period", period), ("--sigma", sigma)):
+        if value is not None:
+            raise ConfigError(f"{option} goes with --phase")
+    if plan is None:
+        raise ConfigError("--plan: is missing; name the plan that the images show")
     from fpplab import pipeline
     from fpplab.patterns.plan import Plan
     from fpplab.sessions.image_selection import ImageSelection, numbers_of
@@ -81,3 +120,28 @@ def import_command(
         },
         json,
     )
+
+
+def _import_maps(
+    x: Path | None, y: Path | None, period: float | None, sigma: float | None,
+    projector_size: tuple[int, int] | None, out: Path, force: bool, json: bool, unused: dict[str, object],
+) -> None:  # fmt: skip
+    """Read maps that another program decoded, and write them as those of fpplab."""
+    from fpplab.core.files import need_suffix, refuse_existing
+    from fpplab.phase.phase_maps import PhaseMapSource, import_phase_maps
+
+    for option, value in unused.items():
+        if value:
+            raise ConfigError(f"{option} goes with images, not with --phase")
+    if projector_size is None:
+        raise ConfigError("--projector-size: is missing; maps do not say it")
+    need_suffix(out, ".npz")
+    refuse_existing(out, force)
+    with console.progress("Reading maps") as report:
+        imported = import_phase_maps(PhaseMapSource(projector_size, x, y, period, sigma))
+        imported.decoded.save(out)
+        report(1.0)
+    for note in imported.notes:
+        console.log_status(f"warning: {note}")
+    valid = int(imported.decoded.valid.sum())
+    console.print_result({"valid": valid, "warnings": list(imported.notes), "maps": str(out)}, json)

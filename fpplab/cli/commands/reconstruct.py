@@ -19,13 +19,13 @@ from fpplab.cli.app import (
     Out,
     app,
 )
-from fpplab.cli.viewing import KeepOpen, ViewOption, observe_measurement
+from fpplab.cli.viewing import ConsoleObserver, KeepOpen, ViewOption, observe_measurement
 
 
 @app.command("reconstruct", rich_help_panel=MEASURE)
 def reconstruct_command(
     context: typer.Context,
-    session: Annotated[Path, typer.Argument(help="A recorded session.")],
+    session: Annotated[Path, typer.Argument(help="A recorded session, or maps (.npz).")],
     calibration: CalibrationOption,
     out: Out,
     filtering: Annotated[
@@ -45,7 +45,13 @@ def reconstruct_command(
     A report with its pictures is written next to it. `verdict` says whether to believe the points,
     `findings` why not; useless points are not written, and the exit code is 4. `removed` says how many points
     the plan's filter took out, by rule.
+
+    Maps of `fpplab import --phase` or `fpplab decode` are triangulated as they are, without filter and
+    report; without frames, their points are `doubtful` at best.
     """
+    if session.is_file() and session.suffix.lower() == ".npz":
+        _triangulate_maps(session, calibration, out, force, json, {"--depth": depth, "--limits": limits})
+        return
     from fpplab.calibration.model import Calibration
     from fpplab.diagnosis import load_limits
     from fpplab.sessions.session import Session
@@ -65,5 +71,21 @@ def reconstruct_command(
     observer = observe_measurement(context, view, keep_open, out.with_suffix(".rrd"))
     result = run_reconstruction(request, observer)
     result.require_usable()
+    console.log_status(result.diagnosis.sentence)
+    console.print_result(result.summary(), json)
+
+
+def _triangulate_maps(
+    maps: Path, calibration: Path, out: Path, force: bool, json: bool, unused: dict[str, object]
+) -> None:
+    from fpplab.calibration.model import Calibration
+    from fpplab.core.errors import ConfigError
+    from fpplab.workflows.maps import MapsRequest, run_triangulation
+
+    for option, value in unused.items():
+        if value is not None:
+            raise ConfigError(f"{option} goes with a session; {maps} holds maps without frames")
+    request = MapsRequest(maps, Calibration.load(calibration), out, force)
+    result = run_triangulation(request, ConsoleObserver())
     console.log_status(result.diagnosis.sentence)
     console.print_result(result.summary(), json)

@@ -1,0 +1,88 @@
+"""Points of maps that another program decoded, where there is no session."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from fpplab.core.errors import DataError
+from fpplab.results.observer import Observer
+from fpplab.workflows.stopwatch import Stopwatch
+
+if TYPE_CHECKING:
+    from fpplab.calibration.model import Calibration
+    from fpplab.results.maps import MapsResult
+
+MIN_SHARE = 0.5
+"""Of the pixels with coordinates that give a point. Chosen: maps of another rig give few."""
+
+
+@dataclass(frozen=True, eq=False)
+class MapsRequest:
+    """Which maps to triangulate, and where the points go."""
+
+    maps: Path  # as `fpplab import --phase` or `fpplab decode` writes them
+    calibration: Calibration
+    out: Path  # the cloud
+    force: bool = False  # whether an existing file is replaced
+
+
+def run_triangulation(request: MapsRequest, observer: Observer | None = None) -> MapsResult:
+    """Triangulate maps and write the cloud.
+
+    Parameters
+    ----------
+    request : MapsRequest
+        Maps and calibration.
+    observer : Observer, optional
+        Shown progress, maps and the result.
+
+    Returns
+    -------
+    MapsResult
+        The points. Without frames they are never judged good.
+
+    Raises
+    ------
+    CalibrationError
+        The calibration is of another camera.
+    ConfigError
+        The output exists, or has another suffix.
+    DataError
+        The maps cannot be read, or few of their pixels give a point.
+    UselessScanError
+        The points lie far off their epipolar lines.
+    """
+    from fpplab.clouds import CLOUD_SUFFIXES, save_cloud
+    from fpplab.core.files import need_suffix, refuse_existing
+    from fpplab.diagnosis.maps import diagnose_maps
+    from fpplab.phase import Decoded
+    from fpplab.reconstruction.points import triangulate
+    from fpplab.reconstruction.triangulation import coordinate_noise
+    from fpplab.reconstruction.uncertainty import with_uncertainty
+    from fpplab.results.maps import MapsResult
+
+    need_suffix(request.out, *CLOUD_SUFFIXES)
+    refuse_existing(request.out, request.force)
+    observer, stopwatch = observer or Observer(), Stopwatch()
+    observer.calibration(request.calibration)
+    with observer.stage("Triangulating") as progress:
+        decoded = Decoded.load(request.maps)
+        observer.maps(decoded)
+        cloud = triangulate(decoded, request.calibration)
+        share = len(cloud) / max(int(decoded.valid.sum()), 1)
+        if share < MIN_SHARE:
+            raise DataError(
+                f"{request.maps}: only {100 * share:.1f} % of the pixels with coordinates give a point in "
+                "front of both devices; axis, direction or orientation of the maps is not that of the "
+                "calibration, or it is of another rig"
+            )
+        progress(0.5)
+        noise = coordinate_noise(decoded)
+        cloud = with_uncertainty(cloud, request.calibration, noise, lambda done: progress(0.5 + 0.5 * done))
+        result = MapsResult(decoded, cloud, diagnose_maps(cloud), stopwatch.seconds, request.out)
+        observer.result(result)
+        result.diagnosis.require_usable(str(request.maps))
+        save_cloud(cloud, request.out)
+    return result
