@@ -24,8 +24,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fpplab.core import config
+from fpplab.core.archives import load_arrays
 from fpplab.core.errors import ConfigError
-from fpplab.core.files import open_regular
+from fpplab.core.file_kinds import CALIBRATION, describe_file, naming_other_kinds
+from fpplab.core.files import no_such_file, open_regular
 from fpplab.core.foreign import OPENCV_STARTS, read_apart
 from fpplab.core.geometry import RigidTransform
 from fpplab.core.strict_json import parse_object
@@ -111,15 +113,20 @@ class ForeignFile:
 
 def is_own(path: Path) -> bool:
     """Detect whether a file is a calibration of fpplab, complete or not."""
-    if _is_mat(path) or _is_opencv(text := config.read_text(path)):
-        return False
-    return "\nT_projector_camera:" in f"\n{text}"
+    return describe_file(path) == CALIBRATION
 
 
 def read_foreign(path: Path) -> ForeignFile:
     """Read what a file of another program says."""
+    with naming_other_kinds(path, "foreign calibration"):
+        return _read_foreign(path)
+
+
+def _read_foreign(path: Path) -> ForeignFile:
     if _is_mat(path):
         return _of_matlab(path, _apart("mat", path, "MATLAB"))
+    if path.suffix.lower() == ".npz":
+        return _of_names(path, "NumPy", _npz(path))
     text = config.read_text(path).lstrip()
     if path.suffix.lower() == ".cameramodel" or "'lensmodel'" in text:
         return _of_mrcal(path, _apart("mrcal", path, "mrcal"))
@@ -157,6 +164,20 @@ def _apart(kind: str, path: Path, program: str) -> dict[str, Any]:
         raise ConfigError(
             f"{path}: is not readable as a file of {program} ({error}); write it again"
         ) from error
+
+
+def _npz(path: Path) -> dict[str, Any]:
+    """Read the arrays of an NPZ file that have the name of an entry, as OpenCV's tutorials save them."""
+    names = {name for table in (NAMES, ALONE) for names in table.values() for name in names}
+    try:
+        arrays = load_arrays(path, names)
+    except FileNotFoundError:
+        raise ConfigError(no_such_file(path)) from None
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{path}: is not readable as NPZ ({error}); write it again") from error
+    return {
+        name: np.asarray(value, np.float64) if value.ndim else float(value) for name, value in arrays.items()
+    }
 
 
 def _json(path: Path, text: str) -> dict[str, Any]:

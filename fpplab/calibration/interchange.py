@@ -29,6 +29,7 @@ from fpplab.core import config
 from fpplab.core.conventions import Floats, Lattice
 from fpplab.core.errors import ConfigError
 from fpplab.core.geometry import DISTORTION, Pinhole, RigidTransform
+from fpplab.core.progress import Say, ignore
 
 Format = Literal["yaml", "xml", "json"]
 
@@ -73,9 +74,11 @@ def import_calibration(
     projector_size: tuple[int, int] | None = None,
     lattice: Lattice | None = None,
     mm_per_unit: float | None = None,
+    tell: Say = ignore,
 ) -> Calibration:
     """Read a calibration from other programs' files, which together hold both devices and their pose."""
     files = [read_foreign(path) for path in paths]
+    mm_per_unit = mm_per_unit or _mm_per_unit(files, tell)
     entries = _gathered(files)
     source = " + ".join(str(path) for path in paths)
     camera = Pinhole(
@@ -89,7 +92,7 @@ def import_calibration(
         _distortion(_needed(entries, "D2", source)),
         _lattice(entries, lattice, source),
     )
-    pose = _pose(entries, mm_per_unit or _mm_per_unit(files), source)
+    pose = _pose(entries, mm_per_unit, source)
     rms = {name: _number(entries[f"rms_{name}"]) for name in RMS if f"rms_{name}" in entries}
     calibration = Calibration(camera, projector, pose, rms)
     _check_ranges(calibration, source)
@@ -97,10 +100,15 @@ def import_calibration(
     return calibration
 
 
-def _mm_per_unit(files: Sequence[ForeignFile]) -> float:
+def _mm_per_unit(files: Sequence[ForeignFile], tell: Say) -> float:
     """The unit of the file that has the translation; mm where its format defines none."""
     for file in files:
         if ("T" in file.entries or "pose" in file.entries) and file.mm_per_unit is not None:
+            if file.mm_per_unit != 1.0:
+                tell(
+                    f"{file.path}: lengths are taken as those of {file.program}'s format and multiplied by "
+                    f"{file.mm_per_unit:g} to be in mm; --unit states another unit"
+                )
             return file.mm_per_unit
     return 1.0
 

@@ -19,6 +19,7 @@ from fpplab.core import config
 from fpplab.core.config import Document
 from fpplab.core.conventions import Floats, Lattice
 from fpplab.core.errors import CalibrationError, ConfigError
+from fpplab.core.file_kinds import naming_other_kinds
 from fpplab.core.files import write_text
 from fpplab.core.geometry import DISTORTION, POLYNOMIAL, Pinhole, RigidTransform
 from fpplab.core.origin import DeviceIdentity, Origin
@@ -287,8 +288,9 @@ class Calibration:
             The file is missing, or a field of it is not valid.
         """
         path = Path(path)
-        content = config.parse_yaml(config.read_text(path), path)
-        file = config.validate(content, CalibrationFile, path)
+        with naming_other_kinds(path, "calibration"):
+            content = config.parse_yaml(config.read_text(path), path)
+            file = config.validate(content, CalibrationFile, path)
         if file.checksum is not None and file.checksum != _checksum(content):
             raise ConfigError(
                 f"{path}: its numbers were changed since fpplab wrote it: they do not match its checksum; "

@@ -71,6 +71,15 @@ OPTION_HINTS = {
 """Where the value of an option comes from that a command cannot do without."""
 
 
+FIELDS = {
+    **dict.fromkeys(("--exposure", "--exposure-s", "--exposure-time"), "exposure_s of the plan"),
+    **{f"--{name}": f"{name} of the plan" for name in ("fringes", "masks", "response", "steps", "stripes")},
+    **{f"--{name}": f"{name} of the rig file" for name in ("camera", "projector", "stage", "serial", "port")},
+    **dict.fromkeys(("--gain", "--gain-db"), "gain_db of the camera in the rig file"),
+}
+"""Words that are no options since a file says them, and which."""
+
+
 def missing_option(path: str, option: str) -> str:
     """Say of a command that an option is missing, and where its value comes from."""
     return f"`{path}` needs {option}; {OPTION_HINTS.get(option, f'see `{path} --help`')}"
@@ -94,7 +103,7 @@ def unknown_command(path: str, word: str, purposes: Mapping[str, str]) -> str:
         for name, commands_meant in SYNONYMS.items()
         if all(meant_command in purposes for meant_command in commands_meant)
     }
-    closest = _closest_name(lower, [*purposes, *usable])
+    closest = closest_name(lower, [*purposes, *usable])
     if closest is None:
         return f"{reason}; `{path} --help` lists those that there are"
     return f"{reason}; did you mean `{path} {usable.get(closest, (closest,))[0]}`?"
@@ -106,11 +115,13 @@ def unknown_option(path: str, word: str, options: Sequence[str]) -> str:
     for option in OPTION_SYNONYMS.get(word, ()):
         if option in options:
             return f"{reason}; it is {option}"
-    closest = _closest_name(word, [option for option in options if option.startswith("--")])
+    if word in FIELDS:
+        return f"{reason}; it is {FIELDS[word]}"
+    closest = closest_name(word, [option for option in options if option.startswith("--")])
     return f"{reason}; " + (f"did you mean {closest}?" if closest else f"see `{path} --help`")
 
 
-def _closest_name(word: str, names: Sequence[str]) -> str | None:
+def closest_name(word: str, names: Sequence[str]) -> str | None:
     """The name that is most like a word, or that the word begins."""
     begun = [name for name in names if len(word) > 2 and name.startswith(word)]
     return next(iter(begun or get_close_matches(word, names, n=1)), None)

@@ -10,7 +10,7 @@ import typer
 from typer.core import TyperGroup
 
 from fpplab.cli import logs
-from fpplab.cli.advice import missing_option, unknown_command, unknown_option
+from fpplab.cli.advice import unknown_command
 from fpplab.cli.completion import names_of
 from fpplab.cli.lists import global_first
 from fpplab.core.confirmation import ConfirmationRequired, confirm_in_advance
@@ -27,7 +27,7 @@ class Commands(TyperGroup):
         try:
             return super().parse_args(ctx, args if ctx.parent else global_first(args))
         except Exception as error:
-            _explain(error)
+            _explain(error, args, ctx)
             raise
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
@@ -39,27 +39,23 @@ class Commands(TyperGroup):
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command that was named."""
+        words = [*ctx._protected_args, *ctx.args]  # noqa: SLF001 - which click has no public name for
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt:
             raise Cancelled("cancelled") from None
         except Exception as error:
-            _explain(error)
+            _explain(error, words, ctx)
             raise
 
 
-def _explain(error: Any) -> None:
-    """Raise `ConfigError` for an option that is unknown or missing.
+def _explain(error: Exception, words: list[str], context: Any) -> None:
+    """Raise `ConfigError` for words that do not fit the command."""
+    if hasattr(error, "format_message"):  # only errors of usage have it
+        from fpplab.cli.usage import usage_sentence
 
-    The errors' classes are typer's or click's own, by their versions.
-    """
-    if type(error).__name__ == "NoSuchOption" and error.ctx is not None:
-        params = error.ctx.command.get_params(error.ctx)
-        options = [name for param in params for name in (*param.opts, *param.secondary_opts)]
-        raise ConfigError(unknown_option(error.ctx.command_path, error.option_name, options)) from error
-    missing = error.param if type(error).__name__ == "MissingParameter" else None
-    if missing is not None and error.ctx is not None and missing.opts[0].startswith("-"):
-        raise ConfigError(missing_option(error.ctx.command_path, missing.opts[0])) from error
+        if sentence := usage_sentence(error, words, context):
+            raise ConfigError(sentence) from error
 
 
 app = typer.Typer(

@@ -19,8 +19,10 @@ from fpplab.clouds import ply
 from fpplab.clouds.cloud import SIGMAS, Cloud
 from fpplab.core.archives import load_arrays
 from fpplab.core.errors import ConfigError, DataError
+from fpplab.core.file_kinds import naming_other_kinds, other_kind
 from fpplab.core.files import no_such_file, open_regular, write_large
 from fpplab.core.foreign import read_apart
+from fpplab.core.session_names import CLOUD
 
 if TYPE_CHECKING:
     import trimesh
@@ -29,6 +31,10 @@ _log = logging.getLogger(__name__)
 
 CLOUD_SUFFIXES = (".ply", ".xyz", ".npz")
 """Of files that `load_cloud` reads and `save_cloud` writes."""
+TEXT_SUFFIXES = (".xyz", ".csv", ".txt", ".pts", ".asc")
+"""Of tables of points, which `load_cloud` reads."""
+READ_SUFFIXES = tuple(dict.fromkeys((*CLOUD_SUFFIXES, *TEXT_SUFFIXES)))
+"""Of all files that `load_cloud` reads."""
 MESH_SUFFIXES = (".stl", ".ply", ".obj")
 """Of files that `load_mesh` reads."""
 FAR_MM = 8192.0
@@ -67,7 +73,8 @@ def load_cloud(path: Path | str) -> Cloud:
     Parameters
     ----------
     path : path or str
-        With the suffix `.ply`, `.xyz` or `.npz`; written by fpplab or another program, in mm.
+        With the suffix `.ply`, `.npz`, or of a table: `.xyz`, `.csv`, `.txt`, `.pts`, `.asc`; in mm. Or a
+        session that holds its cloud.
 
     Returns
     -------
@@ -82,18 +89,29 @@ def load_cloud(path: Path | str) -> Cloud:
         The file is missing or damaged.
     """
     path = Path(path)
-    readers = {".ply": _read_ply, ".xyz": _read_xyz, ".npz": _read_npz}
-    suffix = _known_suffix(path, CLOUD_SUFFIXES)
-    try:
-        return readers[suffix](path)
-    except DataError as error:
-        raise DataError(f"{path}: {error}") from error
-    except FileNotFoundError as error:
-        raise DataError(no_such_file(path, *CLOUD_SUFFIXES)) from error
-    except OSError as error:
-        raise DataError(f"{path}: cannot be read ({error.strerror or error})") from error
-    except (ValueError, KeyError, IndexError, TypeError) as error:
-        raise DataError(f"{path}: is no readable {suffix[1:].upper()} cloud ({error})") from error
+    if path.is_dir():
+        path = _cloud_of_session(path)
+    readers = {".ply": _read_ply, ".npz": _read_npz}
+    with naming_other_kinds(path, "cloud"):
+        suffix = _known_suffix(path, READ_SUFFIXES)
+        try:
+            return readers.get(suffix, _read_xyz)(path)
+        except DataError as error:
+            raise DataError(f"{path}: {error}") from error
+        except FileNotFoundError as error:
+            raise DataError(no_such_file(path, *READ_SUFFIXES)) from error
+        except OSError as error:
+            raise DataError(f"{path}: cannot be read ({error.strerror or error})") from error
+        except (ValueError, KeyError, IndexError, TypeError) as error:
+            raise DataError(f"{path}: is no readable {suffix[1:].upper()} cloud ({error})") from error
+
+
+def _cloud_of_session(path: Path) -> Path:
+    if (sentence := other_kind(path, "session")) and not (path / CLOUD).is_file():
+        raise DataError(sentence)
+    if not (path / CLOUD).is_file():
+        raise DataError(f"{path}: is a session without {CLOUD}; `fpplab reconstruct` writes it")
+    return path / CLOUD
 
 
 def load_mesh(path: Path | str) -> trimesh.Trimesh:
@@ -119,6 +137,11 @@ def load_mesh(path: Path | str) -> trimesh.Trimesh:
         The file is missing, damaged, no mesh, or has corners that are not finite.
     """
     path = Path(path)
+    with naming_other_kinds(path, "mesh"):
+        return _read_mesh(path)
+
+
+def _read_mesh(path: Path) -> trimesh.Trimesh:
     kind = _known_suffix(path, MESH_SUFFIXES)[1:]
     try:
         parts = read_apart(kind, path)
@@ -131,9 +154,7 @@ def load_mesh(path: Path | str) -> trimesh.Trimesh:
     if not parts or not len(parts["faces"]):
         if not path.stat().st_size:
             raise DataError(f"{path}: is empty; export the mesh again")
-        raise DataError(
-            f"{path}: holds no faces; give a mesh of the true shape as {kind.upper()}, not a cloud"
-        )
+        raise DataError(f"{path}: holds no faces; give a mesh of the true shape")
     vertices, faces = parts["vertices"], parts["faces"]
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise DataError(
@@ -209,15 +230,15 @@ def _read_xyz(path: Path) -> Cloud:
 
 
 _COMMENT = re.compile(rb"(#|//).*")
+_DECIMAL_COMMA = re.compile(rb"[-+]?\d+,\d+([eE][-+]?\d+)?")
 _FURTHER_COLUMNS = "%s: has %d columns; only x, y, z are read"
 
 
 def _read_dialect(lines: list[bytes], path: Path) -> Cloud:
     """Read rows apart by blanks, commas or semicolons, below a line of names or the number of points."""
     rows = ply.numbered_rows((_COMMENT.sub(b"", line) for line in lines), 1)
-    number, last = rows[-1]
-    if len(last) > 1 and all(b"," in value.strip(b",") for value in last[:3]):
-        raise ValueError(f"line {number} has decimal commas; write decimals with points")
+    rows = _with_decimal_points(rows)
+    last = rows[-1][1]
     separator = next((each for each in (b";", b",") if each in b"".join(last)), None)
     if separator:
         rows = [(n, [*map(bytes.strip, b" ".join(values).split(separator))]) for n, values in rows]
@@ -230,6 +251,20 @@ def _read_dialect(lines: list[bytes], path: Path) -> Cloud:
     if width > 3:
         _log.warning(_FURTHER_COLUMNS, path, width)
     return _cloud(path, ply.parse_rows([(n, [values[i] for i in columns]) for n, values in rows], 3), {})
+
+
+def _with_decimal_points(rows: ply.TextRows) -> ply.TextRows:
+    """Replace decimal commas, which are told from separators by blanks or semicolons between the values."""
+    number, last = rows[-1]
+    values = [value.strip() for value in b" ".join(last).split(b";")] if b";" in b"".join(last) else last
+    if len(values) < 3 or not all(_DECIMAL_COMMA.fullmatch(value) for value in values[:3]):
+        return rows
+    if all(re.fullmatch(rb"[-+]?[1-9]\d{0,2},\d{3}", value) for value in values[:3]):
+        raise ValueError(
+            f"line {number}: '{values[0].decode()}' may have a decimal comma or count thousands; write "
+            "decimals with points"
+        )
+    return [(n, [value.replace(b",", b".") for value in line]) for n, line in rows]
 
 
 def _named_columns(names: list[str]) -> list[int]:

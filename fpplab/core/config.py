@@ -10,6 +10,7 @@ import codecs
 import json
 import logging
 import re
+from contextlib import nullcontext
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, get_args
@@ -19,8 +20,10 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from fpplab.core.checksums import check_recorded
 from fpplab.core.errors import ConfigError
+from fpplab.core.file_kinds import WantedKind, naming_other_kinds
 from fpplab.core.files import no_such_file, read_bounded
 from fpplab.core.strict_yaml import load_yaml
+from fpplab.core.units import corrected_number
 
 _log = logging.getLogger(__name__)
 
@@ -61,14 +64,24 @@ _Dumper.add_implicit_resolver(
 )
 
 
+_YAML_ADVICE = {
+    "could not find expected ':'": "is no 'name: value', which has a colon and a blank between the two",
+    "mapping values are not allowed": "is indented unlike the line before, or has a second colon: quote it",
+    "found character '\\t'": "begins with a tab; indent by blanks",
+}
+
+
 def parse_yaml(text: str, source: Path | str) -> Any:
     """Parse YAML text as plain data."""
     try:
         return load_yaml(text)
     except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark
+        problem = error.problem or "not readable as YAML"
+        advice = next((advice for known, advice in _YAML_ADVICE.items() if problem.startswith(known)), None)
+        # A line that is no pair is noticed in the one behind it.
+        mark = error.context_mark if advice and error.context_mark else error.problem_mark
         line = f" line {mark.line + 1}" if mark else ""
-        raise ConfigError(f"{source}{line}: {error.problem or 'not readable as YAML'}") from error
+        raise ConfigError(f"{source}{line}: {advice or problem}") from error
     except (yaml.YAMLError, ValueError, OverflowError) as error:
         reason = " ".join(str(error).split())
         raise ConfigError(f"{source}: not readable as YAML ({reason})") from error
@@ -90,10 +103,11 @@ def read_text(path: Path) -> str:
         raise ConfigError(f"{path}: cannot be read ({error.strerror})") from error
 
 
-def load_document(path: Path | str, model: type[D]) -> D:
-    """Read one YAML file as a document."""
+def load_document(path: Path | str, model: type[D], kind: WantedKind | None = None) -> D:
+    """Read one YAML file as a document; a file of another kind is named where it is said which is wanted."""
     path = Path(path)
-    return validate(parse_yaml(read_text(path), path), model, path)
+    with naming_other_kinds(path, kind) if kind else nullcontext():
+        return validate(parse_yaml(read_text(path), path), model, path)
 
 
 def validate(data: Any, model: type[D], source: Path | str) -> D:
@@ -104,11 +118,11 @@ def validate(data: Any, model: type[D], source: Path | str) -> D:
         # As JSON, because strict JSON still takes a list for a tuple and a word for a choice.
         return model.model_validate_json(json.dumps(data, default=str))
     except ValidationError as error:
-        raise ConfigError(f"{source}: {describe(error, data)}") from error
+        raise ConfigError(f"{source}: {describe(error, data, model)}") from error
 
 
-def describe(error: ValidationError, data: Any = None) -> str:
-    """Describe the faults of a validation in one sentence."""
+def describe(error: ValidationError, data: Any = None, model: type[Document] | None = None) -> str:
+    """Describe the faults of a validation in one sentence; `model` tells which keys may have been meant."""
     # A misspelt key is both unknown and missing: what the operator wrote comes first.
     details: list[Any] = sorted(error.errors(), key=lambda detail: detail["type"] != "extra_forbidden")
     if data is not None:
@@ -117,9 +131,35 @@ def describe(error: ValidationError, data: Any = None) -> str:
     messages = [_fault(d) for d in details if d["type"] != "extra_forbidden" or len(unknown) == 1]
     if len(unknown) > 1:
         messages.insert(0, "unknown keys " + ", ".join(f"'{key}'" for key in unknown))
+    if unknown and model is not None and (meant := _meant_key(unknown[0], model)):
+        messages[0] += f" (did you mean '{meant}'?)"
     shown = list(dict.fromkeys(messages))  # one look at the file corrects them all
     remainder = f" (and {len(shown) - MAX_FAULTS} more)" if len(shown) > MAX_FAULTS else ""
     return "; ".join(shown[:MAX_FAULTS]) + remainder
+
+
+_UNIT = re.compile(r"_(s|ms|us|mm|cm|m|um|px|deg|db|hz)$")
+
+
+def _meant_key(field: str, model: type[Document]) -> str | None:
+    """Find the key of a document that is most like one that it has not, apart from a unit."""
+    word, names = field.rpartition(".")[2], set[str]()
+    remaining: list[Any] = [model.model_json_schema()]
+    while remaining:
+        part = remaining.pop()
+        if isinstance(part, dict):
+            names.update(part["properties"] if isinstance(part.get("properties"), dict) else ())
+            remaining += part.values()
+        elif isinstance(part, list):
+            remaining += part
+    if word in names:  # which stands in another place
+        return None
+    plain = {_UNIT.sub("", name): name for name in sorted(names)}  # exposure_ms for exposure_s
+    plain |= {name: name for name in sorted(names)}
+    if len(word) > 2 and (begun := [name for name in sorted(names) if name.startswith(word.lower())]):
+        return plain.get(word.lower(), begun[0])
+    meant = get_close_matches(_UNIT.sub("", word.lower()), plain, n=1, cutoff=0.75)
+    return plain[meant[0]] if meant else None
 
 
 def _fault(detail: Any) -> str:
@@ -129,11 +169,33 @@ def _fault(detail: Any) -> str:
     if detail["type"] == "missing":
         return f"'{field}' is missing"
     message = detail["msg"].removeprefix("Value error, ").removeprefix("Input ")
+    message = message.replace("a valid array", "a list, in brackets").replace("an object", "a mapping, or {}")
     if detail["type"] == "value_error" and not field:
         return str(message)
     if detail["type"] == "value_error" and isinstance(detail["input"], dict):
         return f"in '{field}' {message}"  # which names the field inside
-    return f"'{field}' is {_shown(detail['input'])}: {message}"
+    return f"'{field}' is {_shown(detail['input'])}: {message}{_correction(field, detail)}"
+
+
+def _correction(field: str, detail: Any) -> str:
+    """What to write instead of a value, where it is known."""
+    value, kind = detail["input"], detail["type"]
+    if kind.startswith("string") and isinstance(value, int | float) and not isinstance(value, bool):
+        return f"; write it in quotes, '{value}'"
+    if kind.startswith("literal") and isinstance(value, str):
+        choices = re.findall(r"'([^']+)'", detail["ctx"]["expected"])
+        close = get_close_matches(value.lower(), choices, n=1)
+        return f"; did you mean '{close[0]}'?" if close else ""
+    if kind.startswith("tuple") and isinstance(value, str):
+        numbers = re.findall(r"\d+(?:\.\d+)?", value)
+        return f"; write [{', '.join(numbers)}]" if len(numbers) > 1 else ""
+    if kind.startswith("int") and isinstance(value, float) and value == int(value):
+        return f"; write {int(value)}"
+    if isinstance(value, str) and kind.startswith(("float", "int")):
+        unit = field.rpartition("_")[2].replace("um", "µm").rstrip("]0123456789[")
+        corrected = corrected_number(value, unit)
+        return f"; write {corrected}" if corrected else ""
+    return ""
 
 
 def _fault_in_document(detail: Any, data: Any) -> dict[str, Any]:

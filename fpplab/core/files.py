@@ -49,11 +49,14 @@ def read_bounded(path: Path, max_bytes: int) -> bytes:
 
 def no_such_file(path: Path, *suffixes: str) -> str:
     """Say that a file does not exist, and which one in its folder may have been meant."""
-    accepted = suffixes or (path.suffix.lower(),)
+    own = path.suffix.lower()
+    accepted = suffixes or ((".yaml", ".yml") if own in (".yaml", ".yml") else (own,))
     entries = sorted(path.parent.iterdir()) if path.parent.is_dir() else []
-    nearby = {file.name: file for file in entries if file.suffix.lower() in accepted and file.is_file()}
-    closest = get_close_matches(path.name, nearby, n=1, cutoff=0.7)
-    return f"{path}: there is no such file" + (f"; did you mean {nearby[closest[0]]}?" if closest else "")
+    nearby = {file.stem: file for file in entries if file.suffix.lower() in accepted}
+    nearby |= {file.stem: file for file in entries if file.suffix.lower() == own or file.stem == path.name}
+    closest = get_close_matches(path.stem, nearby, n=1, cutoff=0.7)
+    kind = "file" if own else "file or folder"
+    return f"{path}: there is no such {kind}" + (f"; did you mean {nearby[closest[0]]}?" if closest else "")
 
 
 def write_atomic(path: Path, write: Callable[[BinaryIO], object]) -> None:

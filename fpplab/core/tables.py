@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from fpplab.core.errors import DataError
+from fpplab.core.file_kinds import naming_other_kinds
 from fpplab.core.files import open_regular, write_text
 
 Row = dict[str, Any]
@@ -37,6 +38,11 @@ def csv_text(rows: Iterable[Row]) -> str:
 
 def read_tables(path: Path) -> dict[str, list[Row]]:
     """Read the tables of a `--json` answer, or of a journal with one JSON object in each line."""
+    with naming_other_kinds(path, "tables"):
+        return _read_tables(path)
+
+
+def _read_tables(path: Path) -> dict[str, list[Row]]:
     try:
         with open_regular(path) as stream:
             text = stream.read().decode("utf-8")

@@ -37,6 +37,18 @@ RENAMED_BACKENDS = {
 """Backends by the names that early rig files have for them."""
 
 
+_MEANT = {
+    "basler": "pylon pypylon ace usb3 gige",
+    "display": "screen monitor hdmi beamer projector window fullscreen",
+    "dlp4500": "lightcrafter lightcrafter4500 lcr4500 dlpc350 dlp ti",
+    "gentl": "genicam harvesters gigevision usb3vision spinnaker flir ids vimba allied baumer daheng",
+    "grbl": "gcode marlin cnc",
+    "operator": "manual hand person human",
+    "video_camera": "webcam uvc opencv v4l v4l2 usb cv2",
+}
+"""Backends by other words for them."""
+
+
 @runtime_checkable
 class SharedBackend(Protocol):
     """What the devices of a rig share, such as a simulated world, a recording or an emulated wire.
@@ -150,7 +162,8 @@ def _resolve_class_path(name: str, error_prefix: str) -> str:
         if entry.name == name:
             return entry.value
     names = sorted({entry.name for entry in announced})
-    closest = get_close_matches(name, names, n=1, cutoff=0.6)
+    meant = [backend for backend, words in _MEANT.items() if name.lower() in words.split()]
+    closest = meant or get_close_matches(name, names, n=1, cutoff=0.6)
     question = f"did you mean {closest[0]}? " if closest else ""
     raise ConfigError(
         f"{error_prefix}: there is no such backend; {question}installed are {', '.join(names) or 'none'}; "

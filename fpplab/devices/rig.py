@@ -28,6 +28,7 @@ from fpplab.core import config
 from fpplab.core.config import Document
 from fpplab.core.depth import DepthField
 from fpplab.core.errors import ConfigError
+from fpplab.core.file_kinds import naming_other_kinds
 from fpplab.core.interrupts import held_back
 from fpplab.devices import Camera, CameraSettings, Device, Fixture, Projector, Stage, StageMove, State
 from fpplab.devices.backends import SharedBackend, load_backend
@@ -178,8 +179,9 @@ class Rig:
             There is no such file, or it is wrong.
         """
         file = config.find_config(path, "rig")
-        data = config.parse_yaml(config.read_text(file), file)
-        return cls(config.validate(with_named_response(data, file), RigFile, file), file.parent, file)
+        with naming_other_kinds(file, "rig"):
+            data = config.parse_yaml(config.read_text(file), file)
+            return cls(config.validate(with_named_response(data, file), RigFile, file), file.parent, file)
 
     def __enter__(self) -> Self:
         with ExitStack() as stack:

@@ -14,6 +14,7 @@ from types import MappingProxyType
 
 from fpplab.core import config
 from fpplab.core.errors import ConfigError
+from fpplab.core.file_kinds import naming_other_kinds
 from fpplab.diagnosis import causes
 from fpplab.diagnosis.finding import FaultCause
 from fpplab.diagnosis.limits import DiagnosisLimits, LimitsSection
@@ -53,11 +54,12 @@ def limit_sections() -> dict[str, type[LimitsSection]]:
 
 def load_limits(path: Path) -> DiagnosisLimits:
     """Read a file of limits: sections of limits by their names, each one that is left out as usual."""
-    stated, sections = config.parse_yaml(config.read_text(path), path), limit_sections()
-    if not isinstance(stated, dict):
-        raise ConfigError(f"{path}: must have sections of limits, of {', '.join(sections)}")
-    unknown = [name for name in stated if name not in sections]
-    if unknown:
-        raise ConfigError(f"{path}: there is no section '{unknown[0]}'; there are {', '.join(sections)}")
-    changed = [config.validate(of, sections[name], f"{path}: {name}") for name, of in stated.items()]
-    return DiagnosisLimits(tuple(changed))
+    with naming_other_kinds(path, "limits"):
+        stated, sections = config.parse_yaml(config.read_text(path), path), limit_sections()
+        if not isinstance(stated, dict):
+            raise ConfigError(f"{path}: must have sections of limits, of {', '.join(sections)}")
+        unknown = [name for name in stated if name not in sections]
+        if unknown:
+            raise ConfigError(f"{path}: there is no section '{unknown[0]}'; there are {', '.join(sections)}")
+        changed = [config.validate(of, sections[name], f"{path}: {name}") for name, of in stated.items()]
+        return DiagnosisLimits(tuple(changed))

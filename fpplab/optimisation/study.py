@@ -19,6 +19,7 @@ from typing import Annotated, Any
 from pydantic import model_validator
 
 from fpplab.core import config
+from fpplab.core.file_kinds import naming_other_kinds
 from fpplab.core.tagged_union import TaggedUnion, registered_types
 from fpplab.optimisation import methods  # noqa: F401 - defines the members of SearchMethod
 from fpplab.optimisation.problem import SearchProblem
@@ -46,10 +47,11 @@ class Study(SearchProblem):
     def load(cls, path: Path | str) -> Study:
         """Read a study file."""
         file = config.find_config(path, "study")
-        data = config.parse_yaml(config.read_text(file), file)
-        if isinstance(data, dict):
-            data = _resolve_plan_and_paths(data, file.parent)
-        return config.validate(data, cls, file)
+        with naming_other_kinds(file, "study"):
+            data = config.parse_yaml(config.read_text(file), file)
+            if isinstance(data, dict):
+                data = _resolve_plan_and_paths(data, file.parent)
+            return config.validate(data, cls, file)
 
 
 def _method_kinds(several_objectives: bool) -> str:

@@ -14,6 +14,7 @@ from fpplab.core.config import Document
 from fpplab.core.conventions import Axis, axis_length
 from fpplab.core.depth import DepthField
 from fpplab.core.errors import ConfigError
+from fpplab.core.file_kinds import naming_other_kinds
 from fpplab.core.tagged_union import TaggedUnion
 from fpplab.patterns.curve import Curve
 from fpplab.patterns.fringe_sets import FringeSet, indices_along
@@ -189,8 +190,9 @@ class Plan(Document):
             allowed.
         """
         file = config.find_config(path, "plan")
-        data = config.parse_yaml(config.read_text(file), file)
-        return config.validate(with_named_response(data, file), cls, file)
+        with naming_other_kinds(file, "plan"):
+            data = config.parse_yaml(config.read_text(file), file)
+            return config.validate(with_named_response(data, file), cls, file)
 
     @property
     def images(self) -> int:

@@ -13,7 +13,8 @@ from fpplab.core.checksums import write_recorded
 from fpplab.core.conventions import raw_dtype
 from fpplab.core.disk_space import disk_bytes, need_space
 from fpplab.core.errors import ConfigError, DataError
-from fpplab.core.files import sweep_file_drafts, write_text, writing
+from fpplab.core.file_kinds import other_kind
+from fpplab.core.files import no_such_file, sweep_file_drafts, write_text, writing
 from fpplab.core.journals import cut_torn_line, whole_lines
 from fpplab.core.session_names import FRAMES, JOURNAL, PLAN, RIG, SESSION_FILES
 from fpplab.patterns.plan import Plan
@@ -81,6 +82,17 @@ def _foreign_file_names(path: Path) -> list[str]:
         f"{FRAMES}/{entry.name}" for entry in inside if entry.is_dir() or not frame.fullmatch(entry.name)
     ]
     return sorted(foreign)
+
+
+def why_no_session(path: Path) -> str:
+    """Say of a path why it cannot be opened as a session."""
+    if not path.exists():
+        return no_such_file(path)
+    missing = " and ".join(name for name in (PLAN, JOURNAL) if not (path / name).is_file())
+    reason = other_kind(path, "session") or f"{path}: is not a session (it has no {missing})"
+    around = path.parent.parent if path.parent.name == FRAMES else path.parent
+    is_inside = all((around / name).exists() for name in (PLAN, JOURNAL, FRAMES))
+    return f"{reason}; did you mean the session {around}?" if is_inside else reason
 
 
 def require_session_folder(path: Path) -> None:

@@ -17,8 +17,8 @@ from fpplab.core.archives import array_head, check_archive
 from fpplab.core.conventions import Image
 from fpplab.core.errors import DataError, FppError
 from fpplab.core.files import open_regular
+from fpplab.core.signatures import HEAD_BYTES, kind_of
 from fpplab.sessions.channels import NotGreyError
-from fpplab.sessions.file_kinds import HEAD_BYTES, kind_of
 from fpplab.sessions.limits import SESSION_LIMITS as LIMITS
 from fpplab.sessions.netpbm import NetpbmFile, is_netpbm
 from fpplab.sessions.pictures import SIGNATURES, TIFF_SIGNATURES, PictureFile

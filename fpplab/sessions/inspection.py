@@ -30,6 +30,7 @@ from fpplab.core.session_names import (
 )
 from fpplab.patterns.plan import Plan
 from fpplab.phase import Decoded
+from fpplab.sessions.folder import why_no_session
 from fpplab.sessions.format import check_format, session_format
 from fpplab.sessions.frame_files import read_frame
 from fpplab.sessions.journal import FrameRecord, readable_lines
@@ -71,7 +72,7 @@ def describe_session(session: Session) -> dict[str, Any]:
 def session_faults(path: Path, progress: Progress = no_progress) -> list[SessionFault]:
     """Read everything in a session, and name all that is wrong with it."""
     if not (path / JOURNAL).is_file() and not (path / PLAN).is_file():
-        raise ConfigError(f"{path}: is not a session (it has neither {PLAN} nor {JOURNAL})")
+        raise ConfigError(why_no_session(path))
     faults: list[SessionFault] = []
     for name, read in _small_files(path).items():
         with _noted(faults, path, name):

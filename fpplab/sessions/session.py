@@ -46,6 +46,7 @@ from fpplab.sessions.folder import (
     remove_temporary_folders,
     require_session,
     require_session_folder,
+    why_no_session,
     write_initial_files,
 )
 from fpplab.sessions.format import check_format, upgrade_format
@@ -258,7 +259,7 @@ class Session:
         """
         path = Path(path)
         if not (path / PLAN).is_file() or not (path / JOURNAL).is_file():
-            raise DataError(f"{path}: is not a session (it has no {PLAN} and {JOURNAL})")
+            raise DataError(why_no_session(path))
         check_format(path)
         plan, rig = config.load_document(path / PLAN, Plan), read_rig(path)
         records = read_journal(path, plan)

@@ -75,7 +75,7 @@ class Target(PrintFields, _KindFields, GridFields):  # type: ignore[misc] # fiel
         ConfigError
             The file cannot be read or describes no board that can be.
         """
-        return config.load_document(config.find_config(path, "target"), cls)
+        return config.load_document(config.find_config(path, "target"), cls, "target")
 
     @model_validator(mode="after")
     def _is_sound(self) -> Target:

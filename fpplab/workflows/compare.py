@@ -104,7 +104,7 @@ def _compare(request: ComparisonRequest, observer: Observer) -> ComparisonResult
     stored = path.parent / CALIBRATION
     source = request.calibration or (stored if stored.is_file() else None)
     calibration = Calibration.load(source) if source else None
-    cloud = load_cloud(path)
+    cloud = load_cloud(request.source)
     if calibration and cloud.size:
         calibration.check_camera(cloud.size, source or path)
     with observer.stage("Comparing"):

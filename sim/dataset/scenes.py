@@ -108,7 +108,7 @@ class SceneRanges(Document):
     def load(cls, path: Path | str) -> SceneRanges:
         """Read a file of ranges."""
         file = config.find_config(path, "dataset")
-        scenes = config.load_document(file, cls)
+        scenes = config.load_document(file, cls, "dataset")
         for name in scenes.artefacts:
             artefacts.make(name)
         targets = tuple(_target_file(name, file.parent) for name in scenes.targets)

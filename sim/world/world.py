@@ -14,6 +14,7 @@ from fpplab.core import config
 from fpplab.core.config import Document
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import ConfigError
+from fpplab.core.file_kinds import naming_other_kinds
 from fpplab.core.files import write_text
 from fpplab.core.geometry import Pinhole, RigidTransform, turned_towards
 from sim.effects import EFFECTS, WorldEffects
@@ -195,13 +196,16 @@ class World(WorldEffects, WorldContents):
         first.
         """
         file = config.find_config(path, "world")
-        data = config.parse_yaml(config.read_text(file), file)
-        if isinstance(data, dict) and isinstance(name := data.get("calibration"), str):
-            measured = config.load_document(
-                config.find_config(config.resolve_relative_to(name, file.parent)), CalibrationFile
-            )
-            data["calibration"] = config.plain(measured)
-        world = config.validate(data, cls, file)
+        with naming_other_kinds(file, "world"):
+            data = config.parse_yaml(config.read_text(file), file)
+            if isinstance(data, dict) and isinstance(name := data.get("calibration"), str):
+                measured = config.load_document(
+                    config.find_config(config.resolve_relative_to(name, file.parent)),
+                    CalibrationFile,
+                    "calibration",
+                )
+                data["calibration"] = config.plain(measured)
+            world = config.validate(data, cls, file)
         items = {name: with_file_beside(item, file.parent) for name, item in world.items.items()}
         around = world.surroundings and world.surroundings.beside(file.parent)
         return world.model_copy(update={"items": items, "surroundings": around})

@@ -297,9 +297,9 @@ def test_a_rotation_vector_is_a_rotation_but_a_boards_pose_is_not_the_rigs(tmp_p
     [
         (
             "name: bench\ncamera: {backend: video}\n",
-            "has no entry of a calibration that is known; it has name, camera",
+            "is a rig file; expected a calibration: fpplab's own",
         ),
-        ("<html><body>", "has no entries by name"),
+        ("<html><body>", "is a page in HTML; expected a calibration"),
         ("[1, 2]", "has no entries by name"),
         ("{ not json", "is not readable as JSON of OpenCV"),
         ("{'lensmodel': 3", "is not readable as a file of mrcal"),

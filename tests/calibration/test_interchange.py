@@ -271,7 +271,7 @@ def test_what_nobody_says_is_asked_for(missing: str, words: str, tmp_path: Path)
     ("text", "words"),
     [
         ("camera: 3\n", r"in\.yml: has no entry of a calibration that is known; it has camera"),
-        ("", r"in\.yml: has no entries by name"),
+        ("", r"in\.yml: is empty; expected a calibration"),
         ("%YAML:1.0\n---\nM1: !!opencv-matrix\n   rows: 3\n", "in.yml"),
         ("%YAML:1.0\n---\nM1: [ 1, 2\n", "in.yml"),
         ("<?xml version='1.0'?>\n<opencv_storage>\n<M1>", "in.yml"),

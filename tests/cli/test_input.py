@@ -163,7 +163,7 @@ def test_wrong_loose_images(
 def test_not_a_session(fpplab: Command, tmp_path: Path) -> None:
     done = fpplab("decode", tmp_path, "--out", tmp_path / "x.npz", "--json")
     assert done.code == 4
-    assert "is not a session" in done.json["error"]
+    assert "is an empty folder; expected a session" in done.json["error"]
 
 
 def test_wrong_usage_is_still_one_json_object(fpplab: Command) -> None:

@@ -10,6 +10,7 @@ import pytest
 
 from fpplab.clouds import load_cloud, save_cloud
 from fpplab.clouds.exchange import export_cloud
+from fpplab.clouds.files import TEXT_SUFFIXES
 from fpplab.core.errors import DataError
 
 XYZ = "property float x\nproperty float y\nproperty float z\n"
@@ -188,20 +189,23 @@ def test_points_that_were_not_measured(
         "// x [mm];y [mm];z [mm]\n1;2;3\n4;5;6\n",
         '"label","z_mm","y_mm","x_mm"\na,3,2,1\nb,6,5,4\n',
         "1 2 3 0.5\n4 5 6 0.5\n",
+        "1,0;2,0;3,0\r\n4,0;5,0;6,0\r\n",
+        "1,0 2,00 3,0e0\n4,0 5,00 6,0e0\n",
+        "x_mm;y_mm;z_mm\n1,000;2,0;3,000\n4,000;5,0;6,000\n",
     ],
 )
 def test_dialects_of_xyz(text: str, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.WARNING)
-    (tmp_path / "a.xyz").write_bytes(text.encode())
-    assert load_cloud(tmp_path / "a.xyz").points.tolist() == POINTS
+    for suffix in TEXT_SUFFIXES:
+        (tmp_path / f"a{suffix}").write_bytes(text.encode())
+        assert load_cloud(tmp_path / f"a{suffix}").points.tolist() == POINTS
     assert ("4 columns; only x, y, z are read" in caplog.text) == ("label" in text or "0.5" in text)
 
 
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("1,5 2,5 3,5\n", "line 1 has decimal commas"),
-        ("1,5;2,5;3,5\n", "line 1: '1,5' is not a number; write decimals with points"),
+        ("1,500 2,500 3,500\n", "line 1: '1,500' may have a decimal comma or count thousands"),
         ("1 2 3\n4 5\n", "line 1 has 3 values instead of 2|line 2 has 2 values"),
         ("1 2 3\n4 5 6 7\n", "line 1 has 3 values instead of 4"),
         ("x_m y_m z_m\n1 2 3\n", "its first line, 'x_m y_m z_m', names no x, y, z in mm"),

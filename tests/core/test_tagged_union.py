@@ -86,7 +86,7 @@ def test_members_are_dumped_whole_and_read_back() -> None:
         ({"one": {"kind": "disc"}}, "'one.radius' is missing"),
         (
             {"listed": [{"kind": "disc", "radius": "1"}]},
-            "'listed[0].radius' is '1': should be a valid number",
+            "'listed[0].radius' is '1': should be a valid number; write 1",
         ),
         ({"one": {"kind": "disc", "radius": 1.0, "side": 1.0}}, "unknown key 'one.side'"),
     ],

@@ -135,7 +135,7 @@ def test_what_cannot_be_repaired_is_said_and_left(whole: Path, name: str) -> Non
 
 
 def test_a_folder_that_is_no_session(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="is not a session"):
+    with pytest.raises(ConfigError, match="is an empty folder; expected a session"):
         session_faults(tmp_path)
 
 

@@ -117,7 +117,7 @@ def test_patterns_may_come_in_another_order(tmp_path: Path) -> None:
 
 
 def test_what_is_no_recording_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(DataError, match="is not a session"), rig_of(tmp_path):
+    with pytest.raises(DataError, match="there is no such file or folder"), rig_of(tmp_path):
         pass
     Session.create(tmp_path / "recorded", PLAN)
     with pytest.raises(DataError, match="has no frames yet"), rig_of(tmp_path):

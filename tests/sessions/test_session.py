@@ -220,11 +220,13 @@ def test_a_frame_that_the_plan_has_not(tmp_path: Path) -> None:
 
 
 def test_no_session_at_all(tmp_path: Path, whole: Path) -> None:
-    for path in (tmp_path / "nowhere", tmp_path):
-        with pytest.raises(DataError, match="is not a session"):
+    with pytest.raises(DataError, match="nowhere: there is no such file or folder"):
+        Session.open(tmp_path / "nowhere")
+    for path in (whole / "frames", whole / "plan.yaml"):
+        with pytest.raises(DataError, match=rf"expected a session, .*; did you mean the session {whole}"):
             Session.open(path)
     (whole / "plan.yaml").unlink()
-    with pytest.raises(DataError, match="is not a session"):
+    with pytest.raises(DataError, match=r"is not a session \(it has no plan\.yaml\)"):
         Session.open(whole)
 
 
@@ -304,7 +306,7 @@ def test_sessions_that_belong_together(tmp_path: Path) -> None:
     found = recorded_sessions([tmp_path / "poses"])
     assert [s.path.name for s in found] == ["pose_00", "pose_01", "pose_02"]
     assert recorded_sessions([found[1].path])[0].path == found[1].path
-    with pytest.raises(DataError, match="is not a session"):
+    with pytest.raises(DataError, match="is a folder without a session"):
         recorded_sessions([tmp_path])
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fpplab.cli import console
+from fpplab.cli.advice import missing_option
 from fpplab.cli.app import PREPARE, DepthOption, Force, Json, LimitsOption, PlanName, app
 from fpplab.cli.completion import names_of
 from fpplab.cli.viewing import ConsoleObserver, KeepOpen, ViewOption, observe_characterisation
@@ -156,6 +157,7 @@ def characterise_command(
         return
     from fpplab.characterisation import DistortionModel
     from fpplab.characterisation.limits import CharacterisationLimits
+    from fpplab.cli.usage import misplaced_word
     from fpplab.core.config import load_document
     from fpplab.devices.rig import Rig
     from fpplab.patterns.plan import Plan
@@ -164,7 +166,13 @@ def characterise_command(
 
     until_mm = wanted_mm(guide, until, depth, rig)
     if target is None or out is None:
-        raise ConfigError(f"{'--target' if target is None else '--out'} is missing")
+        option = "--target" if target is None else "--out"
+        misplaced = misplaced_word([str(path) for path in sessions or ()], option)
+        raise ConfigError(
+            f"`fpplab characterise` needs {option}; write {option} {misplaced}"
+            if misplaced
+            else missing_option("fpplab characterise", option)
+        )
     if limits and guide:
         raise ConfigError("--limits is for recorded poses: with --guide each pose is judged as it is taken")
     request = CharacterisationRequest(
@@ -183,7 +191,7 @@ def characterise_command(
         until_mm=until_mm,
         depth_mm=depth,
         force=force,
-        limits=load_document(limits, CharacterisationLimits) if limits else None,
+        limits=load_document(limits, CharacterisationLimits, "limits") if limits else None,
     )
     observer = observe_characterisation(context, view, keep_open, out.with_suffix(".rrd"))
     result = run_characterisation(request, observer)

@@ -57,14 +57,18 @@ def convert_command(
     from fpplab.calibration.interchange import import_calibration, to_opencv
     from fpplab.calibration.model import Calibration
     from fpplab.core.files import need_suffix, refuse_existing, write_text
-    from fpplab.core.units import length_mm
+    from fpplab.core.units import MM
 
     own = [file for file in files if is_own(file)]
     if not own:
         need_suffix(out, ".yaml")
         refuse_existing(out, force)
-        mm_per_unit = length_mm(f"1{unit}", "--unit") if unit else None
-        calibration = import_calibration(files, camera_size, projector_size, lattice, mm_per_unit)
+        if unit and unit not in MM:
+            raise ConfigError(f"--unit is '{unit}': must be one of {', '.join(dict.fromkeys(MM))}")
+        mm_per_unit = MM[unit] if unit else None
+        calibration = import_calibration(
+            files, camera_size, projector_size, lattice, mm_per_unit, console.log_status
+        )
         calibration.save(out)
     elif len(files) == 1:
         if camera_size or projector_size or lattice or unit:
@@ -81,7 +85,7 @@ def convert_command(
             )
         write_text(out, to_opencv(calibration, "xml" if out.suffix.lower() == ".xml" else "yaml"))
     else:
-        raise ConfigError(f"{own[0]}: is a calibration of fpplab and complete; give it alone")
+        raise ConfigError(f"{own[0]}: is a calibration of fpplab, which holds both devices; give it alone")
     console.print_result(
         {"file": out, "baseline_mm": calibration.baseline_mm, "lattice": str(calibration.projector.lattice)},
         json,

@@ -10,7 +10,7 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import MEASURE, Force, Json, app
-from fpplab.core.errors import ConfigError, DataError
+from fpplab.core.errors import ConfigError
 
 if TYPE_CHECKING:
     from fpplab.core.tables import Row
@@ -70,20 +70,22 @@ def export_command(
 
 
 def _kind_of(source: Path) -> str:
-    from fpplab.clouds import CLOUD_SUFFIXES
+    from fpplab.clouds import READ_SUFFIXES
+    from fpplab.core.file_kinds import describe_file
 
     suffix = source.suffix.lower()
     if not source.exists():
         raise ConfigError(f"{source}: does not exist")
-    if source.is_dir() or suffix in CLOUD_SUFFIXES:
+    if source.is_dir() or suffix in READ_SUFFIXES:
         return "cloud"
     if suffix in (".yaml", ".yml"):
         return "calibration"
     if suffix in (".json", ".jsonl"):
         return "tables"
+    kind = describe_file(source) or "of another kind by its name"
     raise ConfigError(
-        f"{source}: its name must end in {', '.join(CLOUD_SUFFIXES)} (clouds), .yaml (calibrations), .json "
-        "or .jsonl (answers and journals), or it must be a session"
+        f"{source}: is {kind}; expected a cloud ({', '.join(READ_SUFFIXES)}), a session, a calibration "
+        "(.yaml), or an answer or journal of fpplab (.json, .jsonl)"
     )
 
 
@@ -92,10 +94,7 @@ def _export_cloud(source: Path, out: Path) -> dict[str, Any]:
     from fpplab.clouds.exchange import check_exported, export_cloud
 
     check_exported(out)
-    file = source / "cloud.ply" if source.is_dir() else source
-    if not file.is_file():
-        raise DataError(f"{source}: has no cloud.ply; run fpplab reconstruct first")
-    cloud = load_cloud(file)
+    cloud = load_cloud(source)
     export_cloud(cloud, out)
     return {"points": len(cloud)}
 

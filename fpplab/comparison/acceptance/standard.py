@@ -168,7 +168,7 @@ class Standard(Document):
     @classmethod
     def load(cls, name: str | Path) -> Standard:
         """Read a file of standards."""
-        return config.load_document(config.find_config(name, "standard"), cls)
+        return config.load_document(config.find_config(name, "standard"), cls, "standard")
 
     def permitted_um(self, quantity: str) -> float | None:
         """Look up the maximum permissible error (MPE) of a quantity."""
