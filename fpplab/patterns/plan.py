@@ -43,7 +43,7 @@ class MaskRules(Document):
     contrast_min: Annotated[float, Field(ge=0, le=1)] = 0.1
     """Least B / offset; ambient light and shadow lower it."""
     residual_max: Annotated[float, Field(gt=0)] = 0.25
-    """Greatest RMS misfit of the sinusoid as a share of B."""
+    """Greatest RMS misfit of the sinusoid as a share of B, besides the harmonics of the response."""
     disagreement_max: Annotated[float, Field(gt=0, le=0.5)] = 0.4
     """Greatest difference between the position that coarser fringes predict and the one that finer fringes
     show, as a share of the finer period; a greater one is accepted where the noise of all sets explains it

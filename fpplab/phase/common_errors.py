@@ -10,7 +10,8 @@ least squares find them although noise is greater in any one pixel. They tell wh
 where no single pixel shows it: that is the error of its phase.
 
 Three images show nothing beyond offset and fringe. Where all sets have three, the differences of their
-offsets are used, to which the third harmonic and the gains contribute.
+offsets are used, to which the third harmonic and the gains contribute, and the response is found by what it
+does to their phases (`fpplab.phase.bent_phases`).
 """
 
 from __future__ import annotations
@@ -25,7 +26,9 @@ import numpy as np
 from fpplab.core.conventions import Floats
 from fpplab.patterns.fringe_sets import FringeSet
 from fpplab.patterns.phase_error import harmonic_phase_error, harmonics
+from fpplab.phase.bent_phases import exponent_of_phases, exponent_of_second_harmonic
 from fpplab.phase.limits import COMMON_ERRORS, NOISE
+from fpplab.phase.unwrapping import WavelengthSequence
 
 HARMONICS = (2, 3, 4, 5)
 """Harmonics of the response that are looked for."""
@@ -40,6 +43,12 @@ class CommonErrors:
     gain_first: float  # `|Σ ε_n exp(iδ_n)|` and `|Σ ε_n exp(2iδ_n)|` of the lamp's gains ε_n
     gain_second: float  # `|Σ ε_n exp(iδ_n)|` and `|Σ ε_n exp(2iδ_n)|` of the lamp's gains ε_n
     images: int  # number N of images of the set
+
+    @property
+    def misfit(self) -> float:
+        """Greatest mean square that the response adds to a pixel's misfit, as a share of B²."""
+        # Twice the mean over all phases: at four steps all of a harmonic may fall on its crests.
+        return float(np.nan_to_num(np.square(self.harmonics).sum()))
 
     def variance(self, offset_per_modulation: Floats | float) -> Floats:
         """Compute the mean square phase error, over all phases."""
@@ -78,6 +87,12 @@ class FringeGroup:
     def offset(self) -> Floats:
         """Mean level of each pixel, (P,)."""
         return np.asarray(self.features[0])
+
+    @property
+    def phases(self) -> Floats:
+        """Phase of each of the S sets as its images show it, in rad, (S, P)."""
+        cosine, sine = (self.features[first :: 2 * HARMONICS[-1]] for first in (1, 2))
+        return np.asarray(np.arctan2(sine, cosine))
 
     @cached_property
     def membership(self) -> Floats:
@@ -295,13 +310,19 @@ def errors_of_sets(
     fits: Sequence[HarmonicsFit],
     fringes: Sequence[FringeSet],
     harmonics: Floats | None,
+    sequences: Sequence[WavelengthSequence] = (),
 ) -> list[CommonErrors]:
     """Compute the common errors of every set, also of those whose own images do not show them.
 
     Those take the exponent of the response and the scatter of the lamp from the sets that show them.
     """
     # harmonics (K,)
-    bent = {k: _exponent(group, fit) for group, fit in zip(groups, fits, strict=True) for k in group.members}
+    bent = {
+        k: exponent
+        for group, fit in zip(groups, fits, strict=True)
+        for exponent in [_exponent(group, fit, fringes, sequences)]
+        for k in group.members
+    }
     sums = {k: s for group, fit in zip(groups, fits, strict=True) for k, s in _gain_sums(group, fit, fringes)}
     weight = sum(1.0 / u**2 for _, u in bent.values())
     typical = sum(g / u**2 for g, u in bent.values()) / weight if bent else np.nan
@@ -347,16 +368,24 @@ def _power_law_harmonics(g: float) -> Floats:
     return np.asarray(amplitudes / amplitudes[1])
 
 
-def _exponent(group: FringeGroup, fit: HarmonicsFit) -> tuple[float, float]:
-    """The exponent of the response and its uncertainty among groups, from the harmonic that shows it best.
+def _exponent(
+    group: FringeGroup,
+    fit: HarmonicsFit,
+    fringes: Sequence[FringeSet],
+    sequences: Sequence[WavelengthSequence],
+) -> tuple[float, float]:
+    """The exponent of the response and its uncertainty among groups, from what shows it best.
 
     Harmonics of a power law are `c_2 = (g - 1)/(g + 2)` and `c_3 = c_2 (g - 2)/(g + 3)` of the fringe.
     """
     if len(group.members) == 1:
         c, u = fit.harmonics[0], fit.uncertainty[0]
-        return float((1.0 + 2.0 * c) / (1.0 - c)), float(3.0 * u / (1.0 - c) ** 2)
+        return exponent_of_second_harmonic(float(c)), float(3.0 * u / (1.0 - c) ** 2)
+    origins = np.array([fringe.demodulation().origin_rad for fringe in fringes])
+    if not math.isnan(exponent := exponent_of_phases(group.phases, origins, sequences)):
+        return exponent, 1.0  # of the only group: it is weighed against none
     # Offsets show the third only, which is greatest at g = 1.47 and does not show what lies beyond.
     c = max(fit.harmonics[1], COMMON_ERRORS.min_third_harmonic)
     half = 3.0 + 5.0 * c
     root = np.sqrt(max(half**2 - 8.0 * (1.0 - c) * (1.0 - 3.0 * c), 0.0))
-    return float((half - root) / (2.0 * (1.0 - c))), 1.0  # of the only group: it is weighed against none
+    return float((half - root) / (2.0 * (1.0 - c))), 1.0

@@ -102,6 +102,7 @@ class AxisPhases:
     noise: Floats  # variance of the position that each set gives
     common: Floats  # variance of the position that each set gives
     stripes: Floats  # of each set
+    counted_share: float  # of `common` that counts for orders
 
     @property
     def position_sigma(self) -> Floats:
@@ -132,4 +133,5 @@ def axis_phases(recording: Recording, sequence: WavelengthSequence, errors: Erro
         np.array(noises),
         np.array(commons),
         np.array([f.stripes for f in fringes]),
+        errors.counted_share(sequence),
     )

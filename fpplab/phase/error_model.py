@@ -14,9 +14,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from fpplab.core.conventions import Floats, Image, Mask, full_scale, raw_per_grey
+from fpplab.core.conventions import TWO_PI, Floats, Image, Mask, full_scale, raw_per_grey
+from fpplab.core.errors import ConfigError
 from fpplab.patterns.fringe_sets import FringeSet
 from fpplab.patterns.recording import Recording
+from fpplab.patterns.unwrapping import SyntheticWavelength
 from fpplab.phase.common_errors import (
     CommonErrors,
     FringeGroup,
@@ -26,8 +28,9 @@ from fpplab.phase.common_errors import (
     groups_of,
     noise_power,
 )
-from fpplab.phase.limits import NOISE
+from fpplab.phase.limits import NOISE, ORDERS
 from fpplab.phase.noise import QUANTISATION, NoiseModel, fit_line, level_step
+from fpplab.phase.unwrapping import WavelengthSequence, wavelength_sequence
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +46,18 @@ class ErrorModel:
         """Whether the frames show the common errors: fringe sets that show them, and enough pixels."""
         return all(np.isfinite(errors.terms).all() for errors in self.sets)
 
+    def counted_share(self, sequence: WavelengthSequence) -> float:
+        """Give the share of the variance by common errors that counts for the orders of one axis."""
+        peaks = [math.sqrt(2.0) * float(np.nan_to_num(self.sets[k].harmonic_rad)) for k in sequence.sets]
+
+        def height(wavelength: SyntheticWavelength) -> float:
+            return float(np.abs(wavelength.coefficients) @ peaks) / TWO_PI
+
+        for coarse, fine in pairwise(sequence.wavelengths):
+            if height(coarse) * fine.stripes / coarse.stripes + height(fine) > ORDERS.max_wave_turns:
+                return 1.0
+        return ORDERS.bounded_share
+
 
 def error_model_of(recording: Recording) -> ErrorModel:
     """Estimate the errors of a recording."""
@@ -53,7 +68,16 @@ def error_model_of(recording: Recording) -> ErrorModel:
         recording.bits,
         plan.masks.modulation_min,
         recording.harmonics,
+        _sequences(recording),
     )
+
+
+def _sequences(recording: Recording) -> list[WavelengthSequence]:
+    """How the axes are unwrapped; none where that needs a calibration."""
+    try:
+        return [wavelength_sequence(recording.plan, axis, recording.name) for axis in recording.plan.axes]
+    except ConfigError:
+        return []
 
 
 def _sample_pixels(recording: Recording) -> list[Image]:
@@ -71,6 +95,7 @@ def fit_errors(
     bits: int,
     modulation_min: float = 0.0,
     harmonics: Floats | None = None,
+    sequences: Sequence[WavelengthSequence] = (),
 ) -> ErrorModel:
     """Estimate noise by photon transfer, beyond harmonics and flicker; robust against scene and motion.
 
@@ -90,7 +115,8 @@ def fit_errors(
     noise = _fit_noise_model(groups, fits, step * grey)
     if not groups:
         noise = _noise_beside_saturation(samples, fringes, saturation, grey, step) or noise
-    return ErrorModel(noise, tuple(errors_of_sets(groups, fits, fringes, harmonics)), saturation)
+    sets = errors_of_sets(groups, fits, fringes, harmonics, sequences)
+    return ErrorModel(noise, tuple(sets), saturation)
 
 
 def _find_usable_pixels(samples: Sequence[Image], saturation: int) -> Mask:

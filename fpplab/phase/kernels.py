@@ -153,13 +153,13 @@ def _demodulate(
     offset: Any,
     good: Any,
     pixel_count: int,
-    origin: Any,
+    set_index: int,
     recipe: Any,
 ) -> None:
     """Compute phase, modulation and offset of one set, its masks, and the greatest raw values so far."""
     grey, full = recipe.grey, recipe.full_scale
     modulation_min, contrast = recipe.modulation_min, recipe.contrast_min
-    misfit = recipe.residual_max * recipe.residual_max
+    origin, misfit = recipe.origin[set_index], recipe.misfit_max[set_index]
     for j in range(pixel_count):
         i = _u(j)
         s, c, mean = accumulators[i], accumulators[i + _COS], accumulators[i + _MEAN]
@@ -424,9 +424,7 @@ def decode_pixels(recipe: Recipe, like: Any, start: int, stop: int, maps: Maps) 
             loss[:], bent[:] = _ONE, recipe.error_constant[s]
             if _count_saturated(accumulators, pixel_count, recipe.full_scale) > _ZERO:
                 _refit_saturated(accumulators, at, pixel_count, s, like, recipe, loss, bent)
-            _demodulate(
-                accumulators, turns[s], modulation[s], weights[s], good, pixel_count, recipe.origin[s], recipe
-            )
+            _demodulate(accumulators, turns[s], modulation[s], weights[s], good, pixel_count, s, recipe)
             if recipe.rounding_repeats:
                 find_repeated(weights[s], repeated, recipe, pixel_count)
             weigh(modulation[s], weights[s], shares[s], loss, bent, repeated, s, recipe, pixel_count)

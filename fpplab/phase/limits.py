@@ -45,6 +45,13 @@ class OrderLimits(NamedTuple):
     max_moves: int = 8
     """How many shifts in turn may lead from the order of unwrapping to the likeliest. Chosen: two are
     rare."""
+    bounded_share: float = 0.15
+    """Share of the variance by errors common to all pixels of a phase that counts for orders. Derived: those
+    of the response and the lamp are waves, which end at 1.4 of their standard deviations, where noise reaches
+    3.7 at one pixel in 10,000."""
+    max_wave_turns: float = 0.5
+    """Height of the response's waves in periods of the finer fringes up to which that holds. Derived: higher
+    ones change orders."""
     doubtful_share: float = 0.25
     """Share of a period beyond which a disagreement makes an order doubtful, for the vote of the neighbours.
     Chosen: clean data stay below."""
@@ -138,7 +145,27 @@ class CommonErrorLimits(NamedTuple):
     """Highest harmonic of a power law that is computed. Chosen."""
 
 
+class BentPhaseLimits(NamedTuple):
+    """Limits of the search for the exponent that makes phases of three images agree."""
+
+    pixels: int = 1000
+    """Pixels that are compared, about. Chosen: the exponent is then known to 0.01."""
+    second_harmonics: tuple[float, float] = (-0.2, 0.45)
+    """Second harmonics as shares of the fringe that are searched. Chosen: exponents 0.5 to 3.45."""
+    trials: int = 27
+    """Exponents that are tried before the best is refined. Chosen: the phases of two sets of 1 and 64 stripes
+    then agree at more than one."""
+    end_turns: float = 0.05
+    """Part of the widest period at each of its ends in which pixels are left out. Chosen."""
+    max_contradiction: float = 0.5
+    """Greatest variance of what a phase differs by from its prediction, in rad², from which anything is
+    concluded. Chosen: where one says nothing of the other, it is 7 and more."""
+    min_contradiction: float = 1e-6
+    """The same that noise makes at least. Chosen: keeps noise-free frames solvable."""
+
+
 ORDERS = OrderLimits()
 OUTSIDE = OutsideLimits()
 NOISE = PhaseNoiseLimits()
 COMMON_ERRORS = CommonErrorLimits()
+BENT_PHASES = BentPhaseLimits()

@@ -62,6 +62,7 @@ def recipe_of(
         causes=np.concatenate([risk.causes for risk in risks]),
         least_separation=np.array([risk.least_separation if risk else np.inf for risk in by_axis]),
         edge_shift=np.array([risk.edge if risk else np.inf for risk in by_axis]),
+        counted_share=np.array([errors.counted_share(of_axis[a]) if a in of_axis else 1.0 for a in AXES]),
         order_margin=ORDERS.edge_margin_px / np.array(size, np.float64),
         # With a vote, no order is changed or rejected before its neighbours have voted.
         wrong_order_max=np.inf if plan.order_vote else rules.wrong_order_max,
@@ -70,7 +71,7 @@ def recipe_of(
         full_scale=f32(errors.saturation),
         modulation_min=f32(rules.modulation_min),
         contrast_min=f32(rules.contrast_min),
-        residual_max=f32(rules.residual_max),
+        misfit_max=np.array([rules.residual_max**2 + error.misfit for error in errors.sets], f32),
         disagreement_max=f32(1.0 if plan.order_vote else rules.disagreement_max),
         edge_margin=f32(ORDERS.edge_margin_px),
         noise_constant=f32(errors.noise.constant),

@@ -157,7 +157,8 @@ def _chi2_and_share_inside(
     measured: AxisPhases, position: Floats, ends: tuple[Floats, Floats]
 ) -> tuple[Floats, Floats]:
     """χ² of a position's orders, and the share of its mean's distribution that lies between the ends."""
-    off, weight = _distances(measured, position), measured.position_sigma**-2
+    off = _distances(measured, position)
+    weight = 1.0 / (measured.noise + measured.counted_share * measured.common)
     total = weight.sum(axis=0)
     moment = np.sum(weight * off, axis=0)
     mean, per_sigma = position + moment / total, np.sqrt(0.5 * total)

@@ -37,6 +37,7 @@ class Recipe(NamedTuple):
     causes: NDArray[np.int64]  # the set that tells most of each
     least_separation: NDArray[np.float64]  # of each axis, see `Alternatives`
     edge_shift: NDArray[np.float64]  # of each axis, see `Alternatives`
+    counted_share: NDArray[np.float64]  # of each axis' variance by common errors, for orders
     order_margin: NDArray[np.float64]  # `edge_margin` as a share of each axis' length
     wrong_order_max: float  # greatest probability of a wrong order; infinite where orders stay as unwrapped
     reference: int  # the set whose modulation is reported
@@ -44,7 +45,7 @@ class Recipe(NamedTuple):
     full_scale: np.float32  # raw value from which on a sample is saturated
     modulation_min: np.float32  # as in `MaskRules`, in 8-bit grey levels
     contrast_min: np.float32  # as in `MaskRules`, in 8-bit grey levels
-    residual_max: np.float32  # as in `MaskRules`, in 8-bit grey levels
+    misfit_max: NDArray[np.float32]  # mean square misfit of each set as a share of B², harmonics included
     disagreement_max: np.float32  # as in `MaskRules`, in 8-bit grey levels
     edge_margin: np.float32  # how far beyond the projector's edge a coordinate may lie besides its noise
     noise_constant: np.float32  # variance of a grey level

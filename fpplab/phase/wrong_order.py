@@ -71,13 +71,13 @@ def settle_orders(
             continue
         limits = (unwrapping[_u(i) + LOW] - margin, unwrapping[_u(i) + HIGH] + margin)
         odds, likeliest, sign, which = _compare_shifts(
-            axis, recipe, unwrapping, fusion, offsets, weights, i, limits
+            axis, recipe, unwrapping, fusion, offsets, weights, shares, i, limits
         )
         moves = 0
         while likeliest > 1.0 and moves < ORDERS.max_moves:
             _shift_order(axis, recipe, unwrapping, offsets, i, sign, which)
             odds, likeliest, sign, which = _compare_shifts(
-                axis, recipe, unwrapping, fusion, offsets, weights, i, limits
+                axis, recipe, unwrapping, fusion, offsets, weights, shares, i, limits
             )
             moves += 1
         if moves > 0:
@@ -96,20 +96,28 @@ def settle_orders(
 
 @compiled
 def _compare_shifts(
-    axis: int, recipe: Any, unwrapping: Any, fusion: Any, offsets: Any, weights: Any, pixel: int, limits: Any
+    axis: int,
+    recipe: Any,
+    unwrapping: Any,
+    fusion: Any,
+    offsets: Any,
+    weights: Any,
+    shares: Any,
+    pixel: int,
+    limits: Any,
 ) -> tuple[float, float, float, int]:
     """Odds of all shifted positions of one pixel together; of the likeliest its own, its sign and index."""
     first, last = recipe.alternatives[axis], recipe.alternatives[axis + 1]
     position = unwrapping[_u(pixel)]
     beyond = ORDERS.beyond_sigmas / math.sqrt(fusion[_u(pixel) + FINEST])
     low, high = limits[0] - position, limits[1] - position
-    best, mean, total = _chi2_of_shift(axis, recipe, offsets, weights, pixel, 0.0, first)
+    best, mean, total = _chi2_of_shift(axis, recipe, offsets, weights, shares, pixel, 0.0, first)
     inside = max(_share_within(mean, total, low, high), ORDERS.min_share_inside)
     odds, likeliest, direction, which = 0.0, -1.0, 0.0, first
     for r in range(first, last):
         for sign in (-1.0, 1.0):
             if low - beyond <= sign * recipe.shifts[r] <= high + beyond:
-                other, mean, total = _chi2_of_shift(axis, recipe, offsets, weights, pixel, sign, r)
+                other, mean, total = _chi2_of_shift(axis, recipe, offsets, weights, shares, pixel, sign, r)
                 if other - best > 2.0 * ORDERS.max_log_odds:
                     continue
                 share = _share_within(mean, total, low, high)
@@ -201,7 +209,14 @@ def _mark_and_count_uncleared(
 
 @compiled
 def _chi2_of_shift(
-    axis: int, recipe: Any, offsets: Any, weights: Any, pixel: int, sign: float, shift_index: int
+    axis: int,
+    recipe: Any,
+    offsets: Any,
+    weights: Any,
+    shares: Any,
+    pixel: int,
+    sign: float,
+    shift_index: int,
 ) -> tuple[float, float, float]:
     """χ² of one pixel's sets with the orders of a shifted position, their mean, and its inverse variance.
 
@@ -215,7 +230,8 @@ def _chi2_of_shift(
             from_finest = 0.0 if s == recipe.finest[axis] else offsets[s, pixel] * stripes
             turn = from_finest - sign * recipe.shift_turns[shift_index, s]
             distance = (turn - math.floor(turn + 0.5)) / stripes
-            weight = weights[s, pixel]
+            noise = shares[s, pixel]
+            weight = weights[s, pixel] / (noise + recipe.counted_share[axis] * (1.0 - noise))
             total += weight
             moment += weight * distance
             square += weight * distance * distance

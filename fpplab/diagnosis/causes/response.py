@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -18,6 +19,7 @@ from fpplab.diagnosis.fringe_shape import (
 )
 from fpplab.diagnosis.limits import LimitsSection
 from fpplab.diagnosis.sample import FrameSample
+from fpplab.phase.bent_phases import exponent_of_second_harmonic
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -29,7 +31,7 @@ class ResponseLimits(LimitsSection):
     section: ClassVar[str] = "response"
 
     max_harmonics_share: Positive = 0.15
-    """Harmonics as a share of the fringes. Derived: beyond it pixels are masked as no sinusoids."""
+    """Harmonics as a share of the fringes. Chosen: those of an exponent of 1.53."""
     unexplained_harmonics_ratio: Positive = 2.0
     """Phase error by harmonics compared with what a power law explains, above which 'fpplab gamma' does not
     correct it. Measured on benches of the limits."""
@@ -58,7 +60,7 @@ def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
     if share > limits.max_harmonics_share:
         text = (
             f"harmonics of the response are {100 * share:.0f} % of the fringes (at most "
-            f"{100 * limits.max_harmonics_share:g} %)"
+            f"{100 * limits.max_harmonics_share:g} %){_fitted_exponent(sample)}"
         )
         yield Finding(RESPONSE, text, share / limits.max_harmonics_share)
         return
@@ -66,10 +68,18 @@ def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
         return
     rad = max(harmonics_of_power_law_rad(sample), max(phase_ripples(sample), default=0.0))
     min_rad = evidence.limits.of(FringeShapeLimits).min_harmonic_rad
-    if (
-        finding := phase_error_finding(sample, RESPONSE, rad, min_rad, "harmonics of the response")
-    ) is not None:
-        yield finding
+    finding = phase_error_finding(sample, RESPONSE, rad, min_rad, "harmonics of the response")
+    if finding is not None:
+        yield replace(finding, evidence=finding.evidence + _fitted_exponent(sample))
+
+
+def _fitted_exponent(sample: FrameSample) -> str:
+    """Say which power law fits the frames; nothing where a measured response is known instead."""
+    shares = [errors.harmonics[0] for errors in sample.errors.sets if np.isfinite(errors.harmonics[0])]
+    if sample.recording.response is not None or not shares:
+        return ""
+    exponent = exponent_of_second_harmonic(float(max(shares, key=abs)))
+    return f"; the frames are those of a response with the exponent (gamma) {exponent:.2f}"
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure:
@@ -89,4 +99,6 @@ RESPONSE = FaultCause(
     detectors=(Detector(DetectionStage.FRAMES, _find),),
     picture=Picture(Needs.FRAMES, _draw),
     side_effects=frozenset({"wrong_resolution", "stale_calibration"}),
+    # The third harmonic of wide fringes moves the mean of three images, as motion does.
+    outweighs_from={"vibration": 0.5},
 )
