@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -37,7 +38,9 @@ def exponent_of_phases(phases: Floats, origins_rad: Floats, sequences: Sequence[
         # Where phases are drawn together, so is their noise, which is no agreement.
         return float(np.mean(variances)) / stretch
 
-    shares = np.linspace(*BENT_PHASES.second_harmonics, BENT_PHASES.trials)
+    ratio = max(f.stripes / c.stripes for s in compared for c, f in pairwise(s.wavelengths))
+    trials = BENT_PHASES.min_trials + math.ceil(BENT_PHASES.trials_per_ratio * ratio)
+    shares = np.linspace(*BENT_PHASES.second_harmonics, trials)
     tried = np.array([contradiction(share) for share in shares])
     if tried.min() > BENT_PHASES.max_contradiction:
         return float("nan")
@@ -50,7 +53,7 @@ def exponent_of_phases(phases: Floats, origins_rad: Floats, sequences: Sequence[
     costs = weight * tried + (shares / COMMON_ERRORS.harmonic_prior) ** 2
     best, step = shares[np.argmin(costs)], shares[1] - shares[0]
     fitted = minimize_scalar(
-        cost, bounds=(best - step, best + step), method="bounded", options={"xatol": 1e-4}
+        cost, bounds=(best - step, best + step), method="bounded", options={"xatol": 1e-3}
     )
     return exponent_of_second_harmonic(float(fitted.x))
 

@@ -148,13 +148,15 @@ class CommonErrorLimits(NamedTuple):
 class BentPhaseLimits(NamedTuple):
     """Limits of the search for the exponent that makes phases of three images agree."""
 
-    pixels: int = 1000
-    """Pixels that are compared, about. Chosen: the exponent is then known to 0.01."""
+    pixels: int = 500
+    """Pixels that are compared, at least. Chosen: the exponent is then known to 0.02."""
     second_harmonics: tuple[float, float] = (-0.2, 0.45)
     """Second harmonics as shares of the fringe that are searched. Chosen: exponents 0.5 to 3.45."""
-    trials: int = 27
-    """Exponents that are tried before the best is refined. Chosen: the phases of two sets of 1 and 64 stripes
-    then agree at more than one."""
+    min_trials: int = 4
+    """Exponents that are tried, besides those of the next limit, before the best is refined. Chosen."""
+    trials_per_ratio: float = 0.4
+    """Exponents that are tried for each unit of the ratio of stripes. Derived: from one to the next, phases
+    then change by less than a radian."""
     end_turns: float = 0.05
     """Part of the widest period at each of its ends in which pixels are left out. Chosen."""
     max_contradiction: float = 0.5
@@ -164,8 +166,46 @@ class BentPhaseLimits(NamedTuple):
     """The same that noise makes at least. Chosen: keeps noise-free frames solvable."""
 
 
+class BiasedOrderLimits(NamedTuple):
+    """Limits of the search for orders that a bias between the sets has changed."""
+
+    step_px: int = 8
+    """Distance of the pixels whose contradictions are followed, in px. Chosen."""
+    min_disagreement: float = 3.0
+    """Disagreement of sets, in units of what noise explains, that may be a bias. Chosen: noise exceeds it at
+    one pixel in 370."""
+    min_neighbours: int = 3
+    """Pixels of nine neighbours that disagree so much from which on a bias is looked for. Chosen: noise
+    hardly ever does that."""
+    max_noise_turns: float = 0.05
+    """Greatest noise of a phase in turns of a pixel that is looked at. Chosen, as that of `OutsideLimits`."""
+    min_lit_share: float = 0.4
+    """Share of nine neighbours that are. Chosen."""
+    max_scatter_turns: float = 0.2
+    """Greatest scatter of the contradiction between neighbours, in periods of the finer set. Derived: half a
+    period is less than three standard deviations beyond."""
+    beyond_sigmas: float = 4.0
+    """How many standard deviations of its scatter a contradiction must stay below half a period. Chosen:
+    chance exceeds it at one pixel in 16,000."""
+    min_bias_turns: float = 0.1
+    """Bias in periods of the finer set that is never doubted. Chosen: noise alone decides there."""
+    min_majority: float = 3.0
+    """How many times more pixels the greatest part with one order needs than any other for it to be taken as
+    right. Chosen."""
+    margin_steps: int = 1
+    """Distances of pixels around a bias that are left out too. Chosen: an edge may lie between them."""
+    near_period: float = 0.1
+    """How near to whole periods a jump of the coordinate is one of orders, in periods. Chosen: a fifth of the
+    jumps at edges is by chance."""
+    min_jumps: int = 12
+    """Jumps by whole periods, beyond those by others, from which on all are looked for. Chosen."""
+    min_border_px: int = 12
+    """Length in px of a border of such jumps between two parts. Chosen."""
+
+
 ORDERS = OrderLimits()
 OUTSIDE = OutsideLimits()
 NOISE = PhaseNoiseLimits()
 COMMON_ERRORS = CommonErrorLimits()
 BENT_PHASES = BentPhaseLimits()
+BIASED_ORDERS = BiasedOrderLimits()
