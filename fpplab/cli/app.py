@@ -214,6 +214,14 @@ DepthOption = Annotated[
         "`depth_mm` of the plan, or else of the rig file.",
     ),
 ]
+CertificateFolder = Annotated[
+    Path | None,
+    typer.Option(
+        "--certificate",
+        metavar="FOLDER",
+        help="Of certificate.pem and key.pem, for a scheduler beyond this computer.",
+    ),
+]
 Out = Annotated[Path, typer.Option("--out", help="Where the result goes.")]
 ReportOption = Annotated[
     Path | None, typer.Option("--report", help="Write a report: one HTML file to read, print and forward.")

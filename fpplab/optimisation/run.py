@@ -20,6 +20,7 @@ from fpplab.optimisation.candidate_runner import (
     CandidateObserver,
     CandidateRunner,
 )
+from fpplab.optimisation.cluster import Meeting
 from fpplab.optimisation.figures import MeasuredCandidate
 from fpplab.optimisation.limits import RigLimits
 from fpplab.optimisation.measuring import RigEvaluator, RigEvaluatorFactory
@@ -46,7 +47,7 @@ def run_search(
     source: str,
     *,
     workers: int | None = 1,
-    scheduler: str | None = None,
+    scheduler: Meeting | None = None,
     factory: EvaluatorFactory | None = None,
     observe: CandidateObserver = ignore,
     progress: Progress = no_progress,

@@ -7,40 +7,15 @@ from __future__ import annotations
 
 import logging
 import math
-import os
-import socket
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import astuple, dataclass
+from dataclasses import astuple
 from typing import Any, Protocol
 
 from fpplab.core.errors import CalibrationError, DataError, DeviceError
+from fpplab.optimisation import cluster
 from fpplab.optimisation.candidate import Candidate, Evaluator, Score
 from fpplab.optimisation.storage import ScoresOrReason
-
-
-@dataclass(frozen=True)
-class SchedulingLimits:
-    """Limits of a scheduler and of its workers."""
-
-    connect_timeout_s: float = 10.0
-    """Time that a scheduler may take to answer, and to have a worker. Chosen."""
-    max_worker_deaths: int = 10
-    """Workers that may die of one measurement before it is given up. Chosen."""
-
-
-LIMITS = SchedulingLimits()
-
-WORKER_ENVIRONMENT = {
-    "MALLOC_ARENA_MAX": 1,
-    "MALLOC_MMAP_THRESHOLD_": 32 << 20,
-    "MALLOC_TRIM_THRESHOLD_": 1 << 30,
-}
-"""Environment of a worker, for glibc: freed memory is kept for the next image, which needs as much again.
-
-dask's own setting returns it to the system after every array, so that pages are mapped again half a million
-times in each measurement, which takes a third of its time.
-"""
 
 Task = tuple[Candidate, int]
 """A candidate and a seed."""
@@ -138,36 +113,34 @@ def _close_on_worker() -> None:
 class DaskWorkers:
     """Measures on the workers of a `dask` scheduler: an existing one, or processes started here."""
 
-    def __init__(self, factory: EvaluatorFactory, workers: int = 1, address: str | None = None) -> None:
-        import dask
-        import distributed
-
-        library: Any = distributed
+    def __init__(
+        self,
+        factory: EvaluatorFactory,
+        workers: int = 1,
+        scheduler: cluster.Meeting | None = None,
+    ) -> None:
         self._factory = factory
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
         with ExitStack() as opening:
-            spawned = "distributed.nanny.pre-spawn-environ"  # must be set before the process starts
-            settings = {f"{spawned}.{name}": value for name, value in WORKER_ENVIRONMENT.items()}
-            settings["distributed.scheduler.allowed-failures"] = LIMITS.max_worker_deaths
-            opening.enter_context(dask.config.set(settings))
-            where: Any = address or opening.enter_context(_start_processes(library, workers))
-            self._client: Any = opening.enter_context(_connect(library, where))
+            opening.enter_context(cluster.dask_settings())
+            where: Any = scheduler or opening.enter_context(cluster.start_processes(workers))
+            self._client: Any = opening.enter_context(_connect(where))
             opening.callback(self._close_rigs)
-            if address is not None:
-                self._await_workers(address)
+            if scheduler is not None:
+                self._await_workers(scheduler.address)
             self._stack = opening.pop_all()
 
     def _await_workers(self, address: str) -> None:
         from distributed import TimeoutError as DaskTimeoutError
 
         try:
-            self._client.wait_for_workers(1, timeout=LIMITS.connect_timeout_s)
+            self._client.wait_for_workers(1, timeout=cluster.LIMITS.connect_timeout_s)
         except DaskTimeoutError as error:
             raise DeviceError(
                 "scheduler",
                 "connect",
                 f"'{address}' has no workers",
-                f"start some with `dask worker {address}` where fpplab is installed",
+                f"start some with `fpplab cluster --join {address}`",
             ) from error
 
     def measure(self, tasks: Sequence[Task], on_outcome: OutcomeCallback) -> None:
@@ -192,7 +165,7 @@ class DaskWorkers:
             raise DeviceError(
                 "scheduler",
                 "measure",
-                f"{LIMITS.max_worker_deaths} workers died of one measurement",
+                f"{cluster.LIMITS.max_worker_deaths} workers died of one measurement",
                 "check their memory and their logs, and run the same command again",
             ) from error
         return outcome
@@ -205,45 +178,26 @@ class DaskWorkers:
         self._stack.close()
 
 
-def _connect(library: Any, where: Any) -> Any:
-    """Open a client of a cluster started here, or of the scheduler at an address."""
+def _connect(where: Any) -> Any:
+    """Open a client of a cluster started here, or of the scheduler that is met at an address."""
+    import distributed
+
+    library: Any = distributed
+    if not isinstance(where, cluster.Meeting):
+        return library.Client(where, timeout=cluster.LIMITS.connect_timeout_s)
+    where.await_scheduler()
     try:
-        if isinstance(where, str):
-            _await_greeting(library.comm, where)
-        return library.Client(where, timeout=LIMITS.connect_timeout_s)
-    except (OSError, ValueError, ImportError) as error:
+        return library.Client(
+            where.address, timeout=cluster.LIMITS.connect_timeout_s, security=where.security
+        )
+    except OSError as error:
         raise DeviceError(
-            "scheduler",
-            "connect",
-            f"nothing answers at '{where}' ({error})",
-            "start one with `dask scheduler`, and its workers with `dask worker`",
+            "scheduler", "connect", f"what answers at '{where.address}' is no scheduler ({error})"
         ) from error
 
 
-def _await_greeting(addresses: Any, where: str) -> None:
-    """Wait until a scheduler greets: the library's client waits for ever where something else listens."""
-    with socket.create_connection(
-        addresses.get_address_host_port(where), LIMITS.connect_timeout_s
-    ) as connection:
-        encrypted = addresses.parse_address(where)[0] != "tcp"  # then the client speaks first
-        if not encrypted and not connection.recv(1):
-            raise OSError("what listens there is no scheduler")
-
-
-def _start_processes(library: Any, workers: int) -> Any:
-    """Start worker processes on this computer, which share its cores."""
-    threads = max(1, (os.cpu_count() or 1) // workers)
-    return library.LocalCluster(
-        n_workers=workers,
-        threads_per_worker=1,
-        processes=True,
-        dashboard_address="127.0.0.1:0",
-        env={"NUMBA_NUM_THREADS": str(threads)},
-    )
-
-
-def make_workers(factory: EvaluatorFactory, count: int, address: str | None) -> Workers:
+def make_workers(factory: EvaluatorFactory, count: int, scheduler: cluster.Meeting | None) -> Workers:
     """Choose who measures: this process for one worker, other processes for more, or those of a scheduler."""
-    if count == 1 and address is None:
+    if count == 1 and scheduler is None:
         return InProcessWorkers(factory)
-    return DaskWorkers(factory, count, address)
+    return DaskWorkers(factory, count, scheduler)

@@ -33,6 +33,7 @@ class OptimisationRequest:
     out: Path  # plan (.yaml); of `pareto` the folder of its plans
     workers: int | None = None  # processes that measure
     scheduler: str | None = None  # address of a dask scheduler whose workers measure
+    certificate: Path | None = None  # folder of the one that the scheduler is met with
     confirm: str | None = None  # rig on which the plan found is compared with the start's
     force: bool = False  # whether existing files are replaced
 
@@ -71,6 +72,7 @@ def run_optimisation(request: OptimisationRequest, observer: Observer | None = N
     need_extra("distributed")
 
     from fpplab.optimisation import confirm_result, run
+    from fpplab.optimisation.cluster import Meeting
     from fpplab.optimisation.verdict import diagnose_search
     from fpplab.report.optimisation import write_optimisation_report
     from fpplab.results.search import OptimisationResult
@@ -78,6 +80,7 @@ def run_optimisation(request: OptimisationRequest, observer: Observer | None = N
     observer = observer or Observer()
     if request.confirm:
         confirm_result.check_confirmable(request.confirm, request.study, request.study_name)
+    scheduler = Meeting.at(request.scheduler, request.certificate) if request.scheduler else None
     stopwatch = Stopwatch()
     with observer.stage("Searching") as progress:
         search = run.run_search(
@@ -87,7 +90,7 @@ def run_optimisation(request: OptimisationRequest, observer: Observer | None = N
             request.out,
             request.study_name,
             workers=request.workers,
-            scheduler=request.scheduler,
+            scheduler=scheduler,
             observe=observer.result,
             progress=progress,
         )

@@ -55,6 +55,9 @@ BAD: dict[str, tuple[str, dict[str, Any], list[str], int, str]] = {
     "no scheduler": (
         "stripes", {}, ["--scheduler", "tcp://127.0.0.1:9"], 3, "nothing answers at 'tcp://127.0.0.1:9'",
     ),
+    "scheduler of others": (
+        "stripes", {}, ["--scheduler", "tcp://192.168.1.20:8786"], 2, "beyond this computer",
+    ),
     "scheduler and workers": (
         "stripes", {}, ["--scheduler", "tcp://127.0.0.1:9", "--workers", "2"], 2, "give one",
     ),

@@ -30,9 +30,19 @@ PAGES = sorted(page for page in DOCS.rglob("*.md") if "decisions" not in page.pa
 TESTED_BY_THEMSELVES = {"first-day.md": "test_first_day.py", "write-a-driver.md": "test_write_a_driver.py"}
 """Pages of instruments that have to be emulated."""
 RUN = [page for page in PAGES if page.name not in TESTED_BY_THEMSELVES]
-ELSEWHERE = {"hardware.md", "set-up-live.md", "scan-with-a-screen.md", "images-from-elsewhere.md"}
-"""Pages whose commands need instruments or recordings of others; that these have such options is tested."""
-NOT_OURS = ("sudo", "python3", "make", "git", "pip", ".venv/bin/pip", ".venv/bin/python", "cd", "export")
+ELSEWHERE = {
+    "hardware.md",
+    "set-up-live.md",
+    "scan-with-a-screen.md",
+    "images-from-elsewhere.md",
+    "several-computers.md",
+}
+"""Pages whose commands need instruments, other computers or recordings of others; that these have such
+options is tested."""
+NOT_OURS = (
+    *("sudo", "python3", "make", "git", "pip", ".venv/bin/pip", ".venv/bin/python"),
+    *("cd", "export", "mkdir", "chmod", "openssl"),
+)
 """What the lines of `sh` blocks may begin with."""
 
 

@@ -14,14 +14,14 @@ import numpy as np
 import pytest
 
 from fpplab.core.errors import DeviceError, LimitError
-from fpplab.optimisation import scheduling
+from fpplab.optimisation import cluster
 from fpplab.optimisation.candidate import Candidate, Fringes, Score
 from fpplab.optimisation.candidate_runner import BudgetExhausted, CandidateRunner
+from fpplab.optimisation.cluster import Meeting, SchedulingLimits
 from fpplab.optimisation.scheduling import (
     DaskWorkers,
     EvaluatorFactory,
     InProcessWorkers,
-    SchedulingLimits,
     Task,
     Workers,
     make_workers,
@@ -46,9 +46,9 @@ def measured(workers: Workers, tasks: list[Task]) -> dict[int, ScoresOrReason]:
 
 @pytest.fixture(scope="module")
 def pair() -> Iterator[DaskWorkers]:
-    cluster = DaskWorkers(Formula(noise_um=2.0), workers=2)
-    yield cluster
-    cluster.close()
+    workers = DaskWorkers(Formula(noise_um=2.0), workers=2)
+    yield workers
+    workers.close()
 
 
 def opening(factory: EvaluatorFactory, pair: DaskWorkers) -> DaskWorkers:
@@ -82,11 +82,11 @@ def test_optimum_and_order_do_not_depend_on_the_number_of_workers(tmp_path: Path
 @pytest.mark.whole
 def test_measurement_of_a_killed_worker_is_repeated(tmp_path: Path) -> None:
     formula = Formula(dies_once=tmp_path / "died")
-    cluster = DaskWorkers(formula, workers=2)
+    workers = DaskWorkers(formula, workers=2)
     try:
-        found = measured(cluster, TASKS)
+        found = measured(workers, TASKS)
     finally:
-        cluster.close()
+        workers.close()
     assert (tmp_path / "died").exists()
     assert found == measured(InProcessWorkers(Formula()), TASKS)
 
@@ -139,44 +139,36 @@ def test_rig_fault_is_raised_from_the_worker_process(pair: DaskWorkers) -> None:
 
 
 def test_missing_scheduler_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scheduling, "LIMITS", SchedulingLimits(connect_timeout_s=0.5))
+    monkeypatch.setattr(cluster, "LIMITS", SchedulingLimits(connect_timeout_s=0.5))
     with socket.create_server(("127.0.0.1", 0)) as closed:
         port = closed.getsockname()[1]
     with pytest.raises(DeviceError, match=f"nothing answers at 'tcp://127.0.0.1:{port}'"):
-        DaskWorkers(Formula(), address=f"tcp://127.0.0.1:{port}")
+        DaskWorkers(Formula(), scheduler=Meeting.at(f"tcp://127.0.0.1:{port}", None))
 
 
 @pytest.mark.whole
 def test_scheduler_without_workers_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scheduling, "LIMITS", SchedulingLimits(connect_timeout_s=0.5))
+    monkeypatch.setattr(cluster, "LIMITS", SchedulingLimits(connect_timeout_s=0.5))
     distributed: Any = pytest.importorskip("distributed")
     with distributed.LocalCluster(n_workers=0, dashboard_address="127.0.0.1:0") as empty:
         address = empty.scheduler_address
         with pytest.raises(DeviceError, match=f"'{address}' has no workers"):
-            DaskWorkers(Formula(), address=address)
+            DaskWorkers(Formula(), scheduler=Meeting.at(address, None))
 
 
 @pytest.mark.whole
 def test_workers_of_an_existing_scheduler_measure(pair: DaskWorkers) -> None:
-    elsewhere = DaskWorkers(Formula(noise_um=2.0), address=pair._client.scheduler.address)
+    address = pair._client.scheduler.address
+    elsewhere = DaskWorkers(Formula(noise_um=2.0), scheduler=Meeting.at(address, None))
     try:
         assert measured(elsewhere, TASKS) == measured(InProcessWorkers(Formula(noise_um=2.0)), TASKS)
     finally:
         elsewhere.close()
 
 
-@pytest.mark.parametrize(
-    "address", ["nonsense", "http://127.0.0.1:1", "tcp://127.0.0.1", "tcp://127.0.0.1:1"]
-)
-def test_invalid_scheduler_address_is_reported(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scheduling, "LIMITS", SchedulingLimits(connect_timeout_s=0.5))
-    with pytest.raises(DeviceError, match="start one with `dask scheduler`"):
-        DaskWorkers(Formula(), address=address)
-
-
 def test_listener_that_is_no_scheduler_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scheduling, "LIMITS", SchedulingLimits(connect_timeout_s=0.5))
+    monkeypatch.setattr(cluster, "LIMITS", SchedulingLimits(connect_timeout_s=0.5))
     with socket.create_server(("127.0.0.1", 0)) as silent:
         address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
         with pytest.raises(DeviceError, match=f"nothing answers at '{address}'"):
-            DaskWorkers(Formula(), address=address)
+            DaskWorkers(Formula(), scheduler=Meeting.at(address, None))

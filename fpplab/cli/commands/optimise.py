@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fpplab.cli import console
-from fpplab.cli.app import TWIN, Force, Json, RigName, app
+from fpplab.cli.app import TWIN, CertificateFolder, Force, Json, RigName, app
 from fpplab.cli.completion import names_of
 from fpplab.cli.viewing import KeepOpen, ViewOption, observe_search
 from fpplab.core.errors import ConfigError
@@ -50,6 +50,7 @@ def optimise_command(
     scheduler: Annotated[
         str | None, typer.Option("--scheduler", help="Address of a `dask` scheduler whose workers measure.")
     ] = None,
+    certificate: CertificateFolder = None,
     confirm: Annotated[
         str | None,
         typer.Option(
@@ -89,6 +90,7 @@ def optimise_command(
         out=out,
         workers=workers,
         scheduler=scheduler,
+        certificate=certificate,
         confirm=confirm,
         force=force,
     )

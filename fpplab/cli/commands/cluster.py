@@ -1,0 +1,51 @@
+"""`fpplab cluster`: a scheduler and workers, on one or several computers, that measure for searches."""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+from contextlib import suppress
+from typing import Annotated
+
+import typer
+
+from fpplab.cli import console
+from fpplab.cli.app import TWIN, CertificateFolder, Json, app
+
+
+@app.command("cluster", rich_help_panel=TWIN)
+def cluster_command(
+    listen: Annotated[
+        str, typer.Option("--listen", help="Address at which others join.")
+    ] = "tcp://127.0.0.1:8786",
+    join: Annotated[
+        str | None, typer.Option("--join", help="Scheduler to join with workers, instead of serving one.")
+    ] = None,
+    certificate: CertificateFolder = None,
+    workers: Annotated[
+        int | None,
+        typer.Option("--workers", min=0, help="Processes that measure here; by default one for every core."),
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Serve a scheduler and workers for `fpplab optimise --scheduler`, until Ctrl-C.
+
+    Other computers add theirs with --join. Whoever reaches a scheduler has its computers run code: without
+    a certificate it listens to this computer alone, and with one nobody connects who lacks its key.
+
+    Example: `fpplab cluster --listen tls://192.168.1.20:8786 --certificate lab`
+    """
+    from fpplab.optimisation.cluster import run_workers, serve_scheduler
+
+    count = (os.cpu_count() or 1) if workers is None else workers
+    with suppress(KeyboardInterrupt):
+        if join is not None:
+            console.log_status(f"{count} workers for {join}; Ctrl-C ends them.")
+            run_workers(join, certificate, max(1, count))
+            return
+        with serve_scheduler(listen, certificate, count) as address:
+            console.print_result({"scheduler": address, "workers": count}, json)
+            sys.stdout.flush()  # whoever reads it waits for it
+            console.log_status("Ctrl-C ends it.")
+            threading.Event().wait()
