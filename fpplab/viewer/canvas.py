@@ -1,12 +1,13 @@
 """What all views draw with: pictures, maps with their colour bars, curves, points, devices, in rerun's terms.
 
-A canvas writes to one or more of rerun's streams at once: the server's, and a file's.
+A canvas writes to one or two of rerun's streams at once: the server's, and a file's.
 """
 
 from __future__ import annotations
 
 import math
 import os
+from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, Self, TypeVar
@@ -36,15 +37,15 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 class Canvas:
     """Streams of rerun that are drawn on; used in a `with` block, which completes them."""
 
-    def __init__(self, address: str | None = None, file: Path | None = None) -> None:
+    def __init__(self, send: Callable[[bytes], object] | None = None, file: Path | None = None) -> None:
         os.environ.setdefault("RUST_LOG", "off")  # rerun prints what its errors say anyway
         import rerun as rr
 
         rr.set_strict_mode(True)
-        self._live = rr.RecordingStream("fpplab") if address else None
+        self._live = rr.RecordingStream("fpplab") if send else None
         self._kept = rr.RecordingStream("fpplab") if file else None
-        if self._live:
-            self._live.connect_grpc(address)
+        self._send = send
+        self._unsent = rr.binary_stream(self._live) if self._live else None
         if self._kept and file:
             self._kept.save(file)
         self._bytes = 0
@@ -56,6 +57,7 @@ class Canvas:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self.pass_on()
         for stream in self._streams:
             stream.flush()  # waits until all is out
             stream.disconnect()
@@ -64,6 +66,11 @@ class Canvas:
     @property
     def _streams(self) -> tuple[Any, ...]:
         return tuple(stream for stream in (self._live, self._kept) if stream is not None)
+
+    def pass_on(self) -> None:
+        """Send the server what was drawn since the last time."""
+        if self._live and self._send and self._unsent:
+            self._send(self._unsent.read(flush=True) or b"")
 
     def leave_server(self) -> None:
         """Draw on the file alone from now on: the server has ended."""

@@ -1,12 +1,16 @@
-"""The process that runs rerun's program, serves its page, and ends with the process that started it.
+"""The process that serves the viewer's page, or feeds its window.
 
 It is started by `fpplab.viewer.server`, not imported, and needs the standard library alone. Its standard
-input is a pipe from its parent: when that ends, because the parent wants so or because it was killed, rerun
-is ended too. It reports on standard output, a line of JSON each: its address, then whenever the last page
-in a browser is closed.
+input is a pipe from its parent, with the recording as it grows: when that ends, because the parent wants so
+or because it was killed, this process ends, and rerun with it. It reports on standard output, a line of JSON
+each: its address, then whenever the last page in a browser is closed.
+
+rerun's own server gives what is recorded to any page of any site that is open in a browser here, so none runs
+while there is anything to see. The page reads the recording from the server in this process, which answers
+only who knows its random token, by its own name and from its own page; a window gets it through a pipe.
 
 rerun's own page sends usage statistics and loads fonts from the network. It is not used: the page here loads
-rerun's compiled viewer, under a content security policy that lets it reach nothing but this computer.
+rerun's compiled viewer, under a content security policy that lets it reach nothing but this server.
 """
 
 from __future__ import annotations
@@ -15,16 +19,19 @@ import ctypes
 import http.client
 import json
 import os
+import secrets
 import shutil
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
+from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
@@ -33,38 +40,69 @@ LOCAL = "127.0.0.1"
 START_TIMEOUT_S = 20.0
 """Longest time in s that rerun may take to start (chosen)."""
 MEMORY_LIMIT = "1GB"
-"""Memory limit of rerun's server (chosen)."""
-OWN_FILES = {"/": "page.html", "/page.css": "page.css", "/page.js": "page.js"}
+"""Memory limit of rerun's window (chosen)."""
+MAX_BYTES, FIRST_MESSAGES = 1 << 30, 200
+"""Bytes of a growing recording that are kept for pages opened later, and how many of its first messages are
+among them in any case (chosen)."""
+OWN_FILES = {"": "page.html", "page.css": "page.css", "page.js": "page.js"}
 """Files of the page that are fpplab's."""
-CONTENT_TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
-RERUN_FILES = ("/re_viewer.js", "/re_viewer_bg.wasm", "/favicon.svg")
+RERUN_FILES = ("re_viewer.js", "re_viewer_bg.wasm", "favicon.svg")
 """Files of the page that rerun's program contains."""
+RECORDING = "recording.rrd"
+CONTENT_TYPES = {
+    ".html": "text/html",
+    ".css": "text/css",
+    ".js": "text/javascript",
+    ".wasm": "application/wasm",
+    ".svg": "image/svg+xml",
+}
+POLICY = "; ".join(
+    (
+        "default-src 'none'",
+        "script-src 'self' 'wasm-unsafe-eval'",
+        "style-src 'self'",
+        "img-src 'self' data: blob:",
+        "connect-src 'self'",
+        "base-uri 'none'",
+        "form-action 'none'",
+        f"frame-ancestors http://{LOCAL}:*",  # the page of the set-up
+    )
+)
+"""What the page may load and connect to."""
+HEADERS = {
+    "Content-Security-Policy": POLICY,
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "X-DNS-Prefetch-Control": "off",
+    "Cache-Control": "no-store",
+}
 PR_SET_PDEATHSIG = 1
 """Linux's number of the option that sets the signal at the end of the parent."""
 
 
-def run(program: str, kind: str, files: list[str]) -> None:
-    """Run rerun until it ends, or standard input does."""
+def run(program: str, kind: str, file: str) -> None:
+    """Serve a file, or else what comes on standard input, until that ends or the window is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which then ends this process
-    home = tempfile.mkdtemp(prefix="fpplab-viewer-")
+    home = Path(tempfile.mkdtemp(prefix="fpplab-viewer-"))
     rerun: subprocess.Popen[bytes] | None = None
     try:
-        data, raw = _find_free_ports(2)
-        rerun = _start_rerun(program, kind, files, data, raw, Path(home))
-        threading.Thread(target=_end_with_parent, args=(rerun,), daemon=True).start()
-        for port in (data, raw) if kind == "browser" else (data,):
-            _wait_until_listening(rerun, port, Path(home) / "log")
-        where = {"data": f"rerun+http://{LOCAL}:{data}/proxy", "pid": rerun.pid, "page": "window"}
         if kind == "browser":
-            where["page"] = _serve_page(data, raw)
-        _report(where)
-        rerun.wait()
+            _fetch_rerun_files(program, home)
+            growing = GrowingRecording()
+            recording = partial(_parts_of, Path(file)) if file else growing.messages
+            _report({"page": Page(home, recording).address})
+            _receive(growing.add)
+        else:
+            rerun = _open_window(program, file, home)
+            threading.Thread(target=_feed_window, args=(rerun,), daemon=True).start()
+            _report({"page": "window"})
+            rerun.wait()
     except OSError as error:
         _report({"fault": str(error)})
     finally:
         if rerun is not None:
-            rerun.kill()
-            rerun.wait()
+            _end(rerun)
         shutil.rmtree(home, ignore_errors=True)
 
 
@@ -74,8 +112,51 @@ def _report(values: dict[str, Any]) -> None:
         sys.stdout.flush()
 
 
+def _fetch_rerun_files(program: str, home: Path) -> None:
+    """Have rerun serve what its page consists of, once, and end it before there is anything to see."""
+    data, web = _find_free_ports(2)
+    options = ["--port", str(data), "--serve-web", "--web-viewer-port", str(web)]
+    rerun = _start_rerun(program, options, home)
+    try:
+        _wait_until(lambda: _is_listening(web), rerun, home)
+        for name in RERUN_FILES:
+            source = http.client.HTTPConnection(LOCAL, web, timeout=START_TIMEOUT_S)
+            source.request("GET", f"/{name}")
+            with (home / name).open("wb") as stream:
+                shutil.copyfileobj(source.getresponse(), stream, 1 << 20)
+            source.close()
+    finally:
+        _end(rerun)
+
+
+def _open_window(program: str, file: str, home: Path) -> subprocess.Popen[bytes]:
+    """Open rerun's window on a file, or on what it gets on its standard input.
+
+    It would serve what it shows, unless it is told that another program does: a port here that never answers.
+    """
+    with socket.create_server((LOCAL, 0)) as other:
+        other.settimeout(0.05)
+        address = f"rerun+http://{LOCAL}:{other.getsockname()[1]}/proxy"
+        options = ["--connect", address, "--memory-limit", MEMORY_LIMIT]
+        rerun = _start_rerun(program, [file or "-", *options], home, stdin=subprocess.PIPE)
+        connections: list[socket.socket] = []
+
+        def is_connected() -> bool:
+            with suppress(TimeoutError):
+                connections.append(other.accept()[0])
+            return bool(connections)
+
+        _wait_until(is_connected, rerun, home)
+    _never_answered.extend(connections)
+    return rerun
+
+
+_never_answered: list[socket.socket] = []
+"""Connections of windows, which are kept open."""
+
+
 def _start_rerun(
-    program: str, kind: str, files: list[str], data: int, raw: int, home: Path
+    program: str, options: list[str], home: Path, stdin: int = subprocess.DEVNULL
 ) -> subprocess.Popen[bytes]:
     """Start rerun, with settings of its own in which it sends no usage statistics."""
     environment = {**os.environ, "XDG_CONFIG_HOME": str(home), "RUST_LOG": "warn"}
@@ -88,21 +169,21 @@ def _start_rerun(
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )
-    command = [program, *files, "--bind", LOCAL, "--port", str(data), "--hide-welcome-screen"]
-    if kind == "browser":
-        command += ["--serve-web", "--web-viewer-port", str(raw), "--server-memory-limit", MEMORY_LIMIT]
-    else:
-        command += ["--memory-limit", MEMORY_LIMIT]
-        command += [] if files else ["--expect-data-soon"]
+    command = [program, *options, "--bind", LOCAL, "--hide-welcome-screen"]
     with (home / "log").open("wb") as log:
         return subprocess.Popen(
             command,
-            stdin=subprocess.DEVNULL,
+            stdin=stdin,
             stdout=log,
             stderr=log,
             env=environment,
-            preexec_fn=_dying_with_parent(),  # noqa: PLW1509 - no other thread yet
+            preexec_fn=_dying_with_parent(),  # noqa: PLW1509 - no other thread holds a lock then
         )
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    process.kill()
+    process.wait()
 
 
 def _dying_with_parent() -> Callable[[], None] | None:
@@ -113,22 +194,30 @@ def _dying_with_parent() -> Callable[[], None] | None:
     return lambda: libc.prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
-def _end_with_parent(rerun: subprocess.Popen[bytes]) -> None:
+def _feed_window(rerun: subprocess.Popen[bytes]) -> None:
+    """Pass the recording on to the window, and end it with the recording."""
+    assert rerun.stdin is not None
     with suppress(OSError):
-        sys.stdin.buffer.read()
+        _receive(rerun.stdin.write, rerun.stdin.flush)
     rerun.kill()
 
 
-def _wait_until_listening(rerun: subprocess.Popen[bytes], port: int, log: Path) -> None:
+def _wait_until(done: Callable[[], bool], rerun: subprocess.Popen[bytes], home: Path) -> None:
     deadline = time.monotonic() + START_TIMEOUT_S
     while time.monotonic() < deadline:
-        if rerun.poll() is not None:
-            output = log.read_text(errors="replace").strip().splitlines()
-            raise OSError(f"rerun ended: {output[-1] if output else 'no reason given'}")
-        with suppress(OSError), socket.create_connection((LOCAL, port), 1.0):
+        if done():
             return
+        if rerun.poll() is not None:
+            output = (home / "log").read_text(errors="replace").strip().splitlines()
+            raise OSError(f"rerun ended: {output[-1] if output else 'no reason given'}")
         time.sleep(0.05)
     raise OSError(f"rerun did not start within {START_TIMEOUT_S:g} s")
+
+
+def _is_listening(port: int) -> bool:
+    with suppress(OSError), socket.create_connection((LOCAL, port), 1.0):
+        return True
+    return False
 
 
 def _find_free_ports(count: int) -> list[int]:
@@ -139,98 +228,144 @@ def _find_free_ports(count: int) -> list[int]:
     return ports
 
 
-def _serve_page(data: int, raw: int) -> str:
-    """Serve the page in threads of this process; return its address."""
-
-    class Handler(_PageHandler):
-        data_port, raw_port = data, raw
-
-    server = ThreadingHTTPServer((LOCAL, 0), Handler)
-    server.daemon_threads = True
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    return f"http://{LOCAL}:{server.server_address[1]}/"
+def _parts_of(path: Path) -> Iterator[bytes]:
+    with path.open("rb") as stream:
+        while part := stream.read(1 << 20):
+            yield part
 
 
-def _policy(data_port: int) -> str:
-    """What the page may load, and what it may connect to."""
-    return "; ".join(
-        (
-            "default-src 'none'",
-            "script-src 'self' 'wasm-unsafe-eval'",
-            "style-src 'self'",
-            "img-src 'self' data: blob:",
-            f"connect-src 'self' http://{LOCAL}:{data_port}",
-            "base-uri 'none'",
-            "form-action 'none'",
-            f"frame-ancestors http://{LOCAL}:*",  # the page of the set-up
-        )
-    )
+class GrowingRecording:
+    """Messages of a recording: its beginning, which has what stays, and its end, if it is long."""
+
+    def __init__(self) -> None:
+        self._messages: dict[int, bytes] = {}
+        self._count = self._bytes = self._after_gap = 0
+        self._changed = threading.Condition()
+
+    def add(self, message: bytes) -> None:
+        """Add a message."""
+        with self._changed:
+            self._messages[self._count] = message
+            self._count += 1
+            self._bytes += len(message)
+            while self._bytes > MAX_BYTES and len(self._messages) > FIRST_MESSAGES:
+                dropped = max(self._after_gap, FIRST_MESSAGES)
+                self._bytes -= len(self._messages.pop(dropped))
+                self._after_gap = dropped + 1
+            self._changed.notify_all()
+
+    def messages(self) -> Iterator[bytes]:
+        """Give the messages from the first, without end: those to come are waited for."""
+        number = 0
+        while True:
+            with self._changed:
+                while number >= self._count:
+                    self._changed.wait()
+                number = number if number in self._messages else self._after_gap
+                message = self._messages[number]
+            number += 1
+            yield message
+
+
+def _receive(add: Callable[[bytes], object], flush: Callable[[], object] = lambda: None) -> None:
+    """Take a recording in pieces, of which each is a recording by itself: a head, messages, an end."""
+    stream, begun = sys.stdin.buffer, False
+    while len(start := stream.read(4)) == 4:
+        if start == b"RRF2":
+            head = start + stream.read(8)
+            if not begun:
+                add(head)
+            begun = True
+            continue
+        head = start + stream.read(12)
+        kind, length = struct.unpack("<QQ", head)
+        content = stream.read(length)
+        if kind:
+            add(head + content)
+        else:  # the end of a piece
+            flush()
+
+
+class Page:
+    """The page and its recording, served in threads of this process to who knows their address."""
+
+    def __init__(self, home: Path, recording: Callable[[], Iterable[bytes]]) -> None:
+        self.home, self.recording = home, recording
+        self.open_pages = 0
+        self.lock = threading.Lock()
+
+        class Handler(_PageHandler):
+            page = self
+
+        server = ThreadingHTTPServer((LOCAL, 0), Handler)
+        server.daemon_threads = True
+        self.host = f"{LOCAL}:{server.server_address[1]}"
+        self.path = f"/{secrets.token_urlsafe(18)}/"
+        self.address = f"http://{self.host}{self.path}"
+        threading.Thread(target=server.serve_forever, daemon=True).start()
 
 
 class _PageHandler(BaseHTTPRequestHandler):
-    data_port: int
-    raw_port: int
-    _open_pages = 0
-    _lock = threading.Lock()
+    page: Page
+    timeout = 30.0
 
     def do_GET(self) -> None:
         """Answer one request of the page."""
-        address = f"{LOCAL}:{self.connection.getsockname()[1]}"
-        if self.headers.get("Host") != address:  # a foreign name that was pointed at this computer
+        name = self._name()
+        if name is None:
             self.send_error(403)
-        elif self.path in OWN_FILES:
-            self._own(OWN_FILES[self.path])
-        elif self.path in RERUN_FILES:
-            self._relayed()
-        elif self.path == "/open":
+        elif name in OWN_FILES:
+            self._send(_parts_of(Path(__file__).parent / "web" / OWN_FILES[name]), OWN_FILES[name])
+        elif name in RERUN_FILES:
+            self._send(_parts_of(self.page.home / name), name)
+        elif name == RECORDING:
+            self._send(self.page.recording(), name)
+        elif name == "open":
             self._stay_open()
         else:
             self.send_error(404)
+
+    def _name(self) -> str | None:
+        """What is asked for; None where it is not the page itself that asks."""
+        page = self.page
+        is_own = (
+            self.headers.get("Host") == page.host
+        )  # else a foreign name that was pointed at this computer
+        is_own &= self.headers.get("Origin") in (None, f"http://{page.host}")
+        given, own = self.path[: len(page.path)].encode(), page.path.encode()
+        return self.path[len(page.path) :] if secrets.compare_digest(given, own) and is_own else None
 
     def log_message(self, format: str, *args: Any) -> None:  # noqa: A002 - the name of the overridden method
         """Log nothing."""
 
     def _head(self, kind: str) -> None:
         self.send_response(200)
-        self.send_header("Content-Type", kind)
-        self.send_header("Content-Security-Policy", _policy(self.data_port))
-        self.send_header("Referrer-Policy", "no-referrer")
-        self.send_header("X-DNS-Prefetch-Control", "off")
-        self.send_header("Cache-Control", "no-store")
+        for name, value in {"Content-Type": kind, **HEADERS}.items():
+            self.send_header(name, value)
         self.end_headers()
 
-    def _own(self, name: str) -> None:
-        text = (Path(__file__).parent / "web" / name).read_text()
-        recording = f"rerun+http://{LOCAL}:{self.data_port}/proxy"
-        self._head(CONTENT_TYPES[Path(name).suffix])
-        self.wfile.write(text.replace("{{recording}}", recording).encode())
-
-    def _relayed(self) -> None:
-        source = http.client.HTTPConnection(LOCAL, self.raw_port, timeout=START_TIMEOUT_S)
-        try:
-            source.request("GET", self.path)
-            answer = source.getresponse()
-            self._head(answer.getheader("Content-Type", "application/octet-stream"))
-            with suppress(OSError):  # the page was closed
-                shutil.copyfileobj(answer, self.wfile, 1 << 20)
-        finally:
-            source.close()
+    def _send(self, parts: Iterable[bytes], name: str) -> None:
+        self._head(CONTENT_TYPES.get(Path(name).suffix, "application/octet-stream"))
+        with suppress(OSError):  # the page was closed
+            for part in parts:
+                self.wfile.write(part)
 
     def _stay_open(self) -> None:
         """Keep a request open for as long as its page is, and report when the last one is closed."""
-        cls = _PageHandler
-        with cls._lock:
-            cls._open_pages += 1
+        page = self.page
+        with page.lock:
+            page.open_pages += 1
+        self.connection.settimeout(None)
         self._head("text/plain")
         with suppress(OSError):
             self.wfile.flush()
             self.connection.recv(1)  # ends when the browser closes the connection
-        with cls._lock:
-            cls._open_pages -= 1
+        with page.lock:
+            page.open_pages -= 1
         time.sleep(2.0)  # a page that is only loaded again is open by then
-        if cls._open_pages == 0:
+        if page.open_pages == 0:
             _report({"closed": True})
 
 
 if __name__ == "__main__":
-    run(sys.argv[1], sys.argv[2], sys.argv[3:])
+    run(*sys.argv[1:])

@@ -62,8 +62,9 @@ def _draw(report: Any) -> None:
 
         from fpplab.viewer.canvas import Canvas
 
-        canvas = stack.enter_context(Canvas(server.data if server else None, draft))
+        canvas = stack.enter_context(Canvas(server.send if server else None, draft))
         view = opening.view(canvas)
+        canvas.pass_on()
         # The pipe ends with the command, in the middle of a message if it was killed.
         with suppress(EOFError, pickle.UnpicklingError):
             while True:
@@ -77,6 +78,7 @@ def _draw(report: Any) -> None:
                 else:
                     method, args = message
                     method(view, *args)
+                    canvas.pass_on()
 
 
 def _watch(server: ViewerServer, report: Any) -> None:

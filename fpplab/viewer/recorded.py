@@ -62,7 +62,7 @@ def view_recording(
     with path.open("rb") as stream:
         if stream.read(4) != b"RRF2":
             raise DataError(f"{path}: is no recording of the viewer, or is damaged; view its session instead")
-    server = open_server(shown, (path,))
+    server = open_server(shown, path)
     try:
         with suppress(KeyboardInterrupt):
             announce(server.page)

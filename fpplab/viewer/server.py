@@ -1,4 +1,4 @@
-"""The server of the viewer: rerun's own program, in a window or behind a page, on this computer alone."""
+"""The server of the viewer: rerun's program in a window, or a page, on this computer alone."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal
@@ -27,31 +26,27 @@ a share of the processor whatever its niceness."""
 
 
 class ViewerServer:
-    """The process of rerun, reachable from this computer only; it ends with the process that started it."""
+    """The process that serves the viewer, to who has its address; it ends with the one that started it."""
 
-    def __init__(self, kind: ServerKind, files: Sequence[Path] = ()) -> None:
-        command = [
-            sys.executable,
-            "-I",
-            host.__file__,
-            _find_rerun_program(),
-            kind,
-            *(str(path) for path in files),
-        ]
+    def __init__(self, kind: ServerKind, file: Path | None = None) -> None:
+        shown = str(file.absolute()) if file else ""
+        command = [sys.executable, "-I", host.__file__, _find_rerun_program(), kind, shown]
         self._process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, process_group=PROCESS_GROUP, bufsize=0
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, process_group=PROCESS_GROUP
         )
         atexit.register(self.stop)
         where = self._next_report()
-        if "data" not in where:
+        if "page" not in where:
             self.stop()
             raise DeviceError("viewer", "open", where.get("fault", "its process ended"))
-        self.data, self.page, self._pid = str(where["data"]), str(where["page"]), int(where["pid"])
+        self.page = str(where["page"])
 
-    @property
-    def pid(self) -> int:
-        """Identifier of rerun's process."""
-        return self._pid
+    def send(self, recording: bytes) -> None:
+        """Show a piece of a recording, unless the process has ended."""
+        assert self._process.stdin is not None
+        with suppress(OSError):
+            self._process.stdin.write(recording)
+            self._process.stdin.flush()
 
     @property
     def runs(self) -> bool:
@@ -87,14 +82,14 @@ class ViewerServer:
         return {}
 
 
-def open_server(shown: ViewerPlace, files: Sequence[Path] = ()) -> ViewerServer:
-    """Open a window or a page."""
+def open_server(shown: ViewerPlace, file: Path | None = None) -> ViewerServer:
+    """Open a window or a page, of a recording or of what will be sent."""
     if shown != "anywhere":
-        return ViewerServer(shown, files)
+        return ViewerServer(shown, file)
     if has_display():
         with suppress(DeviceError):
-            return ViewerServer("window", files)
-    return ViewerServer("browser", files)
+            return ViewerServer("window", file)
+    return ViewerServer("browser", file)
 
 
 def has_display() -> bool:

@@ -178,7 +178,7 @@ class Viewer(Generic[V]):
 
     def _send(self) -> None:
         """Start the process and write the queue to it until that ends; runs in a thread."""
-        command = [sys.executable, "-m", "fpplab.viewer.process"]
+        command = [sys.executable, "-P", "-m", "fpplab.viewer.process"]
         try:
             self._process = process = subprocess.Popen(
                 command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, process_group=PROCESS_GROUP

@@ -24,13 +24,13 @@ async function start() {
   offerEightAttachments();
   await wasm_bindgen(fetch("re_viewer_bg.wasm"));
   const viewer = new wasm_bindgen.WebHandle({
-    url: [document.body.dataset.recording],
     hide_welcome_screen: true,
     enable_history: false,
     notebook: false,
     persist: false,
   });
   await viewer.start(document.getElementById("canvas"));
+  viewer.add_receiver(new URL("recording.rrd", location.href).href, true); // shown up to its last moment
   message.remove();
 }
 
