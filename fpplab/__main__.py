@@ -1,12 +1,32 @@
 """The program `fpplab`, and `python -m fpplab`."""
 
 import os
-import signal
 import sys
+
+
+def forget_working_directory() -> None:
+    """Take the working directory from where Python looks for modules, unless the program itself lies there.
+
+    `python -m` puts it first, so that any file there could pass for a library; processes that are started
+    later do without it too.
+    """
+    program = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+    if not sys.flags.safe_path and sys.path[:1] == [os.getcwd()] and sys.path[0] != program:
+        del sys.path[0]
+    sys.path[:] = [place for place in sys.path if place]
+    os.environ["PYTHONSAFEPATH"] = "1"
+
+
+if __name__ == "__main__":
+    forget_working_directory()  # before anything else is imported
+
+# Built into Python: to import `signal` takes as long as all that comes before the first signal is heard.
+import _signal  # type: ignore[import-not-found] # noqa: E402
 
 
 def main() -> None:
     """Run the command that `sys.argv` names; an interruption while the program is loaded ends it too."""
+    forget_working_directory()
     hear_signals()
     from fpplab.core import interrupts
 
@@ -26,9 +46,9 @@ def main() -> None:
 
 def hear_signals() -> None:
     """Have an interruption end the process: nothing has begun. Before this Python itself dies of it."""
-    for number in {signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)}:
-        if signal.getsignal(number) is not signal.SIG_IGN:
-            signal.signal(number, lambda *_: os._exit(130))
+    for number in {_signal.SIGINT, _signal.SIGTERM, getattr(_signal, "SIGHUP", _signal.SIGTERM)}:
+        if _signal.getsignal(number) is not _signal.SIG_IGN:
+            _signal.signal(number, lambda *_: os._exit(130))
 
 
 def open_standard_streams() -> None:
@@ -39,17 +59,5 @@ def open_standard_streams() -> None:
             setattr(sys, name, os.fdopen(number, mode, encoding="utf-8"))
 
 
-def forget_working_directory() -> None:
-    """Take the working directory from where Python looks for modules, unless the program itself lies there.
-
-    `python -m` puts it first, so that any file there could pass for a library.
-    """
-    program = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
-    if not sys.flags.safe_path and sys.path[:1] == [os.getcwd()] and sys.path[0] != program:
-        del sys.path[0]
-    sys.path[:] = [place for place in sys.path if place]
-
-
 if __name__ == "__main__":
-    forget_working_directory()
     main()

@@ -9,15 +9,16 @@ import os
 import sys
 import time
 import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, RenderableType
 from rich.markup import escape
+from rich.segment import Segment
 
-from fpplab.cli.tables import as_table, readable
+from fpplab.cli.tables import NOT_PRINTED, as_table, printable, readable
 from fpplab.core import interrupts
 from fpplab.core.errors import Cancelled, ConfigError, DataError, FppError
 from fpplab.core.extras import missing_extra
@@ -28,7 +29,16 @@ if TYPE_CHECKING:
 
 
 class _Reporting(Console):
-    """A console that leaves a reader who has gone to the caller; rich would end the process with code 1."""
+    """A console to which no text of a file or name can give orders, as escape sequences do.
+
+    A reader who has gone is left to the caller; rich would end the process with code 1.
+    """
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+        """Render what is printed, with characters that would not be seen written out."""
+        for segment in super().render(renderable, options):
+            is_text = not segment.control and NOT_PRINTED.search(segment.text)
+            yield Segment(printable(segment.text), segment.style) if is_text else segment
 
     def on_broken_pipe(self) -> None:
         raise  # noqa: PLE0704 - called where BrokenPipeError is handled
@@ -186,6 +196,8 @@ def _check_arguments(arguments: Sequence[str]) -> None:
         shown = argument.encode("utf-8", "replace").decode("utf-8")
         if shown != argument:
             raise ConfigError(f"{shown}: is not text in UTF-8; rename the file")
+        if NOT_PRINTED.search(argument):
+            raise ConfigError(f"{shown}: holds characters that cannot be seen; rename the file")
 
 
 def _end_with(error: BaseException, as_json: bool) -> NoReturn:

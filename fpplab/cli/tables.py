@@ -2,7 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
+
+NOT_PRINTED = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069\ufeff]")
+"""Characters that a terminal obeys instead of showing them, or that turn the order of others around."""
+
+
+def printable(text: str) -> str:
+    """Write out the characters that a terminal would obey, as Python does in strings."""
+    return NOT_PRINTED.sub(lambda match: match[0].encode("unicode_escape").decode(), text)
 
 
 def readable(value: Any) -> str:

@@ -72,10 +72,8 @@ def load_arrays(path: Path, names: Iterable[str] | None) -> dict[str, NDArray[An
                     names = [name.removesuffix(".npy") for name in members if name.endswith(".npy")]
                 chosen = {name: members[f"{name}.npy"] for name in names if f"{name}.npy" in members}
                 return {name: _array(archive, member) for name, member in chosen.items()}
-        except ValueError:
-            raise
         except Exception as error:  # the unpackers raise exceptions of any kind
-            raise ValueError(str(error) or type(error).__name__) from error
+            raise ValueError(" ".join(str(error).split()) or type(error).__name__) from error
 
 
 def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:

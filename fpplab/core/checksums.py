@@ -31,10 +31,10 @@ class RecordedFile:
     def of_line(cls, line: bytes) -> RecordedFile:
         """Read a line of the record."""
         entry = parse_object(line)
-        try:
-            return cls(entry["file"], entry["sha256"], entry.get("text"))
-        except KeyError as error:
-            raise ValueError(f"it has no field {error}") from None
+        file, sha256, text = (entry.get(name) for name in ("file", "sha256", "text"))
+        if not (isinstance(file, str) and isinstance(sha256, str) and isinstance(text, str | None)):
+            raise ValueError("its 'file', 'sha256' and 'text' are not all texts")
+        return cls(file, sha256, text)
 
     @classmethod
     def of_text(cls, file: str, text: str, keep: bool = True) -> RecordedFile:

@@ -189,7 +189,7 @@ def _correction(field: str, detail: Any) -> str:
     if kind.startswith("tuple") and isinstance(value, str):
         numbers = re.findall(r"\d+(?:\.\d+)?", value)
         return f"; write [{', '.join(numbers)}]" if len(numbers) > 1 else ""
-    if kind.startswith("int") and isinstance(value, float) and value == int(value):
+    if kind.startswith("int") and isinstance(value, float) and value.is_integer():
         return f"; write {int(value)}"
     if isinstance(value, str) and kind.startswith(("float", "int")):
         unit = field.rpartition("_")[2].replace("um", "µm").rstrip("]0123456789[")

@@ -199,6 +199,16 @@ def write_by_name(path: Path, write: Callable[[Path], object]) -> None:
 
 
 @contextmanager
+def removed_on_failure(path: Path) -> Iterator[None]:
+    """Take away a page that was written before its result, where that cannot be written."""
+    try:
+        yield
+    except BaseException:
+        path.unlink(missing_ok=True)
+        raise
+
+
+@contextmanager
 def writing(path: Path) -> Iterator[None]:
     """Turn the system's refusal to write a path into `DataError`."""
     try:

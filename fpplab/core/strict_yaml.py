@@ -27,6 +27,8 @@ class YamlLimits:
 
 
 LIMITS = YamlLimits()
+TOO_DEEP = f"there are more than {LIMITS.max_depth} mappings and lists inside one another"
+TOO_MANY = f"there are more than {LIMITS.max_nodes} values, those that aliases repeat included"
 
 
 _SURROGATE = re.compile("[\ud800-\udfff]")
@@ -49,7 +51,11 @@ _RESOLVERS = (
 
 
 class _Loader(yaml.SafeLoader):
-    """Refuses tags, keys that are given twice, and what is too large or too deep."""
+    """Refuses tags, keys that are given twice, and what is too large or too deep, while it is composed."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(text)
+        self._depth = self._nodes = 0
 
     def get_single_node(self) -> yaml.Node | None:
         node = super().get_single_node()
@@ -64,7 +70,15 @@ class _Loader(yaml.SafeLoader):
             raise _refusal(
                 f"the tag '{tag}' is not allowed: values are words, numbers, lists, mappings", event
             )
-        return super().compose_node(parent, index)
+        self._nodes += 1
+        self._depth += 1
+        if self._depth > LIMITS.max_depth + 1:
+            raise _refusal(TOO_DEEP, event)
+        if self._nodes > LIMITS.max_nodes:
+            raise _refusal(TOO_MANY, event)
+        node = super().compose_node(parent, index)
+        self._depth -= 1
+        return node
 
 
 def _mapping(loader: _Loader, node: yaml.MappingNode) -> dict[Any, Any]:
@@ -90,7 +104,7 @@ for _tag, _pattern, _first in _RESOLVERS:
 def _measure(node: yaml.Node, counts: dict[int, int], depth: int) -> int:
     """Count the values of a node, each as often as aliases repeat it; refuse too many, or too deep ones."""
     if depth > LIMITS.max_depth:
-        raise _refusal(f"there are more than {LIMITS.max_depth} mappings and lists inside one another", node)
+        raise _refusal(TOO_DEEP, node)
     if isinstance(node, yaml.ScalarNode) and _SURROGATE.search(node.value):
         raise _refusal("a word holds half a character, a lone surrogate", node)
     if id(node) not in counts:
@@ -101,9 +115,7 @@ def _measure(node: yaml.Node, counts: dict[int, int], depth: int) -> int:
         for part in inside:
             count += _measure(part, counts, depth + 1)
             if count > LIMITS.max_nodes:
-                raise _refusal(
-                    f"there are more than {LIMITS.max_nodes} values, those that aliases repeat included", part
-                )
+                raise _refusal(TOO_MANY, part)
         counts[id(node)] = count
     if counts[id(node)] == 0:
         raise _refusal("an alias refers to a value that it is part of", node)
@@ -118,9 +130,4 @@ def load_yaml(text: str) -> Any:
     """Parse YAML text as plain data."""
     if len(text) > LIMITS.max_characters:
         raise ValueError(f"it has {len(text)} characters, more than {LIMITS.max_characters}")
-    try:
-        return yaml.load(text, _Loader)
-    except RecursionError:
-        raise ValueError(
-            f"there are more than {LIMITS.max_depth} mappings and lists inside one another"
-        ) from None
+    return yaml.load(text, _Loader)

@@ -24,6 +24,7 @@ from fpplab.core.session_names import (
     RIG,
     VERDICT,
 )
+from fpplab.core.units import readable_bytes
 from fpplab.sessions.inspection import session_faults
 from fpplab.sessions.limits import SESSION_LIMITS as LIMITS
 
@@ -86,18 +87,28 @@ def _contents_entry(entries: Sequence[ReportEntry]) -> ReportEntry:
 
 def _session_entries(path: Path, number: int, frames: bool) -> Iterator[ReportEntry]:
     folder = f"{number}_{path.resolve().name}"
-    for name, what in SMALL.items():
-        if (path / name).is_file():
-            yield ReportEntry(f"{folder}/{name}", _read(path / name), what)
+    taken = dict(SMALL)
+    if frames and not (path / FRAMES).is_symlink():
+        taken |= {f"{FRAMES}/{file.name}": "a frame" for file in sorted((path / FRAMES).glob("*.tif"))}
+    files = [path / name for name in taken if (path / name).is_file() and not (path / name).is_symlink()]
+    size = sum(file.stat().st_size for file in files)
+    if size > LIMITS.max_report_bytes:
+        raise ConfigError(
+            f"{path}: {readable_bytes(size)} would go into the bug report, more than "
+            f"{readable_bytes(LIMITS.max_report_bytes)}; send its frames by themselves"
+        )
+    for file in files:
+        name = file.relative_to(path).as_posix()
+        yield ReportEntry(f"{folder}/{name}", _read(file), taken[name])
     yield ReportEntry(f"{folder}/verified.txt", _verified(path), "what is wrong with the session's files")
-    if frames:
-        for file in sorted((path / FRAMES).glob("*.tif")):
-            yield ReportEntry(f"{folder}/{FRAMES}/{file.name}", _read(file), "a frame")
 
 
 def _verified(path: Path) -> bytes:
     try:
-        messages = [fault.message for fault in session_faults(path)] or ["nothing is damaged"]
+        links = [file.relative_to(path) for file in sorted(path.rglob("*")) if file.is_symlink()]
+        messages = [f"{name} is a symbolic link, which is not followed" for name in links]
+        if not links:  # a message could quote what one leads to
+            messages = [fault.message for fault in session_faults(path)] or ["nothing is damaged"]
     except FppError as error:
         messages = [str(error)]
     return ("\n".join(messages) + "\n").encode()

@@ -11,6 +11,8 @@ class SessionLimits:
 
     max_attachment_bytes: int = 64 << 20
     """Greatest size of a file that is no session in a bug report. Chosen."""
+    max_report_bytes: int = 1 << 30
+    """Greatest size in bytes of what a bug report takes of a session; it is held in memory. Chosen."""
     max_waiting_frames: int = 4
     """Frames that may wait for the disk; beyond them a full queue blocks the caller. Chosen."""
     min_grey_levels: int = 64

@@ -102,6 +102,7 @@ class Session:
 
     def __init__(self, path: Path, plan: Plan, rig: RigRecord, records: dict[int, FrameRecord]) -> None:
         self.path, self.plan, self._rig, self._records = path, plan, rig, records
+        self._disk: int | None = None
 
     def __repr__(self) -> str:
         return f"<Session {self.path}: {len(self._records)} of {self.plan.images} frames>"
@@ -382,6 +383,7 @@ class Session:
         DataError
             There is no space, the frame is recorded already, or the plan has another pattern there.
         """
+        self._check_disk()
         pattern = frame.pattern_id or ""
         check_frame_place(frame.index, pattern, pattern_ids(self.plan), self._records, self.path)
         name = frame_file(frame.index, pattern)
@@ -389,6 +391,15 @@ class Session:
         record = FrameRecord.of(frame, name, write_frame(self.path / name, image))
         append_line(self.path / JOURNAL, json.dumps(record.model_dump()))
         self._records[frame.index] = record
+
+    def _check_disk(self) -> None:
+        """Refuse to write where the session's disk has gone: it would lie beneath the place of the disk."""
+        disk = self.path.stat().st_dev if self.path.is_dir() else None
+        if disk is None or self._disk not in (None, disk):
+            raise DataError(
+                f"{self.path}: is not on its disk any more; connect that again and run the same command"
+            )
+        self._disk = disk
 
     def read(self, index: int, verify: bool = True) -> Image:
         """Read one frame, checked against the journal.

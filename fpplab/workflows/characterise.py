@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from fpplab.core.errors import CalibrationError, ConfigError
+from fpplab.core.files import removed_on_failure
 from fpplab.results.observer import Observer
 from fpplab.workflows.pose_causes import diagnosed_poses, with_causes
 
@@ -263,7 +264,8 @@ def _save_and_report(
         report_file=request.page,
     )
     write_characterisation_report(request.page, result)
-    fitted.calibration.save(request.out)  # last: its existence means that all is done
+    with removed_on_failure(request.page):
+        fitted.calibration.save(request.out)  # last: its existence means that all is done
     return result
 
 

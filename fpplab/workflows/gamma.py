@@ -66,14 +66,15 @@ def run_gamma(request: GammaRequest, observer: Observer | None = None) -> Respon
         observer.message(f"left out: {reason}")
     observer.result(result)
 
-    from fpplab.core.files import write_atomic
+    from fpplab.core.files import removed_on_failure, write_atomic
     from fpplab.report.response import write_response_report
     from fpplab.report.response_figures import response_fit
 
     picture = response_fit(result.response)
     write_response_report(request.page, result)
-    write_atomic(request.picture, lambda stream: stream.write(picture))
-    result.response.save(request.out)  # last: its existence means that all is done
+    with removed_on_failure(request.page), removed_on_failure(request.picture):
+        write_atomic(request.picture, lambda stream: stream.write(picture))
+        result.response.save(request.out)  # last: its existence means that all is done
     return result
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fpplab.core.arguments import object_or_file
+from fpplab.core.files import removed_on_failure
 from fpplab.core.progress import Progress, ignore, no_progress
 from fpplab.results.observer import Observer
 from fpplab.workflows.stopwatch import Stopwatch
@@ -95,10 +96,11 @@ def run_reconstruction(request: ReconstructionRequest, observer: Observer | None
             reconstruction, provenance, stopwatch.seconds, cloud_file=request.out, report_file=request.page
         )
         observer.result(result)
-        if request.page is not None:
+        if request.page is not None and request.out is not None:
             write_scan_report(request.page, result)
-        if request.out is not None and result.cloud is not None and not result.diagnosis.is_useless:
-            save_cloud(result.cloud, request.out)
+            if result.cloud is not None and not result.diagnosis.is_useless:
+                with removed_on_failure(request.page):
+                    save_cloud(result.cloud, request.out)
     return result
 
 

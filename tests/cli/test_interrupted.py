@@ -114,7 +114,7 @@ def test_names_that_no_file_can_have(fpplab: Command, option: str, tmp_path: Pat
 
 @pytest.mark.whole
 def test_the_working_directory_holds_no_libraries(tmp_path: Path) -> None:
-    for name in ("typer", "numpy", "mine"):
+    for name in ("signal", "threading", "typer", "numpy", "mine"):
         (tmp_path / f"{name}.py").write_text("raise SystemExit('imported')\n", encoding="utf-8")
     (tmp_path / "rig.yaml").write_text(
         'name: odd\ncamera: {backend: "mine:C"}\nprojector: {backend: "mine:P"}\n', encoding="utf-8"
@@ -132,11 +132,11 @@ FIRST = """
 import sys
 sys.path.insert(0, sys.argv[1])
 before = {*sys.modules}
-import signal
+import _signal
 def heard(*_):
     print(*sorted({*sys.modules} - before))
     sys.exit()
-signal.signal = heard
+_signal.signal = heard
 from fpplab.__main__ import main
 main()
 """
@@ -149,6 +149,6 @@ def test_signals_are_heard_before_anything_is_loaded() -> None:
     )
     loaded = done.stdout.split()
     assert "fpplab.__main__" in loaded
-    assert not {"typing", "re", "threading", "contextlib"} & {*loaded}
+    assert not {"signal", "enum", "typing", "re", "threading", "contextlib"} & {*loaded}
     own = {name for name in loaded if name.startswith("fpplab")}
     assert own == {"fpplab", "fpplab.__main__", "fpplab.core", "fpplab.core.version"}

@@ -55,6 +55,13 @@ def test_moves_out_of_the_travel_are_refused(stage: Stage) -> None:
     assert stage.state is State.IDLE
 
 
+def test_both_ends_of_the_travel_are_reached(stage: Stage) -> None:
+    stage.home()
+    for end in reversed(stage.caps.travel_mm):
+        assert stage.move_to(end) == pytest.approx(end, abs=TOLERANCE_MM)
+        assert stage.state is State.IDLE
+
+
 def test_after_a_halt_it_must_be_homed_again(stage: Stage) -> None:
     stage.home()
     stage.halt()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import os
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -132,6 +133,26 @@ def test_a_file_that_is_deleted_before_it_is_locked_is_made_again(
     with locked_file(tmp_path / "lock") as is_mine:
         assert is_mine
         assert (tmp_path / "lock").exists()
+
+
+def test_a_lock_on_the_file_before_the_present_one_is_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The file was deleted and made again, by another process, between opening and locking it."""
+    opened = []
+
+    def open_too_early(path: Path) -> int:
+        opened.append(open_lock(path))
+        if len(opened) == 1:
+            path.unlink()
+            path.touch()
+        return opened[-1]
+
+    monkeypatch.setattr("fpplab.core.lock.open_lock", open_too_early)
+    with locked_file(tmp_path / "lock") as is_mine:
+        assert is_mine
+        assert len(opened) == 2
+        assert os.path.samestat(os.fstat(opened[-1]), (tmp_path / "lock").stat())
 
 
 SESSION = """

@@ -291,6 +291,16 @@ def test_all_settings_go_into_a_file_and_come_back(
     assert camera.snap()
 
 
+def test_a_file_that_is_loaded_later_leaves_frames_raw_too(camera: BaslerCamera, tmp_path: Path) -> None:
+    file = tmp_path / "camera.pfs"
+    nodes = end(camera).instant
+    nodes.ReverseX.SetValue(True)
+    nodes.Gamma.SetValue(2.0)
+    camera.save_features(file)
+    camera.load_features(file)
+    assert (nodes.Gamma.GetValue(), nodes.ReverseX.GetValue()) == (1.0, False)
+
+
 def test_a_file_changes_what_the_camera_is(camera: BaslerCamera, tmp_path: Path) -> None:
     file = tmp_path / "camera.pfs"
     camera.save_features(file)

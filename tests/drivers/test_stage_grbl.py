@@ -126,6 +126,12 @@ def test_nothing_is_sent_for_a_target_outside_the_travel(bench: Bench) -> None:
     assert stage.state is State.IDLE
 
 
+def test_the_far_end_is_one_step_inside_the_limit_of_the_controller(bench: Bench) -> None:
+    stage = bench.homed()
+    limit_mm = bench.controller.settings.travel_mm(0) - PULL_OFF_MM
+    assert stage.caps.travel_mm == (0.0, pytest.approx(limit_mm - STEP_MM, abs=1e-9))
+
+
 def test_it_says_what_it_is(bench: Bench) -> None:
     bench.stage.open()
     info = bench.stage.info()

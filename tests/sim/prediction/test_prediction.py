@@ -20,6 +20,7 @@ from fpplab.phase import decode
 from fpplab.reconstruction.points import points_of
 from sim.bench import VirtualBench
 from sim.build import SceneState
+from sim.part_surface import PartSurface
 from sim.prediction import Discrepancy, MeasuredFigures, figures_of, predict
 from sim.prediction.discrepancy import Deviation
 from sim.prediction.figures import seen_surface
@@ -177,6 +178,21 @@ def test_the_interval_holds_what_bench_and_twin_differed_by(rig: Rig) -> None:
     assert wide.summary()["not_for"] == "wax"
     assert wide.summary()["matched"]
     assert not plain.summary()["matched"]
+
+
+@pytest.mark.whole
+def test_the_interval_holds_what_is_not_known_of_the_surface(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert isinstance(rig.simulation, VirtualBench)
+    sampler = type(rig.simulation.image_part_sampler())
+    ratios = []
+    for sigma in (0.0, 0.15):
+        surface = PartSurface(0.5, sigma={"reflectance": sigma})
+        monkeypatch.setattr(sampler, "surface", lambda self, item, surface=surface: surface)
+        figures = predict(rig, PLAN, ITEM, pixels=3_000).figures
+        ratios.append(figures["noise_um"].high / figures["noise_um"].value)
+    assert ratios[0] < np.exp(1.96 * 0.3) < ratios[1]  # a standard deviation of 0.15 of 0.5
 
 
 def test_what_cannot_be_predicted_is_refused(rig: Rig) -> None:

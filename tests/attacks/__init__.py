@@ -1,0 +1,1 @@
+"""Attacks by strangers: every one is refused, soon, and in little memory."""
