@@ -15,6 +15,7 @@ from fpplab.characterisation.parameters import ImageSize
 from fpplab.core import config
 from fpplab.core.conventions import Floats, Lattice
 from fpplab.core.errors import ConfigError, DataError
+from fpplab.core.file_kinds import naming_other_kinds
 from fpplab.targets import Target
 
 PIXELS = ("camera_u", "camera_v", "projector_u", "projector_v")
@@ -66,6 +67,11 @@ def load_point_list(source: PointListSource, target: Target) -> list[Observation
 
 def _rows(path: Path) -> Mapping[str, Sequence[str]]:
     """Read the columns of a table by name."""
+    with naming_other_kinds(path, "points"):
+        return _columns(path)
+
+
+def _columns(path: Path) -> Mapping[str, Sequence[str]]:
     lines = [line for line in config.read_text(path).splitlines() if line.strip()]
     if not lines:
         raise DataError(f"{path}: is empty; a table of points is expected")

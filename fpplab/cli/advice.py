@@ -80,9 +80,11 @@ FIELDS = {
 """Words that are no options since a file says them, and which."""
 
 
-def missing_option(path: str, option: str) -> str:
-    """Say of a command that an option is missing, and where its value comes from."""
-    return f"`{path}` needs {option}; {OPTION_HINTS.get(option, f'see `{path} --help`')}"
+def missing_option(path: str, option: str, purpose: str = "") -> str:
+    """Say of a command that an option is missing, and where its value comes from, or what it is for."""
+    if option in OPTION_HINTS or not purpose:
+        return f"`{path}` needs {option}; {OPTION_HINTS.get(option, f'see `{path} --help`')}"
+    return f"`{path}` needs {option}: {purpose}"
 
 
 def unknown_command(path: str, word: str, purposes: Mapping[str, str]) -> str:

@@ -23,7 +23,7 @@ from fpplab.core.file_kinds import (
     TARGET,
     describe_file,
 )  # fmt: skip
-from fpplab.core.units import corrected_number
+from fpplab.core.units import MM, SECONDS, corrected_number
 
 OPTIONS_OF_KIND = {
     CALIBRATION: ("--calibration",),
@@ -60,6 +60,11 @@ def usage_sentence(error: Any, words: Sequence[str], context: Any) -> str | None
             name = error.option_name.lstrip("-")
             if argument := next((each for each in params if each.opts[0] in (name, f"{name}s")), None):
                 return f"`{path}` takes {_metavar(argument)} without an option: {_purpose(argument)}"
+            commands = getattr(error.ctx.command, "commands", {})
+            for command in sorted(commands.values(), key=lambda command: command.name not in words):
+                if any(error.option_name in each.opts for each in command.params):
+                    place = f"behind its command, such as `{path} {command.name}`"
+                    return f"`{path}` has no option {error.option_name}; it stands {place}"
             options = [name for each in params for name in (*each.opts, *each.secondary_opts)]
             return unknown_option(path, error.option_name, options)
         case "MissingParameter" if param is not None:
@@ -69,7 +74,9 @@ def usage_sentence(error: Any, words: Sequence[str], context: Any) -> str | None
             if name in words:  # which the option before it has taken for its value
                 return f"{words[words.index(name) - 1]} is followed by {name} instead of its value"
             stray = misplaced_word(words[1:], name)
-            return f"`{path}` needs {name}; write {name} {stray}" if stray else missing_option(path, name)
+            if stray:
+                return f"`{path}` needs {name}; write {name} {stray}"
+            return missing_option(path, name, _purpose(param))
         case "BadOptionUsage":
             param = next((each for each in params if error.option_name in each.opts), None)
             return None if param is None else _too_few_values(param, _values(words, error.option_name, 1))
@@ -129,6 +136,10 @@ def _unexpected(path: str, extra: str, params: Sequence[Any], words: Sequence[st
     options = {name for each in params for name in each.opts}
     if option := next((each for each in _options_for(word) if each in options), None):
         return f"`{path}`: '{word}' stands without its option; write {option} {word}"
+    if word in (*MM, *SECONDS):
+        return f"`{path}`: '{word}' is a unit; give the number alone, in the unit of `{path} --help`"
+    if word.lower() in ("yes", "no", "true", "false", "on", "off", "0", "1"):
+        return f"`{path}`: '{word}' is too much; the option before it takes no value"
     if "--out" in options and "--out" not in words and not Path(word).exists():
         return f"`{path}`: '{word}' stands without its option; write --out {word} if it is to be written"
     arguments = [_metavar(each) for each in params if not each.opts[0].startswith("-")]

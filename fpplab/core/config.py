@@ -77,6 +77,8 @@ def parse_yaml(text: str, source: Path | str) -> Any:
         return load_yaml(text)
     except yaml.MarkedYAMLError as error:
         problem = error.problem or "not readable as YAML"
+        if "<stream end>" in problem:
+            raise ConfigError(f"{source}: ends within a list or mapping; it seems to be cut off") from error
         advice = next((advice for known, advice in _YAML_ADVICE.items() if problem.startswith(known)), None)
         # A line that is no pair is noticed in the one behind it.
         mark = error.context_mark if advice and error.context_mark else error.problem_mark

@@ -21,8 +21,8 @@ from fpplab.core.session_names import FRAMES, JOURNAL, PLAN
 from fpplab.core.signatures import kind_of
 
 WantedKind = Literal[
-    "calibration", "cloud", "dataset", "foreign calibration", "limits", "mesh", "plan", "response", "rig",
-    "session", "standard", "study", "tables", "target", "world",
+    "calibration", "cloud", "dataset", "foreign calibration", "limits", "maps", "mesh", "plan", "points",
+    "response", "rig", "session", "standard", "study", "tables", "target", "world",
 ]  # fmt: skip
 """What a command may need of a file or folder."""
 
@@ -33,8 +33,9 @@ RIG, PLAN_FILE, TARGET, WORLD = "a rig file", "a plan", "a target file", "a worl
 CALIBRATION, RESPONSE, LIMITS = "a calibration of fpplab", "a response file", "a file of limits"
 STANDARD, STUDY, DATASET = "a standard file", "a study file", "a file of ranges for a data set"
 SESSION, ANSWER, TABLE = "a session", "an answer of `--json`", "a table of numbers"
+IMAGES = "a folder of images"
 PLY, PLY_MESH, STL, OBJ = "a PLY file of points", "a PLY file with faces", "an STL mesh", "an OBJ mesh"
-JOURNAL_FILE, NPZ_CLOUD = "a journal of fpplab", "a cloud as NPZ"
+JOURNAL_FILE, NPZ_CLOUD, MAPS = "a journal of fpplab", "a cloud as NPZ", "an NPZ file of decoded maps"
 OPENCV, KALIBR, ROS = "a file of OpenCV's FileStorage", "a camchain of Kalibr", "a calibration of ROS"
 MRCAL, MATLAB, NPZ_CALIBRATION = "a camera model of mrcal", "a MATLAB file", "a calibration as NPZ"
 JSON, JSON_CALIBRATION = "a JSON file", "a calibration as JSON"
@@ -52,8 +53,10 @@ _WANTED: dict[WantedKind, tuple[tuple[str, ...], str]] = {
         "a calibration: fpplab's own, or one of OpenCV, Kalibr, ROS, mrcal or MATLAB",
     ),
     "limits": ((LIMITS,), "a file of limits (docs/verdicts.md)"),
+    "maps": ((MAPS,), "decoded maps, which `fpplab decode` writes"),
     "mesh": ((STL, PLY_MESH, OBJ), "a mesh of the true shape (.stl, .ply, .obj)"),
     "plan": ((PLAN_FILE,), "a plan, such as plan_paper; `fpplab plan guess` writes one from images"),
+    "points": ((TABLE,), "a table of a board's points as text, whose first row names its columns"),
     "response": ((RESPONSE,), "a response file, which `fpplab gamma` writes"),
     "rig": ((RIG,), "a rig file, such as rig_demo_quick; `fpplab rig new` writes one"),
     "session": (
@@ -136,6 +139,8 @@ def describe_file(path: Path) -> str | None:
         return PLY_MESH if re.search(rb"element face [1-9]", head) else PLY
     if len(head) >= 84 and size == 84 + 50 * int.from_bytes(head[80:84], "little"):
         return STL
+    if re.match(rb"P[1-7]\s", head):
+        return "a PGM or PPM picture"
     if _is_matlab_4(head):
         return MATLAB
     start = next((kind for start, kind in _STARTS.items() if head.startswith(start)), None)
@@ -162,7 +167,7 @@ def _describe_folder(path: Path) -> str:
         return "a folder of sessions"
     suffixes = {each.suffix.lower() for each in inside}
     if suffixes & {".png", ".tif", ".tiff", ".bmp", ".pgm", ".jpg", ".jpeg"}:
-        return "a folder of images"
+        return IMAGES
     return "a folder without a session" if inside else "an empty folder"
 
 
@@ -176,6 +181,8 @@ def _describe_archive(content: bytes) -> str:
         return "a ZIP archive"
     if "points" in arrays:
         return NPZ_CLOUD
+    if {"u", "v"} <= set(arrays):
+        return MAPS
     if _CALIBRATION_NAMES & set(arrays):
         return NPZ_CALIBRATION
     return f"an NPZ file of {', '.join(arrays[:6])}"

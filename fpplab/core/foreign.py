@@ -169,7 +169,7 @@ def read_opencv(content: bytes) -> Parts:
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
         root = storage.root()  # valid only as long as `storage` exists
         entries = {name: _opencv_value(root.getNode(name)) for name in root.keys()}  # noqa: SIM118
-    except cv2.error as error:
+    except (cv2.error, SystemError) as error:  # the latter where a matrix is cut off
         raise ValueError("OpenCV refuses it") from error
     return {name: np.asarray(value) for name, value in entries.items() if value is not None}
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from fpplab.core.archives import array_head, check_archive
 from fpplab.core.conventions import Image
 from fpplab.core.errors import DataError, FppError
+from fpplab.core.file_kinds import describe_file
 from fpplab.core.files import open_regular
 from fpplab.core.signatures import HEAD_BYTES, kind_of
 from fpplab.sessions.channels import NotGreyError
@@ -153,7 +154,7 @@ def _refuse_other_files(path: Path, head: bytes) -> None:
     kind = kind_of(head)
     if kind is None and head.startswith(SIGNATURES + TIFF_SIGNATURES):
         return
-    kind = kind or (f"no image: it begins with {head[:8].hex(' ')}" if head else "empty")
+    kind = kind or describe_file(path) or f"no image: it begins with {head[:8].hex(' ')}"
     raise DataError(f"{path}: is {kind}; save single images as PNG or TIFF (read are {READ_FORMATS})")
 
 

@@ -9,6 +9,7 @@ from pathlib import Path, PureWindowsPath
 
 from fpplab.core.config import read_text
 from fpplab.core.errors import ConfigError, DataError
+from fpplab.core.file_kinds import IMAGES, describe_file
 from fpplab.core.progress import Say, ignore
 from fpplab.sessions.image_files import ImagePlace, places_in
 from fpplab.sessions.image_names import NumberedNames, first_names, names_in
@@ -100,6 +101,8 @@ class ImageSelection:
             files = list(self.places)
             folders = [place for place in files if place.is_dir()]
             if folders:
+                if (kind := describe_file(folders[0])) != IMAGES:
+                    raise ConfigError(f"{folders[0]}: is {kind}; expected image files, or a folder of images")
                 raise ConfigError(
                     f"--frames is missing: say what the images in {folders[0]} are called, such as "
                     "'f_{index:02d}.png' or '*.png'"

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fpplab.core.errors import DataError
+from fpplab.core.file_kinds import naming_other_kinds
 from fpplab.results.observer import Observer
 from fpplab.workflows.stopwatch import Stopwatch
 
@@ -68,7 +69,8 @@ def run_triangulation(request: MapsRequest, observer: Observer | None = None) ->
     observer, stopwatch = observer or Observer(), Stopwatch()
     observer.calibration(request.calibration)
     with observer.stage("Triangulating") as progress:
-        decoded = Decoded.load(request.maps)
+        with naming_other_kinds(request.maps, "maps"):
+            decoded = Decoded.load(request.maps)
         observer.maps(decoded)
         cloud = triangulate(decoded, request.calibration)
         share = len(cloud) / max(int(decoded.valid.sum()), 1)

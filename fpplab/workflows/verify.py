@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fpplab.core.errors import ConfigError, DataError
-from fpplab.core.session_names import CLOUD
+from fpplab.core.session_names import CLOUD, JOURNAL
 from fpplab.results.observer import Observer
 from fpplab.workflows.stopwatch import Stopwatch
 
@@ -129,9 +129,9 @@ def _load_cloud(path: Path, calibration: Calibration | None) -> Cloud:
         return load_cloud(path)
     if calibration:
         return reconstruct_points(Session.open(path), calibration)[1]
-    if not (path / CLOUD).is_file():
+    if (path / JOURNAL).is_file() and not (path / CLOUD).is_file():
         raise DataError(f"{path}: holds no {CLOUD}; give --calibration to reconstruct it")
-    return load_cloud(path / CLOUD)
+    return load_cloud(path)
 
 
 def _scan_standard(

@@ -71,20 +71,21 @@ def export_command(
 
 def _kind_of(source: Path) -> str:
     from fpplab.clouds import READ_SUFFIXES
-    from fpplab.core.file_kinds import describe_file
+    from fpplab.core.file_kinds import FOREIGN_CALIBRATIONS, describe_file
 
     suffix = source.suffix.lower()
     if not source.exists():
         raise ConfigError(f"{source}: does not exist")
     if source.is_dir() or suffix in READ_SUFFIXES:
         return "cloud"
-    if suffix in (".yaml", ".yml"):
+    kind = describe_file(source)
+    if suffix in (".yaml", ".yml") or kind in FOREIGN_CALIBRATIONS:  # which the reader of calibrations names
         return "calibration"
     if suffix in (".json", ".jsonl"):
         return "tables"
-    kind = describe_file(source) or "of another kind by its name"
+    found = kind or "of another kind by its name"
     raise ConfigError(
-        f"{source}: is {kind}; expected a cloud ({', '.join(READ_SUFFIXES)}), a session, a calibration "
+        f"{source}: is {found}; expected a cloud ({', '.join(READ_SUFFIXES)}), a session, a calibration "
         "(.yaml), or an answer or journal of fpplab (.json, .jsonl)"
     )
 

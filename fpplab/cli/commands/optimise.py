@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 @app.command("optimise", rich_help_panel=TWIN)
 def optimise_command(
     context: typer.Context,
-    what: Annotated[SearchScope, typer.Argument(help="What to search.")],
+    what: Annotated[SearchScope, typer.Argument(help="What to search: phases, stripes, baseline or pareto.")],
     rig: RigName,
     out: Annotated[
         Path, typer.Option("--out", help="The plan (.yaml); of `pareto` the folder of its plans.")
