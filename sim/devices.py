@@ -99,7 +99,8 @@ class SimCamera(Camera):
     def _caps(self) -> CameraCaps:
         camera = self._bench.world.camera
         sensor = camera.sensor
-        return CameraCaps(camera.size, tuple(sensor.bits), sensor.exposure_s, sensor.gain_db, ("software",))
+        ranges = tuple(sensor.bits), sensor.exposure_s, sensor.gain_db
+        return CameraCaps(camera.size, *ranges, ("software",), offset=(0, 0))
 
     def _configure(self, settings: CameraSettings) -> CameraSettings:
         return settings

@@ -96,6 +96,7 @@ class GenicamCamera(Camera):
             self._triggers(),
             *self._row_times_s(),
             self._period_s(),
+            (int(features.read(named.OFFSET_X) or 0), int(features.read(named.OFFSET_Y) or 0)),
         )
 
     def _period_s(self) -> float | None:

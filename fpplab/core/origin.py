@@ -19,6 +19,12 @@ class DeviceIdentity(Document):
     """As the device reports it."""
     serial: str
     """As the device reports it; empty where it has none."""
+    offset_px: tuple[int, int] | None = None
+    """Of a camera: column and row of the sensor where its frames begin, in px; None where it is unknown."""
+
+    def is_same_device(self, other: DeviceIdentity) -> bool:
+        """Tell whether model and serial number are the same."""
+        return (self.model, self.serial) == (other.model, other.serial)
 
     @property
     def description(self) -> str:

@@ -57,6 +57,9 @@ class CameraCaps:
     period_s : float or None
         Shortest time in s from one hardware trigger to the next at the present settings: a camera ignores one
         that comes earlier. 0 where it is always ready; None where the camera does not report it.
+    offset : tuple of int or None
+        Column and row of the sensor where its frames begin, in px; None where the camera does not report it.
+        Images of another region have another calibration.
     """
 
     size: tuple[int, int]
@@ -67,6 +70,7 @@ class CameraCaps:
     readout_s: float = 0.0
     dark_s: float = 0.0
     period_s: float | None = None
+    offset: tuple[int, int] | None = None
 
     def __post_init__(self) -> None:
         for name in ("size", "bits", "exposure_s", "gain_db", "triggers"):

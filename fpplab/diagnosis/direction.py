@@ -32,11 +32,11 @@ def changes_along_image(coordinate: Map, calibration: Calibration, axis: Axis, s
     values = coordinate[:-1:stride, :-1:stride].astype(np.float64)
     right = coordinate[:-1:stride, 1::stride][:, : values.shape[1]] - values
     down = coordinate[1::stride, :-1:stride][: values.shape[0]] - values
-    expected = _change_along_image(calibration)["xy".index(axis)]
+    expected = expected_change(calibration)["xy".index(axis)]
     return np.asarray((right * expected[0] + down * expected[1]) / (expected @ expected))
 
 
-def _change_along_image(calibration: Calibration) -> Floats:
+def expected_change(calibration: Calibration) -> Floats:
     """Change of the projector's coordinates (u, v) by a pixel to the right and down, (2, 2)."""
     camera, pose = calibration.camera, calibration.T_projector_camera
     pixels = np.array(camera.size) / 2.0 + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])

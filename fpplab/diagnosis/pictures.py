@@ -16,6 +16,7 @@ from fpplab.core.drawing import (
     colour_bar,
     draw_map,
     map_axes,
+    new_figure,
     side_by_side,
     single_axes,
 )
@@ -41,6 +42,21 @@ def draw_sample_map(
     """Draw values of the pixels spread over the image."""
     figure, axes = map_axes(values.shape)
     colour_bar(figure, axes, draw_map(axes, values, colours, limits, sample_extent(sample)), label)
+    return figure
+
+
+def draw_phases_by_set(sample: FrameSample) -> Figure:
+    """Draw the wrapped phase of every fringe set, under the axis and number of stripes of the plan."""
+    sets = sample.recording.plan.fringes
+    columns = min(len(sets), 3)
+    rows = -(-len(sets) // columns)
+    figure = new_figure(2.4 * columns, 2.0 * rows)
+    panels = np.atleast_1d(figure.subplots(rows, columns, squeeze=False)).ravel()
+    for axes, fringe, fit in zip(panels, sets, sample.fits, strict=False):
+        axes.imshow(np.where(sample.lit, fit.phase, np.nan), cmap="twilight", vmin=-np.pi, vmax=np.pi)
+        axes.set_title(f"plan: {fringe.stripes:g} stripes along {fringe.axis}", fontsize=8)
+    for axes in panels:
+        axes.set_axis_off()
     return figure
 
 

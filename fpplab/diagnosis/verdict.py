@@ -141,8 +141,9 @@ def diagnose_scan(
     intended: Plan | None = None,
     foreign: str | None = None,
     limits: DiagnosisLimits = USUAL_LIMITS,
+    region_is_known: bool = True,
 ) -> Diagnosis:
-    """Judge a scan."""
+    """Judge a scan; `region_is_known` tells whether the images are known to show the calibration's region."""
     evidence = Evidence(
         recording, decoded, cloud, calibration, intended=intended, foreign=foreign, limits=limits
     )
@@ -151,10 +152,23 @@ def diagnose_scan(
         judged = Diagnosis(Verdict.USELESS, "there are no points", findings)
     else:
         one_axis = "stale_calibration: fringes along one axis alone do not show it"
-        unknown = (one_axis,) if cloud.epipolar_px is None else ()
+        unplaced = _unplaced(recording, cloud, region_is_known)
+        unknown = (one_axis,) * (cloud.epipolar_px is None) + (f"region: {unplaced}",) * bool(unplaced)
         judged = _judge_findings(evidence.frames, cloud, findings, unknown)
         judged = _by_criteria(judged, criteria_of(evidence.frames, decoded, cloud))
+        if judged.verdict is Verdict.GOOD and recording.is_imported:
+            judged = replace(judged, reason=f"{judged.reason}; not checked: {unplaced}")
     return replace(judged, changed_limits=limits.changes())
+
+
+def _unplaced(recording: Recording, cloud: Cloud, region_is_known: bool) -> str:
+    """Say what of the place of the images on the sensor nothing shows; empty where it is known."""
+    if region_is_known and not recording.is_imported:
+        return ""
+    text = "that the images show the same region of the sensor as those of the characterisation"
+    if recording.is_imported and cloud.epipolar_px is None:
+        text += ", and are not upside down"
+    return text
 
 
 def diagnose_poses(

@@ -22,7 +22,7 @@ from fpplab.reconstruction.triangulation import coordinate_noise
 from fpplab.reconstruction.uncertainty import with_uncertainty
 from fpplab.sessions.lock import exclusive_write
 from fpplab.sessions.log import begin_session_log
-from fpplab.sessions.origin import foreign_calibration
+from fpplab.sessions.origin import check_region, foreign_calibration
 from fpplab.sessions.session import Session
 
 
@@ -71,13 +71,16 @@ def reconstruct_session(
 ) -> Reconstruction:
     """Reconstruct a session and judge the result; nothing is written."""
     recording = checked_recording(session, calibration, depth_mm, progress, as_recorded=as_recorded)
+    is_placed = check_region(calibration, session)
     decoded, points = triangulate_recording(recording, calibration, filtering, progress, limits)
     observe_maps(decoded)
     if isinstance(points, Diagnosis):
         return Reconstruction(session, calibration, recording.depth, None, None, points)
     cloud = _with_sigmas(decoded, points, calibration, progress)
     foreign = foreign_calibration(calibration, session)
-    diagnosis = diagnose_scan(recording, decoded, cloud, calibration, foreign=foreign, limits=limits)
+    diagnosis = diagnose_scan(
+        recording, decoded, cloud, calibration, foreign=foreign, limits=limits, region_is_known=is_placed
+    )
     return Reconstruction(session, calibration, recording.depth, decoded, cloud, diagnosis)
 
 
@@ -90,6 +93,7 @@ def finish_scan(
     limits: DiagnosisLimits = USUAL_LIMITS,
 ) -> Reconstruction:
     """Reconstruct a complete session and leave every result in it; a useless cloud is not written."""
+    is_placed = check_region(calibration, session)
     recording = checked_recording(session, calibration, depth_mm, progress)
     with (
         exclusive_write(session.path),
@@ -113,7 +117,15 @@ def finish_scan(
         )
         try:
             foreign = foreign_calibration(calibration, session)
-            diagnosis = diagnose_scan(recording, decoded, cloud, calibration, foreign=foreign, limits=limits)
+            diagnosis = diagnose_scan(
+                recording,
+                decoded,
+                cloud,
+                calibration,
+                foreign=foreign,
+                limits=limits,
+                region_is_known=is_placed,
+            )
             save_diagnosis(diagnosis, session.path)
         except BaseException as error:
             verdict.set_exception(error)  # the writer waits for it

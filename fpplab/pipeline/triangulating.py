@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
-from fpplab.core.errors import DataError
+from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.progress import Progress
 from fpplab.diagnosis import Diagnosis, diagnose_scan
 from fpplab.diagnosis.limits import USUAL_LIMITS, DiagnosisLimits
 from fpplab.patterns.plan import FilterRules
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode
+from fpplab.pipeline.checking import plan_fault
 from fpplab.reconstruction.depth_range import depth_bounds
 from fpplab.reconstruction.points import points_of
 
@@ -25,7 +26,12 @@ def triangulate_recording(
     """Decode and triangulate; `filtering` replaces what the plan says of its filter."""
     plan = recording.plan
     bounds = depth_bounds(plan, calibration, recording.depth)
-    decoded = decode(recording, lambda share: progress(0.3 + 0.28 * share), bounds)
+    try:
+        decoded = decode(recording, lambda share: progress(0.3 + 0.28 * share), bounds)
+    except ConfigError as error:
+        if fault := plan_fault(recording):
+            raise DataError(f"{recording.name}: {fault}") from error
+        raise
     if filtering is not None:
         plan = plan.model_copy(update={"filter": (plan.filter or FilterRules()) if filtering else None})
     if not decoded.valid.any():

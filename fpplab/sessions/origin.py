@@ -8,6 +8,7 @@ from pathlib import Path
 
 from fpplab.calibration.model import Calibration, CalibrationOrigin
 from fpplab.core import config
+from fpplab.core.errors import CalibrationError
 from fpplab.core.files import write_text
 from fpplab.core.origin import DeviceIdentity, Origin
 from fpplab.core.session_names import ORIGIN
@@ -18,6 +19,7 @@ __all__ = [
     "ORIGIN",
     "SessionOrigin",
     "calibration_origin",
+    "check_region",
     "foreign_calibration",
     "other_devices",
     "record_origin",
@@ -54,7 +56,15 @@ class SessionOrigin(Origin):
         devices = {
             name: DeviceIdentity(model=info.model, serial=info.serial) for name, info in reported.items()
         }
+        offset = rig.camera.caps.offset
+        devices["camera"] = devices["camera"].model_copy(update={"offset_px": offset})
         return cls.now(rig_file=rig.source, devices=devices, first_frame=first_frame)
+
+    @property
+    def camera_offset(self) -> tuple[int, int] | None:
+        """Column and row of the sensor where the frames begin; None where it was not recorded."""
+        camera = self.devices.get("camera")
+        return camera.offset_px if camera else None
 
 
 def record_origin(folder: Path, rig: Rig, first_frame: int | None = None) -> None:
@@ -74,8 +84,26 @@ def other_devices(calibration: CalibrationOrigin, measured: SessionOrigin) -> li
     made_with = {"camera": calibration.camera, "projector": calibration.projector}
     pairs = [(name, made, measured.devices.get(name)) for name, made in made_with.items()]
     return [
-        name for name, made, used in pairs if made and used and made.serial and used.serial and made != used
+        name
+        for name, made, used in pairs
+        if made and used and made.serial and used.serial and not made.is_same_device(used)
     ]
+
+
+def check_region(calibration: Calibration, session: Session) -> bool:
+    """Refuse frames of another region of the sensor; tell whether it is known to be the same."""
+    made = calibration.origin.camera if calibration.origin else None
+    measured = session_origin(session.path)
+    stated, shown = made.offset_px if made else None, measured.camera_offset if measured else None
+    if stated is None or shown is None:
+        return False
+    if stated != shown:
+        raise CalibrationError(
+            f"{session.path}: its frames begin at column {shown[0]}, row {shown[1]} of the sensor, but those "
+            f"that the calibration was made from at column {stated[0]}, row {stated[1]}; record the same "
+            "region, or characterise with this one"
+        )
+    return True
 
 
 def foreign_calibration(calibration: Calibration, session: Session) -> str | None:

@@ -56,6 +56,11 @@ class RecordedSession:
         """Give the record that stands for the settings of all."""
         return self.session.records[0]
 
+    def camera_offset(self) -> tuple[int, int] | None:
+        """Give the place of the frames on the sensor, where it was recorded."""
+        origin = session_origin(self.session.path)
+        return origin.camera_offset if origin else None
+
     def info(self, name: str) -> DeviceInfo:
         """Describe a replayed device."""
         path = self.session.path
@@ -96,6 +101,7 @@ class ReplayCamera(Camera):
             exposure_s=(first.exposure_s, first.exposure_s),
             gain_db=(first.gain_db, first.gain_db),
             triggers=("software",),
+            offset=self._recording.camera_offset(),
         )
 
     def _configure(self, settings: CameraSettings) -> CameraSettings:

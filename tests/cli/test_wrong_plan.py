@@ -172,9 +172,13 @@ def test_a_sign_that_is_wrong_throughout_is_named_by_the_calibration(fpplab: Com
     sets = tuple(s.model_copy(update={"shift_sign": -1}) for s in bench.plan.fringes)
     plan = bench.plan.model_copy(update={"fringes": sets})
     done = _reconstructed(fpplab, bench.recording(), plan, tmp_path)
-    assert done["findings"][0]["cause"] == "wrong_plan"
-    assert "does not run along the image as the calibration says" in done["findings"][0]["evidence"]
-    assert "write 'shift_sign: 1' in every set along x" in done["findings"][0]["evidence"]
+    first = done["findings"][0]
+    assert first["cause"] == "wrong_orientation"
+    assert "does not run along the image as the calibration says" in first["evidence"]
+    # Images that are turned or mirrored look the same: the program must not choose between them.
+    assert "the steps of every set along x run the other way" in first["evidence"]
+    assert "the images are mirrored, left to right" in first["evidence"]
+    assert "shift_sign" not in first["remedy"]
 
 
 def _reconstructed(fpplab: Command, recording: Recording, plan: Plan, folder: Path) -> dict[str, object]:

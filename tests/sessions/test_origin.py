@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from fpplab.calibration.model import Calibration, CalibrationOrigin
-from fpplab.core.errors import ConfigError
+from fpplab.core.errors import CalibrationError, ConfigError
 from fpplab.core.origin import DeviceIdentity
 from fpplab.core.version import __version__
 from fpplab.results.provenance import poses_provenance, session_provenance
@@ -16,6 +16,7 @@ from fpplab.sessions.origin import (
     ORIGIN,
     SessionOrigin,
     calibration_origin,
+    check_region,
     foreign_calibration,
     other_devices,
     record_origin,
@@ -114,3 +115,32 @@ def test_serial_numbers_tell_another_device_and_models_without_one_do_not(tmp_pa
     words = foreign_calibration(replace(CALIBRATION, origin=made), session)
     assert words == "the camera is cam, serial 2, but the calibration was made with cam, serial 1"
     assert foreign_calibration(CALIBRATION, session) is None
+
+
+def test_frames_of_another_region_of_the_sensor_are_refused(tmp_path: Path) -> None:
+    def placed(offset: tuple[int, int] | None) -> DeviceIdentity:
+        return DeviceIdentity(model="cam", serial="1", offset_px=offset)
+
+    recorded_pose(tmp_path / "scan", "1")
+    session = Session.open(tmp_path / "scan")
+    known = replace(CALIBRATION, origin=CalibrationOrigin.now(camera=placed((8, 0))))
+    assert not check_region(known, session)  # as of version 0.1, which recorded no region
+    for offset, is_known in (((8, 0), True), (None, False)):
+        _record_camera(tmp_path / "scan", placed(offset))
+        assert check_region(known, session) is is_known
+        assert not check_region(CALIBRATION, session)
+    _record_camera(tmp_path / "scan", placed((0, 4)))
+    assert foreign_calibration(known, session) is None  # the same camera
+    with pytest.raises(CalibrationError, match=r"begin at column 0, row 4 .* at column 8, row 0"):
+        check_region(known, session)
+    known.save(tmp_path / "c.yaml")
+    origin = Calibration.load(tmp_path / "c.yaml").origin
+    assert origin is not None
+    assert origin.camera == placed((8, 0))
+
+
+def _record_camera(folder: Path, camera: DeviceIdentity) -> None:
+    from fpplab.core import config
+
+    origin = SessionOrigin.now(rig_file="rig.yaml", devices={"camera": camera})
+    (folder / ORIGIN).write_text(config.dump(origin), encoding="utf-8")

@@ -13,6 +13,7 @@ from fpplab.core.conventions import Axis
 from fpplab.diagnosis.causes.flicker import FLICKER
 from fpplab.diagnosis.causes.harmonics import HARMONICS
 from fpplab.diagnosis.causes.response import RESPONSE
+from fpplab.diagnosis.causes.wrong_orientation import WRONG_ORIENTATION
 from fpplab.diagnosis.direction import DirectionLimits, changes_along_image
 from fpplab.diagnosis.evidence import Evidence, Needs
 from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding, Picture
@@ -20,6 +21,7 @@ from fpplab.diagnosis.limits import CountLimit, LimitsSection, ShareLimit
 from fpplab.diagnosis.plan import PlanCheck, check_plan_fit
 from fpplab.diagnosis.plan.edits import Edit
 from fpplab.diagnosis.plan.limits import PlanCheckLimits
+from fpplab.diagnosis.plan.orientation import check_orientation
 from fpplab.patterns.plan import Plan
 from fpplab.phase import Decoded
 
@@ -36,7 +38,7 @@ class WrongPlanLimits(LimitsSection):
 
     section: ClassVar[str] = "wrong_plan"
 
-    min_points_share: ShareLimit = 0.5
+    min_points_share: ShareLimit = 0.8
     """Share of the lit pixels that become points, below which the plan is checked. Chosen."""
     max_disagreement: Positive = 3.0
     """Typical disagreement of the sets, in units of what noise explains, above which it is checked.
@@ -62,24 +64,26 @@ def _find(evidence: Evidence, findings: Sequence[Finding]) -> Iterator[Finding]:
     against = _runs_against(decoded, calibration, recording.plan.axes, evidence)
     if against is None and not _is_suspicious(evidence, decoded, limits):
         return
-    check = check_plan_fit(recording, evidence.limits)
+    check = check_plan_fit(recording, evidence.limits, calibration)
     if FLICKER in reported and check is not None and _moves_origins_alone(check.better, recording.plan):
         return
     is_bent = RESPONSE in reported or HARMONICS in reported
-    if is_bent and check is not None and not _is_much_better(check, limits):
-        return
-    if check is not None and check.fault is not None:
-        yield Finding(WRONG_PLAN, check.fault, EXCESS)
-        return
-    if against is None:
-        return
-    text = (
-        f"the coordinate along {against} does not run along the image as the calibration says: camera and "
-        "projector stand otherwise than the calibration says, or the plan is wrong"
-    )
-    if check is not None and check.unusual is not None:
-        text += f": {check.unusual.mistake}; {check.unusual.remedy}"
-    yield Finding(WRONG_PLAN, text, EXCESS)
+    is_better = check is not None and not (is_bent and not _is_much_better(check, limits))
+    if check is not None and is_better and check.better is not None:
+        yield Finding(WRONG_PLAN, check.fault or "", EXCESS)
+    elif against is not None:
+        yield _other_orientation(evidence, against)
+
+
+def _other_orientation(evidence: Evidence, axis: Axis) -> Finding:
+    """Say why a coordinate runs against the calibration."""
+    assert evidence.recording is not None
+    assert evidence.calibration is not None
+    tried = check_orientation(evidence.recording, evidence.calibration, evidence.limits)
+    text = f"the coordinate along {axis} does not run along the image as the calibration says"
+    if tried is None or not tried.fitting:
+        return Finding(WRONG_ORIENTATION, text, EXCESS)
+    return Finding(WRONG_ORIENTATION, f"{text}: {tried.evidence}", EXCESS, tried.remedy)
 
 
 def _is_much_better(check: PlanCheck, limits: WrongPlanLimits) -> bool:
@@ -119,30 +123,19 @@ def _runs_against(
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure:
-    """The wrapped phase of every fringe set, under the axis and number of stripes of the plan."""
-    from fpplab.core.drawing import new_figure
+    from fpplab.diagnosis.pictures import draw_phases_by_set
 
-    sample = evidence.frames
-    sets = sample.recording.plan.fringes
-    columns = min(len(sets), 3)
-    rows = -(-len(sets) // columns)
-    figure = new_figure(2.4 * columns, 2.0 * rows)
-    panels = np.atleast_1d(figure.subplots(rows, columns, squeeze=False)).ravel()
-    for axes, fringe, fit in zip(panels, sets, sample.fits, strict=False):
-        axes.imshow(np.where(sample.lit, fit.phase, np.nan), cmap="twilight", vmin=-np.pi, vmax=np.pi)
-        axes.set_title(f"plan: {fringe.stripes:g} stripes along {fringe.axis}", fontsize=8)
-    for axes in panels:
-        axes.set_axis_off()
-    return figure
+    return draw_phases_by_set(evidence.frames)
 
 
 WRONG_PLAN = FaultCause(
     key="wrong_plan",
     meaning="The plan does not describe the images.",
     remedy="correct the plan; 'fpplab plan guess' writes one for images of another program",
-    measured="disagreement of the fringe sets by the plan, compared with that by the plans next to it; the "
-    "direction of the fringes compared with the calibration's. Looked at where less than half of the lit "
-    f"pixels become points, or the sets disagree by {WrongPlanLimits().max_disagreement:g} times their noise",
+    measured="disagreement of the fringe sets by the plan, compared with that by the plans next to it, also "
+    "with a bent response straightened. Looked at where less than "
+    f"{100 * WrongPlanLimits().min_points_share:g} % of the lit pixels become points, or the sets disagree "
+    f"by {WrongPlanLimits().max_disagreement:g} times their noise",
     limit=f"{PlanCheckLimits().max_better_ratio:g} of it",
     seen_in="frames",
     detectors=(Detector(DetectionStage.PLAN, _find),),

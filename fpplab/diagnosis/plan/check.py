@@ -2,9 +2,11 @@
 
 A plan whose sets have wrong stripes, order, signs or origins decodes to positions on which the sets do not
 agree. One figure alone does not decide: a right heterodyne plan with a bent response may disagree more than a
-wrong one of few stripes. So the plans next to it are tried too, and a plan is called wrong only where another
-one fits much better. Signs and axes that are wrong in all sets mirror or turn the result without any
-disagreement; with both axes coded a mirrored one is impossible, with one axis it is unusual.
+wrong one of few stripes. So a bent response is straightened first where that makes the sets agree better,
+the plans next to it are tried too, and a plan is called wrong only where another one fits much better. Where
+two that differ fit equally, both are named and neither is advised. Signs and axes that are wrong in all sets
+mirror or turn the result without any disagreement, as do images that are mirrored or turned; with both axes
+coded a mirrored one is impossible, with one axis it is unusual.
 """
 
 from __future__ import annotations
@@ -14,16 +16,35 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fpplab.calibration.model import Calibration
+from fpplab.core.conventions import AXES
 from fpplab.core.errors import ConfigError
+from fpplab.diagnosis.direction import expected_change
 from fpplab.diagnosis.limits import USUAL_LIMITS, DiagnosisLimits
-from fpplab.diagnosis.plan.edits import Edit, Sets, finest_of, is_mirrored, neighbouring_edits, upright_edit
+from fpplab.diagnosis.plan.bend import Bend, fitted_bends
+from fpplab.diagnosis.plan.edits import (
+    Edit,
+    Sets,
+    finest_of,
+    is_mirrored,
+    neighbouring_edits,
+    scales_agree,
+    upright_edit,
+)
 from fpplab.diagnosis.plan.limits import PlanCheckLimits
 from fpplab.diagnosis.plan.sample import PhaseSample, gradient_directions
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets import Sinusoid, indices_along
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.patterns.unwrapping import unwrapping_methods
 from fpplab.phase import decode
+
+MAX_LEVEL = 65535
+"""Full scale of frames with a response straightened: 16 bits, so that rounding adds nothing."""
+TROUGH, CREST = 0.25, 0.65
+"""Level of zero, and range of grey levels above it, as shares of that full scale. Chosen."""
+MAX_EQUAL_ORIGIN_RAD = 0.1
+"""Phase origins that are the same. Chosen: a sixtieth of a stripe."""
 
 
 class Disagreement(NamedTuple):
@@ -42,17 +63,23 @@ class PlanCheck:
     disagreement: float  # median over the lit pixels, in units of what noise explains
     better: Edit | None = None  # A plan that fits much better
     better_disagreement: float = np.nan  # its disagreement
+    runner_up: Edit | None = None  # another one that fits as well, by which points lie elsewhere
     unusual: Edit | None = None  # another plan that fits as well, by which camera and projector stand upright
     mirrored: bool = False  # whether the plan has the scene mirrored, so that it cannot be right
+    exponent: float | None = None  # of the response that was straightened; None where none was
 
     @property
     def fault(self) -> str | None:
         """What is wrong with the plan, and what to write; None where nothing is known to be."""
         if self.better is not None:
+            mistake, remedy = self.better.mistake, self.better.remedy
+            if self.runner_up is not None:
+                mistake += f", or {self.runner_up.mistake}; both fit"
+                remedy = "find out how the images were taken: the images alone do not tell which"
             return (
-                f"the plan does not fit its images: {self.better.mistake} (the sets disagree by "
+                f"the plan does not fit its images: {mistake} (the sets disagree by "
                 f"{_shown(self.disagreement)} times their noise, and then by "
-                f"{self.better_disagreement:.1f}); {self.better.remedy}"
+                f"{self.better_disagreement:.1f}{self._straightened}); {remedy}"
             )
         if self.mirrored and self.unusual is not None:
             return (
@@ -60,6 +87,10 @@ class PlanCheck:
                 f"{self.unusual.mistake}; {self.unusual.remedy}"
             )
         return None
+
+    @property
+    def _straightened(self) -> str:
+        return f" with a response of gamma {self.exponent:.1f} straightened" if self.exponent else ""
 
     @property
     def note(self) -> str | None:
@@ -72,7 +103,46 @@ class PlanCheck:
         )
 
 
-def check_plan_fit(recording: Recording, limits: DiagnosisLimits = USUAL_LIMITS) -> PlanCheck | None:
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """Sampled frames as they are, or without the bend of a response, and how the plan fits them."""
+
+    sampled: Recording
+    sample: PhaseSample
+    stated: Disagreement
+    agrees: bool  # whether nothing else need be tried
+    exponent: float | None = None
+
+    @classmethod
+    def of(
+        cls, sampled: Recording, sets: Sets, sample: PhaseSample, bends: tuple[Bend, ...] | None = None
+    ) -> _Trial:
+        stated = disagreement(sampled, sampled.plan, sample)
+        agrees = not stated.median > sample.limits.max_agreeing and scales_agree(sets, sample)
+        exponent = bends[finest_of(sets)].exponent if bends else None
+        return cls(sampled, sample, stated, agrees, exponent)
+
+    def straightened(self, recording: Recording, sets: Sets) -> _Trial | None:
+        """The same without the bend of a response; None where the images show none."""
+        images, frames = [s.images for s in sets], np.stack(self.sampled.frames).astype(np.float64)
+        parts = np.split(frames, np.cumsum(images)[:-1])
+        bends = fitted_bends([part[:, self.sample.lit] for part in parts], self.sample.limits)
+        if bends is None:
+            return None
+        full = recording.full_scale
+        sample = PhaseSample.of(recording.frames, images, full, self.sample.limits, bends)
+        if sample is None:
+            return None
+        levels = [bend.straightened_levels(part) for bend, part in zip(bends, parts, strict=True)]
+        # Without harmonics the troughs lie below zero.
+        shares = TROUGH + CREST * np.concatenate(levels) / full
+        deep = np.rint(MAX_LEVEL * shares.clip(0.0, 1.0)).astype(np.uint16)
+        return _Trial.of(replace(self.sampled, frames=list(deep), bits=16), sets, sample, bends)
+
+
+def check_plan_fit(
+    recording: Recording, limits: DiagnosisLimits = USUAL_LIMITS, calibration: Calibration | None = None
+) -> PlanCheck | None:
     """Ask the images of a recording whether their plan describes them."""
     sets = tuple(s for s in recording.plan.fringes if isinstance(s, Sinusoid))
     if len(sets) < len(recording.plan.fringes):
@@ -82,40 +152,69 @@ def check_plan_fit(recording: Recording, limits: DiagnosisLimits = USUAL_LIMITS)
     if sample is None:
         return None
     sampled = replace(recording, frames=[np.ascontiguousarray(f[sample.rows]) for f in recording.frames])
-    stated = disagreement(sampled, recording.plan, sample)
-    if stated.median > check_limits.max_agreeing and (
-        better := _find_better_plan(sampled, sets, sample, stated)
-    ):
-        return better
-    return _orientation(sets, sample, stated.median)
+    trial = _Trial.of(sampled, sets, sample)
+    trials = [trial]
+    if not trial.agrees and (straightened := trial.straightened(recording, sets)):
+        trials.append(straightened)
+    best = min(trials, key=lambda tried: (not tried.agrees, tried.stated.median))
+    if not best.agrees:
+        better = [check for tried in trials if (check := _find_better_plan(tried, sets, best, calibration))]
+        if better:
+            return min(better, key=lambda check: check.better_disagreement)
+    return _orientation(sets, best.sample, best.stated.median)
 
 
 def _find_better_plan(
-    sampled: Recording, sets: Sets, sample: PhaseSample, stated: Disagreement
+    trial: _Trial, sets: Sets, best: _Trial, calibration: Calibration | None
 ) -> PlanCheck | None:
-    """Find the simplest of the plans that fit much better."""
-    limits = sample.limits
+    """Find the simplest of the plans that fit much better than `best`, and another one that fits as well."""
+    limits, sample, stated = trial.sample.limits, trial.sample, best.stated
     tried = [
-        (edit, disagreement(sampled, edit.plan(sampled.plan), sample))
+        (edit, disagreement(trial.sampled, edit.plan(trial.sampled.plan), sample))
         for edit in neighbouring_edits(sets, sample)
+        if scales_agree(edit.sets, sample)
     ]
+    max_ratio = limits.max_better_ratio if scales_agree(sets, best.sample) else np.inf
     fitting = [
         (edit, misfit.median)
         for edit, misfit in tried
-        if misfit.median <= min(limits.max_better_ratio * stated.median, limits.max_proposed)
-        and misfit.lower <= limits.max_better_ratio * stated.lower
+        if misfit.median <= min(max_ratio * stated.median, limits.max_proposed)
+        and misfit.lower <= max_ratio * stated.lower
     ]
     if not fitting:
         return None
     lowest = min(d for _, d in fitting)
     good = [(edit, d) for edit, d in fitting if d <= limits.max_equal_ratio * max(lowest, 1.0)]
     # Reversed and late steps differ in the direction of the fringes alone.
-    upright_candidates = [
-        candidate
-        for candidate in good
-        if _orientation(candidate[0].sets, sample, candidate[1]).unusual is None
-    ]
-    return PlanCheck(stated.median, *(upright_candidates or good)[0])
+    good = [each for each in good if _runs_usually(each[0].sets, sample, calibration)] or good
+    first, misfit = good[0]
+    runner_up = next((edit for edit, _ in good[1:] if not _is_same(edit.sets, first.sets)), None)
+    return PlanCheck(stated.median, first, misfit, runner_up, exponent=trial.exponent)
+
+
+def _runs_usually(sets: Sets, sample: PhaseSample, calibration: Calibration | None) -> bool:
+    """Whether coordinates run along the image as the calibration says, or to the right and down."""
+    if calibration is None:
+        return _orientation(sets, sample, np.nan).unusual is None
+    expected = expected_change(calibration)
+    for axis in AXES:
+        for k in indices_along(sets, axis)[-1:]:
+            along = sets[k].shift_sign * sample.gradients[k] @ expected[AXES.index(axis)]
+            if not np.median(along) > 0.0:
+                return False
+    return True
+
+
+def _is_same(sets: Sets, others: Sets) -> bool:
+    """Whether two plans give the same coordinates, but for small differences of origins."""
+    for a, b in zip(sets, others, strict=True):
+        turn = np.angle(np.exp(1j * (a.phase_origin_rad - b.phase_origin_rad)))
+        if (
+            abs(turn) > MAX_EQUAL_ORIGIN_RAD
+            or a.model_copy(update={"phase_origin_rad": b.phase_origin_rad}) != b
+        ):
+            return False
+    return True
 
 
 def _orientation(sets: Sets, sample: PhaseSample, stated: float) -> PlanCheck:

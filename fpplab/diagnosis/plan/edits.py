@@ -14,6 +14,11 @@ from fpplab.patterns.fringe_sets import Sinusoid, indices_along
 from fpplab.patterns.plan import Plan
 
 Sets = tuple[Sinusoid, ...]
+LOOK_AT_IMAGES = (
+    "see whether the images show the scene mirrored or turned, and then save them as the camera gives them; "
+    "otherwise the steps of these sets run the other way"
+)
+"""What to do where phases run the other way, which images that are turned or mirrored do as well."""
 
 
 @dataclass(frozen=True)
@@ -120,8 +125,7 @@ def _other_signs(sets: Sets, observed: list[Direction]) -> Edit | None:
 
 
 def _other_stripes(sets: Sets, observed: list[Direction], sample: PhaseSample) -> Iterator[Edit]:
-    """Other numbers of stripes in one set, by the others of its axis, or in every set that differs."""
-    first: dict[int, float] = {}
+    """Other numbers of stripes in one set, by the others of its axis, or in all that one set contradicts."""
     for k, fringe in enumerate(sets):
         others = [j for j in indices_along(sets, fringe.axis) if j != k]
         if not others:
@@ -130,11 +134,41 @@ def _other_stripes(sets: Sets, observed: list[Direction], sample: PhaseSample) -
         if abs(about / fringe.stripes - 1.0) <= sample.limits.max_equal_stripes:
             continue
         for stripes in _stripes_near(sets, others, k, about, sample):
-            if fringe.stripes > 1.0:
-                first.setdefault(k, stripes)
             yield _with_stripes(sets, {k: stripes})
-    if len(first) > 1:
-        yield _with_stripes(sets, first)
+    for reference in range(len(sets)):
+        contradicted = _stripes_by_one_set(sets, reference, observed, sample)
+        if len(contradicted) > 1:
+            yield _with_stripes(sets, contradicted)
+
+
+def _stripes_by_one_set(
+    sets: Sets, reference: int, observed: list[Direction], sample: PhaseSample
+) -> dict[int, float]:
+    """Stripes that other sets of an axis have if those of one are right, where they are not those stated."""
+    along = sorted(indices_along(sets, sets[reference].axis), key=lambda k: observed[k].speed)
+    edited, stripes = list(sets), {}
+    for rank, k in enumerate(along):
+        about = observed[k].speed / observed[reference].speed * sets[reference].stripes
+        if abs(about / sets[k].stripes - 1.0) <= sample.limits.max_scale_difference:
+            continue
+        coarser = along[:rank]
+        has_position = coarser and min(edited[j].stripes for j in coarser) <= 1.0
+        number = refined_stripes(edited, coarser, k, about, sample) if has_position else float(round(about))
+        if number < 1.0:
+            return {}
+        stripes[k] = number
+        edited[k] = sets[k].model_copy(update={"stripes": number})
+    return stripes
+
+
+def scales_agree(sets: Sets, sample: PhaseSample) -> bool:
+    """Whether the phases of an axis' sets change along the image as fast as their stripes say."""
+    observed = gradient_directions(sample, finest_of(sets))
+    for axis in AXES:
+        scales = [observed[k].speed / sets[k].stripes for k in indices_along(sets, axis)]
+        if scales and max(scales) > (1.0 + sample.limits.max_scale_difference) * min(scales):
+            return False
+    return True
 
 
 def _with_stripes(sets: Sets, stripes: Mapping[int, float]) -> Edit:
@@ -157,7 +191,7 @@ def _stripes_near(
 
 
 def refined_stripes(
-    sets: Sets, along: Sequence[int], k: int, approximate_stripes: float, sample: PhaseSample
+    sets: Sequence[Sinusoid], along: Sequence[int], k: int, approximate_stripes: float, sample: PhaseSample
 ) -> float:
     """Measure the stripes of a set by the positions that coarser sets give."""
     others = [j for j in along if j != k and sets[j].stripes < approximate_stripes]
@@ -254,9 +288,7 @@ def upright_edit(sets: Sets, observed: list[Direction]) -> Edit | None:
         remedies.append(_text_to_write_in_sets(sets, other_axes, "axis", lambda k: axes[k]))
     if other_signs:
         mistakes.append(f"the phase of {_name_sets(sets, other_signs)} rises to the left or upwards")
-        remedies.append(
-            _text_to_write_in_sets(sets, other_signs, "shift_sign", lambda k: -sets[k].shift_sign)
-        )
+        remedies.append(LOOK_AT_IMAGES)
     edited = tuple(
         s.model_copy(update={"axis": axes[k], "shift_sign": observed[k].way(observed[k].level)})
         for k, s in enumerate(sets)

@@ -17,8 +17,15 @@ class PlanCheckLimits(LimitsSection):
     max_agreeing: Positive = 1.5
     """Median disagreement of the sets, in units of what noise explains, up to which nothing else is tried.
     Derived: of noise alone it is 1."""
-    max_proposed: Positive = 15.0
-    """Disagreement of a plan that is proposed. Measured: right ones reach it where the response is bent."""
+    max_proposed: Positive = 5.0
+    """Disagreement of a plan that is proposed. Chosen: with a bent response straightened right ones stay
+    below 3."""
+    min_bend: Positive = 0.08
+    """Difference of a response's exponent from 1 from which on it is straightened. Chosen: it shifts phases
+    of three steps by 0.02 rad."""
+    max_scale_difference: Positive = 0.15
+    """Relative difference by which the phases of an axis' sets may change faster than their stripes say.
+    Chosen: they differ by 1 % where stripes are right."""
     max_better_ratio: ShareLimit = 0.6
     """Disagreement of a plan that fits better, as a share of that of the plan given. Chosen, and judged on
     simulated scenes: each of 15 mistakes is named, and 60 right plans and six captures are left alone."""
@@ -51,6 +58,14 @@ class PlanCheckLimits(LimitsSection):
     min_coherence: ShareLimit = 0.5
     """Mean of exp(i times the second difference of a set's phase) from pixel to pixel. Derived: it is near
     1 for fringes, 0 for noise, and 0.5 where noise is 0.5 rad."""
+    min_possible_share: ShareLimit = 0.5
+    """Share of the lit pixels whose points lie before both devices, and in the range of depths where one is
+    stated, of an explanation that is possible. Chosen."""
+    max_epipolar_px: Positive = 1.0
+    """Systematic distance from the epipolar lines in projector px of an explanation that is possible. Chosen:
+    a calibration of the rig leaves less than a third of it, images that are turned tens of px."""
+    max_equal_epipolar_px: Positive = 0.3
+    """The same, up to which explanations count as equally good. Derived: that of a stale calibration."""
 
 
 @dataclass(frozen=True)
@@ -77,12 +92,18 @@ class GuessLimits:
     Chosen."""
     min_binary_share: float = 0.85
     """Share of the pixels that are dark or bright in an image of two levels. Chosen: a sinusoid has 59 %."""
+    min_each_share: float = 0.1
+    """Share of the pixels that are dark, and bright, in an image of two levels, unless its neighbour is one.
+    Derived: of a sinusoid that has both a quarter lies between."""
     min_uniform_share: float = 0.97
     """Share of the pixels that are bright in a white image, or dark in a black one. Chosen."""
     min_range: float = 0.05
     """Range of a pixel, as a share of full scale, from which it carries information. Chosen."""
     max_rank_misfit: float = 0.1
     """What two waves may leave of sinusoids of any steps, as a share of their mean square. Chosen."""
+    max_free_misfit: float = 0.02
+    """What two waves may leave of a set that is said to have unequal steps. Chosen: a part that moves leaves
+    more."""
     min_equal_misfit: float = 0.05
     """What equal steps leave of unequal ones, as a share of all. Chosen."""
     min_misfit_ratio: float = 3.0

@@ -63,6 +63,7 @@ DESCRIPTIONS = {
 
 def _kinds(levels: Floats, limits: GuessLimits) -> list[str | None]:
     kinds: list[str | None] = []
+    is_one_sided = []
     for image in levels:
         bright, dark = float(np.mean(image > 1.0 - limits.near)), float(np.mean(image < limits.near))
         if bright > limits.min_uniform_share:
@@ -71,9 +72,17 @@ def _kinds(levels: Floats, limits: GuessLimits) -> list[str | None]:
             kinds.append("black")
         else:
             kinds.append("binary" if bright + dark > limits.min_binary_share else None)
+        is_one_sided.append(min(bright, dark) < limits.min_each_share)
+    # Wide fringes on a small part may be bright or dark almost everywhere, as a wide stripe of a code is.
+    two_sided = [kind == "binary" and not one for kind, one in zip(kinds, is_one_sided, strict=True)]
     return [
-        kind if kind == "binary" or _has_other_neighbour(kinds, k) else None for k, kind in enumerate(kinds)
+        kind if _is_certain(kind, k, two_sided) or _has_other_neighbour(kinds, k) else None
+        for k, kind in enumerate(kinds)
     ]
+
+
+def _is_certain(kind: str | None, k: int, two_sided: Sequence[bool]) -> bool:
+    return kind == "binary" and any(two_sided[max(k - 1, 0) : k + 2])
 
 
 def _has_other_neighbour(kinds: Sequence[str | None], k: int) -> bool:
@@ -130,14 +139,16 @@ def _describe_unequal_steps(levels: Floats, sizes: Sequence[int], limits: GuessL
 
 
 def _fits_badly(levels: Floats, limits: GuessLimits) -> bool:
-    """Whether sinusoids with equal steps leave much more of a set than those with any steps."""
+    """Whether sinusoids with equal steps leave much more of a set than those with any steps, which fit."""
     changes = levels - levels.mean(axis=0)
     total = float(np.sum(changes**2))
     free = total - float(np.sum(np.linalg.svd(changes, compute_uv=False)[:2] ** 2))
     shift = phase_steps(len(levels))
     waves = np.stack([np.cos(shift), np.sin(shift)]) * np.sqrt(2.0 / len(levels))
     equal = total - float(np.sum((waves @ changes) ** 2))
-    return equal > max(limits.min_equal_misfit * total, limits.min_misfit_ratio * free)
+    return free <= limits.max_free_misfit * total and equal > max(
+        limits.min_equal_misfit * total, limits.min_misfit_ratio * free
+    )
 
 
 def _worst(shifts: Floats, expected: Floats) -> float:

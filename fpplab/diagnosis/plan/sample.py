@@ -14,6 +14,7 @@ from typing import Literal
 import numpy as np
 
 from fpplab.core.conventions import TWO_PI, Floats, Image, Mask, phase_steps
+from fpplab.diagnosis.plan.bend import Bend
 from fpplab.diagnosis.plan.limits import PlanCheckLimits
 
 LAGS = (1, 2, 4, 8, 16, 32, 64)
@@ -37,15 +38,16 @@ class PhaseSample:
         images: Sequence[int],
         full_scale: int,
         limits: PlanCheckLimits | None = None,
+        bends: Sequence[Bend] | None = None,
     ) -> PhaseSample | None:
-        """Measure phases at pixels spread over the image."""
+        """Measure phases at pixels spread over the image, straightened by the bend of each set."""
         # frames (height, width)
         limits = limits or PlanCheckLimits()
         height, width = frames[0].shape
         step = max(1, int(np.sqrt(height * width / limits.pixels)))
         lags = [lag for lag in LAGS if 4 * lag < min(height, width)]
         rows = slice(0, height - lags[-1], step), slice(0, width - lags[-1], step)
-        here = _phasors(frames, images, rows, (0, 0))
+        here = _phasors(frames, images, rows, (0, 0), bends)
         strength = np.abs(here)
         strongest = np.quantile(strength, 0.95, axis=(1, 2), keepdims=True)
         lowest = np.maximum(limits.min_lit_share * strongest, limits.min_lit_level * full_scale / 255)
@@ -59,7 +61,7 @@ class PhaseSample:
         for axis in (0, 1):
             usable = np.ones(len(images), np.bool_)
             for lag in lags:
-                shifted = _phasors(frames, images, rows, (0, lag) if axis == 0 else (lag, 0))
+                shifted = _phasors(frames, images, rows, (0, lag) if axis == 0 else (lag, 0), bends)
                 turn = np.angle(shifted[:, lit] * here[:, lit].conj())
                 usable &= (np.median(np.abs(turn), axis=1) <= limits.max_turn_rad) | (lag == lags[0])
                 gradients[usable, :, axis] = turn[usable] / lag
@@ -67,7 +69,11 @@ class PhaseSample:
 
 
 def _phasors(
-    frames: Sequence[Image], images: Sequence[int], rows: tuple[slice, slice], offset: tuple[int, int]
+    frames: Sequence[Image],
+    images: Sequence[int],
+    rows: tuple[slice, slice],
+    offset: tuple[int, int],
+    bends: Sequence[Bend] | None = None,
 ) -> Floats:
     """Sum of each set's frames times exp(iδ_n), (S, rows, columns), some pixels further on."""
     moved = tuple(
@@ -78,6 +84,11 @@ def _phasors(
     for (first, end), count in zip(pairwise(starts), images, strict=True):
         levels = np.stack([frame[moved] for frame in frames[first:end]]).astype(np.float64)
         sums.append(np.tensordot(np.exp(1j * phase_steps(count)), levels, 1) * (2.0 / count))
+    if bends is not None:
+        sums = [
+            np.abs(seen) * np.exp(1j * bend.straightened(np.angle(seen), count))
+            for seen, bend, count in zip(sums, bends, images, strict=True)
+        ]
     return np.stack(sums)
 
 

@@ -1,0 +1,34 @@
+"""Coordinates run otherwise along the image than the calibration says."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from fpplab.diagnosis.evidence import Evidence, Needs
+from fpplab.diagnosis.finding import DetectionStage, FaultCause, Finding, Picture
+from fpplab.diagnosis.plan.limits import PlanCheckLimits
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def _draw(evidence: Evidence, _: Finding) -> Figure:
+    from fpplab.diagnosis.pictures import draw_phases_by_set
+
+    return draw_phases_by_set(evidence.frames)
+
+
+WRONG_ORIENTATION = FaultCause(
+    key="wrong_orientation",
+    meaning="Images are turned or mirrored, or the fringes' steps run the other way.",
+    remedy="give images that stand as those of the characterisation, or characterise as the devices stand",
+    measured="direction of the fringes' coordinates along the image compared with the calibration's; "
+    "distance of points from their epipolar lines with the images turned or mirrored, the steps reversed "
+    "or the axes exchanged",
+    limit=f"the other direction; {PlanCheckLimits().max_epipolar_px:g} projector px with it undone",
+    seen_in="frames",
+    picture=Picture(Needs.FRAMES, _draw),
+    side_effects=frozenset({"stale_calibration"}),
+    invalidates=frozenset({DetectionStage.REFLECTIONS}),
+    useless_from=1.0,
+)

@@ -1,0 +1,150 @@
+"""How well projector coordinates agree with a calibration, in images that stand as they do or otherwise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fpplab.calibration.model import Calibration
+from fpplab.core.conventions import AXES, Axis, Floats, Mask
+from fpplab.core.depth import DepthRange
+from fpplab.diagnosis.direction import expected_change
+from fpplab.diagnosis.plan.limits import PlanCheckLimits
+from fpplab.phase import Decoded
+
+ITERATIONS = 8
+"""Of Newton's method, which converges within four. Chosen."""
+STEP = 1e-3
+"""Of the inverse depth for its derivative, as a share of the inverse of three baselines. Chosen."""
+
+
+@dataclass(frozen=True)
+class ImageTurn:
+    """How images stand compared with those of the characterisation."""
+
+    mirrors_columns: bool = False  # whether left and right are exchanged
+    mirrors_rows: bool = False  # whether top and bottom are exchanged
+
+    @property
+    def signs(self) -> Floats:
+        """Factors of directions to the right and down."""
+        return np.array([-1.0 if self.mirrors_columns else 1.0, -1.0 if self.mirrors_rows else 1.0])
+
+    def apply_to_pixels(self, pixels: Floats, size: tuple[int, int]) -> Floats:
+        """Give the pixels (P, 2) that the calibration is for."""
+        last = np.array(size, np.float64) - 1.0
+        return np.asarray(np.where(self.signs < 0, last - pixels, pixels))
+
+
+AS_RECORDED = ImageTurn()
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Agreement of coordinates with a calibration."""
+
+    is_forward: bool  # whether they run along the image as on surfaces that both devices see
+    possible_share: float  # share of pixels whose points lie before both devices, where the scene may lie
+    epipolar_px: float | None  # systematic distance from the epipolar lines; None with one axis
+
+    def fits(self, limits: PlanCheckLimits) -> bool:
+        """Whether nothing speaks against it."""
+        is_possible = self.is_forward and self.possible_share >= limits.min_possible_share
+        return is_possible and not (self.epipolar_px or 0.0) > limits.max_epipolar_px
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedSample:
+    """Coordinates of some pixels of images."""
+
+    pixels: Floats  # (P, 2) in px, column first
+    coordinates: dict[Axis, Floats]  # (P,) in projector px, NaN where unknown
+    gradients: dict[Axis, Floats]  # (P, 2) a measure of the change to the right and down
+
+    @classmethod
+    def of(cls, decoded: Decoded, lit: Mask, gradients: dict[Axis, Floats], step: int) -> PlacedSample:
+        """Take the lit pixels of maps of every `step`-th pixel."""
+        rows, columns = np.nonzero(lit)
+        coordinates = {axis: decoded.coordinate(axis)[rows, columns].astype(np.float64) for axis in gradients}
+        return cls(step * np.stack([columns, rows], axis=1).astype(np.float64), coordinates, gradients)
+
+    def placement(self, calibration: Calibration, turn: ImageTurn, depth: DepthRange | None) -> Placement:
+        """Compare them with a calibration."""
+        expected = expected_change(calibration)
+        is_forward = all(
+            float(np.median(gradient @ (turn.signs * expected[AXES.index(axis)]))) > 0.0
+            for axis, gradient in self.gradients.items()
+        )
+        known = np.all([np.isfinite(values) for values in self.coordinates.values()], axis=0)
+        if not known.any():
+            return Placement(is_forward, 0.0, None)
+        pixels = turn.apply_to_pixels(self.pixels[known], calibration.camera.size)
+        axes = tuple(self.coordinates)
+        observed = np.stack([self.coordinates[axis][known] for axis in axes], axis=1)
+        solved = _Rays.through(pixels, calibration).solve(observed, [AXES.index(axis) for axis in axes])
+        is_possible = solved.is_before_both & (np.abs(solved.along_px) < 1.0)
+        if depth is not None:
+            is_possible &= (solved.depth_mm > depth.mm[0]) & (solved.depth_mm < depth.mm[1])
+        share = float(np.mean(is_possible))
+        return Placement(is_forward, share, _systematic(solved.across_px) if len(axes) == 2 else None)
+
+
+def _systematic(distances: Floats, neighbours: int = 16) -> float:
+    """Typical distance, of which noise is averaged out over neighbours."""
+    usable = len(distances) // neighbours * neighbours
+    if usable == 0:
+        return float(np.median(np.abs(distances)))
+    return float(np.median(np.abs(np.median(distances[:usable].reshape(-1, neighbours), axis=1))))
+
+
+@dataclass(frozen=True, eq=False)
+class _Solved:
+    depth_mm: Floats  # (P,) from the camera
+    is_before_both: Mask
+    along_px: Floats  # what is left of the coordinates along the epipolar lines
+    across_px: Floats  # and across
+
+
+@dataclass(frozen=True, eq=False)
+class _Rays:
+    """Camera rays in the projector's frame: a point at inverse depth q has the direction `far + q · near`."""
+
+    far: Floats  # (P, 3)
+    near: Floats  # (3,)
+    calibration: Calibration
+
+    @classmethod
+    def through(cls, pixels: Floats, calibration: Calibration) -> _Rays:
+        slopes = calibration.camera.normalise(pixels)
+        rays = np.concatenate([slopes, np.ones((len(slopes), 1))], axis=1)
+        pose = calibration.T_projector_camera
+        return cls(rays @ pose.rotation.T, pose.translation, calibration)
+
+    def _directions(self, inverse_depth: Floats) -> Floats:
+        return self.far + inverse_depth[:, None] * self.near
+
+    def _seen(self, inverse_depth: Floats, along: list[int]) -> Floats:
+        return self.calibration.projector.project(self._directions(inverse_depth))[:, along]
+
+    def solve(self, observed: Floats, along: list[int]) -> _Solved:
+        """Find the depths with which points have coordinates (P, 1 or 2) along these axes."""
+        typical = 1.0 / (3.0 * self.calibration.baseline_mm)
+        inverse = np.full(len(observed), typical)
+        for _ in range(ITERATIONS):
+            residual, slope, _ = self._linearised(inverse, observed, along, STEP * typical)
+            inverse = inverse - np.sum(residual * slope, axis=1) / np.sum(slope**2, axis=1)
+            inverse = np.clip(inverse, -10.0 * typical, 30.0 * typical)
+        residual, slope, length = self._linearised(inverse, observed, along, STEP * typical)
+        unit = slope / length
+        across = residual[:, 0] * unit[:, -1] - residual[:, -1] * unit[:, 0]
+        before = (inverse > 0.0) & (self._directions(inverse)[:, 2] > 0.0)
+        with np.errstate(divide="ignore"):
+            return _Solved(1.0 / inverse, before, np.sum(residual * unit, axis=1), across)
+
+    def _linearised(
+        self, inverse: Floats, observed: Floats, along: list[int], step: float
+    ) -> tuple[Floats, Floats, Floats]:
+        here = self._seen(inverse, along)
+        slope = (self._seen(inverse + step, along) - here) / step
+        return here - observed, slope, np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 1e-12)

@@ -1,0 +1,92 @@
+"""Images that are turned or mirrored are told from steps that run the other way, where anything tells."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fpplab.core.depth import DepthRange
+from fpplab.diagnosis import Diagnosis, Verdict, diagnose_scan
+from fpplab.diagnosis.plan.orientation import check_orientation
+from fpplab.patterns.recording import Recording
+from fpplab.phase import decode
+from fpplab.reconstruction.points import points_of
+from tests.diagnosis.scenes import Bench, plan_of
+
+TURNS = {
+    "turned by 180": (slice(None, None, -1), slice(None, None, -1)),
+    "mirrored, left to right": (slice(None), slice(None, None, -1)),
+    "upside down": (slice(None, None, -1), slice(None)),
+}
+BOTH, ONE = (Bench(plan=plan_of(axes, (4, 4, 6), (1, 8, 48)), seed=83) for axes in ("xy", "x"))
+
+
+def turned(recording: Recording, how: str) -> Recording:
+    return replace(recording, frames=[np.ascontiguousarray(f[TURNS[how]]) for f in recording.frames])
+
+
+def with_signs(recording: Recording, axes: str) -> Recording:
+    sets = [s.model_copy(update={"shift_sign": -1}) if s.axis in axes else s for s in recording.plan.fringes]
+    return replace(recording, plan=recording.plan.model_copy(update={"fringes": tuple(sets)}))
+
+
+def judged(recording: Recording) -> Diagnosis:
+    calibration = ONE.rig()
+    decoded, cloud = points_of(decode(recording), calibration, recording.plan, recording.mean_image())
+    return diagnose_scan(recording, decoded, cloud, calibration)
+
+
+@pytest.mark.whole_after(1)
+@pytest.mark.parametrize("how", TURNS)
+def test_both_axes_tell_how_images_stand(how: str) -> None:
+    tried = check_orientation(turned(BOTH.recording(), how), BOTH.rig())
+    assert tried is not None
+    assert [how in rival.meaning for rival, _ in tried.fitting] == [True]
+    assert "with that undone points lie 0.0" in tried.evidence
+
+
+@pytest.mark.whole
+@pytest.mark.parametrize("axes", ["x", "y", "xy"])
+def test_both_axes_tell_which_steps_run_the_other_way(axes: str) -> None:
+    tried = check_orientation(with_signs(BOTH.recording(), axes), BOTH.rig())
+    assert tried is not None
+    (rival, _), *others = tried.fitting
+    assert not others
+    assert rival.axes == tuple(axes)
+    assert rival.remedy.startswith("change the sign of 'shift_sign' in every set along")
+
+
+@pytest.mark.whole_after(1)
+@pytest.mark.parametrize("how", ["turned by 180", "mirrored, left to right"])
+def test_one_axis_does_not_tell_and_nothing_is_advised(how: str) -> None:
+    found = judged(turned(ONE.recording(), how))
+    assert found.verdict is Verdict.USELESS
+    first = found.findings[0]
+    assert first.cause.key == "wrong_orientation"
+    for meaning in ("turned by 180°", "mirrored, left to right", "every set along x run the other way"):
+        assert meaning in first.evidence
+    assert "all of these fit equally" in first.evidence
+    assert "shift_sign" not in first.remedy
+
+
+@pytest.mark.whole
+def test_a_range_of_depths_excludes_what_it_can() -> None:
+    recording = replace(turned(ONE.recording(), "turned by 180"), depth=DepthRange((10.0, 20.0), "plan"))
+    tried = check_orientation(recording, ONE.rig())
+    assert tried is not None
+    assert tried.fitting == ()
+    assert tried.remedy is None
+
+
+@pytest.mark.whole
+def test_imported_images_are_good_only_for_what_was_checked() -> None:
+    found = judged(replace(turned(ONE.recording(), "upside down"), is_imported=True))
+    assert found.verdict is Verdict.GOOD
+    assert "not checked: that the images show the same region of the sensor" in found.reason
+    assert "and are not upside down" in found.reason
+    both = judged(replace(BOTH.recording(), is_imported=True))
+    assert "not upside down" not in both.reason
+    assert "same region" in both.reason
+    assert "not checked" not in judged(ONE.recording()).reason
