@@ -28,13 +28,17 @@ def kept(target: str) -> list[bytes]:
 
 def yaml() -> list[bytes]:
     files = [(k, path) for k, kind in enumerate(KINDS) for path in sorted(CONFIGS.glob(f"{kind}_*.yaml"))]
+    return [bytes([k]) + path.read_bytes() for k, path in files]
+
+
+def odd_yaml() -> list[bytes]:
     odd = (
         b"a: &a [1, 1]\nb: *a\n",
         b"? [a]\n: 1\n",
         b"a: !!bool maybe\n",
         b"a: 0x1F\nb: 1_000\nc: 2001-01-01\n",
     )
-    return [bytes([k]) + path.read_bytes() for k, path in files] + [bytes([3]) + text for text in odd]
+    return [bytes([3]) + text for text in odd]
 
 
 def calibration() -> list[bytes]:
@@ -73,7 +77,9 @@ def cloud() -> list[bytes]:
         for k, suffix in enumerate(CLOUD_SUFFIXES):
             save_cloud(whole, Path(folder) / f"cloud{suffix}")
             found.append(bytes([k]) + (Path(folder) / f"cloud{suffix}").read_bytes())
-    return found
+    table = CLOUD_SUFFIXES.index(".xyz")
+    texts = (b"1 2 3\n4 5 6\n", b"# x y z\n1.5 2.5 3e2\n", b"1 2 3 10 20 30\n4 5 6 4 5 6\n", b"1\t2\t3\r\n")
+    return found + [bytes([table]) + text for text in texts]
 
 
 def decoded() -> list[bytes]:
@@ -114,6 +120,41 @@ def opencv() -> list[bytes]:
     return found
 
 
+DIALECTS = (".yaml", ".json", ".npz", ".mat", ".cameramodel")
+"""Suffixes of calibrations by other programs: whole in one file, and of the last one with a device each."""
+
+
+def dialect() -> list[bytes]:
+    """Calibrations as Kalibr, Python's and NumPy's writers and MATLAB make them, each in one file."""
+    import yaml
+    from scipy.io import savemat
+
+    from tests.calibration.test_dialects import PROCAM, STEREO, camchain
+
+    rows = {name: values.tolist() for name, values in STEREO.items()}
+    npz, mat = io.BytesIO(), io.BytesIO()
+    np.savez(npz, **STEREO)
+    savemat(mat, STEREO)
+    sized = {"img_shape": [912, 1368], **{name: values.tolist() for name, values in PROCAM.items()}}
+    parts = (
+        (0, yaml.safe_dump(camchain()).encode()),
+        (0, yaml.safe_dump(rows).encode()),
+        (1, json.dumps(rows).encode()),
+        (1, json.dumps(sized).encode()),
+        (2, npz.getvalue()),
+        (3, mat.getvalue()),
+    )
+    return [bytes([kind]) + content for kind, content in parts]
+
+
+def odd_dialects() -> list[bytes]:
+    """Files of one device, which are refused by themselves."""
+    from tests.calibration.test_dialects import D1, K1, mrcal
+
+    model = mrcal("LENSMODEL_OPENCV5", K1, D1, "'extrinsics': [ 0, 0, 0, 0, 0, 0,]", (1368, 912))
+    return [bytes([4]) + model.encode()]
+
+
 def image() -> list[bytes]:
     from PIL import Image as Pillow
 
@@ -129,11 +170,20 @@ def image() -> list[bytes]:
         found.append(out.getvalue())
     out = io.BytesIO()
     np.savez_compressed(out, levels)
-    return [*found, out.getvalue()]
+    head = b"%s\n# by hand\n8 6\n%d\n"
+    plain = b" ".join(b"%d" % level for level in levels.flat)
+    grey = (head % (b"P5", 255) + levels.tobytes(), head % (b"P2", 255) + plain, head % (b"P2", 4095) + plain)
+    wide = head % (b"P5", 4095) + levels.astype(">u2").tobytes()
+    equal = head % (b"P6", 255) + np.repeat(levels[..., None], 3, axis=2).tobytes()
+    return [*found, out.getvalue(), *grey, wide, equal]
 
 
 def records() -> list[bytes]:
     files = session_files()
+    return [bytes([k]) + text for k, text in enumerate((files["journal.jsonl"], files["files.jsonl"]))]
+
+
+def odd_records() -> list[bytes]:
     card = {
         "format": "fpplab dataset 1",
         "fields": [{"name": "frames"}],
@@ -141,14 +191,8 @@ def records() -> list[bytes]:
         "shards": 1,
         "samples": 2,
     }
-    texts = (
-        files["journal.jsonl"],
-        files["files.jsonl"],
-        json.dumps(card).encode(),
-        b'{"frames.npy": "00"}',
-        b'{"epoch": 1}\n',
-    )
-    return [bytes([k]) + text for k, text in enumerate(texts)]
+    texts = (json.dumps(card).encode(), b'{"frames.npy": "00"}', b'{"epoch": 1}\n')
+    return [bytes([k]) + text for k, text in enumerate(texts, 2)]
 
 
 def hid() -> list[bytes]:
@@ -171,11 +215,26 @@ def grbl() -> list[bytes]:
 
 @cache
 def firmware() -> bytes:
-    """A flash file without patterns."""
+    """A flash file with three patterns."""
+    from drivers.dlp4500.flash.firmware import Firmware
+    from fpplab.core.conventions import Lattice
+    from fpplab.patterns.fringe_sets import Sinusoid
+    from fpplab.patterns.fringes import make_patterns
+    from fpplab.patterns.plan import Plan
     from tests.drivers.flash_files import maker_firmware
 
-    return maker_firmware()
+    patterns = make_patterns(
+        Plan(fringes=(Sinusoid(axis="x", stripes=1, steps=3),)), (912, 1140), Lattice.DIAMOND
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "maker.bin"
+        file.write_bytes(maker_firmware())
+        return bytes(Firmware.load(file).with_patterns(patterns, file).content)
+
+
+def unchanged_firmware() -> list[bytes]:
+    return [b""]
 
 
 def firmware_changes() -> list[bytes]:
-    return [b"", b"\x00" * 5, b"\xff\xff\xff\xff\x80", *(bytes([k, 0, 2, 0, 255]) for k in range(0, 250, 50))]
+    return [b"\x00" * 5, b"\xff\xff\xff\xff\x80", *(bytes([k, 0, 2, 0, 255]) for k in range(0, 250, 50))]

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fpplab.core.errors import FppError
+from fpplab.core.conventions import Lattice
+from fpplab.core.errors import DataError, FppError
 from tests.fuzz import seeds
 
 Read = Callable[[bytes, Path], object]
@@ -19,11 +20,19 @@ Read = Callable[[bytes, Path], object]
 
 @dataclass(frozen=True)
 class Fuzzed:
-    """A target: what reads the bytes, what it is told to begin with, and whose branches guide the search."""
+    """A target: what reads the bytes, what it is told to begin with, and whose branches guide the search.
+
+    What `loads` gives must be read without a refusal; what `odd` gives need not.
+    """
 
     read: Read
-    seeds: Callable[[], list[bytes]]
+    loads: Callable[[], list[bytes]]
     guided_by: tuple[str, ...]
+    odd: Callable[[], list[bytes]] = list
+
+    def seeds(self) -> list[bytes]:
+        """All that it begins with."""
+        return [*self.loads(), *self.odd()]
 
     def __call__(self, data: bytes, folder: Path) -> None:
         """Read bytes; `folder` is empty but for what earlier calls left."""
@@ -102,16 +111,30 @@ def mesh(data: bytes, folder: Path) -> None:
     from fpplab.core.foreign import read_mesh
 
     if data:
-        with suppress(Exception):
-            read_mesh(("stl", "ply", "obj")[data[0] % 3], data[1:])
+        try:
+            parts = read_mesh(("stl", "ply", "obj")[data[0] % 3], data[1:])
+        except Exception as error:
+            raise DataError("refused") from error
+        if not len(parts.get("faces", ())):
+            raise DataError("it has no faces")
 
 
 def opencv(data: bytes, folder: Path) -> None:
     """Its parser in a process forked from this one, as cheap as that can be."""
-    from fpplab.calibration import interchange
+    from fpplab.calibration import dialects, interchange
 
-    interchange.read_apart = _in_a_fork  # type: ignore[assignment]
+    dialects.read_apart = _in_a_fork  # type: ignore[assignment]
     interchange.import_calibration([write(folder, "some.yml", data)], (640, 480), (912, 1140))
+
+
+def dialect(data: bytes, folder: Path) -> None:
+    """Calibrations of other programs; the first byte says by which suffix."""
+    from fpplab.calibration import dialects, interchange
+
+    dialects.read_apart = _in_a_fork  # type: ignore[assignment]
+    if data:
+        path = write(folder, f"some{seeds.DIALECTS[data[0] % len(seeds.DIALECTS)]}", data[1:])
+        interchange.import_calibration([path], (1368, 912), (912, 1140), Lattice.DIAMOND)
 
 
 def _in_a_fork(kind: str, path: Path) -> dict[str, Any]:
@@ -120,14 +143,14 @@ def _in_a_fork(kind: str, path: Path) -> dict[str, Any]:
 
     import numpy as np
 
-    from fpplab.core.foreign import read_opencv
+    from fpplab.core.foreign import CALIBRATIONS
 
     reading, writing = os.pipe()
     child = os.fork()
     if child == 0:
         with suppress(BaseException):
             out = io.BytesIO()
-            np.savez(out, **read_opencv(path.read_bytes()))
+            np.savez(out, **CALIBRATIONS[kind](path.read_bytes()))
             os.write(writing, out.getvalue()[:60_000])
         os._exit(0)
     os.close(writing)
@@ -165,7 +188,7 @@ def records(data: bytes, folder: Path) -> None:
         read_journal(folder, PLAN)
     elif kind == 1:
         write(folder, "files.jsonl", text)
-        check_recorded(folder / "plan.yaml", b"")
+        check_recorded(folder / "plan.yaml", seeds.session_files()["plan.yaml"])
     elif kind == 2:
         write(folder, "card.json", text)
         read_card(folder)
@@ -265,7 +288,10 @@ def line_of(value: Any) -> bytes:
 
 TARGETS: dict[str, Fuzzed] = {
     "yaml": Fuzzed(
-        yaml, seeds.yaml, ("fpplab.core.config", "fpplab.core.strict_yaml", "yaml", "fpplab.devices.rig")
+        yaml,
+        seeds.yaml,
+        ("fpplab.core.config", "fpplab.core.strict_yaml", "yaml", "fpplab.devices.rig"),
+        odd=seeds.odd_yaml,
     ),
     "calibration": Fuzzed(
         calibration, seeds.calibration, ("fpplab.calibration", "fpplab.core.strict_yaml", "yaml")
@@ -274,16 +300,22 @@ TARGETS: dict[str, Fuzzed] = {
     "cloud": Fuzzed(cloud, seeds.cloud, ("fpplab.clouds.ply", "fpplab.core.archives", "zipfile")),
     "decoded": Fuzzed(decoded, seeds.decoded, ("fpplab.core.archives", "zipfile", "numpy.lib.format")),
     "mesh": Fuzzed(mesh, seeds.mesh, ("trimesh.exchange",)),
-    "opencv": Fuzzed(opencv, seeds.opencv, ("fpplab.calibration.interchange",)),
+    "opencv": Fuzzed(opencv, seeds.opencv, ("fpplab.calibration",)),
+    "dialect": Fuzzed(dialect, seeds.dialect, ("fpplab.calibration", "yaml"), odd=seeds.odd_dialects),
     "image": Fuzzed(
         image,
         seeds.image,
         ("fpplab.sessions.image_files", "fpplab.sessions.netpbm", "PIL", "fpplab.core.archives"),
     ),
     "records": Fuzzed(
-        records, seeds.records, ("fpplab.core.checksums", "fpplab.sessions.journal", "sim.dataset.card")
+        records,
+        seeds.records,
+        ("fpplab.core.checksums", "fpplab.sessions.journal", "sim.dataset.card"),
+        odd=seeds.odd_records,
     ),
     "hid": Fuzzed(hid, seeds.hid, ("drivers.dlp4500", "drivers.emulators.dlpc350")),
     "grbl": Fuzzed(grbl, seeds.grbl, ("drivers.stage_grbl", "drivers.emulators.grbl")),
-    "firmware": Fuzzed(firmware, seeds.firmware_changes, ("drivers.dlp4500.flash",)),
+    "firmware": Fuzzed(
+        firmware, seeds.unchanged_firmware, ("drivers.dlp4500.flash",), odd=seeds.firmware_changes
+    ),
 }

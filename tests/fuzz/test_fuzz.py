@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from fpplab.core.errors import FppError
 from tests.fuzz import seeds
 from tests.fuzz.targets import TARGETS
 
@@ -52,6 +53,21 @@ def test_only_typed_errors(name: str, tmp_path: Path) -> None:
         done += 1
     assert done >= len(first) > 0
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 < 4 * MOST_BYTES
+
+
+@pytest.mark.whole_after(1)
+@pytest.mark.parametrize("name", TARGETS)
+def test_what_must_load_loads(name: str, tmp_path: Path) -> None:
+    """A reader that refuses what it is made for would be fuzzed in vain."""
+    must = TARGETS[name].loads()
+    assert must
+    for data in random.Random(1).sample(must, min(MOST_SEEDS, len(must))):
+        TARGETS[name].read(data, tmp_path)
+
+
+def test_a_seed_that_is_refused_is_noticed(tmp_path: Path) -> None:
+    with pytest.raises(FppError):
+        TARGETS["image"].read(b"BM no picture", tmp_path)
 
 
 def test_a_target_that_raises_is_noticed(tmp_path: Path) -> None:

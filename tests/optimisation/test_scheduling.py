@@ -138,6 +138,11 @@ def test_rig_fault_is_raised_from_the_worker_process(pair: DaskWorkers) -> None:
         measured(opening(Stuck(), pair), TASKS[:1])
 
 
+@pytest.mark.whole
+def test_workers_load_nothing_of_the_working_directory(pair: DaskWorkers) -> None:
+    assert set(pair._client.run(lambda: sys.flags.safe_path).values()) == {True}
+
+
 def test_missing_scheduler_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster, "LIMITS", SchedulingLimits(connect_timeout_s=0.5))
     with socket.create_server(("127.0.0.1", 0)) as closed:

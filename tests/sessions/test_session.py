@@ -100,6 +100,28 @@ def test_killed_at_any_line_while_a_session_is_made(tmp_path: Path) -> None:
     assert n > 20
 
 
+def test_a_disk_that_is_gone_is_not_written_beneath(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a mount that is lost, the empty folder is left that it was mounted on."""
+    session = record(tmp_path / "disk" / "part", 1)
+    (tmp_path / "disk").rename(tmp_path / "gone")
+    (tmp_path / "disk").mkdir()
+    with pytest.raises(DataError, match="is not on its disk any more; connect that again"):
+        session.write(frame(1))
+    assert list((tmp_path / "disk").iterdir()) == []
+    (tmp_path / "gone" / "part").rename(tmp_path / "disk" / "part")
+    stated = Path.stat
+
+    def on_another_disk(path: Path, **given: Any) -> os.stat_result:
+        mode, node, disk, *others = stated(path, **given)[:10]
+        return os.stat_result((mode, node, disk + 1, *others))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "stat", on_another_disk)
+        with pytest.raises(DataError, match="is not on its disk any more"):
+            session.write(frame(1))
+    session.write(frame(1))
+
+
 def test_a_missing_frame(whole: Path) -> None:
     (whole / Session.open(whole).record(2).file).unlink()
     with pytest.raises(DataError, match="frame 2 is missing"):

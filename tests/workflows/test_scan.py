@@ -9,6 +9,8 @@ import pytest
 import yaml
 
 from fpplab import Calibration, Plan, Rig, ScanResult, Session, reconstruct, scan
+from fpplab.clouds import Cloud
+from fpplab.core.errors import DataError
 from fpplab.diagnosis import UselessScanError
 from tests.cli.test_verdict import recorded
 from tests.support.commands import Command
@@ -114,3 +116,17 @@ def test_a_session_without_points_is_useless_in_python_too(tmp_path: Path) -> No
     with pytest.raises(UselessScanError) as refused:
         reconstruct(Session.open(tmp_path / "session"), calibration)
     assert refused.value.diagnosis.findings[0].cause.key == "projector_focus"
+
+
+@pytest.mark.whole
+def test_a_report_is_not_left_without_its_cloud(
+    bench: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(cloud: Cloud, path: Path) -> None:
+        assert path.with_suffix(".html").is_file()
+        raise DataError(f"{path}: no space left on the disk")
+
+    monkeypatch.setattr("fpplab.clouds.save_cloud", full)
+    with pytest.raises(DataError, match="no space left"):
+        reconstruct(bench / "session", bench / "calibration.yaml", out=tmp_path / "cloud.ply")
+    assert files(tmp_path) == set()

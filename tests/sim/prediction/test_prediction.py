@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -180,19 +181,27 @@ def test_the_interval_holds_what_bench_and_twin_differed_by(rig: Rig) -> None:
     assert not plain.summary()["matched"]
 
 
-@pytest.mark.whole
 def test_the_interval_holds_what_is_not_known_of_the_surface(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert isinstance(rig.simulation, VirtualBench)
-    sampler = type(rig.simulation.image_part_sampler())
-    ratios = []
-    for sigma in (0.0, 0.15):
-        surface = PartSurface(0.5, sigma={"reflectance": sigma})
-        monkeypatch.setattr(sampler, "surface", lambda self, item, surface=surface: surface)
-        figures = predict(rig, PLAN, ITEM, pixels=3_000).figures
-        ratios.append(figures["noise_um"].high / figures["noise_um"].value)
-    assert ratios[0] < np.exp(1.96 * 0.3) < ratios[1]  # a standard deviation of 0.15 of 0.5
+    surface = PartSurface(0.5, sigma={"reflectance": 0.15})
+    given: list[float] = []
+
+    def without_measuring(
+        draws: object, by_calibration: object, discrepancy: object, of_surface: float, stripes: float
+    ) -> dict[str, object]:
+        given.append(of_surface)
+        return {}
+
+    predicting = sys.modules[choose_sampled_rows.__module__]  # whose name is the function's, too
+    monkeypatch.setattr(type(rig.simulation.image_part_sampler()), "surface", lambda sampler, item: surface)
+    monkeypatch.setattr(predicting._Sampled, "measured", lambda study, seed: (None, None, None))
+    for name in ("coordinate_noise", "distance_factors"):
+        monkeypatch.setattr(predicting, name, lambda *known: None)
+    monkeypatch.setattr(predicting, "figure_intervals", without_measuring)
+    predict(rig, PLAN, ITEM, pixels=500)
+    assert given == [pytest.approx(0.3)]
 
 
 def test_what_cannot_be_predicted_is_refused(rig: Rig) -> None:
