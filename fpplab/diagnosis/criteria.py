@@ -18,6 +18,7 @@ from fpplab.diagnosis.limits import LimitsSection, ShareLimit
 from fpplab.diagnosis.points import systematic_epipolar_px
 from fpplab.diagnosis.sample import FrameSample
 from fpplab.phase import Decoded
+from fpplab.phase.common_errors import beyond_fringe
 from fpplab.phase.precision import coordinate_spread, uncertain_orders
 
 
@@ -66,24 +67,50 @@ class Criterion:
         return {"name": self.name, "value": self.value, **bound, "unit": self.unit, "met": self.is_met}
 
 
-def criteria_of(sample: FrameSample, decoded: Decoded, cloud: Cloud) -> tuple[Criterion, ...]:
-    """Measure what a verdict is given by."""
+def criteria_of(sample: FrameSample, decoded: Decoded, cloud: Cloud | None) -> tuple[Criterion, ...]:
+    """Measure what a verdict is given by, on points or on maps alone."""
     criteria = (*_of_points(sample, decoded, cloud), *_of_fringes(sample, decoded))
     return tuple(criterion for criterion in criteria if math.isfinite(criterion.value))
 
 
-def _of_points(sample: FrameSample, decoded: Decoded, cloud: Cloud) -> Iterator[Criterion]:
+def left_out(sample: FrameSample, decoded: Decoded) -> str:
+    """Say by which mask the pixels that see the fringes are not measured, most first; empty where all are."""
+    rules, plan = sample.recording.plan.masks, sample.recording.plan
+    masks = {"saturated": sample.saturated}
+    if decoded.uncertain_order is not None:
+        masks["of an uncertain fringe order"] = decoded.uncertain_order[:: sample.step, :: sample.step] > 0
+    faint, shallow, bent = (np.zeros(sample.lit.shape, np.bool_) for _ in range(3))
+    for k, (fit, fringe) in enumerate(zip(sample.fits, plan.fringes, strict=True)):
+        faint |= fit.modulation < rules.modulation_min
+        shallow |= fit.modulation < rules.contrast_min * fit.offset
+        images = sample.spread[plan.set_starts[k] : plan.set_starts[k + 1]]
+        rest = np.einsum("mn,nij->mij", beyond_fringe(fringe.phase_shifts()), images)
+        limit = rules.residual_max**2 + sample.errors.sets[k].misfit
+        bent |= np.square(rest).mean(axis=0) > limit * np.square(fit.modulation)
+    masks |= {"faint": faint, "of low contrast": shallow, "no sinusoids": bent}
+    lost = sample.lit & ~decoded.valid[:: sample.step, :: sample.step]
+    shares, total = {}, max(int(lost.sum()), 1)
+    for name, mask in masks.items():
+        shares[name] = (lost & mask).sum() / total
+        lost = lost & ~mask
+    shares["with sets that contradict each other"] = lost.sum() / total
+    shown = sorted((name for name in shares if shares[name] >= 0.005), key=lambda name: -shares[name])
+    return ", ".join(f"{shares[name]:.0%} are {name}" for name in shown)
+
+
+def _of_points(sample: FrameSample, decoded: Decoded, cloud: Cloud | None) -> Iterator[Criterion]:
     limits = sample.limits.of(CriteriaLimits)
-    seeing = sample.estimate_pixels_seeing_fringes(cloud)
-    share = len(cloud) / seeing
-    meaning = "the share of the pixels that see the fringes which became points"
+    seeing = max(sample.estimate_pixels_seeing_fringes(decoded if cloud is None else cloud), 1.0)
+    share = (int(decoded.valid.sum()) if cloud is None else len(cloud)) / seeing
+    became = "are measured" if cloud is None else "became points"
+    meaning = f"the share of the pixels that see the fringes which {became}"
     yield Criterion("points", meaning, share, limits.min_points_share, at_least=True)
     lost = uncertain_orders(decoded, sample.recording.plan)
     if lost is not None:
         share = min(sum(lost.values()) / seeing, 1.0)
         meaning = "the share of pixels left out for their uncertain fringe order"
         yield Criterion("wrong_order_risk", meaning, share, limits.max_uncertain_share)
-    if (off := systematic_epipolar_px(cloud)) is not None:
+    if cloud is not None and (off := systematic_epipolar_px(cloud)) is not None:
         meaning = "the distance of points from their epipolar lines"
         max_px = sample.limits.of(StaleCalibrationLimits).max_epipolar_px
         yield Criterion("epipolar_residual", meaning, off, max_px, "px")

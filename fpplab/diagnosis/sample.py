@@ -200,13 +200,16 @@ class FrameSample:
         is_lit = self.widest.modulation >= np.maximum(of_strongest, of_noise)
         return np.asarray(is_lit | (self.saturated & (self.widest.offset > 128.0)))
 
-    def estimate_pixels_seeing_fringes(self, cloud: Cloud) -> float:
+    def estimate_pixels_seeing_fringes(self, points: Cloud | Decoded) -> float:
         """Count the pixels of the whole image that see the projector's fringes."""
         others = self.lit.copy()
-        if cloud.pixels is not None:
-            u, v = cloud.pixels[(cloud.pixels % self.step == 0).all(axis=1)].T // self.step
+        if isinstance(points, Decoded):
+            others &= ~points.valid[:: self.step, :: self.step]
+            return int(points.valid.sum()) + float(others.mean()) * self.recording.frames[0].size
+        if points.pixels is not None:
+            u, v = points.pixels[(points.pixels % self.step == 0).all(axis=1)].T // self.step
             others[v, u] = False
-        return len(cloud) + float(others.mean()) * self.recording.frames[0].size
+        return len(points) + float(others.mean()) * self.recording.frames[0].size
 
     @cached_property
     def measured(self) -> Mask:

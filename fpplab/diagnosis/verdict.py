@@ -11,7 +11,8 @@ from typing import Any, ClassVar
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
 from fpplab.core.errors import DataError
-from fpplab.diagnosis.criteria import Criterion, criteria_of
+from fpplab.diagnosis.causes.wrong_plan import EXCESS, WRONG_PLAN
+from fpplab.diagnosis.criteria import CriteriaLimits, Criterion, criteria_of, left_out
 from fpplab.diagnosis.detection import FRAME_STAGES, find_causes
 from fpplab.diagnosis.evidence import Evidence
 from fpplab.diagnosis.finding import FaultCause, Finding
@@ -154,7 +155,9 @@ def diagnose_scan(
         one_axis = "stale_calibration: fringes along one axis alone do not show it"
         unplaced = _unplaced(recording, cloud, region_is_known)
         unknown = (one_axis,) * (cloud.epipolar_px is None) + (f"region: {unplaced}",) * bool(unplaced)
-        judged = _judge_findings(evidence.frames, cloud, findings, unknown)
+        seeing = evidence.frames.estimate_pixels_seeing_fringes(cloud)
+        counted = f"{len(cloud)} points of {seeing:.0f} pixels that see the fringes"
+        judged = _judge_findings(evidence.frames, (len(cloud), seeing), counted, findings, unknown)
         judged = _by_criteria(judged, criteria_of(evidence.frames, decoded, cloud))
         if judged.verdict is Verdict.GOOD and recording.is_imported:
             judged = replace(judged, reason=f"{judged.reason}; not checked: {unplaced}")
@@ -169,6 +172,28 @@ def _unplaced(recording: Recording, cloud: Cloud, region_is_known: bool) -> str:
     if recording.is_imported and cloud.epipolar_px is None:
         text += ", and are not upside down"
     return text
+
+
+def diagnose_decoded(
+    recording: Recording,
+    decoded: Decoded,
+    limits: DiagnosisLimits = USUAL_LIMITS,
+    plan_fault: str | None = None,
+) -> Diagnosis:
+    """Judge projector coordinates by their frames, as far as that needs no calibration."""
+    evidence = Evidence(recording, decoded, limits=limits)
+    of_plan = [] if plan_fault is None else [Finding(WRONG_PLAN, plan_fault, EXCESS)]
+    findings = rank_findings([*find_causes(evidence, FRAME_STAGES), *of_plan])
+    sample, count = evidence.frames, int(decoded.valid.sum())
+    seeing = sample.estimate_pixels_seeing_fringes(decoded)
+    counted = f"{count} of {seeing:.0f} pixels that see the fringes are measured"
+    lost = left_out(sample, decoded)
+    if lost and count < sample.limits.of(CriteriaLimits).min_points_share * seeing:
+        counted += f"; of the others {lost}"
+    unknown = ("geometry: 'fpplab reconstruct' judges it, with a calibration",)
+    judged = _judge_findings(sample, (count, seeing), counted, findings, unknown)
+    judged = _by_criteria(judged, criteria_of(sample, decoded, None))
+    return replace(judged, changed_limits=limits.changes())
 
 
 def diagnose_poses(
@@ -215,14 +240,16 @@ def _worst(of_poses: Sequence[tuple[str, Finding]], poses: int) -> Finding:
 
 
 def _judge_findings(
-    sample: FrameSample, cloud: Cloud, findings: tuple[Finding, ...], unknown: tuple[str, ...]
+    sample: FrameSample,
+    measured: tuple[int, float],
+    counted: str,
+    findings: tuple[Finding, ...],
+    unknown: tuple[str, ...],
 ) -> Diagnosis:
-    limits = sample.limits.of(VerdictLimits)
+    # measured: how many points or pixels, and how many pixels see the fringes
+    limits, (count, seeing) = sample.limits.of(VerdictLimits), measured
     pixels = sample.recording.frames[0].size
-    seeing = sample.estimate_pixels_seeing_fringes(cloud)
-    share = len(cloud) / seeing
-    counted = f"{len(cloud)} points of {seeing:.0f} pixels that see the fringes"
-    if share < limits.min_points_of_lit or len(cloud) < limits.min_points_of_image * pixels:
+    if count < max(limits.min_points_of_lit * seeing, limits.min_points_of_image * pixels):
         return Diagnosis(Verdict.USELESS, counted, findings, unknown)
     useless = [finding for finding in findings if finding.excess >= finding.cause.useless_from]
     useless += [

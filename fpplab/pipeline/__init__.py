@@ -11,7 +11,7 @@ from fpplab.pipeline.characterising import (
     require_plan_fits,
 )
 from fpplab.pipeline.checking import doubts_about_session
-from fpplab.pipeline.decoding import decode_session
+from fpplab.pipeline.decoding import decode_session, recording_and_fault
 from fpplab.pipeline.depth import check_plan, plan_with_depth
 from fpplab.pipeline.measuring import (
     Reconstruction,
@@ -41,6 +41,7 @@ __all__ = [
     "plan_with_depth",
     "reconstruct_points",
     "reconstruct_session",
+    "recording_and_fault",
     "require_plan_fits",
     "take_or_resume_session",
     "take_poses",

@@ -41,9 +41,18 @@ def decode_session(
 ) -> Decoded:
     """Find the projector coordinates of every camera pixel of a session."""
     # returns (height, width)
+    recording, _ = recording_and_fault(session, progress, as_recorded=as_recorded)
+    return decode(recording, lambda share: progress(0.5 + 0.5 * share))
+
+
+def recording_and_fault(
+    session: Session, progress: Progress, *, as_recorded: bool
+) -> tuple[Recording, str | None]:
+    """Read the frames of a session, and say what is wrong with their plan if they are taken as recorded."""
     recording = session.recording(progress=lambda share: progress(0.5 * share))
     if not as_recorded:
         require_in_step(recording)
-        if fault := plan_fault(recording):
-            raise DataError(f"{session.path}: {fault}; --as-recorded decodes it nevertheless")
-    return decode(recording, lambda share: progress(0.5 + 0.5 * share))
+    fault = plan_fault(recording)
+    if fault and not as_recorded:
+        raise DataError(f"{session.path}: {fault}; --as-recorded decodes it nevertheless")
+    return recording, fault

@@ -1,20 +1,39 @@
-"""The result of `fpplab decode`: projector coordinates of a session."""
+"""The result of `fpplab decode`: projector coordinates of a session, and whether to believe them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
+from fpplab.diagnosis import Diagnosis
 from fpplab.phase import Decoded
 
 
 @dataclass(frozen=True, eq=False)
 class DecodingResult:
-    """Maps of projector coordinates, and how long they took."""
+    """Maps of projector coordinates, their verdict, and how long they took."""
 
+    name: str  # of the session, in messages
     decoded: Decoded
+    diagnosis: Diagnosis
     seconds: float
+    out: Path  # where the maps go
+    as_recorded: bool = False  # whether they were asked for whatever the verdict is
+
+    @property
+    def is_written(self) -> bool:
+        """Whether the maps are left: useless ones only where they were asked for as recorded."""
+        return bool(self.decoded.valid.any()) and (self.as_recorded or not self.diagnosis.is_useless)
+
+    def require_usable(self) -> None:
+        """Refuse maps that are not left."""
+        if not self.is_written:
+            self.diagnosis.require_usable(self.name, self._figures())
 
     def summary(self) -> dict[str, Any]:
         """Collect what `fpplab decode --json` prints."""
+        return {**self.diagnosis.summary(), **self._figures()}
+
+    def _figures(self) -> dict[str, Any]:
         return {"valid": int(self.decoded.valid.sum()), "seconds": self.seconds}

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fpplab.core.errors import DataError
 from fpplab.results.observer import Observer
 from fpplab.workflows.stopwatch import Stopwatch
 
 if TYPE_CHECKING:
+    from fpplab.diagnosis import DiagnosisLimits
     from fpplab.results.decoding import DecodingResult
 
 
@@ -22,10 +22,11 @@ class DecodingRequest:
     out: Path  # maps (.npz)
     as_recorded: bool = False  # whether frames that are out of step with the plan are taken as they are
     force: bool = False  # whether an existing file is replaced
+    limits: DiagnosisLimits | None = None  # of an expert, by which the maps are judged
 
 
 def run_decoding(request: DecodingRequest, observer: Observer | None = None) -> DecodingResult:
-    """Decode a session and write its maps.
+    """Decode a session, judge the maps and write them; useless ones only as recorded.
 
     Parameters
     ----------
@@ -37,33 +38,37 @@ def run_decoding(request: DecodingRequest, observer: Observer | None = None) -> 
     Returns
     -------
     DecodingResult
-        The maps.
+        Which may be useless; see `DecodingResult.require_usable`.
 
     Raises
     ------
     ConfigError
         The output exists.
     DataError
-        Frames are missing, damaged or out of step with the plan, or no pixel could be measured.
+        Frames are missing, damaged or out of step with the plan.
     """
     from fpplab.core.files import need_suffix, refuse_existing
 
     need_suffix(request.out, ".npz")
     refuse_existing(request.out, request.force)
 
-    from fpplab.pipeline import decode_session
+    from fpplab.diagnosis import diagnose_decoded
+    from fpplab.diagnosis.limits import USUAL_LIMITS
+    from fpplab.phase import decode
+    from fpplab.pipeline import recording_and_fault
     from fpplab.results.decoding import DecodingResult
     from fpplab.sessions.session import Session
 
     observer, stopwatch = observer or Observer(), Stopwatch()
     with observer.stage("Decoding") as progress:
         session = Session.open(request.session)
-        decoded = decode_session(session, progress, as_recorded=request.as_recorded)
-        if not decoded.valid.any():
-            raise DataError(
-                f"{request.session}: no pixel could be measured; see that the fringes reach the object, "
-                "and that they are neither faint nor saturated"
-            )
+        recording, fault = recording_and_fault(session, progress, as_recorded=request.as_recorded)
+        decoded = decode(recording, lambda share: progress(0.5 + 0.5 * share))
         observer.maps(decoded)
-        decoded.save(request.out)
-    return DecodingResult(decoded, stopwatch.seconds)
+        diagnosis = diagnose_decoded(recording, decoded, request.limits or USUAL_LIMITS, fault)
+        result = DecodingResult(
+            str(session.path), decoded, diagnosis, stopwatch.seconds, request.out, request.as_recorded
+        )
+        if result.is_written:
+            decoded.save(request.out)
+    return result

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from fpplab.cli import console
-from fpplab.cli.app import MEASURE, AsRecorded, Force, Json, Out, app
+from fpplab.cli.app import MEASURE, AsRecorded, Force, Json, LimitsOption, Out, app
 from fpplab.cli.viewing import ConsoleObserver
 
 
@@ -17,6 +17,7 @@ def decode_command(
     session: Annotated[Path, typer.Argument(help="A recorded session.")],
     out: Out,
     as_recorded: AsRecorded = False,
+    limits: LimitsOption = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
@@ -24,9 +25,14 @@ def decode_command(
 
     Arrays `u`, `v` (projector pixels), `modulation` (grey levels of 255) and `sigma` (projector
     pixels), float32, NaN where not measured. A plan that does not describe the frames is refused,
-    with what to write instead.
+    with what to write instead. `verdict` says whether to believe the maps, `findings` why not;
+    useless ones are not written, and the exit code is 4, but with `--as-recorded`.
     """
+    from fpplab.diagnosis import load_limits
     from fpplab.workflows.decode import DecodingRequest, run_decoding
 
-    request = DecodingRequest(session, out, as_recorded, force)
-    console.print_result(run_decoding(request, ConsoleObserver()).summary(), json)
+    request = DecodingRequest(session, out, as_recorded, force, load_limits(limits) if limits else None)
+    result = run_decoding(request, ConsoleObserver())
+    result.require_usable()
+    console.log_status(result.diagnosis.sentence)
+    console.print_result(result.summary(), json)

@@ -14,7 +14,7 @@ from fpplab.core.conventions import TWO_PI, Axis, Floats, Image, Lattice, Map, M
 from fpplab.diagnosis.evidence import Evidence, Needs
 from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding, Picture
 from fpplab.diagnosis.fringe_shape import FringeShapeLimits
-from fpplab.diagnosis.limits import CountLimit, LimitsSection
+from fpplab.diagnosis.limits import CountLimit, LimitsSection, ShareLimit
 from fpplab.diagnosis.sample import FrameSample
 
 if TYPE_CHECKING:
@@ -36,6 +36,8 @@ class WrongResolutionLimits(LimitsSection):
     """Least frequency of a moiré in cycles per projector px. Chosen."""
     max_cycles: Positive = 0.55
     """Greatest frequency in cycles per projector px. Derived: that of pixels doubled, 0.5."""
+    max_cycles_per_pixel: ShareLimit = 0.8
+    """The same in cycles per camera pixel. Derived: what is sampled once in a pixel repeats with it."""
     min_distance_cycles: Positive = 0.006
     """Distance from the frequencies of the fringes and their harmonics, in cycles per px. Measured on
     benches of the limits."""
@@ -104,7 +106,8 @@ def moire_spectrum(sample: FrameSample, axis: Axis) -> tuple[Floats, Floats] | N
     if len(position) < sample.limits.of(FringeShapeLimits).min_pixels:
         return None
     span = float(np.ptp(np.percentile(position, (1, 99))))
-    cycles = np.arange(limits.min_cycles, limits.max_cycles, 0.5 / max(span, 100.0))
+    max_cycles = min(limits.max_cycles, limits.max_cycles_per_pixel / _pixel_pitch(sample, axis))
+    cycles = np.arange(limits.min_cycles, max_cycles, 0.5 / max(span, 100.0))
     size = axis_length(sample.recording.projector_size, axis)
     sets = [fringe.stripes / size for fringe in sample.recording.plan.fringes if fringe.axis == axis]
     fine = [own for own in sets if own >= 0.02]
@@ -121,6 +124,13 @@ def moire_spectrum(sample: FrameSample, axis: Axis) -> tuple[Floats, Floats] | N
     )
     sums = np.exp(-1j * TWO_PI * np.outer(cycles, places)) @ total
     return cycles, np.asarray(2.0 * np.abs(sums) / count.sum())
+
+
+def _pixel_pitch(sample: FrameSample, axis: Axis) -> float:
+    """Typical change of the coordinate from one camera pixel to the next, in px."""
+    coordinate = sample.coordinates[axis]
+    steps = (np.diff(coordinate[:: sample.step]), np.diff(coordinate[:, :: sample.step], axis=0))
+    return float(max(np.nanmedian(np.abs(step)) if np.isfinite(step).any() else 0.0 for step in steps)) or 1.0
 
 
 def _fringe_harmonics(
