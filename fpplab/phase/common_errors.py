@@ -43,6 +43,11 @@ class CommonErrors:
     gain_first: float  # `|Σ ε_n exp(iδ_n)|` and `|Σ ε_n exp(2iδ_n)|` of the lamp's gains ε_n
     gain_second: float  # `|Σ ε_n exp(iδ_n)|` and `|Σ ε_n exp(2iδ_n)|` of the lamp's gains ε_n
     images: int  # number N of images of the set
+    ripple_rad: float = 0.0  # RMS phase error N times in a period that neighbours show beyond `harmonic_rad`
+    lag_rad: float = 0.0  # RMS phase error by what is left of the frames before
+    explained: float = 0.0  # mean square of what gains and harmonics leave beside sinusoids, per B²
+    scatter: float = 1.0  # variance of the phase beside that of the noise of grey levels
+    blur_px2: float = 0.0  # variance of the blur in px²; negative where frames are sharpened
 
     @property
     def misfit(self) -> float:
@@ -59,7 +64,8 @@ class CommonErrors:
     def terms(self) -> tuple[float, float]:
         """Mean square phase error in rad²: the constant part, and the factor of (A/B)²."""
         rising = 2.0 * (self.gain_first / self.images) ** 2
-        return self.harmonic_rad**2 + 0.5 * (self.gain_second / self.images) ** 2, rising
+        others = self.ripple_rad**2 + self.lag_rad**2
+        return self.harmonic_rad**2 + others + 0.5 * (self.gain_second / self.images) ** 2, rising
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +156,7 @@ def groups_of(
     strong = np.flatnonzero(weakest >= modulation_min)
     if len(strong) < NOISE.min_pixels or (not long and len(fringes) < 2):
         return []
-    parts = [_set_group(k, samples[k][:, strong], fitted[k][:, strong], fringes[k]) for k in used]
+    parts = [set_group(k, samples[k][:, strong], fitted[k][:, strong], fringes[k]) for k in used]
     if long:
         return parts
     count = len(parts)
@@ -185,7 +191,8 @@ def fringe_levels(fitted: Floats, shift: Floats) -> tuple[Floats, Floats]:
     return levels, np.outer(np.sin(shift), cosine) - np.outer(np.cos(shift), sine)
 
 
-def _set_group(index: int, sample: Floats, fitted: Floats, fringe: FringeSet) -> FringeGroup:
+def set_group(index: int, sample: Floats, fitted: Floats, fringe: FringeSet) -> FringeGroup:
+    """Put the images of one set into a group."""
     shift, (offset, c, s) = fringe.phase_shifts(), fitted
     wave = c + 1j * s
     phasor = wave / np.maximum(np.abs(wave), 1e-12)
@@ -305,6 +312,13 @@ def noise_power(group: FringeGroup, fit: HarmonicsFit) -> tuple[Floats, int]:
     return np.square(group.combine_without_common_errors(group.quiet, fit)).sum(axis=0), len(group.quiet)
 
 
+def explained_misfit(group: FringeGroup, fit: HarmonicsFit) -> float:
+    """Mean square per degree of freedom that gains and harmonics leave beside sinusoids, over B²."""
+    common = fit.gains[:, None] * group.fringe + np.tensordot(fit.harmonics, group.waves, 1)
+    power = np.square(_product(group.visible @ common, group.features)).mean()
+    return float(power / max(np.square(group.features[1:3]).sum(axis=0).mean(), 1e-12))
+
+
 def errors_of_sets(
     groups: Sequence[FringeGroup],
     fits: Sequence[HarmonicsFit],
@@ -329,6 +343,7 @@ def errors_of_sets(
     powers = [np.square(fit) / fringes[k].images for k, fit in sums.items()]
     scatter = np.mean(powers) if powers else np.nan
     result = []
+    misfits = {g.members[0]: explained_misfit(g, fit) for g, fit in zip(groups, fits, strict=True)}
     for k, fringe in enumerate(fringes):
         relative = (
             harmonics if harmonics is not None else _power_law_harmonics(bent[k][0] if k in bent else typical)
@@ -336,7 +351,8 @@ def errors_of_sets(
         shares, rad = relative[list(HARMONICS)], harmonic_phase_error(relative, fringe.images)
         unseen = float(np.sqrt(scatter * fringe.images))
         first, second = sums.get(k, (unseen, unseen))
-        result.append(CommonErrors(shares, rad, first, second, fringe.images))
+        misfit = misfits.get(k, 0.0)
+        result.append(CommonErrors(shares, rad, first, second, fringe.images, explained=misfit))
     return result
 
 

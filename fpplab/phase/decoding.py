@@ -23,6 +23,7 @@ from fpplab.phase.biased_orders import biased_orders
 from fpplab.phase.bounds import PossibleCoordinates, check_bounds, interval_of, widest_interval_share
 from fpplab.phase.decoded import Decoded
 from fpplab.phase.demodulation import AxisPhases, axis_phases
+from fpplab.phase.edges import add_errors_at_edges
 from fpplab.phase.error_model import ErrorModel, error_model_of
 from fpplab.phase.kernels import decode_pixels
 from fpplab.phase.limits import ORDERS
@@ -91,6 +92,12 @@ def decode(
             f"{source}: holds values up to {highest:g}, above the full scale {full_scale(bits)} of "
             f"{bits} bits; say how many bits the camera gives"
         )
+    axis = plan.axes[0]
+    blur_px2 = errors.sets[plan.finest_set(axis)].blur_px2
+    if blur_px2 != 0.0:
+        along = maps.u if axis == "x" else maps.v
+        coordinate, phase_error = (part.reshape(first.shape) for part in (along, maps.phase_error))
+        add_errors_at_edges(coordinate, recording.mean_image(), phase_error, blur_px2)
     outside = outside_share(recording, sequences, errors, bounds)
     decoded = replace(
         _decoded_from_maps(recording, maps, first.shape, errors.phase_error_is_known), outside=outside

@@ -12,7 +12,7 @@ from fpplab.core.conventions import TWO_PI, Floats, Map
 from fpplab.core.errors import DataError
 from fpplab.patterns.fringe_sets import FringeSet
 from fpplab.patterns.recording import Recording
-from fpplab.phase.error_model import ErrorModel
+from fpplab.phase.error_model import ErrorModel, misfit_limits
 from fpplab.phase.limits import NOISE, ORDERS
 from fpplab.phase.unwrapping import (
     WavelengthSequence,
@@ -121,10 +121,15 @@ def axis_phases(recording: Recording, sequence: WavelengthSequence, errors: Erro
     for k, demodulated, fringe in zip(sequence.sets, sets, fringes, strict=True):
         level = demodulated.offset.astype(np.float64) * recording.grey
         modulation = np.maximum(demodulated.modulation.astype(np.float64) * recording.grey, 1e-30)
-        per_level = fringe.phase_noise**2 * demodulated.loss / modulation**2
+        per_level = errors.sets[k].scatter * fringe.phase_noise**2 * demodulated.loss / modulation**2
         repeated = errors.noise.repeated(level)
-        own = per_level * (errors.noise.variance(level) - repeated) / TWO_PI**2 + ORDERS.rounding_turns**2
-        common = per_level * repeated + errors.sets[k].variance(level / modulation)
+        variance = errors.noise.variance(level)
+        per_freedom, surprising, explained = misfit_limits(errors.sets[k])
+        seen = per_freedom * np.square(demodulated.misfit.astype(np.float64) * recording.grey)
+        is_surprising = seen > surprising * (variance + explained * modulation**2)
+        excess = np.where(is_surprising, seen - variance, 0.0)
+        own = per_level * (variance - repeated) / TWO_PI**2 + ORDERS.rounding_turns**2
+        common = per_level * (repeated + excess) + errors.sets[k].variance(level / modulation)
         noises.append(own / fringe.stripes**2)
         # Where nothing shows the common errors, noise alone counts.
         commons.append(np.nan_to_num(common) / (TWO_PI * fringe.stripes) ** 2)

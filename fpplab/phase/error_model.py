@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -28,8 +28,10 @@ from fpplab.phase.common_errors import (
     groups_of,
     noise_power,
 )
+from fpplab.phase.lag import lag_error_rad, lag_share, without_lag
 from fpplab.phase.limits import NOISE, ORDERS
-from fpplab.phase.noise import QUANTISATION, NoiseModel, fit_line, level_step
+from fpplab.phase.neighbours import with_errors_of_neighbours
+from fpplab.phase.noise import QUANTISATION, NoiseModel, fit_line, level_step, surprising_power
 from fpplab.phase.unwrapping import WavelengthSequence, wavelength_sequence
 
 
@@ -40,6 +42,7 @@ class ErrorModel:
     noise: NoiseModel  # of the grey levels
     sets: tuple[CommonErrors, ...]  # of each fringe set
     saturation: int  # raw value from which on a sample is saturated
+    lag: float = 0.0  # share of the frame before that is left in each frame
 
     @property
     def phase_error_is_known(self) -> bool:
@@ -59,10 +62,24 @@ class ErrorModel:
         return ORDERS.bounded_share
 
 
+def misfit_limits(errors: CommonErrors) -> tuple[float, float, float]:
+    """When a pixel's own residuals tell its variance, and how.
+
+    The variance of a grey level by the mean square of what a fringe leaves; what this exceeds, in units of
+    the expected one; what of that is explained by gains and harmonics, over B². It is never exceeded where
+    images show nothing beside a fringe.
+    """
+    freedom = errors.images - 3
+    if freedom <= 0:
+        return 0.0, 1.0, 0.0
+    # What is explained depends on the phase: at most twice the mean.
+    return errors.images / (freedom * errors.scatter), surprising_power(freedom), 2.0 * errors.explained
+
+
 def error_model_of(recording: Recording) -> ErrorModel:
     """Estimate the errors of a recording."""
     plan = recording.plan
-    return fit_errors(
+    errors, fits = _fit_errors(
         _sample_pixels(recording),
         plan.fringes,
         recording.bits,
@@ -70,6 +87,8 @@ def error_model_of(recording: Recording) -> ErrorModel:
         recording.harmonics,
         _sequences(recording),
     )
+    sets = with_errors_of_neighbours(errors.sets, recording, errors.saturation, fits, errors.noise)
+    return replace(errors, sets=tuple(sets))
 
 
 def _sequences(recording: Recording) -> list[WavelengthSequence]:
@@ -104,19 +123,41 @@ def fit_errors(
     the rounding alone, a lower bound.
     """
     # samples (N, P); harmonics (K,)
+    return _fit_errors(samples, fringes, bits, modulation_min, harmonics, sequences)[0]
+
+
+def _fit_errors(
+    samples: Sequence[Image],
+    fringes: Sequence[FringeSet],
+    bits: int,
+    modulation_min: float,
+    harmonics: Floats | None,
+    sequences: Sequence[WavelengthSequence],
+) -> tuple[ErrorModel, dict[int, HarmonicsFit]]:
+    """The model, and the fits of sets that are fitted by themselves, by their indices."""
     step, grey = level_step(np.concatenate([sample.ravel() for sample in samples])), 1.0 / raw_per_grey(bits)
     saturation = math.floor(full_scale(bits) - step) + 1
     usable = np.flatnonzero(_find_usable_pixels(samples, saturation))
     freedom = sum(fringe.images - 3 for fringe in fringes) or len(fringes) - 1
     usable = usable[:: max(1, len(usable) * freedom // NOISE.max_values)]
     levels = [grey * sample[:, usable].astype(np.float64) for sample in samples]
+    lag = lag_share(levels, fringes, modulation_min)
+    # What the frames before leave looks like flicker and noise.
+    levels = without_lag(levels, lag)
     groups = groups_of(levels, fringes, modulation_min)
     fits = [fit_group(group) for group in groups]
     noise = _fit_noise_model(groups, fits, step * grey)
     if not groups:
         noise = _noise_beside_saturation(samples, fringes, saturation, grey, step) or noise
-    sets = errors_of_sets(groups, fits, fringes, harmonics, sequences)
-    return ErrorModel(noise, tuple(sets), saturation)
+    sets = [
+        replace(errors, lag_rad=lag_error_rad(lag, fringe))
+        for errors, fringe in zip(
+            errors_of_sets(groups, fits, fringes, harmonics, sequences), fringes, strict=True
+        )
+    ]
+    model = ErrorModel(noise, tuple(sets), saturation, lag)
+    single = zip(groups, fits, strict=True)
+    return model, {group.members[0]: fit for group, fit in single if len(group.members) == 1}
 
 
 def _find_usable_pixels(samples: Sequence[Image], saturation: int) -> Mask:

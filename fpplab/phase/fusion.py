@@ -56,6 +56,7 @@ def weigh(
     loss: Any,
     bent: Any,
     repeated: Any,
+    rest: Any,
     s: int,
     recipe: Any,
     pixel_count: int,
@@ -63,17 +64,21 @@ def weigh(
     """Turn the offsets of one set into its weights, the inverse variances of its positions.
 
     The variance is that of noise and that of the errors that all pixels of one phase share. Where nothing
-    tells the second, noise alone counts.
+    tells the second, noise alone counts. Where a pixel's images contradict a sinusoid by more than all of
+    these explain, its variance is that of its own residuals.
     """
-    # modulation (n,); offset (n,); share (n,); loss (n,); bent (n,); repeated (n,)
+    # modulation (n,); offset (n,); share (n,); loss (n,); bent (n,); repeated (n,); rest (n,)
     constant, per_level = recipe.noise_constant, recipe.noise_per_level
     noise, rising = recipe.phase_noise[s], recipe.error_rising[s]
     square = recipe.set_stripes[s] * recipe.set_stripes[s]
+    per_freedom, surprising, explained = recipe.misfit[s, 0], recipe.misfit[s, 1], recipe.misfit[s, 2]
     for j in range(pixel_count):
         i = _u(j)
         power, level = modulation[i] * modulation[i], offset[i]
-        own = noise * loss[i] * (constant + per_level * level - repeated[i]) + _ROUNDING * power + _TINY
-        common = noise * (loss[i] * (repeated[i] + rising * level * level) + bent[i] * power)
+        variance, seen = constant + per_level * level, per_freedom * rest[i]
+        excess = seen - variance if seen > surprising * (variance + explained * power) else _ZERO
+        own = noise * loss[i] * (variance - repeated[i]) + _ROUNDING * power + _TINY
+        common = noise * (loss[i] * (repeated[i] + rising * level * level + excess) + bent[i] * power)
         per_total = _ONE / (own + max(_ZERO, common))
         share[i] = own * per_total
         offset[i] = square * power * per_total

@@ -156,7 +156,10 @@ def _demodulate(
     set_index: int,
     recipe: Any,
 ) -> None:
-    """Compute phase, modulation and offset of one set, its masks, and the greatest raw values so far."""
+    """Compute phase, modulation and offset of one set, its masks, and the greatest raw values so far.
+
+    The sum of squares becomes the mean square of what the fringe leaves.
+    """
     grey, full = recipe.grey, recipe.full_scale
     modulation_min, contrast = recipe.modulation_min, recipe.contrast_min
     origin, misfit = recipe.origin[set_index], recipe.misfit_max[set_index]
@@ -174,6 +177,7 @@ def _demodulate(
         kept = kept if rest <= misfit * power else _ZERO
         kept = kept if accumulators[i + _PEAK] < full else _ZERO
         turns[i] = p - np.floor(p)
+        accumulators[i + _SQUARE] = rest
         modulation[i] = b
         offset[i] = mean
         good[i] = kept if b > _ZERO else _ZERO
@@ -427,7 +431,8 @@ def decode_pixels(recipe: Recipe, like: Any, start: int, stop: int, maps: Maps) 
             _demodulate(accumulators, turns[s], modulation[s], weights[s], good, pixel_count, s, recipe)
             if recipe.rounding_repeats:
                 find_repeated(weights[s], repeated, recipe, pixel_count)
-            weigh(modulation[s], weights[s], shares[s], loss, bent, repeated, s, recipe, pixel_count)
+            rest = accumulators[_SQUARE:]
+            weigh(modulation[s], weights[s], shares[s], loss, bent, repeated, rest, s, recipe, pixel_count)
         for axis in range(1, -1, -1):
             finest = recipe.finest[axis]
             if finest >= 0:

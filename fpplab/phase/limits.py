@@ -101,6 +101,8 @@ class PhaseNoiseLimits(NamedTuple):
     """Chosen: the mean of a bin is then known to 18 % with two degrees of freedom in each pixel."""
     rejected_share: float = 0.001
     """Share of pixels without motion or edges that are rejected as outliers. Chosen."""
+    surprising_share: float = 1e-5
+    """Share of pixels whose residuals pass by chance for a variance of their own. Chosen."""
     rejection_passes: int = 6
     """Passes of the rejection of outliers. Chosen."""
     min_sampled_share: float = 0.7
@@ -203,9 +205,58 @@ class BiasedOrderLimits(NamedTuple):
     """Length in px of a border of such jumps between two parts. Chosen."""
 
 
+class NeighbourLimits(NamedTuple):
+    """Limits of what neighbouring pixels show."""
+
+    tile_px: int = 32
+    """Side of a tile in px. Chosen."""
+    min_share_of_finest: float = 0.5
+    """Stripes of a set as a share of the finest along its axis from which on neighbours are compared. Chosen:
+    wider fringes hardly change from pixel to pixel, and have little weight."""
+    tiles_along: int = 4
+    """Tiles along each side of the image. Chosen: strengths are then known to some percent."""
+    min_pixels: int = 2000
+    """Fewest pixels that strengths are estimated from. Chosen."""
+    min_modulation: float = 2.0
+    """Modulation in grey levels below which the phases of neighbours are not compared. Chosen."""
+    max_bend_rad: float = 0.7
+    """Spread of the second differences of a phase beyond which neighbours do not see one surface. Chosen."""
+    fit_passes: int = 4
+    """Passes of the fit, each without the outliers of the one before. Chosen."""
+    outlier_sigmas: float = 8.0
+    """Second differences beyond this multiple of their spread lie at edges of the part. Chosen."""
+    significance: float = 6.0
+    """Strength of an error in its standard deviations that noise does not make. Chosen: those of neighbours
+    are correlated, so that the true ones are up to twice as great."""
+    min_ripple_power: float = (2.0 - 2.0 * math.cos(1.0)) ** 2
+    """Mean square of second differences of a ripple from which on it is distinguished from a surface. Chosen:
+    that of one that changes by 1 rad from pixel to pixel."""
+    max_correlation: float = 0.04
+    """Correlation of neighbours' residuals of a sensor's own frames. Measured on simulated ones: 0.01."""
+
+
+class LagLimits(NamedTuple):
+    """Limits of the look for the frame before in each frame."""
+
+    min_pixels: int = 500
+    """Fewest pixels that the share is estimated from. Chosen."""
+    min_share: float = 0.002
+    """Least share that is stated. Chosen: it displaces four steps of 64 stripes by 0.005 px."""
+    significance: float = 5.0
+    """The same in standard deviations. Chosen."""
+    fit_passes: int = 4
+    """Passes of the fit, each without the outliers of the one before. Chosen."""
+    outlier_ratio: float = 7.0
+    """Residuals beyond this multiple of their median are left out. Derived: 5 sigma."""
+
+
 ORDERS = OrderLimits()
 OUTSIDE = OutsideLimits()
 NOISE = PhaseNoiseLimits()
 COMMON_ERRORS = CommonErrorLimits()
 BENT_PHASES = BentPhaseLimits()
 BIASED_ORDERS = BiasedOrderLimits()
+
+
+LAG = LagLimits()
+NEIGHBOURS = NeighbourLimits()

@@ -105,6 +105,11 @@ def fit_line(level: Floats, variance: Floats, freedom: int, step: float) -> Nois
     return NoiseModel(floor + float(constant), float(per_level), step)
 
 
+def surprising_power(freedom: int) -> float:
+    """Give what a pixel's residuals hardly ever exceed by chance, mean squares in units of the variance."""
+    return float(chdtri(freedom, NOISE.surprising_share)) / freedom
+
+
 def robust_mean(variance: Floats, freedom: int, floor: float) -> Floats:
     """Average variances, leaving out those that chance does not explain."""
     # variance (..., P)

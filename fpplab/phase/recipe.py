@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.core.conventions import AXES, TWO_PI, Axis, Floats, axis_length
+from fpplab.patterns.fringe_sets import FringeSet
 from fpplab.patterns.recording import Recording
 from fpplab.phase.alternatives import alternatives_of
 from fpplab.phase.bounds import PossibleCoordinates
-from fpplab.phase.error_model import ErrorModel
+from fpplab.phase.error_model import ErrorModel, misfit_limits
 from fpplab.phase.kernels import GROUP
 from fpplab.phase.limits import ORDERS
 from fpplab.phase.tables import Recipe
@@ -32,6 +33,8 @@ def recipe_of(
     counts = [len(of_axis[axis].wavelengths) if axis in of_axis else 0 for axis in AXES]
     finest = [of_axis[axis].finest if axis in of_axis else -1 for axis in AXES]
     f32, rules, images = np.float32, plan.masks, np.array([f.images for f in plan.fringes], np.float64)
+    # Errors of the phase count in units of its noise, and do not grow with that.
+    per_noise = 0.5 * images / [error.scatter for error in errors.sets]
     risks = [alternatives_of(plan, sequence) for sequence in sequences]
     of_risk = {sequence.axis: risk for sequence, risk in zip(sequences, risks, strict=True)}
     by_axis = [of_risk.get(axis) for axis in AXES]
@@ -51,7 +54,7 @@ def recipe_of(
         length=np.array(size, f32),
         axis=np.array([AXES.index(f.axis) for f in plan.fringes]),
         set_stripes=np.array([f.stripes for f in plan.fringes], f32),
-        phase_noise=np.array([(f.phase_noise / TWO_PI) ** 2 for f in plan.fringes], f32),
+        phase_noise=np.array(_phase_noise(plan.fringes, errors), f32),
         low_u=low_u,
         high_u=high_u,
         low_v=low_v,
@@ -78,13 +81,22 @@ def recipe_of(
         noise_per_level=f32(errors.noise.per_level),
         step=f32(errors.noise.step),
         rounding_repeats=errors.noise.rounding_repeats,
+        misfit=np.array([misfit_limits(error) for error in errors.sets], f32),
         images=images.astype(f32),
-        error_constant=(0.5 * images * [error.terms[0] for error in errors.sets]).astype(f32),
-        error_harmonic=(0.5 * images * [error.harmonic_rad**2 for error in errors.sets]).astype(f32),
-        error_rising=(0.5 * images * [error.terms[1] for error in errors.sets]).astype(f32),
+        error_constant=(per_noise * [error.terms[0] for error in errors.sets]).astype(f32),
+        error_harmonic=(per_noise * [error.harmonic_rad**2 for error in errors.sets]).astype(f32),
+        error_rising=(per_noise * [error.terms[1] for error in errors.sets]).astype(f32),
         harmonics=np.array([error.harmonics for error in errors.sets], f32),
         shift=shift,
     )
+
+
+def _phase_noise(fringes: Sequence[FringeSet], errors: ErrorModel) -> list[float]:
+    """Variance of each set's phase in turns squared, per unit of (u_I/B)²."""
+    return [
+        own.scatter * (fringe.phase_noise / TWO_PI) ** 2
+        for fringe, own in zip(fringes, errors.sets, strict=True)
+    ]
 
 
 def _interval_of(

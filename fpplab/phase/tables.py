@@ -52,6 +52,7 @@ class Recipe(NamedTuple):
     noise_per_level: np.float32  # variance of a grey level
     step: np.float32  # smallest difference of two levels, in 8-bit grey levels
     rounding_repeats: bool  # whether noise is so small at some level that rounding repeats
+    misfit: NDArray[np.float32]  # (S, 3) see `misfit_limits`
     images: NDArray[np.float32]  # number of images of each set
     error_constant: NDArray[np.float32]  # mean square phase error that is common to the pixels of a phase
     error_harmonic: NDArray[np.float32]  # mean square phase error that is common to the pixels of a phase

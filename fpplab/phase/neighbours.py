@@ -1,0 +1,186 @@
+"""What neighbouring pixels show of errors that the images of one pixel do not.
+
+Frames that were compressed, denoised, sharpened or scaled have errors that a pixel's own images hardly show:
+an edge of reflectivity draws the phases beside it to the brighter side, a filter that is not linear bends
+fringes, and what rounding the cosines of a block of pixels leaves is nearly a sinusoid. Second differences D
+of the phase along rows and columns take smooth surfaces away. What is left is noise, and
+
+    w² D(∇φ·∇ln A) + D(a cos Nφ + b sin Nφ),
+
+where w is the blur in px, A the brightness, and N the number of images. Least squares find w², a and b. The
+rest is compared with second differences of the residuals of the sinusoids, which went through the same
+filter: the ratio is one unless phases scatter by more than residuals show. A rough surface scatters too, so
+the ratio counts only where residuals of neighbours are correlated, as those of a sensor's own frames are not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.core.conventions import Floats, Mask
+from fpplab.core.robust import robust_spread
+from fpplab.patterns.fringe_sets import FringeSet
+from fpplab.patterns.recording import Recording
+from fpplab.phase.common_errors import CommonErrors, HarmonicsFit, fit_sinusoids, set_group
+from fpplab.phase.limits import NEIGHBOURS
+from fpplab.phase.noise import NoiseModel, surprising_power
+
+S = TypeVar("S", bound=np.generic)
+
+_ALONG = (-2, -1)
+"""Axes of an array of tiles that are rows and columns."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tiles:
+    """Whole tiles of a recording's frames, spread over the image."""
+
+    levels: Floats  # (K, T, side, side) grey levels of every frame
+    usable: Mask  # (T, side, side) pixels that no frame shows saturated
+
+    @classmethod
+    def of(cls, recording: Recording, saturation: int) -> Tiles | None:
+        """Cut tiles out of the frames; None where these are too small."""
+        side = NEIGHBOURS.tile_px
+        shape = recording.frames[0].shape
+        counts = [min(NEIGHBOURS.tiles_along, size // side) for size in shape]
+        if not all(counts):
+            return None
+        # Each in the middle of an equal part of the image.
+        tops, lefts = (
+            (size * (np.arange(n) + 0.5) / n - 0.5 * side).astype(int)
+            for size, n in zip(shape, counts, strict=True)
+        )
+        raw = np.array(
+            [[f[v : v + side, u : u + side] for v in tops for u in lefts] for f in recording.frames]
+        )
+        return cls(raw * np.float32(recording.grey), np.asarray((raw < saturation).all(axis=0)))
+
+
+def with_errors_of_neighbours(
+    sets: Sequence[CommonErrors],
+    recording: Recording,
+    saturation: int,
+    fits: Mapping[int, HarmonicsFit],
+    noise: NoiseModel,
+) -> list[CommonErrors]:
+    """Add what neighbours show to the errors of each set; `fits` are those of single sets by index."""
+    tiles, plan = Tiles.of(recording, saturation), recording.plan
+    if tiles is None:
+        return list(sets)
+    gradients = np.gradient(np.log(np.maximum(tiles.levels.mean(axis=0), 1.0)), axis=_ALONG)
+    result = []
+    for k, (errors, fringe) in enumerate(zip(sets, plan.fringes, strict=True)):
+        finest = plan.fringes[plan.finest_set(fringe.axis)].stripes
+        if fringe.stripes < NEIGHBOURS.min_share_of_finest * finest:
+            result.append(errors)
+            continue
+        levels = tiles.levels[slice(*plan.set_starts[k : k + 2])]
+        phases = _PhasesInTiles(levels, tiles.usable, fringe, plan.masks.modulation_min, noise)
+        result.append(phases.added_to(errors, gradients, fits.get(k)))
+    return result
+
+
+class _PhasesInTiles:
+    """The phases of one set in tiles, and their second differences."""
+
+    def __init__(
+        self, levels: Floats, usable: Mask, fringe: FringeSet, modulation_min: float, noise: NoiseModel
+    ) -> None:
+        self.levels, self.fringe, self.noise = levels, fringe, noise
+        self.fitted = fit_sinusoids(levels.reshape(len(levels), -1), fringe).reshape(3, *levels.shape[1:])
+        self.wave = self.fitted[1] + 1j * self.fitted[2]
+        self.modulation = np.maximum(np.abs(self.wave), 1e-3)
+        self.phasor = self.wave / self.modulation
+        bright = usable & (self.modulation >= max(modulation_min, NEIGHBOURS.min_modulation))
+        self.used: Mask = _inner(
+            np.all([np.roll(bright, by, axis) for axis in _ALONG for by in range(-2, 3)], axis=0)
+        )
+
+    def added_to(
+        self, errors: CommonErrors, gradients: Sequence[Floats], fit: HarmonicsFit | None
+    ) -> CommonErrors:
+        if self.used.sum() < NEIGHBOURS.min_pixels:
+            return errors
+        images, phase = self.fringe.images, np.angle(self.phasor)
+        slopes = [_slope(self.phasor, axis) for axis in _ALONG]
+        edges = np.sum([slope * g for slope, g in zip(slopes, gradients, strict=True)], axis=0)
+        shapes = np.stack([edges, np.cos(images * phase), np.sin(images * phase)])
+        bends = np.stack([_bend(self.phasor, axis)[self.used] for axis in _ALONG])
+        if robust_spread(bends.ravel(), 0.0) > NEIGHBOURS.max_bend_rad:
+            return errors
+        terms = np.stack([_differences(shapes, axis)[:, self.used] for axis in _ALONG], axis=1)
+        if np.square(terms[1:]).sum(axis=0).mean(axis=1).max() < NEIGHBOURS.min_ripple_power:
+            terms[1:] = 0.0  # a wide ripple looks as a surface does
+        strengths, rest, kept = _fitted(terms.reshape(3, -1), bends.ravel())
+        ripple_rad = float(np.hypot(*strengths[1:])) / np.sqrt(2.0)
+        beyond = max(0.0, ripple_rad**2 - float(np.nan_to_num(errors.harmonic_rad)) ** 2)
+        scatter = 1.0 if fit is None else self._scatter(fit, rest.reshape(2, -1), kept.reshape(2, -1))
+        ripple_rad = float(np.sqrt(beyond))
+        return replace(errors, ripple_rad=ripple_rad, scatter=scatter, blur_px2=float(strengths[0]))
+
+    def _scatter(self, fit: HarmonicsFit, rest: Floats, kept: Mask) -> float:
+        """Variance of the phases beside that of noise; 1 where neighbours are independent."""
+        # rest (2, P); kept (2, P)
+        count, shape = len(self.levels), self.levels.shape[1:]
+        group = set_group(0, self.levels.reshape(count, -1), self.fitted.reshape(3, -1), self.fringe)
+        residuals = group.combine_without_common_errors(group.quiet, fit).reshape(-1, *shape)
+        if not _are_correlated(residuals, self.used):
+            return 1.0
+        variance = _inner(self.noise.variance(self.fitted[0]))[self.used]
+        power = np.square(_inner(residuals)[:, self.used]).mean(axis=0) / variance
+        power = power[power < surprising_power(len(residuals))]
+        between = np.stack([_differences(residuals / self.modulation, a)[:, self.used] for a in _ALONG])
+        noise = 2.0 / count * np.square(between).mean(axis=1)[kept].mean()
+        return max(float(np.square(rest[kept]).mean() / noise), 1.0) * max(float(power.mean()), 1.0)
+
+
+def _inner(values: NDArray[S]) -> NDArray[S]:
+    """Tiles without two pixels at every side, whose neighbours lie in other tiles or are none."""
+    return values[..., 2:-2, 2:-2]
+
+
+def _slope(phasor: Floats, axis: int) -> Floats:
+    """Change of the phase per pixel, in rad."""
+    return np.asarray(0.5 * np.angle(np.roll(phasor, -1, axis) * np.roll(phasor, 1, axis).conj()))
+
+
+def _bend(phasor: Floats, axis: int) -> Floats:
+    """Second difference of the phase in rad."""
+    return _inner(np.angle(np.roll(phasor, -1, axis) * np.roll(phasor, 1, axis) * phasor.conj() ** 2))
+
+
+def _differences(values: Floats, axis: int) -> Floats:
+    """Second differences of values that do not wrap."""
+    return np.asarray(_inner(np.roll(values, -1, axis) + np.roll(values, 1, axis)) - 2.0 * _inner(values))
+
+
+def _fitted(terms: Floats, values: Floats) -> tuple[Floats, Floats, Mask]:
+    """Strengths of terms by least squares, 0 where noise may have made them, what they leave, and inliers."""
+    # terms (3, V); values (V,)
+    rest, kept = values, np.full(values.shape, True)
+    for _ in range(NEIGHBOURS.fit_passes):
+        kept = np.abs(rest) < NEIGHBOURS.outlier_sigmas * robust_spread(rest, 1e-6)
+        chosen = terms[:, kept]
+        # Not by BLAS, see `fpplab.phase.common_errors`.
+        inverse = np.linalg.pinv(np.einsum("ap,bp->ab", chosen, chosen), hermitian=True)
+        strengths = inverse @ np.einsum("ap,p->a", chosen, values[kept])
+        rest = values - strengths @ terms
+    sigma = np.sqrt(np.diag(inverse) * np.square(rest[kept]).mean())
+    return np.where(np.abs(strengths) > NEIGHBOURS.significance * sigma, strengths, 0.0), rest, kept
+
+
+def _are_correlated(residuals: Floats, used: Mask) -> bool:
+    """Whether residuals of neighbours are, seen across the direction in which smooth ones were taken off."""
+    for across, along in (_ALONG, _ALONG[::-1]):
+        bends = _differences(residuals, along) * used
+        product = (bends * np.roll(bends, 1, across)).sum()
+        chance = NEIGHBOURS.significance / np.sqrt(len(residuals) * used.sum())
+        if abs(product) > max(NEIGHBOURS.max_correlation, chance) * np.square(bends).sum():
+            return True
+    return False
