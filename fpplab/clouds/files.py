@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from fpplab.clouds import ply
 from fpplab.clouds.cloud import SIGMAS, Cloud
 from fpplab.core.archives import load_arrays
+from fpplab.core.conventions import Floats
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.file_kinds import naming_other_kinds, other_kind
 from fpplab.core.files import no_such_file, open_regular, write_large
@@ -37,6 +38,8 @@ READ_SUFFIXES = tuple(dict.fromkeys((*CLOUD_SUFFIXES, *TEXT_SUFFIXES)))
 """Of all files that `load_cloud` reads."""
 MESH_SUFFIXES = (".stl", ".ply", ".obj")
 """Of files that `load_mesh` reads."""
+MIN_SIZE_MM = 1.0
+"""Size below which a cloud or a mesh seems to be in another unit. Chosen: parts are of 1 mm to 2 m."""
 FAR_MM = 8192.0
 """Coordinate from which steps of 32-bit numbers reach 1 µm."""
 
@@ -165,7 +168,19 @@ def _read_mesh(path: Path) -> trimesh.Trimesh:
         raise DataError(f"{path}: has corners that are not finite; export it again")
     import trimesh  # half a second that measuring does not need
 
+    _warn_of_size(path, vertices)
     return _wound_alike(trimesh.Trimesh(vertices, faces), path)
+
+
+def _warn_of_size(path: Path, points: Floats) -> None:
+    """Warn of points (N, 3) that lie as if they were in m."""
+    size_mm = float(np.linalg.norm(np.ptp(points, axis=0))) if len(points) else 0.0
+    if 0.0 < size_mm < MIN_SIZE_MM:
+        _log.warning(
+            "%s: is %.3g mm across; lengths must be in mm: of m, multiply all coordinates by 1000",
+            path,
+            size_mm,
+        )
 
 
 def _wound_alike(mesh: trimesh.Trimesh, path: Path) -> trimesh.Trimesh:
@@ -387,6 +402,7 @@ def _cloud(
             path,
             np.spacing(np.float32(np.abs(middle).max())),
         )
+    _warn_of_size(path, points)
     origin = np.where(np.abs(middle) > FAR_MM, np.rint(middle), 0.0)
     near = np.ascontiguousarray(points - origin if origin.any() else points, np.float32)
     return Cloud(near, size=size, origin_mm=tuple(origin.tolist()), **known)

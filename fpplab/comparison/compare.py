@@ -50,6 +50,9 @@ class ComparisonLimits:
 
     density_per_mm2: float = 200.0
     """Samples of the true surface. Chosen: their mean spacing is 0.07 mm."""
+    max_samples: int = 2_000_000
+    """Samples of the true surface, or twice the points of the cloud if that is more. Chosen: for a large part
+    more samples than points cost time and show nothing more."""
     outlier_mm: float = 1.0
     """Distance beyond which a point is an outlier. Chosen."""
     near_mm: float = 0.5
@@ -285,7 +288,7 @@ def compare(
         Determines what both devices see. Without it, all of the mesh that faces the camera counts as visible,
         and every point of the cloud is evaluated.
     density : float
-        Samples of the true mesh per mm², drawn uniformly.
+        Samples of the true mesh per mm², drawn uniformly; fewer of a large part (`LIMITS.max_samples`).
     seed : int
         Of the random samples.
     align : bool
@@ -325,7 +328,8 @@ def compare(
     if alignment is not None:
         mesh = mesh.copy().apply_transform(alignment.transform.matrix)
     shape = RayTracedShape(mesh)
-    visible = visible_samples(mesh, shape, calibration, density, seed)
+    max_samples = max(LIMITS.max_samples, 2 * len(points))
+    visible = visible_samples(mesh, shape, calibration, density, seed, max_samples=max_samples)
     samples = visible.samples
     counted = np.ones(len(points), np.bool_) if calibration is None else _camera_rays_meet(shape, points)
     if not counted.any():
@@ -349,7 +353,7 @@ def compare(
         visible_share=visible.share,
         points=len(measured),
         off_part=len(points) - len(measured),
-        density_per_mm2=density,
+        density_per_mm2=visible.density_per_mm2,
         outlier_mm=outlier_mm,
         near_mm=near_mm,
         restricted=calibration is not None,
@@ -395,6 +399,7 @@ class VisibleSurface(NamedTuple):
     samples: Floats  # visible points (M, 3) of the surface in mm
     share: float  # share of the mesh's area that is visible
     out_of_view: float  # share of the area that is turned to the devices which lies outside of their images
+    density_per_mm2: float
 
 
 def visible_samples(
@@ -404,6 +409,7 @@ def visible_samples(
     density: float,
     seed: int,
     illuminated: bool = True,
+    max_samples: int | None = None,
 ) -> VisibleSurface:
     """Draw uniform samples of the visible surface of a mesh."""
     centres = [np.zeros(3)]
@@ -417,6 +423,8 @@ def visible_samples(
             "true mesh: no side of it faces both devices; check that cloud and mesh are in the camera's "
             "frame, or align them (--align)"
         )
+    if max_samples is not None and count > max_samples:
+        count, density = max_samples, max_samples / float(area.sum())
     samples, faces = trimesh.sample.sample_surface(mesh, count, face_weight=area, seed=seed)
     samples = np.asarray(samples, np.float64)
     visible = np.logical_and.reduce(
@@ -436,7 +444,8 @@ def visible_samples(
             "true mesh: both devices see nothing of it; check that cloud and mesh are in the camera's frame, "
             "or align them (--align)"
         )
-    return VisibleSurface(samples[visible], float(np.mean(visible) * area.sum() / mesh.area), out_of_view)
+    share = float(np.mean(visible) * area.sum() / mesh.area)
+    return VisibleSurface(samples[visible], share, out_of_view, density)
 
 
 def _camera_rays_meet(shape: RayTracedShape, points: Floats) -> Mask:

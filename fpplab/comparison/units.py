@@ -8,6 +8,7 @@ import igl
 import numpy as np
 import trimesh
 
+from fpplab.clouds.files import MIN_SIZE_MM
 from fpplab.comparison.alignment import LIMITS as ALIGNMENT
 from fpplab.comparison.alignment import align_mesh
 from fpplab.core.conventions import Floats
@@ -20,8 +21,8 @@ UNITS_MM = {"m": 1000.0, "inches": 25.4, "cm": 10.0}
 class UnitLimits:
     """Limits by which sizes are taken for those of another unit."""
 
-    min_size_mm: float = 1.0
-    """Size of cloud and mesh below which they cannot be in mm. Chosen: parts are of 1 mm to 2 m."""
+    min_size_mm: float = MIN_SIZE_MM
+    """Size of cloud and mesh below which they cannot be in mm."""
     max_size_ratio: float = 50.0
     """Ratio of the sizes of cloud and mesh beyond which they cannot be in the same unit. Chosen."""
     usual_size_ratio: tuple[float, float] = (0.3, 3.0)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import subprocess
 import sys
 from contextlib import suppress
@@ -122,6 +123,10 @@ def read_mesh(kind: str, content: bytes) -> Parts:
 
     if kind == "stl" and content:
         _check_stl(content)
+    elif kind == "obj":
+        _check_obj(content)
+    elif kind == "ply":
+        content = _checked_ply(content)
     with np.errstate(invalid="ignore"):
         # Unprocessed, since processing would silently drop corners that are not finite.
         mesh = trimesh.load_mesh(io.BytesIO(content), file_type=kind, process=False)
@@ -153,6 +158,30 @@ def _check_stl(content: bytes) -> None:
     else:
         excess = len(content) - 84 - 50 * announced
         raise ValueError(f"{excess} bytes follow the {announced} faces that it announces")
+
+
+def _check_obj(content: bytes) -> None:
+    """Raise `ValueError` for rows of an OBJ file that are too short, which trimesh leaves out."""
+    for number, line in enumerate(content.replace(b"\\\n", b" ").splitlines(), 1):
+        match line.split():
+            case [b"v", *values] if len(values) < 3:
+                raise ValueError(f"line {number} has {len(values)} coordinates instead of 3; is it cut off?")
+            case [b"f", *corners] if len(corners) < 3:
+                raise ValueError(f"line {number} has a face of {len(corners)} corners; is it cut off?")
+            case [b"f", *corners] if any(corner.split(b"/")[0] == b"0" for corner in corners):
+                raise ValueError(f"line {number} names corner 0, but OBJ counts corners from 1")
+
+
+def _checked_ply(content: bytes) -> bytes:
+    """Give a PLY file, as text without empty lines; raise `ValueError` for other rows than it announces."""
+    head, mark, body = content.partition(b"end_header")
+    if not re.search(rb"^format\s+ascii", head, re.MULTILINE):
+        return content
+    rows = [line for line in body.splitlines() if line.strip()]
+    announced = sum(map(int, re.findall(rb"^element\s+\S+\s+(\d+)", head, re.MULTILINE)))
+    if len(rows) != announced:
+        raise ValueError(f"it has {len(rows)} lines of data, but its header announces {announced}")
+    return b"\n".join([head + mark, *rows, b""])
 
 
 def read_opencv(content: bytes) -> Parts:

@@ -23,6 +23,7 @@ from typer.main import get_command
 from fpplab.cli import app
 from fpplab.core.errors import FppError
 from fpplab.core.file_kinds import describe_file
+from tests.support.commands import ROOT
 from tests.support.file_kinds import make_files
 
 TABLE = Path(__file__).with_name("refusals.yaml")
@@ -99,7 +100,8 @@ def say(words: Sequence[str]) -> str:
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(out):
             program.main(list(words), prog_name="fpplab", standalone_mode=False)
     except FppError as error:
-        return f"{error.exit_code} {error}".replace(os.getcwd() + os.sep, "")
+        answer = f"{error.exit_code} {error}"
+        return answer.replace(os.getcwd() + os.sep, "").replace(f"{ROOT}{os.sep}", "")
     except SystemExit as error:
         return f"{error.code} {' '.join(out.getvalue().split())[-200:]}"
     except Exception as error:  # noqa: BLE001 - each is a fault of fpplab, and told as such

@@ -68,8 +68,8 @@ def test_the_response_is_found_judged_and_used(fpplab: Command, folder: Path) ->
     [
         (("--out", "plan.yaml"), "exists already"),
         (("--out", "r.png"), "is the name of the picture"),
-        (("--out", "r.yaml", "--levels", "4"), "wrong usage"),
-        (("--out", "r.yaml", "--repeats", "0"), "wrong usage"),
+        (("--out", "r.yaml", "--levels", "4"), "--levels is '4': must be greater than or equal to 5"),
+        (("--out", "r.yaml", "--repeats", "0"), "--repeats is '0': must be greater than or equal to 1"),
         (("--out", "r.yaml", "--plan", "bent.yaml"), "'response' must name a file written by `fpplab gamma`"),
     ],
 )

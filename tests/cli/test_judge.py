@@ -74,9 +74,11 @@ def test_what_is_missing_is_named(fpplab: Command, demo: Demo, later: Path) -> N
     done = fpplab("characterise", "--judge", demo.folder / "calibration.yaml", "--json")
     assert (done.code, "needs sessions" in done.json["error"]) == (2, True)
     done = fpplab("characterise", later, "--json")
-    assert (done.code, done.json["error"]) == (2, "--target is missing")
+    assert done.code == 2
+    assert done.json["error"].startswith("`fpplab characterise` needs --target; ")
     done = fpplab("characterise", later, "--target", "target_paper", "--json")
-    assert (done.code, done.json["error"]) == (2, "--out is missing")
+    assert done.code == 2
+    assert done.json["error"].startswith("`fpplab characterise` needs --out; ")
 
 
 def test_a_calibration_of_an_earlier_version_is_refused_with_the_reason(fpplab: Command, later: Path) -> None:

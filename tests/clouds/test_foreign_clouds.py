@@ -216,3 +216,14 @@ def test_xyz_that_is_not_understood(text: str, reason: str, tmp_path: Path) -> N
     (tmp_path / "a.xyz").write_text(text, encoding="utf-8")
     with pytest.raises(DataError, match=rf"a\.xyz: is no readable XYZ cloud \(({reason})"):
         load_cloud(tmp_path / "a.xyz")
+
+
+def test_lengths_in_metres_are_told_at_every_door(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.WARNING)
+    (tmp_path / "a.xyz").write_text("0 0 0.4\n0.03 0.02 0.41\n")
+    load_cloud(tmp_path / "a.xyz")
+    assert "is 0.0374 mm across; lengths must be in mm" in caplog.text
+    caplog.clear()
+    (tmp_path / "a.xyz").write_text("0 0 400\n30 20 410\n")
+    load_cloud(tmp_path / "a.xyz")
+    assert not caplog.text

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 
 import igl
@@ -34,6 +35,20 @@ TILT = RigidTransform.from_vectors(np.array([0.0, -np.arctan2(150.0, 450.0), 0.0
 CALIBRATION = Calibration(CAMERA, PROJECTOR, RigidTransform(TILT.rotation, -TILT.rotation @ PLACE), {})
 # Artefacts stand with z towards the camera, their base 450 mm away.
 BEFORE_CAMERA = np.array([[1.0, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 450], [0, 0, 0, 1]])
+
+
+def test_a_large_part_is_sampled_more_coarsely(monkeypatch: pytest.MonkeyPatch) -> None:
+    plate = trimesh.creation.box((30, 20, 1)).apply_translation((0, 0, 400.5))
+    points = np.random.default_rng(1).uniform((-15, -10, 400), (15, 10, 400), (500, 3))
+    cloud = Cloud(points.astype(np.float32))
+    fine = compare(cloud, plate)
+    module = sys.modules[compare.__module__]
+    monkeypatch.setattr(module, "LIMITS", replace(module.LIMITS, max_samples=30_000))
+    coarse = compare(cloud, plate)
+    assert fine.density_per_mm2 == 200.0
+    assert coarse.density_per_mm2 == pytest.approx(50.0)
+    assert coarse.surface_rms_um == fine.surface_rms_um
+    assert coarse.smcd_um == pytest.approx(fine.smcd_um, rel=0.1)
 
 
 def placed(name: str) -> trimesh.Trimesh:

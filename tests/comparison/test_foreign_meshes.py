@@ -94,6 +94,49 @@ def test_faces_wound_this_way_and_that(tmp_path: Path) -> None:
         compare(Cloud(points(part()).astype(np.float32)), two)
 
 
+TRIANGLE_PLY = """ply
+format ascii 1.0
+element vertex 3
+property float x
+property float y
+property float z
+element face 2
+property list uchar int vertex_indices
+end_header
+0 0 0
+9 0 0
+
+0 9 0
+3 0 1 2
+3 2 1 0
+"""
+TRIANGLE_OBJ = "v 0 0 0\nv 9 0 0\nv 0 9 0\nf 1 2 3\nf -1 -2 \\\n-3\n"
+
+
+@pytest.mark.parametrize(
+    ("suffix", "text", "reason"),
+    [
+        ("ply", TRIANGLE_PLY, None),
+        ("ply", TRIANGLE_PLY.removesuffix("3 2 1 0\n"), "it has 4 lines of data, but its header announces 5"),
+        ("ply", TRIANGLE_PLY + "3 0 2 1\n", "it has 6 lines of data, but its header announces 5"),
+        ("obj", TRIANGLE_OBJ, None),
+        ("obj", TRIANGLE_OBJ.replace("f 1 2 3", "f 1 2"), "line 4 has a face of 2 corners; is it cut off"),
+        ("obj", TRIANGLE_OBJ.replace("v 9 0 0", "v 9 0"), "line 2 has 2 coordinates instead of 3"),
+        ("obj", TRIANGLE_OBJ.replace("f 1 2 3", "f 0 1 2"), "line 4 names corner 0"),
+    ],
+)
+def test_meshes_as_text(suffix: str, text: str, reason: str | None, tmp_path: Path) -> None:
+    path = tmp_path / f"part.{suffix}"
+    path.write_text(text, encoding="ascii")
+    if reason is None:
+        assert len(load_mesh(path).faces) == 2
+        return
+    with pytest.raises(
+        DataError, match=rf"part\.{suffix}: is no readable {suffix.upper()} mesh \(.*{reason}"
+    ):
+        load_mesh(path)
+
+
 @pytest.mark.parametrize(
     ("mesh_scale", "cloud_scale", "reason"),
     [

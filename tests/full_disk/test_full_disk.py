@@ -39,7 +39,7 @@ def test_a_disk_that_is_gone_is_told(place: Path) -> None:
         detach(place)
         done = run("decode", place / "session", "--out", place / "decoded.npz")
     assert done.code == 4
-    assert "is not a session" in done.err
+    assert "there is no such file or folder" in done.err
 
 
 @pytest.mark.nightly
