@@ -78,7 +78,7 @@ def test_a_wrong_field_is_named(tmp_path: Path, text: str, complaint: str) -> No
     [
         ("name: a\nname: b", "line 2: key 'name' is given twice"),
         ("name: a\nlens:\n  focal_mm: 1\n  focal_mm: 2", "line 4: key 'focal_mm' is given twice"),
-        ("name: [a", "line 1: expected ',' or ']'"),
+        ("name: [a", ": ends within a list or mapping; it seems to be cut off"),
         ("name: a\n\tlens: b", "line 2: begins with a tab; indent by blanks"),
         ("? [1, 2]\n: 3", "line 1: a key is not a word"),
         ("name: &n [*n]", "line 1: an alias refers to a value that it is part of"),
