@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.targets import Target
+from fpplab.targets.views import stretch_to_8_bits
 
 
 def explain_missing_board(image: NDArray[Any], target: Target) -> str | None:
@@ -23,6 +24,8 @@ def explain_missing_board(image: NDArray[Any], target: Target) -> str | None:
             "but it is there with foreground and background exchanged: 'foreground' should be "
             f"{inverted.foreground:g} and 'background' {inverted.background:g}"
         )
+    if misprint := target.layout.misprint(stretch_to_8_bits(np.asarray(image, np.float64))):
+        return f"but it is there {misprint}"
     if target.layout.shows_mirroring and target.detect(np.ascontiguousarray(image[:, ::-1])) is not None:
         return "but its mirror image is; the print, or the camera's picture, is mirrored"
     return None

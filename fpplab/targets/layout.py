@@ -259,6 +259,21 @@ class BoardLayout(PrintFields, GridFields, ABC):
         """
         return -1 if self.foreground > self.background else 1
 
+    def misprint(self, grey: NDArray[np.uint8]) -> str | None:
+        """Look for the board in another print than the kind's own; called when it was not found.
+
+        Parameters
+        ----------
+        grey : ndarray of uint8
+            The image (height, width).
+
+        Returns
+        -------
+        str or None
+            How it is there, and what to do; None where it is not.
+        """
+        return None
+
     def confusable(self) -> Iterator[tuple[str, dict[str, Any]]]:
         """List the kind's own fields that are easily described wrongly in a target file.
 

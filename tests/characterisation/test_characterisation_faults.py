@@ -6,6 +6,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -257,6 +258,19 @@ def test_a_board_described_as_its_negative_is_named() -> None:
     cause = explain_missing_board(picture(board), negative)
     assert cause is not None
     assert "exchanged: 'foreground' should be 0.05 and 'background' 0.9" in cause
+
+
+def test_charuco_boards_of_other_prints_are_named() -> None:
+    board = Target(kind="charuco", size_mm=(60, 48), counts=(7, 5), spacing_mm=(6, 6), marker_mm=4.5,
+                   dictionary="4x4_50")  # fmt: skip
+    earlier = board.layout.model()
+    earlier.setLegacyPattern(True)
+    drawn = np.pad(earlier.generateImage((400, 300)), 40, constant_values=255)
+    image = cv2.GaussianBlur(drawn, (0, 0), 1.0)
+    assert "as OpenCV before 4.6 drew it" in str(explain_missing_board(image, board))
+    negative = 255 - cv2.GaussianBlur(board.image(8.0), (0, 0), 1.0)
+    assert "as its negative" in str(explain_missing_board(negative, board))
+    assert explain_missing_board(np.full((200, 200), 128, np.uint8), board) is None
 
 
 def test_a_mirrored_charuco_board_is_named() -> None:

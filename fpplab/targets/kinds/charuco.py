@@ -93,3 +93,22 @@ class CharucoLayout(SquareLayout):
         if np.linalg.matrix_rank(xy - xy[0], tol=1e-6) < 2:
             return None
         return Detection(indices, np.asarray(pixels, np.float64).reshape(-1, 2))
+
+    def misprint(self, grey: NDArray[np.uint8]) -> str | None:
+        """Find a board of other bright squares than this one; see `BoardLayout.misprint`."""
+        # grey (height, width)
+        model = self.model()
+        if self._is_seen(model, np.invert(grey)):
+            return "as its negative, bright for dark; print it dark on bright (`fpplab target`)"
+        model.setLegacyPattern(True)  # which is the same for an odd number of rows of squares
+        if self.counts[1] % 2 == 1 and self._is_seen(model, grey):
+            return (
+                "as OpenCV before 4.6 drew it, which begins with a bright square where the number of rows is "
+                "even; print it anew (`fpplab target`)"
+            )
+        return None
+
+    @staticmethod
+    def _is_seen(model: cv2.aruco.CharucoBoard, grey: NDArray[np.uint8]) -> bool:
+        ids = cv2.aruco.CharucoDetector(model).detectBoard(grey)[1]
+        return ids is not None and len(ids) >= LIMITS.min_points
