@@ -283,7 +283,7 @@ MISTAKES: dict[str, Mistake] = {
         with_frames(lambda frames, *_: [f[:, ::-1] for f in frames]), "images are mirrored, left to right"
     ),
     "images upside down": Mistake(
-        with_frames(lambda frames, *_: [f[::-1] for f in frames]), f"upside down, mirrored|{UNPLACED}"
+        with_frames(lambda frames, *_: [f[::-1] for f in frames]), f"upside down, mirrored|{UNPLACED}{LIGHT}"
     ),
     "region moved": Mistake(with_frames(_moved), f"region|{UNPLACED}{LIGHT}"),
     "bent response": Mistake(
@@ -436,41 +436,45 @@ def run() -> list[Result]:
 
 def measure_explanations(count: int, first: int, names: Sequence[str] = tuple(MISTAKES)) -> list[Result]:
     """Judge a number of recordings of each explanation, and ten times as many without a mistake."""
-    work = [(name, seed) for name in names for seed in range(first, first + count)]
+    work = [(name, seed) for seed in range(first, first + count) for name in names]
     healthy = range(first, first + HEALTHY * count)
     with (
         patch.dict(os.environ, ONE_THREAD),
         ProcessPoolExecutor(len(os.sched_getaffinity(0)), get_context("spawn")) as pool,
     ):
-        outcomes = list(pool.map(judge_explanation, *zip(*work, strict=True)))
-        plans = list(pool.map(of_right_plan, healthy))
-        scans = list(pool.map(of_healthy_scan, healthy))
+        # All are under way together, and each is told as it comes.
+        ahead = pool.map(judge_explanation, *zip(*work, strict=True))
+        plans_ahead, scans_ahead = (pool.map(of, healthy) for of in (of_right_plan, of_healthy_scan))
+        outcomes = [tell_outcome(one) for one in ahead]
+        plans = [_blamed("right plan", *each) for each in zip(healthy, plans_ahead, strict=True)]
+        scans = [_blamed("healthy scan", *each) for each in zip(healthy, scans_ahead, strict=True)]
     for name in names:
-        of_name = [one for one in outcomes if one.name == name]
-        right = sum(one.is_right for one in of_name)
-        console.log_status(f"{name}: {right} of {len(of_name)} right first")
-        for one in of_name:
-            if not one.is_right:
-                console.log_status(f"  seed {one.seed}: {one.text[:240]}")
-            if one.believed:
-                console.log_status(f"  seed {one.seed} BELIEVED: {one.believed[:300]}")
-    for what, said in (("right plan", plans), ("healthy scan", scans)):
-        for seed, text in zip(healthy, said, strict=True):
-            if text:
-                console.log_status(f"{what}, seed {seed}: {text[:240]}")
+        rights = [one.is_right for one in outcomes if one.name == name]
+        console.log_status(f"{name}: {sum(rights)} of {len(rights)} right first")
+    right = 100.0 * float(np.mean([one.is_right for one in outcomes]))
+    believed = float(sum(bool(one.believed) for one in outcomes))
     return [
-        above(
-            "explanations_right_first", 100.0 * float(np.mean([one.is_right for one in outcomes])), "%", 95.0
-        ),
-        below(
-            "explanations_believed_and_wrong",
-            float(sum(bool(one.believed) for one in outcomes)),
-            "clouds",
-            1e-9,
-        ),
-        below("right_plans_blamed", float(sum(map(bool, plans))), f"of {len(plans)} plans", 1e-9),
-        below("healthy_scans_blamed", float(sum(map(bool, scans))), f"of {len(scans)} scans", 1e-9),
+        above("explanations_right_first", right, "%", 95.0),
+        below("explanations_believed_and_wrong", believed, "clouds", 1e-9),
+        below("right_plans_blamed", float(sum(plans)), f"of {len(plans)} plans", 1e-9),
+        below("healthy_scans_blamed", float(sum(scans)), f"of {len(scans)} scans", 1e-9),
     ]
+
+
+def tell_outcome(outcome: Outcome) -> Outcome:
+    """Print what is wrong about an outcome."""
+    place = f"{outcome.name}, seed {outcome.seed}"
+    if not outcome.is_right:
+        console.log_status(f"{place}: {outcome.text[:240]}")
+    if outcome.believed:
+        console.log_status(f"{place}: BELIEVED: {outcome.believed[:300]}")
+    return outcome
+
+
+def _blamed(what: str, seed: int, text: str) -> bool:
+    if text:
+        console.log_status(f"{what}, seed {seed}: {text[:240]}")
+    return bool(text)
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode
 from fpplab.pipeline.checking import plan_fault, require_in_step
 from fpplab.pipeline.depth import given_depth
+from fpplab.sessions.origin import check_region
 from fpplab.sessions.session import Session
 
 
@@ -30,6 +31,7 @@ def checked_recording(
     given = given_depth(depth_mm)
     calibration.check_camera(session.format[:2], session.path)
     calibration.check_projector(*session.projector(), session.path)
+    check_region(calibration, session)
     recording = session.recording(progress=lambda share: progress(0.3 * share))
     if not as_recorded:
         require_in_step(recording)

@@ -15,6 +15,7 @@ from fpplab.core.session_names import CALIBRATION, CLOUD, DECODED
 from fpplab.diagnosis import Diagnosis, UselessScanError, diagnose_scan
 from fpplab.diagnosis.limits import USUAL_LIMITS, DiagnosisLimits
 from fpplab.diagnosis.record import save_diagnosis
+from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded
 from fpplab.pipeline.decoding import checked_recording
 from fpplab.pipeline.triangulating import triangulate_recording
@@ -71,16 +72,12 @@ def reconstruct_session(
 ) -> Reconstruction:
     """Reconstruct a session and judge the result; nothing is written."""
     recording = checked_recording(session, calibration, depth_mm, progress, as_recorded=as_recorded)
-    is_placed = check_region(calibration, session)
     decoded, points = triangulate_recording(recording, calibration, filtering, progress, limits)
     observe_maps(decoded)
     if isinstance(points, Diagnosis):
         return Reconstruction(session, calibration, recording.depth, None, None, points)
     cloud = _with_sigmas(decoded, points, calibration, progress)
-    foreign = foreign_calibration(calibration, session)
-    diagnosis = diagnose_scan(
-        recording, decoded, cloud, calibration, foreign=foreign, limits=limits, region_is_known=is_placed
-    )
+    diagnosis = _judge(session, recording, decoded, cloud, calibration, limits)
     return Reconstruction(session, calibration, recording.depth, decoded, cloud, diagnosis)
 
 
@@ -93,7 +90,6 @@ def finish_scan(
     limits: DiagnosisLimits = USUAL_LIMITS,
 ) -> Reconstruction:
     """Reconstruct a complete session and leave every result in it; a useless cloud is not written."""
-    is_placed = check_region(calibration, session)
     recording = checked_recording(session, calibration, depth_mm, progress)
     with (
         exclusive_write(session.path),
@@ -116,16 +112,7 @@ def finish_scan(
             lambda: verdict.result().require_usable(str(session.path)),
         )
         try:
-            foreign = foreign_calibration(calibration, session)
-            diagnosis = diagnose_scan(
-                recording,
-                decoded,
-                cloud,
-                calibration,
-                foreign=foreign,
-                limits=limits,
-                region_is_known=is_placed,
-            )
+            diagnosis = _judge(session, recording, decoded, cloud, calibration, limits)
             save_diagnosis(diagnosis, session.path)
         except BaseException as error:
             verdict.set_exception(error)  # the writer waits for it
@@ -139,6 +126,20 @@ def finish_scan(
             write_recorded(session.path / CALIBRATION, calibration.to_yaml(CALIBRATION))
             session.check_kept()
     return Reconstruction(session, calibration, recording.depth, decoded, cloud, diagnosis)
+
+
+def _judge(
+    session: Session,
+    recording: Recording,
+    decoded: Decoded,
+    cloud: Cloud,
+    calibration: Calibration,
+    limits: DiagnosisLimits,
+) -> Diagnosis:
+    foreign, is_placed = foreign_calibration(calibration, session), check_region(calibration, session)
+    return diagnose_scan(
+        recording, decoded, cloud, calibration, foreign=foreign, limits=limits, region_is_known=is_placed
+    )
 
 
 def _with_sigmas(decoded: Decoded, cloud: Cloud, calibration: Calibration, progress: Progress) -> Cloud:

@@ -69,7 +69,8 @@ def _draw(evidence: Evidence, _: Finding) -> Figure | None:
 STALE_CALIBRATION = FaultCause(
     key="stale_calibration",
     meaning="The rig is no longer the one that was calibrated.",
-    remedy="characterise the rig again; something was moved, refocused or exchanged",
+    remedy="characterise the rig again; something was moved, refocused or exchanged, "
+    "or the images show another region of the sensor",
     measured="distance of points from their epipolar lines, over groups of neighbours",
     limit=f"{StaleCalibrationLimits().max_epipolar_px:g} projector px",
     seen_in="points, two axes",

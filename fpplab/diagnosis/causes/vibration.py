@@ -91,6 +91,6 @@ VIBRATION = FaultCause(
     seen_in="frames",
     detectors=(Detector(DetectionStage.FRAMES, _find),),
     picture=Picture(Needs.FRAMES, _draw),
-    side_effects=frozenset({"interreflection", "wrong_resolution", "flicker", "stale_calibration"}),
-    outweighs_from={"bands": 0.25},
+    side_effects=frozenset({"interreflection", "wrong_resolution", "stale_calibration"}),
+    outweighs_from={"bands": 0.25, "flicker": 1.0},
 )

@@ -17,11 +17,13 @@ from fpplab.core.errors import ConfigError
 from fpplab.diagnosis.limits import USUAL_LIMITS, DiagnosisLimits
 from fpplab.diagnosis.plan.edits import Sets
 from fpplab.diagnosis.plan.limits import PlanCheckLimits
-from fpplab.diagnosis.plan.placement import AS_RECORDED, ImageTurn, PlacedSample, Placement
+from fpplab.diagnosis.plan.placement import PlacedSample, Placement, Turn
 from fpplab.diagnosis.plan.sample import PhaseSample
 from fpplab.patterns.fringe_sets import Sinusoid, indices_along
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
+
+AS_RECORDED = 1, 1
 
 
 def _unchanged(sets: Sets) -> Sets:
@@ -44,7 +46,7 @@ class OrientationRival:
 
     meaning: str  # as a clause
     remedy: str
-    turn: ImageTurn = AS_RECORDED
+    turn: Turn = AS_RECORDED
     edit: Callable[[Sets], Sets] = field(default=_unchanged)
     axes: tuple[Axis, ...] = ()  # that a plan must code for it
 
@@ -63,17 +65,17 @@ ORIENTATION_RIVALS = (
     OrientationRival(
         "the images are turned by 180°",
         "turn the images by 180° before they are imported, or switch that off in the camera",
-        ImageTurn(mirrors_columns=True, mirrors_rows=True),
+        (-1, -1),
     ),
     OrientationRival(
         "the images are mirrored, left to right",
         "mirror the images left to right before they are imported, or switch that off in the camera",
-        ImageTurn(mirrors_columns=True),
+        (-1, 1),
     ),
     OrientationRival(
         "the images are upside down, mirrored top to bottom",
         "mirror the images top to bottom before they are imported, or switch that off in the camera",
-        ImageTurn(mirrors_rows=True),
+        (1, -1),
     ),
     _sign_rival("x"),
     _sign_rival("y"),
@@ -167,4 +169,6 @@ def _placed(sampled: Recording, sets: Sets, sample: PhaseSample) -> PlacedSample
         if (ranked := indices_along(sets, axis))
     }
     decoded = decode(replace(sampled, plan=plan))
-    return PlacedSample.of(decoded, sample.lit, gradients, sample.rows[0].step)
+    coordinates = {axis: decoded.coordinate(axis)[sample.lit].astype(np.float64) for axis in gradients}
+    pixels = np.argwhere(sample.lit)[:, ::-1] * float(sample.rows[0].step)
+    return PlacedSample(pixels, coordinates, gradients)

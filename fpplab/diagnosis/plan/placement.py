@@ -11,7 +11,6 @@ from fpplab.core.conventions import AXES, Axis, Floats, Mask
 from fpplab.core.depth import DepthRange
 from fpplab.diagnosis.direction import expected_change
 from fpplab.diagnosis.plan.limits import PlanCheckLimits
-from fpplab.phase import Decoded
 
 ITERATIONS = 8
 """Of Newton's method, which converges within four. Chosen."""
@@ -19,25 +18,8 @@ STEP = 1e-3
 """Of the inverse depth for its derivative, as a share of the inverse of three baselines. Chosen."""
 
 
-@dataclass(frozen=True)
-class ImageTurn:
-    """How images stand compared with those of the characterisation."""
-
-    mirrors_columns: bool = False  # whether left and right are exchanged
-    mirrors_rows: bool = False  # whether top and bottom are exchanged
-
-    @property
-    def signs(self) -> Floats:
-        """Factors of directions to the right and down."""
-        return np.array([-1.0 if self.mirrors_columns else 1.0, -1.0 if self.mirrors_rows else 1.0])
-
-    def apply_to_pixels(self, pixels: Floats, size: tuple[int, int]) -> Floats:
-        """Give the pixels (P, 2) that the calibration is for."""
-        last = np.array(size, np.float64) - 1.0
-        return np.asarray(np.where(self.signs < 0, last - pixels, pixels))
-
-
-AS_RECORDED = ImageTurn()
+Turn = tuple[int, int]
+"""How images stand compared with those of the characterisation: -1 where columns and rows are mirrored."""
 
 
 @dataclass(frozen=True)
@@ -62,24 +44,18 @@ class PlacedSample:
     coordinates: dict[Axis, Floats]  # (P,) in projector px, NaN where unknown
     gradients: dict[Axis, Floats]  # (P, 2) a measure of the change to the right and down
 
-    @classmethod
-    def of(cls, decoded: Decoded, lit: Mask, gradients: dict[Axis, Floats], step: int) -> PlacedSample:
-        """Take the lit pixels of maps of every `step`-th pixel."""
-        rows, columns = np.nonzero(lit)
-        coordinates = {axis: decoded.coordinate(axis)[rows, columns].astype(np.float64) for axis in gradients}
-        return cls(step * np.stack([columns, rows], axis=1).astype(np.float64), coordinates, gradients)
-
-    def placement(self, calibration: Calibration, turn: ImageTurn, depth: DepthRange | None) -> Placement:
+    def placement(self, calibration: Calibration, turn: Turn, depth: DepthRange | None) -> Placement:
         """Compare them with a calibration."""
         expected = expected_change(calibration)
         is_forward = all(
-            float(np.median(gradient @ (turn.signs * expected[AXES.index(axis)]))) > 0.0
+            float(np.median(gradient @ (turn * expected[AXES.index(axis)]))) > 0.0
             for axis, gradient in self.gradients.items()
         )
         known = np.all([np.isfinite(values) for values in self.coordinates.values()], axis=0)
         if not known.any():
             return Placement(is_forward, 0.0, None)
-        pixels = turn.apply_to_pixels(self.pixels[known], calibration.camera.size)
+        last = np.array(calibration.camera.size, np.float64) - 1.0
+        pixels = np.where(np.array(turn) < 0, last - self.pixels[known], self.pixels[known])
         axes = tuple(self.coordinates)
         observed = np.stack([self.coordinates[axis][known] for axis in axes], axis=1)
         solved = _Rays.through(pixels, calibration).solve(observed, [AXES.index(axis) for axis in axes])
