@@ -94,8 +94,11 @@ class Meeting:
         host = f"[{self.host}]" if ":" in self.host else self.host
         return f"{self.protocol}://{host}:{self.port}"
 
-    def await_scheduler(self) -> None:
-        """Wait until a scheduler greets: dask's client waits for ever where something else listens."""
+    def client(self) -> Any:
+        """Open a client, once a scheduler greets: dask's own waits for ever where something else listens."""
+        import distributed
+
+        make_client: Any = distributed.Client
         context: ssl.SSLContext | None = self.security.get_connection_args("client")["ssl_context"]
         try:
             with (
@@ -104,6 +107,7 @@ class Meeting:
             ):
                 if not connection.recv(1):
                     raise OSError("what listens there is no scheduler")
+            return make_client(self.address, timeout=LIMITS.connect_timeout_s, security=self.security)
         except OSError as error:
             raise DeviceError(
                 "scheduler",
@@ -194,7 +198,7 @@ def run_workers(address: str, certificate: Path | None, workers: int) -> None:
     """Measure for a scheduler with worker processes until it ends."""
     need_extra("distributed")
     meeting = Meeting.at(address, certificate)
-    meeting.await_scheduler()
+    meeting.client().close()
     with dask_settings():
         asyncio.run(_run_workers(meeting, workers))
 

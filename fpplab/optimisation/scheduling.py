@@ -114,17 +114,17 @@ class DaskWorkers:
     """Measures on the workers of a `dask` scheduler: an existing one, or processes started here."""
 
     def __init__(
-        self,
-        factory: EvaluatorFactory,
-        workers: int = 1,
-        scheduler: cluster.Meeting | None = None,
+        self, factory: EvaluatorFactory, workers: int = 1, scheduler: cluster.Meeting | None = None
     ) -> None:
         self._factory = factory
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
         with ExitStack() as opening:
             opening.enter_context(cluster.dask_settings())
-            where: Any = scheduler or opening.enter_context(cluster.start_processes(workers))
-            self._client: Any = opening.enter_context(_connect(where))
+            if scheduler is None:
+                processes = opening.enter_context(cluster.start_processes(workers))
+                self._client: Any = opening.enter_context(processes.get_client())
+            else:
+                self._client = opening.enter_context(scheduler.client())
             opening.callback(self._close_rigs)
             if scheduler is not None:
                 self._await_workers(scheduler.address)
@@ -176,24 +176,6 @@ class DaskWorkers:
     def close(self) -> None:
         """Close the rigs of all workers, and end the processes started here."""
         self._stack.close()
-
-
-def _connect(where: Any) -> Any:
-    """Open a client of a cluster started here, or of the scheduler that is met at an address."""
-    import distributed
-
-    library: Any = distributed
-    if not isinstance(where, cluster.Meeting):
-        return library.Client(where, timeout=cluster.LIMITS.connect_timeout_s)
-    where.await_scheduler()
-    try:
-        return library.Client(
-            where.address, timeout=cluster.LIMITS.connect_timeout_s, security=where.security
-        )
-    except OSError as error:
-        raise DeviceError(
-            "scheduler", "connect", f"what answers at '{where.address}' is no scheduler ({error})"
-        ) from error
 
 
 def make_workers(factory: EvaluatorFactory, count: int, scheduler: cluster.Meeting | None) -> Workers:

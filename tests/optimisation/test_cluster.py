@@ -123,7 +123,7 @@ def test_a_stranger_gets_nothing_and_runs_no_code(
         answer = answered(host, int(port), said)
         assert not answer or (answer[0], len(answer)) == (21, 7)  # an alert of TLS
     with pytest.raises(DeviceError, match="nothing answers"):
-        Meeting.at(address, other).await_scheduler()
+        Meeting.at(address, other).client()
     own = distributed.Client(address, timeout=10, security=Meeting.at(address, lab).security)
     with own:
         own.run_on_scheduler(ran.touch)
