@@ -15,6 +15,7 @@ from fpplab.cli.completion import names_of
 from fpplab.cli.lists import global_first
 from fpplab.core.confirmation import ConfirmationRequired, confirm_in_advance
 from fpplab.core.errors import Cancelled, ConfigError
+from fpplab.core.lattice import Lattice
 from fpplab.core.logs import trace_devices
 from fpplab.core.version import __version__
 
@@ -181,6 +182,21 @@ FirstIndex = Annotated[
 ]
 FirstStep = Annotated[
     int | None, typer.Option("--first-step", min=0, help="Number of the first {step}, if it is another.")
+]
+CameraSize = Annotated[
+    tuple[int, int] | None,
+    typer.Option("--camera-size", help="Width and height of the camera in px, where no file says it."),
+]
+ProjectorSize = Annotated[
+    tuple[int, int] | None,
+    typer.Option("--projector-size", help="Width and height of the projector in px, where no file says it."),
+]
+ProjectorLattice = Annotated[
+    Lattice | None,
+    typer.Option(
+        "--lattice",
+        help="How the projector's mirrors lie, where no file says it; a LightCrafter's lie in a diamond.",
+    ),
 ]
 SkippedImages = Annotated[
     str | None,

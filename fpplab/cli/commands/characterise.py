@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,7 +11,18 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.advice import missing_option
-from fpplab.cli.app import PREPARE, DepthOption, Force, Json, LimitsOption, PlanName, app
+from fpplab.cli.app import (
+    PREPARE,
+    CameraSize,
+    DepthOption,
+    Force,
+    Json,
+    LimitsOption,
+    PlanName,
+    ProjectorLattice,
+    ProjectorSize,
+    app,
+)
 from fpplab.cli.completion import names_of
 from fpplab.cli.viewing import ConsoleObserver, KeepOpen, ViewOption, observe_characterisation
 from fpplab.core.errors import CalibrationError, ConfigError
@@ -55,17 +67,9 @@ def characterise_command(
             "--points", help="Table of the board's points in camera and projector, located elsewhere."
         ),
     ] = None,
-    camera_size: Annotated[
-        tuple[int, int] | None, typer.Option("--camera-size", help="With --points: width and height in px.")
-    ] = None,
-    projector_size: Annotated[
-        tuple[int, int] | None,
-        typer.Option("--projector-size", help="With --points: width and height in px."),
-    ] = None,
-    lattice: Annotated[
-        Lattice | None,
-        typer.Option("--lattice", help="With --points: how the projector's mirrors lie; square by default."),
-    ] = None,
+    camera_size: CameraSize = None,
+    projector_size: ProjectorSize = None,
+    lattice: ProjectorLattice = None,
     rig: Annotated[
         str | None,
         typer.Option("--rig", help="Take the poses now, on this rig.", autocompletion=names_of("rig")),
@@ -146,18 +150,11 @@ def characterise_command(
     `fpplab characterise --judge calibration.yaml later_poses/`
     """
     if judged:
-        _judge(
-            judged,
-            sessions or [],
-            out,
-            force,
-            json,
-            unused={"--rig": rig, "--target": target, "--points": points},
-        )
+        unused: dict[str, object] = {"--rig": rig, "--target": target, "--points": points}
+        _judge(judged, sessions or [], out, force, json, unused)
         return
     from fpplab.characterisation import DistortionModel
     from fpplab.characterisation.limits import CharacterisationLimits
-    from fpplab.cli.usage import misplaced_word
     from fpplab.core.config import load_document
     from fpplab.devices.rig import Rig
     from fpplab.patterns.plan import Plan
@@ -166,13 +163,7 @@ def characterise_command(
 
     until_mm = wanted_mm(guide, until, depth, rig)
     if target is None or out is None:
-        option = "--target" if target is None else "--out"
-        misplaced = misplaced_word([str(path) for path in sessions or ()], option)
-        raise ConfigError(
-            f"`fpplab characterise` needs {option}; write {option} {misplaced}"
-            if misplaced
-            else missing_option("fpplab characterise", option)
-        )
+        raise _is_missing("--target" if target is None else "--out", sessions or ())
     if limits and guide:
         raise ConfigError("--limits is for recorded poses: with --guide each pose is judged as it is taken")
     request = CharacterisationRequest(
@@ -196,6 +187,14 @@ def characterise_command(
     observer = observe_characterisation(context, view, keep_open, out.with_suffix(".rrd"))
     result = run_characterisation(request, observer)
     console.print_result(result.summary(), json)
+
+
+def _is_missing(option: str, sessions: Sequence[Path]) -> ConfigError:
+    from fpplab.cli.usage import misplaced_word
+
+    if misplaced := misplaced_word([str(path) for path in sessions], option):
+        return ConfigError(f"`fpplab characterise` needs {option}; write {option} {misplaced}")
+    return ConfigError(missing_option("fpplab characterise", option))
 
 
 def wanted_mm(

@@ -8,9 +8,8 @@ from typing import Annotated
 import typer
 
 from fpplab.cli import console
-from fpplab.cli.app import PREPARE, Force, Json, Out, app
+from fpplab.cli.app import PREPARE, CameraSize, Force, Json, Out, ProjectorLattice, ProjectorSize, app
 from fpplab.core.errors import ConfigError
-from fpplab.core.lattice import Lattice
 
 
 @app.command("convert", rich_help_panel=PREPARE)
@@ -22,17 +21,9 @@ def convert_command(
         ),
     ],
     out: Out,
-    camera_size: Annotated[
-        tuple[int, int] | None,
-        typer.Option("--camera-size", help="Width and height in px, if the files do not say."),
-    ] = None,
-    projector_size: Annotated[
-        tuple[int, int] | None,
-        typer.Option("--projector-size", help="Width and height in px, if the files do not say."),
-    ] = None,
-    lattice: Annotated[
-        Lattice | None, typer.Option("--lattice", help="How the mirrors lie, if the files do not say.")
-    ] = None,
+    camera_size: CameraSize = None,
+    projector_size: ProjectorSize = None,
+    lattice: ProjectorLattice = None,
     unit: Annotated[
         str | None,
         typer.Option(

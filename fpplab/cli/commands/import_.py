@@ -18,12 +18,13 @@ from fpplab.cli.app import (
     ImagePlaces,
     Json,
     Out,
+    ProjectorLattice,
+    ProjectorSize,
     SkippedImages,
     app,
 )
 from fpplab.cli.completion import names_of
 from fpplab.core.errors import ConfigError
-from fpplab.core.lattice import Lattice
 
 
 @app.command("import", rich_help_panel=MEASURE)
@@ -39,14 +40,8 @@ def import_command(
     first: FirstIndex = 0,
     first_step: FirstStep = None,
     skip: SkippedImages = None,
-    projector_size: Annotated[
-        tuple[int, int] | None,
-        typer.Option("--projector-size", help="Width and height of the projector, if the plan does not say."),
-    ] = None,
-    lattice: Annotated[
-        Lattice | None,
-        typer.Option("--lattice", help="How the projector's mirrors lie; a LightCrafter's lie in a diamond."),
-    ] = None,
+    projector_size: ProjectorSize = None,
+    lattice: ProjectorLattice = None,
     phase: Annotated[
         Path | None,
         typer.Option("--phase", help="Instead of images: a map along x that another program decoded."),
