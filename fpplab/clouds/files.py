@@ -6,7 +6,7 @@ import io
 import logging
 import re
 import warnings
-from codecs import BOM_UTF8
+from codecs import BOM_UTF8, BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Callable, Mapping
 from dataclasses import fields
 from pathlib import Path
@@ -231,6 +231,8 @@ def _read_xyz(path: Path) -> Cloud:
     with warnings.catch_warnings(), open_regular(path) as stream:
         warnings.simplefilter("ignore", UserWarning)  # an empty file is refused as a cloud without points
         content = stream.read().removeprefix(BOM_UTF8)
+        if content.startswith((BOM_UTF16_LE, BOM_UTF16_BE)):
+            content = content.decode("utf-16").encode()
         try:
             table = np.loadtxt(io.BytesIO(content), np.float64, ndmin=2, comments=("#", "//"))
         except ValueError:  # other dialects take five times as long
@@ -270,16 +272,18 @@ def _read_dialect(lines: list[bytes], path: Path) -> Cloud:
 
 def _with_decimal_points(rows: ply.TextRows) -> ply.TextRows:
     """Replace decimal commas, which are told from separators by blanks or semicolons between the values."""
-    number, last = rows[-1]
-    values = [value.strip() for value in b" ".join(last).split(b";")] if b";" in b"".join(last) else last
-    if len(values) < 3 or not all(_DECIMAL_COMMA.fullmatch(value) for value in values[:3]):
+    lines = [(n, b" ".join(values)) for n, values in rows]
+    separated = [line.split(b";" if b";" in line else None) for _, line in lines]
+    values = [value.strip() for line in separated for value in line]
+    with_comma = [value for value in values if b"," in value]
+    if not with_comma or not all(map(_DECIMAL_COMMA.fullmatch, with_comma)):
         return rows
-    if all(re.fullmatch(rb"[-+]?[1-9]\d{0,2},\d{3}", value) for value in values[:3]):
-        raise ValueError(
-            f"line {number}: '{values[0].decode()}' may have a decimal comma or count thousands; write "
-            "decimals with points"
-        )
-    return [(n, [value.replace(b",", b".") for value in line]) for n, line in rows]
+    if any(b"." in value for value in values if ply.is_number(value)):
+        return rows
+    if all(re.fullmatch(rb"[-+]?[1-9]\d{0,2},\d{3}", value) for value in with_comma):
+        value = with_comma[0].decode()
+        raise ValueError(f"'{value}' may have a decimal comma or count thousands; write decimals with points")
+    return [(n, line.replace(b",", b".").split()) for n, line in lines]
 
 
 def _named_columns(names: list[str]) -> list[int]:

@@ -110,6 +110,7 @@ _STARTS: dict[bytes, str] = {
     b"RRF": "a recording of the viewer",
     b"BLENDER": "a file of Blender",
     b"LASF": "a LAS cloud",
+    b"# .PCD": "a PCD cloud",
     b"ASTM-E57": "an E57 cloud",
     b"OFF": "an OFF mesh",
     b"ISO-10303-21": "a STEP model, which the program that drew it can export as STL",
@@ -117,6 +118,10 @@ _STARTS: dict[bytes, str] = {
     b"MZ": "a program",
     b"SQLite format 3": "a database of SQLite",
 }
+
+
+_SUFFIXES = {PLY: ".ply", PLY_MESH: ".ply", NPZ_CLOUD: ".npz", STL: ".stl", OBJ: ".obj"}
+"""Suffixes by which readers choose, of kinds that they may be given under another one."""
 
 
 def describe_file(path: Path) -> str | None:
@@ -241,6 +246,9 @@ def other_kind(path: Path, wanted: WantedKind) -> str | None:
     """Say that a file or folder is of another kind than wanted; None where it may be of that kind."""
     kind = describe_file(path)
     accepted, needed = _WANTED[wanted]
+    suffix = _SUFFIXES.get(kind or "", "")
+    if kind in accepted and suffix and path.suffix.lower() != suffix:
+        return f"{path}: is {kind}, whose name must end in {suffix}"
     if kind is None or kind in accepted:
         return None
     if wanted == "foreign calibration" and path.is_dir():

@@ -190,6 +190,7 @@ def test_points_that_were_not_measured(
         '"label","z_mm","y_mm","x_mm"\na,3,2,1\nb,6,5,4\n',
         "1 2 3 0.5\n4 5 6 0.5\n",
         "1,0;2,0;3,0\r\n4,0;5,0;6,0\r\n",
+        "1,0;2;3\n4;5;6,0\n",
         "1,0 2,00 3,0e0\n4,0 5,00 6,0e0\n",
         "x_mm;y_mm;z_mm\n1,000;2,0;3,000\n4,000;5,0;6,000\n",
     ],
@@ -197,7 +198,8 @@ def test_points_that_were_not_measured(
 def test_dialects_of_xyz(text: str, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.WARNING)
     for suffix in TEXT_SUFFIXES:
-        (tmp_path / f"a{suffix}").write_bytes(text.encode())
+        encoding = "utf-16" if suffix == ".csv" and not text.startswith("\ufeff") else "utf-8"
+        (tmp_path / f"a{suffix}").write_bytes(text.encode(encoding))
         assert load_cloud(tmp_path / f"a{suffix}").points.tolist() == POINTS
     assert ("4 columns; only x, y, z are read" in caplog.text) == ("label" in text or "0.5" in text)
 
@@ -205,7 +207,8 @@ def test_dialects_of_xyz(text: str, tmp_path: Path, caplog: pytest.LogCaptureFix
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("1,500 2,500 3,500\n", "line 1: '1,500' may have a decimal comma or count thousands"),
+        ("1,500 2,500 3,500\n", "'1,500' may have a decimal comma or count thousands"),
+        ("1,5;2.5;3,5\n", "line 1: '1,5' is not a number; write decimals with points"),
         ("1 2 3\n4 5\n", "line 1 has 3 values instead of 2|line 2 has 2 values"),
         ("1 2 3\n4 5 6 7\n", "line 1 has 3 values instead of 4"),
         ("x_m y_m z_m\n1 2 3\n", "its first line, 'x_m y_m z_m', names no x, y, z in mm"),
@@ -216,6 +219,12 @@ def test_xyz_that_is_not_understood(text: str, reason: str, tmp_path: Path) -> N
     (tmp_path / "a.xyz").write_text(text, encoding="utf-8")
     with pytest.raises(DataError, match=rf"a\.xyz: is no readable XYZ cloud \(({reason})"):
         load_cloud(tmp_path / "a.xyz")
+
+
+def test_a_cloud_under_another_suffix_is_named(tmp_path: Path) -> None:
+    (tmp_path / "a.txt").write_text("ply\nformat ascii 1.0\nelement vertex 0\nend_header\n")
+    with pytest.raises(DataError, match=r"a\.txt: is a PLY file of points, whose name must end in \.ply"):
+        load_cloud(tmp_path / "a.txt")
 
 
 def test_lengths_in_metres_are_told_at_every_door(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
