@@ -12,7 +12,6 @@ from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from fpplab.core.conventions import TWO_PI, Floats, phase_steps
 from fpplab.phase.limits import BENT_PHASES, COMMON_ERRORS, NOISE
@@ -51,11 +50,19 @@ def exponent_of_phases(phases: Floats, origins_rad: Floats, sequences: Sequence[
         return weight * contradiction(share) + (share / COMMON_ERRORS.harmonic_prior) ** 2
 
     costs = weight * tried + (shares / COMMON_ERRORS.harmonic_prior) ** 2
-    best, step = shares[np.argmin(costs)], shares[1] - shares[0]
-    fitted = minimize_scalar(
-        cost, bounds=(best - step, best + step), method="bounded", options={"xatol": 1e-3}
-    )
-    return exponent_of_second_harmonic(float(fitted.x))
+    best = int(np.clip(np.argmin(costs), 1, trials - 2))
+    step = float(shares[1] - shares[0])
+    share = _vertex(float(shares[best]), step, costs[best - 1 : best + 2])
+    step *= BENT_PHASES.refinement
+    near = np.array([cost(share + k * step) for k in (-1, 0, 1)])
+    return exponent_of_second_harmonic(_vertex(share, step, near))
+
+
+def _vertex(middle: float, step: float, costs: Floats) -> float:
+    """Find the least value of the parabola through three, at most a step from the middle."""
+    before, here, after = costs
+    bend = before - 2.0 * here + after
+    return middle + step * float(np.clip(0.5 * (before - after) / max(bend, 1e-12), -1.0, 1.0))
 
 
 def exponent_of_second_harmonic(share: float) -> float:

@@ -37,15 +37,13 @@ def biased_orders(
     if len(sequence.wavelengths) < 2:
         return doubtful
     step, length = LIMITS.step_px, recording.projector_size["xy".index(sequence.axis)]
-    contradicted = disagreement[::step, ::step] > LIMITS.min_disagreement
+    contradicted = disagreement[:: 2 * step, :: 2 * step] > LIMITS.min_disagreement
     if (9.0 * uniform_filter(contradicted.astype(np.float32), 3) > LIMITS.min_neighbours - 0.5).any():
         biased = _biased_samples(recording, sequence, errors)
         cells = np.repeat(np.repeat(biased, step, axis=0), step, axis=1)
         doubtful |= cells[: coordinate.shape[0], : coordinate.shape[1]]
     period = length / recording.plan.fringes[sequence.finest].stripes
-    if _jumps_by_periods(coordinate[::step], period, 1) or _jumps_by_periods(
-        np.ascontiguousarray(coordinate[:, ::step]), period, 0
-    ):
+    if _has_jumps_by_periods(coordinate, period):
         doubtful |= _across_jumps(np.where(doubtful, np.nan, coordinate), period)
     return doubtful | _islands(doubtful, coordinate, period) if doubtful.any() else doubtful
 
@@ -130,15 +128,19 @@ def _followed(turns: Floats, known: Mask) -> tuple[Floats, NDArray[np.int64]]:
     return followed, parts
 
 
-def _jumps_by_periods(coordinate: Map, period: float, axis: int) -> bool:
+def _has_jumps_by_periods(coordinate: Map, period: float) -> bool:
     """Whether more steps from pixel to pixel are whole periods than those of edges are by chance."""
-    near, far = _jumps(coordinate, period, axis)
-    return bool(near.sum() > far.sum() + LIMITS.min_jumps)
+    every = slice(None, None, LIMITS.searched_px)
+    rows, columns = _jumps(coordinate[every], period, 1), _jumps(coordinate[:, every], period, 0)
+    near, far = (int(rows[k].sum() + columns[k].sum()) for k in (0, 1))
+    return near > far + LIMITS.min_jumps
 
 
 def _jumps(coordinate: Map, period: float, axis: int) -> tuple[Mask, Mask]:
     """Which steps from pixel to pixel are whole periods, and which others are above half a period."""
-    periods = np.diff(coordinate, axis=axis) / np.float32(period)
+    # The surface itself goes on as it did one pixel before.
+    change = np.diff(coordinate, axis=axis) / np.float32(period)
+    periods = np.diff(change, axis=axis, prepend=np.take(change, [0], axis=axis))
     whole = np.round(periods)
     near = (whole != 0.0) & (np.abs(periods - whole) < LIMITS.near_period)
     return near, (np.abs(periods) > 0.5) & ~near

@@ -159,6 +159,8 @@ class BentPhaseLimits(NamedTuple):
     trials_per_ratio: float = 0.4
     """Exponents that are tried for each unit of the ratio of stripes. Derived: from one to the next, phases
     then change by less than a radian."""
+    refinement: float = 0.2
+    """Distance of the exponents that the best is refined by, as a share of that of those tried. Chosen."""
     end_turns: float = 0.05
     """Part of the widest period at each of its ends in which pixels are left out. Chosen."""
     max_contradiction: float = 0.5
@@ -194,13 +196,16 @@ class BiasedOrderLimits(NamedTuple):
     min_majority: float = 3.0
     """How many times more pixels the greatest part with one order needs than any other for it to be taken as
     right. Chosen."""
-    margin_steps: int = 1
-    """Distances of pixels around a bias that are left out too. Chosen: an edge may lie between them."""
+    margin_steps: int = 2
+    """Distances of pixels around a bias that are left out too. Chosen: an edge may lie between them, and a
+    textured bias may look even at a few."""
     near_period: float = 0.1
     """How near to whole periods a jump of the coordinate is one of orders, in periods. Chosen: a fifth of the
     jumps at edges is by chance."""
-    min_jumps: int = 12
-    """Jumps by whole periods, beyond those by others, from which on all are looked for. Chosen."""
+    searched_px: int = 32
+    """Distance of the rows and columns that are searched for such jumps, in px. Chosen."""
+    min_jumps: int = 3
+    """Jumps by whole periods in them, beyond those by others, from which on all are looked for. Chosen."""
     min_border_px: int = 12
     """Length in px of a border of such jumps between two parts. Chosen."""
 
