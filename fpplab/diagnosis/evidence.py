@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
-from fpplab.core.conventions import Floats
+from fpplab.core.conventions import TWO_PI, Floats, axis_length
 from fpplab.diagnosis.blur import Blur, measured_blur
 from fpplab.diagnosis.limits import USUAL_LIMITS, DiagnosisLimits
 from fpplab.diagnosis.points import PointSample
@@ -73,6 +73,15 @@ class Evidence:
         assert self.cloud is not None
         assert self.calibration is not None
         return PointSample(self.cloud, self.calibration)
+
+    @property
+    def um_per_rad(self) -> float:
+        """How far points are off along rays in µm if the finest phase is by 1 rad; there must be points."""
+        assert self.recording is not None
+        axis = self.recording.plan.axes[0]
+        fringe = self.recording.plan.fringes[self.recording.plan.finest_set(axis)]
+        period = axis_length(self.recording.projector_size, axis) / fringe.stripes
+        return 1e3 * period / TWO_PI / float(self.points.px_per_mm_of_depth["xy".index(axis)])
 
     @property
     def plan(self) -> Plan:

@@ -1,0 +1,57 @@
+"""Something of the frame before is left in each frame."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, ClassVar
+
+from fpplab.core.config import Positive
+from fpplab.diagnosis.evidence import Evidence, Needs
+from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding, Picture
+from fpplab.diagnosis.fringe_shape import phase_error_finding
+from fpplab.diagnosis.limits import LimitsSection
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+class FrameLagLimits(LimitsSection):
+    """How much of the frame before may be left."""
+
+    section: ClassVar[str] = "frame_lag"
+
+    min_phase_error_rad: Positive = 0.01
+    """RMS phase error by it in rad that is reported, if it exceeds the noise. Chosen."""
+
+
+def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
+    sample = evidence.frames
+    share = 100.0 * sample.errors.lag
+    rad = sample.errors.sets[sample.recording.plan.finest_set()].lag_rad
+    min_rad = evidence.limits.of(FrameLagLimits).min_phase_error_rad
+    text = f"{share:.1f} % of the frame before in each frame"
+    if (finding := phase_error_finding(sample, FRAME_LAG, rad, min_rad, text)) is not None:
+        cost = f"; {rad * evidence.um_per_rad:.0f} µm, which σ contains" if evidence.has_points else ""
+        yield replace(finding, evidence=finding.evidence + cost)
+
+
+def _draw(evidence: Evidence, _: Finding) -> Figure:
+    from fpplab.diagnosis.causes.flicker import FlickerLimits
+    from fpplab.diagnosis.pictures import draw_brightness_by_frame
+
+    return draw_brightness_by_frame(evidence.frames, evidence.limits.of(FlickerLimits).max_scatter)
+
+
+FRAME_LAG = FaultCause(
+    key="frame_lag",
+    meaning="Something of the frame before is left in each frame.",
+    remedy="show every pattern for longer before the exposure begins, and see to whether camera and "
+    "projector run in step",
+    measured="share of the last frame of a set in the first one of the next; phase error that it causes",
+    limit=f"{FrameLagLimits().min_phase_error_rad:g} rad, and the noise",
+    seen_in="frames",
+    detectors=(Detector(DetectionStage.FRAMES, _find),),
+    picture=Picture(Needs.FRAMES, _draw),
+    side_effects=frozenset({"flicker", "wrong_resolution", "vibration", "bands"}),
+)

@@ -1,0 +1,116 @@
+"""A part of the image is blurred by something on a lens."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+from scipy.ndimage import label, median_filter
+
+from fpplab.core.config import Positive
+from fpplab.core.conventions import TWO_PI, Floats, axis_length
+from fpplab.diagnosis.evidence import Evidence, Needs
+from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding, Picture
+from fpplab.diagnosis.limits import CountLimit, LimitsSection, ShareLimit
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+class LensSmearLimits(LimitsSection):
+    """How much a part of the image may be blurred more than the rest."""
+
+    section: ClassVar[str] = "lens_smear"
+
+    max_blur_px: Positive = 2.0
+    """Blur in camera px, in squares beyond that of other pixels at such a depth. Chosen: a drop that blurs by
+    a pixel bends rays by as much."""
+    min_share: ShareLimit = 0.02
+    """Share of the measured pixels that lie in such a part. Chosen."""
+    min_pixels: CountLimit = 500
+    """Measured pixels of the sample that blur is compared between. Chosen."""
+
+
+def blur_beyond_depth(evidence: Evidence) -> Floats | None:
+    """Square of the blur in px² at the sample's pixels, less what depth and place in the image explain."""
+    sample, limits = evidence.frames, evidence.limits.of(LensSmearLimits)
+    plan, step, cloud = sample.recording.plan, sample.step, evidence.cloud
+    axis = plan.axes[0]
+    finest, coordinate = plan.finest_set(axis), sample.coordinates.get(axis)
+    if coordinate is None or cloud is None or cloud.pixels is None or sample.fits[finest] is sample.widest:
+        return None
+    size = axis_length(sample.recording.projector_size, axis)
+    slope = np.hypot(*np.gradient(coordinate.astype(np.float64)))[::step, ::step]
+    turn = TWO_PI * plan.fringes[finest].stripes / size * slope
+    depth = np.full(coordinate.shape, np.nan)
+    depth[tuple(cloud.pixels.T[::-1])] = cloud.points[:, 2]
+    z = depth[::step, ::step]
+    share = sample.fits[finest].modulation / np.maximum(sample.widest.modulation, 1e-3)
+    used = sample.measured & np.isfinite(turn) & np.isfinite(z) & (turn > 0.0)
+    if used.sum() < limits.min_pixels:
+        return None
+    square = -2.0 * np.log(np.maximum(share[used], 1e-3)) / turn[used] ** 2
+    v, u = (part[used] / max(part.max(), 1) - 0.5 for part in np.indices(z.shape))
+    d = (z[used] - z[used].mean()) / max(float(z[used].std()), 1e-9)
+    terms = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v, d, d * d])
+    kept = np.full(len(d), True)
+    for _ in range(4):
+        strengths = np.linalg.lstsq(terms[:, kept].T, square[kept], rcond=None)[0]
+        rest = square - strengths @ terms
+        kept = np.abs(rest) <= 4.5 * np.median(np.abs(rest))
+    result = np.zeros(z.shape)
+    result[used] = rest
+    return np.asarray(median_filter(result, 5))
+
+
+def _find(evidence: Evidence, before: Sequence[Finding]) -> Iterator[Finding]:
+    if any(finding.cause.key in ("camera_focus", "projector_focus") for finding in before):
+        return  # blur changes fast with depth then
+    beyond, limits = blur_beyond_depth(evidence), evidence.limits.of(LensSmearLimits)
+    if beyond is None:
+        return
+    parts, count = label(beyond > limits.max_blur_px**2)
+    if not count:
+        return
+    sizes = np.bincount(parts.ravel())[1:]
+    inside = parts == 1 + int(np.argmax(sizes))
+    share = float(sizes.max()) / max(int(evidence.frames.measured.sum()), 1)
+    if share < limits.min_share:
+        return
+    blur = float(np.sqrt(np.median(beyond[inside])))
+    v, u = (evidence.frames.step * float(np.mean(part)) for part in np.nonzero(inside))
+    x = "xy".index(evidence.frames.recording.plan.axes[0])
+    points = evidence.points
+    um = 1e3 * blur * float(points.projector_px_per_px[x] / points.px_per_mm_of_depth[x])
+    text = (
+        f"around column {u:.0f}, row {v:.0f}, {100 * share:.1f} % of the pixels are blurred by {blur:.1f} px "
+        f"more than others at their depth (at most {limits.max_blur_px:g}); what blurs bends rays too, and "
+        f"points may be {um:.0f} µm off there, which their uncertainty does not contain"
+    )
+    yield Finding(LENS_SMEAR, text, blur / limits.max_blur_px)
+
+
+def _draw(evidence: Evidence, _: Finding) -> Figure | None:
+    from fpplab.diagnosis.pictures import draw_sample_map
+
+    beyond = blur_beyond_depth(evidence)
+    if beyond is None:
+        return None
+    limit = evidence.limits.of(LensSmearLimits).max_blur_px
+    blur = np.sqrt(np.maximum(beyond, 0.0))
+    return draw_sample_map(blur, evidence.frames, "viridis", (0.0, 3.0 * limit), "blur beyond others, px")
+
+
+LENS_SMEAR = FaultCause(
+    key="lens_smear",
+    meaning="A part of the image is blurred, as by a drop or grease on a lens.",
+    remedy="look at the lenses of camera and projector where the picture shows it, clean them, scan again",
+    measured="contrast of the finest fringes beside the widest, as the blur of each pixel, less what depth "
+    "and place in the image explain",
+    limit=f"{LensSmearLimits().max_blur_px:g} px in {100 * LensSmearLimits().min_share:g} % of the pixels",
+    seen_in="points",
+    detectors=(Detector(DetectionStage.POINTS, _find),),
+    picture=Picture(Needs.POINTS, _draw),
+    side_effects=frozenset({"interreflection", "stale_calibration", "wrong_resolution"}),
+)

@@ -1,0 +1,114 @@
+"""Rows or columns of the images are interchanged."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from fpplab.core.config import Positive
+from fpplab.core.conventions import Floats
+from fpplab.diagnosis.evidence import Evidence, Needs
+from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding, Picture
+from fpplab.diagnosis.limits import CountLimit, LimitsSection
+from fpplab.diagnosis.sample import FrameSample
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+class RowOrderLimits(LimitsSection):
+    """How unequally rows follow one another."""
+
+    section: ClassVar[str] = "row_order"
+
+    max_ratio: Positive = 2.0
+    """Mean square of the phase's change from odd to even rows, beside that from even to odd ones. Derived: of
+    interchanged rows it is 9 without noise, and 2 where what they are off is a third of the noise; of others
+    it is 1."""
+    min_pixels: CountLimit = 20
+    """Measured pixels of a row, over all tiles. Chosen."""
+
+
+def changes_between_rows(sample: FrameSample, axis: int, distance: int = 1) -> list[Floats]:
+    """Mean square change in rad² of the phase from rows (axis 1) or columns (axis 2) of tiles to later ones.
+
+    One curve for the finest set of each coded axis that is seen well enough.
+    """
+    curves = []
+    for coded in sample.recording.plan.axes:
+        fit = sample.tile_fits[sample.recording.plan.finest_set(coded)]
+        phase, modulation = (np.moveaxis(part, axis, 0) for part in (fit.phase, fit.modulation))
+        lit = modulation > max(0.1 * float(np.percentile(modulation, 99)), 1.0)
+        change = np.angle(np.exp(1j * (phase[distance:] - phase[:-distance])))
+        used = lit[distance:] & lit[:-distance]
+        if used.sum(axis=(1, 2)).min() >= sample.limits.of(RowOrderLimits).min_pixels:
+            # The median leaves out edges of the part.
+            rows = zip(change, used, strict=True)
+            curves.append(np.array([np.median(np.square(row[use])) for row, use in rows]))
+    return curves
+
+
+def _ratio(changes: Floats) -> float:
+    """How much greater every other change is; blocks of a compression are but every eighth."""
+    even, odd = float(np.median(changes[::2])), float(np.median(changes[1::2]))
+    return max(even, odd) / max(min(even, odd), 1e-12)
+
+
+def _worst_ratio(sample: FrameSample, axis: int) -> tuple[float, float]:
+    """The greatest ratio of a set, and the shift of its phase from row to row, in rad."""
+    worst = 1.0, 0.0
+    ends = changes_between_rows(sample, axis), changes_between_rows(sample, axis, 2)
+    for near, far in zip(*ends, strict=True):
+        greatest = max(np.median(near[::2]), np.median(near[1::2]))
+        # Rows in their order, even in steps, are as far from the next but one at least.
+        if greatest > 1.3 * np.median(far) and _ratio(near) > worst[0]:
+            worst = _ratio(near), float(np.sqrt(greatest)) / 3.0
+    return worst
+
+
+def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
+    sample, limit = evidence.frames, evidence.limits.of(RowOrderLimits).max_ratio
+    if not sample.measured.any():
+        return
+    for axis, name in ((1, "rows"), (2, "columns")):
+        ratio, off = _worst_ratio(sample, axis)
+        if ratio <= limit:
+            continue
+        cost = (
+            f"; that puts points {off * evidence.um_per_rad:.0f} µm off, which σ does not contain"
+            if evidence.has_points
+            else ""
+        )
+        text = (
+            f"{name} are interchanged in pairs: the phase changes {ratio:.1f} times as much, in squares, "
+            f"from one pair to the next as within pairs (at most {limit:g}){cost}"
+        )
+        yield Finding(ROW_ORDER, text, ratio / limit)
+
+
+def _draw(evidence: Evidence, _: Finding) -> Figure:
+    from fpplab.core.drawing import HALF, single_axes
+
+    figure, axes = single_axes(HALF, 2.4)
+    for axis, name in ((1, "rows"), (2, "columns")):
+        for curve in changes_between_rows(evidence.frames, axis):
+            axes.plot(np.sqrt(curve), "o-", markersize=2, label=name)
+    axes.set(xlabel="row or column of the tiles", ylabel="change of the phase\nto the next, in rad")
+    axes.legend(loc="best")
+    return figure
+
+
+ROW_ORDER = FaultCause(
+    key="row_order",
+    meaning="Rows or columns of the images are interchanged.",
+    remedy="see to how the camera's driver, or the program that wrote the images, puts fields and taps of "
+    "the sensor together, and record again",
+    measured="change of the phase from odd to even rows beside that from even to odd ones",
+    limit=f"{RowOrderLimits().max_ratio:g} times, in squares",
+    seen_in="frames",
+    detectors=(Detector(DetectionStage.FRAMES, _find),),
+    picture=Picture(Needs.FRAMES, _draw),
+    side_effects=frozenset({"wrong_plan", "stale_calibration", "vibration"}),
+)

@@ -1,0 +1,49 @@
+"""What changes images between scene and decoder is named, and told by what it costs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from benchmarks.image_faults import OTHERS, SIGMA_JUDGED, drawn_scene
+from fpplab.core.conventions import Image
+from fpplab.diagnosis import Finding
+from fpplab.diagnosis.verdict import diagnose_scan
+from fpplab.patterns.recording import Recording
+from fpplab.phase import decode
+from fpplab.reconstruction.points import triangulate
+
+SCENE = drawn_scene(11)
+
+
+def findings(frames: Sequence[Image]) -> tuple[Finding, ...]:
+    recording = Recording(frames, SCENE.plan, (912, 1140))
+    decoded = decode(recording)
+    cloud = triangulate(decoded, SCENE.calibration)
+    return diagnose_scan(recording, decoded, cloud, SCENE.calibration).findings
+
+
+@pytest.mark.whole
+@pytest.mark.parametrize(
+    ("fault", "cause", "cost"),
+    [
+        ("droplet", "lens_smear", "µm off there"),
+        ("interchanged_rows", "row_order", "µm off"),
+        ("lag", "frame_lag", "µm, which σ contains"),
+    ],
+)
+def test_it_is_named_first_with_its_cost(fault: str, cause: str, cost: str) -> None:
+    damage = {**SIGMA_JUDGED, **OTHERS}[fault]
+    first = findings(damage(SCENE.frames, np.random.default_rng([44, 11])))[0]
+    assert first.cause.key == cause
+    assert cost in first.evidence
+
+
+@pytest.mark.whole
+@pytest.mark.parametrize("fault", ["healthy", "jpeg_15"])
+def test_they_are_not_seen_where_they_are_not(fault: str) -> None:
+    damage = {**SIGMA_JUDGED, **OTHERS}[fault]
+    named = {found.cause.key for found in findings(damage(SCENE.frames, np.random.default_rng([44, 11])))}
+    assert not named & {"lens_smear", "row_order", "frame_lag"}
