@@ -93,7 +93,8 @@ def test_the_coordinates_change_along_the_ray() -> None:
     assert per_mm[..., 1] == pytest.approx(0.0, abs=0.02)
 
 
-@pytest.mark.parametrize(("exposure_s", "axes"), [(0.02, "x"), (0.005, "xy")])
+# Darker images are rounded so coarsely that a scan states more, for neighbours are rounded alike.
+@pytest.mark.parametrize(("exposure_s", "axes"), [(0.02, "x"), (0.01, "xy")])
 def test_the_expected_noise_is_that_of_a_scan(exposure_s: float, axes: str, tmp_path: Path) -> None:
     """The plan has more steps and a set between those that the set-up shows; fringes are blurred."""
     sets = [
