@@ -72,7 +72,7 @@ def _biases(random: np.random.Generator) -> Iterator[tuple[str, Floats]]:
     yield "band", 1.1 * np.exp(-(((v - row) / 25.0) ** 2))
     yield "sphere", 1.2 * np.sqrt(np.clip(1.0 - (distance / 110.0) ** 2, 0.0, None))
     yield "shelf", 1.0 / (1.0 + np.exp((distance - 100.0) / 6.0))
-    yield "disc", 1.0 * disc
+    yield "disc", 0.94 * disc
     yield "object", np.where(disc, 1.0 + 0.25 * smooth, 0.0)
     yield "texture", np.where(disc, 0.6 * fine, 0.0)
     yield "field", 0.5 * smooth

@@ -8,13 +8,13 @@ there; where it changes at an edge, the coordinate jumps by whole periods along 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation, label, uniform_filter
+from scipy.ndimage import binary_dilation, label, median, uniform_filter
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 
@@ -44,19 +44,48 @@ def biased_orders(
         doubtful |= cells[: coordinate.shape[0], : coordinate.shape[1]]
     period = length / recording.plan.fringes[sequence.finest].stripes
     if _has_jumps_by_periods(coordinate, period):
-        doubtful |= _across_jumps(np.where(doubtful, np.nan, coordinate), period)
+        contradicting = _contradictory_parts(recording, sequence, errors)
+        doubtful |= _across_jumps(np.where(doubtful, np.nan, coordinate), period, contradicting)
     return doubtful | _islands(doubtful, coordinate, period) if doubtful.any() else doubtful
 
 
-def _biased_samples(recording: Recording, sequence: WavelengthSequence, errors: ErrorModel) -> Mask:
-    """Which of the pixels spread over the image lie where a bias may change the order."""
+def _sampled_contradictions(
+    recording: Recording, sequence: WavelengthSequence, errors: ErrorModel
+) -> tuple[list[tuple[Floats, Floats]], Mask]:
+    """Contradictions of the sets with their noise at pixels spread over the image, and which are lit."""
     every = (slice(None, None, LIMITS.step_px),) * 2
     few = replace(recording, frames=[np.ascontiguousarray(frame[every]) for frame in recording.frames])
     measured = axis_phases(few, sequence, errors)
     noise = measured.position_sigma * measured.stripes[:, None, None]
     is_lit = (noise < LIMITS.max_noise_turns).all(axis=0)
+    return list(_contradictions(measured.phases / TWO_PI, noise, sequence)), np.asarray(is_lit)
+
+
+def _contradictory_parts(
+    recording: Recording, sequence: WavelengthSequence, errors: ErrorModel
+) -> Callable[[NDArray[np.int32], int], Mask]:
+    """Give a function that tells in which of labelled parts of the image the sets contradict each other.
+
+    A bias of whole periods leaves no contradiction, but none is that exactly; the edge of a part is.
+    """
+    contradictions, is_lit = _sampled_contradictions(recording, sequence, errors)
+
+    def contradictory(parts: NDArray[np.int32], count: int) -> Mask:
+        sampled = np.where(is_lit, parts[:: LIMITS.step_px, :: LIMITS.step_px], 0)
+        every = np.arange(count)
+        medians = [np.abs(np.nan_to_num(median(turns, sampled, every))) for turns, _ in contradictions]
+        pixels = np.bincount(sampled.ravel(), minlength=count)
+        # Of a part that no sampled pixel shows, nothing is known.
+        return np.asarray((np.max(medians, axis=0) > LIMITS.min_part_bias_turns) | (pixels == 0))
+
+    return contradictory
+
+
+def _biased_samples(recording: Recording, sequence: WavelengthSequence, errors: ErrorModel) -> Mask:
+    """Which of the pixels spread over the image lie where a bias may change the order."""
+    contradictions, is_lit = _sampled_contradictions(recording, sequence, errors)
     biased = np.zeros(is_lit.shape, np.bool_)
-    for turns, sigma in _contradictions(measured.phases / TWO_PI, noise, sequence):
+    for turns, sigma in contradictions:
         biased |= _beyond_order(turns, sigma, is_lit)
     return np.asarray(binary_dilation(biased, _CROSS, LIMITS.margin_steps))
 
@@ -155,8 +184,13 @@ def _parts(coordinate: Map, period: float) -> tuple[NDArray[np.int32], NDArray[n
     return parts, np.bincount(parts.ravel(), minlength=count + 1)
 
 
-def _across_jumps(coordinate: Map, period: float) -> Mask:
-    """Parts of the image that a border of jumps by whole periods separates from greater parts."""
+def _across_jumps(
+    coordinate: Map, period: float, contradictory: Callable[[NDArray[np.int32], int], Mask]
+) -> Mask:
+    """Parts of the image that a border of jumps by whole periods separates from greater parts.
+
+    Edges of a part jump by whole periods by chance, all along; there the sets do not contradict each other.
+    """
     near = [_jumps(coordinate, period, axis)[0] for axis in (0, 1)]
     parts, pixels = _parts(coordinate, period)
     # The border is the pixel before the jump: the parts are those before and after it.
@@ -164,10 +198,10 @@ def _across_jumps(coordinate: Map, period: float) -> Mask:
     after = [parts[2:][near[0][1:]], parts[:, 2:][near[1][:, 1:]]]
     pairs = np.sort(np.stack([np.concatenate(before), np.concatenate(after)]), axis=0)
     pairs = pairs[:, (pairs[0] > 0) & (pairs[0] != pairs[1])]
-    dropped = np.zeros(len(pixels), np.bool_)
+    dropped, is_contradictory = np.zeros(len(pixels), np.bool_), contradictory(parts, len(pixels))
     borders, lengths = np.unique(pairs, axis=1, return_counts=True)
     for first, second, jumps in zip(*borders, lengths, strict=True):
-        if jumps < LIMITS.min_border_px:
+        if jumps < LIMITS.min_border_px or not (is_contradictory[first] or is_contradictory[second]):
             continue
         smaller, greater = sorted((first, second), key=lambda part: pixels[part])
         dropped[smaller] = True

@@ -196,6 +196,9 @@ class BiasedOrderLimits(NamedTuple):
     min_majority: float = 3.0
     """How many times more pixels the greatest part with one order needs than any other for it to be taken as
     right. Chosen."""
+    min_part_bias_turns: float = 0.03
+    """Typical contradiction in a part of the image, in periods of the finer set, from which on jumps at its
+    border are of orders. Chosen: one bias in thirty is nearer to whole periods."""
     margin_steps: int = 2
     """Distances of pixels around a bias that are left out too. Chosen: an edge may lie between them, and a
     textured bias may look even at a few."""
@@ -238,6 +241,9 @@ class NeighbourLimits(NamedTuple):
     that of one that changes by 1 rad from pixel to pixel."""
     max_correlation: float = 0.04
     """Correlation of neighbours' residuals of a sensor's own frames. Measured on simulated ones: 0.01."""
+    min_noise_share: float = 1e-3
+    """Power of residuals between neighbours as a share of that of independent noise, below which there is
+    nothing to compare. Chosen: the strongest denoising leaves more."""
 
 
 class LagLimits(NamedTuple):

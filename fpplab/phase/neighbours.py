@@ -137,6 +137,9 @@ class _PhasesInTiles:
         power = power[power < surprising_power(len(residuals))]
         between = np.stack([_differences(residuals / self.modulation, a)[:, self.used] for a in _ALONG])
         noise = 2.0 / count * np.square(between).mean(axis=1)[kept].mean()
+        independent = 12.0 / count * float((variance / np.square(_inner(self.modulation)[self.used])).mean())
+        if noise < NEIGHBOURS.min_noise_share * independent:
+            return 1.0  # images without noise show nothing of it
         return max(float(np.square(rest[kept]).mean() / noise), 1.0) * max(float(power.mean()), 1.0)
 
 

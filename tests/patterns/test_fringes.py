@@ -165,7 +165,10 @@ def test_a_plan_names_a_response_file_beside_it_and_holds_its_values(tmp_path):
     ("named", "words"),
     [
         ("elsewhere.yaml", "plan.yaml: 'response' must name a file .* elsewhere.yaml: there is no such file"),
-        ("plan.yaml", "'response' must name a file written by `fpplab gamma`: .*unknown keys 'fringes'"),
+        (
+            "plan.yaml",
+            "'response' must name a file written by `fpplab gamma`: .*is a plan; expected a response file",
+        ),
         ("{a: 1.0, b: 0.0, g: 9.0}", "'g' is 9: patterns can be corrected for an exponent of 0.5 to 5"),
         ("{a: 1.0, b: 0.0}", "'response.g' is missing"),
         ("{a: -1.0, b: 0.0, g: 2.0}", "'response.a' is -1.0: should be greater than 0"),

@@ -14,7 +14,7 @@ V, U = np.mgrid[: SIZE[0], : SIZE[1]].astype(float)
 CENTRE = np.hypot(V - 80, U - 120)
 BIASES = {
     "blob": 1.3 * np.exp(-((CENTRE / 40) ** 2)),
-    "disc": 1.0 * (CENTRE < 40),
+    "disc": 0.94 * (CENTRE < 40),
     "ramp": np.where((abs(V - 80) < 50) & (abs(U - 120) < 60), (U - 60) / 75, 0.0),
     "everywhere": (U - 120) / 100,
 }
@@ -42,9 +42,12 @@ def test_a_bias_that_changes_no_order_costs_nothing(stripes: tuple[float, ...]) 
     assert np.nanmax(np.abs(decoded.u - truth)) < 1.0
 
 
-def test_edges_in_depth_cost_nothing() -> None:
-    """Jumps of the coordinate are no orders, unless whole periods are more than chance."""
-    recording, _ = bent([(1, 12), (64, 12)], 1.0, seed=4)
+@pytest.mark.parametrize(("shift_px", "is_whole"), [(11, False), (35, True)])
+def test_edges_in_depth_cost_nothing(shift_px: int, is_whole: bool) -> None:
+    """Jumps of the coordinate are no orders where the sets agree, not even those by whole periods."""
+    recording, truth = bent([(1, 12), (64, 12)], 1.0, seed=4)
     for frame in recording.frames:
-        frame[50:110, 80:160] = frame[50:110, 91:171].copy()
+        frame[50:110, 80:160] = frame[50:110, 80 + shift_px : 160 + shift_px].copy()
+    jumps = (truth[80, 80 + shift_px] - truth[80, 80]) * 64 / WIDTH
+    assert (abs(jumps - round(jumps)) < 0.1) == is_whole
     assert decode(recording).valid.mean() > 0.999

@@ -9,6 +9,7 @@ import pytest
 
 from fpplab.core import config
 from fpplab.core.conventions import Lattice
+from fpplab.devices import CameraSettings
 from fpplab.patterns.fringes import uniform_patterns
 from sim.build import SceneState
 from sim.effects.falloff import ProjectorFalloff
@@ -70,6 +71,6 @@ def test_a_matched_twin_keeps_it(tmp_path: Path) -> None:
     blender = Blender("test")
     twin = Twin.of(world(FALLOFF), "board", blender)
     assert twin.parameters.projector_falloff == FALLOFF
-    twin.save(tmp_path)
+    twin.save(tmp_path, CameraSettings(0.02))
     assert World.load(str(tmp_path / "world.yaml")).projector.falloff == FALLOFF
     blender.close()

@@ -220,7 +220,7 @@ def test_uncertainty_of_the_lamp_is_written(tmp_path: Path) -> None:
     twin = twin.with_parameters(
         replace(twin.parameters, sigma={"lamp_irradiance": 0.01, "lamp_angle_deg": 3.0})
     )
-    twin.save(tmp_path)
+    twin.save(tmp_path, CameraSettings(0.02))
     found = World.load(tmp_path / "world.yaml")
     assert found.uncertainty == {"lamps.room.irradiance": 0.01, "lamps.room.angle_deg": 3.0}
     drawn = found.drawn(3)

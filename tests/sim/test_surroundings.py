@@ -203,7 +203,7 @@ def test_what_a_twin_looks_like_is_saved_and_read_again(tmp_path: Path) -> None:
     around = BenchSurroundings(mesh, np.full(SIZE[::-1], 0.3, np.float32))
     twin = twin.with_appearance(Appearance(BoardSheet((5.0, 0.0, 0.0, 5.0), 8.0, 0.06, texture), around))
     shown = twin.expected(0, PATTERNS, SETTINGS)
-    twin.save(tmp_path / "saved")
+    twin.save(tmp_path / "saved", SETTINGS)
     again = Twin.of(World.load(tmp_path / "saved" / "world.yaml"), "board", Blender("bench"))
     np.testing.assert_allclose(again.expected(0, PATTERNS, SETTINGS), shown, atol=0.02)
     assert {"surroundings.ply", "surroundings.png", "board_texture.png"} <= {

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from fpplab.core.config import Positive
-from fpplab.core.conventions import Floats
+from fpplab.core.conventions import Axis, Floats
 from fpplab.diagnosis.evidence import Evidence, Needs
 from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding, Picture
 from fpplab.diagnosis.limits import CountLimit, LimitsSection
@@ -31,23 +31,20 @@ class RowOrderLimits(LimitsSection):
     """Measured pixels of a row, over all tiles. Chosen."""
 
 
-def changes_between_rows(sample: FrameSample, axis: int, distance: int = 1) -> list[Floats]:
+def _changes_between_rows(sample: FrameSample, fringe_axis: Axis, axis: int, distance: int) -> Floats | None:
     """Mean square change in rad² of the phase from rows (axis 1) or columns (axis 2) of tiles to later ones.
 
-    One curve for the finest set of each coded axis that is seen well enough.
+    Of the finest set of one coded axis; None where too few pixels see it.
     """
-    curves = []
-    for coded in sample.recording.plan.axes:
-        fit = sample.tile_fits[sample.recording.plan.finest_set(coded)]
-        phase, modulation = (np.moveaxis(part, axis, 0) for part in (fit.phase, fit.modulation))
-        lit = modulation > max(0.1 * float(np.percentile(modulation, 99)), 1.0)
-        change = np.angle(np.exp(1j * (phase[distance:] - phase[:-distance])))
-        used = lit[distance:] & lit[:-distance]
-        if used.sum(axis=(1, 2)).min() >= sample.limits.of(RowOrderLimits).min_pixels:
-            # The median leaves out edges of the part.
-            rows = zip(change, used, strict=True)
-            curves.append(np.array([np.median(np.square(row[use])) for row, use in rows]))
-    return curves
+    fit = sample.tile_fits[sample.recording.plan.finest_set(fringe_axis)]
+    phase, modulation = (np.moveaxis(part, axis, 0) for part in (fit.phase, fit.modulation))
+    lit = modulation > max(0.1 * float(np.percentile(modulation, 99)), 1.0)
+    change = np.angle(np.exp(1j * (phase[distance:] - phase[:-distance])))
+    used = lit[distance:] & lit[:-distance]
+    if used.sum(axis=(1, 2)).min() < sample.limits.of(RowOrderLimits).min_pixels:
+        return None
+    # The median leaves out edges of the part.
+    return np.array([np.median(np.square(row[use])) for row, use in zip(change, used, strict=True)])
 
 
 def _ratio(changes: Floats) -> float:
@@ -59,8 +56,10 @@ def _ratio(changes: Floats) -> float:
 def _worst_ratio(sample: FrameSample, axis: int) -> tuple[float, float]:
     """The greatest ratio of a set, and the shift of its phase from row to row, in rad."""
     worst = 1.0, 0.0
-    ends = changes_between_rows(sample, axis), changes_between_rows(sample, axis, 2)
-    for near, far in zip(*ends, strict=True):
+    for fringe_axis in sample.recording.plan.axes:
+        near, far = (_changes_between_rows(sample, fringe_axis, axis, distance) for distance in (1, 2))
+        if near is None or far is None:
+            continue
         greatest = max(np.median(near[::2]), np.median(near[1::2]))
         # Rows in their order, even in steps, are as far from the next but one at least.
         if greatest > 1.3 * np.median(far) and _ratio(near) > worst[0]:
@@ -93,8 +92,10 @@ def _draw(evidence: Evidence, _: Finding) -> Figure:
 
     figure, axes = single_axes(HALF, 2.4)
     for axis, name in ((1, "rows"), (2, "columns")):
-        for curve in changes_between_rows(evidence.frames, axis):
-            axes.plot(np.sqrt(curve), "o-", markersize=2, label=name)
+        for fringe_axis in evidence.frames.recording.plan.axes:
+            curve = _changes_between_rows(evidence.frames, fringe_axis, axis, 1)
+            if curve is not None:
+                axes.plot(np.sqrt(curve), "o-", markersize=2, label=name)
     axes.set(xlabel="row or column of the tiles", ylabel="change of the phase\nto the next, in rad")
     axes.legend(loc="best")
     return figure
