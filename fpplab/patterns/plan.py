@@ -51,8 +51,7 @@ class MaskRules(Document):
     """
     wrong_order_max: Annotated[float, Field(gt=0, le=1)] = 1e-4
     """Greatest probability of a wrong fringe order, computed from the noise of all fringe sets; 1 masks none.
-    It does not count what is no noise; pixels whose surroundings show that stray light may have changed
-    their order are left out besides.
+    It does not count what is no noise, such as stray light or a nonlinear response.
     """
 
 

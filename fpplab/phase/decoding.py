@@ -19,7 +19,6 @@ from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.progress import Progress, no_progress
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
-from fpplab.phase.biased_orders import biased_orders
 from fpplab.phase.bounds import PossibleCoordinates, check_bounds, interval_of, widest_interval_share
 from fpplab.phase.decoded import Decoded
 from fpplab.phase.demodulation import AxisPhases, axis_phases
@@ -102,11 +101,7 @@ def decode(
     decoded = replace(
         _decoded_from_maps(recording, maps, first.shape, errors.phase_error_is_known), outside=outside
     )
-    if plan.order_vote is None:
-        for sequence in sequences:
-            if plan.masks.wrong_order_max < 1.0 and sequence.axis not in (bounds or {}):
-                _drop_biased_orders(decoded, recording, sequence, errors)
-    else:
+    if plan.order_vote is not None:
         for sequence in sequences:
             doubt = maps.doubt_u if sequence.axis == "x" else maps.doubt_v
             _repair_orders_by_vote(decoded, recording, sequence, errors, doubt, bounds)
@@ -166,21 +161,6 @@ def _run_kernel(
 def _processors() -> int:
     affinity = getattr(os, "sched_getaffinity", None)
     return len(affinity(0)) if affinity else os.cpu_count() or 1
-
-
-def _drop_biased_orders(
-    decoded: Decoded, recording: Recording, sequence: WavelengthSequence, errors: ErrorModel
-) -> None:
-    """Reject pixels of one axis whose order a bias between its sets may have changed."""
-    assert decoded.disagreement is not None
-    assert decoded.uncertain_order is not None
-    coordinate = decoded.coordinate(sequence.axis)
-    dropped = biased_orders(recording, sequence, errors, coordinate, decoded.disagreement)
-    if dropped.any():
-        decoded.uncertain_order[dropped & decoded.valid] = 1 + sequence.sets[0]
-        for values in decoded.maps:
-            if values is not None and values.flags.writeable:
-                values[dropped] = np.nan
 
 
 def _repair_orders_by_vote(

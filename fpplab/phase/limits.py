@@ -170,49 +170,6 @@ class BentPhaseLimits(NamedTuple):
     """The same that noise makes at least. Chosen: keeps noise-free frames solvable."""
 
 
-class BiasedOrderLimits(NamedTuple):
-    """Limits of the search for orders that a bias between the sets has changed."""
-
-    step_px: int = 8
-    """Distance of the pixels whose contradictions are followed, in px. Chosen."""
-    min_disagreement: float = 3.0
-    """Disagreement of sets, in units of what noise explains, that may be a bias. Chosen: noise exceeds it at
-    one pixel in 370."""
-    min_neighbours: int = 3
-    """Pixels of nine neighbours that disagree so much from which on a bias is looked for. Chosen: noise
-    hardly ever does that."""
-    max_noise_turns: float = 0.05
-    """Greatest noise of a phase in turns of a pixel that is looked at. Chosen, as that of `OutsideLimits`."""
-    min_lit_share: float = 0.4
-    """Share of nine neighbours that are. Chosen."""
-    max_scatter_turns: float = 0.2
-    """Greatest scatter of the contradiction between neighbours, in periods of the finer set. Derived: half a
-    period is less than three standard deviations beyond."""
-    beyond_sigmas: float = 4.0
-    """How many standard deviations of its scatter a contradiction must stay below half a period. Chosen:
-    chance exceeds it at one pixel in 16,000."""
-    min_bias_turns: float = 0.1
-    """Bias in periods of the finer set that is never doubted. Chosen: noise alone decides there."""
-    min_majority: float = 3.0
-    """How many times more pixels the greatest part with one order needs than any other for it to be taken as
-    right. Chosen."""
-    min_part_bias_turns: float = 0.03
-    """Typical contradiction in a part of the image, in periods of the finer set, from which on jumps at its
-    border are of orders. Chosen: one bias in thirty is nearer to whole periods."""
-    margin_steps: int = 2
-    """Distances of pixels around a bias that are left out too. Chosen: an edge may lie between them, and a
-    textured bias may look even at a few."""
-    near_period: float = 0.1
-    """How near to whole periods a jump of the coordinate is one of orders, in periods. Chosen: a fifth of the
-    jumps at edges is by chance."""
-    searched_px: int = 32
-    """Distance of the rows and columns that are searched for such jumps, in px. Chosen."""
-    min_jumps: int = 3
-    """Jumps by whole periods in them, beyond those by others, from which on all are looked for. Chosen."""
-    min_border_px: int = 12
-    """Length in px of a border of such jumps between two parts. Chosen."""
-
-
 class NeighbourLimits(NamedTuple):
     """Limits of what neighbouring pixels show."""
 
@@ -266,8 +223,5 @@ OUTSIDE = OutsideLimits()
 NOISE = PhaseNoiseLimits()
 COMMON_ERRORS = CommonErrorLimits()
 BENT_PHASES = BentPhaseLimits()
-BIASED_ORDERS = BiasedOrderLimits()
-
-
 LAG = LagLimits()
 NEIGHBOURS = NeighbourLimits()

@@ -34,6 +34,8 @@ class LensSmearLimits(LimitsSection):
 
 def blur_beyond_depth(evidence: Evidence) -> Floats | None:
     """Square of the blur in px² at the sample's pixels, less what depth and place in the image explain."""
+    if evidence.recording is None:
+        return None
     sample, limits = evidence.frames, evidence.limits.of(LensSmearLimits)
     plan, step, cloud = sample.recording.plan, sample.step, evidence.cloud
     axis = plan.axes[0]
