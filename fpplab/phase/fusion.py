@@ -22,6 +22,7 @@ _f, _u = np.float32, np.uintp
 _ZERO, _HALF, _ONE, _TINY = _f(0), _f(0.5), _f(1), _f(1e-30)
 _AGREEING = _f(ORDERS.agreeing_sigmas**2)
 _ROUNDING = _f(ORDERS.rounding_turns**2)
+_REST_ROUNDING = _f(ORDERS.rest_rounding)
 _TWELFTH, _MIN_SPREAD = _f(QUANTISATION), _f(NOISE.min_spread)
 _rounding: Any = njit(inline="always")(repeated_rounding)
 # Rows of the buffer of sums: of the sets that take part, then of all.
@@ -76,7 +77,8 @@ def weigh(
         i = _u(j)
         power, level = modulation[i] * modulation[i], offset[i]
         variance, seen = constant + per_level * level, per_freedom * rest[i]
-        excess = seen - variance if seen > surprising * (variance + explained * power) else _ZERO
+        expected = surprising * (variance + explained * power) + _REST_ROUNDING * (level * level + power)
+        excess = seen - variance if seen > expected else _ZERO
         own = noise * loss[i] * (variance - repeated[i]) + _ROUNDING * power + _TINY
         common = noise * (loss[i] * (repeated[i] + rising * level * level + excess) + bent[i] * power)
         per_total = _ONE / (own + max(_ZERO, common))

@@ -27,6 +27,9 @@ class OrderLimits(NamedTuple):
     Chosen: chance exceeds it at one pixel in 16,000."""
     rounding_turns: float = 3e-6
     """Standard deviation of a phase in turns that rounding to float32 leaves."""
+    rest_rounding: float = 4e-6
+    """The same of what a fringe leaves, in squares, as a share of the squares of its levels: they are summed
+    over the images, and their differences multiplied by up to four."""
     max_separation_ratio: float = 9.0
     """Shifts beyond this multiple of the smallest χ² are left out. Derived: where they matter, the nearest
     one masks the pixel."""
@@ -198,6 +201,8 @@ class NeighbourLimits(NamedTuple):
     that of one that changes by 1 rad from pixel to pixel."""
     max_correlation: float = 0.04
     """Correlation of neighbours' residuals of a sensor's own frames. Measured on simulated ones: 0.01."""
+    max_scatter: float = 100.0
+    """Greatest variance of phases beside that of residuals. Chosen: no filter of images makes as much."""
     min_noise_share: float = 1e-3
     """Power of residuals between neighbours as a share of that of independent noise, below which there is
     nothing to compare. Chosen: the strongest denoising leaves more."""

@@ -140,7 +140,10 @@ class _PhasesInTiles:
         independent = 12.0 / count * float((variance / np.square(_inner(self.modulation)[self.used])).mean())
         if noise < NEIGHBOURS.min_noise_share * independent:
             return 1.0  # images without noise show nothing of it
-        return max(float(np.square(rest[kept]).mean() / noise), 1.0) * max(float(power.mean()), 1.0)
+        scatter = float(np.square(rest[kept]).mean() / noise)
+        if scatter > NEIGHBOURS.max_scatter:
+            return 1.0  # a rough surface
+        return max(scatter, 1.0) * max(float(power.mean()), 1.0)
 
 
 def _inner(values: NDArray[S]) -> NDArray[S]:
