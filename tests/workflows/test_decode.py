@@ -30,9 +30,11 @@ def decoded(recording: Recording, folder: Path, *, as_recorded: bool = False) ->
 
 
 def with_orders_in_doubt(seed: int) -> Recording:
-    """A wide stripe whose noise leaves the order of the finest open."""
-    recording: Recording = bent([(1, 3), (130, 3)], 1.0, seed)[0]
-    return recording
+    """A plan that asks for surer orders than the noise of its wide stripe allows."""
+    recording = bent([(1, 3), (100, 3)], 1.0, seed)[0]
+    masks = recording.plan.masks.model_copy(update={"wrong_order_max": 1e-9})
+    plan = recording.plan.model_copy(update={"masks": masks})
+    return Recording(recording.frames, plan, recording.projector_size)
 
 
 def test_maps_without_fault_are_good(tmp_path: Path) -> None:
