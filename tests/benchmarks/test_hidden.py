@@ -140,6 +140,7 @@ def _grid() -> Floats:
     return np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=-1)
 
 
+@pytest.mark.whole
 def test_the_second_lamp_adds_light_by_distance_and_angle(world: World, blender: Blender) -> None:
     card = SecondLamp(level=0.1, place_mm=(0.0, 0.0, -450.0))
     light = HiddenLight(world, blender, Effects(SEED, lamp=card))

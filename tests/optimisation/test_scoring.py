@@ -124,6 +124,7 @@ def test_error_below_half_a_period_is_no_wrong_order() -> None:
     assert truth_of("plate").score(decoded, UNFILTERED, CALIBRATION).wrong_orders == 0.0
 
 
+@pytest.mark.whole
 def test_filtered_points_count_as_outliers_not_as_wrong_orders() -> None:
     decoded = maps_of(perfect_cloud(plate()))
     row, column = H // 2, W // 2

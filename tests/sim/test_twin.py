@@ -266,6 +266,7 @@ def test_slopes_by_the_board_s_place_add_up_to_the_change_of_level() -> None:
         assert np.abs(slopes - wanted)[inside].mean() < 0.01 * np.abs(wanted).mean()
 
 
+@pytest.mark.whole
 def test_light_of_a_displaced_board_agrees_with_a_moved_one(twin: Twin) -> None:
     twin = twin.with_parameters(replace(_twin(_bent()).parameters, vibration_mm=0.0))
     patterns, pose = _patterns(twin)[:1], twin.parameters.poses[1]
