@@ -73,10 +73,7 @@ def usage_sentence(error: Any, words: Sequence[str], context: Any) -> str | None
                 return f"`{path}` needs {_metavar(param)}: {_purpose(param)}"
             if name in words:  # which the option before it has taken for its value
                 return f"{words[words.index(name) - 1]} is followed by {name} instead of its value"
-            stray = misplaced_word(words[1:], name)
-            if stray:
-                return f"`{path}` needs {name}; write {name} {stray}"
-            return missing_option(path, name, _purpose(param))
+            return missing_or_misplaced(path, name, words[1:], _purpose(param))
         case "BadOptionUsage":
             param = next((each for each in params if error.option_name in each.opts), None)
             return None if param is None else _too_few_values(param, _values(words, error.option_name, 1))
@@ -119,7 +116,14 @@ def _options_for(word: str) -> tuple[str, ...]:
     return (f"--{path.name.split('_')[0]}",) if is_shipped else ()
 
 
-def misplaced_word(words: Sequence[str], option: str) -> str | None:
+def missing_or_misplaced(path: str, option: str, words: Sequence[str], purpose: str = "") -> str:
+    """Say of a command that an option is missing, or that a word stands without it."""
+    if stray := _misplaced_word(words, option):
+        return f"`{path}` needs {option}; write {option} {stray}"
+    return missing_option(path, option, purpose)
+
+
+def _misplaced_word(words: Sequence[str], option: str) -> str | None:
     """The word that stands without its option."""
     free = [word for i, word in enumerate(words) if not word.startswith("-") and words[i - 1][:2] != "--"]
     for word in free:

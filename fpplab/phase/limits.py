@@ -203,9 +203,6 @@ class NeighbourLimits(NamedTuple):
     """Correlation of neighbours' residuals of a sensor's own frames. Measured on simulated ones: 0.01."""
     max_scatter: float = 100.0
     """Greatest variance of phases beside that of residuals. Chosen: no filter of images makes as much."""
-    min_noise_share: float = 1e-3
-    """Power of residuals between neighbours as a share of that of independent noise, below which there is
-    nothing to compare. Chosen: the strongest denoising leaves more."""
 
 
 class LagLimits(NamedTuple):

@@ -136,14 +136,11 @@ class _PhasesInTiles:
         power = np.square(_inner(residuals)[:, self.used]).mean(axis=0) / variance
         power = power[power < surprising_power(len(residuals))]
         between = np.stack([_differences(residuals / self.modulation, a)[:, self.used] for a in _ALONG])
-        noise = 2.0 / count * np.square(between).mean(axis=1)[kept].mean()
-        independent = 12.0 / count * float((variance / np.square(_inner(self.modulation)[self.used])).mean())
-        if noise < NEIGHBOURS.min_noise_share * independent:
-            return 1.0  # images without noise show nothing of it
-        scatter = float(np.square(rest[kept]).mean() / noise)
-        if scatter > NEIGHBOURS.max_scatter:
-            return 1.0  # a rough surface
-        return max(scatter, 1.0) * max(float(power.mean()), 1.0)
+        noise = 2.0 / count * float(np.square(between).mean(axis=1)[kept].mean())
+        scattered = float(np.square(rest[kept]).mean())
+        if scattered >= NEIGHBOURS.max_scatter * noise:
+            return 1.0  # a rough surface, or images without noise
+        return max(scattered / noise, 1.0) * max(float(power.mean()), 1.0)
 
 
 def _inner(values: NDArray[S]) -> NDArray[S]:

@@ -16,6 +16,7 @@ from fpplab.core.conventions import Axis, Floats
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.files import no_such_file, open_regular
 from fpplab.core.foreign import read_apart
+from fpplab.core.robust import robust_spread
 from fpplab.phase.decoded import Decoded
 
 MIN_SIDE = 16
@@ -131,8 +132,8 @@ def _sigma(values: Floats, axis: Axis, stated_px: float | None, notes: list[str]
         return stated_px
     bends = np.concatenate([np.diff(values, 2, axis=k).ravel() for k in (0, 1)])
     bends = bends[np.isfinite(bends)]
-    # The second difference of independent noise has six times its variance; half of all are within 0.6745 σ.
-    measured = float(np.median(np.abs(bends)) / (0.6745 * np.sqrt(6))) if bends.size else 0.0
+    # The second difference of independent noise has six times its variance.
+    measured = robust_spread(bends, 0.0) / np.sqrt(6.0) if bends.size else 0.0
     if not measured > 0:
         raise DataError(
             f"the noise of the map along {axis} cannot be measured from it; state it with --sigma"

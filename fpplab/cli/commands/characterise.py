@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fpplab.cli import console
-from fpplab.cli.advice import missing_option
 from fpplab.cli.app import (
     PREPARE,
     CameraSize,
@@ -155,6 +153,7 @@ def characterise_command(
         return
     from fpplab.characterisation import DistortionModel
     from fpplab.characterisation.limits import CharacterisationLimits
+    from fpplab.cli.usage import missing_or_misplaced
     from fpplab.core.config import load_document
     from fpplab.devices.rig import Rig
     from fpplab.patterns.plan import Plan
@@ -163,7 +162,8 @@ def characterise_command(
 
     until_mm = wanted_mm(guide, until, depth, rig)
     if target is None or out is None:
-        raise _is_missing("--target" if target is None else "--out", sessions or ())
+        option = "--target" if target is None else "--out"
+        raise ConfigError(missing_or_misplaced("fpplab characterise", option, list(map(str, sessions or ()))))
     if limits and guide:
         raise ConfigError("--limits is for recorded poses: with --guide each pose is judged as it is taken")
     request = CharacterisationRequest(
@@ -187,14 +187,6 @@ def characterise_command(
     observer = observe_characterisation(context, view, keep_open, out.with_suffix(".rrd"))
     result = run_characterisation(request, observer)
     console.print_result(result.summary(), json)
-
-
-def _is_missing(option: str, sessions: Sequence[Path]) -> ConfigError:
-    from fpplab.cli.usage import misplaced_word
-
-    if misplaced := misplaced_word([str(path) for path in sessions], option):
-        return ConfigError(f"`fpplab characterise` needs {option}; write {option} {misplaced}")
-    return ConfigError(missing_option("fpplab characterise", option))
 
 
 def wanted_mm(

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 from fpplab.core.config import Positive
-from fpplab.diagnosis.evidence import Evidence, Needs
-from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding, Picture
+from fpplab.diagnosis.causes.flicker import FLICKER
+from fpplab.diagnosis.evidence import Evidence
+from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding
 from fpplab.diagnosis.fringe_shape import phase_error_finding
 from fpplab.diagnosis.limits import LimitsSection
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 class FrameLagLimits(LimitsSection):
@@ -36,13 +34,6 @@ def _find(evidence: Evidence, _: Sequence[Finding]) -> Iterator[Finding]:
         yield replace(finding, evidence=finding.evidence + cost)
 
 
-def _draw(evidence: Evidence, _: Finding) -> Figure:
-    from fpplab.diagnosis.causes.flicker import FlickerLimits
-    from fpplab.diagnosis.pictures import draw_brightness_by_frame
-
-    return draw_brightness_by_frame(evidence.frames, evidence.limits.of(FlickerLimits).max_scatter)
-
-
 FRAME_LAG = FaultCause(
     key="frame_lag",
     meaning="Something of the frame before is left in each frame.",
@@ -52,6 +43,6 @@ FRAME_LAG = FaultCause(
     limit=f"{FrameLagLimits().min_phase_error_rad:g} rad, and the noise",
     seen_in="frames",
     detectors=(Detector(DetectionStage.FRAMES, _find),),
-    picture=Picture(Needs.FRAMES, _draw),
+    picture=FLICKER.picture,
     side_effects=frozenset({"flicker", "wrong_resolution", "vibration", "bands"}),
 )
