@@ -149,10 +149,23 @@ def dask_settings() -> Iterator[None]:
     """Set what workers are started with; it must be set before their processes start."""
     import dask
 
+    # To start a worker, dask writes its environment into that of this process too, and leaves it there.
+    mine = {name: os.environ.get(name) for name in WORKER_ENVIRONMENT}
     settings = {f"distributed.nanny.pre-spawn-environ.{name}": v for name, v in WORKER_ENVIRONMENT.items()}
     settings["distributed.scheduler.allowed-failures"] = LIMITS.max_worker_deaths
     with dask.config.set(settings):
-        yield
+        try:
+            yield
+        finally:
+            _restore_environment(mine)
+
+
+def _restore_environment(mine: dict[str, str | None]) -> None:
+    for name, value in mine.items():
+        if value is None:
+            os.environ.pop(name, None)
+        else:
+            os.environ[name] = value
 
 
 def start_processes(workers: int, listen: Meeting | None = None) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import mmap
+import os
 import socket
 import sys
 from collections.abc import Iterator
@@ -141,6 +142,13 @@ def test_rig_fault_is_raised_from_the_worker_process(pair: DaskWorkers) -> None:
 @pytest.mark.whole
 def test_workers_load_nothing_of_the_working_directory(pair: DaskWorkers) -> None:
     assert set(pair._client.run(lambda: sys.flags.safe_path).values()) == {True}
+
+
+@pytest.mark.whole
+def test_environment_of_workers_stays_theirs() -> None:
+    before = dict(os.environ)
+    DaskWorkers(Formula()).close()
+    assert dict(os.environ) == before
 
 
 def test_missing_scheduler_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
