@@ -76,24 +76,7 @@ class Artefact(ABC):
         return ()
 
     def check_below(self, field: str, value: float, limit: float, limit_name: str) -> None:
-        """Check that a length is less than a limit; for use in `check_lengths`.
-
-        Parameters
-        ----------
-        field : str
-            Name of the field, for the message.
-        value : float
-            The length in mm.
-        limit : float
-            What it must be less than, in mm.
-        limit_name : str
-            What the limit is, for the message, such as "the height".
-
-        Raises
-        ------
-        ConfigError
-            The length is not less than the limit.
-        """
+        """Refuse a length in mm that is not less than a limit, called `limit_name`; for `check_lengths`."""
         if not value < limit:
             raise ConfigError(
                 f"{type(self).__name__}.{field}: {value:g} mm must be less than {limit:g} mm, {limit_name}"

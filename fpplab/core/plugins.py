@@ -34,41 +34,12 @@ DISCOVERY = "fpplab.discovery"
 
 
 def plugin_names(group: str) -> list[str]:
-    """List what the installed packages bring.
-
-    Parameters
-    ----------
-    group : str
-        One of the constants of this module.
-
-    Returns
-    -------
-    list of str
-        Sorted; empty where no package brings any.
-    """
+    """Sorted names of what the installed packages bring for one of the groups of this module."""
     return sorted(entry_points(group=group).names)
 
 
 def load_plugin(group: str, name: str) -> Any:
-    """Import one thing that an installed package brings.
-
-    Parameters
-    ----------
-    group : str
-        One of the constants of this module.
-    name : str
-        One of `plugin_names(group)`.
-
-    Returns
-    -------
-    object
-        As the group's constant says.
-
-    Raises
-    ------
-    ConfigError
-        No package brings it, or it cannot be imported.
-    """
+    """Import one of `plugin_names(group)`, or say in a `ConfigError` why it cannot be imported."""
     kind = group.rpartition(".")[2].removesuffix("s")
     matching = entry_points(group=group, name=name)
     if not matching:

@@ -73,39 +73,12 @@ class SharedBackend(Protocol):
 
 
 def allow_backends(names: list[str]) -> None:
-    """Allow further modules in this process, and in those that it starts.
-
-    Parameters
-    ----------
-    names : list of str
-        Modules, or packages with all that is in them.
-    """
+    """Allow further modules, or whole packages, in this process and in those that it starts."""
     os.environ[ALLOWED] = ",".join([*filter(None, [os.environ.get(ALLOWED)]), *names])
 
 
 def load_backend(name: str, rig_file: Path | str, section: str) -> type[Any]:
-    """Import a backend of a rig file.
-
-    Parameters
-    ----------
-    name : str
-        As the rig file has it: the name of an entry point of the group `fpplab.backends`, or `module:Class`.
-    rig_file : path or str
-        What the rig file is called in messages.
-    section : str
-        The section of the rig file, for messages.
-
-    Returns
-    -------
-    type
-        The class.
-
-    Raises
-    ------
-    ConfigError
-        There is no such backend, its module is not allowed, cannot be imported, or has no such class. Where a
-        package of an extra is missing, it says how to install it.
-    """
+    """Import the class of a backend, as the rig file's section names it; `ConfigError` says why it cannot."""
     where = f"{rig_file}: '{section}.backend' is '{name}'"
     place = _resolve_class_path(name, where)
     module, _, attribute = place.partition(":")

@@ -115,20 +115,7 @@ class Frame:
     pattern_id: str | None = None
 
     def showing(self, pattern_id: str, index: int) -> Frame:
-        """Name the frame as the picture of one pattern.
-
-        Parameters
-        ----------
-        pattern_id : str
-            The pattern.
-        index : int
-            Of the image in its plan.
-
-        Returns
-        -------
-        Frame
-            The same exposure.
-        """
+        """Name the frame as the picture of one pattern, the image `index` of its plan."""
         return replace(self, pattern_id=pattern_id, index=index)
 
 

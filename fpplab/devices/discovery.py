@@ -35,18 +35,7 @@ class FoundDevice(DeviceInfo):
         return f"{self.model}{serial} ({self.link})"
 
     def is_called(self, name: str) -> bool:
-        """Tell whether a name is this device's.
-
-        Parameters
-        ----------
-        name : str
-            Its serial number, model or link, or a value of its section, such as a port.
-
-        Returns
-        -------
-        bool
-            Whether it is.
-        """
+        """Tell whether a name is its serial number, model, link, or a value of its section (a port)."""
         return name in {self.serial, self.model, self.link, *map(str, self.section.values())} - {""}
 
 
@@ -67,17 +56,6 @@ class FoundDevices:
 
     @classmethod
     def together(cls, results: Iterable[FoundDevices]) -> FoundDevices:
-        """Join the results of several drivers.
-
-        Parameters
-        ----------
-        results : iterable of FoundDevices
-            In the order in which it is to be listed.
-
-        Returns
-        -------
-        FoundDevices
-            All of it.
-        """
+        """Join the results of several drivers, in the order in which they are to be listed."""
         parts = list(results)
         return cls([d for part in parts for d in part.devices], [m for part in parts for m in part.missing])

@@ -61,27 +61,7 @@ class CharacterisationRequest:
 def run_characterisation(
     request: CharacterisationRequest, observer: Observer | None = None
 ) -> CharacterisationResult:
-    """Take or read poses, fit both devices, judge the fit by the frames, and write calibration and report.
-
-    Parameters
-    ----------
-    request : CharacterisationRequest
-        The board and its poses.
-    observer : Observer, optional
-        Shown progress, frames, the characterisation, and which poses were left out and why.
-
-    Returns
-    -------
-    CharacterisationResult
-        The calibration and its verdict.
-
-    Raises
-    ------
-    ConfigError, DeviceError, DataError
-        An output exists, the plan does not suit a board, or a pose cannot be taken or read.
-    CalibrationError
-        Too few poses remain, or the models do not fit; it says what is wrong with the frames.
-    """
+    """Take or read poses, fit both devices, judge the fit by the frames, and write calibration and report."""
     check_characterisation_input(request)
     observer = observer or Observer()
     guided = None

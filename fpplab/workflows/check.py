@@ -30,27 +30,7 @@ class CheckRequest:
 
 
 def run_check(request: CheckRequest, observer: Observer | None = None) -> CheckResult:
-    """Open a rig, find out what is wrong with it, and write report and pictures where they are asked for.
-
-    Parameters
-    ----------
-    request : CheckRequest
-        With a rig that is not open.
-    observer : Observer, optional
-        Shown progress.
-
-    Returns
-    -------
-    CheckResult
-        The findings, and the files that were written.
-
-    Raises
-    ------
-    ConfigError
-        An output exists.
-    DataError
-        A file cannot be written.
-    """
+    """Open a rig, find out what is wrong with it, and write report and pictures where they are asked for."""
     from fpplab.core.files import need_suffix, refuse_existing
 
     for path in (request.pictures, request.page):

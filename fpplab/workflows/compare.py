@@ -44,27 +44,7 @@ class ComparisonRequest:
 
 
 def run_comparison(request: ComparisonRequest, observer: Observer | None = None) -> ComparisonResult:
-    """Compare a cloud with the true shape, and write pictures and report where they are asked for.
-
-    Parameters
-    ----------
-    request : ComparisonRequest
-        Both files.
-    observer : Observer, optional
-        Shown progress, warnings and the result.
-
-    Returns
-    -------
-    ComparisonResult
-        All figures.
-
-    Raises
-    ------
-    ConfigError
-        An output exists, or has an unknown suffix.
-    DataError
-        A file cannot be read, or nothing of the shape can be compared.
-    """
+    """Compare a cloud with the true shape, and write pictures and report where they are asked for."""
     check_comparison_output(request)
     observer = observer or Observer()
     result = _compare(request, observer)

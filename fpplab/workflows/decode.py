@@ -26,27 +26,7 @@ class DecodingRequest:
 
 
 def run_decoding(request: DecodingRequest, observer: Observer | None = None) -> DecodingResult:
-    """Decode a session, judge the maps and write them; useless ones only as recorded.
-
-    Parameters
-    ----------
-    request : DecodingRequest
-        The session.
-    observer : Observer, optional
-        Shown progress and the maps.
-
-    Returns
-    -------
-    DecodingResult
-        Which may be useless; see `DecodingResult.require_usable`.
-
-    Raises
-    ------
-    ConfigError
-        The output exists.
-    DataError
-        Frames are missing, damaged or out of step with the plan.
-    """
+    """Decode a session, judge the maps and write them; useless ones only as recorded."""
     from fpplab.core.files import need_suffix, refuse_existing
 
     need_suffix(request.out, ".npz")

@@ -39,27 +39,7 @@ class DemoRequest:
 
 
 def run_demo(request: DemoRequest, observer: Observer | None = None) -> DemoResult:
-    """Measure response, characterisation and artefacts, compare with the true shapes, and write a report.
-
-    Parameters
-    ----------
-    request : DemoRequest
-        Where it goes.
-    observer : Observer, optional
-        Shown progress.
-
-    Returns
-    -------
-    DemoResult
-        All figures.
-
-    Raises
-    ------
-    ConfigError
-        The output exists.
-    UselessScanError
-        A scan gives useless points.
-    """
+    """Measure response, characterisation and artefacts, compare with the true shapes, and write a report."""
     from fpplab import artefacts
     from fpplab.core.files import refuse_existing, write_text
     from fpplab.devices.rig import Rig

@@ -40,25 +40,7 @@ class GammaRequest:
 
 
 def run_gamma(request: GammaRequest, observer: Observer | None = None) -> ResponseResult:
-    """Show uniform images, fit the response, and write it with its picture and report.
-
-    Parameters
-    ----------
-    request : GammaRequest
-        With a rig that is not open.
-    observer : Observer, optional
-        Shown progress, frames (as `GreyLevelFrame`) and the response.
-
-    Returns
-    -------
-    ResponseResult
-        The fit and its judgement.
-
-    Raises
-    ------
-    ConfigError, DeviceError, DataError
-        An output exists, a device fails, or the levels fit no response.
-    """
+    """Show uniform images, fit the response, and write it with its picture and report."""
     check_gamma_output(request)
     observer = observer or Observer()
     result = _measure_and_save(request, observer)

@@ -23,27 +23,7 @@ class JudgementRequest:
 
 
 def run_judgement(request: JudgementRequest, observer: Observer | None = None) -> JudgementResult:
-    """Compare the errors in other poses with those that the calibration predicts.
-
-    Parameters
-    ----------
-    request : JudgementRequest
-        The calibration and the poses.
-    observer : Observer, optional
-        Shown progress, and which poses were left out and why.
-
-    Returns
-    -------
-    JudgementResult
-        Whether the poses contradict the calibration.
-
-    Raises
-    ------
-    ConfigError
-        The report exists.
-    CalibrationError, DataError
-        The calibration is of other devices or does not record its board, or poses cannot be read.
-    """
+    """Compare the errors in other poses with those that the calibration predicts."""
     from fpplab.calibration.model import Calibration
     from fpplab.core.files import refuse_existing
     from fpplab.pipeline import judge_sessions

@@ -37,50 +37,23 @@ from fpplab.viewer.viewer import Viewer
 
 @dataclass(frozen=True)
 class LiveRequest:
-    """What `run_live` is to show.
+    """What `run_live` is to show."""
 
-    Parameters
-    ----------
-    rig
-        Rig file, or name of one that is delivered.
-    plan
-        Plan that will be measured with; by default `plan_board.yaml` with a target, else `plan_paper.yaml`.
-    calibration
-        Calibration by which overlap, angle and expected uncertainty are shown.
-    distance_mm
-        Distance of the part from the camera; by default the middle of `depth_mm` of plan or rig, or else
-        where both middle rays meet.
-    target
-        The board, to take poses of it.
-    poses
-        Folder of the sessions of poses that are taken.
-    item
-        Item that the rig's fixture mounts first.
-    stage_step_mm
-        How far one key moves the stage.
-    frames, seconds
-        When to end; None: when the operator ends it.
-    view
-        Whether images are shown in the viewer.
-    recording
-        Recording (.rrd) of what the viewer shows.
-    force
-        Whether the recording replaces an existing file.
-    """
-
-    rig: str
-    plan: str | None = None
-    calibration: Path | None = None
+    rig: str  # rig file, or name of one that is delivered
+    plan: str | None = None  # by default `plan_board.yaml` with a target, else `plan_paper.yaml`
+    calibration: Path | None = None  # by which overlap, angle and expected uncertainty are shown
+    # Distance of the part from the camera; by default the middle of `depth_mm` of plan or rig, or else where
+    # both middle rays meet.
     distance_mm: float | None = None
-    target: str | None = None
-    poses: Path = Path("live_poses")
-    item: str | None = None
-    stage_step_mm: float = 1.0
-    frames: int | None = None
+    target: str | None = None  # the board, to take poses of it
+    poses: Path = Path("live_poses")  # folder of the sessions of poses that are taken
+    item: str | None = None  # that the rig's fixture mounts first
+    stage_step_mm: float = 1.0  # how far one key moves the stage
+    frames: int | None = None  # when to end; None: when the operator ends it
     seconds: float | None = None
-    view: bool = True
-    recording: Path | None = None
-    force: bool = False
+    view: bool = True  # whether images are shown in the viewer
+    recording: Path | None = None  # .rrd of what the viewer shows
+    force: bool = False  # whether the recording replaces an existing file
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,22 +78,7 @@ def run_live(
     log: Callable[[str], object] = ignore,
     show_status: Callable[[LiveStatus], object] = ignore,
 ) -> LiveResult:
-    """Show what a rig sees until the operator ends it.
-
-    Parameters
-    ----------
-    request
-        The rig, and what to show of it.
-    log
-        Called with messages for the operator.
-    show_status
-        Called with a snapshot after each frame.
-
-    Returns
-    -------
-    LiveResult
-        The last snapshot, and the poses that were taken.
-    """
+    """Show what a rig sees until the operator ends it."""
     rig, options = _check_request(request)
     orders: SimpleQueue[Order] = SimpleQueue()
     with ExitStack() as stack:

@@ -30,31 +30,7 @@ class MapsRequest:
 
 
 def run_triangulation(request: MapsRequest, observer: Observer | None = None) -> MapsResult:
-    """Triangulate maps and write the cloud.
-
-    Parameters
-    ----------
-    request : MapsRequest
-        Maps and calibration.
-    observer : Observer, optional
-        Shown progress, maps and the result.
-
-    Returns
-    -------
-    MapsResult
-        The points. Without frames they are never judged good.
-
-    Raises
-    ------
-    CalibrationError
-        The calibration is of another camera.
-    ConfigError
-        The output exists, or has another suffix.
-    DataError
-        The maps cannot be read, or few of their pixels give a point.
-    UselessScanError
-        The points lie far off their epipolar lines.
-    """
+    """Triangulate maps and write the cloud; without frames its points are never judged good."""
     from fpplab.clouds import CLOUD_SUFFIXES, save_cloud
     from fpplab.core.files import need_suffix, refuse_existing
     from fpplab.diagnosis.maps import diagnose_maps

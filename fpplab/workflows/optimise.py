@@ -46,27 +46,7 @@ class OptimisationRequest:
 
 
 def run_optimisation(request: OptimisationRequest, observer: Observer | None = None) -> OptimisationResult:
-    """Search, confirm where asked to, judge the optimum, and write plans and report.
-
-    Parameters
-    ----------
-    request : OptimisationRequest
-        The search.
-    observer : Observer, optional
-        Shown progress and every epoch (as `SearchEpoch`).
-
-    Returns
-    -------
-    OptimisationResult
-        Which may be useless; its plans are then removed.
-
-    Raises
-    ------
-    ConfigError
-        The output exists, an extra is missing, or study and rig do not fit together.
-    DeviceError, DataError
-        A rig fails, or too few candidates could be measured.
-    """
+    """Search, confirm where asked to, judge the optimum; write its report, and its plans unless useless."""
     prepare_output(request)
     need_extra("optuna")
     need_extra("distributed")

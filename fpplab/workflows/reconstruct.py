@@ -44,29 +44,7 @@ class ReconstructionRequest:
 
 
 def run_reconstruction(request: ReconstructionRequest, observer: Observer | None = None) -> ScanResult:
-    """Reconstruct a session and judge the points; write cloud and report where an output is asked for.
-
-    Parameters
-    ----------
-    request : ReconstructionRequest
-        With a complete session.
-    observer : Observer, optional
-        Shown progress, maps and the result.
-
-    Returns
-    -------
-    ScanResult
-        Which may be useless; see `ScanResult.require_usable`. Its cloud is then not written.
-
-    Raises
-    ------
-    CalibrationError
-        The calibration is of another rig.
-    ConfigError
-        The output exists, or the plan cannot be unwrapped in this range of depths.
-    DataError
-        Frames are missing, damaged or out of step with the plan, or a file cannot be written.
-    """
+    """Reconstruct and judge a session; write cloud and report where asked to, but not a useless cloud."""
     check_output(request)
     observer = observer or Observer()
     observer.plan(request.session.plan, *request.session.projector())

@@ -37,27 +37,7 @@ class ScansRequest:
 
 
 def run_scans_report(request: ScansRequest, observer: Observer | None = None) -> ScansResult:
-    """Read several scans, subtract the first from each other one, and write the page.
-
-    Parameters
-    ----------
-    request : ScansRequest
-        The scans.
-    observer : Observer, optional
-        Shown progress.
-
-    Returns
-    -------
-    ScansResult
-        Verdicts, figures and differences.
-
-    Raises
-    ------
-    ConfigError
-        The output exists, too few or too many scans are given, or one is given twice.
-    DataError
-        A scan is not complete, or none holds a cloud.
-    """
+    """Read several scans, subtract the first from each other one, and write the page."""
     observer = observer or Observer()
     need_suffix(request.out, ".html")
     refuse_existing(request.out, request.force)

@@ -53,29 +53,7 @@ class ScanRequest:
 
 
 def run_scan(request: ScanRequest, observer: Observer | None = None) -> ScanResult:
-    """Open the rig, measure, reconstruct, and leave every result in the session.
-
-    Parameters
-    ----------
-    request : ScanRequest
-        With a rig that is not open.
-    observer : Observer, optional
-        Shown progress, frames and the result.
-
-    Returns
-    -------
-    ScanResult
-        Which may be useless; see `ScanResult.require_usable`. Its cloud is then not written.
-
-    Raises
-    ------
-    ConfigError, DeviceError
-        The plan does not fit the rig, the output exists, or a device fails.
-    CalibrationError
-        The calibration is of another rig.
-    DataError
-        Frames are damaged or out of step with the plan, or cannot be written.
-    """
+    """Open the rig, measure, reconstruct, and leave every result but a useless cloud in the session."""
     stopwatch = Stopwatch()
     check_scan_input(request)
     with request.rig:
@@ -83,18 +61,7 @@ def run_scan(request: ScanRequest, observer: Observer | None = None) -> ScanResu
 
 
 def preview_scan(request: ScanRequest) -> dict[str, Any]:
-    """Open the rig and say what a scan would do; nothing moves, and nothing is projected or written.
-
-    Parameters
-    ----------
-    request : ScanRequest
-        With a rig that is not open.
-
-    Returns
-    -------
-    dict
-        Images, where the stage would go, and whether a session would be replaced.
-    """
+    """Open the rig and say what a scan would do; nothing moves, and nothing is projected or written."""
     from fpplab.pipeline import plan_stage_moves
 
     _check_plan_and_folder(request)

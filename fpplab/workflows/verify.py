@@ -37,29 +37,7 @@ class AcceptanceRequest:
 
 
 def run_acceptance(request: AcceptanceRequest, observer: Observer | None = None) -> AcceptanceResult:
-    """Judge a measuring system by its points on a ball bar and a plane, and write the report.
-
-    Parameters
-    ----------
-    request : AcceptanceRequest
-        The standard and the points.
-    observer : Observer, optional
-        Shown progress, frames, each scan (as `Reconstruction`) and the result.
-
-    Returns
-    -------
-    AcceptanceResult
-        Which may be useless: the errors are then ten times what is permitted.
-
-    Raises
-    ------
-    ConfigError
-        The output exists, or it is not said where the points come from.
-    DataError
-        A cloud is missing, or shows no sphere or plane.
-    DeviceError, CalibrationError, UselessScanError
-        A scan of the rig fails, or gives useless points.
-    """
+    """Judge a measuring system by its points on a ball bar and a plane, and write the report."""
     check_acceptance_input(request)
     observer, stopwatch = observer or Observer(), Stopwatch()
     if request.rig:

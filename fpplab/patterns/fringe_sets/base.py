@@ -89,18 +89,7 @@ class FringeSet(Document):
         return float(np.sqrt(2.0 / self.images))
 
     def phase_per_px(self, size: tuple[int, int]) -> float:
-        """Give the slope of the phase across the projector.
-
-        Parameters
-        ----------
-        size : tuple of int
-            (width, height) of the projector in px.
-
-        Returns
-        -------
-        float
-            rad per px along the set's axis.
-        """
+        """Slope of the phase in rad per px along its axis, on a projector of `size` (width, height)."""
         return TWO_PI * self.stripes / axis_length(size, self.axis)
 
     @abstractmethod
@@ -180,37 +169,11 @@ class FringeSet(Document):
         return np.asarray(np.stack([np.cos(shift), np.sin(shift)], axis=-1).reshape(self.images, -1))
 
     def pattern_id(self, index: int, step: int) -> str:
-        """Name one image: set, axis, stripes and step.
-
-        Parameters
-        ----------
-        index : int
-            Of the set in its plan.
-        step : int
-            Of the image in the set.
-
-        Returns
-        -------
-        str
-            Such as `02-x-64-003of12`; names files, so of letters, digits, dots and hyphens.
-        """
+        """Name an image of the plan's set `index`, such as `02-x-64-003of12`; files are named by it."""
         return f"{index:02d}-{self.axis}-{self.stripes:g}-{step:03d}of{self.images}"
 
 
 def indices_along(sets: Sequence[FringeSet], axis: Axis) -> tuple[int, ...]:
-    """List the fringe sets along one axis.
-
-    Parameters
-    ----------
-    sets : sequence of FringeSet
-        All sets.
-    axis : str
-        x or y.
-
-    Returns
-    -------
-    tuple of int
-        Their indices, fewest stripes first; empty where the axis is not coded.
-    """
+    """Indices of the fringe sets along one axis, fewest stripes first; empty where it is not coded."""
     chosen = (k for k, fringe in enumerate(sets) if fringe.axis == axis)
     return tuple(sorted(chosen, key=lambda k: sets[k].stripes))

@@ -32,18 +32,7 @@ class SyntheticWavelength:
     stripes: float
 
     def beat(self, coarser: SyntheticWavelength) -> SyntheticWavelength:
-        """Subtract another one.
-
-        Parameters
-        ----------
-        coarser : SyntheticWavelength
-            One with fewer stripes.
-
-        Returns
-        -------
-        SyntheticWavelength
-            Of as many stripes as they differ by.
-        """
+        """Subtract one with fewer stripes."""
         difference = zip(self.coefficients, coarser.coefficients, strict=True)
         return SyntheticWavelength(tuple(a - b for a, b in difference), self.stripes - coarser.stripes)
 
@@ -54,35 +43,13 @@ class SyntheticWavelength:
 
 
 def wavelength_differences(sets: Sequence[SyntheticWavelength]) -> list[SyntheticWavelength]:
-    """Subtract the sets from one another.
-
-    Parameters
-    ----------
-    sets : sequence of SyntheticWavelength
-        Fewest stripes first.
-
-    Returns
-    -------
-    list of SyntheticWavelength
-        Of every two sets that are not the same.
-    """
+    """Subtract every two that are not the same; fewest stripes come first in `sets`."""
     beats = (fine.beat(coarse) for coarse, fine in combinations(sets, 2))
     return [w for w in beats if w.stripes > NEGLIGIBLE]
 
 
 def distinct_wavelengths(wavelengths: Sequence[SyntheticWavelength]) -> list[SyntheticWavelength]:
-    """Sort wavelengths; of equal ones keep that with fewest phases in it, which carries least noise.
-
-    Parameters
-    ----------
-    wavelengths : sequence of SyntheticWavelength
-        In any order.
-
-    Returns
-    -------
-    list of SyntheticWavelength
-        Fewest stripes first, every stripe count once.
-    """
+    """Sort by stripes; of equal ones keep that with fewest phases in it, which carries least noise."""
     ordered = sorted(wavelengths, key=lambda w: (w.stripes, -w.noise_gain))
     kept = [w for w, following in pairwise(ordered) if following.stripes - w.stripes > NEGLIGIBLE]
     return kept + ordered[-1:]
