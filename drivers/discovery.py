@@ -67,10 +67,8 @@ class UsbDevice:
 
 
 def find_devices() -> FoundDevices:
-    """List every camera, projector and possible stage that this computer sees.
-
-    A library that does not load is reported as missing; the other kinds of device are listed nevertheless.
-    """
+    """List every camera, projector and possible stage that this computer sees."""
+    # A library that does not load is reported as missing; the other kinds of device are listed nevertheless.
     usb, missing = usb_devices()
     result = FoundDevices([], missing)
     searches: dict[str, Callable[[], FoundDevices]] = {
@@ -187,11 +185,9 @@ def cameras(usb: Iterable[UsbDevice]) -> FoundDevices:
 
 
 def projectors(usb: Iterable[UsbDevice]) -> FoundDevices:
-    """List LightCrafter 4500 projectors on USB.
-
-    The controller presents several HID interfaces; only the one that takes commands is listed: number 0, or
-    -1 where the system reports no number.
-    """
+    """List LightCrafter 4500 projectors on USB."""
+    # The controller presents several HID interfaces; only the one that takes commands is listed: number 0, or
+    # -1 where the system reports no number.
     import hid
 
     plugged = [device for device in usb if device.ids == (VENDOR, PRODUCT)]
@@ -216,10 +212,8 @@ def projectors(usb: Iterable[UsbDevice]) -> FoundDevices:
 
 
 def stages(usb: Iterable[UsbDevice]) -> FoundDevices:
-    """List serial ports that a motion controller may be connected to.
-
-    Ports without hardware behind them are left out. Whether a GRBL controller answers is not tested.
-    """
+    """List serial ports that a motion controller may be connected to."""
+    # Ports without hardware behind them are left out. Whether a GRBL controller answers is not tested.
     from serial.tools import list_ports
 
     # "n/a" is a port of the mainboard without hardware behind it

@@ -5,11 +5,9 @@ import sys
 
 
 def forget_working_directory() -> None:
-    """Take the working directory from where Python looks for modules, unless the program itself lies there.
-
-    `python -m` puts it first, so that any file there could pass for a library; processes that are started
-    later do without it too.
-    """
+    """Take the working directory from Python's path of modules, unless the program itself lies there."""
+    # `python -m` puts it first, so that any file there could pass for a library; processes that are started
+    # later do without it too.
     program = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
     if not sys.flags.safe_path and sys.path[:1] == [os.getcwd()] and sys.path[0] != program:
         del sys.path[0]

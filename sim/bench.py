@@ -118,10 +118,8 @@ class VirtualBench:
         self.light.forget()
 
     def replace_world(self, world: World) -> None:
-        """Go on with another world and the same Blender process; pictures that are still valid are kept.
-
-        For searches that change the response, the sensor or the light of the world many times.
-        """
+        """Go on with another world and the same Blender process; pictures that are still valid are kept."""
+        # For searches that change the response, the sensor or the light of the world many times.
         light = self._light_of(world)
         light.inherit(self.light)
         self.world, self.light, self._seen_lit, self._vibrating = world, light, None, None
@@ -140,18 +138,14 @@ class VirtualBench:
         return Light(world, self.blender, analytic=self._analytic)
 
     def twin(self, board: str) -> Twin:
-        """Make a twin that starts from this world and looks at one of its boards; see `sim.matching`.
-
-        It renders in the same Blender process and lives as long.
-        """
+        """Make a twin that starts from this world and looks at one of its boards; see `sim.matching`."""
+        # It renders in the same Blender process and lives as long.
         with self._naming_file():
             return Twin.of(self.world, board, self.blender)
 
     def draw(self, numbers: Iterable[int]) -> None:
-        """Let noise and vibration of the next frames follow from these numbers and the world's seed.
-
-        For comparisons with common random numbers; what is left of earlier numbers is discarded.
-        """
+        """Let noise and vibration of the next frames follow from these numbers and the world's seed."""
+        # For comparisons with common random numbers; what is left of earlier numbers is discarded.
         self._draws = deque(numbers)
 
     @property

@@ -28,10 +28,8 @@ def displacement_mm(world: World, random: np.random.Generator, number: int, *seq
 
 
 def displaced(setup: SceneState, pose: RigidTransform, step_mm: float) -> tuple[SceneState, ...]:
-    """Displace the item of a set-up along each of the camera's axes.
-
-    Callers should reuse the result for later frames, because `Light` caches pictures by these set-ups.
-    """
+    """Displace the item of a set-up along each of the camera's axes."""
+    # Callers should reuse the result for later frames, because `Light` caches pictures by these set-ups.
     return tuple(replace(setup, held=pose.moved(step_mm * axis)) for axis in np.eye(3))
 
 

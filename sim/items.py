@@ -143,10 +143,8 @@ _PLATE_UV = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 
 
 def _print_px_per_mm(world: World, pose: RigidTransform) -> float:
-    """Choose the pixels per mm of a board's picture: at least twice what the camera resolves, within limits.
-
-    A power of two, so that a board that moves a little keeps its picture.
-    """
+    """Choose pixels per mm of a board's picture: twice what the camera resolves or more, within limits."""
+    # A power of two, so that a board that moves a little keeps its picture.
     camera = world.camera_model()
     resolved = camera.matrix[0, 0] / max(pose.translation[2], 1.0)
     return float(np.clip(2 ** np.ceil(np.log2(2 * resolved)), *PRINT_PX_PER_MM))

@@ -101,13 +101,11 @@ def interpolation(spread: MirrorPointSpread) -> Interpolation:
 
 @lru_cache(maxsize=1024)
 def _interpolation_weights(spread: MirrorPointSpread) -> tuple[Floats, Floats]:
-    """Solve for the weights (STEPS + 1, TAPS), and for the modulation that they leave at each frequency.
-
-    At each frequency the waves that the weights give at the places x shall be those of `spread` but for one
-    common factor, so what is minimised is their component across those of `spread`. The interpolation is
-    symmetric: weights are solved for x >= 0, and mirrored. Their sum is the light of white mirrors, exactly:
-    it is even only where mirrors fill their squares.
-    """
+    """Solve for the weights (STEPS + 1, TAPS), and for the modulation that they leave at each frequency."""
+    # At each frequency the waves that the weights give at the places x shall be those of `spread` but for one
+    # common factor, so what is minimised is their component across those of `spread`. The interpolation is
+    # symmetric: weights are solved for x >= 0, and mirrored. Their sum is the light of white mirrors,
+    # exactly: it is even only where mirrors fill their squares.
     places = np.arange(STEPS // 2 + 1) / STEPS
     near, goal = _waves_and_light(spread, places)
     count, size = len(places), len(places) * TAPS
@@ -147,11 +145,9 @@ def _rounded(size: float, step: float = 0.0025) -> float:
 
 @lru_cache(maxsize=256)
 def square_to_disc_correction(circle: float) -> Floats | None:
-    """Make the filter, in both directions, that turns an interpolated circle of confusion into a disc.
-
-    The interpolation of a circle goes axis by axis, with an axis-wise product of semicircles in place of a
-    disc, and no wider than `WIDEST_CIRCLE`. Up to one mirror, fringes do not show the difference.
-    """
+    """Make the filter, in both directions, that turns an interpolated circle of confusion into a disc."""
+    # The interpolation of a circle goes axis by axis, with an axis-wise product of semicircles in place of a
+    # disc, and no wider than `WIDEST_CIRCLE`. Up to one mirror, fringes do not show the difference.
     # returns (2r + 1, 2r + 1)
     if circle <= 1.0:
         return None

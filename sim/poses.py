@@ -57,10 +57,8 @@ def _poses_of(
 def board_poses(
     world: World, name: str, size_mm: tuple[float, float], rules: PoseRules
 ) -> tuple[RigidTransform, ...]:
-    """Draw poses of a board, reproducible from the world's seed, spread over the camera's image.
-
-    Of six random poses that fit, the one farthest from all before is taken (Mitchell's best candidate).
-    """
+    """Draw poses of a board, reproducible from the world's seed, spread over the camera's image."""
+    # Of six random poses that fit, the one farthest from all before is taken (Mitchell's best candidate).
     # size_mm (width, height) mm
     return _poses_of(world.model_dump_json(), name, size_mm, rules)
 

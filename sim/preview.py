@@ -41,10 +41,8 @@ class Arrangement:
         return self._plan([self.stripes])
 
     def plan(self) -> Plan:
-        """Make the plan of a scan: the fringes on show, and coarser ones to find their orders.
-
-        A fringe set has at most eight times the stripes of the one before.
-        """
+        """Make the plan of a scan: the fringes on show, and coarser ones to find their orders."""
+        # A fringe set has at most eight times the stripes of the one before.
         ratios = max(1, math.ceil(math.log(max(self.stripes, 1.0), 8.0) - 1e-9))
         counts = [self.stripes ** (n / ratios) for n in range(ratios + 1)]
         return self._plan(counts if self.stripes > 1 else [self.stripes])

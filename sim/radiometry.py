@@ -49,12 +49,10 @@ class Led:
 
 
 def photopic_efficiency(wavelength_nm: float) -> float:
-    """Compute V(λ), the photopic luminous efficiency function (CIE 1924).
-
-    Two lobes, each a Gaussian with different standard deviations on either side. It keeps within 0.008 of the
-    table: 3 % from 470 to 650 nm, 7 % at 460 and 660 nm, 13 % at 450 nm and 18 % at 440 nm. Below that it
-    fails: at 400 nm it gives three times too much.
-    """
+    """Compute V(λ), the photopic luminous efficiency function (CIE 1924)."""
+    # Two lobes, each a Gaussian with different standard deviations on either side. It keeps within 0.008 of
+    # the table: 3 % from 470 to 650 nm, 7 % at 460 and 660 nm, 13 % at 450 nm and 18 % at 440 nm. Below that
+    # it fails: at 400 nm it gives three times too much.
     broad = 0.821 * _lobe(wavelength_nm, 568.8, 46.9, 40.5)
     green = 0.286 * _lobe(wavelength_nm, 530.9, 16.3, 31.1)
     return broad + green
@@ -66,10 +64,8 @@ def _lobe(wavelength: float, peak: float, below: float, above: float) -> float:
 
 
 def lit_area_m2(size: tuple[int, int], focal_px: tuple[float, float], distance_mm: float) -> float:
-    """Compute the area that the projector's image covers on a surface that faces it.
-
-    The principal point does not matter: it only moves the rectangle on a facing plane.
-    """
+    """Compute the area that the projector's image covers on a surface that faces it."""
+    # The principal point does not matter: it only moves the rectangle on a facing plane.
     # size (columns, rows); focal_px (fx, fy)
     width, height = (side / focal * distance_mm for side, focal in zip(size, focal_px, strict=True))
     return width * height * 1e-6

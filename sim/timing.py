@@ -27,11 +27,10 @@ from fpplab.core.conventions import Floats
 def plane_weights(
     rows: int, bits: int, period_s: float, exposure_s: float, line_time_s: float, start_s: float
 ) -> Floats:
-    """Compute the light that each row collects of each plane, relative to what it would collect on average.
-
-    A row of grey level `sum_k b_k 2^k` has the relative light `sum_k b_k 2^k weights[k] / (2^bits - 1)`: the
-    weights are 1 when the exposure is a whole number of periods, and white is always collected completely.
-    """
+    """Compute the light that each row collects of each plane, relative to the average."""
+    # A row of grey level `sum_k b_k 2^k` has the relative light `sum_k b_k 2^k weights[k] / (2^bits - 1)`:
+    # the weights are 1 when the exposure is a whole number of periods, and white is always collected
+    # completely.
     # returns (bits, rows)
     duration = plane_durations(bits)[:, None]
     onset = 1 - np.cumsum(duration, axis=0)

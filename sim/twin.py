@@ -144,10 +144,8 @@ class Twin:
         return replace(self, parameters=parameters, world=world)
 
     def with_progress(self, before_images: Callable[[], object]) -> Twin:
-        """Make a twin that calls a function before it computes images of its board or of parts.
-
-        The function may raise to end the work.
-        """
+        """Make a twin that calls a function before it computes images of its board or of parts."""
+        # The function may raise to end the work.
         return replace(self, before_images=before_images)
 
     def with_appearance(self, appearance: Appearance) -> Twin:
@@ -214,11 +212,9 @@ class Twin:
     def scan(
         self, item: str, pose: RigidTransform, patterns: Sequence[Pattern], settings: CameraSettings
     ) -> list[Image]:
-        """Simulate frames of an item in any pose, with the sensor's noise and the item's vibration.
-
-        Vibration is computed to first order in the displacement: by derivatives of the light where it is
-        computed, else from four pictures of each pattern that serve any number of frames.
-        """
+        """Simulate frames of an item in any pose, with the sensor's noise and the item's vibration."""
+        # Vibration is computed to first order in the displacement: by derivatives of the light where it is
+        # computed, else from four pictures of each pattern that serve any number of frames.
         self.world.item(item)
         shown, sensor, still = tuple(patterns), SensorModel.of(self.world), SceneState(item, held=pose)
         counters = self.frame_counter.take(len(shown))
@@ -274,11 +270,9 @@ class Twin:
         return {"surroundings": around, "items": {**world.items, self.board: board}}
 
     def save(self, folder: Path, settings: CameraSettings, notes: Sequence[str] = ()) -> Path:
-        """Write `rig.yaml`, `world.yaml` and `calibration.yaml`.
-
-        The rig file has the camera's bit depth and gain of `settings`, and notes for every command that
-        opens it.
-        """
+        """Write `rig.yaml`, `world.yaml` and `calibration.yaml`."""
+        # The rig file has the camera's bit depth and gain of `settings`, and notes for every command that
+        # opens it.
         calibration = CalibrationFile.of(self.parameters.calibration)
         changed: dict[str, Any] = {"calibration": calibration}
         if self.appearance is not None:

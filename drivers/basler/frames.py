@@ -31,11 +31,9 @@ class BufferPool:
         self._lent: WeakSet[_Lease] = WeakSet()
 
     def image(self, result: Any) -> Image:
-        """Return the pixels of a grab result as an array that only the caller holds.
-
-        The array uses pylon's buffer while enough buffers remain for the transfer; otherwise, and for packed
-        formats, it is a copy.
-        """
+        """Return the pixels of a grab result as an array that only the caller holds."""
+        # The array uses pylon's buffer while enough buffers remain for the transfer; otherwise, and for
+        # packed formats, it is a copy.
         # returns (height, width)
         if result.GetPixelType() == pylon.PixelType_Mono12p:
             packed = np.frombuffer(result.GetImageMemoryView(), np.uint8)

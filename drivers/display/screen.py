@@ -89,12 +89,10 @@ class ScreenError(Exception):
 
 
 def serve_screen(connection: Connection, display_id: int | str, size: tuple[int, int] | None) -> None:
-    """Drive the display until the connection is closed.
-
-    After opening an `OpenedScreen` is sent. The name of the shared memory for frames (red, green, blue of
-    each pixel, row by row) is expected first, and then `ShowFrame` commands; after each the refresh period
-    in s is sent. A `ScreenFailure` is sent instead if the display fails.
-    """
+    """Drive the display until the connection is closed."""
+    # After opening an `OpenedScreen` is sent. The name of the shared memory for frames (red, green, blue of
+    # each pixel, row by row) is expected first, and then `ShowFrame` commands; after each the refresh period
+    # in s is sent. A `ScreenFailure` is sent instead if the display fails.
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the driver's process handles Ctrl-C
     with suppress(EOFError, OSError), native_stderr_silenced():
         try:
@@ -246,10 +244,8 @@ class Screen:
         self._sdl.SDL_RenderPresent(self._renderer)
 
     def _locked_period_s(self, reported_hz: int) -> float:
-        """Return the refresh period: as the display reports it, if frames follow it; else as measured.
-
-        Raises `ScreenError` when frames are presented faster than the display shows them.
-        """
+        """Return the refresh period: as the display reports it, if frames follow it; else as measured."""
+        # Raises `ScreenError` when frames are presented faster than the display shows them.
         times = []
         for _ in range(11):
             self._present()

@@ -135,21 +135,17 @@ class ProjectorBoard:
         self.link.write(protocol.LED_ENABLE, red=0, green=0, blue=0, sequenced=0)
 
     def go_dark(self) -> None:
-        """Switch the LEDs off, then stop the sequence.
-
-        Each is tried twice, and the sequence is stopped even if the LEDs could not be switched off.
-        """
+        """Switch the LEDs off, then stop the sequence."""
+        # Each is tried twice, and the sequence is stopped even if the LEDs could not be switched off.
         with ExitStack() as both:
             both.callback(self._try_twice, self.stop)
             both.callback(self._try_twice, self.leds_off)  # callbacks run in reverse: this one first
 
     @contextmanager
     def dark_on_failure(self) -> Iterator[None]:
-        """Switch the light off if the code in the context fails.
-
-        If the light cannot be switched off, a note is added to the original exception, which is raised in any
-        case.
-        """
+        """Switch the light off if the code in the context fails."""
+        # If the light cannot be switched off, a note is added to the original exception, which is raised in
+        # any case.
         try:
             yield
         except BaseException as error:
@@ -198,10 +194,8 @@ class ProjectorBoard:
         )
 
     def select_video(self) -> None:
-        """Select 24-bit frames from the parallel port (HDMI), and wait until their signal is locked.
-
-        To be called before patterns from the video port are prepared.
-        """
+        """Select 24-bit frames from the parallel port (HDMI), and wait until their signal is locked."""
+        # To be called before patterns from the video port are prepared.
         self.set_display_mode(DisplayMode.VIDEO)
         self.link.write(protocol.INPUT_SOURCE, **PARALLEL_24_BIT)
         self.link.write(protocol.PORT_CLOCK, clock=0)

@@ -40,11 +40,9 @@ class Controller(ProjectorBoard):
     """
 
     def run(self, program: Program) -> None:
-        """Prepare and start a sequence.
-
-        The LEDs stay off until the start: if the cable fails before, the light could not be switched off any
-        more.
-        """
+        """Prepare and start a sequence."""
+        # The LEDs stay off until the start: if the cable fails before, the light could not be switched off
+        # any more.
         self.leds_off()
         self.prepare(program)
         self.start_prepared(program)
@@ -64,11 +62,9 @@ class Controller(ProjectorBoard):
         self.validate()
 
     def validate(self) -> None:
-        """Have the controller validate the configured sequence.
-
-        Warnings do not keep a sequence from running: patterns from the video port always have that of missing
-        black. They are stored, to be reported if it does not run.
-        """
+        """Have the controller validate the configured sequence."""
+        # Warnings do not keep a sequence from running: patterns from the video port always have that of
+        # missing black. They are stored, to be reported if it does not run.
         self.link.write(protocol.VALIDATE)
         result = self.link.read(protocol.VALIDATE)
 
@@ -85,12 +81,10 @@ class Controller(ProjectorBoard):
             raise ProtocolError(self._name, "validation", "; ".join(messages), "change the plan's exposure")
 
     def start_prepared(self, program: Program) -> None:
-        """Switch the LEDs on, start the prepared sequence and check that it runs.
-
-        A board may show a little later that it runs, and may ignore the first order: other clients order
-        twice. A sequence that may end before it is shown to run is ordered twice at once, which has no effect
-        while it runs; but once only, where the second order may come after its end.
-        """
+        """Switch the LEDs on, start the prepared sequence and check that it runs."""
+        # A board may show a little later that it runs, and may ignore the first order: other clients order
+        # twice. A sequence that may end before it is shown to run is ordered twice at once, which has no
+        # effect while it runs; but once only, where the second order may come after its end.
         self.link.write(protocol.LED_ENABLE, red=0, green=0, blue=0, sequenced=1)
         standing = hardware_faults(self.link.read(protocol.HARDWARE_STATUS))
         took_s = self._order_start()
@@ -113,10 +107,9 @@ class Controller(ProjectorBoard):
         return self._clock.now() - begun
 
     def _faults_until_running(self, standing: Sequence[str]) -> list[str] | None:
-        """Watch after an order; None once the sequence runs, otherwise the faults that have come with it.
-
-        A flag may stand from an earlier run, and an image that is late does not keep a sequence from running.
-        """
+        """Watch after an order; None once the sequence runs, otherwise the faults that have come with it."""
+        # A flag may stand from an earlier run, and an image that is late does not keep a sequence from
+        # running.
         harmless = {*standing, HARDWARE_FAULTS["forced_swap_error"]}
         begun = self._clock.now()
         while True:

@@ -97,11 +97,9 @@ class OnVideo:
             self._clock.sleep(self._display.vsync_s)  # the pattern begins with the next frame
 
     def play(self, board: Controller, exposure_us: int, dark_us: int, period_us: int) -> None:
-        """Show all patterns once, frame by frame, and wait for the end of each frame's patterns.
-
-        Patterns of one frame follow each other at once. Where pulses have to be farther apart, every pattern
-        has a frame of its own.
-        """
+        """Show all patterns once, frame by frame, and wait for the end of each frame's patterns."""
+        # Patterns of one frame follow each other at once. Where pulses have to be farther apart, every
+        # pattern has a frame of its own.
         if dark_us:
             raise CapabilityError(
                 self._name,

@@ -161,10 +161,9 @@ def flash_program(
     dark_us: int = 0,
     period_us: int = 0,
 ) -> Program:
-    """Build a sequence of patterns in flash, each with a pulse on trigger output 1.
-
-    Where an image would be loaded too late, all periods are extended, so that dark time follows each pattern.
-    """
+    """Build a sequence of patterns in flash, each with a pulse on trigger output 1."""
+    # Where an image would be loaded too late, all periods are extended, so that dark time follows each
+    # pattern.
     entries: list[Entry] = []
     images: list[int] = []
     for slot in slots:
@@ -193,10 +192,7 @@ def video_program(
     leds: tuple[str, ...] = COLOURS,
     repeat: bool = False,
 ) -> Program:
-    """Build a sequence of patterns from the video port.
-
-    The first pattern of a frame waits for the frame.
-    """
+    """Build a sequence of patterns from the video port. The first pattern of a frame waits for the frame."""
     entries = []
     for _, group in groupby(slots, key=lambda slot: slot.image):
         frame = list(group)

@@ -282,10 +282,8 @@ class Link:
     def _complete_reply(
         self, operation: str, head: Header, flags: int, first: bytes, deadline: float
     ) -> UsbMessage:
-        """Receive the rest of a reply; acknowledgements and refusals are always one report.
-
-        Without echo the request alone says whether it is the reply to a read.
-        """
+        """Receive the rest of a reply; acknowledgements and refusals are always one report."""
+        # Without echo the request alone says whether it is the reply to a read.
         reads = (head.flags if self._checks_echo else flags) & READ
         if not reads or head.flags & framing.ERROR:
             return UsbMessage(head.flags, head.sequence)

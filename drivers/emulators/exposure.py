@@ -151,11 +151,9 @@ def _same_light(a: ProjectedLight | None, b: ProjectedLight | None) -> bool:
 
 
 def mean_pattern(collected: CollectedLight) -> NDArray[np.uint8] | None:
-    """Average the light that was collected, in grey levels of the projector.
-
-    At full LED levels one pattern that was on all the time gives exactly its own grey levels; anything else
-    is rounded.
-    """
+    """Average the light that was collected, in grey levels of the projector."""
+    # At full LED levels one pattern that was on all the time gives exactly its own grey levels; anything else
+    # is rounded.
     # returns (height, width)
     if not collected:
         return None

@@ -113,11 +113,9 @@ class EmulatedPylon(Pylon):
                 camera.pulse(rise_s)
 
     def unplug(self, noticed: bool = True) -> None:
-        """Unplug the cable; the list of pylon's own emulation keeps the camera.
-
-        Without it there, pylon 26.9 would free neither the 14 pipes nor the thread of a camera that is
-        destroyed, not even of one that was closed before.
-        """
+        """Unplug the cable; the list of pylon's own emulation keeps the camera."""
+        # Without it there, pylon 26.9 would free neither the 14 pipes nor the thread of a camera that is
+        # destroyed, not even of one that was closed before.
         self._is_plugged = False
         for camera in self._open.values():
             camera.unplugged = True

@@ -100,10 +100,9 @@ class GenicamCamera(Camera):
         )
 
     def _period_s(self) -> float | None:
-        """Return the least time in s between triggers: the reciprocal of the resulting frame rate.
-
-        Basler documents that this is how long to wait after each trigger, and that an earlier one is ignored.
-        """
+        """Return the least time in s between triggers: the reciprocal of the resulting frame rate."""
+        # Basler documents that this is how long to wait after each trigger, and that an earlier one is
+        # ignored.
         rate_hz = self._features.read(named.RESULTING_HZ)
         return 1.0 / rate_hz if rate_hz else None
 

@@ -36,11 +36,9 @@ def image_from(raw: NDArray[np.uint8], pixel_format: str, height: int, width: in
 
 
 def unpack12(raw: NDArray[np.uint8], height: int, width: int, padding: int = 0) -> NDArray[np.uint16]:
-    """Unpack 12-bit pixels, least significant bits first: three bytes hold two pixels.
-
-    Without padding the pixels follow one another without gaps, even from row to row. With padding each row
-    begins with a byte of its own.
-    """
+    """Unpack 12-bit pixels, least significant bits first: three bytes hold two pixels."""
+    # Without padding the pixels follow one another without gaps, even from row to row. With padding each row
+    # begins with a byte of its own.
     # returns (height, width)
     if not padding:
         pixels: NDArray[np.uint16] = _unpack_12_bit_pixels(

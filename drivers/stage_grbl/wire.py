@@ -107,11 +107,9 @@ class GrblWire:
             )
 
     def send(self, operation: str, line: str) -> None:
-        """Send one line; `wait_for_answer` or `await_ok` must be called for its answer.
-
-        Messages that have arrived in the meantime are processed before, so that an alarm or a restart is
-        noticed.
-        """
+        """Send one line; `wait_for_answer` or `await_ok` must be called for its answer."""
+        # Messages that have arrived in the meantime are processed before, so that an alarm or a restart is
+        # noticed.
         while self._process_line(operation, time.monotonic()):
             pass
         if self._answers:

@@ -39,10 +39,8 @@ FrameObserver = Callable[[Frame], None]
 
 
 def acquire(rig: Rig, plan: Plan, session: Session, observe: FrameObserver = ignore) -> None:
-    """Take every image of the plan that the session lacks.
-
-    The projector is dark afterwards, whatever happened.
-    """
+    """Take every image of the plan that the session lacks."""
+    # The projector is dark afterwards, whatever happened.
     settings = rig.camera_settings(plan.exposure_s, plan.bits)
     caps = rig.projector.caps
     patterns = make_patterns(plan, caps.size, caps.lattice)
@@ -115,11 +113,9 @@ def expose(
     plan: Plan | None = None,
     gap_s: float = 0.0,
 ) -> Generator[Frame, None, None]:
-    """Take one frame per pattern, in order, synchronised as the plan says.
-
-    The projector is dark again once the generator ends or is closed; a caller that may leave it early must
-    close it.
-    """
+    """Take one frame per pattern, in order, synchronised as the plan says."""
+    # The projector is dark again once the generator ends or is closed; a caller that may leave it early must
+    # close it.
     if not patterns:
         return
     camera, projector = rig.camera, rig.projector

@@ -15,11 +15,9 @@ def next_frame_of(rig: Rig) -> int | None:
 
 
 def number_frames(rig: Rig, session: Session) -> None:
-    """Number the frames that a session lacks as if none had been taken before; nothing on a real bench.
-
-    The first number is in the session's origin. Sessions that are complete are counted too, so that those
-    after them get the numbers that they would have had.
-    """
+    """Number the frames that a session lacks as if none had been taken before; nothing on a real bench."""
+    # The first number is in the session's origin. Sessions that are complete are counted too, so that those
+    # after them get the numbers that they would have had.
     simulation, origin = rig.simulation, session_origin(session.path)
     if not isinstance(simulation, NumberedFrames) or origin is None or origin.first_frame is None:
         return

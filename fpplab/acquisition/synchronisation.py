@@ -187,11 +187,9 @@ def check_synchronisation(recording: Recording) -> SyncVerdict:
 
 
 def provable(plan: Plan) -> bool:
-    """Tell whether a late, early, missed or doubled trigger shows in the frames of a plan, for any response.
-
-    It does not where sinusoids with their second harmonics can pass through any frames: a single set of up
-    to five steps.
-    """
+    """Tell whether a late, early, missed or doubled trigger shows in a plan's frames, for any response."""
+    # It does not where sinusoids with their second harmonics can pass through any frames: a single set of up
+    # to five steps.
     return plan.images > 1 + sum(min(2 * NONLINEAR, fringe.images - 1) for fringe in plan.fringes)
 
 
@@ -237,10 +235,8 @@ def _ripple(levels: Map) -> Map:
 
 
 def _waves(plan: Plan, harmonics: int, own_offsets: bool) -> Floats:
-    """Basis of what a pixel may see of every pattern: own harmonics for each set, and one common offset.
-
-    With own offsets the room's light changed between the sets, which their phases do not see.
-    """
+    """Basis of what a pixel may see of every pattern: own harmonics for each set, and one common offset."""
+    # With own offsets the room's light changed between the sets, which their phases do not see.
     offsets = [np.ones((fringe.images, 1)) for fringe in plan.fringes]
     waves = block_diag(*(fringe.waves(harmonics) for fringe in plan.fringes))
     return np.concatenate([block_diag(*offsets) if own_offsets else np.vstack(offsets), waves], axis=1)

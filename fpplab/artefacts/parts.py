@@ -14,10 +14,8 @@ if TYPE_CHECKING:
 
 
 def load_part(path: Path) -> trimesh.Trimesh:
-    """Read a part from an STL, PLY or OBJ file.
-
-    Corners that coincide are joined; colours and texture are ignored.
-    """
+    """Read a part from an STL, PLY or OBJ file."""
+    # Corners that coincide are joined; colours and texture are ignored.
     from fpplab.clouds import load_mesh  # half a second that making artefacts does not need
 
     if not path.is_file():

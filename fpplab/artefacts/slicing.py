@@ -46,11 +46,9 @@ LIMITS = SlicingLimits()
 
 
 def slice_as_printed(mesh: trimesh.Trimesh, layer_mm: float, bead_mm: float = 0.0) -> trimesh.Trimesh:
-    """Compute the shape that a 3D printer makes of a part.
-
-    Layer k lies between `k * layer_mm` and `(k + 1) * layer_mm`, and is the part's cross-section at
-    mid-height of the layer. The printed height is the part's, rounded to whole layers (`layer_count`).
-    """
+    """Compute the shape that a 3D printer makes of a part."""
+    # Layer k lies between `k * layer_mm` and `(k + 1) * layer_mm`, and is the part's cross-section at
+    # mid-height of the layer. The printed height is the part's, rounded to whole layers (`layer_count`).
     check_solid(mesh, "the part")
     low, high = mesh.bounds[:, 2]
     if abs(low) > LIMITS.max_base_offset_mm:
@@ -94,10 +92,8 @@ def _solid(mesh: trimesh.Trimesh) -> Manifold:
 
 
 def _profile(layer_mm: float, bead_mm: float) -> tuple[Floats, Floats]:
-    """Compute depths (L,) from a layer's middle to its edge, and the heights (2L,) that separate them.
-
-    The arc through depth 0 in the middle and `bead_mm` at the edges, rounded to the nearest depth.
-    """
+    """Compute depths (L,) from a layer's middle to its edge, and the heights (2L,) that separate them."""
+    # The arc through depth 0 in the middle and `bead_mm` at the edges, rounded to the nearest depth.
     if bead_mm == 0:
         return np.zeros(1), np.array([0.0, layer_mm])
     half = layer_mm / 2

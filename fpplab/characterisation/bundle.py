@@ -66,12 +66,10 @@ def _first_sizes(observations: Sequence[Observation], start: Solution, model: Mo
 
 
 def variance_components(problem: Problem, vector: Floats) -> ErrorSizes:
-    """Estimate the errors' sizes once from the residuals at a solution: one step of an iteration.
-
-    The squares of the residuals of one kind, less what effects of the poses leave in them, are divided by
-    their redundancy: the number of residuals less the trace of their share of the normal equations. Without
-    effects the fixed point is the estimate of restricted maximum likelihood.
-    """
+    """Estimate the errors' sizes once from the residuals at a solution: one step of an iteration."""
+    # The squares of the residuals of one kind, less what effects of the poses leave in them, are divided by
+    # their redundancy: the number of residuals less the trace of their share of the normal equations. Without
+    # effects the fixed point is the estimate of restricted maximum likelihood.
     # vector (n,)
     settings = problem.model.settings
     inverse = inverse_of(problem, problem.normal_equations(vector, settings.huber_limit)[0])
@@ -112,10 +110,8 @@ def variance_components(problem: Problem, vector: Floats) -> ErrorSizes:
 def _residual_to_expected_ratio(
     residuals: Floats, redundancy: float, leaked: float, settings: BundleSettings
 ) -> float:
-    """Return the estimated standard deviation of residuals that should have one of 1.
-
-    leaked: the part of their sum of squares that effects of the poses cause.
-    """
+    """Return the estimated standard deviation of residuals that should have one of 1."""
+    # leaked: the part of their sum of squares that effects of the poses cause.
     if redundancy < 1e-3 * len(residuals):
         return 1.0
     clipped = float(np.sum(np.minimum(residuals**2, settings.huber_limit**2)))
@@ -128,11 +124,9 @@ def _residual_to_expected_ratio(
 def estimate_uncertainty(
     observations: Sequence[Observation], best: Solution, model: Model, sizes: ErrorSizes
 ) -> Uncertainty:
-    """Estimate the uncertainty of the devices and of the pose between them.
-
-    The covariance is marginal: it contains the uncertainty of the poses, of the errors that the points of
-    one pose share, of the board's shape and of its scale.
-    """
+    """Estimate the uncertainty of the devices and of the pose between them."""
+    # The covariance is marginal: it contains the uncertainty of the poses, of the errors that the points of
+    # one pose share, of the board's shape and of its scale.
     problem = Problem(tuple(observations), model, sizes, best)
     shared = slice(problem.vector_offsets[2])
     inverse, effects = _effects(problem, best)
@@ -164,10 +158,8 @@ def _effects(problem: Problem, best: Solution) -> tuple[Floats, PoseEffects]:
 def fits_without_each_pose(
     observations: Sequence[Observation], best: Solution, model: Model, sizes: ErrorSizes
 ) -> list[Solution]:
-    """Fit all poses but one, for each in turn, to first order.
-
-    That is one step of Gauss and Newton from the joint fit.
-    """
+    """Fit all poses but one, for each in turn, to first order."""
+    # That is one step of Gauss and Newton from the joint fit.
     problem = Problem(tuple(observations), model, sizes, best)
     vector, (_, _, carried, first, _) = problem.pack(best), problem.vector_offsets
     limit, damping = model.settings.huber_limit, model.settings.initial_damping**2

@@ -115,10 +115,8 @@ def regions_with_points(pixels: Floats, size: tuple[int, int]) -> Ninths:
 def _seen_by_both(
     device: Pinhole, other_device: Pinhole, T_other_device: RigidTransform, distance: float
 ) -> Ninths:
-    """Tell which ninths (3, 3) have a centre that the other device sees as well, at the boards' distance.
-
-    The others cannot contain points of a board, and no point will ever be measured there.
-    """
+    """Tell which ninths (3, 3) have a centre that the other device sees as well, at the boards' distance."""
+    # The others cannot contain points of a board, and no point will ever be measured there.
     shares = (np.arange(3) + 0.5) / 3
     u, v = np.meshgrid(shares * device.size[0] - 0.5, shares * device.size[1] - 0.5)
     slopes = device.normalise(np.stack([u, v], axis=-1))

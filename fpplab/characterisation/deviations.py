@@ -12,13 +12,11 @@ from fpplab.core.errors import DataError
 
 
 def epipolar_distances(observation: Observation, calibration: Calibration) -> Floats:
-    """Compute the signed distance of each point from its epipolar curve on the projector.
-
-    A camera pixel is a ray, whose image on the projector is a curve (a line without distortion); the distance
-    is that of the projector's point from it, at the depth at which both rays pass nearest, positive to the
-    right of the direction in which depth moves it. Unlike the reprojection errors it does not depend on the
-    board.
-    """
+    """Compute the signed distance of each point from its epipolar curve on the projector."""
+    # A camera pixel is a ray, whose image on the projector is a curve (a line without distortion); the
+    # distance is that of the projector's point from it, at the depth at which both rays pass nearest,
+    # positive to the right of the direction in which depth moves it. Unlike the reprojection errors it does
+    # not depend on the board.
     # returns (K,) px
     pair_of, projector = calibration.T_projector_camera, calibration.projector
     slopes = calibration.camera.normalise(observation.camera_px)
@@ -40,10 +38,9 @@ def _depths(rays: Floats, projector_px: Floats, calibration: Calibration) -> Flo
 
 
 def board_deviation(characterisation: Characterisation) -> tuple[Floats, Floats]:
-    """Compute how far the refined board differs from the board as drawn.
-
-    Position, rotation and scale of the board do not count; no image can separate the scale from the distance.
-    """
+    """Compute how far the refined board differs from the board as drawn."""
+    # Position, rotation and scale of the board do not count; no image can separate the scale from the
+    # distance.
     # returns (K, 3) mm
     if characterisation.drawn is None:
         raise DataError("the board was taken as it is drawn; there is no shape to show")

@@ -244,10 +244,8 @@ def _fit_at_level(
     observations: Sequence[Observation], settled: Fit, model: Model, level: DistortionModel,
     without: Sequence[Solution],
 ) -> ModelTrial:  # fmt: skip
-    """Fit one level, with errors of the sizes found for `model`, and in each pose when that was left out.
-
-    without: fits of `model` to the other poses; those of the other levels are of first order.
-    """
+    """Fit one level, with errors of the sizes found for `model`, and in each pose when that was left out."""
+    # without: fits of `model` to the other poses; those of the other levels are of first order.
     (solution, sizes), own = settled, replace(model, level=level)
     if level is not model.level:
         solution, _ = adjust_bundle(observations, solution, own, sizes)

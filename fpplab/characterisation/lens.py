@@ -17,10 +17,9 @@ from fpplab.core.conventions import Floats
 def scales_of_poses(
     observations: Sequence[Observation], solution: Solution, sizes: ErrorSizes
 ) -> tuple[Floats, Floats]:
-    """Estimate by how much the camera's image of each pose is larger than the calibration says.
-
-    The projector's coordinates show where the board is, so that its distance does not explain another scale.
-    """
+    """Estimate by how much the camera's image of each pose is larger than the calibration says."""
+    # The projector's coordinates show where the board is, so that its distance does not explain another
+    # scale.
     # returns scales (M,), sigmas (M,)
     estimates = [
         _best_scale_of_pose(k, observation, solution, sizes) for k, observation in enumerate(observations)
@@ -41,10 +40,8 @@ def scale_scatter(scales: Floats, sigmas: Floats) -> tuple[float, float]:
 def has_focus_breathing(
     scales: Floats, sigmas: Floats, limits: CharacterisationLimits = USUAL_LIMITS
 ) -> bool:
-    """Tell whether the scale differs between poses, even without the one in which it differs most.
-
-    A board that moved in one pose looks like another scale there.
-    """
+    """Tell whether the scale differs between poses, even without the one in which it differs most."""
+    # A board that moved in one pose looks like another scale there.
     if len(scales) < limits.min_focus_poses:
         return False
     outlier = int(np.argmax(np.abs(scales - np.median(scales)) / sigmas))

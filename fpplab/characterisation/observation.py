@@ -104,13 +104,11 @@ def _with_corrected_orders(
     periods: Floats,
     limits: CharacterisationLimits,
 ) -> tuple[Floats, float]:
-    """Correct the fringe orders on the board by the whole periods that bring every pixel onto its plane.
-
-    The corrected maps are returned, and the share of the board's pixels that had to be corrected. A plane
-    maps camera to projector pixels by a homography, up to distortion, which is far less than half a period.
-    Ambiguous pixels become NaN; so does everything off the board.
-    Raises `CalibrationError` when too few of the pixels agree on a plane.
-    """
+    """Correct the fringe orders on the board by the whole periods that bring every pixel onto its plane."""
+    # The corrected maps are returned, and the share of the board's pixels that had to be corrected. A plane
+    # maps camera to projector pixels by a homography, up to distortion, which is far less than half a period.
+    # Ambiguous pixels become NaN; so does everything off the board. Raises `CalibrationError` when too few of
+    # the pixels agree on a plane.
     corrected = np.full_like(maps, np.nan)
     lit = np.isfinite(maps[..., 0]) & np.isfinite(maps[..., 1])
     v, u = np.nonzero(lit & _board_area(maps.shape[:2], target, detection))

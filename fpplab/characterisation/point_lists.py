@@ -35,12 +35,10 @@ class PointListSource:
 
 
 def load_point_list(source: PointListSource, target: Target) -> list[Observation]:
-    """Read the poses of a table, in the order in which they begin.
-
-    The first row names the columns: `pose`, `id` (row of the target's points) or `x_mm` and `y_mm` (on the
-    board, from its centre or from its first point), `camera_u`, `camera_v`, `projector_u`, `projector_v` in
-    px. They are parted by commas, semicolons or tabs. The centre of a device's first pixel is (0, 0).
-    """
+    """Read the poses of a table, in the order in which they begin."""
+    # The first row names the columns: `pose`, `id` (row of the target's points) or `x_mm` and `y_mm` (on the
+    # board, from its centre or from its first point), `camera_u`, `camera_v`, `projector_u`, `projector_v` in
+    # px. They are parted by commas, semicolons or tabs. The centre of a device's first pixel is (0, 0).
     rows = _rows(source.path)
     ids = _ids(source.path, rows, target)
     pixels = np.column_stack([_numbers(source.path, rows, name) for name in PIXELS])

@@ -195,11 +195,9 @@ def _probes(fit: _Fit, points_per_pose: int = 9) -> Floats:
 def projected_uncertainty(
     calibration: Calibration, device: str, pixels: Floats, distance_mm: float
 ) -> Floats:
-    """Compute how uncertain the pixel is at which a device sees a place, over its image.
-
-    That a device might be turned as a whole does not count: a rotation and a shifted principal point cannot
-    be distinguished from one another. So the best common rotation is removed.
-    """
+    """Compute how uncertain the pixel is at which a device sees a place, over its image."""
+    # That a device might be turned as a whole does not count: a rotation and a shifted principal point cannot
+    # be distinguished from one another. So the best common rotation is removed.
     # pixels (m, 2) px; returns (m,) px
     uncertainty, lens = calibration.uncertainty, getattr(calibration, device)
     if uncertainty is None:

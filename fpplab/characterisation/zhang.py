@@ -71,11 +71,9 @@ def _from_behind(pose: Floats) -> bool:
 def calibrate_by_zhang(
     device: str, boards: BoardPixels, pixels: BoardPixels, size: ImageSize
 ) -> tuple[float, Floats, Floats]:
-    """Calibrate a device by Zhang's method from several guesses of the principal point.
-
-    A projector's lens is often shifted so far that its principal point lies at the image border, where a
-    start from the centre may end in a wrong minimum.
-    """
+    """Calibrate a device by Zhang's method from several guesses of the principal point."""
+    # A projector's lens is often shifted so far that its principal point lies at the image border, where a
+    # start from the centre may end in a wrong minimum.
     # boards (K, 3) mm; pixels (K, 2) px; size (width, height) px; returns intrinsics (12,), poses (M, 6)
     # rad
     width, height = size

@@ -88,10 +88,8 @@ def missing_option(path: str, option: str, purpose: str = "") -> str:
 
 
 def unknown_command(path: str, word: str, purposes: Mapping[str, str]) -> str:
-    """Say that there is no command of this name, and which one was probably meant.
-
-    `purposes` has the first sentence of each command's help, by the command's name.
-    """
+    """Say that there is no command of this name, and which one was probably meant."""
+    # `purposes` has the first sentence of each command's help, by the command's name.
     reason = f"there is no command '{' '.join([*path.split()[1:], word])}'"
     lower = word.lower()
     if lower in ("help", "version"):

@@ -162,11 +162,9 @@ class CommandExit(SystemExit):
 
 
 def run_program(command: Callable[[], object], as_json: bool) -> NoReturn:
-    """Run a program's whole command and leave with the exit code of its fault, or 0.
-
-    A foreseeable fault is one sentence on stderr (and `{"error": …}` on stdout with --json); SIGTERM is
-    treated like Ctrl-C, so that the bench is left safe.
-    """
+    """Run a program's whole command and leave with the exit code of its fault, or 0."""
+    # A foreseeable fault is one sentence on stderr (and `{"error": …}` on stdout with --json); SIGTERM is
+    # treated like Ctrl-C, so that the bench is left safe.
     interrupts.watch_signals()
     try:
         _check_arguments(sys.argv[1:])

@@ -45,10 +45,8 @@ _CHOICES = re.compile(r"'(.*?)' is not one of (.*)$", re.DOTALL)
 
 
 def usage_sentence(error: Any, words: Sequence[str], context: Any) -> str | None:
-    """Say what is wrong with the words behind a group of commands; None where the error is none of usage.
-
-    The errors' classes are typer's or click's own, by their versions.
-    """
+    """Say what is wrong with the words behind a group of commands; None where the error is none of usage."""
+    # The errors' classes are typer's or click's own, by their versions.
     if error.ctx is not None:
         path, params = error.ctx.command_path, error.ctx.command.get_params(error.ctx)
     else:  # of an option without its values

@@ -376,10 +376,8 @@ def _add_in_quadrature(a: CloudPoints, b: CloudPoints, root: CloudPoints) -> Non
 
 
 def local_quadric_distance(cloud: Cloud, window: int = 15) -> CloudPoints:
-    """Compute each point's distance from a quadric fitted to its pixel window.
-
-    A measure of roughness where the true shape is not known.
-    """
+    """Compute each point's distance from a quadric fitted to its pixel window."""
+    # A measure of roughness where the true shape is not known.
     # returns (N,) mm
     if window < 5 or window % 2 == 0:
         raise ConfigError(f"window: {window} px must be an odd number, at least 5")

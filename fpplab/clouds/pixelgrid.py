@@ -73,11 +73,9 @@ class PixelGrid:
         return vectors
 
     def faces(self) -> PixelColumnsRows:
-        """Triangulate neighbouring pixels, but not across jumps in depth.
-
-        Each square of four pixels is divided along the diagonal with the smaller step in depth; a
-        square that lacks a corner still gives the triangle of the other three.
-        """
+        """Triangulate neighbouring pixels, but not across jumps in depth."""
+        # Each square of four pixels is divided along the diagonal with the smaller step in depth; a square
+        # that lacks a corner still gives the triangle of the other three.
         # returns (M, 3)
         planes = self.index, self.a, self.b, self.w, self.noise
         counts = np.zeros(len(self.index), np.int64)
@@ -87,10 +85,8 @@ class PixelGrid:
         return triangles
 
     def quadric_distances(self, window: int) -> GridPoints:
-        """Compute each point's distance from the quadric fitted to its window.
-
-        The quadric is that of 1/z over the pixels. The point takes part in its own fit.
-        """
+        """Compute each point's distance from the quadric fitted to its window."""
+        # The quadric is that of 1/z over the pixels. The point takes part in its own fit.
         # returns (N,) mm
         distances = np.full(self.count, np.nan, np.float32)
         design = _quadric_design(window)

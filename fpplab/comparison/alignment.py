@@ -85,10 +85,8 @@ class Alignment:
 
 
 def align_mesh(points: Floats, mesh: trimesh.Trimesh, seed: int = 0) -> Alignment:
-    """Align a mesh to points.
-
-    The points are assumed to be seen from the origin, so that they lie on the mesh's outer side.
-    """
+    """Align a mesh to points."""
+    # The points are assumed to be seen from the origin, so that they lie on the mesh's outer side.
     # points (N, 3) mm
     random = np.random.default_rng(seed)
     fine, coarse = (_subsample(points, n, random) for n in (LIMITS.fine_points, LIMITS.coarse_points))
@@ -137,10 +135,8 @@ class AlignmentMesh:
         return np.einsum("ij,ij->i", placed - foot, normals), placed, normals
 
     def misfit(self, points: Floats, pose: RigidTransform, share: float = LIMITS.judged_share) -> float:
-        """Judge a pose by the mean distance of the points that are nearest to the mesh.
-
-        A point on a face that is seen from behind counts with the size of the mesh as its distance.
-        """
+        """Judge a pose by the mean distance of the points that are nearest to the mesh."""
+        # A point on a face that is seen from behind counts with the size of the mesh as its distance.
         # points (N, 3) mm
         placed = pose.apply(points)
         square, face, foot = igl.point_mesh_squared_distance(placed, self.vertices, self.faces)
@@ -206,11 +202,9 @@ def refine_pose(
 
 
 def _axis_poses(points: Floats, mesh: trimesh.Trimesh, random: np.random.Generator) -> list[RigidTransform]:
-    """Compute the poses in which the cloud's principal axes coincide with the mesh's, centre on centre.
-
-    The mesh's centre is that of its surface facing the camera, and the cloud is placed slightly in front of
-    it: from inside a plate, its wrong side would be as near as the right one.
-    """
+    """Compute the poses in which the cloud's principal axes coincide with the mesh's, centre on centre."""
+    # The mesh's centre is that of its surface facing the camera, and the cloud is placed slightly in front of
+    # it: from inside a plate, its wrong side would be as near as the right one.
     surface, faces = trimesh.sample.sample_surface(
         mesh, LIMITS.coarse_points, seed=int(random.integers(1 << 31))
     )

@@ -112,11 +112,9 @@ def fit_scale(points: Floats, target: AlignmentMesh, seed: int = 0) -> FittedSca
 
 
 def _clear_of_edges(points: Floats, target: AlignmentMesh) -> NDArray[np.bool_]:
-    """Find the points (N,) whose face would be the same if noise had moved them in or out.
-
-    Next to an edge the nearest face depends on the noise, always in favour of the smaller distance; at the
-    convex edges of a part that makes it look larger.
-    """
+    """Find the points (N,) whose face would be the same if noise had moved them in or out."""
+    # Next to an edge the nearest face depends on the noise, always in favour of the smaller distance; at the
+    # convex edges of a part that makes it look larger.
     distance, placed, normals = target.residuals(points, RigidTransform.identity())
     reach, kept = LIMITS.edge_spreads * robust_spread(distance), np.ones(len(points), np.bool_)
     for side in (-reach, reach):

@@ -260,10 +260,8 @@ def shipped_configs(kind: ConfigKind | None = None) -> list[str]:
 
 
 def find_config(name: str | Path, kind: ConfigKind | None = None) -> Path:
-    """Find a configuration by path, or by name among those that come with fpplab.
-
-    Looks at the path itself, then in the installed package, then next to the checkout.
-    """
+    """Find a configuration by path, or by name among those that come with fpplab."""
+    # Looks at the path itself, then in the installed package, then next to the checkout.
     path = Path(name)
     if path.exists():
         return path

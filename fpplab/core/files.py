@@ -102,10 +102,8 @@ class _Sink(io.BufferedIOBase):
 
 
 def write_parts(path: Path, *parts: bytes | memoryview) -> None:
-    """Write parts one after the other into a file that appears only once it is complete and on disk.
-
-    The parts are not copied. On an error nothing is left behind.
-    """
+    """Write parts one after the other into a file that appears only once it is complete and on disk."""
+    # The parts are not copied. On an error nothing is left behind.
     with _draft_replacing(path) as stream:
         stream.writelines(parts)
 
@@ -136,10 +134,8 @@ def _draft_replacing(path: Path) -> Iterator[io.BufferedWriter]:
 
 
 def sweep_file_drafts(path: Path) -> None:
-    """Take away drafts of a file whose process was killed while it wrote.
-
-    The draft that another process writes is locked, and stays.
-    """
+    """Take away drafts of a file whose process was killed while it wrote."""
+    # The draft that another process writes is locked, and stays.
     draft = re.compile(rf"\.{re.escape(path.name)}\.[a-z0-9_]{{8}}")
     with suppress(OSError):  # whether the folder can be written shows when writing
         for name in [name for name in os.listdir(path.parent) if draft.fullmatch(name)]:
@@ -170,10 +166,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def make_directory(path: Path, fill: Callable[[Path], object]) -> None:
-    """Make a directory that appears only once it is complete.
-
-    On an error nothing is left behind.
-    """
+    """Make a directory that appears only once it is complete. On an error nothing is left behind."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as hidden:

@@ -82,11 +82,9 @@ class RigidTransform:
 
 
 def turned_towards(T_b_a: RigidTransform, angle_rad: float) -> RigidTransform:
-    """Rotate frame b about its own origin, its z axis towards a's origin.
-
-    The axis of rotation is normal to z and to the line between the two origins: for a projector and a camera
-    this is their convergence.
-    """
+    """Rotate frame b about its own origin, its z axis towards a's origin."""
+    # The axis of rotation is normal to z and to the line between the two origins: for a projector and a
+    # camera this is their convergence.
     axis = np.cross((0.0, 0.0, 1.0), T_b_a.translation)
     length = float(np.linalg.norm(axis))
     if length == 0.0:
@@ -148,10 +146,8 @@ class Pinhole:
 
     @cached_property
     def reach(self) -> float:
-        """Slope √(x² + y²) up to which the radial distortion is invertible.
-
-        There it folds back, or has a pole; infinite where neither happens.
-        """
+        """Slope √(x² + y²) up to which the radial distortion is invertible."""
+        # There it folds back, or has a pole; infinite where neither happens.
         k1, k2, _, _, k3, k4, k5, k6 = self.distortion
         above, below = np.poly1d([k3, k2, k1, 1.0]), np.poly1d([k6, k5, k4, 1.0])
         square = np.poly1d([1.0, 0.0])
@@ -169,11 +165,9 @@ class Pinhole:
         return Pinhole(size, matrix, self.distortion, self.lattice)
 
     def project(self, points: Floats, T_device_world: RigidTransform | None = None) -> Floats:
-        """Project points to pixels.
-
-        Without the derivatives by pose and intrinsics that `cv2.projectPoints` always computes from Python:
-        several times as fast. Beyond `reach` the model has pixels too, but a lens has not.
-        """
+        """Project points to pixels."""
+        # Without the derivatives by pose and intrinsics that `cv2.projectPoints` always computes from Python:
+        # several times as fast. Beyond `reach` the model has pixels too, but a lens has not.
         # points (..., 3) mm; returns (..., 2) px
         local = np.asarray(points, np.float64)
         if T_device_world is not None:
@@ -198,10 +192,7 @@ class Pinhole:
         return seen
 
     def normalise(self, pixels: Floats) -> Floats:
-        """Undistort pixels to ray slopes; inverse of `project`.
-
-        By Newton's method to `PIXEL_TOLERANCE`.
-        """
+        """Undistort pixels to ray slopes; inverse of `project`. By Newton's method to `PIXEL_TOLERANCE`."""
         # pixels (..., 2) px; returns (..., 2)
         (fx, _, cx), (_, fy, cy) = self.matrix[:2]
         coordinates = np.asarray(pixels, np.float64)

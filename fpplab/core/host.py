@@ -26,10 +26,8 @@ def host_facts() -> dict[str, Any]:
 
 
 def required_packages() -> list[tuple[str, str]]:
-    """List the packages that fpplab asks for, each with its extra; empty where it is always needed.
-
-    None where it runs without being installed.
-    """
+    """List the packages that fpplab asks for, each with its extra; empty where it is always needed."""
+    # None where it runs without being installed.
     try:
         lines = metadata.requires("fpplab") or []
     except metadata.PackageNotFoundError:

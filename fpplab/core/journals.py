@@ -21,10 +21,8 @@ def make_journal(path: Path) -> None:
 
 
 def append_line(path: Path, line: str) -> None:
-    """Append one line to a journal, on disk before this returns.
-
-    On an error the journal is as it was before.
-    """
+    """Append one line to a journal, on disk before this returns."""
+    # On an error the journal is as it was before.
     with writing(path):
         end = path.stat().st_size
         try:
@@ -38,10 +36,8 @@ def append_line(path: Path, line: str) -> None:
 
 
 def whole_lines(path: Path) -> list[bytes]:
-    """Read the complete lines of a journal.
-
-    What follows the last newline was cut off while it was written, and is left out.
-    """
+    """Read the complete lines of a journal."""
+    # What follows the last newline was cut off while it was written, and is left out.
     try:
         return read_bounded(path, MAX_JOURNAL_BYTES).split(b"\n")[:-1]
     except OSError as error:
@@ -49,10 +45,8 @@ def whole_lines(path: Path) -> list[bytes]:
 
 
 def cut_torn_line(path: Path) -> None:
-    """Remove an incomplete last line of a journal, so that the next line is not appended to it.
-
-    Searches backwards from the end of the file, which is not read as a whole.
-    """
+    """Remove an incomplete last line of a journal, so that the next line is not appended to it."""
+    # Searches backwards from the end of the file, which is not read as a whole.
     with writing(path):
         if path.stat().st_size == 0:  # which cannot be mapped
             return

@@ -38,10 +38,8 @@ def cell_numbers(places: Floats, side: float) -> NDArray[np.int64]:
 
 
 def clustered_covariance(rows: Floats, scores: Floats, is_inlier: Mask, cell: NDArray[np.int64]) -> Floats:
-    """Compute the covariance of an M-estimate whose residuals are correlated within cells.
-
-    The sandwich estimator for clusters.
-    """
+    """Compute the covariance of an M-estimate whose residuals are correlated within cells."""
+    # The sandwich estimator for clusters.
     # rows (N, n); scores (N,); is_inlier (N,); cell (N,); returns (n, n)
     cells, count = int(cell.max()) + 1, rows.shape[1]
     sums = np.zeros((cells, count))
@@ -59,14 +57,12 @@ def error_limit(errors: NDArray[np.floating[Any]]) -> float:
 def multiway_covariance(
     inverse: Floats, scores: Floats, groupings: Sequence[NDArray[np.integer[Any]]]
 ) -> Floats:
-    """Compute the covariance of a least-squares fit whose residuals depend on each other within clusters.
-
-    Of the sandwich form, as a sum over groupings. A residual may depend on others by several of them, and no
-    part is subtracted for those that two groupings have in common, so that the sum is not too small. A few
-    clusters estimate their scatter poorly: the error then follows Student's t distribution with one degree of
-    freedom less than there are clusters, and its variance is given. Groupings of three clusters or fewer say
-    nothing and are left out.
-    """
+    """Compute the covariance of a least-squares fit whose residuals depend on each other within clusters."""
+    # Of the sandwich form, as a sum over groupings. A residual may depend on others by several of them, and
+    # no part is subtracted for those that two groupings have in common, so that the sum is not too small. A
+    # few clusters estimate their scatter poorly: the error then follows Student's t distribution with one
+    # degree of freedom less than there are clusters, and its variance is given. Groupings of three clusters
+    # or fewer say nothing and are left out.
     # inverse (C, C); scores (N, C); groupings (N,); returns (C, C)
     middle = np.zeros_like(inverse)
     for clusters in groupings:

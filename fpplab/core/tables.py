@@ -61,12 +61,11 @@ def _read_tables(path: Path) -> dict[str, list[Row]]:
 
 
 def tables_of(answer: Mapping[str, Any]) -> dict[str, list[Row]]:
-    """Arrange nested values as tables.
-
-    A list of objects is a table, named by the keys that lead to it; a list in its rows is another one, whose
-    rows say in the first column to which row they belong, counted from 0. What is said once is a row of the
-    table `SUMMARY`. Keys of objects within objects are joined by dots, as are the places in lists of numbers.
-    """
+    """Arrange nested values as tables."""
+    # A list of objects is a table, named by the keys that lead to it; a list in its rows is another one,
+    # whose rows say in the first column to which row they belong, counted from 0. What is said once is a row
+    # of the table `SUMMARY`. Keys of objects within objects are joined by dots, as are the places in lists of
+    # numbers.
     tables: dict[str, list[Row]] = {SUMMARY: []}
     row: Row = {}
     _arrange(answer, "", "", row, tables)

@@ -97,10 +97,8 @@ def concrete_subclasses(base: type[T]) -> list[type[T]]:
 
 
 def import_members(package_name: str, package_path: Iterable[str]) -> None:
-    """Import every module of a package, so that the classes in them are defined.
-
-    Called in the package's ``__init__`` as ``import_members(__name__, __path__)``. Packages inside it are
-    imported too, but not searched further.
-    """
+    """Import every module of a package, so that the classes in them are defined."""
+    # Called in the package's ``__init__`` as ``import_members(__name__, __path__)``. Packages inside it are
+    # imported too, but not searched further.
     for module in sorted(iter_modules(package_path), key=lambda info: info.name):
         import_module(f"{package_name}.{module.name}")

@@ -170,10 +170,8 @@ def _device_with_change(device: Pinhole, change: Sequence[float]) -> Pinhole:
 
 
 def interpolate_calibrations(low: Calibration, high: Calibration, share: float) -> Calibration:
-    """Interpolate linearly between two calibrations of the same devices.
-
-    Rotations are interpolated about their common axis.
-    """
+    """Interpolate linearly between two calibrations of the same devices."""
+    # Rotations are interpolated about their common axis.
     turn = (high.T_projector_camera.rotation @ low.T_projector_camera.rotation.T).astype(np.float64)
     rotation_vector = RigidTransform(turn, np.zeros(3)).rotation_vector
     part = RigidTransform.from_vectors(share * rotation_vector, np.zeros(3)).rotation
@@ -205,10 +203,9 @@ def characterise_positions(
     folder: Path,
     progress: Progress = no_progress,
 ) -> dict[float | None, Path]:
-    """Characterise an open rig with its stage at several positions.
-
-    Sessions and calibrations are kept in `folder`; positions whose calibration is there already are skipped.
-    """
+    """Characterise an open rig with its stage at several positions."""
+    # Sessions and calibrations are kept in `folder`; positions whose calibration is there already are
+    # skipped.
     files: dict[float | None, Path] = {}
     for done, mm in enumerate(positions):
         place = folder / ("as_it_stands" if mm is None else f"stage_{mm:+g}")
@@ -228,10 +225,8 @@ def with_calibrations(
     progress: Progress = no_progress,
     stage_positions: Sequence[float] | None = None,
 ) -> P:
-    """Characterise an open rig at the ends of the stage positions that a search needs, and at its start.
-
-    Sessions and calibrations are kept in `folder`; what is there already is not measured again.
-    """
+    """Characterise an open rig at the ends of the stage positions that a search needs, and at its start."""
+    # Sessions and calibrations are kept in `folder`; what is there already is not measured again.
     searched, start = problem.space.stage_mm, problem.start.stage_mm
     positions: Sequence[float | None] = [start]
     if searched is not None:

@@ -79,10 +79,8 @@ class CandidateRunner:
         return self.ranking.front(self.trials)
 
     def is_feasible(self, point: Point) -> bool:
-        """Check whether the rig and the study allow a point, without measuring it.
-
-        If not, the refusal is counted in `refused`.
-        """
+        """Check whether the rig and the study allow a point, without measuring it."""
+        # If not, the refusal is counted in `refused`.
         refused = self._candidate_to_measure(point).refused
         if refused:
             self.refused[refused] += 1

@@ -114,11 +114,9 @@ def _frame_bytes(sets: dict[int, list[Image]]) -> int:
 
 
 def noise_numbers(key: _Key, steps: int) -> list[int]:
-    """Compute the number that seeds the noise of each image of a set.
-
-    It depends neither on the stripe count nor on the number of steps, so that similar candidates have equal
-    noise.
-    """
+    """Compute the number that seeds the noise of each image of a set."""
+    # It depends neither on the stripe count nor on the number of steps, so that similar candidates have equal
+    # noise.
     return [
         _hash_number(key.seed, key.setup.item, key.axis, key.place, Fraction(n, steps)) for n in range(steps)
     ]

@@ -86,10 +86,8 @@ class RigEvaluator:
         return cloud, compare(cloud, self._mesh_in_camera_frame(name), calibration, align=True)
 
     def triangulation_angle_deg(self, candidate: Candidate) -> float:
-        """Compute the triangulation angle: that between camera and projector as seen from an artefact.
-
-        Seen from the centre of its bounding box.
-        """
+        """Compute the triangulation angle: that between camera and projector as seen from an artefact."""
+        # Seen from the centre of its bounding box.
         projector = self.calibrations.at(candidate.stage_mm, candidate.convergence_deg).projector_centre
         middles = np.array(
             [self._mesh_in_camera_frame(name).bounds.mean(axis=0) for name in self._problem.artefacts]

@@ -45,10 +45,8 @@ def enqueue_points(study: Any, runner: CandidateRunner, points: Sequence[Point])
 
 
 def measure_round(study: Any, runner: CandidateRunner, size: int) -> list[MeasuredCandidate]:
-    """Ask the sampler for points, measure them together, and tell it the results in the order asked.
-
-    A point that the rig or the study does not allow is reported as failed, and another one is asked for.
-    """
+    """Ask the sampler for points, measure them together, and tell it the results in the order asked."""
+    # A point that the rig or the study does not allow is reported as failed, and another one is asked for.
     asked: list[tuple[Any, Point]] = []
     for _ in range(50 * size):  # chosen: then the sampler counts as exhausted
         trial = study.ask()

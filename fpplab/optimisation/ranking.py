@@ -43,10 +43,8 @@ class CandidateRanking:
         return tuple((objective, limit) for objective, limit in limits if limit is not None)
 
     def violations(self, candidate: MeasuredCandidate) -> dict[str, float]:
-        """Compute by how much each limit is exceeded.
-
-        A share of wrong orders that the start has as well is not counted.
-        """
+        """Compute by how much each limit is exceeded."""
+        # A share of wrong orders that the start has as well is not counted.
         if not candidate.measured:
             return {"measured": 1e6}  # chosen: more than any measured candidate can exceed limits by
         share = max(self.problem.constraints.wrong_orders, self.start.figures.wrong_orders)
@@ -88,10 +86,8 @@ class CandidateRanking:
         return self.violation(trial) == 0.0
 
     def front(self, trials: Sequence[MeasuredCandidate]) -> list[MeasuredCandidate]:
-        """Select the Pareto front: acceptable candidates that no other dominates.
-
-        Of several candidates with equal objectives the first is kept.
-        """
+        """Select the Pareto front: acceptable candidates that no other dominates."""
+        # Of several candidates with equal objectives the first is kept.
         acceptable = [trial for trial in trials if self.is_acceptable(trial)]
         values_by_candidate = {trial.candidate: self.values(trial) for trial in acceptable}
         front: dict[tuple[float, ...], MeasuredCandidate] = {}

@@ -199,11 +199,9 @@ class TrueShape:
         pixels: NDArray[np.int32],
         T_true_camera: RigidTransform,
     ) -> float:
-        """Compute the share of pixels whose coordinate is off by half a period of the finest set or more.
-
-        Pixels that seem wrong are checked again with rays from the camera as aligned by T_true_camera,
-        edges of the shape in its nominal pose may lie a pixel off.
-        """
+        """Compute the share of pixels whose coordinate is off by half a period of the finest set or more."""
+        # Pixels that seem wrong are checked again with rays from the camera as aligned by T_true_camera,
+        # edges of the shape in its nominal pose may lie a pixel off.
         wrong = 0
         for axis in plan.axes:
             stripes = plan.fringes[plan.finest_set(axis)].stripes

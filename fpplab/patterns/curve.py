@@ -71,11 +71,9 @@ class Curve(Document):
         return np.asarray(np.where(share >= 0, np.abs(share) ** (1.0 / self.g), np.nan))
 
     def correct(self, levels: ArrayLike) -> Floats:
-        """Compute the levels to show so that the light rises from black to white in proportion to `levels`.
-
-        The light that can be reached is b … a + b, so `levels` are shares of that, and the result is the
-        inverse of S. Gain, black level and exposure cancel, black stays black and white stays white.
-        """
+        """Compute the levels to show so that the light rises from black to white as `levels` do."""
+        # The light that can be reached is b … a + b, so `levels` are shares of that, and the result is the
+        # inverse of S. Gain, black level and exposure cancel, black stays black and white stays white.
         light = np.asarray(levels, np.float64)
         if self.spline:
             return np.asarray(np.interp(light, _rising(self.spline), _INVERSE))

@@ -31,10 +31,8 @@ _TURNS = np.exp(1j * TWO_PI * np.outer(np.arange(-_REACH, _REACH + 1), np.arange
 
 
 def harmonics(g: float, highest: int) -> Floats:
-    """Compute the Fourier coefficients of a sinusoid under a power law.
-
-    `((1 + cos φ)/2)^g = c_0 + 2 Σ c_k cos kφ`.
-    """
+    """Compute the Fourier coefficients of a sinusoid under a power law."""
+    # `((1 + cos φ)/2)^g = c_0 + 2 Σ c_k cos kφ`.
     # returns (highest + 1,)
     # cos^2g(φ/2), whose coefficients are Γ(2g + 1)/(4^g Γ(g + k + 1) Γ(g - k + 1)).
     mean = math.exp(math.lgamma(2.0 * g + 1.0) - 2.0 * math.lgamma(g + 1.0) - g * math.log(4.0))
@@ -69,11 +67,9 @@ def phase_error(g: float, steps: int) -> float:
 def shown_phase_error(
     response: Curve, steps: int, correction: Curve | None = None, greys: int = 256
 ) -> float:
-    """Compute the RMS phase error of patterns as they are shown, in `greys` grey levels.
-
-    What the rounding to grey levels leaves is that of one mirror; a camera pixel that averages over mirrors
-    of different phase sees less of it.
-    """
+    """Compute the RMS phase error of patterns as they are shown, in `greys` grey levels."""
+    # What the rounding to grey levels leaves is that of one mirror; a camera pixel that averages over mirrors
+    # of different phase sees less of it.
     phase = TWO_PI * (np.arange(16 * _PHASES) + 0.5) / (16 * _PHASES)
     shifts = phase_steps(steps)
     sinusoids = 0.5 + 0.5 * np.cos(phase - shifts[:, None])
@@ -95,10 +91,8 @@ def least_steps(response: Curve, allowed_rad: float = LIMITS.max_phase_error_rad
 
 
 def unexplained_phase_error(response: Response) -> float:
-    """Compute the RMS phase error that levels may hide from a fitted curve.
-
-    What the curve leaves of the levels, spread over the harmonics, is taken to rotate the fringe.
-    """
+    """Compute the RMS phase error that levels may hide from a fitted curve."""
+    # What the curve leaves of the levels, spread over the harmonics, is taken to rotate the fringe.
     residual = response.residual if response.misfit is None else response.misfit
     return float(2.0 * residual * np.sqrt(2.0 / response.levels) / response.a)
 
@@ -145,10 +139,8 @@ class ResponseJudgement(Document):
 
 
 def judge_response(response: Response, plan: Plan, size: tuple[int, int]) -> ResponseJudgement:
-    """Judge whether a response is good enough for a plan.
-
-    A plan that corrects its patterns is judged with that correction.
-    """
+    """Judge whether a response is good enough for a plan."""
+    # A plan that corrects its patterns is judged with that correction.
     curve = Curve(a=response.a, b=response.b, g=response.g, spline=response.spline)
     ends, hidden = (
         _curves_within_uncertainty(response, curve),

@@ -91,11 +91,9 @@ class Response(Curve):
 
     @property
     def normalised(self) -> dict[str, float] | None:
-        """The projector's own response with its white as 1, without the camera's gain and black level.
-
-        `a' = a/w`, `b' = (b - dark)/w` with `w = a + b - dark`, and the standard uncertainty that both
-        share, since they add up to 1. None where the dark level was not measured.
-        """
+        """The projector's own response with its white as 1, without the camera's gain and black level."""
+        # `a' = a/w`, `b' = (b - dark)/w` with `w = a + b - dark`, and the standard uncertainty that both
+        # share, since they add up to 1. None where the dark level was not measured.
         if self.dark is None or self.covariance is None:
             return None
         dark, sigma = self.dark

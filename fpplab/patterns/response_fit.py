@@ -61,12 +61,10 @@ def pixels_of_regions(image: Image) -> Floats:
 
 
 def rounding_variance(spread: Floats) -> Floats:
-    """Compute the variance of the error that rounding to integers leaves in a mean.
-
-    Rounding errors of equal values are equal, and averaging does not reduce them; values spread over more
-    than half an integer dither them away: `Σ_k exp(-4π² k² s²)/(2π² k²)`, which is 1/12 for s = 0 (Gaussian
-    values).
-    """
+    """Compute the variance of the error that rounding to integers leaves in a mean."""
+    # Rounding errors of equal values are equal, and averaging does not reduce them; values spread over more
+    # than half an integer dither them away: `Σ_k exp(-4π² k² s²)/(2π² k²)`, which is 1/12 for s = 0 (Gaussian
+    # values).
     k = np.arange(1.0, 41.0)
     terms = np.exp(-4 * np.pi**2 * k**2 * spread[..., None]) / (2 * np.pi**2 * k**2)
     return np.asarray(terms.sum(axis=-1))
@@ -81,12 +79,10 @@ class MeanLevels(NamedTuple):
 
 
 def mean_levels_of_regions(greys: GreyLevelImages, regions: Mask) -> MeanLevels:
-    """Average the levels over some regions.
-
-    The uncertainty has three parts: the pixels' noise over all pixels and repeats; the scatter of the repeats
-    beyond it (an unsteady lamp), pooled over the levels; and rounding, as far as the noise does not dither
-    it away.
-    """
+    """Average the levels over some regions."""
+    # The uncertainty has three parts: the pixels' noise over all pixels and repeats; the scatter of the
+    # repeats beyond it (an unsteady lamp), pooled over the levels; and rounding, as far as the noise does not
+    # dither it away.
     # regions (GRID²,)
     of_regions, weight = greys.statistics[..., regions], greys.pixels[regions]
     pixels, step = weight.sum(), 1.0 / full_scale(greys.bits)
@@ -104,11 +100,9 @@ def mean_levels_of_regions(greys: GreyLevelImages, regions: Mask) -> MeanLevels:
 
 
 def fit_greys(greys: GreyLevelImages) -> Response:
-    """Fit the response to the regions that are illuminated and not saturated, together and each alone.
-
-    When every illuminated region saturates, its saturated levels are left out instead. Both are named in
-    `Response.left_out`.
-    """
+    """Fit the response to the regions that are illuminated and not saturated, together and each alone."""
+    # When every illuminated region saturates, its saturated levels are left out instead. Both are named in
+    # `Response.left_out`.
     chosen, left_out = _choose_regions(greys)
     response = _fit_response_of_regions(greys, chosen)
     regions = tuple(_fit_region(greys, i) for i in np.flatnonzero(chosen).tolist())

@@ -87,10 +87,8 @@ def leave_one_out(residual: Floats, leverage: Floats) -> Floats:
 
 
 def prefers_spline(power: Floats, spline: Floats, sigma: Floats | None) -> bool:
-    """Decide between power law and spline.
-
-    The levels at both ends, which a spline predicts by extrapolation alone, do not count.
-    """
+    """Decide between power law and spline."""
+    # The levels at both ends, which a spline predicts by extrapolation alone, do not count.
     # power, spline (L,); sigma (L,)
     floor = 0.0 if sigma is None else float(np.mean(sigma[1:-1] ** 2))
     gain = power[1:-1] ** 2 - spline[1:-1] ** 2

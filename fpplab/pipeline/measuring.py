@@ -48,10 +48,8 @@ def reconstruct_points(
     depth_mm: DepthInterval | None = None,
     as_recorded: bool = False,
 ) -> tuple[Decoded, Cloud]:
-    """Decode, triangulate, filter, and compute uncertainties, without judging the result.
-
-    A session without a single point is a `UselessScanError`, which says why.
-    """
+    """Decode, triangulate, filter, and compute uncertainties, without judging the result."""
+    # A session without a single point is a `UselessScanError`, which says why.
     recording = checked_recording(session, calibration, depth_mm, progress, as_recorded=as_recorded)
     decoded, points = triangulate_recording(recording, calibration, filtering, progress)
     if isinstance(points, Diagnosis):

@@ -25,11 +25,9 @@ def measure_response(
     progress: Progress = no_progress,
     observe_frame: Callable[[int, Frame], object] = lambda level, frame: None,
 ) -> tuple[Response, Floats]:
-    """Show uniform grey-level images and fit the response.
-
-    They are shown from black to white and back, `repeats` times in all, so that a lamp that drifts does not
-    pass for a response; before them one frame with the projector off.
-    """
+    """Show uniform grey-level images and fit the response."""
+    # They are shown from black to white and back, `repeats` times in all, so that a lamp that drifts does not
+    # pass for a response; before them one frame with the projector off.
     # returns levels (K, 2)
     greys = greys or GreyLevels()
     settings = rig.camera_settings(exposure_s)

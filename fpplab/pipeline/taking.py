@@ -32,10 +32,8 @@ def take_or_resume_session(
     progress: Progress = no_progress,
     observe_frame: FrameObserver = ignore,
 ) -> Session:
-    """Acquire a plan on an open rig, or complete an interrupted session.
-
-    Where the stage cannot go nothing is replaced.
-    """
+    """Acquire a plan on an open rig, or complete an interrupted session."""
+    # Where the stage cannot go nothing is replaced.
     if plan.stage_mm is not None:
         rig.need_stage(plan.stage_mm)
     with exclusive_write(session_folder):

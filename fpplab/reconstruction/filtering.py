@@ -64,10 +64,8 @@ class Rule(IntEnum):
 def apply_filter(
     decoded: Decoded, cloud: Cloud, plan: Plan, projector_size: tuple[int, int]
 ) -> tuple[Decoded, Cloud]:
-    """Apply the plan's filter to decoded maps and their cloud.
-
-    A plan with an order vote has biased coarse fringe sets: the contradiction rule is not applied then.
-    """
+    """Apply the plan's filter to decoded maps and their cloud."""
+    # A plan with an order vote has biased coarse fringe sets: the contradiction rule is not applied then.
     # projector_size (width, height) px
     rules = plan.filter
     if rules is None:
@@ -113,11 +111,9 @@ def count_removed(decoded: Decoded) -> dict[str, int | float] | None:
 
 
 def _greatest_disagreement(decoded: Decoded, by_noise: float) -> float:
-    """Return the disagreement beyond which sets contradict one another.
-
-    Where a typical pixel's sets disagree, noise is not the limit (a response that is not linearised,
-    interreflections), and pixels are judged relative to the typical one.
-    """
+    """Return the disagreement beyond which sets contradict one another."""
+    # Where a typical pixel's sets disagree, noise is not the limit (a response that is not linearised,
+    # interreflections), and pixels are judged relative to the typical one.
     return by_noise * max(1.0, decoded.typical_disagreement)
 
 

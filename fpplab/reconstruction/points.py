@@ -31,12 +31,10 @@ def triangulate(
     texture: NDArray[np.uint8] | None = None,
     normals: bool = True,
 ) -> Cloud:
-    """Intersect camera rays with the projector's coordinate surfaces.
-
-    Where two axes are coded a pixel needs both, and each is weighted by its inverse variance. Left out are
-    points behind a device, outside the projector's image or where its distortion folds back, and pixels
-    without a solution.
-    """
+    """Intersect camera rays with the projector's coordinate surfaces."""
+    # Where two axes are coded a pixel needs both, and each is weighted by its inverse variance. Left out are
+    # points behind a device, outside the projector's image or where its distortion folds back, and pixels
+    # without a solution.
     # decoded (height, width) px; texture (height, width); returns (N, 3) mm
     height, width = decoded.u.shape
     calibration.check_camera((width, height), "decoded maps")

@@ -164,10 +164,8 @@ def _kept(values: NDArray[T], solved: Mask) -> NDArray[T]:
 
 
 def camera_slopes(camera: Pinhole) -> Floats:
-    """Compute the ray slopes of every pixel's centre.
-
-    The inverse of the distortion to `PIXEL_TOLERANCE`; the last results are cached.
-    """
+    """Compute the ray slopes of every pixel's centre."""
+    # The inverse of the distortion to `PIXEL_TOLERANCE`; the last results are cached.
     # returns (2, height, width)
     key = (camera.size, camera.matrix.tobytes(), camera.distortion.tobytes())
     with _lock:

@@ -89,10 +89,8 @@ def _by_grid(
 
 
 def point_covariance(cloud: Cloud, calibration: Calibration, noise: CoordinateNoise) -> Floats:
-    """Compute the covariance of each point's coordinates from noise, phase error and calibration.
-
-    How points vary together follows from `calibration_jacobian`.
-    """
+    """Compute the covariance of each point's coordinates from noise, phase error and calibration."""
+    # How points vary together follows from `calibration_jacobian`.
     # returns (N, 3, 3) mm²
     modes, covariance = _Modes.of(calibration, noise), np.empty((len(cloud), 3, 3))
     for part in _blocks(len(cloud)):
@@ -106,10 +104,8 @@ def point_covariance(cloud: Cloud, calibration: Calibration, noise: CoordinateNo
 
 
 def calibration_jacobian(points: AnyPoints, calibration: Calibration, noise: CoordinateNoise) -> Floats:
-    """Compute the derivatives of points by the calibration's parameters.
-
-    Camera pixels and projector coordinates are held.
-    """
+    """Compute the derivatives of points by the calibration's parameters."""
+    # Camera pixels and projector coordinates are held.
     # points (N, 3) mm; returns (N, 3, n)
     pose, n = calibration.T_projector_camera, len(INTRINSICS)
     observed, by_camera = _projection_derivatives(points, calibration.camera, RigidTransform.identity())
@@ -125,11 +121,9 @@ def calibration_jacobian(points: AnyPoints, calibration: Calibration, noise: Coo
 
 
 def displacements_by_mode(points: AnyPoints, calibration: Calibration, noise: CoordinateNoise) -> Floats:
-    """Compute how the independent modes of calibration error displace points.
-
-    Any error of the calibration is a sum of the modes, each times a number drawn from the standard normal
-    distribution.
-    """
+    """Compute how the independent modes of calibration error displace points."""
+    # Any error of the calibration is a sum of the modes, each times a number drawn from the standard normal
+    # distribution.
     # points (N, 3) mm; returns (N, 3, n) mm
     return _Modes.of(calibration, noise).moved(points)
 

@@ -154,10 +154,8 @@ def error_map(
     counted: Mask | None = None,
     quantity: str = "signed error",
 ) -> Figure:
-    """Draw a cloud coloured by its signed distance from the true shape, and the distribution of these.
-
-    The colours span ± the 98th percentile of the absolute distance, which the colour bar states.
-    """
+    """Draw a cloud coloured by its signed distance from the true shape, and the distribution of these."""
+    # The colours span ± the 98th percentile of the absolute distance, which the colour bar states.
     # distances_mm (N,); counted (N,)
     errors = 1e3 * np.asarray(distances_mm, np.float32)
     if counted is not None:
@@ -263,10 +261,8 @@ def pose_rms(names: Sequence[str], camera_px: Sequence[float], projector_px: Seq
 
 @as_png
 def pattern_sheet(patterns: Sequence[Pattern]) -> Figure:
-    """Draw patterns as they are loaded, in their order from the upper left, each with its id.
-
-    They are reduced by averaging: stripes that are too fine for the sheet appear grey.
-    """
+    """Draw patterns as they are loaded, in their order from the upper left, each with its id."""
+    # They are reduced by averaging: stripes that are too fine for the sheet appear grey.
     columns = 6
     rows = -(-len(patterns) // columns)
     figure = new_figure(FULL, 1.25 * rows)  # inches

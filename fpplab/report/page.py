@@ -71,10 +71,8 @@ def write_page(
 
 
 def is_report(path: Path) -> bool:
-    """Tell whether a file is a page that this module wrote.
-
-    Commands write their page before their result, so a page alone is of a run that was ended between.
-    """
+    """Tell whether a file is a page that this module wrote."""
+    # Commands write their page before their result, so a page alone is of a run that was ended between.
     if not path.is_file():
         return False
     with path.open("rb") as stream:

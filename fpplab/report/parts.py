@@ -70,10 +70,8 @@ class ReportTable:
 
     @property
     def csv_link(self) -> str:
-        """The table as a CSV file in a `data:` link; figures without separators of thousands.
-
-        A word that a spreadsheet would take for a formula gets an apostrophe before it.
-        """
+        """The table as a CSV file in a `data:` link; figures without separators of thousands."""
+        # A word that a spreadsheet would take for a formula gets an apostrophe before it.
         stream = io.StringIO()
         writer = csv.writer(stream, lineterminator="\r\n")
         writer.writerows([[_cell(word) for word in row] for row in (self.columns, *self.rows)])

@@ -54,11 +54,9 @@ def raster_of(cloud: CloudLike) -> Raster:
 
 
 def rasterise(grid: Raster, values: NDArray[np.float32]) -> tuple[Map, Extent]:
-    """Make a map of values of points.
-
-    The map is cropped to the points with a margin, a few outliers left aside, so that a small object fills
-    it.
-    """
+    """Make a map of values of points."""
+    # The map is cropped to the points with a margin, a few outliers left aside, so that a small object fills
+    # it.
     # values (N, C); returns (h, w, C)
     left, top, right, bottom = (round(edge) for edge in _bounds_without_outliers(grid.columns, grid.rows))
     inside = (grid.columns >= left) & (grid.columns <= right) & (grid.rows >= top) & (grid.rows <= bottom)

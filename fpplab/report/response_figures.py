@@ -93,10 +93,8 @@ def response_curve(response: ResponseLike, levels: Floats) -> Figure:
 
 @as_png
 def response_fit(response: Response) -> Figure:
-    """Draw a fitted response: levels with error bars, the curve, the residuals, and the exponents of regions.
-
-    Error bars span two standard uncertainties each way.
-    """
+    """Draw a fitted response: levels with error bars, the curve, residuals, and exponents of regions."""
+    # Error bars span two standard uncertainties each way.
     if not response.measured or not response.regions:
         raise DataError("the response holds no levels and regions to draw; measure it with `fpplab gamma`")
     shown, measured, residuals = np.array([(p.shown, p.seen, p.residual) for p in response.measured]).T

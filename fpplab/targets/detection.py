@@ -21,11 +21,9 @@ from fpplab.targets.views import Detection, homography, local_frames, stretch_to
 
 
 def detect(layout: BoardLayout, image: NDArray[Any]) -> Detection | None:
-    """Find a board in a grey image.
-
-    Of a board that looks the same after half a turn, the order is the one whose x axis points right or
-    down in the image.
-    """
+    """Find a board in a grey image."""
+    # Of a board that looks the same after half a turn, the order is the one whose x axis points right or down
+    # in the image.
     # image (height, width)
     if image.ndim != 2 or min(image.shape) < 16:
         raise CalibrationError(f"a board is detected in a grey image, not in an array {image.shape}")

@@ -32,11 +32,9 @@ InkShape = InkBox | InkDisc
 
 
 def covered_share(shapes: Iterable[InkShape], size_mm: tuple[float, float], px_per_mm: float) -> Floats:
-    """Compute the share of each pixel of a board's image that the foreground covers.
-
-    The image's borders are the board's: where the size is not a whole number of pixels, the scale along
-    that axis is adapted.
-    """
+    """Compute the share of each pixel of a board's image that the foreground covers."""
+    # The image's borders are the board's: where the size is not a whole number of pixels, the scale along
+    # that axis is adapted.
     # size_mm (width, height) mm; returns (height, width)
     width, height = (max(round(s * px_per_mm), 1) for s in size_mm)
     scale = np.array([width / size_mm[0], height / size_mm[1]])

@@ -98,10 +98,8 @@ def _placements(layout: BoardLayout, patch: GridPatch) -> list[Detection]:
 
 
 def _could_a_camera_see(layout: BoardLayout, board: Floats, pixels: Floats) -> bool:
-    """Whether points (n, 2) in mm could be seen at these pixels without a board at grazing angles.
-
-    Of a board that is the same after half a turn, the placement whose x axis points right or down is taken.
-    """
+    """Whether points (n, 2) in mm could be seen at these pixels without a board at grazing angles."""
+    # Of a board that is the same after half a turn, the placement whose x axis points right or down is taken.
     matrix, _ = cv2.findHomography(board, pixels, 0)
     if matrix is None:
         return False
@@ -182,10 +180,8 @@ def _are_inside_image(layout: BoardLayout, matrix: Floats, board: Floats, level:
 def _edge_is_seen(
     layout: BoardLayout, placement: Detection, visible: Detection, grounds: Floats, level: Floats
 ) -> bool:
-    """Whether each side of the board ends where it should, as far as it is in the image.
-
-    grounds: (K, 2) brightness of background and of foreground at the visible points.
-    """
+    """Whether each side of the board ends where it should, as far as it is in the image."""
+    # grounds: (K, 2) brightness of background and of foreground at the visible points.
     half = 0.5 * np.array(layout.size_mm)
     drawn = np.abs(layout.points()[:, :2]).max(axis=0) + layout.reach()
     inset = 0.5 * float(np.min(half - drawn))

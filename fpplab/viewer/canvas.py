@@ -165,10 +165,8 @@ class Canvas:
         self.log(entity, rr.TextDocument(markdown, media_type="text/markdown"), static=static)
 
     def device(self, entity: str, device: Pinhole, T_world_device: RigidTransform, reach_mm: float) -> None:
-        """Show a camera or projector at its pose, with its pyramid of sight, which views open on.
-
-        Pinholes are drawn without distortion, so the edge of an image may differ from the cloud's.
-        """
+        """Show a camera or projector at its pose, with its pyramid of sight, which views open on."""
+        # Pinholes are drawn without distortion, so the edge of an image may differ from the cloud's.
         import rerun as rr
 
         step = shown_step(device.size[0])

@@ -130,10 +130,9 @@ def _fetch_rerun_files(program: str, home: Path) -> None:
 
 
 def _open_window(program: str, file: str, home: Path) -> subprocess.Popen[bytes]:
-    """Open rerun's window on a file, or on what it gets on its standard input.
-
-    It would serve what it shows, unless it is told that another program does: a port here that never answers.
-    """
+    """Open rerun's window on a file, or on what it gets on its standard input."""
+    # It would serve what it shows, unless it is told that another program does: a port here that never
+    # answers.
     with socket.create_server((LOCAL, 0)) as other:
         other.settimeout(0.05)
         address = f"rerun+http://{LOCAL}:{other.getsockname()[1]}/proxy"

@@ -57,10 +57,8 @@ def run_scans_report(request: ScansRequest, observer: Observer | None = None) ->
 
 
 def read_scan(path: Path, name: str) -> ScanRecord:
-    """Read what a session or a cloud says about a scan.
-
-    Where a session records no verdict, it is given now.
-    """
+    """Read what a session or a cloud says about a scan."""
+    # Where a session records no verdict, it is given now.
     folder = path if path.is_dir() else path.parent
     if not path.exists():
         raise ConfigError(f"{path}: there is no such session or cloud")

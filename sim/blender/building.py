@@ -38,11 +38,9 @@ def add_scene(
 
 
 def add_room_lamps(blender_scene: Any, lamps: Sequence[PointLamp]) -> None:
-    """Add lamps of the room, whose light is seen once reflected, and not as a gloss.
-
-    Blender spreads the power of a point over 4π, and what a matt surface reflects over π once more.
-    Surfaces that are to throw no shadow of them must be there already.
-    """
+    """Add lamps of the room, whose light is seen once reflected, and not as a gloss."""
+    # Blender spreads the power of a point over 4π, and what a matt surface reflects over π once more.
+    # Surfaces that are to throw no shadow of them must be there already.
     without_shadow = bpy.data.collections.new("no shadow of room lamps")
     for shape in blender_scene.collection.objects:
         if not shape.get(SHADES_ROOM, True):

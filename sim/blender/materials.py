@@ -48,23 +48,19 @@ class BaseShader(NamedTuple):
 
 
 def _diffuse_shader(nodes: Nodes, parameters: LayerParameters) -> Any:
-    """Blender 5's Diffuse BSDF, Lambertian or rough.
-
-    Rough is Oren-Nayar as Fujii improved it, and the light that facets pass to each other added, as
-    Portsmouth, Kutz and Hill do ("EON: a practical energy-preserving rough diffuse BRDF", JCGT 2025), but
-    times the reflectance once more. With white facets no energy is lost.
-    """
+    """Blender 5's Diffuse BSDF, Lambertian or rough."""
+    # Rough is Oren-Nayar as Fujii improved it, and the light that facets pass to each other added, as
+    # Portsmouth, Kutz and Hill do ("EON: a practical energy-preserving rough diffuse BRDF", JCGT 2025), but
+    # times the reflectance once more. With white facets no energy is lost.
     node = nodes.add("ShaderNodeBsdfDiffuse")
     nodes.join(parameters["roughness"], node.inputs["Roughness"])
     return node
 
 
 def _translucent_shader(nodes: Nodes, parameters: LayerParameters) -> Any:
-    """Random walk of isotropic scattering between entry and exit.
-
-    The mean free path is the same at any reflectance; the single-scattering albedo follows from the
-    reflectance.
-    """
+    """Random walk of isotropic scattering between entry and exit."""
+    # The mean free path is the same at any reflectance; the single-scattering albedo follows from the
+    # reflectance.
     node = nodes.add("ShaderNodeSubsurfaceScattering")
     node.falloff = "RANDOM_WALK"
     # Cycles takes a 4π-th of a radius for the mean free path, so as to look like older models.
@@ -74,10 +70,8 @@ def _translucent_shader(nodes: Nodes, parameters: LayerParameters) -> Any:
 
 
 def _translucent_colour(reflectance: Any) -> Any:
-    """Find the colour c whose random walk reflects c (0.8 + 0.2 c) (measured).
-
-    Half of Cycles' walk enters refracted and is lost deeper than the colour was fitted for.
-    """
+    """Find the colour c whose random walk reflects c (0.8 + 0.2 c) (measured)."""
+    # Half of Cycles' walk enters refracted and is lost deeper than the colour was fitted for.
     return np.sqrt(4 + 5 * reflectance) - 2
 
 
@@ -188,11 +182,10 @@ def _tilt(nodes: Nodes, normal: Any, shader: Any) -> None:
 
 
 def _normal_with_relief(nodes: Nodes, paint: Paint) -> Any:
-    """Compute the normal of the surface with ridges and grain on it, None without any.
-
-    A surface raised by h(X) along its normal n has the normal n - g_t, normalised, where g_t is the component
-    of the gradient of h tangential to the surface. An item moves rigidly, so gradients turn as directions do.
-    """
+    """Compute the normal of the surface with ridges and grain on it, None without any."""
+    # A surface raised by h(X) along its normal n has the normal n - g_t, normalised, where g_t is the
+    # component of the gradient of h tangential to the surface. An item moves rigidly, so gradients turn as
+    # directions do.
     gradients = [*_ridge_gradient(nodes, paint.relief), *_facet_gradient(nodes, paint.grain)]
     if not gradients:
         return None
@@ -219,11 +212,10 @@ def _ridge_gradient(nodes: Nodes, relief: Relief) -> list[Any]:
 
 
 def _facet_gradient(nodes: Nodes, grain: Grain) -> list[Any]:
-    """Random gradient for every cell of a Voronoi division of space.
-
-    Its components are independent and uniform, of variance slope²/2. Two of them lie in the surface, however
-    that is turned, so the root mean square of the gradient's length there is the slope: Sdq of ISO 25178-2.
-    """
+    """Random gradient for every cell of a Voronoi division of space."""
+    # Its components are independent and uniform, of variance slope²/2. Two of them lie in the surface,
+    # however that is turned, so the root mean square of the gradient's length there is the slope: Sdq of ISO
+    # 25178-2.
     if grain.slope == 0:
         return []
     cells = nodes.add("ShaderNodeTexVoronoi")

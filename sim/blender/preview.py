@@ -26,10 +26,8 @@ PreviewPixels = NDArray[np.float32]
 
 
 def show_preview(blender_scene: Any, preview: Preview) -> None:
-    """Add camera, projector and item to a scene in Blender that holds none, and set it up for viewing.
-
-    The rendered view then shows grey levels over full scale, but for the sensor's black level.
-    """
+    """Add camera, projector and item to a scene in Blender that holds none, and set it up for viewing."""
+    # The rendered view then shows grey levels over full scale, but for the sensor's black level.
     pattern = preview.render
     camera = add_scene(blender_scene, pattern.scene, pattern.textures, compile_shader(), pattern.ambient)
     add_room_lamps(blender_scene, pattern.room_lamps)
@@ -68,10 +66,8 @@ def take_picture(blender_scene: Any, preview: Preview) -> PreviewPixels:
 
 
 def _under_all_lights(blender_scene: Any) -> PreviewPixels:
-    """Add up pictures under one light each, since Cycles takes one of several at random for each sample.
-
-    Each of them holds what glows by itself, which must count once.
-    """
+    """Add up pictures under one light each, since Cycles takes one of several at random for each sample."""
+    # Each of them holds what glows by itself, which must count once.
     lights = [light for light in blender_scene.objects if light.type == "LIGHT"]
     if len(lights) == 1:
         return _rendered(blender_scene)

@@ -43,10 +43,8 @@ def add_projector(scene: Any, lamp: Lamp, textures: NDArray[np.float32] | None) 
 
 
 def _direction_from_projector(nodes: Nodes) -> tuple[Any, Any, Any]:
-    """Slopes x/z and y/z of the illuminated point in the projector's frame, and cosine to the axis.
-
-    The texture coordinate `Normal` points to it in the light's frame.
-    """
+    """Slopes x/z and y/z of the illuminated point in the projector's frame, and cosine to the axis."""
+    # The texture coordinate `Normal` points to it in the light's frame.
     split = nodes.add("ShaderNodeSeparateXYZ")
     nodes.join(nodes.add("ShaderNodeTexCoord").outputs["Normal"], split.inputs[0])
     depth = nodes.times(split.outputs[2], -1.0)

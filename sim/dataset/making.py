@@ -84,12 +84,9 @@ class DatasetMaker:
     def make(
         self, folder: Path, progress: Progress = no_progress, observe: SampleObserver = _unobserved
     ) -> dict[str, Any]:
-        """Make every shard that is missing.
-
-        Existing shards are checked; one that another process is making is left to it. An interrupted data set
-        is
-        completed by the same call, with the same result as without the interruption.
-        """
+        """Make every shard that is missing."""
+        # Existing shards are checked; one that another process is making is left to it. An interrupted data
+        # set is completed by the same call, with the same result as without the interruption.
         card, request = self.card(), self._request
         missing = [n for n in range(card["shards"]) if not (folder / shard_name(n)).exists()]
         samples = sum(len(request.shard(number)) for number in missing)

@@ -118,10 +118,8 @@ class SceneRanges(Document):
 
 
 def _target_file(name: str, folder: Path) -> str:
-    """Find a board in `folder` or among those that come with fpplab.
-
-    The latter keep their bare names, by which they are found wherever the data set is copied.
-    """
+    """Find a board in `folder` or among those that come with fpplab."""
+    # The latter keep their bare names, by which they are found wherever the data set is copied.
     near = config.resolve_relative_to(name, folder)
     try:
         shipped = config.find_config(Path(name).name)

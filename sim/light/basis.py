@@ -26,11 +26,9 @@ class Basis:
 
 
 def smallest_basis(levels: PatternLevels, allowed: float) -> Basis:
-    """Find the smallest basis that represents every pattern.
-
-    The first channel is white; the others are principal components, shifted and scaled into [0, 1] so that
-    they can be projected.
-    """
+    """Find the smallest basis that represents every pattern."""
+    # The first channel is white; the others are principal components, shifted and scaled into [0, 1] so that
+    # they can be projected.
     # levels (patterns, rows, columns)
     n, shape = len(levels), levels.shape[1:]
     flat = levels.reshape(n, -1)

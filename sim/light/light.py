@@ -125,10 +125,8 @@ class Light:
     def irradiance_at(
         self, setup: SceneState, patterns: tuple[Pattern, ...], pixels: PixelIndices
     ) -> PatternLevels:
-        """Compute what `irradiance` gives at some pixels only, under several patterns.
-
-        What is computed, and matt bodies, are traced for these pixels alone; a rendered table is looked up.
-        """
+        """Compute what `irradiance` gives at some pixels only, under several patterns."""
+        # What is computed, and matt bodies, are traced for these pixels alone; a rendered table is looked up.
         # returns (n, P)
         if self._world.path != "transport":
             return np.stack(
@@ -189,10 +187,8 @@ class Light:
         return self._tables.get(key, lambda: self._load_or_make(setup, key))
 
     def inherit(self, other_light: Light) -> None:
-        """Take over the tables of another world; those with the same key are valid here too.
-
-        The other's caches are emptied, because garbage collection would free their memory only much later.
-        """
+        """Take over the tables of another world; those with the same key are valid here too."""
+        # The other's caches are emptied, because garbage collection would free their memory only much later.
         self._tables.take(other_light._tables)
         self._motions.take(other_light._motions)
         self._projector.inherit(other_light._projector)
@@ -237,10 +233,9 @@ class Light:
     def _looked_up(
         self, setup: SceneState, levels: MirrorStates, index: int, basis: Basis | None
     ) -> PatternLevels:
-        """Look up several states at once, because their samples lie at the same places.
-
-        basis: whose linear combinations are subtracted, so that only the quantisation residual is looked up.
-        """
+        """Look up several states at once, because their samples lie at the same places."""
+        # basis: whose linear combinations are subtracted, so that only the quantisation residual is looked
+        # up.
         width, height = self._world.camera.size
         max_batch = max(1, min(BATCH_PATTERNS, BATCH_BYTES // (4 * width * height)))
         if any(setup.vibration_mm):

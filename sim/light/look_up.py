@@ -102,12 +102,10 @@ def _empty(
     stride: int,
     total: NDArray[np.float32],
 ) -> None:
-    """Multiply the windows' weights by the texels below, add the products to `total`, and clear the windows.
-
-    windows: of two neighbouring circles, `sides` of them in use. low, high: their rows with weights. first:
-    place of the first one's first texel in the flat texels, in which circles and rows follow each other by
-    the strides.
-    """
+    """Multiply the windows' weights by the texels below, add that to `total`, and clear the windows."""
+    # windows: of two neighbouring circles, `sides` of them in use. low, high: their rows with weights. first:
+    # place of the first one's first texel in the flat texels, in which circles and rows follow each other by
+    # the strides.
     for side in range(sides):
         _add_products(windows[side], low, high, texels, first + side * circle_stride, stride, total)
         windows[side, low * WINDOW : high * WINDOW] = 0

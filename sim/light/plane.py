@@ -169,20 +169,16 @@ def _joint_variance(shifts: Floats, lens: Floats) -> tuple[float, float]:
 
 @numba.njit(cache=True, inline="always")
 def _places_share(samples: int) -> float:
-    """Share of the blur's variance that the samples' places represent; the rest is the spots' own.
-
-    The standard deviation of a spot is half the distance between spots: narrower ones would leave gaps, so
-    that an edge would jump from spot to spot.
-    """
+    """Share of the blur's variance that the samples' places represent; the rest is the spots' own."""
+    # The standard deviation of a spot is half the distance between spots: narrower ones would leave gaps, so
+    # that an edge would jump from spot to spot.
     return (samples - 1.0) / (samples + 2.0)
 
 
 @numba.njit(cache=True, inline="always")
 def _lens_scale_with_blur(circle: float, samples: int, variance: tuple[float, float]) -> float:
-    """Scale of the lens points for which pixel and lens blur as much as if they were independent.
-
-    circle: radius of the circle of confusion in px, negative where the blur is inverted.
-    """
+    """Scale of the lens points for which pixel and lens blur as much as if they were independent."""
+    # circle: radius of the circle of confusion in px, negative where the blur is inverted.
     own, common = variance
     missing = _places_share(samples) * circle * circle / 4.0
     span = (np.sqrt(common * common + own * missing) - common) / own
@@ -193,11 +189,9 @@ def _lens_scale_with_blur(circle: float, samples: int, variance: tuple[float, fl
 def _spot_variance_mm2(
     depth: float, fall: float, pixel: float, radius: float, focus: float, samples: int
 ) -> float:
-    """Variance in mm² of the spot of one sample of a pixel, on a plane that rays meet at `depth`.
-
-    fall: component of the ray with z = 1 along the plane's normal. pixel: its area in slopes. A square of
-    side 1 has the variance 1/12, a disc of radius 1 has 1/4; a solid angle is wider on a tilted plane.
-    """
+    """Variance in mm² of the spot of one sample of a pixel, on a plane that rays meet at `depth`."""
+    # fall: component of the ray with z = 1 along the plane's normal. pixel: its area in slopes. A square of
+    # side 1 has the variance 1/12, a disc of radius 1 has 1/4; a solid angle is wider on a tilted plane.
     lens = radius * (1.0 / depth - 1.0 / focus)
     return float((1.0 - _places_share(samples)) * (pixel / 12.0 + lens * lens / 4.0) * depth * depth / fall)
 
@@ -242,14 +236,12 @@ def _trace(
     albedo_slopes: Irradiance,
     motion: Irradiance,
 ) -> None:
-    """Trace all samples of pixels and fill in `samples` (K, P, 4) and `albedo` (P,).
-
-    columns, rows: (P,) of an image of that height. views: (K, 4) shift u, v and lens x, y, with their joint
-    `variance`. lamp: in the item's frame. low, high: corners of the item. paint: reflectance of the print,
-    and by how much more the ground reflects. variances (mm²), pictures, across, down, rim: as in
-    `BlurredPictures`; without spots there is one variance and no rim. slopes (K, P, 2), albedo_slopes (P, 2),
-    motion (P, 5, 3): as in `MotionTable`, all of them without pixels where they are not wanted.
-    """
+    """Trace all samples of pixels and fill in `samples` (K, P, 4) and `albedo` (P,)."""
+    # columns, rows: (P,) of an image of that height. views: (K, 4) shift u, v and lens x, y, with their joint
+    # `variance`. lamp: in the item's frame. low, high: corners of the item. paint: reflectance of the print,
+    # and by how much more the ground reflects. variances (mm²), pictures, across, down, rim: as in
+    # `BlurredPictures`; without spots there is one variance and no rim. slopes (K, P, 2), albedo_slopes (P,
+    # 2), motion (P, 5, 3): as in `MotionTable`, all of them without pixels where they are not wanted.
     R, t = T_item_camera[:, :3], T_item_camera[:, 3]
     P, p = T_projector_item[:, :3], T_projector_item[:, 3]
     share = 1.0 / len(views)
@@ -360,10 +352,8 @@ def _fill_motion(
     to_texel: Floats,
     out: Irradiance,
 ) -> None:
-    """Differentiate what the ray with slopes x, y meets by the item's place: (5, 3) of `MotionTable`.
-
-    R, t: from camera to item. P, p: from item to projector.
-    """
+    """Differentiate what the ray with slopes x, y meets by the item's place: (5, 3) of `MotionTable`."""
+    # R, t: from camera to item. P, p: from item to projector.
     fall = R[2, 0] * x + R[2, 1] * y + R[2, 2]
     depth = -t[2] / fall
     ix = (R[0, 0] * x + R[0, 1] * y + R[0, 2]) * depth + t[0]
@@ -411,10 +401,8 @@ def _reflected_light(
     y: float,
     paint: Floats,
 ) -> tuple[float, float, float]:
-    """Reflectance at x, y, 0 to 1 over the whole of the item, and its derivatives by them.
-
-    Between the centres of pixels everything is linear.
-    """
+    """Reflectance at x, y, 0 to 1 over the whole of the item, and its derivatives by them."""
+    # Between the centres of pixels everything is linear.
     rows, columns = picture.shape
     wide, tall = columns - 2 * rim[0], rows - 2 * rim[1]
     u, v = x * wide - 0.5, y * tall - 0.5

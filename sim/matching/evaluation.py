@@ -65,10 +65,8 @@ def evaluate(
     poses: Sequence[int] | None = None,
     progress: Progress = no_progress,
 ) -> TwinEvaluation:
-    """Compare the twin's expected images with the reference, pose by pose.
-
-    They have no noise: two realisations of it never agree, and noise is judged by its variance.
-    """
+    """Compare the twin's expected images with the reference, pose by pose."""
+    # They have no noise: two realisations of it never agree, and noise is judged by its variance.
     every = range(len(twin.parameters.poses))
     chosen = set(every if poses is None else poses)
     pairs: list[tuple[float, float]] = []

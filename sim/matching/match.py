@@ -200,10 +200,8 @@ def _best(epochs: Sequence[MatchingEpoch]) -> MatchingEpoch:
 
 
 def explained_shares(epochs: Sequence[MatchingEpoch]) -> dict[str, float]:
-    """Compute the share of the difference that each step of `EXPLAINS` removed, but for those of `CHANGING`.
-
-    Shadows need relief: a flat board has none, so `shadowing` explains nothing.
-    """
+    """Compute the share of the difference that each step of `EXPLAINS` but `CHANGING` removed."""
+    # Shadows need relief: a flat board has none, so `shadowing` explains nothing.
     shares, last = {"shadowing": 0.0}, epochs[0]
     for epoch in epochs[1:]:
         if epoch.step in EXPLAINS.keys() - CHANGING and last.difference > 0:

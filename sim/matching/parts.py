@@ -51,11 +51,9 @@ def match_parts(
     progress: Progress = no_progress,
     tell: Say = ignore,
 ) -> list[SurfaceMatch]:
-    """Match the surfaces of parts on a twin that was matched before, and save it.
-
-    What bench and twin differed by on the board and in earlier scans stays what it was, and so do
-    the settings of the rig's camera.
-    """
+    """Match the surfaces of parts on a twin that was matched before, and save it."""
+    # What bench and twin differed by on the board and in earlier scans stays what it was, and so do the
+    # settings of the rig's camera.
     check_scans(twin, scans)
     tell("comparing the scans with the parts' shapes")
     fitted = fit_scans(twin, scans, twin.parameters.calibration, refusals)

@@ -133,10 +133,8 @@ class MatchingRecord:
         return epochs
 
     def add(self, epoch: MatchingEpoch) -> None:
-        """Append an epoch; it is on disk when the call returns.
-
-        The folder is created, and an incomplete last line is removed.
-        """
+        """Append an epoch; it is on disk when the call returns."""
+        # The folder is created, and an incomplete last line is removed.
         path = self.folder / EPOCHS
         make_journal(path)
         cut_torn_line(path)

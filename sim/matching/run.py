@@ -145,10 +145,8 @@ def match_sessions(
     tell: Say = ignore,
     prepared: Callable[[Reference], object] = ignore,
 ) -> MatchingResult:
-    """Match a twin to recorded sessions of a board, and save it unless it must not be used.
-
-    Continues where a record in `folder` ends.
-    """
+    """Match a twin to recorded sessions of a board, and save it unless it must not be used."""
+    # Continues where a record in `folder` ends.
     listener = MatchingListener(progress, observe, tell, prepared)
     refusals = Refusals(request.accepted)
     _check_inputs(twin, sessions, target, request)

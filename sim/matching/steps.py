@@ -98,10 +98,8 @@ class MatchingContext:
 
     @property
     def _max_black(self) -> float:
-        """The greatest black level that the recordings allow, relative to full scale.
-
-        The darkest places may have been rounded down by half a level.
-        """
+        """The greatest black level that the recordings allow, relative to full scale."""
+        # The darkest places may have been rounded down by half a level.
         return (self.reference.darkest_level + 0.5) / self.reference.full_scale
 
     @property
@@ -142,10 +140,8 @@ class MatchingContext:
         return () if self.contrasts else ("projector_blur",)
 
     def fit_projector_sharpness(self) -> TwinParameters:
-        """Fit blur, focus and aperture of the projector to contrasts, or without them to the board's images.
-
-        Together, what the twin lacks of the light on the board would decide: it is most of the residual.
-        """
+        """Fit blur, focus and aperture of the projector to contrasts, or else to the board's images."""
+        # Together, what the twin lacks of the light on the board would decide: it is most of the residual.
         names = ("projector_blur", *self.projector_focus)
         if not self.contrasts:
             return light_fit.fit_light(self.reference, self.twin, names, self.samples)
@@ -219,10 +215,8 @@ def _fit_light_and_focus_together(context: MatchingContext) -> TwinParameters:
 
 
 def _board_is_sharper(context: MatchingContext) -> bool:
-    """Whether the board's fringes have more contrast than the twin's, in the mean over poses.
-
-    Then it is not the projector that takes contrast from fringes on the parts, but the parts themselves.
-    """
+    """Whether the board's fringes have more contrast than the twin's, in the mean over poses."""
+    # Then it is not the projector that takes contrast from fringes on the parts, but the parts themselves.
     off = board_contrasts(context.reference, context.twin, _spread(context)).mean(axis=1)
     error = off.std(ddof=1) / np.sqrt(len(off)) if len(off) > 1 else 0.0
     return bool(off.mean() > max(MIN_CONTRAST, SIGNIFICANT * error))

@@ -58,10 +58,8 @@ class Deviation(Document):
 
     @property
     def sigma(self) -> float:
-        """Standard deviation with which the next comparison is expected about 0.
-
-        The mean is not corrected for, since it is a fault of the twin which another plan need not share.
-        """
+        """Standard deviation with which the next comparison is expected about 0."""
+        # The mean is not corrected for, since it is a fault of the twin which another plan need not share.
         # A few poses may agree by chance, which is not believed beyond 2 % (chosen).
         return float(np.sqrt(self.mean**2 + self.spread**2 * (1.0 + 1.0 / self.count) + 0.02**2))
 
@@ -75,11 +73,9 @@ class ContrastDeviation(Document):
     """RMS difference of the contrast's logarithm."""
 
     def sigma(self, stripes: float) -> float:
-        """Compute the relative standard uncertainty of the contrast, and so of the noise, of finer fringes.
-
-        Blur of any kind lowers the contrast's logarithm by the square of the number of stripes, as long as
-        it is less than a fringe.
-        """
+        """Relative standard uncertainty of the contrast, and so of the noise, of finer fringes."""
+        # Blur of any kind lowers the contrast's logarithm by the square of the number of stripes, as long as
+        # it is less than a fringe.
         ratio = (stripes / self.stripes) ** 2
         return self.relative * float(np.sqrt(ratio**2 - 1.0)) if ratio > 1.0 else 0.0
 
@@ -141,11 +137,9 @@ def named_effects(
     part_noise: Sequence[float],
     scans: Sequence[ScanEffects] = (),
 ) -> tuple[str | None, str | None]:
-    """Name what a large discrepancy looks like, and what the twin must not be trusted for.
-
-    Points that are further from the surface than the twin's, with the same noise, have an error that is
-    no noise: something reaches the camera on another way than the twin's light.
-    """
+    """Name what a large discrepancy looks like, and what the twin must not be trusted for."""
+    # Points that are further from the surface than the twin's, with the same noise, have an error that is no
+    # noise: something reaches the camera on another way than the twin's light.
     pairs = [
         *_of_scans(scans),
         *_of_noise(board_noise),

@@ -37,11 +37,9 @@ def figure_intervals(
     of_surface: float,
     stripes: float,
 ) -> dict[str, FigureInterval]:
-    """Compute intervals by noise, calibration, surface, and what bench and twin differed by.
-
-    Flicker and vibration now and then make a measurement much worse, so that distance and noise are the
-    medians of their draws. The noise of a surface is at most inversely proportional to its reflectance.
-    """
+    """Compute intervals by noise, calibration, surface, and what bench and twin differed by."""
+    # Flicker and vibration now and then make a measurement much worse, so that distance and noise are the
+    # medians of their draws. The noise of a surface is at most inversely proportional to its reflectance.
     # by_calibration (K,)
     values = {name: np.array([getattr(drawn, name) for drawn in draws]) for name in draws[0].summary()}
     # Of one measurement about the middle of the draws.

@@ -190,11 +190,9 @@ class World(WorldEffects, WorldContents):
 
     @classmethod
     def load(cls, path: Path | str) -> World:
-        """Read a world file.
-
-        A relative name of a mesh, picture, target or calibration file is looked for next to the world file
-        first.
-        """
+        """Read a world file."""
+        # A relative name of a mesh, picture, target or calibration file is looked for next to the world file
+        # first.
         file = config.find_config(path, "world")
         with naming_other_kinds(file, "world"):
             data = config.parse_yaml(config.read_text(file), file)
@@ -211,10 +209,8 @@ class World(WorldEffects, WorldContents):
         return world.model_copy(update={"items": items, "surroundings": around})
 
     def save(self, folder: Path, name: str = "world.yaml") -> Path:
-        """Write the world file, with a calibration next to it as `calibration.yaml`.
-
-        Names of mesh and target files stay as they are.
-        """
+        """Write the world file, with a calibration next to it as `calibration.yaml`."""
+        # Names of mesh and target files stay as they are.
         data = config.plain(self)
         if self.calibration is not None:
             write_text(folder / "calibration.yaml", config.dump(self.calibration))
@@ -239,10 +235,8 @@ class World(WorldEffects, WorldContents):
         return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
 
     def drawn(self, draw: int) -> World:
-        """Draw a world that this one could as well be, within its uncertainty.
-
-        Each number is drawn by itself from a normal distribution, within the range that its field allows.
-        """
+        """Draw a world that this one could as well be, within its uncertainty."""
+        # Each number is drawn by itself from a normal distribution, within the range that its field allows.
         world, random = self, np.random.default_rng(draw)
         for path, sigma in sorted(self.uncertainty.items()) if draw else ():
             for tried in range(MAX_DRAWS):

@@ -39,11 +39,9 @@ class CompressedImage:
 
 
 def compress(image: ImageBytes) -> CompressedImage:
-    """Compress an image without loss in the shortest way.
-
-    Four lines are stored where every row is repeated four rows further down, as it is for vertical fringes on
-    either lattice; else run lengths, where they are shorter than the image itself.
-    """
+    """Compress an image without loss in the shortest way."""
+    # Four lines are stored where every row is repeated four rows further down, as it is for vertical fringes
+    # on either lattice; else run lengths, where they are shorter than the image itself.
     # image (height, width, 3)
     if repeats_every_four_lines(image):
         return CompressedImage(Compression.FOUR_LINE, image[:STORED_ROWS].tobytes())
@@ -60,12 +58,10 @@ def repeats_every_four_lines(image: ImageBytes) -> bool:
 
 
 def encode_run_lengths(image: ImageBytes) -> bytes:
-    """Encode an image row by row as runs and literals.
-
-    A byte n of 1 to 255 means that the pixel after it is repeated n times; 0 and n of 2 to 255 that n pixels
-    follow literally; 0, 0 ends a row and is padded with zeros to a multiple of 4 bytes; 0, 1 ends the image
-    and is padded to a multiple of 16 bytes.
-    """
+    """Encode an image row by row as runs and literals."""
+    # A byte n of 1 to 255 means that the pixel after it is repeated n times; 0 and n of 2 to 255 that n
+    # pixels follow literally; 0, 0 ends a row and is padded with zeros to a multiple of 4 bytes; 0, 1 ends
+    # the image and is padded to a multiple of 16 bytes.
     # image (height, width, 3)
     height, width, _ = image.shape
     longest_row = 4 * width + 5  # each pixel a run of its own, the end of the row and its padding

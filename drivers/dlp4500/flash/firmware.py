@@ -163,11 +163,9 @@ class Firmware:
 
 
 def arrange_patterns(patterns: Sequence[Pattern]) -> list[Slot]:
-    """Assign patterns to flash images in their order, three to an image.
-
-    Patterns that repeat every four lines and others never share an image, as a single other pattern would
-    prevent the four-line compression of the image.
-    """
+    """Assign patterns to flash images in their order, three to an image."""
+    # Patterns that repeat every four lines and others never share an image, as a single other pattern would
+    # prevent the four-line compression of the image.
     slots: list[Slot] = []
     image, number, repeated = -1, PER_IMAGE, False
     for pattern in patterns:

@@ -162,10 +162,8 @@ def _described(part: tuple[int, int]) -> str:
 
 @contextmanager
 def boot_loader_session(connect: Connect, clock: Clock, name: str) -> Iterator[BootLoaderLink]:
-    """Enter the boot loader, and restart the projector's program at the end of the context.
-
-    It does not matter whether the projector runs its boot loader already.
-    """
+    """Enter the boot loader, and restart the projector's program at the end of the context."""
+    # It does not matter whether the projector runs its boot loader already.
     loader = BootLoaderLink(_enter_boot_loader(connect, clock, name), clock, name)
     try:
         loader.identify()

@@ -77,18 +77,14 @@ class LightEngine:
         return self._mode
 
     def light(self) -> ProjectedLight | None:
-        """Return the light that leaves the lens at this moment.
-
-        In video mode the content of the port is not followed: it counts as white.
-        """
+        """Return the light that leaves the lens at this moment."""
+        # In video mode the content of the port is not followed: it counts as white.
         self.advance()
         return self.light_at(self.clock.now())
 
     def light_at(self, time_s: float) -> ProjectedLight | None:
-        """Return the light that leaves the lens at a given time.
-
-        It is meant for the receiver of a pulse, whose edges may lie a little ahead of the present time.
-        """
+        """Return the light that leaves the lens at a given time."""
+        # It is meant for the receiver of a pulse, whose edges may lie a little ahead of the present time.
         if self.asleep:
             return None
         enabled = self._registers[protocol.LED_ENABLE.number]

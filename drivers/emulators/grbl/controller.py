@@ -238,10 +238,8 @@ class GrblController:
                 self._send(f"error:{error.code}")
 
     def _must_wait(self, first: int) -> bool:
-        """Whether a line with this first byte waits in the buffer; real-time commands are executed at once.
-
-        GRBL would plan further moves while one is under way; here they wait, for the driver sends none.
-        """
+        """Whether a line with this first byte waits in the buffer; real-time commands are done at once."""
+        # GRBL would plan further moves while one is under way; here they wait, for the driver sends none.
         if self._needs_reset or self._awaits_rest or self._mode in (GrblState.HOME, GrblState.HOLD):
             return True
         return self._mode is GrblState.RUN and first != ord("$") and not self._waiting.startswith(b"G4")

@@ -13,10 +13,7 @@ from drivers.emulators.grbl.settings import GrblSettings
 
 @dataclass(frozen=True)
 class Rail:
-    """The mechanics, which the controller does not know.
-
-    Lengths count from the home switch, away from it.
-    """
+    """The mechanics, which the controller does not know. Lengths count from the home switch, away from it."""
 
     axis: int = 0  # the rail's axis of the machine: 0, 1 or 2
     length_mm: float = 205.0  # position of the far end stop in mm; the near one is 1 mm behind the switch
@@ -128,10 +125,8 @@ class Drive:
         return self.motion.ramp.speed_mm_s(now - self.motion.began_s) if self.motion else 0.0
 
     def homing_cycle(self) -> tuple[float, float, int | None]:
-        """Predict a homing cycle from the present position.
-
-        It consists of search, pull-off, slow approach and a pull-off, with a pause after each ($24 to $27).
-        """
+        """Predict a homing cycle from the present position."""
+        # It consists of search, pull-off, slow approach and a pull-off, with a pause after each ($24 to $27).
         pull_off, seek, slow = self._settings[27], self._settings[25] / 60, self._settings[24] / 60
         search, way = 1.5 * self._settings.travel_mm(self.axis), max(0.0, self.carriage_mm)
         if self.switch_sticks:

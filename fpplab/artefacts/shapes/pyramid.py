@@ -37,10 +37,8 @@ class Pyramid(Artefact):
         self.check_below("thickness", self.thickness, self.height, "the height")
 
     def lengths(self) -> tuple[FeatureLength, ...]:
-        """List the sides and diagonals of the pyramid's foot, and the height of the top above the plate.
-
-        The corners of the foot are those in which two inclined faces and the plate meet.
-        """
+        """List the sides and diagonals of the pyramid's foot, and the height of the top above the plate."""
+        # The corners of the foot are those in which two inclined faces and the plate meet.
         _, outer, foot, top = self._loops()
         around = [(k, (k + 1) % 4) for k in range(4)]
         plate = FlatFace(tuple(np.stack([outer[i], outer[j], foot[j], foot[i]]) for i, j in around))

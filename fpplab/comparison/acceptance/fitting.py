@@ -63,10 +63,8 @@ class Plane:
 
 
 def fit_sphere(points: Floats) -> Sphere:
-    """Fit a sphere of free radius, least squares in the radial distances.
-
-    Gauss-Newton iteration from the algebraic fit, in which `|p|² = 2 p·c + (r² - |c|²)` is linear.
-    """
+    """Fit a sphere of free radius, least squares in the radial distances."""
+    # Gauss-Newton iteration from the algebraic fit, in which `|p|² = 2 p·c + (r² - |c|²)` is linear.
     # points (N, 3) mm
     if len(points) < 4:
         raise DataError(f"a sphere needs at least 4 points, and there are {len(points)}")
@@ -112,11 +110,9 @@ F = TypeVar("F", bound=FittedFeature)
 def fit_without_worst(
     points: Floats, fit: Callable[[Floats], F], share: float = DISCARDED_SHARE
 ) -> tuple[F, Mask]:
-    """Fit a shape to all points but those farthest from it.
-
-    Exactly `floor(share * N)` points are discarded: those farthest from the fit. They are chosen again
-    after each fit, from all points, until the choice no longer changes (50 times at most).
-    """
+    """Fit a shape to all points but those farthest from it."""
+    # Exactly `floor(share * N)` points are discarded: those farthest from the fit. They are chosen again
+    # after each fit, from all points, until the choice no longer changes (50 times at most).
     # points (N, 3) mm; fit (M, 3); returns kept (N,)
     keep = np.ones(len(points), bool)
     feature = fit(points)

@@ -266,10 +266,8 @@ class Acceptance:
 
 
 def shared_variance(measured: MeasuredFeature) -> float | None:
-    """Estimate which share of the variance of a feature's errors neighbouring pixels have in common.
-
-    Errors of bent surfaces are shared, noise is not.
-    """
+    """Estimate which share of the variance of a feature's errors neighbouring pixels have in common."""
+    # Errors of bent surfaces are shared, noise is not.
     if measured.pixels is None:
         return None
     pixels, distances = measured.pixels[measured.kept], measured.distances[measured.kept]

@@ -87,12 +87,10 @@ def normals_of(cloud: Cloud) -> Floats:
 
 
 def find_spheres(points: Floats, normals: Floats, radius: float, count: int, source: str) -> list[Floats]:
-    """Find the centres of spheres of known radius.
-
-    Each point votes for the place one radius behind it along its normal; the votes of a sphere meet in
-    its centre, those of anything else are scattered. The centre is then fitted robustly to the points near
-    the sphere.
-    """
+    """Find the centres of spheres of known radius."""
+    # Each point votes for the place one radius behind it along its normal; the votes of a sphere meet in its
+    # centre, those of anything else are scattered. The centre is then fitted robustly to the points near the
+    # sphere.
     # points (N, 3) mm; normals (N, 3); returns (3,) mm
     has_normal = np.any(normals != 0.0, axis=1)
     votes = points[has_normal] - radius * normals[has_normal]
@@ -113,11 +111,9 @@ def find_spheres(points: Floats, normals: Floats, radius: float, count: int, sou
 
 
 def sphere_cap(points: Floats, centre: Floats, radius: float, rule: EvaluationRules, source: str) -> Cap:
-    """Select the points whose camera ray meets the sphere's cap inside its edge.
-
-    A ray that passes the centre at the distance d meets the sphere at the angle of incidence
-    asin(d/r), and r - d inside its silhouette.
-    """
+    """Select the points whose camera ray meets the sphere's cap inside its edge."""
+    # A ray that passes the centre at the distance d meets the sphere at the angle of incidence asin(d/r), and
+    # r - d inside its silhouette.
     # points (N, 3) mm; centre (3,) mm
     reach = min(radius * np.sin(np.radians(rule.cap_deg)), radius - rule.edge_mm)
     if reach <= 0:
@@ -222,10 +218,8 @@ def _not_found(source: str, radius: float, centres_found: int, count: int) -> st
 
 
 def find_plane(points: Floats, length: float, source: str) -> Plane:
-    """Find the plane with the most points near it.
-
-    By random samples of three points (RANSAC), then fitted to the points near it.
-    """
+    """Find the plane with the most points near it."""
+    # By random samples of three points (RANSAC), then fitted to the points near it.
     # points (N, 3) mm
     random = np.random.default_rng(0)
     sample = (

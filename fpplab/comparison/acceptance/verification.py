@@ -49,10 +49,8 @@ Clouds = Iterable[tuple[str, Cloud]]
 
 
 def verify(standard: Standard, bars: Clouds = (), planes: Clouds = ()) -> Acceptance:
-    """Run the acceptance test on clouds of the standards.
-
-    Clouds are taken from the iterables one after the other, so that they need not all be in memory.
-    """
+    """Run the acceptance test on clouds of the standards."""
+    # Clouds are taken from the iterables one after the other, so that they need not all be in memory.
     acceptance = Acceptance(
         standard,
         tuple(verify_ball_bar(cloud, standard, source) for source, cloud in bars),

@@ -66,10 +66,8 @@ class Nsga2(SearchMethod):
 
 
 def _refine_front(runner: CandidateRunner) -> None:
-    """Refine the continuous parameters of each plan of the front, which evolution finds only roughly.
-
-    Then measure every plan of the front with one image more and one less in each set, until none is new.
-    """
+    """Refine the continuous parameters of each plan of the front, which evolution finds only roughly."""
+    # Then measure every plan of the front with one image more and one less in each set, until none is new.
     continuous = [i for i, parameter in enumerate(runner.space.parameters) if not parameter.is_integer]
     for trial in runner.front if continuous else ():
         coordinate_search(runner, REFINEMENT, trial, continuous, runner.ranking.rank_by_distance)

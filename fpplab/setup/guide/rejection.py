@@ -32,10 +32,8 @@ def frame_findings(recording: Recording) -> tuple[Finding, ...]:
 
 
 def unseen_board(reason: str, findings: tuple[Finding, ...]) -> tuple[Finding, ...]:
-    """Name a board that was not found, behind what its frames give as the cause.
-
-    Where there is no board there are no fringes to be seen either, so darkness comes after it.
-    """
+    """Name a board that was not found, behind what its frames give as the cause."""
+    # Where there is no board there are no fringes to be seen either, so darkness comes after it.
     dark = {PROJECTOR_DARK, NO_OVERLAP}
     unseen = Finding(BOARD_NOT_FOUND, reason, 1.0)
     causes = tuple(finding for finding in findings if finding.cause not in dark)
@@ -48,11 +46,9 @@ def inconsistent_pose(reason: str) -> Finding:
 
 
 def residual_finding(fit: PoseFit | None) -> Finding | None:
-    """Judge the residuals of a pose.
-
-    Where the camera's are as predicted and the projector's are not, the board has moved between the image in
-    which it is found and the fringes.
-    """
+    """Judge the residuals of a pose."""
+    # Where the camera's are as predicted and the projector's are not, the board has moved between the image
+    # in which it is found and the fringes.
     if fit is None or not fit.contradicting_devices:
         return None
     residuals = [

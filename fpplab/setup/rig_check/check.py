@@ -99,10 +99,8 @@ def check_rig(
     calibration: Calibration | None = None,
     folder: Path | None = None,
 ) -> RigCheck:
-    """Open a rig, show it the marker and then fringes, and report what is wrong.
-
-    What a device raises is a finding too.
-    """
+    """Open a rig, show it the marker and then fringes, and report what is wrong."""
+    # What a device raises is a finding too.
     marker_inspection, fringes = MarkerInspection(plan), _FringeInspection(plan, calibration)
     failed: list[Finding] = []
     described, origin, timing = config.plain(rig.file), None, None
@@ -249,10 +247,8 @@ class _FringeInspection:
 
 
 def _with_both_axes(plan: Plan) -> Iterator[Plan]:
-    """A plan with fringes along both axes, which show a stale calibration, and the plan itself.
-
-    The further sets are those of the plan along the other axis, so that they can be unwrapped too.
-    """
+    """A plan with fringes along both axes, which show a stale calibration, and the plan itself."""
+    # The further sets are those of the plan along the other axis, so that they can be unwrapped too.
     if len(plan.axes) < len(AXES):
         (other,) = set(AXES) - set(plan.axes)
         crossed = tuple(fringe.model_copy(update={"axis": other}) for fringe in plan.fringes)

@@ -93,11 +93,9 @@ class MarkerRun:
 
 
 def matching_faults(shown: Sequence[int] | NDArray[np.int64], levels: Floats) -> tuple[SyncFault, ...] | None:
-    """Find the synchronisation faults under which the levels seen rise with the grey levels shown.
-
-    Of the faults that fit, those that explain the most frames are returned. Swapped frames are not tried,
-    because only the trigger can have slipped.
-    """
+    """Find the synchronisation faults under which the levels seen rise with the grey levels shown."""
+    # Of the faults that fit, those that explain the most frames are returned. Swapped frames are not tried,
+    # because only the trigger can have slipped.
     # shown (K,); levels (K,)
     greys, in_step = np.asarray(shown), list(range(len(shown)))
     if _departure_from_monotonic(greys, levels, in_step) <= LIMITS.max_departure:

@@ -44,10 +44,8 @@ def rig_scene() -> Any:
 
 
 def enter_rig_scene() -> Any:
-    """Make the extension's scene unless it is there, and switch the window to it.
-
-    The scenes of the file keep their settings like that.
-    """
+    """Make the extension's scene unless it is there, and switch the window to it."""
+    # The scenes of the file keep their settings like that.
     scene, window = rig_scene(), bpy.context.window
     if scene is None:
         with tag_new_data(SCENE):

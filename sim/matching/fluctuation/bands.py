@@ -141,10 +141,8 @@ class Bands:
 
 
 def _one_wave(sets: Sequence[tuple[FringeResidual, Complex]], advance: float) -> tuple[complex, float]:
-    """Fit one wave to the sets of a pose; its complex amplitude, and how many frames determine it.
-
-    sets: with the waves (N,) of their frames.
-    """
+    """Fit one wave to the sets of a pose; its complex amplitude, and how many frames determine it."""
+    # sets: with the waves (N,) of their frames.
     right, strength = 0j, 0.0
     for residual, waves in sets:
         expected = residual.beyond @ np.exp(2j * np.pi * advance * residual.frames)

@@ -139,10 +139,8 @@ def _residuals_about_means(series: Sequence[Series], random: RandomDisplacement)
 def _most_likely(
     series: Sequence[Series], residuals: Sequence[Floats], taken: float, has_axis: bool
 ) -> RandomDisplacement:
-    """The most likely random numbers, by the residuals (n, k) of each pose.
-
-    taken: parameters that were fitted to each component of each pose, besides the means.
-    """
+    """The most likely random numbers, by the residuals (n, k) of each pose."""
+    # taken: parameters that were fitted to each component of each pose, besides the means.
     size = series[0].values.shape[1]
     grown = [
         values * np.sqrt(len(values) / max(pose.freedom - taken, 1.0))
@@ -233,10 +231,8 @@ def _with_oscillation(series: Sequence[Series], random: RandomDisplacement, stil
 def _find_strongest_wave(
     series: Sequence[Series], random: RandomDisplacement
 ) -> tuple[float, NDArray[np.complex128]]:
-    """Find the frequency with which waves of any size in every pose explain most.
-
-    Returns it, and there the amplitudes (poses, k) x of `Re(x exp(2 pi i f n))`.
-    """
+    """Find the frequency with which waves of any size in every pose explain most."""
+    # Returns it, and there the amplitudes (poses, k) x of `Re(x exp(2 pi i f n))`.
     span = max(float(np.ptp(pose.frames)) for pose in series)
     tried = np.arange(LIMITS.steps_per_cycle, 0.5 * span * LIMITS.steps_per_cycle) / (
         span * LIMITS.steps_per_cycle

@@ -46,11 +46,9 @@ LIMITS = NoiseLimits()
 
 
 def match_noise(reference: Reference, twin: Twin, poses: Sequence[int]) -> TwinParameters:
-    """Give the twin the noise of the reference, estimated in the same way from frames of both.
-
-    Read noise is changed only where the two differ significantly at black. Rounding makes the estimates
-    nonlinear, so they are compared again with the twin as it was found.
-    """
+    """Give the twin the noise of the reference, estimated in the same way from frames of both."""
+    # Read noise is changed only where the two differ significantly at black. Rounding makes the estimates
+    # nonlinear, so they are compared again with the twin as it was found.
     real = [_noise_of(reference, pose, reference.recorded(pose)) for pose in poses]
     levels = [_bright_level(reference, pose) for pose in poses]
     for _ in range(LIMITS.rounds):
@@ -134,12 +132,10 @@ def _noise_of(reference: Reference, pose: int, frames: Sequence[Image]) -> Noise
 
 
 def noise_misfit(reference: Reference, twin: Twin, poses: Sequence[int]) -> float:
-    """Compute how far the twin's noise is from the reference's, by variance and by spectrum.
-
-    Compared is what the phase fit leaves of the finest fringes over the board, in `levels` classes of
-    brightness, divided into structure finer and coarser than `fine_px`: the sensor's noise is fine, vibration
-    is as coarse as edges and fringes are.
-    """
+    """Compute how far the twin's noise is from the reference's, by variance and by spectrum."""
+    # Compared is what the phase fit leaves of the finest fringes over the board, in `levels` classes of
+    # brightness, divided into structure finer and coarser than `fine_px`: the sensor's noise is fine,
+    # vibration is as coarse as edges and fringes are.
     images = reference.plan.finest_images
     if len(images) < 4:
         return 0.0

@@ -56,11 +56,9 @@ NUISANCE_PARAMETERS = 6
 
 
 def contradiction_of_points(reference: Reference, parameters: TwinParameters) -> float:
-    """Compute how far a geometry is from the points that the reference's characterisation is found from.
-
-    Points are centres of marks: blur, grain of the print and uneven light hardly move them, while a fit of
-    images takes for geometry whatever else the twin lacks. So images are believed as far as points allow.
-    """
+    """Compute how far a geometry is from the points that the reference's characterisation is found from."""
+    # Points are centres of marks: blur, grain of the print and uneven light hardly move them, while a fit of
+    # images takes for geometry whatever else the twin lacks. So images are believed as far as points allow.
     characterisation = reference.characterisation
     uncertainty = characterisation.calibration.uncertainty
     if uncertainty is None:
@@ -118,12 +116,11 @@ def refine_by_reprojection(parameters: TwinParameters, characterisation: Charact
 
 
 def refine_by_images(reference: Reference, twin: Twin, level: DistortionModel) -> TwinParameters:
-    """Make one Gauss-Newton step of the geometry on the residuals of the images.
-
-    What light and sharpness still lack must not be taken for motion, so every pose has a gain, linear over
-    the board, an offset, a quadratic term of its response and a blur of its own (`NUISANCE_PARAMETERS`).
-    Each image has a small displacement of the board, normally distributed with the twin's `displacement_mm`.
-    """
+    """Make one Gauss-Newton step of the geometry on the residuals of the images."""
+    # What light and sharpness still lack must not be taken for motion, so every pose has a gain, linear over
+    # the board, an offset, a quadratic term of its response and a blur of its own (`NUISANCE_PARAMETERS`).
+    # Each image has a small displacement of the board, normally distributed with the twin's
+    # `displacement_mm`.
     start = twin.parameters
     free = len(level.terms)
     shared = 2 * free + 6
@@ -156,11 +153,9 @@ def refine_by_images(reference: Reference, twin: Twin, level: DistortionModel) -
 def _remove_vibration(
     reference: Reference, twin: Twin, residuals: PoseResidual, image: int, jacobian: Floats
 ) -> tuple[Floats, Floats]:
-    """Estimate the board's displacement (3,) in mm in one image, and the residuals (P,) without it.
-
-    jacobian: (P, 3 + NUISANCE_PARAMETERS), by the displacement and the nuisance parameters. The level of
-    an edge is not linear over the displacement, so the twin is rendered again with the board displaced.
-    """
+    """Estimate the board's displacement (3,) in mm in one image, and the residuals (P,) without it."""
+    # jacobian: (P, 3 + NUISANCE_PARAMETERS), by the displacement and the nuisance parameters. The level of an
+    # edge is not linear over the displacement, so the twin is rendered again with the board displaced.
     start, residual = twin.parameters, residuals.residual[image]
     if start.displacement_mm == 0:
         return np.zeros(3), residual
@@ -181,12 +176,10 @@ def _normal_equations(
     vibration_mm: float,
     tiles: csr_array,
 ) -> tuple[Floats, Floats, Floats]:
-    """Build normal equations (C, C), (C,) of one image, weighted by its noise, its displacement eliminated.
-
-    displacement: columns of the board's displacement. That of the image is normally distributed with
-    `vibration_mm`; the residual is without its estimate `own`. tiles: (T, P), which pixels each has. At last
-    the part of each tile in the right side, (T, C).
-    """
+    """Build normal equations (C, C), (C,) of an image, weighted by its noise, displacement eliminated."""
+    # displacement: columns of the board's displacement. That of the image is normally distributed with
+    # `vibration_mm`; the residual is without its estimate `own`. tiles: (T, P), which pixels each has. At
+    # last the part of each tile in the right side, (T, C).
     weight, sigma = level_weights(residual)
     weighted = jacobian * (weight / sigma**2)[:, None]
     block = jacobian.T @ weighted
@@ -310,10 +303,8 @@ def levels_with_gradient(
 def _board_and_projector_shifts(
     start: TwinParameters, pose: int
 ) -> list[tuple[TwinParameters, float, float]]:
-    """Shift the board in its plane, and the projector's image, along each axis.
-
-    With each, how far, and the sign with which the point seen moves.
-    """
+    """Shift the board in its plane, and the projector's image, along each axis."""
+    # With each, how far, and the sign with which the point seen moves.
     held = start.poses[pose]
     shifted = []
     for axis in range(2):

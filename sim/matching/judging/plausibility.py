@@ -82,10 +82,8 @@ def check_board(twin: Twin, target: Target, source: str) -> None:
 
 
 def check_geometry(measured: Calibration, nominal: Calibration, refusals: Refusals) -> None:
-    """Refuse a bench whose geometry is far from that of the twin's file.
-
-    A board of another pitch changes only the scale of the scene, not its images: the baseline shows it.
-    """
+    """Refuse a bench whose geometry is far from that of the twin's file."""
+    # A board of another pitch changes only the scale of the scene, not its images: the baseline shows it.
     pairs = {
         "camera's focal length": (measured.camera.matrix[0, 0], nominal.camera.matrix[0, 0], "px"),
         "projector's focal length": (measured.projector.matrix[0, 0], nominal.projector.matrix[0, 0], "px"),
@@ -113,11 +111,9 @@ def check_geometry(measured: Calibration, nominal: Calibration, refusals: Refusa
 
 
 def check_response(response: Response, sessions: Sequence[Session], refusals: Refusals) -> None:
-    """Refuse a response that is not that of the recordings.
-
-    The fringes on the board are bent by the response: the second harmonic of the widest set of at least four
-    images shows it without any twin.
-    """
+    """Refuse a response that is not that of the recordings."""
+    # The fringes on the board are bent by the response: the second harmonic of the widest set of at least
+    # four images shows it without any twin.
     plan = sessions[0].plan
     wide = [k for k, session in enumerate(plan.fringes) if session.images > 3]
     if not wide:
@@ -136,11 +132,9 @@ def check_response(response: Response, sessions: Sequence[Session], refusals: Re
 
 
 def sharpness_finding(reference: Reference, twin: Twin) -> Finding | None:
-    """Find a pose that was taken with another focus than the others.
-
-    Each pose's edges must be as steep as the twin's, at the same brightness, relative to the other poses:
-    what softens all of them equally is the bench's lens or print, not a focus that moved.
-    """
+    """Find a pose that was taken with another focus than the others."""
+    # Each pose's edges must be as steep as the twin's, at the same brightness, relative to the other poses:
+    # what softens all of them equally is the bench's lens or print, not a focus that moved.
     contrasts = edge_contrast(reference, twin)
     usual = float(np.median(contrasts))
     worst = int(np.argmax(np.abs(np.log(contrasts / usual))))

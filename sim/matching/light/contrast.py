@@ -66,10 +66,8 @@ class ContrastSample:
 
     @cached_property
     def clusters(self) -> NDArray[np.int64]:
-        """Numbers (3, S P) of row and column of the tile, and of the set, of every residual.
-
-        What is left of a contrast reaches over a face of the part, and so over many tiles.
-        """
+        """Numbers (3, S P) of row and column of the tile, and of the set, of every residual."""
+        # What is left of a contrast reaches over a face of the part, and so over many tiles.
         tiles = TILES**2 * self.number + tile_numbers(self.pixels)
         row, column = (np.tile(index, len(self.sets)) for index in (tiles // TILES, tiles % TILES))
         sets = np.repeat(np.arange(len(self.sets)), len(tiles))
@@ -145,10 +143,8 @@ def with_common_error(
     names: Sequence[str],
     samples: Sequence[ContrastSample],
 ) -> TwinParameters:
-    """Add to standard uncertainties that a whole scan's contrast may be off, as that of its tiles is.
-
-    A fit of one scan takes for sharpness what all its pixels have in common, whatever it comes from.
-    """
+    """Add to standard uncertainties that a whole scan's contrast may be off, as that of its tiles is."""
+    # A fit of one scan takes for sharpness what all its pixels have in common, whatever it comes from.
     parameters = twin.parameters
     slopes = level_slopes(reference, twin, names, samples, light_residuals(reference, twin, samples))
     by_tile = np.concatenate([sample.relative_residual(reference, twin) for sample in samples])

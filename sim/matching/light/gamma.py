@@ -71,10 +71,8 @@ class GammaMatch:
 
 
 def match_gamma(twin: Twin, response: Response, item: str, settings: CameraSettings) -> GammaMatch:
-    """Fit the twin's response, so that it sees a card in uniform grey levels as the bench did.
-
-    Starts from the fit of the measured response.
-    """
+    """Fit the twin's response, so that it sees a card in uniform grey levels as the bench did."""
+    # Starts from the fit of the measured response.
     if len(response.measured) == 0:
         raise CalibrationError("the response file holds no levels; measure it again with `fpplab gamma`")
     shown, recorded = _measured(response)
@@ -99,11 +97,9 @@ def match_gamma(twin: Twin, response: Response, item: str, settings: CameraSetti
 
 
 def with_level_of_card(twin: Twin, response: Response, item: str, settings: CameraSettings) -> TwinParameters:
-    """Scale the lamp so that the twin sees the card as bright as the bench did, and its board as before.
-
-    Vignetting and falloff are found on the board, after the response. They change what the card shows, and
-    the board's reflectance alone would make up for that: every other part would be too dark or too bright.
-    """
+    """Scale the lamp so that the twin sees the card as bright as the bench did, and its board as before."""
+    # Vignetting and falloff are found on the board, after the response. They change what the card shows, and
+    # the board's reflectance alone would make up for that: every other part would be too dark or too bright.
     now, card = twin.parameters, GreyCard(twin, item, settings, response)
     shown, recorded = _measured(response)
     own_dark = card.dark_level()

@@ -48,11 +48,9 @@ def mean_square_difference(reference: Reference, twin: Twin, samples: Sequence[L
 def information_criterion(
     reference: Reference, twin: Twin, samples: Sequence[PixelSample], free: int
 ) -> float:
-    """Compute Schwarz's criterion (BIC) of a twin; the lowest is the best.
-
-    Residuals of one tile of an image count as one, for neighbours share what a fit leaves. They have the
-    weights of the fit: what the twin lacks at the board's edge says nothing of the light on it.
-    """
+    """Compute Schwarz's criterion (BIC) of a twin; the lowest is the best."""
+    # Residuals of one tile of an image count as one, for neighbours share what a fit leaves. They have the
+    # weights of the fit: what the twin lacks at the board's edge says nothing of the light on it.
     count = sum(len(sample.images) * len(np.unique(sample.tiles)) for sample in samples)
     residual = light_residuals(reference, twin, samples)
     mean_square = float(np.mean(level_weights(residual)[0] * residual**2))
@@ -62,11 +60,9 @@ def information_criterion(
 def fit_light(
     reference: Reference, twin: Twin, names: Sequence[str], samples: Sequence[LightSample]
 ) -> TwinParameters:
-    """Fit the named parameters to the images; all others are held.
-
-    Robust Gauss-Newton with at most `max_rounds` steps, each halved up to `max_halvings` times until it
-    lowers the cost.
-    """
+    """Fit the named parameters to the images; all others are held."""
+    # Robust Gauss-Newton with at most `max_rounds` steps, each halved up to `max_halvings` times until it
+    # lowers the cost.
     residual = light_residuals(reference, twin, samples)
     sigma: dict[str, float] = {}
     for _ in range(LIMITS.max_rounds):
@@ -107,11 +103,9 @@ def _fit_one_step(
 
 
 def _bounded_step(normal: Floats, gradient: Floats, lower: Floats, upper: Floats) -> Floats:
-    """Solve normal equations (C, C) for the step (C,) of the lowest cost between bounds.
-
-    A step that is cut at a bound is not the best for the other parameters: they would go along with a
-    parameter that does not.
-    """
+    """Solve normal equations (C, C) for the step (C,) of the lowest cost between bounds."""
+    # A step that is cut at a bound is not the best for the other parameters: they would go along with a
+    # parameter that does not.
     size, turned = np.linalg.eigh(normal)
     kept = size > LIMITS.min_eigenvalue * size[-1]
     root = np.sqrt(size[kept])
@@ -144,12 +138,10 @@ def level_slopes(
 def _standard_errors(
     matrix: Floats, weight: Floats, residual: Floats, samples: Sequence[LightSample]
 ) -> Floats:
-    """Standard uncertainties (C,) that allow residuals to be as dependent as they are.
-
-    What remains of a fit is not noise but what the twin lacks. Places of the board share it over all poses,
-    poses over all of their places and images, and images of one pattern over all poses. Their parts are
-    added, since one of them may make up for another by chance only (`multiway_covariance`).
-    """
+    """Standard uncertainties (C,) that allow residuals to be as dependent as they are."""
+    # What remains of a fit is not noise but what the twin lacks. Places of the board share it over all poses,
+    # poses over all of their places and images, and images of one pattern over all poses. Their parts are
+    # added, since one of them may make up for another by chance only (`multiway_covariance`).
     clusters = np.concatenate([sample.clusters for sample in samples], axis=1)
     scores = matrix * (weight * residual)[:, None]
     inverse = np.linalg.pinv(matrix.T @ (weight[:, None] * matrix))

@@ -142,11 +142,9 @@ def lit_inside(twin: Twin, scan: BenchScan) -> Mask:
 def fit_scan(
     twin: Twin, item: str, session: Session, calibration: Calibration, refusals: Refusals
 ) -> BenchScan:
-    """Reconstruct a scan and refuse it where it is not that of the artefact.
-
-    A mean that is too great may come from a saturated highlight, which leaves holes and some points far off.
-    The distance of three quarters of the points then decides.
-    """
+    """Reconstruct a scan and refuse it where it is not that of the artefact."""
+    # A mean that is too great may come from a saturated highlight, which leaves holes and some points far
+    # off. The distance of three quarters of the points then decides.
     mesh = twin.mesh(item)
     _, cloud = reconstruct_points(session, calibration)
     try:
@@ -167,10 +165,8 @@ def fit_scan(
 
 
 def _find_mesh_pose(cloud: Cloud, mesh: trimesh.Trimesh, nominal: RigidTransform) -> RigidTransform:
-    """Find the pose of a mesh; where two fit equally well, the one that is near where the twin's file has it.
-
-    A highlight leaves holes, without which a stepped part fits in more places than one.
-    """
+    """Find the pose of a mesh; where two fit equally well, the one nearer to that of the twin's file."""
+    # A highlight leaves holes, without which a stepped part fits in more places than one.
     points, poses = cloud.points.astype(float), []
     for start in (nominal, RigidTransform.identity()):
         with suppress(DataError):

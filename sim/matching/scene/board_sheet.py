@@ -87,10 +87,8 @@ def sharpened_sheet(
     poses: Sequence[int],
     progress: Progress = no_progress,
 ) -> BoardSheet:
-    """Find the texture again, beyond what the twin shows of it already.
-
-    A texture that was found in images has been blurred by a lens, and the twin's lens blurs it once more.
-    """
+    """Find the texture again, beyond what the twin shows of it already."""
+    # A texture that was found in images has been blurred by a lens, and the twin's lens blurs it once more.
     assert sheet.texture is not None
 
     def in_round(number: int) -> Progress:

@@ -153,11 +153,9 @@ def grid_mesh(depths: Floats, camera: Pinhole) -> trimesh.Trimesh:
 
 
 def continue_surfaces(depths: Floats) -> Floats:
-    """Let surfaces go on along their planes, up to `continued_cells`, where nothing is known.
-
-    The inverse depth of a plane is linear in the image, so each ring of cells around what is known gets the
-    value of the linear fit to the known cells of its window.
-    """
+    """Let surfaces go on along their planes, up to `continued_cells`, where nothing is known."""
+    # The inverse depth of a plane is linear in the image, so each ring of cells around what is known gets the
+    # value of the linear fit to the known cells of its window.
     # depths (rows, columns) mm
     inverse = 1.0 / depths
     lower, upper = np.nanmin(inverse), np.nanmax(inverse)
@@ -189,10 +187,8 @@ def _linear_fits(values: Floats, known: Mask, unknown: Mask) -> Floats:
 
 
 def backdrop_mesh(depth_mm: float, camera: Pinhole) -> trimesh.Trimesh:
-    """Make a plane that faces the camera and fills its image: what is seen where no shape is known.
-
-    It stands behind all else, so that it neither hides nor shades anything.
-    """
+    """Make a plane that faces the camera and fills its image: what is seen where no shape is known."""
+    # It stands behind all else, so that it neither hides nor shades anything.
     width, height = camera.size
     columns, rows = (-(-side // LIMITS.backdrop_px) + 1 for side in (width, height))
     grid = np.meshgrid(np.linspace(-1, width, columns), np.linspace(-1, height, rows))
