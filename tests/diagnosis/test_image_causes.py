@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import cv2
 import numpy as np
 import pytest
 
@@ -47,3 +48,13 @@ def test_they_are_not_seen_where_they_are_not(fault: str) -> None:
     damage = {**SIGMA_JUDGED, **OTHERS}[fault]
     named = {found.cause.key for found in findings(damage(SCENE.frames, np.random.default_rng([44, 11])))}
     assert not named & {"lens_smear", "row_order", "frame_lag"}
+
+
+@pytest.mark.whole
+def test_light_within_a_hollow_is_no_smear() -> None:
+    """As an eye socket of a skull: fine fringes lose half of their contrast, wider ones a part of it too."""
+    v, u = np.indices(SCENE.frames[0].shape)
+    hollow = 0.5 * np.exp(-((((u - 250) ** 2 + (v - 190) ** 2) / 60.0**2) ** 2))
+    lit = [frame + hollow * (cv2.GaussianBlur(frame, (0, 0), 30.0) - 1.0 * frame) for frame in SCENE.frames]
+    named = {found.cause.key for found in findings([np.rint(frame).astype(np.uint8) for frame in lit])}
+    assert "lens_smear" not in named

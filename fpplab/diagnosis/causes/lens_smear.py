@@ -9,7 +9,8 @@ import numpy as np
 from scipy.ndimage import label, median_filter
 
 from fpplab.core.config import Positive
-from fpplab.core.conventions import TWO_PI, Floats, axis_length
+from fpplab.core.conventions import TWO_PI, Floats, Mask, axis_length
+from fpplab.core.robust import robust_spread
 from fpplab.diagnosis.evidence import Evidence, Needs
 from fpplab.diagnosis.finding import DetectionStage, Detector, FaultCause, Finding, Picture
 from fpplab.diagnosis.limits import CountLimit, LimitsSection, ShareLimit
@@ -26,7 +27,12 @@ class LensSmearLimits(LimitsSection):
     max_blur_px: Positive = 2.0
     """Blur in camera px, in squares beyond that of other pixels at such a depth. Chosen: a drop that blurs by
     a pixel bends rays by as much."""
-    min_share: ShareLimit = 0.02
+    min_sigmas: Positive = 6.0
+    """The same as a multiple of what the squares scatter by over the image. Chosen: no healthy part of it."""
+    max_loss_by_other: Positive = 4.0
+    """Contrast that wider fringes lose there, as a multiple of what blur that takes the finest's would take.
+    Measured: drops reach 2; light by way of other surfaces takes 10 times as much."""
+    min_share: ShareLimit = 0.005
     """Share of the measured pixels that lie in such a part. Chosen."""
     min_pixels: CountLimit = 500
     """Measured pixels of the sample that blur is compared between. Chosen."""
@@ -34,36 +40,44 @@ class LensSmearLimits(LimitsSection):
 
 def blur_beyond_depth(evidence: Evidence) -> Floats | None:
     """Square of the blur in px² at the sample's pixels, less what depth and place in the image explain."""
-    if evidence.recording is None:
-        return None
+    if evidence.recording is None or len(_sets_of_axis(evidence)) < 3:
+        return None  # what blur takes is not told from what light by way of other surfaces takes
     sample, limits = evidence.frames, evidence.limits.of(LensSmearLimits)
     plan, step, cloud = sample.recording.plan, sample.step, evidence.cloud
     axis = plan.axes[0]
     finest, coordinate = plan.finest_set(axis), sample.coordinates.get(axis)
-    if coordinate is None or cloud is None or cloud.pixels is None or sample.fits[finest] is sample.widest:
+    if coordinate is None or cloud is None or cloud.pixels is None:
         return None
-    size = axis_length(sample.recording.projector_size, axis)
-    slope = np.hypot(*np.gradient(coordinate.astype(np.float64)))[::step, ::step]
-    turn = TWO_PI * plan.fringes[finest].stripes / size * slope
+    turn = TWO_PI * plan.fringes[finest].stripes / axis_length(sample.recording.projector_size, axis)
     depth = np.full(coordinate.shape, np.nan)
     depth[tuple(cloud.pixels.T[::-1])] = cloud.points[:, 2]
     z = depth[::step, ::step]
+    # Across a whole step, since noise of neighbouring pixels would seem to be slope.
+    slope = np.square(np.gradient(coordinate[::step, ::step].astype(np.float64), step)).sum(axis=0)
     share = sample.fits[finest].modulation / np.maximum(sample.widest.modulation, 1e-3)
-    used = sample.measured & np.isfinite(turn) & np.isfinite(z) & (turn > 0.0)
+    used = sample.measured & np.isfinite(z) & (slope > 0.0)
     if used.sum() < limits.min_pixels:
         return None
-    square = -2.0 * np.log(np.maximum(share[used], 1e-3)) / turn[used] ** 2
+    square = -2.0 * np.log(np.maximum(share[used], 1e-3)) / turn**2
     v, u = (part[used] / max(part.max(), 1) - 0.5 for part in np.indices(z.shape))
     d = (z[used] - z[used].mean()) / max(float(z[used].std()), 1e-9)
-    terms = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v, d, d * d])
+    # The projector's blur is the same in its own px wherever a surface faces, the camera's is not.
+    terms = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v, d, d * d, slope[used]])
     kept = np.full(len(d), True)
     for _ in range(4):
         strengths = np.linalg.lstsq(terms[:, kept].T, square[kept], rcond=None)[0]
         rest = square - strengths @ terms
         kept = np.abs(rest) <= 4.5 * np.median(np.abs(rest))
     result = np.zeros(z.shape)
-    result[used] = rest
+    result[used] = rest / slope[used]
     return np.asarray(median_filter(result, 5))
+
+
+def _sets_of_axis(evidence: Evidence) -> list[int]:
+    """Sets of the first axis, the finest first."""
+    fringes, axis = evidence.plan.fringes, evidence.plan.axes[0]
+    own = [k for k, fringe in enumerate(fringes) if fringe.axis == axis]
+    return sorted(own, key=lambda k: -fringes[k].stripes)
 
 
 def _find(evidence: Evidence, before: Sequence[Finding]) -> Iterator[Finding]:
@@ -72,17 +86,19 @@ def _find(evidence: Evidence, before: Sequence[Finding]) -> Iterator[Finding]:
     beyond, limits = blur_beyond_depth(evidence), evidence.limits.of(LensSmearLimits)
     if beyond is None:
         return
-    parts, count = label(beyond > limits.max_blur_px**2)
+    sample = evidence.frames
+    scatter = robust_spread(beyond[sample.measured], 0.0)
+    parts, count = label(beyond > max(limits.max_blur_px**2, limits.min_sigmas * scatter))
     if not count:
         return
     sizes = np.bincount(parts.ravel())[1:]
     inside = parts == 1 + int(np.argmax(sizes))
-    share = float(sizes.max()) / max(int(evidence.frames.measured.sum()), 1)
-    if share < limits.min_share:
+    share = float(sizes.max()) / max(int(sample.measured.sum()), 1)
+    if share < limits.min_share or not _is_loss_by_blur(evidence, inside & sample.measured):
         return
     blur = float(np.sqrt(np.median(beyond[inside])))
-    v, u = (evidence.frames.step * float(np.mean(part)) for part in np.nonzero(inside))
-    x = "xy".index(evidence.frames.recording.plan.axes[0])
+    v, u = (sample.step * float(np.mean(part)) for part in np.nonzero(inside))
+    x = "xy".index(sample.recording.plan.axes[0])
     points = evidence.points
     um = 1e3 * blur * float(points.projector_px_per_px[x] / points.px_per_mm_of_depth[x])
     text = (
@@ -91,6 +107,19 @@ def _find(evidence: Evidence, before: Sequence[Finding]) -> Iterator[Finding]:
         f"points may be {um:.0f} µm off there, which their uncertainty does not contain"
     )
     yield Finding(LENS_SMEAR, text, blur / limits.max_blur_px)
+
+
+def _is_loss_by_blur(evidence: Evidence, inside: Mask) -> bool:
+    """Whether wider fringes lose little contrast there, as blur of few px has it, and stray light not."""
+    sample, (finest, wider, *_) = evidence.frames, _sets_of_axis(evidence)
+    widest, others = sample.widest.modulation, sample.measured & ~inside
+    of_finest, of_wider = (
+        np.log(np.median(share[others]) / max(float(np.median(share[inside])), 1e-3))
+        for share in (sample.fits[k].modulation / np.maximum(widest, 1e-3) for k in (finest, wider))
+    )
+    stripes = [evidence.plan.fringes[k].stripes for k in (finest, wider)]
+    by_blur = (stripes[1] / stripes[0]) ** 2 * of_finest
+    return bool(of_wider <= evidence.limits.of(LensSmearLimits).max_loss_by_other * by_blur)
 
 
 def _draw(evidence: Evidence, _: Finding) -> Figure | None:
@@ -109,7 +138,7 @@ LENS_SMEAR = FaultCause(
     meaning="A part of the image is blurred, as by a drop or grease on a lens.",
     remedy="look at the lenses of camera and projector where the picture shows it, clean them, scan again",
     measured="contrast of the finest fringes beside the widest, as the blur of each pixel, less what depth "
-    "and place in the image explain",
+    "and place in the image explain; the next wider fringes must lose as little as blur takes",
     limit=f"{LensSmearLimits().max_blur_px:g} px in {100 * LensSmearLimits().min_share:g} % of the pixels",
     seen_in="points",
     detectors=(Detector(DetectionStage.POINTS, _find),),
