@@ -58,12 +58,10 @@ def build_background(world: World, setup: SceneState, around: Surface) -> tuple[
 
 
 def _mounted(world: World, setup: SceneState) -> tuple[Surface, ...]:
-    """The mounted item in its pose."""
     return () if setup.item == NOTHING else (item_surface(world, setup.item, _pose(world, setup)),)
 
 
 def _frame_surfaces(world: World, setup: SceneState) -> tuple[Surface, ...]:
-    """The frame of a mounted board that has one."""
     rim = None if setup.item == NOTHING else rim_surface(world, setup.item, _pose(world, setup))
     return () if rim is None else (rim,)
 

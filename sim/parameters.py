@@ -199,8 +199,6 @@ def _number_parameter(name: str, fit: FitRange) -> AdjustableParameter:
 
 
 def _tuple_part_parameter(name: str, index: int, fit: FitRange) -> AdjustableParameter:
-    """One of the numbers of a tuple."""
-
     def read(parameters: TwinParameters) -> float:
         return float(getattr(parameters, name)[index])
 

@@ -34,7 +34,6 @@ class Power(StrEnum):
 
 @contextmanager
 def _opened_controller(serial: str | None, echo: bool) -> Iterator[Controller]:
-    """Open the controller for the duration of a command."""
     from drivers.clock import RealClock
     from drivers.dlp4500.controller import Controller
 

@@ -45,7 +45,6 @@ def _register(name: str, number: int, record: Layout) -> Command:
 
 
 def _read_only(name: str, number: int, layout: Layout) -> Command:
-    """Declare a command that can only be read."""
     return _declare(Command(name, number, None, layout))
 
 

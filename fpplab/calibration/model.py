@@ -302,7 +302,6 @@ class Calibration:
 
 
 def _checksum(content: Mapping[str, Any]) -> str:
-    """Compute the checksum of all numbers of a calibration file."""
     numbers = {name: value for name, value in content.items() if name not in ("origin", "checksum")}
     return hashlib.sha256(json.dumps(numbers, sort_keys=True).encode()).hexdigest()
 

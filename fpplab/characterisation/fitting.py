@@ -236,7 +236,6 @@ def _without_outliers(
 
 
 def _candidates(level: DistortionModel, compares_levels: bool) -> tuple[DistortionModel, ...]:
-    """List the levels to try, the simplest first."""
     return tuple(DistortionModel) if compares_levels else (level,)
 
 
@@ -307,7 +306,6 @@ def _reasons(left_out: Mapping[str, str]) -> str:
 def _require_determined_focal_lengths(
     solution: Solution, sigma: dict[str, float], limits: CharacterisationLimits
 ) -> None:
-    """Raise `CalibrationError` for focal lengths that the poses do not determine."""
     apart_deg = coverage.spread_of_tilts([transform(p) for p in solution.poses])
     parallel = f"all poses are parallel, to within {apart_deg:.1f}°, and do not determine "
     advice = "add some that are tilted by 20° or more, each time differently"

@@ -199,7 +199,6 @@ def _check_arguments(arguments: Sequence[str]) -> None:
 
 
 def _end_with(error: BaseException, as_json: bool) -> NoReturn:
-    """Answer for an error and leave with its exit code."""
     match error:
         case FppError():
             _log.debug("refused with exit code %d", error.exit_code, exc_info=error)

@@ -229,6 +229,5 @@ def _axes(points: Floats) -> Floats:
 
 
 def _bounding_box_centre(points: Floats, axes: Floats) -> Floats:
-    """Compute the centre (3,) of the bounding box along these axes."""
     along = points @ axes
     return np.asarray(axes @ ((along.min(axis=0) + along.max(axis=0)) / 2.0))

@@ -162,7 +162,6 @@ def _distance_of_corners(points: Floats, first: Corner, second: Corner) -> tuple
 
 
 def _corner(planes: list[tuple[FlatFace, Floats]]) -> Floats:
-    """Intersect three fitted planes."""
     normals = np.stack(
         [
             face.axes[2] - parameters[0] * face.axes[0] - parameters[1] * face.axes[1]

@@ -155,7 +155,6 @@ def _open_lock_file(lock_stem: Path, name: str) -> int:
 
 
 def _try_lock(handle: int, shared: bool = False) -> bool:
-    """Whether a lock was free."""
     try:
         return try_lock(handle, shared)
     except OSError as error:

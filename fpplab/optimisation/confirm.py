@@ -148,7 +148,6 @@ def compare_plans(
 
 
 def _sampled_calibrations(calibrations: StageCalibrations) -> list[StageCalibrations]:
-    """Calibrations drawn from the covariance of the measured ones."""
     random = np.random.default_rng(0)
     return (
         []

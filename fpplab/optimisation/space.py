@@ -184,7 +184,6 @@ def _parameters(problem: SearchProblem) -> Iterator[Parameter]:
 
 
 def _start_value(name: str, problem: SearchProblem, template: Candidate, source: str) -> float:
-    """Look up a parameter's value at the start."""
     kind, _, index = name.rstrip("]").partition("[")
     if index:
         return float(getattr(template.fringes[int(index)], kind))

@@ -172,7 +172,6 @@ def _add(frame: Image, total: Map) -> None:
 
 @njit(nogil=True, cache=True)
 def _round(total: Map, divisor: np.float32, mean: NDArray[np.uint8]) -> None:
-    """Divide, and round to 8 bits."""
     for v in range(len(total)):
         for u in range(total.shape[1]):
             mean[v, u] = np.uint8(min(np.rint(total[v, u] / divisor), np.float32(255)))

@@ -223,7 +223,6 @@ def _contradictory(disagreement: Map, greatest: np.float32, w: Map, removed: Rem
 
 @njit(parallel=True, cache=True)
 def _erase(w: Map, removed: Removed) -> None:
-    """Remove the marked pixels from the grid."""
     for v in prange(len(w)):
         for u in range(w.shape[1]):
             if removed[v, u] > 0:
@@ -232,7 +231,6 @@ def _erase(w: Map, removed: Removed) -> None:
 
 @njit(parallel=True, cache=True)
 def _keep(index: PixelColumnsRows, w: Map, kept: Mask) -> None:
-    """Return which points are still in the grid."""
     for v in prange(len(w)):
         for u in range(w.shape[1]):
             if index[v, u] >= 0:

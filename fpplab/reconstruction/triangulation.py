@@ -263,7 +263,6 @@ def _is_coded(u: float, v: float) -> bool:
 
 @njit(parallel=True, cache=True)
 def _coded_pixels_by_row(u: Map, v: Map) -> NDArray[np.int64]:
-    """Count the pixels of each row with both coordinates."""
     counts = np.zeros(len(u), np.int64)
     for row in prange(len(u)):
         count = 0
@@ -281,7 +280,6 @@ def _weights(use_u: bool, use_v: bool, v_per_u: float) -> tuple[float, float]:
 
 @njit(inline="always")
 def _in_projector(a: float, b: float, pose: Numbers) -> Ray:
-    """The ray of a camera pixel with the slopes a, b."""
     xa, xb, xc, tx, ya, yb, yc, ty, za, zb, zc, tz = pose
     return xa * a + xb * b + xc, ya * a + yb * b + yc, za * a + zb * b + zc, tx, ty, tz
 

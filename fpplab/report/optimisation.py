@@ -225,7 +225,6 @@ def _logarithmic_if_wide(axes: Axes, values: Sequence[float]) -> None:
 
 
 def _set_ratio_scale(axis: Axis, scale: Callable[[str], None]) -> None:
-    """Set a logarithmic scale with plain numbers."""
     scale("log")
     for formatter in (axis.set_major_formatter, axis.set_minor_formatter):
         formatter(LogFormatter(labelOnlyBase=False, minor_thresholds=(2, 0.7)))

@@ -84,7 +84,6 @@ def data_link(kind: str, text: str) -> str:
 
 
 def _cell(word: str) -> str:
-    """A cell for a spreadsheet."""
     plain = re.sub(r"(?<=\d)\u202f(?=\d)", "", word).replace("\u202f", " ")
     number = re.match(r"[+-]?[\d.]", plain)
     return plain if number or plain[:1] not in ("=", "+", "-", "@", "\t") else f"'{plain}"

@@ -111,7 +111,6 @@ def _map_section(
 def _difference_sections(
     differences: Sequence[CloudDifference], scans: Mapping[str, ScanRecord]
 ) -> list[ReportSection]:
-    """Maps of the differences, and the figures of all."""
     if not differences:
         return []
     drawn = tuple(

@@ -198,7 +198,6 @@ class RigSetup:
 def _require_one_device(
     chosen: list[FoundDevice], all_of_kind: list[FoundDevice], kind: str, named: str | None
 ) -> FoundDevice:
-    """The one device that is meant, or `ConfigError`."""
     if len(chosen) == 1:
         return chosen[0]
     listed = ", ".join(d.title for d in all_of_kind) or "none"

@@ -26,41 +26,20 @@ Cells = NDArray[np.intp]
 
 @dataclass(frozen=True, eq=False)
 class GridPatch:
-    """Points of one lattice found in an image, at an unknown place of the board.
+    """Points of one lattice found in an image, at an unknown place of the board."""
 
-    Attributes
-    ----------
-    cells : Cells
-        (n, 2) lattice coordinates in a basis of the patch's own, right-handed as seen from the front.
-    pixels : Floats
-        (n, 2) image coordinates (u, v) in px.
-    verified : bool
-        Whether the detector has checked each point's appearance; else at least half of the points must
-        look like the board's.
-    """
-
-    cells: Cells
-    pixels: Floats
-    verified: bool = False
+    cells: Cells  # (n, 2) coordinates in a basis of the patch's own, right-handed as seen from the front
+    pixels: Floats  # (n, 2) image coordinates (u, v) in px
+    verified: bool = False  # whether each point's look was checked; else half must look like the board's
 
 
 @dataclass(frozen=True, eq=False)
 class PointLattice:
-    """Lattice that the points of a board lie on.
+    """Lattice that the points of a board lie on."""
 
-    Attributes
-    ----------
-    places : Cells
-        (P, 2) lattice coordinates of the board's points, in the order of their ids.
-    step_mm : Floats
-        (2,) length of a step along x and y in mm.
-    basis : Cells
-        (2, 2) whose columns are the lattice's shortest steps.
-    """
-
-    places: Cells
-    step_mm: Floats
-    basis: Cells
+    places: Cells  # (P, 2) lattice coordinates of the board's points, in the order of their ids
+    step_mm: Floats  # (2,) length of a step along x and y in mm
+    basis: Cells  # (2, 2) whose columns are the lattice's shortest steps
 
 
 class BoardLayout(PrintFields, GridFields, ABC):
@@ -92,33 +71,14 @@ class BoardLayout(PrintFields, GridFields, ABC):
                 raise ValueError(f"'size_mm': its points need a board {needed:g} mm {name}, not {size:g} mm")
 
     def check_counts(self) -> None:
-        """Check that the grid determines which point is which, for the `check` of kinds without markers.
-
-        Raises
-        ------
-        ValueError
-            As many columns as rows, or fewer than three of them.
-        """
+        """Refuse counts from which points cannot be told; for the `check` of kinds without markers."""
         if self.counts[0] == self.counts[1]:
             raise ValueError("'counts' must differ, or a quarter turn of the board could not be recognised")
         if min(self.counts) < 3:
             raise ValueError("'counts' must be at least 3 each to be found")
 
     def offsets(self, column: Floats, row: Floats) -> Floats:
-        """Place columns and rows of the grid, which may lie beyond the board's own.
-
-        Parameters
-        ----------
-        column : Floats
-            Whole numbers, 0 is the leftmost column.
-        row : Floats
-            Whole numbers of the same shape, 0 is the uppermost row.
-
-        Returns
-        -------
-        Floats
-            (..., 2) in mm from the grid's origin.
-        """
+        """Place (..., 2) in mm from the grid's origin of columns and rows, which may lie beyond the board."""
         return np.stack([column * self.spacing_mm[0], row * self.spacing_mm[1]], axis=-1)
 
     def points(self) -> Floats:

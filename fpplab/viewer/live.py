@@ -243,7 +243,6 @@ class LiveFrames:
 
 
 def _state_text(status: LiveStatus) -> str:
-    """The state in Markdown."""
     lines = [status.line().replace(" | ", "  \n")]
     if status.advice is not None:
         lines += [f"**{limit}**" for limit in status.advice.limits]

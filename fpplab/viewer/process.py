@@ -82,7 +82,6 @@ def _draw(report: Any) -> None:
 
 
 def _watch(server: ViewerServer, report: Any) -> None:
-    """Report whenever the window, or the last page, is closed."""
     while True:
         server.wait()
         report(closed=True)

@@ -77,7 +77,6 @@ def _show_recorded(
     show: Callable[..., None],
     progress: Progress,
 ) -> None:
-    """Show everything that a session holds."""
     depth: DepthRange | None = None
     with suppress(DataError):  # a session may not know its projector; its images are shown all the same
         show(MeasurementView.plan, session.plan, *session.projector())

@@ -82,7 +82,6 @@ def make_linear(blender_scene: Any, effort: RenderSettings) -> None:
 
 
 def _restrict_to_window(blender_scene: Any, scene: RenderScene) -> None:
-    """Limit the render to the window."""
     (width, height), (left, top, right, bottom) = scene.camera.size, scene.window
     render = blender_scene.render
     render.use_border = render.use_crop_to_border = True

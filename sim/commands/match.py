@@ -176,7 +176,6 @@ class ConsoleMatchObserver(MatchObserver):
 def _observe_matching(
     context: typer.Context, with_viewer: bool, keep_open: bool, out: Path
 ) -> ConsoleMatchObserver:
-    """Make what follows a matching: the terminal, and the viewer where it is asked for."""
     if not (with_viewer or keep_open):
         return ConsoleMatchObserver()
     from fpplab.core.session_names import RECORDING
@@ -195,7 +194,6 @@ def _matching_request(
     epochs: int,
     seconds: float,
 ) -> MatchingRequest:
-    """Read what options name."""
     from fpplab.patterns.response import Response
     from fpplab.sessions.session import Session
     from sim.matching.loss import Weights

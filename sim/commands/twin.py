@@ -178,7 +178,6 @@ def record_on_twin(
 
 
 def _load_simulated_rig(path: str) -> Rig:
-    """Load a rig, or refuse one that is not simulated: `ConfigError`."""
     from fpplab.devices.rig import Rig
     from sim.preview import require_simulated
 

@@ -77,7 +77,6 @@ class Dataset:
             check_shard(self.folder / shard_name(number))
 
     def _shard_and_row(self, k: int) -> tuple[Path, int]:
-        """Find the shard and row of a sample."""
         index = self.indices[operator.index(k)]
         number, row = divmod(index, self.card["shard_size"])
         return self.folder / shard_name(number), row

@@ -213,7 +213,6 @@ class Light:
         return picture
 
     def _picture_of_state(self, setup: SceneState, levels: MirrorStates, index: int) -> PatternLevels:
-        """Compute the picture under one state of the mirrors."""
         path = self._world.path
         if path == "transport":
             return self._looked_up(setup, levels, index, None)

@@ -195,7 +195,6 @@ def match_twin(
 
 
 def _best(epochs: Sequence[MatchingEpoch]) -> MatchingEpoch:
-    """Find the last epoch that was accepted."""
     return next(epoch for epoch in reversed(epochs) if epoch.accepted)
 
 
@@ -218,12 +217,10 @@ def _samples_of_poses(reference: Reference, parameters: TwinParameters) -> list[
 
 
 def _usual_steps() -> int:
-    """Number of steps that a matching usually takes."""
     return len(FIRST_STEPS) + 2 * len(REPEATED_STEPS) + len(CHANGING_STEPS)
 
 
 def _make_steps_until_limit(state: _State, limits: MatchingLimits, observe: EpochObserver) -> str:
-    """Make steps until one of the limits; return which."""
     for number, step in enumerate(FIRST_STEPS, 1):
         if ended := _step_within(state, limits, observe, number, step):
             return ended
@@ -323,7 +320,6 @@ def _take_step(state: _State, step: MatchingStep, observe: EpochObserver) -> Non
 def _evaluate_epoch(
     state: _State, context: MatchingContext, known_twin_rms_px: float | None = None
 ) -> TwinEvaluation:
-    """Judge an epoch by the images of some poses."""
     compared = context.reference.spread_poses(LIMITS.compared_poses)
     return evaluate(context.reference, context.twin, state.weights, known_twin_rms_px, poses=compared)
 

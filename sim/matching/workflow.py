@@ -99,27 +99,7 @@ class SurfacesResult:
 
 
 def match(request: MatchRequest, observer: MatchObserver | None = None) -> MatchResult:
-    """Match a twin to the bench's recordings, and leave it with its report in the request's folder.
-
-    Parameters
-    ----------
-    request : MatchRequest
-        With a rig that is not open.
-    observer : MatchObserver, optional
-        Shown progress and epochs.
-
-    Returns
-    -------
-    MatchResult
-        Which may be useless; the twin is then not written.
-
-    Raises
-    ------
-    ConfigError
-        The output exists, or twin and recordings do not fit.
-    CalibrationError
-        The bench cannot be characterised, or its twin cannot become it.
-    """
+    """Match a twin to a bench and leave it with its record and report in `request.out`."""
     follow, stopwatch = observer or MatchObserver(), Stopwatch()
     check_match_output(request)
     if request.force:
@@ -175,27 +155,7 @@ def check_match_output(request: MatchRequest) -> None:
 
 
 def match_surfaces_alone(request: SurfacesRequest, observer: MatchObserver | None = None) -> SurfacesResult:
-    """Match surfaces of parts on a twin that was matched to its board before, and save it.
-
-    Parameters
-    ----------
-    request : SurfacesRequest
-        With a rig that is not open.
-    observer : MatchObserver, optional
-        Shown progress.
-
-    Returns
-    -------
-    SurfacesResult
-        The surfaces with their uncertainty.
-
-    Raises
-    ------
-    ConfigError
-        There is no scan, the output exists, or the twin has no such part.
-    DataError
-        A scan is not of the part, or does not determine its surface.
-    """
+    """Match surfaces of parts by their scans on a twin that is matched already."""
     follow, stopwatch = observer or MatchObserver(), Stopwatch()
     if not request.scans:
         raise ConfigError("--reference: is missing; name the bench's sessions of a board, or a --surface")

@@ -62,7 +62,6 @@ def _from_default_plan(folder: Path) -> tuple[Dlpc350, Path]:
 
 @contextmanager
 def _state_messages(attachment: UsbIpAttachment) -> Iterator[None]:
-    """Report what the projector does whenever it changes."""
     ended = threading.Event()
 
     def report() -> None:

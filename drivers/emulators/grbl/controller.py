@@ -157,7 +157,6 @@ class GrblController:
             self._end_motion()
 
     def _end_motion(self) -> None:
-        """Come to rest when a motion has ended."""
         if self._mode is GrblState.HOLD:
             self._is_held = True
             return

@@ -113,7 +113,6 @@ def _move_value(parameter: Parameter, value: float, length: float) -> float | No
 
 
 def _double_move(runner: CandidateRunner, start: Point, end: Point) -> Iterator[Point]:
-    """Double a move that improved, where the range allows."""
     further = []
     for parameter, a, b in zip(runner.space.parameters, start, end, strict=True):
         if parameter.is_integer:

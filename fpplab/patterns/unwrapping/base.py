@@ -18,18 +18,10 @@ NEGLIGIBLE = 1e-9
 
 @dataclass(frozen=True)
 class SyntheticWavelength:
-    """One effective fringe.
+    """One effective fringe."""
 
-    Attributes
-    ----------
-    coefficients : tuple of int
-        Of the wrapped phases of an axis' sets, fewest stripes first.
-    stripes : float
-        Periods of the combination across the projector.
-    """
-
-    coefficients: tuple[int, ...]
-    stripes: float
+    coefficients: tuple[int, ...]  # of the wrapped phases of an axis' sets, fewest stripes first
+    stripes: float  # periods of the combination across the projector
 
     def beat(self, coarser: SyntheticWavelength) -> SyntheticWavelength:
         """Subtract one with fewer stripes."""

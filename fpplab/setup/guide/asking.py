@@ -88,7 +88,6 @@ def _draw_outline(picture: NDArray[Any], outline: NDArray[Any]) -> None:
 
 
 def _draw_text(picture: NDArray[Any], text: str) -> None:
-    """Write the clauses at the lower edge, one in each line."""
     clauses = text.split(", ")
     for k, clause in enumerate(clauses):
         place = (12, len(picture) - 12 - 22 * (len(clauses) - 1 - k))

@@ -79,8 +79,6 @@ def guided_characterisation(
 
 
 class _PoseGuideLoop:
-    """A guided characterisation under way."""
-
     def __init__(
         self, rig: Rig, plan: Plan, target: Target, folder: Path, settings: GuidedSettings,
         tell: Callable[[str], object], bar: Bar, observe_frame: FrameObserver,
@@ -131,7 +129,6 @@ class _PoseGuideLoop:
         return last or (form is not None and until is not None and form <= until)
 
     def _count_poses_of_earlier_run(self) -> None:
-        """Count the complete poses of an earlier run, as they were judged then."""
         for path in sorted(self._folder.glob(f"pose_*/{JOURNAL}")):
             if len(self._sessions) == self._settings.poses or Session.open(path.parent).missing():
                 continue
@@ -143,7 +140,6 @@ class _PoseGuideLoop:
             self._accept_or_reject_pose(session, "kept from before")
 
     def _take_next_pose(self) -> None:
-        """Ask for a pose, take it and judge it."""
         guide, number = self._guide, self._free_number()
         if self._pose is None:
             self._pose = guide.next_pose(fill=self._empty_image_parts_come_first())
@@ -174,7 +170,6 @@ class _PoseGuideLoop:
             self._pose, self._tried = None, 0
 
     def _accept_or_reject_pose(self, session: Session, description: str) -> bool:
-        """Observe a pose once, and accept or reject it."""
         with self._bar("Evaluating the pose") as report:
             observation, reason = self._observe_board(session)
             report(0.5)
@@ -244,7 +239,6 @@ class _PoseGuideLoop:
             )
 
     def _reject_accepted_pose(self, name: str, why: str) -> None:
-        """Take back the acceptance of an earlier pose."""
         finding = inconsistent_pose(why)
         at = max(k for k, attempt in enumerate(self._attempts) if attempt.name == name and attempt.accepted)
         self._attempts[at] = self._attempts[at].rejected_later(finding)

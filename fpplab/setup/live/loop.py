@@ -194,13 +194,11 @@ class LiveSetUp:
         self._begin_view()
 
     def _begin_view(self, view: View | None = None) -> None:
-        """Restart the view, or begin another one."""
         self._view, self._turn_of_view = view or self._view, 0
         self._advice = None
         self._measures.begin(self._patterns, self._view, self._rig.projector.caps.size)
 
     def _obey_and_take_frame(self, turn: RigTurn) -> None:
-        """Obey, and take one frame."""
         try:
             order = self._orders.get_nowait()
         except Empty:
@@ -389,7 +387,6 @@ class LiveSetUp:
 
 
 def _free_place(folder: Path) -> Path:
-    """The folder of the next pose."""
     taken = (
         [int(p.name[5:]) for p in folder.glob("pose_*") if p.name[5:].isdigit()] if folder.is_dir() else []
     )

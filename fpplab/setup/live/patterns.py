@@ -73,7 +73,6 @@ def loaded_patterns(plan: Plan, projector: Projector) -> LivePatterns:
 
 
 def _widest_and_finest_sets(plan: Plan) -> Plan:
-    """The widest and the finest set of the plan along its first axis."""
     sets = plan.sets_along(plan.axes[0])
     chosen = tuple(plan.fringes[k] for k in dict.fromkeys((sets[0], sets[-1])))
     return plan.model_copy(update={"fringes": chosen})

@@ -179,7 +179,6 @@ def _rank_findings(findings: list[Finding]) -> tuple[Finding, ...]:
 
 
 def _require_fitting(rig: Rig, plan: Plan, calibration: Calibration | None) -> None:
-    """Refuse a plan or a calibration that is not for these devices."""
     caps = rig.projector.caps
     plan.check_projector(caps.size, "plan")
     if calibration is not None:
@@ -257,7 +256,6 @@ def _with_both_axes(plan: Plan) -> Iterator[Plan]:
 
 
 def _take_frames(rig: Rig, plan: Plan, progress: Progress) -> Recording:
-    """The frames of a plan, in memory."""
     caps = rig.projector.caps
     patterns = make_patterns(plan, caps.size, caps.lattice)
     settings = rig.camera_settings(plan.exposure_s, plan.bits)

@@ -157,7 +157,6 @@ class _Steps:
         return list(uniform_patterns(list(greys), self._rig.projector.caps.size))
 
     def _timing(self, patterns: Sequence[Pattern], gap_s: float = 0.0) -> PulseTiming:
-        """Of a triggered run of the patterns."""
         rig = self._rig
         recover_camera(rig)
         settings = rig.camera.configure(rig.camera_settings(self._plan.exposure_s, self._plan.bits))

@@ -37,7 +37,6 @@ def _point_colour_material() -> Any:
 
 
 def _sphere_modifier(material: Any) -> Any:
-    """A modifier that makes spheres of vertices."""
     group = bpy.data.node_groups.new("points", "GeometryNodeTree")
     for way in ("INPUT", "OUTPUT"):
         group.interface.new_socket("Geometry", in_out=way, socket_type="NodeSocketGeometry")

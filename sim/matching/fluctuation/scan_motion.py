@@ -147,7 +147,6 @@ def _turns(twin: Twin, scan: BenchScan, pixels: PixelIndices, axis: Axis) -> Flo
 
 
 def _fit_common_speed(set_motions: Sequence[_SetMotion], now: TwinParameters) -> ScanMotion:
-    """Fit one speed to all sets, robustly."""
     rest = np.concatenate([part.rest.ravel() for part in set_motions])
     speed = np.concatenate([part.speed.ravel() for part in set_motions])
     weight = np.ones_like(rest)
