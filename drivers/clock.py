@@ -53,10 +53,7 @@ class RealClock:
 
 
 class SteppedClock:
-    """Simulated clock that advances only when `sleep` is called.
-
-    Tests and the emulated bench run through it faster than real time and always give the same result.
-    """
+    """Simulated clock that advances only by `sleep`: faster than real time, and always the same."""
 
     def __init__(self) -> None:
         self._now_s = 0.0

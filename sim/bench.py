@@ -73,10 +73,7 @@ def _world_without_displacement(world: World) -> World:
 
 
 class VirtualBench:
-    """What the simulated devices share: the world, and the state of everything that moves.
-
-    Blender starts with the first picture that needs it.
-    """
+    """What the simulated devices share: the world, all that moves, and Blender from the first picture on."""
 
     def __init__(self, options: dict[str, Any]) -> None:
         chosen = config.validate(options, VirtualBenchOptions, "bench")

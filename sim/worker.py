@@ -58,7 +58,7 @@ class Blender:
         self.close()
         ours, theirs = socket.socketpair()
         try:
-            self._memory = _anonymous_memory()
+            self._memory = os.memfd_create("fpplab-pictures")
             self._log = tempfile.TemporaryFile()  # noqa: SIM115 - it lives as long as the process
             self._process = subprocess.Popen(
                 [
@@ -198,8 +198,3 @@ def missing_library(output: str) -> tuple[str, str] | None:
     package = BLENDER.get(library)
     remedy = f"run: apt-get install {package}" if package else f"install the package that has {library}"
     return f"Blender needs the system library {library}, which is missing", remedy
-
-
-def _anonymous_memory() -> int:
-    """Open a descriptor of anonymous memory that can grow."""
-    return os.memfd_create("fpplab-pictures")

@@ -61,10 +61,7 @@ class Display(Protocol):
 
 
 class SdlDisplay:
-    """A full-screen window on a display through SDL, in a process of its own.
-
-    SDL needs the main thread of a process. Frames are passed to it in shared memory.
-    """
+    """A full-screen window through SDL, in a process of its own, for SDL needs the main thread."""
 
     def __init__(self, name: str, display_id: int | str, size: tuple[int, int] | None) -> None:
         self._name, self._display_id, self._size = name, display_id, size

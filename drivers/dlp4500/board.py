@@ -42,10 +42,7 @@ def delay_code(us: float) -> int:
 
 
 class ProjectorBoard:
-    """The DLPC350 behind a link, without its sequences.
-
-    Every method that sends commands may raise the errors of `Link.write` and `Link.read`.
-    """
+    """The DLPC350 behind a link, without sequences; commands raise the errors of `Link.write` and `read`."""
 
     def __init__(self, link: Link, clock: Clock, name: str) -> None:
         self.link, self._clock, self._name = link, clock, name

@@ -34,10 +34,7 @@ END = Polling(step_s=0.005, limit_s=1.0)
 
 
 class Controller(ProjectorBoard):
-    """The DLPC350 behind a link.
-
-    Every method that sends commands may raise the errors of `Link.write` and `Link.read`.
-    """
+    """The DLPC350 behind a link; what sends commands may raise the errors of `Link.write` and `Link.read`."""
 
     def run(self, program: Program) -> None:
         """Prepare and start a sequence."""

@@ -73,10 +73,7 @@ class Exposure:
 
 
 class EmulatedShutter:
-    """The camera's shutter, opened by pulses; a pulse before the camera is ready has no effect.
-
-    Exposures are queued until they are read out.
-    """
+    """The camera's shutter: opened by pulses, but none before it is ready; exposures queue until read out."""
 
     def __init__(self, clock: BenchClock, timing: SensorTiming = STRICT) -> None:
         self._clock, self._timing = clock, timing

@@ -59,10 +59,7 @@ class PylonPolicy:
 
 
 class EmulatedPylon(Pylon):
-    """Stands in for pylon, with emulated cameras only, between `start` and `close`.
-
-    A rig's shared object hands it to the camera driver as its `pylon`.
-    """
+    """Stands in for pylon, as `pylon` of a rig's bench: emulated cameras only, from `start` to `close`."""
 
     def __init__(
         self,

@@ -19,13 +19,10 @@ FeatureNames = tuple[str, ...]
 
 
 class Features:
-    """The GenICam features of one open camera.
-
-    The node map is fetched for each access: an unplugged camera has none, whereas a stored node map goes
-    on answering.
-    """
+    """The GenICam features of one open camera."""
 
     def __init__(self, device: str, camera: Any) -> None:
+        # The node map is fetched for each access: a stored one would answer for an unplugged camera.
         self._device, self._camera = device, camera
 
     def has(self, feature: FeatureNames) -> bool:

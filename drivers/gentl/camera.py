@@ -39,10 +39,7 @@ GENICAM_ERRORS = (genapi.GenericException, gentl.GenericException)
 
 
 class GentlCamera(GenicamCamera):
-    """A camera that a GenTL producer lists.
-
-    An emulated bench may replace the producer by its attribute `gentl`.
-    """
+    """A camera that a GenTL producer lists; an emulated bench may be the producer by its `gentl`."""
 
     FORMATS: ClassVar = {8: ("Mono8",), 10: ("Mono10",), 12: ("Mono12", PACKED), 16: ("Mono16",)}
 

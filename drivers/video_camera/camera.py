@@ -39,7 +39,7 @@ FORMATS = {"GREY": 8, "Y10 ": 10, "Y12 ": 12, "Y14 ": 14, "Y16 ": 16}
 
 
 class VideoCamera(Camera):
-    """A camera by its device file. An emulated bench may replace the kernel by its attribute `video`."""
+    """A camera by its device file; an emulated bench may be the kernel by its attribute `video`."""
 
     _device: Any = None
 

@@ -244,18 +244,13 @@ def _waves(plan: Plan, harmonics: int, own_offsets: bool) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class _Spaces:
-    """The spaces in which frames lie under H hypotheses: orthogonal axes in the space of the K frames.
+    """The spaces in which frames lie under H hypotheses: orthogonal axes in the space of the K frames."""
 
-    axes: (H, K, R), zero rows where a frame shows something else. square: (H, R), the axes' squared
-    lengths, of which those that count are `free`. has_pattern: (H, K), frames that show a pattern.
-    freedom: (H,), the number of dimensions left to misfit.
-    """
-
-    axes: Floats
-    square: Floats
-    free: Mask
-    has_pattern: Floats
-    freedom: NDArray[np.int64]
+    axes: Floats  # (H, K, R), zero rows where a frame shows something else
+    square: Floats  # (H, R), the axes' squared lengths
+    free: Mask  # (H, R), those lengths that count
+    has_pattern: Floats  # (H, K), frames that show a pattern
+    freedom: NDArray[np.int64]  # (H,), the number of dimensions left to misfit
 
     def residual(self, moment: Floats) -> Floats:
         """Residual sum of squares of each hypothesis, (H,)."""

@@ -201,16 +201,12 @@ def _ros_transform(T_camera_projector: RigidTransform) -> dict[str, Any]:
     }
 
 
-def _write_parameters(calibration: Calibration, path: Path) -> None:
-    write_csv(path, parameter_rows(calibration))
-
-
 LAYOUTS: dict[str, tuple[tuple[str, ...], Callable[[Calibration, Path], None]]] = {
     "opencv": ((".xml", ".yml", ".json"), _write_opencv),
     "slstudio": ((".xml",), _write_slstudio),
     "matlab": ((".mat",), _write_matlab),
     "bouguet": ((".mat",), _write_bouguet),
     "ros": (("",), _write_ros),
-    "table": ((".csv",), _write_parameters),
+    "table": ((".csv",), lambda calibration, path: write_csv(path, parameter_rows(calibration))),
 }
 """Layouts by name, each with the suffixes of its files; a folder has none."""

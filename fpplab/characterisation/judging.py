@@ -211,15 +211,12 @@ class _Judged:
 
 @dataclass(frozen=True, eq=False)
 class _Prediction:
-    """Residuals (2, 2 K) in px of one pose by device, and factors of their covariance.
-
-    `own` (2, 2 K, E) is of errors of this pose, `common` (2, 2 K, n) of those of the devices.
-    """
+    """Residuals of one pose by device, and factors of their covariance."""
 
     name: str
-    residuals: Floats
-    own: Floats
-    common: Floats
+    residuals: Floats  # (2, 2 K) px
+    own: Floats  # (2, 2 K, E), of errors of this pose
+    common: Floats  # (2, 2 K, n), of errors of the devices
 
 
 def _prediction(judged: _Judged, observation: Observation) -> _Prediction:

@@ -58,19 +58,6 @@ def empty(shape: int | tuple[int, ...], dtype: DTypeLike = np.float32) -> NDArra
     return loan[:size].view(kind).reshape(shape)
 
 
-def release() -> None:
-    """Return all unused memory to the system."""
-    with _lock:
-        _returned.clear()
-        _free.clear()
-
-
-def kept_bytes() -> int:
-    """Measure the unused memory that is kept."""
-    with _lock:
-        return sum(block.nbytes for block in (*_free, *_returned))
-
-
 def _kept(size: int) -> _Block | None:
     """The smallest block that is free and large enough, unless it is far too large."""
     with _lock:

@@ -72,11 +72,6 @@ def phase_of_coordinate(coordinate: Floats, stripes: float, length: int) -> Floa
     return TWO_PI * stripes * (coordinate + 0.5) / length
 
 
-def coordinate_of_phase(phase: Floats, stripes: float, length: int) -> Floats:
-    """Convert absolute phase to projector coordinates, `u = Φ W/(2π stripes) - 0.5`."""
-    return phase * length / (TWO_PI * stripes) - 0.5
-
-
 def phase_steps(steps: int) -> Floats:
     """Compute the phase shifts `δ_n = 2π n/N`."""
     # Equal fractions n/N give identical numbers, such as 1/6 and 2/12.

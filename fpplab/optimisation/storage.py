@@ -68,9 +68,9 @@ class Journal:
                 if number == 1:
                     self._check_header(data)
                 else:
-                    self._outcomes[_candidate.validate_python(data["candidate"]), data["seed"]] = _outcome(
-                        data
-                    )
+                    failed = "failed" in data
+                    outcome = str(data["failed"]) if failed else _scores.validate_python(data["scores"])
+                    self._outcomes[_candidate.validate_python(data["candidate"]), data["seed"]] = outcome
             except (ValidationError, ValueError, KeyError, TypeError) as error:
                 reason = config.describe(error) if isinstance(error, ValidationError) else str(error)
                 raise DataError(f"{self.path} line {number}: is not a measurement ({reason})") from error
@@ -82,7 +82,3 @@ class Journal:
                     f"{self.path}: holds the measurements of a study whose '{name}' is another; name another "
                     "output, or add --force to start again"
                 )
-
-
-def _outcome(data: dict[str, Any]) -> ScoresOrReason:
-    return str(data["failed"]) if "failed" in data else _scores.validate_python(data["scores"])

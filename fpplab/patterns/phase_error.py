@@ -102,10 +102,7 @@ def _rms(error: Floats) -> float:
 
 
 class ResponseJudgement(Document):
-    """Whether a response is good enough for a plan.
-
-    Judged by the plan's finest fringe sets, from which the points are computed.
-    """
+    """Whether a response is good enough for a plan, by the points that its finest fringe sets give."""
 
     good_enough: bool
     """Whether `worst_rad` is at most `max_phase_error_rad`."""
@@ -159,7 +156,8 @@ def judge_response(response: Response, plan: Plan, size: tuple[int, int]) -> Res
     )
     rad = shown_phase_error(curve, fringe.images, plan.response)
     worst = max(shown_phase_error(end, fringe.images, plan.response) for end in ends)
-    enough = max(least_steps(end, _left_for_harmonics(hidden)) or LIMITS.max_steps + 1 for end in ends)
+    left_for_harmonics = math.sqrt(max(LIMITS.max_phase_error_rad**2 - hidden**2, 0.0))
+    enough = max(least_steps(end, left_for_harmonics) or LIMITS.max_steps + 1 for end in ends)
     corrected = max(shown_phase_error(end, fringe.images, curve) for end in ends)
     worst, corrected = float(np.hypot(worst, hidden)), float(np.hypot(corrected, hidden))
     judgement = ResponseJudgement(
@@ -179,10 +177,6 @@ def judge_response(response: Response, plan: Plan, size: tuple[int, int]) -> Res
         rounding_by_steps=table(Curve(a=1.0, b=0.0, g=1.0)),
     )
     return judgement.model_copy(update={"sentence": _sentence(judgement)})
-
-
-def _left_for_harmonics(hidden: float) -> float:
-    return float(np.sqrt(max(LIMITS.max_phase_error_rad**2 - hidden**2, 0.0)))
 
 
 def _curves_within_uncertainty(response: Response, curve: Curve) -> tuple[Curve, ...]:

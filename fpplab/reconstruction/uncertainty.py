@@ -147,14 +147,11 @@ def _invert_3x3(first: Floats, second: Floats, third: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class _Modes:
-    """Independent modes of calibration error, each with the size of one standard deviation.
-
-    changes: of `PARAMETERS` by each of n modes, (all, n); the covariance is `changes changesᵀ`.
-    """
+    """Independent modes of calibration error, each with the size of one standard deviation."""
 
     calibration: Calibration
     noise: CoordinateNoise
-    changes: Floats
+    changes: Floats  # (all, n) of `PARAMETERS` by each of n modes; the covariance is `changes changesᵀ`
 
     @classmethod
     def of(cls, calibration: Calibration, noise: CoordinateNoise) -> _Modes:

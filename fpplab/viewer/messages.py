@@ -35,11 +35,7 @@ class Message:
 
 
 class Outbox:
-    """A queue between one thread that adds and one that takes.
-
-    When it is full, the oldest droppable message is dropped, or else the oldest; with `waits` the thread that
-    adds waits instead.
-    """
+    """A queue between threads: when full it drops the oldest (droppable) message or, with `waits`, waits."""
 
     def __init__(self, max_queued: int = MAX_QUEUED, waits: bool = False) -> None:
         self.dropped = 0

@@ -46,10 +46,7 @@ Arguments = TypeVarTuple("Arguments")
 
 
 class Viewer(Generic[V]):
-    """Shows one view; starts when there is something to show, and is used in a `with` block.
-
-    No method raises; only `wait`, `wait_open` and `close` wait.
-    """
+    """Shows one view in a `with` block; no method raises, and only `wait`, `wait_open` and `close` wait."""
 
     def __init__(
         self,

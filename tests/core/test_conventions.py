@@ -11,7 +11,6 @@ from fpplab.core.conventions import (
     Axis,
     Lattice,
     axis_length,
-    coordinate_of_phase,
     full_scale,
     mirror_centres,
     phase_of_coordinate,
@@ -22,13 +21,6 @@ from fpplab.core.conventions import (
 
 STRIPES = st.floats(0.1, 500.0)
 LENGTHS = st.integers(2, 4000)
-
-
-@given(st.floats(-0.5, 4000.0), STRIPES, LENGTHS)
-def test_phase_and_coordinate_are_each_others_inverse(u: float, stripes: float, length: int) -> None:
-    phase = phase_of_coordinate(np.array([u]), stripes, length)
-    back = coordinate_of_phase(phase, stripes, length)
-    np.testing.assert_allclose(back, u, rtol=1e-12, atol=1e-12)
 
 
 @given(STRIPES, LENGTHS)
@@ -42,7 +34,6 @@ def test_a_period_in_pixels() -> None:
     np.testing.assert_allclose(
         phase_of_coordinate(np.array([3.5, 11.5]), 8, 64), [np.pi, 3 * np.pi], rtol=1e-15
     )
-    np.testing.assert_allclose(coordinate_of_phase(np.array([2 * np.pi]), 8, 64), [7.5], rtol=1e-15)
 
 
 @pytest.mark.parametrize("steps", [3, 4, 12, 37])

@@ -139,9 +139,10 @@ class Dlpc350(LightEngine):
     def _main_status(self) -> Values:
         frozen = self._registers[protocol.FREEZE.number]["on"]
         gamma = self._registers[protocol.GAMMA.number]["on"]
+        shown_s = self._started_s + self.policy.running_shown_late_s
         return {
             "parked": int(self.asleep),
-            "running": int(self.sequencer.running and self._is_shown_running()),
+            "running": int(self.sequencer.running and self.clock.now() >= shown_s),
             "frozen": frozen,
             "gamma": gamma,
         }
@@ -167,9 +168,6 @@ class Dlpc350(LightEngine):
 
     def _is_validating(self) -> bool:
         return self.clock.now() < self._validated_s
-
-    def _is_shown_running(self) -> bool:
-        return self.clock.now() >= self._started_s + self.policy.running_shown_late_s
 
     def _table_bytes(self) -> bytes:
         entries, images = self._counts()

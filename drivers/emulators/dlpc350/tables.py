@@ -18,10 +18,7 @@ POWER_ON_IMAGES = bytes([1])
 
 
 class PatternTables:
-    """The tables as they were written.
-
-    Writing entries from an address on discards all older entries from that address on.
-    """
+    """The tables as written; writing entries from an address on discards older ones from there on."""
 
     def __init__(self) -> None:
         self.patterns: RegisterContents[Values] = {}

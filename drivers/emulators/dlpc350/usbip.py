@@ -44,10 +44,7 @@ _SUBMIT, _UNLINK, _SUBMITTED, _UNLINKED = 1, 2, 3, 4
 
 
 class UsbIpConnection:
-    """The USB/IP protocol between the kernel and one plugged-in device.
-
-    Requests for reports wait here until there is one.
-    """
+    """The USB/IP protocol between the kernel and a plugged-in device; requests for reports wait for one."""
 
     def __init__(self, hid: EmulatedHid, device_end: socket.socket) -> None:
         self._socket = device_end

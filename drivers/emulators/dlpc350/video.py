@@ -65,10 +65,7 @@ class VideoReceiver(Protocol):
 
 
 class EmulatedDisplay:
-    """Stands in for `drivers.display.window.SdlDisplay`: what it shows is on the controller's video port.
-
-    While it is not open the desktop is shown, a uniform grey-level image.
-    """
+    """Stands in for `SdlDisplay` at the controller's video port; while not open, it shows an even grey."""
 
     def __init__(self, controller: VideoReceiver, vsync_s: float = 1 / 60) -> None:
         self.vsync_s = vsync_s

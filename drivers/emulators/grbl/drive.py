@@ -13,7 +13,7 @@ from drivers.emulators.grbl.settings import GrblSettings
 
 @dataclass(frozen=True)
 class Rail:
-    """The mechanics, which the controller does not know. Lengths count from the home switch, away from it."""
+    """The mechanics, unknown to the controller; lengths count from the home switch, away from it."""
 
     axis: int = 0  # the rail's axis of the machine: 0, 1 or 2
     length_mm: float = 205.0  # position of the far end stop in mm; the near one is 1 mm behind the switch

@@ -15,10 +15,7 @@ from fpplab.patterns.fringes import Pattern
 
 
 class PatternWatch:
-    """Shows one pattern after another on an open rig and takes a frame of each.
-
-    The projector keeps what it shows between frames; closing the rig makes it dark.
-    """
+    """Shows one pattern after another on an open rig, dark once that closes, and takes a frame of each."""
 
     def __init__(
         self, rig: Rig, patterns: Sequence[Pattern], settings: CameraSettings, settle_s: float

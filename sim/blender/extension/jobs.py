@@ -19,11 +19,7 @@ class JobFailedError(Exception):
 
 
 class Job:
-    """One command of fpplab, running.
-
-    Its temporary files, and those of the processes that it starts, are in a folder of its own, which `close`
-    removes.
-    """
+    """One command of fpplab, running; all temporary files are in a folder of its own, until `close`."""
 
     def __init__(self, interpreter: str, arguments: list[str]) -> None:
         self.folder = Path(tempfile.mkdtemp(prefix="fpplab-"))

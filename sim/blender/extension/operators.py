@@ -24,10 +24,7 @@ _FINISHED, _CANCELLED = {"FINISHED"}, {"CANCELLED"}
 
 
 class _CommandOperator:
-    """An operator that starts fpplab and goes on with its result; Escape cancels it.
-
-    Called from a script, or where Blender has no window, it waits for the result.
-    """
+    """An operator that runs fpplab until done or Escape is pressed, and waits where there is no window."""
 
     bl_options: ClassVar[OperatorResult] = {"REGISTER"}
     report: Any
