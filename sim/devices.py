@@ -15,7 +15,6 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
-from hashlib import blake2b
 from typing import Any
 
 import numpy as np
@@ -47,6 +46,10 @@ from sim.world import BoardItem
 DARK = "dark"
 """Pattern id of a frame taken with the projector blank."""
 
+SERIAL = "simulated"
+"""Serial number of camera and projector. As those of instruments it says nothing of the world's geometry:
+whether a calibration still holds has to be seen in the frames."""
+
 MIN_EXPOSURE_S = {
     1: 235e-6, 2: 700e-6, 3: 1570e-6, 4: 1700e-6, 5: 2000e-6, 6: 2500e-6, 7: 4500e-6, 8: 8333e-6,
 }  # fmt: skip
@@ -59,11 +62,6 @@ def _shared(bench: Any, name: str, options: dict[str, Any]) -> VirtualBench:
     if options:
         raise ConfigError(f"{name}: has no option '{next(iter(options))}'; the world file describes it")
     return bench
-
-
-def _serial(*geometry: object) -> str:
-    """A serial number that another geometry does not have: a calibration holds for one geometry alone."""
-    return f"sim-{blake2b(repr(geometry).encode(), digest_size=4).hexdigest()}"
 
 
 class SimCamera(Camera):
@@ -86,15 +84,7 @@ class SimCamera(Camera):
         """Nothing to make safe."""
 
     def _info(self) -> DeviceInfo:
-        camera = self._bench.world.camera
-        optics = (
-            camera.sensor_size,
-            camera.pixel_um,
-            camera.focal_mm,
-            camera.centre_offset_px,
-            camera.distortion,
-        )
-        return DeviceInfo("camera", f"simulated, binning {camera.binning}", _serial(*optics), "Blender")
+        return DeviceInfo("camera", "simulated", SERIAL, "Blender")
 
     def _caps(self) -> CameraCaps:
         camera = self._bench.world.camera
@@ -151,9 +141,7 @@ class SimProjector(Projector):
 
     def _info(self) -> DeviceInfo:
         projector = self._bench.world.projector
-        optics = (projector.size, projector.throw_ratio, projector.centre_px, projector.distortion)
-        serial = _serial(*optics, projector.T_camera_projector)
-        return DeviceInfo("projector", f"simulated, {projector.lattice} lattice", serial, "Blender")
+        return DeviceInfo("projector", f"simulated, {projector.lattice} lattice", SERIAL, "Blender")
 
     def _caps(self) -> ProjectorCaps:
         projector = self._bench.world.projector

@@ -99,6 +99,13 @@ class CalibrationOrigin(Origin):
     """The projector, where it is recorded."""
     file: str | None = None
     """Name of the file that it was first written to, which copies of it state too."""
+    confirmed: AwareDatetime | None = None
+    """When the last images were taken of a board that confirmed it, since it was made."""
+
+    @property
+    def verified(self) -> AwareDatetime | None:
+        """When a board last showed that it holds; None where that is not recorded."""
+        return self.confirmed or self.poses_taken
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,6 +128,8 @@ class Calibration:
         The board that it was found with, and the errors; None where they are unknown.
     origin : CalibrationOrigin, optional
         When and from which devices' images it was made; None where that is unknown.
+    doubt : str, optional
+        Why it was doubtful when it was made; None where nothing spoke against it.
     """
 
     camera: Pinhole
@@ -130,6 +139,7 @@ class Calibration:
     uncertainty: Uncertainty | None = None
     board: FittedBoard | None = None
     origin: CalibrationOrigin | None = None
+    doubt: str | None = None
 
     def __repr__(self) -> str:
         sizes = ", ".join(
@@ -435,6 +445,8 @@ class CalibrationFile(Document):
     """The board that the calibration was found with, and the errors, by which other poses are judged."""
     origin: CalibrationOrigin | None = None
     """When and from which devices' images the calibration was made, where that is known."""
+    doubt: str | None = None
+    """Why the calibration was doubtful when it was made."""
     checksum: str | None = None
     """SHA-256 of all but the origin, as fpplab wrote it; to change a number, delete this line."""
 
@@ -458,6 +470,7 @@ class CalibrationFile(Document):
             uncertainty=UncertaintyFile.of(uncertainty) if uncertainty else None,
             board=FittedBoardFile.of(calibration.board) if calibration.board else None,
             origin=calibration.origin,
+            doubt=calibration.doubt,
         )
 
     def calibration(self) -> Calibration:
@@ -465,4 +478,5 @@ class CalibrationFile(Document):
         uncertainty = self.uncertainty.uncertainty() if self.uncertainty else None
         pose, board = self.T_projector_camera.transform(), self.board.board() if self.board else None
         devices = self.camera.model(), self.projector.model()
-        return Calibration(*devices, pose, dict(self.rms_px), uncertainty, board, self.origin)
+        rms_px = dict(self.rms_px)
+        return Calibration(*devices, pose, rms_px, uncertainty, board, self.origin, self.doubt)

@@ -9,7 +9,8 @@
 share, where they share anything; `stage` and `fixture` are optional. `bits`, `gain_db` and `dead_time_s` are
 the camera's standing settings; every other key goes to the backend, which refuses what it does not know.
 `depth_mm` may state the range of distances from the camera in which everything visible lies, for plans that
-state none. A relative file name is first looked up in the rig file's folder.
+state none; `geometry: {max_age_h: 8}` for how many hours a calibration holds. A relative file name is first
+looked up in the rig file's folder.
 """
 
 from __future__ import annotations
@@ -101,6 +102,14 @@ class DepthSection(Document):
     """
 
 
+class GeometrySection(Document):
+    """The part of a rig file that says how well the rig keeps its geometry."""
+
+    max_age_h: Annotated[float, Field(gt=0, le=10_000)]
+    """For how many hours after the poses of its characterisation, or of the last board that confirmed it, a
+    calibration is taken to hold, as long as no scan contradicts it."""
+
+
 class RigFile(DepthSection):
     """Schema of a rig file."""
 
@@ -131,6 +140,9 @@ class RigFile(DepthSection):
 
     fixture: DeviceSection | None = None
     """The device that holds the measured object, if there is one."""
+
+    geometry: GeometrySection | None = None
+    """How well the rig keeps its geometry, as its owner knows it; without, no scan's geometry is verified."""
 
 
 class Rig:

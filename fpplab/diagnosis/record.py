@@ -6,7 +6,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from pydantic import field_validator
+from pydantic import AliasChoices, Field, field_validator
 
 from fpplab.core import config
 from fpplab.core.config import Document
@@ -67,8 +67,8 @@ class DiagnosisFile(Origin):
     """One sentence."""
     findings: tuple[FindingFile, ...]
     """What is wrong, the worst first."""
-    not_checked: tuple[str, ...]
-    """What could not be checked, and why."""
+    unverified: tuple[str, ...] = Field(validation_alias=AliasChoices("unverified", "not_checked"))
+    """What nothing checked, and why; version 0.1 calls it `not_checked`."""
     criteria: tuple[CriterionFile, ...] = ()
     """What the verdict was given by; older files have none."""
     limits: dict[str, dict[str, Any]] | None = None
@@ -81,7 +81,7 @@ class DiagnosisFile(Origin):
             for finding in self.findings
         )
         criteria = tuple(Criterion(**criterion.model_dump()) for criterion in self.criteria)
-        return Diagnosis(self.verdict, self.reason, findings, self.not_checked, criteria, self.limits or {})
+        return Diagnosis(self.verdict, self.reason, findings, self.unverified, criteria, self.limits or {})
 
 
 def save_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
@@ -99,7 +99,7 @@ def save_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
         verdict=diagnosis.verdict,
         reason=diagnosis.reason,
         findings=findings,
-        not_checked=tuple(diagnosis.unknown),
+        unverified=tuple(diagnosis.unknown),
         criteria=tuple(CriterionFile(**asdict(criterion)) for criterion in diagnosis.criteria),
         limits={name: dict(values) for name, values in diagnosis.changed_limits.items()} or None,
     )

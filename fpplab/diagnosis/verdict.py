@@ -16,6 +16,7 @@ from fpplab.diagnosis.criteria import CriteriaLimits, Criterion, criteria_of, le
 from fpplab.diagnosis.detection import FRAME_STAGES, find_causes
 from fpplab.diagnosis.evidence import Evidence
 from fpplab.diagnosis.finding import FaultCause, Finding
+from fpplab.diagnosis.geometry import GeometryCheck
 from fpplab.diagnosis.limits import USUAL_LIMITS, DiagnosisLimits, LimitsSection, ShareLimit
 from fpplab.diagnosis.ranking import rank_findings
 from fpplab.diagnosis.sample import FrameSample
@@ -39,7 +40,9 @@ class Verdict(StrEnum):
     """Whether to believe a result."""
 
     GOOD = "good"
-    """Nothing speaks against it."""
+    """Nothing speaks against it, and the geometry of the rig was verified within the rig's limits."""
+    UNVERIFIED = "unverified"
+    """Nothing speaks against it, but nobody verified that the rig is as it was characterised."""
     DOUBTFUL = "doubtful"
     """It is worse than the rig and the plan would allow."""
     USELESS = "useless"
@@ -64,6 +67,11 @@ class Diagnosis:
         return f"verdict: {self.verdict.value}: {self.reason}"
 
     @property
+    def is_good(self) -> bool:
+        """Whether nothing at all is in doubt."""
+        return self.verdict is Verdict.GOOD
+
+    @property
     def is_useless(self) -> bool:
         """Whether the result must not be used."""
         return self.verdict is Verdict.USELESS
@@ -81,7 +89,7 @@ class Diagnosis:
             "verdict": self.verdict.value,
             "reason": self.reason,
             "findings": [finding.summary() for finding in self.findings],
-            "not_checked": list(self.unknown),
+            "unverified": list(self.unknown),
             **criteria,
             **limits,
         }
@@ -140,27 +148,33 @@ def diagnose_scan(
     cloud: Cloud | None,
     calibration: Calibration,
     intended: Plan | None = None,
-    foreign: str | None = None,
+    geometry: GeometryCheck | None = None,
     limits: DiagnosisLimits = USUAL_LIMITS,
-    region_is_known: bool = True,
 ) -> Diagnosis:
-    """Judge a scan; `region_is_known` tells whether the images are known to show the calibration's region."""
+    """Judge a scan; without `geometry` it is not asked whether the rig is as it was characterised."""
     evidence = Evidence(
-        recording, decoded, cloud, calibration, intended=intended, foreign=foreign, limits=limits
+        recording,
+        decoded,
+        cloud,
+        calibration,
+        intended=intended,
+        foreign=geometry.other_devices if geometry else None,
+        limits=limits,
     )
     findings = rank_findings(find_causes(evidence))
     if cloud is None:
         judged = Diagnosis(Verdict.USELESS, "there are no points", findings)
     else:
         one_axis = "stale_calibration: fringes along one axis alone do not show it"
-        unplaced = _unplaced(recording, cloud, region_is_known)
+        unplaced = _unplaced(recording, cloud, geometry is None or geometry.region_is_known)
         unknown = (one_axis,) * (cloud.epipolar_px is None) + (f"region: {unplaced}",) * bool(unplaced)
+        unknown += geometry.unverified if geometry else ()
         seeing = evidence.frames.estimate_pixels_seeing_fringes(cloud)
         counted = f"{len(cloud)} points of {seeing:.0f} pixels that see the fringes"
         judged = _judge_findings(evidence.frames, (len(cloud), seeing), counted, findings, unknown)
         judged = _by_criteria(judged, criteria_of(evidence.frames, decoded, cloud))
-        if judged.verdict is Verdict.GOOD and recording.is_imported:
-            judged = replace(judged, reason=f"{judged.reason}; not checked: {unplaced}")
+        if judged.verdict is Verdict.GOOD and geometry and geometry.doubt:
+            judged = replace(judged, verdict=Verdict.UNVERIFIED, reason=f"{counted}; {geometry.reason}")
     return replace(judged, changed_limits=limits.changes())
 
 

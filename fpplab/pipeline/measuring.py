@@ -18,12 +18,12 @@ from fpplab.diagnosis.record import save_diagnosis
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded
 from fpplab.pipeline.decoding import checked_recording
+from fpplab.pipeline.geometry import geometry_check
 from fpplab.pipeline.triangulating import triangulate_recording
 from fpplab.reconstruction.triangulation import coordinate_noise
 from fpplab.reconstruction.uncertainty import with_uncertainty
 from fpplab.sessions.lock import exclusive_write
 from fpplab.sessions.log import begin_session_log
-from fpplab.sessions.origin import check_region, foreign_calibration
 from fpplab.sessions.session import Session
 
 
@@ -134,10 +134,8 @@ def _judge(
     calibration: Calibration,
     limits: DiagnosisLimits,
 ) -> Diagnosis:
-    foreign, is_placed = foreign_calibration(calibration, session), check_region(calibration, session)
-    return diagnose_scan(
-        recording, decoded, cloud, calibration, foreign=foreign, limits=limits, region_is_known=is_placed
-    )
+    geometry = geometry_check(session, decoded, cloud, calibration, limits)
+    return diagnose_scan(recording, decoded, cloud, calibration, geometry=geometry, limits=limits)
 
 
 def _with_sigmas(decoded: Decoded, cloud: Cloud, calibration: Calibration, progress: Progress) -> Cloud:

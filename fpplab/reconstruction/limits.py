@@ -56,6 +56,8 @@ class ReconstructionLimits(NamedTuple):
     """Points whose derivatives are in memory at a time: 12 MB. Chosen."""
     rigid_sample_points: int = 20_000
     """About as many evenly sampled points are used to fit the rigid motion of the cloud. Chosen."""
+    hidden_change_points: int = 1000
+    """About as many evenly sampled points tell what changes of the rig cost. Chosen: their RMS is smooth."""
 
 
 RECONSTRUCTION_LIMITS = ReconstructionLimits()

@@ -108,8 +108,8 @@ def calibration_jacobian(points: AnyPoints, calibration: Calibration, noise: Coo
     # Camera pixels and projector coordinates are held.
     # points (N, 3) mm; returns (N, 3, n)
     pose, n = calibration.T_projector_camera, len(INTRINSICS)
-    observed, by_camera = _projection_derivatives(points, calibration.camera, RigidTransform.identity())
-    projected, by_projector = _projection_derivatives(points, calibration.projector, pose)
+    observed, by_camera = projection_derivatives(points, calibration.camera, RigidTransform.identity())
+    projected, by_projector = projection_derivatives(points, calibration.projector, pose)
     seen_by_point, projected_by_point = observed[..., 3:], projected[..., 3:] @ pose.rotation
     weights = np.einsum("nij,nj->ni", projected_by_point, points) / np.square(noise)
     depth_by_point = np.einsum("ni,nij->nj", weights, projected_by_point)
@@ -128,9 +128,7 @@ def displacements_by_mode(points: AnyPoints, calibration: Calibration, noise: Co
     return _Modes.of(calibration, noise).moved(points)
 
 
-def _projection_derivatives(
-    points: AnyPoints, device: Pinhole, pose: RigidTransform
-) -> tuple[Floats, Floats]:
+def projection_derivatives(points: AnyPoints, device: Pinhole, pose: RigidTransform) -> tuple[Floats, Floats]:
     """Differentiate the projected pixels by `POSE`, (N, 2, 6), and by `INTRINSICS`, (N, 2, n)."""
     local = np.ascontiguousarray(points, np.float64)
     turn, shift = pose.rotation_vector, pose.translation

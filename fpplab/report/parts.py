@@ -19,7 +19,7 @@ class PageVerdict:
     """What a page says first: whether to believe what follows."""
 
     name: str  # of what is judged; empty where the page is about one thing only
-    level: str  # `good`, `doubtful`, `useless`, or `none` where nothing is judged
+    level: str  # `good`, `unverified`, `doubtful`, `useless`, or `none` where nothing is judged
     label: str  # the verdict in a word or two
     reason: str  # one sentence
     findings: tuple[tuple[str, str, str], ...] = ()  # cause, evidence and remedy of each, the worst first

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -25,6 +26,7 @@ __all__ = [
     "record_origin",
     "session_origin",
     "taken_at",
+    "with_confirmation",
 ]
 
 
@@ -141,3 +143,15 @@ def calibration_origin(poses: Sequence[Session]) -> CalibrationOrigin:
     }
     taken = max(ends).replace(microsecond=0) if len(ends) == len(poses) else None
     return CalibrationOrigin.now(poses_taken=taken, **agreed)
+
+
+def with_confirmation(calibration: Calibration, poses: Sequence[Session]) -> Calibration:
+    """Record in a calibration when poses of the board confirmed it."""
+    if calibration.origin is None:
+        raise CalibrationError("the calibration does not record when it was made, and cannot be confirmed")
+    ends = {pose.path: taken_at(pose) for pose in poses}
+    for path, times in ends.items():
+        if times is None:
+            raise CalibrationError(f"{path}: does not record when it was taken, and cannot confirm anything")
+    last = max(times[1] for times in ends.values() if times).replace(microsecond=0)
+    return replace(calibration, origin=calibration.origin.model_copy(update={"confirmed": last}))

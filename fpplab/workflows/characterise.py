@@ -229,6 +229,8 @@ def _save_and_report(
     else:
         diagnosis = diagnose_points(len(fitted.poses), fitted.warnings, fitted.left_out, findings)
         provenance = point_list_provenance(request.points.path, fitted.calibration, request.out)
+    if not diagnosis.is_good:
+        fitted = replace(fitted, calibration=replace(fitted.calibration, doubt=diagnosis.reason))
     for reason in fitted.left_out.values():
         observer.message(f"left out: {reason}")
     for warning in fitted.warnings:

@@ -20,6 +20,7 @@ class JudgementRequest:
     sessions: tuple[Path, ...]  # one per pose, or the folder that holds them
     page: Path | None = None  # report
     force: bool = False  # whether an existing file is replaced
+    confirm: bool = False  # whether poses that agree are recorded in the calibration
 
 
 def run_judgement(request: JudgementRequest, observer: Observer | None = None) -> JudgementResult:
@@ -30,6 +31,7 @@ def run_judgement(request: JudgementRequest, observer: Observer | None = None) -
     from fpplab.report.characterisation import write_judgement_report
     from fpplab.results.characterisation import JudgementResult
     from fpplab.results.provenance import poses_provenance
+    from fpplab.sessions.origin import with_confirmation
     from fpplab.sessions.session import recorded_sessions
 
     observer = observer or Observer()
@@ -45,4 +47,7 @@ def run_judgement(request: JudgementRequest, observer: Observer | None = None) -
     result = JudgementResult(judgement, provenance, request.page)
     if request.page:
         write_judgement_report(request.page, request.calibration.stem, result)
+    if request.confirm and not judgement.contradicted:
+        with_confirmation(calibration, sessions).save(request.calibration)
+        observer.message(f"{request.calibration}: now records that these poses confirm it")
     return result

@@ -16,11 +16,11 @@ from fpplab.core.session_names import CALIBRATION, CLOUD, DECODED, JOURNAL
 from fpplab.diagnosis import Diagnosis, diagnose_scan
 from fpplab.diagnosis.record import load_diagnosis
 from fpplab.phase import Decoded
+from fpplab.pipeline.geometry import geometry_check
 from fpplab.report.several_scans import write_scans_report
 from fpplab.results.observer import Observer
 from fpplab.results.provenance import cloud_provenance, local_time, session_provenance
 from fpplab.results.several_scans import CloudDifference, ScanRecord, ScansResult
-from fpplab.sessions.origin import foreign_calibration
 from fpplab.sessions.session import Session
 
 MAX_SCANS = 8
@@ -90,8 +90,8 @@ def _diagnosis(
     if cloud is None or calibration is None or not (session.path / DECODED).is_file():
         return None, None
     recording, decoded = session.recording(verify=False), Decoded.load(session.path / DECODED)
-    foreign = foreign_calibration(calibration, session)
-    diagnosis = diagnose_scan(recording, decoded, cloud, calibration, foreign=foreign)
+    geometry = geometry_check(session, decoded, cloud, calibration)
+    diagnosis = diagnose_scan(recording, decoded, cloud, calibration, geometry=geometry)
     return diagnosis, "for this report"
 
 

@@ -67,7 +67,7 @@ def test_a_rig_is_characterised_from_points_alone(fpplab: Command, tmp_path: Pat
     sizes = ["--camera-size", *CAMERA.size, "--projector-size", *PROJECTOR.size]
     done = fpplab(*call, *sizes, "--lattice", "diamond")
     assert done.code == 0, done.err
-    assert done.json["not_checked"] == ["how the points were located: there are no frames to check"]
+    assert done.json["unverified"] == ["how the points were located: there are no frames to check"]
     assert str(table) in done.json["provenance"]["session"]
     calibration = Calibration.load(out)
     expected = values(Calibration(CAMERA, PROJECTOR, PAIR, {}))

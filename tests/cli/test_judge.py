@@ -40,6 +40,12 @@ def test_a_calibration_is_judged(fpplab: Command, demo: Demo, later: Path, tmp_p
     assert plain.code == 0
     assert "pose_01" in plain.out
     assert "the calibration holds" in plain.out
+    copy = tmp_path / "calibration.yaml"
+    shutil.copy(demo.folder / "calibration.yaml", copy)
+    assert fpplab("characterise", "--judge", copy, later, "--confirm").code == 0
+    origin = Calibration.load(copy).origin
+    assert origin is not None
+    assert origin.confirmed is not None
 
 
 def test_a_lens_that_was_moved_since_ends_with_a_calibration_error(
@@ -73,6 +79,8 @@ def test_options_that_do_not_go_with_it_are_refused(
 def test_what_is_missing_is_named(fpplab: Command, demo: Demo, later: Path) -> None:
     done = fpplab("characterise", "--judge", demo.folder / "calibration.yaml", "--json")
     assert (done.code, "needs sessions" in done.json["error"]) == (2, True)
+    done = fpplab("characterise", later, "--confirm", "--json")
+    assert (done.code, "--confirm goes with --judge" in done.json["error"]) == (2, True)
     done = fpplab("characterise", later, "--json")
     assert done.code == 2
     assert done.json["error"].startswith("`fpplab characterise` needs --target; ")

@@ -29,7 +29,7 @@ def test_scans_side_by_side(fpplab: Command, demo: Demo, tmp_path: Path) -> None
     )
     assert done.code == 0, done.err
     assert [one["name"] for one in done.json["scans"]] == ["pyramid", "steps"]
-    assert [one["verdict"] for one in done.json["scans"]] == ["good", "good"]
+    assert [one["verdict"] for one in done.json["scans"]] == ["unverified", "unverified"]
     assert done.json["differences"][0]["pixels"] > 10_000
     whence = done.json["provenance"]["pyramid"]
     assert whence["calibration"] == "calibration.yaml"
@@ -61,7 +61,7 @@ def test_a_comparison_has_a_page(fpplab: Command, demo: Demo, tmp_path: Path) ->
 def test_the_demonstrations_page_is_small_enough_to_mail(demo: Demo) -> None:
     page = Path(demo.answer["report"])
     assert page.stat().st_size < 6e6
-    assert page.read_text(encoding="utf-8").count('class="verdict good"') == 3
+    assert page.read_text(encoding="utf-8").count('class="verdict unverified"') == 3
 
 
 def test_wrong_use_of_report_is_told(fpplab: Command, tmp_path: Path) -> None:

@@ -30,13 +30,13 @@ def reconstructed(fpplab: Command, bench: Bench, folder: Path, *options: str | P
 
 
 @pytest.mark.whole
-def test_a_good_session_is_good(fpplab: Command, tmp_path: Path) -> None:
+def test_a_session_that_records_no_devices_is_unverified(fpplab: Command, tmp_path: Path) -> None:
     done = reconstructed(fpplab, healthy(101), tmp_path)
     assert done.code == 0, done.err
-    assert done.json["verdict"] == "good"
+    assert done.json["verdict"] == "unverified"
     assert done.json["findings"] == []
     assert (tmp_path / "cloud.ply").is_file()
-    assert 'class="verdict good"' in (tmp_path / "cloud.html").read_text()
+    assert 'class="verdict unverified"' in (tmp_path / "cloud.html").read_text()
 
 
 def test_a_useless_result_is_not_written(fpplab: Command, tmp_path: Path) -> None:

@@ -152,7 +152,7 @@ def test_the_command_says_the_verdict_first(tmp_path: Path) -> None:
     done = run(*words, "--out", tmp_path / "verify.html", "--json")
     assert done.exit_code == 0
     answer = json.loads(done.stdout)
-    assert list(answer)[:4] == ["verdict", "reason", "findings", "not_checked"]
+    assert list(answer)[:4] == ["verdict", "reason", "findings", "unverified"]
     assert answer["verdict"] == "doubtful"
     first = next(line for line in done.stderr.splitlines() if not line.endswith("…"))
     assert first.startswith("verdict: doubtful: few_positions")

@@ -34,6 +34,7 @@ from fpplab.diagnosis.causes.underexposed import UNDEREXPOSED
 from fpplab.diagnosis.causes.undersampled import UNDERSAMPLED
 from fpplab.diagnosis.causes.vibration import VIBRATION
 from fpplab.diagnosis.causes.wrong_axis import WRONG_AXIS
+from fpplab.diagnosis.geometry import GeometryCheck
 from fpplab.diagnosis.limits import USUAL_LIMITS, DiagnosisLimits
 from fpplab.diagnosis.points import triangulation_angles_deg
 from fpplab.patterns.fringe_sets import Sinusoid
@@ -218,7 +219,9 @@ def test_devices_of_another_calibration_make_a_scan_doubtful() -> None:
     decoded, cloud, good = measured(Bench())
     assert good.verdict is Verdict.GOOD
     how = "the camera is acA, serial 2, but the calibration was made with acA, serial 1"
-    found = diagnose_scan(Bench().recording(), decoded, cloud, Bench().rig(), foreign=how)
+    found = diagnose_scan(
+        Bench().recording(), decoded, cloud, Bench().rig(), geometry=GeometryCheck(None, other_devices=how)
+    )
     assert found.verdict is Verdict.DOUBTFUL
     assert found.reason == f"stale_calibration: {how}"
     assert "give the calibration of these devices" in found.findings[0].remedy

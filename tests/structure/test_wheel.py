@@ -219,6 +219,6 @@ def test_captures_are_characterised_and_reconstructed(
     skull = tmp_path / "skull"
     fpplab("import", captures / "skull_2x3", "--plan", "plan_slstudio_skull", *named, skull)
     answer = fpplab("reconstruct", skull, "--calibration", calibration, "--out", skull / "cloud.ply")
-    assert answer["verdict"] == "good"
+    assert answer["verdict"] == "unverified"
     assert answer["points"] > 380_000
     assert (skull / "cloud.html").is_file()

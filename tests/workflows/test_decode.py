@@ -42,7 +42,7 @@ def test_maps_without_fault_are_good(tmp_path: Path) -> None:
     summary = result.summary()
     assert (summary["verdict"], summary["findings"]) == ("good", [])
     assert summary["valid"] == SIZE[0] * SIZE[1]
-    assert summary["not_checked"][0].startswith("geometry")
+    assert summary["unverified"][0].startswith("geometry")
     assert {one["name"] for one in summary["criteria"]} >= {"points", "contrast", "waves", "wrong_order_risk"}
     assert (tmp_path / "maps.npz").is_file()
 

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from fpplab.characterisation import Judgement
     from fpplab.characterisation.point_lists import PointListSource
     from fpplab.core.depth import DepthInterval
+    from fpplab.workflows.judge import JudgementRequest
 
 
 class ModelName(StrEnum):
@@ -96,6 +97,10 @@ def characterise_command(
             "--judge", help="Calibration to judge by the sessions, poses that it was not fitted to."
         ),
     ] = None,
+    confirm: Annotated[
+        bool,
+        typer.Option("--confirm", help="With --judge: record in the calibration that the poses confirm it."),
+    ] = False,
     guide: Annotated[
         bool,
         typer.Option(
@@ -138,7 +143,8 @@ def characterise_command(
     centre of a device's first pixel is 0 0; programs that count from 1 need 1 taken off.
 
     With `--judge` only the position of the board is fitted: the errors in these poses are compared with
-    those that the calibration predicts. The exit code is 5 where they contradict it.
+    those that the calibration predicts. The exit code is 5 where they contradict it. Otherwise `--confirm`
+    records when, from which the rig file's `geometry: {max_age_h: ...}` counts.
 
     Examples: `fpplab characterise poses/ --target target_paper --out calibration.yaml`;
     `fpplab characterise --rig rig_demo --target target_paper --out calibration.yaml`;
@@ -148,9 +154,14 @@ def characterise_command(
     `fpplab characterise --judge calibration.yaml later_poses/`
     """
     if judged:
+        from fpplab.workflows.judge import JudgementRequest
+
         unused: dict[str, object] = {"--rig": rig, "--target": target, "--points": points}
-        _judge(judged, sessions or [], out, force, json, unused)
+        page = out.with_suffix(".html") if out else None
+        _judge(JudgementRequest(judged, tuple(sessions or ()), page, force, confirm), json, unused)
         return
+    if confirm:
+        raise ConfigError("--confirm goes with --judge CALIBRATION, and the poses that confirm it")
     from fpplab.characterisation import DistortionModel
     from fpplab.characterisation.limits import CharacterisationLimits
     from fpplab.cli.usage import missing_or_misplaced
@@ -226,21 +237,18 @@ def point_list_source(
     return PointListSource(points, camera_size, projector_size, lattice or Lattice.SQUARE)
 
 
-def _judge(
-    path: Path, paths: list[Path], out: Path | None, force: bool, json: bool, unused: dict[str, object]
-) -> None:
+def _judge(request: JudgementRequest, json: bool, unused: dict[str, object]) -> None:
     """Judge a calibration by sessions of poses that it was not fitted to."""
-    from fpplab.workflows.judge import JudgementRequest, run_judgement
+    from fpplab.workflows.judge import run_judgement
 
     for option, value in unused.items():
         if value is not None:
             raise ConfigError(
                 f"{option} does not go with --judge, which takes recorded sessions of its board"
             )
-    if not paths:
+    if not request.sessions:
         raise ConfigError("--judge needs sessions, one per pose, or the folder that holds them")
-    page = out.with_suffix(".html") if out else None
-    result = run_judgement(JudgementRequest(path, tuple(paths), page, force), ConsoleObserver())
+    result = run_judgement(request, ConsoleObserver())
     console.print_result(result.summary(), json, lambda: _show_judgement(result.judgement))
     if result.judgement.contradicted:
         raise console.CommandExit(CalibrationError.exit_code)

@@ -79,7 +79,7 @@ class RigCheck:
         return {
             "ok": not self.findings,
             "findings": [finding.summary() for finding in self.findings],
-            "not_checked": list(self.unknown),
+            "unverified": list(self.unknown),
             "settle_s": self.settle_s,
             "timing": asdict(self.timing) if self.timing else None,
             "shown": self.shown.tolist(),

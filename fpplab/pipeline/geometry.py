@@ -1,0 +1,66 @@
+"""Whether the rig is known to have been as it was characterised when a scan was taken."""
+
+from __future__ import annotations
+
+from datetime import timedelta
+
+import numpy as np
+
+from fpplab.calibration.model import Calibration
+from fpplab.clouds import Cloud
+from fpplab.devices.rig import GeometrySection
+from fpplab.diagnosis.causes.stale_calibration import StaleCalibrationLimits
+from fpplab.diagnosis.geometry import GeometryCheck
+from fpplab.diagnosis.limits import USUAL_LIMITS, DiagnosisLimits
+from fpplab.phase import Decoded
+from fpplab.reconstruction.hidden_changes import hidden_changes
+from fpplab.reconstruction.triangulation import coordinate_noise
+from fpplab.sessions.origin import check_region, foreign_calibration, taken_at
+from fpplab.sessions.session import Session
+
+SHOWN_CHANGES = 5
+"""Kinds of changes that are listed, those that cost most. Chosen."""
+
+
+def geometry_check(
+    session: Session,
+    decoded: Decoded,
+    cloud: Cloud,
+    calibration: Calibration,
+    limits: DiagnosisLimits = USUAL_LIMITS,
+) -> GeometryCheck:
+    """Collect what speaks for and against the calibration's being that of the rig at this scan."""
+    doubt = why_unverified(session, calibration)
+    hidden: tuple[tuple[str, float], ...] = ()
+    if doubt is not None:
+        noticed_px = limits.of(StaleCalibrationLimits).max_epipolar_px
+        changes = hidden_changes(cloud, calibration, coordinate_noise(decoded), noticed_px)
+        sigma_mm = cloud.sigma_calibration_mm
+        stated_um = 0.0 if sigma_mm is None else 1e3 * float(np.median(sigma_mm))
+        costs = [(change.meaning, change.displacement_um) for change in changes[:SHOWN_CHANGES]]
+        hidden = tuple((what, um) for what, um in costs if um > stated_um)
+    return GeometryCheck(
+        doubt, hidden, foreign_calibration(calibration, session), check_region(calibration, session)
+    )
+
+
+def why_unverified(session: Session, calibration: Calibration) -> str | None:
+    """Say why the rig's geometry is not verified at a scan; None where it is, within the rig's limits."""
+    if calibration.doubt is not None:
+        return f"the calibration itself was doubtful when it was made ({calibration.doubt})"
+    times, origin = taken_at(session), calibration.origin
+    verified = origin.verified if origin else None
+    if times is None:
+        return "nothing records when and with which devices the images were taken"
+    if verified is None:
+        return "nothing records when the poses of the calibration were taken"
+    stated = (session.rig() or {}).get("geometry")
+    if stated is None:
+        return "the rig file does not state for how long the rig keeps its geometry"
+    max_age_h = GeometrySection.model_validate(stated).max_age_h
+    apart_h = max(abs(time - verified) for time in times) / timedelta(hours=1)
+    if apart_h > max_age_h:
+        return (
+            f"the board that last showed it and the scan are {apart_h:.1f} h apart (at most {max_age_h:g} h)"
+        )
+    return None

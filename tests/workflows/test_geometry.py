@@ -1,0 +1,79 @@
+"""When a scan's geometry counts as verified: by a board's age, and by what the rig's owner states."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fpplab.calibration.model import Calibration, CalibrationOrigin
+from fpplab.core.errors import CalibrationError
+from fpplab.devices import CameraSettings, Frame
+from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.plan import Plan
+from fpplab.pipeline.geometry import why_unverified
+from fpplab.sessions.origin import with_confirmation
+from fpplab.sessions.session import Session
+from tests.reconstruction.test_triangulation import CALIBRATION
+
+SCAN = datetime(2026, 3, 1, 12, tzinfo=UTC)
+PLAN = Plan(fringes=(Sinusoid(axis="x", stripes=1.0, steps=3),))
+RIG: dict[str, Any] = {"name": "bench", "geometry": {"max_age_h": 8.0}}
+
+
+def session_of(folder: Path, rig: dict[str, Any] | None = RIG, taken: datetime = SCAN) -> Session:
+    session = Session.create(folder, PLAN, rig or {})
+    for index, (_, _, pattern) in enumerate(PLAN.steps()):
+        image = np.zeros((12, 16), np.uint8)
+        frame = Frame(image, index, CameraSettings(0.02, 0.0, 8), taken.timestamp(), pattern_id=pattern)
+        session.write(frame)
+    return session
+
+
+def calibration_of(hours_before: float | None, doubt: str | None = None) -> Calibration:
+    taken = None if hours_before is None else SCAN - timedelta(hours=hours_before)
+    origin = CalibrationOrigin.now(poses_taken=taken)
+    made: Calibration = replace(CALIBRATION, origin=origin, doubt=doubt)
+    return made
+
+
+@pytest.mark.parametrize("hours", [0.0, 7.9, -7.9])
+def test_a_board_within_the_stated_hours_verifies(tmp_path: Path, hours: float) -> None:
+    assert why_unverified(session_of(tmp_path / "s"), calibration_of(hours)) is None
+
+
+@pytest.mark.parametrize(
+    ("rig", "calibration", "reason"),
+    [
+        (RIG, calibration_of(8.1), "8.1 h apart (at most 8 h)"),
+        (RIG, calibration_of(None), "nothing records when the poses of the calibration were taken"),
+        (RIG, CALIBRATION, "nothing records when the poses of the calibration were taken"),
+        (
+            RIG,
+            calibration_of(1.0, "the lens was loose"),
+            "was doubtful when it was made (the lens was loose)",
+        ),
+        ({"name": "bench"}, calibration_of(1.0), "does not state for how long"),
+        (None, calibration_of(1.0), "nothing records when and with which devices"),
+    ],
+)
+def test_what_verifies_nothing_says_why(
+    tmp_path: Path, rig: dict[str, Any] | None, calibration: Calibration, reason: str
+) -> None:
+    assert reason in (why_unverified(session_of(tmp_path / "s", rig), calibration) or "verified")
+
+
+def test_a_pose_that_confirms_counts_from_when_it_was_taken(tmp_path: Path) -> None:
+    session, old = session_of(tmp_path / "scan"), calibration_of(100.0)
+    pose = session_of(tmp_path / "pose", taken=SCAN - timedelta(hours=2))
+    confirmed = with_confirmation(old, [pose])
+    confirmed.save(tmp_path / "calibration.yaml")
+    assert why_unverified(session, Calibration.load(tmp_path / "calibration.yaml")) is None
+    with pytest.raises(CalibrationError, match="does not record when it was taken"):
+        with_confirmation(old, [pose, session_of(tmp_path / "imported", None)])
+    with pytest.raises(CalibrationError, match="does not record when it was made"):
+        with_confirmation(CALIBRATION, [pose])
