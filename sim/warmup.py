@@ -1,8 +1,8 @@
 """`python -m sim.warmup`: compile the kernels once, so that no measurement waits for it.
 
-A small plane is encoded, decoded, triangulated and compared, a board is found, and a measurement is
-predicted; numba keeps what it compiled next to the sources. The set-up runs this, and after a change of the
-sources the next measurement does.
+A small plane is encoded, decoded, triangulated and compared, a board is found, the twin sees its board, and a
+measurement is predicted; numba keeps what it compiled next to the sources. The set-up runs this, and after a
+change of the sources the next measurement does.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from fpplab.comparison import compare
 from fpplab.core.conventions import (
     Floats,
     Image,
+    Lattice,
     axis_length,
     full_scale,
     phase_of_coordinate,
@@ -25,11 +26,13 @@ from fpplab.core.conventions import (
 )
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.devices.rig import Rig
+from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode
 from fpplab.reconstruction.points import points_of
 from fpplab.targets import Target
+from sim.bench import VirtualBench
 from sim.prediction import predict
 
 DISTANCE_MM = 400.0
@@ -87,6 +90,10 @@ def warm_up() -> int:
     observe_board()
     with Rig.load("rig_matched") as twin:
         predict(twin, plan, "pyramid", pixels=2000)
+        assert isinstance(twin.simulation, VirtualBench)
+        patterns = make_patterns(plan, rig.projector.size, Lattice.SQUARE)[:1]
+        pixels = np.arange(2), np.arange(2)
+        twin.simulation.twin("board").expected_at(0, patterns, twin.camera_settings(0.02), pixels)
     return len(cloud)
 
 

@@ -11,11 +11,13 @@ import signal
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, BinaryIO
 
 import pytest
 from hypothesis import settings
 
+from fpplab.core import foreign
+from fpplab.core.files import open_regular
 from tests.support.commands import ROOT, Command, Demo, ready_program, run
 
 if TYPE_CHECKING:
@@ -113,6 +115,21 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Demo:
             assert done.code == 0, done.err
             answer.write_text(done.out)
     return Demo(folder, json.loads(answer.read_text()))
+
+
+@pytest.fixture
+def foreign_files_read_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Foreign parsers run in this process, not in one of their own (tests/core/test_foreign.py has that)."""
+
+    def read_here(kind: str, path: Path, opened: BinaryIO | None = None) -> foreign.Parts:
+        with opened or open_regular(path) as stream:
+            read = foreign._read(kind, stream)
+        if isinstance(read, str):
+            raise ValueError(read)
+        return read
+
+    for reader in ("fpplab.clouds.files", "fpplab.calibration.dialects", "fpplab.phase.phase_maps"):
+        monkeypatch.setattr(f"{reader}.read_apart", read_here)
 
 
 @pytest.fixture(scope="session")

@@ -12,6 +12,8 @@ import trimesh
 from fpplab.artefacts import load_part
 from fpplab.core.errors import ConfigError
 
+pytestmark = pytest.mark.usefixtures("foreign_files_read_here")
+
 BOX = trimesh.creation.box((20.0, 30.0, 40.0))
 
 

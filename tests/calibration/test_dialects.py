@@ -22,6 +22,8 @@ from fpplab.core.errors import ConfigError
 from tests.calibration.examples import calibration
 from tests.calibration.test_interchange import write
 
+pytestmark = pytest.mark.usefixtures("foreign_files_read_here")
+
 KNOWN = calibration()
 POSE = KNOWN.T_projector_camera
 K1, K2 = KNOWN.camera.matrix, KNOWN.projector.matrix

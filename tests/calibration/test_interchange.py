@@ -22,6 +22,8 @@ from fpplab.core.conventions import Floats, Lattice
 from fpplab.core.errors import ConfigError
 from fpplab.core.geometry import Pinhole, RigidTransform
 
+pytestmark = pytest.mark.usefixtures("foreign_files_read_here")
+
 K1 = np.array([[3645.1, 0, 683.5], [0, 3640.7, 455.25], [0, 0, 1]])
 K2 = np.array([[1094.4, 0, 455.5], [0, 2188.8, 1110.0], [0, 0, 1]])
 D1 = np.array([[-0.12, 0.2, 1e-3, -8e-4, 0.05]])
@@ -336,18 +338,3 @@ def test_outputs_are_named_for_what_they_hold_and_never_overwritten(tmp_path: Pa
         refused = run(*words).exception
         assert isinstance(refused, ConfigError)
         assert sentence in str(refused)
-
-
-@pytest.mark.parametrize(
-    ("suffix", "text"),
-    [
-        ("xml", '<?xml version="1.0"?><opencv_storage>' + "<a>" * 100_000 + "1" + "</a>" * 100_000),
-        ("yaml", "%YAML:1.0\n---\nM1: " + "[" * 100_000 + "]" * 100_000 + "\n"),
-        ("yaml", "%YAML:1.0\n---\nM1: " + "- " * 100_000 + "1\n"),
-    ],
-)
-def test_nesting_that_ends_opencv_is_refused(suffix: str, text: str, tmp_path: Path) -> None:
-    path = tmp_path / f"deep.{suffix}"
-    path.write_text(text, encoding="utf-8")
-    with pytest.raises(ConfigError, match=r"not readable as a file of OpenCV"):
-        import_calibration([path])

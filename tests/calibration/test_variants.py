@@ -20,6 +20,8 @@ from fpplab.core.errors import ConfigError
 from fpplab.core.geometry import RigidTransform
 from tests.calibration.examples import POLYNOMIAL, RATIONAL, calibration
 
+pytestmark = pytest.mark.usefixtures("foreign_files_read_here")
+
 POINTS = np.array([[10.0, -5.0, 450.0], [-40.0, 30.0, 500.0], [80.0, 55.0, 390.0]])
 
 

@@ -15,6 +15,8 @@ from fpplab.clouds import Cloud, load_mesh, save_cloud
 from fpplab.comparison.units import check_units
 from fpplab.core.errors import ConfigError, DataError
 
+pytestmark = pytest.mark.usefixtures("foreign_files_read_here")
+
 CORNERS = np.array(
     [[0, 0, 0], [30, 0, 0], [30, 20, 0], [0, 20, 0], [5, 4, 6], [22, 3, 6], [24, 14, 5], [6, 15, 7]], float
 )

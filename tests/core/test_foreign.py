@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 import trimesh
 
+from fpplab.calibration.interchange import import_calibration
 from fpplab.clouds import load_mesh
 from fpplab.core import foreign
-from fpplab.core.errors import DataError
+from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.foreign import read_apart
 
 
@@ -39,6 +40,21 @@ def test_what_nests_without_end_ends_the_reader_alone(tmp_path: Path) -> None:
     path.write_text("%YAML:1.0\n---\nA: " + "[" * 100_000)
     with pytest.raises(ValueError, match=r"its reader fails on it|OpenCV refuses it"):
         read_apart("opencv", path)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "text"),
+    [
+        ("xml", '<?xml version="1.0"?><opencv_storage>' + "<a>" * 100_000 + "1" + "</a>" * 100_000),
+        ("yaml", "%YAML:1.0\n---\nM1: " + "[" * 100_000 + "]" * 100_000 + "\n"),
+        ("yaml", "%YAML:1.0\n---\nM1: " + "- " * 100_000 + "1\n"),
+    ],
+)
+def test_nesting_that_ends_opencv_is_refused(suffix: str, text: str, tmp_path: Path) -> None:
+    path = tmp_path / f"deep.{suffix}"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"not readable as a file of OpenCV"):
+        import_calibration([path])
 
 
 @pytest.mark.whole
