@@ -165,15 +165,26 @@ def model_of(
 
 
 def _name_poses_with_motion(observations: Sequence[Observation], fit: Fit, model: Model) -> tuple[str, ...]:
-    """Name the poses in which the board moved, by more than noise and the other poses explain."""
+    """Name the poses that are off as a whole by more than noise and the other poses explain, and why."""
     if not model.refined or len(observations) <= MIN_POSES:
         return ()
     shifts = motions_in_poses(observations, fit[0], model, fit[1])
     return tuple(
-        f"{o.name}: the projector's coordinates of the whole board are off by {shift.shift_px:.2f} px, as if "
-        "the board had moved while this pose was taken; hold it still, and take the pose again"
+        f"{o.name}: the projector's coordinates of the whole board are off by {shift.shift_px:.2f} px, "
+        + _reason_of(o, shift.shift_px)
         for o, shift in zip(observations, shifts, strict=True)
         if shift.chance < model.limits.max_chance / len(observations)
+    )
+
+
+def _reason_of(observation: Observation, shift_px: float) -> str:
+    """Blame the board only where its images do not show that it stood still."""
+    moved_px = observation.board_shift_px
+    if moved_px is None or moved_px * observation.projector_px_per_px > 0.5 * shift_px:
+        return "as if the board had moved while this pose was taken; hold it still, and take the pose again"
+    return (
+        f"although the board stood still ({moved_px:.3f} px in the camera's image from the first fringe set "
+        "to the last)"
     )
 
 

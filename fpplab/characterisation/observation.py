@@ -37,6 +37,12 @@ class Observation:
     camera_px: Floats  # (K, 2) image coordinates (u, v) in px
     projector_px: Floats  # (K, 2) projector coordinates (u, v) in px
     repaired: float = 0.0  # share of the pixels used whose fringe order was corrected
+    board_shift_px: float | None = None  # of the board in the camera's image from the first set to the last
+
+    @property
+    def projector_px_per_px(self) -> float:
+        """How many projector px one camera px covers on the board."""
+        return float(np.linalg.norm(np.std(self.projector_px, axis=0) / np.std(self.camera_px, axis=0)))
 
 
 def finest_periods(plan: Plan, projector_size: tuple[int, int]) -> tuple[float, float]:

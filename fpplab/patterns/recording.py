@@ -115,15 +115,21 @@ class Recording:
         index = self.plan.finest_set(axis)
         return self.plan.fringes[index], self.of_set(index)
 
-    def mean_image(self) -> NDArray[np.uint8]:
-        """Give the scene under even light: the mean of the finest set's frames, which is its offset.
+    def mean_image(self, index: int | None = None) -> NDArray[np.uint8]:
+        """Give the scene under even light: the mean of a fringe set's frames, which is its offset.
+
+        Parameters
+        ----------
+        index : int, optional
+            Of the set, also from the end; by default the finest.
 
         Returns
         -------
         ndarray of uint8, (height, width)
             8-bit grey levels.
         """
-        _, frames = self.finest()
+        sets = range(len(self.plan.fringes))
+        frames = self.finest()[1] if index is None else self.of_set(sets[index])
         height, width = frames[0].shape
         mean, divisor = buffers.empty((height, width), np.uint8), np.float32(len(frames) / self.grey)
 

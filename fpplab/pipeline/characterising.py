@@ -20,6 +20,7 @@ from fpplab.characterisation import (
     observe,
 )
 from fpplab.characterisation.limits import USUAL_LIMITS, CharacterisationLimits
+from fpplab.characterisation.still_board import board_shift_px
 from fpplab.core import config
 from fpplab.core.errors import CalibrationError
 from fpplab.core.progress import Progress, no_progress
@@ -139,4 +140,6 @@ def observe_session(
     name, recording = session.path.name, session.recording()
     if fault := fault_in_step(recording):
         raise CalibrationError(f"{name}: {fault}; take this pose again")
-    return observe(name, recording.mean_image(), decode(recording), target, periods, limits)
+    observed = observe(name, recording.mean_image(), decode(recording), target, periods, limits)
+    shift_px = board_shift_px(recording.mean_image(0), recording.mean_image(-1), observed.camera_px)
+    return replace(observed, board_shift_px=shift_px)
