@@ -4,19 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-WAY_OUT = (
-    "let a new pose of the board confirm the calibration ('fpplab characterise --judge CALIBRATION POSE "
-    "--confirm'), and state in the rig file for how many hours the rig keeps its geometry ('geometry: "
-    "{max_age_h: 8}')"
-)
-"""What settles it."""
+
+@dataclass(frozen=True)
+class GeometryDoubt:
+    """Why nobody verified the rig's geometry."""
+
+    reason: str  # as a clause
+    remedy: str  # what settles it
+    detail: str = ""  # what stands behind the reason
 
 
 @dataclass(frozen=True)
 class GeometryCheck:
     """What is known of the rig's geometry at a scan, beyond what the points show."""
 
-    doubt: str | None  # why nobody verified it; None where it was verified within the rig's limits
+    doubt: GeometryDoubt | None  # None where it was verified within the rig's limits
     hidden: tuple[tuple[str, float], ...] = ()  # what the scan would not show, with its cost in µm
     other_devices: str | None = None  # how these devices are not those of the calibration
     region_is_known: bool = (
@@ -24,15 +26,10 @@ class GeometryCheck:
     )
 
     @property
-    def reason(self) -> str:
-        """Why the points are unverified, and what settles it."""
-        example = f" ({self.unverified[0]})" if self.unverified else ""
-        return f"nothing verified that the rig is as it was characterised{example}: {self.doubt}; {WAY_OUT}"
-
-    @property
     def unverified(self) -> tuple[str, ...]:
         """What nothing checked."""
-        return tuple(f"with {what}, points would be {_size(um)} off" for what, um in self.hidden)
+        details = (self.doubt.detail,) if self.doubt and self.doubt.detail else ()
+        return (*details, *(f"{what} (points {_size(um)} off)" for what, um in self.hidden))
 
 
 def _size(um: float) -> str:

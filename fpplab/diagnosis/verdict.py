@@ -174,7 +174,8 @@ def diagnose_scan(
         judged = _judge_findings(evidence.frames, (len(cloud), seeing), counted, findings, unknown)
         judged = _by_criteria(judged, criteria_of(evidence.frames, decoded, cloud))
         if judged.verdict is Verdict.GOOD and geometry and geometry.doubt:
-            judged = replace(judged, verdict=Verdict.UNVERIFIED, reason=f"{counted}; {geometry.reason}")
+            reason = f"{counted}; geometry not verified: {geometry.doubt.reason}; {geometry.doubt.remedy}"
+            judged = replace(judged, verdict=Verdict.UNVERIFIED, reason=reason)
     return replace(judged, changed_limits=limits.changes())
 
 

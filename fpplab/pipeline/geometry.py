@@ -10,13 +10,16 @@ from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
 from fpplab.devices.rig import GeometrySection
 from fpplab.diagnosis.causes.stale_calibration import StaleCalibrationLimits
-from fpplab.diagnosis.geometry import GeometryCheck
+from fpplab.diagnosis.geometry import GeometryCheck, GeometryDoubt
 from fpplab.diagnosis.limits import USUAL_LIMITS, DiagnosisLimits
 from fpplab.phase import Decoded
 from fpplab.reconstruction.hidden_changes import hidden_changes
 from fpplab.reconstruction.triangulation import coordinate_noise
 from fpplab.sessions.origin import check_region, foreign_calibration, taken_at
 from fpplab.sessions.session import Session
+
+CONFIRM = "take a pose of the board, and 'fpplab characterise --judge CALIBRATION POSE --confirm'"
+"""What settles an old calibration."""
 
 SHOWN_CHANGES = 5
 """Kinds of changes that are listed, those that cost most. Chosen."""
@@ -44,23 +47,29 @@ def geometry_check(
     )
 
 
-def why_unverified(session: Session, calibration: Calibration) -> str | None:
+def why_unverified(session: Session, calibration: Calibration) -> GeometryDoubt | None:
     """Say why the rig's geometry is not verified at a scan; None where it is, within the rig's limits."""
     if calibration.doubt is not None:
-        return f"the calibration itself was doubtful when it was made ({calibration.doubt})"
+        detail = f"the calibration: {calibration.doubt}"
+        return GeometryDoubt("the calibration was doubtful when it was made", "characterise again", detail)
     times, origin = taken_at(session), calibration.origin
     verified = origin.verified if origin else None
     if times is None:
-        return "nothing records when and with which devices the images were taken"
+        return GeometryDoubt(
+            "nothing records when and with which devices the images were taken",
+            "measure a part of known shape on the same rig, and compare it",
+        )
     if verified is None:
-        return "nothing records when the poses of the calibration were taken"
+        return GeometryDoubt("nothing records when the poses of the calibration were taken", CONFIRM)
     stated = (session.rig() or {}).get("geometry")
     if stated is None:
-        return "the rig file does not state for how long the rig keeps its geometry"
+        return GeometryDoubt(
+            "the rig file does not state for how long the rig keeps it",
+            "add for how many hours it does, such as 'geometry: {max_age_h: 8}'",
+        )
     max_age_h = GeometrySection.model_validate(stated).max_age_h
     apart_h = max(abs(time - verified) for time in times) / timedelta(hours=1)
-    if apart_h > max_age_h:
-        return (
-            f"the board that last showed it and the scan are {apart_h:.1f} h apart (at most {max_age_h:g} h)"
-        )
-    return None
+    if apart_h <= max_age_h:
+        return None
+    reason = f"a board last showed it {apart_h:.1f} h from the scan (at most {max_age_h:g} h)"
+    return GeometryDoubt(reason, CONFIRM)
