@@ -22,22 +22,10 @@ class Clock(Protocol):
     """Source of time for drivers and emulators, in seconds from an arbitrary origin."""
 
     def now(self) -> float:
-        """Return the current time.
-
-        Returns
-        -------
-        float
-            Seconds from the clock's origin; never decreases.
-        """
+        """Seconds from the clock's origin, which never decrease."""
 
     def sleep(self, seconds: float) -> None:
-        """Block until the given time has passed on this clock.
-
-        Parameters
-        ----------
-        seconds : float
-            How long to wait, in s.
-        """
+        """Block until so many seconds have passed on this clock."""
 
 
 class RealClock:

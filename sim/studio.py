@@ -78,13 +78,7 @@ class WorldHolder(Protocol):
     """Pictures of the world in use."""
 
     def replace_world(self, world: World) -> None:
-        """Go on with another world; called once for every scene.
-
-        Parameters
-        ----------
-        world : World
-            With the scene's item, materials and light.
-        """
+        """Go on with another world; called once for every scene."""
 
 
 class SimStudio:

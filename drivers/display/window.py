@@ -43,18 +43,7 @@ class Display(Protocol):
         """Open the display and show black, or raise `DeviceError` when that is not possible."""
 
     def show(self, frame: VideoFrame) -> None:
-        """Show one frame, which stays until the next; return when it is certainly transmitted.
-
-        Parameters
-        ----------
-        frame : ndarray
-            uint8 (height, width, 3): red, green, blue.
-
-        Raises
-        ------
-        DeviceError
-            The frame cannot be shown.
-        """
+        """Show a frame (height, width, 3) of red, green, blue; return when it is transmitted."""
 
     def close(self) -> None:
         """Close the display; may be called at any time, any number of times."""

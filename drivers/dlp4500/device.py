@@ -147,62 +147,22 @@ class Storage(Protocol):
         """Images that carry the loaded patterns, and the time that they need."""
 
     def open(self, board: Controller) -> None:
-        """Prepare the source and enter pattern mode; the projector is dark before and after.
-
-        Parameters
-        ----------
-        board : Controller
-            The projector's controller.
-        """
+        """Prepare the source and enter pattern mode; the projector is dark before and after."""
 
     def close(self) -> None:
         """Release the source; may be called at any time, any number of times."""
 
     def load(self, board: Controller, patterns: Sequence[Pattern]) -> None:
-        """Take the patterns to show, or refuse them and keep the previous ones.
-
-        Parameters
-        ----------
-        board : Controller
-            The projector's controller.
-        patterns : sequence of Pattern
-            Patterns with the grey levels that the mirrors show.
-        """
+        """Take the patterns, as the mirrors show them, or refuse them and keep the previous ones."""
 
     def show(self, board: Controller, i: int) -> None:
-        """Show one pattern until the next command.
-
-        Parameters
-        ----------
-        board : Controller
-            The projector's controller.
-        i : int
-            Index of the pattern.
-        """
+        """Show one pattern until the next command."""
 
     def play(self, board: Controller, exposure_us: int, dark_us: int, period_us: int) -> None:
-        """Show all patterns once; may return once that has begun or after it has ended.
-
-        Parameters
-        ----------
-        board : Controller
-            The projector's controller.
-        exposure_us : int
-            Exposure of each pattern in µs.
-        dark_us : int
-            Dark time after each pattern in µs.
-        period_us : int
-            Shortest time from trigger pulse to trigger pulse in µs.
-        """
+        """Show all patterns once, pulses `period_us` apart at least; may return once that has begun."""
 
     def check_played(self, board: Controller) -> None:
-        """Check after the end that all patterns were shown as intended; raise `SyncError` otherwise.
-
-        Parameters
-        ----------
-        board : Controller
-            The projector's controller.
-        """
+        """Check after the end that all patterns were shown as intended; raise `SyncError` otherwise."""
 
 
 class Dlp4500(Projector):

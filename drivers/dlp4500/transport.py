@@ -31,39 +31,10 @@ class HidDevice(Protocol):
     """An open HID device, as hidapi's `hid.device`; an emulator implements the same methods."""
 
     def write(self, buff: bytes) -> int:
-        """Send one report.
-
-        Parameters
-        ----------
-        buff : bytes
-            Report number, which is 0, and the report of 64 bytes.
-
-        Returns
-        -------
-        int
-            Bytes written; -1 when that fails.
-        """
+        """Send a report number, which is 0, and 64 bytes; return how many were written, or -1."""
 
     def read(self, max_length: int, timeout_ms: int = 0) -> list[int]:
-        """Receive one report.
-
-        Parameters
-        ----------
-        max_length : int
-            Bytes to read at most.
-        timeout_ms : int
-            Time limit in ms; 0 waits without a limit.
-
-        Returns
-        -------
-        list of int
-            The report without its number; empty after the time-out.
-
-        Raises
-        ------
-        OSError
-            The device was unplugged.
-        """
+        """Receive a report without its number, empty after the time-out; 0 waits without a limit."""
 
     def close(self) -> None:
         """Close the device."""
@@ -73,29 +44,10 @@ class HidModule(Protocol):
     """The functions of hidapi's module `hid` that the driver uses."""
 
     def enumerate(self, vendor_id: int, product_id: int) -> list[dict[str, Any]]:
-        """List the HID interfaces that are plugged in.
-
-        Parameters
-        ----------
-        vendor_id : int
-            USB vendor id.
-        product_id : int
-            USB product id.
-
-        Returns
-        -------
-        list of dict
-            One for each interface, with the keys `path`, `serial_number` and `interface_number`.
-        """
+        """List interfaces, with the keys `path`, `serial_number` and `interface_number`."""
 
     def device(self) -> Any:
-        """Create a device handle.
-
-        Returns
-        -------
-        HidDevice
-            Not open yet, with the additional method `open_path`.
-        """
+        """Create a `HidDevice` that is not open yet, with the additional method `open_path`."""
 
 
 def load_hidapi(name: str) -> HidModule:

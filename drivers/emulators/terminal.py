@@ -21,22 +21,10 @@ class SerialEmulator(Protocol):
     """
 
     def receive(self, data: bytes) -> None:
-        """Take bytes from the line; called whenever there are some.
-
-        Parameters
-        ----------
-        data : bytes
-            At least one byte, as the program sent it.
-        """
+        """Take bytes from the line; called whenever there are some."""
 
     def poll(self) -> bytes:
-        """Advance to the present time and return what there is to send; called at least every `POLL_S`.
-
-        Returns
-        -------
-        bytes
-            Bytes for the line; may be empty.
-        """
+        """Advance to the present time and return what there is to send; called at least every `POLL_S`."""
 
 
 class PseudoTerminal:

@@ -110,7 +110,6 @@ def _pose_faults(camera: Pinhole, projector: Pinhole, pose: RigidTransform) -> I
 
 
 def _see_the_same(camera: Pinhole, projector: Pinhole, pose: RigidTransform) -> bool:
-    """Whether any point is seen by both."""
     sides = (np.linspace(0.0, size - 1.0, _GRID) for size in camera.size)
     slopes = camera.normalise(np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 2))
     slopes = slopes[np.isfinite(slopes).all(axis=-1)]

@@ -235,7 +235,6 @@ def _calibrate_devices_for_start(
 def _without_outliers(
     observations: list[Observation], fit: Fit, model: Model
 ) -> tuple[list[Observation], Fit, list[Rejected]]:
-    """Repeat the fit without outlying points until there are none."""
     limits, rejected = model.limits, list[Rejected]()
     rejectable = outliers.rejectable_points(observations, limits)
     while True:

@@ -51,7 +51,6 @@ class Commands(TyperGroup):
 
 
 def _explain(error: Exception, words: list[str], context: Any) -> None:
-    """Raise `ConfigError` for words that do not fit the command."""
     if hasattr(error, "format_message"):  # only errors of usage have it
         from fpplab.cli.usage import usage_sentence
 

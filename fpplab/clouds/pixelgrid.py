@@ -214,7 +214,6 @@ def _quadric(
     slope_per_pixel: tuple[float, float],
     distances: GridPoints,
 ) -> None:
-    """Fill the distances from a quadric fitted to each window."""
     height, width = index.shape
     count = len(design)
     side = int(np.sqrt(count) + 0.5)

@@ -210,7 +210,6 @@ def _fit_centre(points: Floats, camera: Floats, sphere: SphereFace) -> Estimate 
 
 
 def _distance_of_places(ends: list[Estimate | None]) -> tuple[float, float] | None:
-    """Compute the distance of two places and its standard uncertainty."""
     first, second = ends
     if first is None or second is None:
         return None

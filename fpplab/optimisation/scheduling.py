@@ -40,20 +40,7 @@ class Workers(Protocol):
     """Interface of what distributes measurements."""
 
     def measure(self, tasks: Sequence[Task], on_outcome: OutcomeCallback) -> None:
-        """Measure all tasks.
-
-        Parameters
-        ----------
-        tasks : sequence of Task
-            Candidates and seeds.
-        on_outcome : OutcomeCallback
-            Called in this process as soon as a task is done, in any order.
-
-        Raises
-        ------
-        FppError
-            A fault of the rig.
-        """
+        """Measure all tasks; each calls `on_outcome` in this process when done, in any order."""
         ...
 
     def close(self) -> None:

@@ -67,7 +67,6 @@ def _root(parent: _Numbers, i: int) -> int:
 
 @njit(cache=True)
 def _join_row(w: Map, down: Mask, starts: _RowStarts, runs: _Numbers, parent: _Numbers, row: int) -> None:
-    """Join the runs of a row with those of the row above."""
     above, end = starts[row - 1], starts[row]
     for run in range(starts[row], starts[row + 1]):
         for u in range(runs[run, 0], runs[run, 1] + 1):

@@ -46,8 +46,6 @@ RULE = (
 
 @dataclass(frozen=True, eq=False)
 class _Drawn:
-    """Points that a figure draws."""
-
     points: NDArray[np.float32]
     pixels: NDArray[np.int32] | None
 

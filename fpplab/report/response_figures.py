@@ -42,18 +42,7 @@ class ResponseLike(Protocol):
         ...
 
     def apply(self, levels_in: Floats) -> Floats:
-        """Compute the levels seen for levels shown.
-
-        Parameters
-        ----------
-        levels_in : Floats
-            Levels shown, in [0, 1].
-
-        Returns
-        -------
-        Floats
-            Levels seen, as shares of full scale, of the same shape.
-        """
+        """Levels seen, as shares of full scale, for levels shown, in [0, 1]."""
         ...
 
 

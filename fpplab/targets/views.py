@@ -19,13 +19,7 @@ class HasPoints(Protocol):
     """A board with points of interest: a `Target` or the layout of one."""
 
     def points(self) -> Floats:
-        """Return the points of interest.
-
-        Returns
-        -------
-        Floats
-            (P, 3) in mm in the board's frame; the row of a point is its id.
-        """
+        """Points of interest (P, 3) in mm in the board's frame; the row of a point is its id."""
 
 
 @dataclass(frozen=True, eq=False)

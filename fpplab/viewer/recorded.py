@@ -36,7 +36,7 @@ def view_session(
     errors: CloudErrors | None = None,
     progress: Progress = no_progress,
 ) -> str:
-    """Show a recorded session with the results that are saved in it."""
+    """Show a recorded session with the results that are saved in it; a window or page stays until closed."""
     # A file is complete on return. A window or page is announced, and stays until it is closed or Ctrl-C is
     # pressed.
     if isinstance(to, Path):

@@ -162,7 +162,6 @@ class Viewer(Generic[V]):
         return True
 
     def _processor_time_s(self) -> float:
-        """Processor time used by the process and those that it has started."""
         if self._process is None:
             return 0.0
         with suppress(psutil.Error):

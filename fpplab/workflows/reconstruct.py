@@ -170,8 +170,6 @@ def reconstruct(
 
 
 class _Callbacks(Observer):
-    """Passes progress and maps on to functions."""
-
     def __init__(self, progress: Progress, maps_ready: Callable[[Decoded], object]) -> None:
         self._progress, self._maps_ready = progress, maps_ready
 

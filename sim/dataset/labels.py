@@ -61,7 +61,6 @@ def trace_labels(truth: SceneTruth) -> Labels:
 
 
 def _select_lit_points(truth: SceneTruth, shape: RayTracedShape, points: Floats, normals: Floats) -> Mask:
-    """Select the points of the surface (N, 3) that the projector illuminates."""
     devices, lamp = truth.calibration, truth.calibration.projector_centre
     facing = np.einsum("ij,ij->i", normals, lamp - points) > 0
     reached = devices.projector.sees(points, devices.T_projector_camera) & shape.unoccluded(lamp, points)

@@ -76,7 +76,6 @@ class ProjectorFalloff(Effect[FalloffField]):
 def _falloff_over_mirrors(
     size: tuple[int, int], lattice: Lattice, coefficients: tuple[float, ...]
 ) -> NDArray[np.float32]:
-    """Compute the light (rows, columns) of every mirror."""
     u, v = mirror_centres(size, lattice)
     half = 0.5 * size[0]
     rows_per_column = 2.0 if lattice is Lattice.DIAMOND else 1.0

@@ -65,20 +65,7 @@ class MatchedParameters(Protocol):
     """Parameters of a twin, of which an effect knows its own."""
 
     def with_effect(self, effect: DataclassInstance, **sigma: float) -> Self:
-        """Replace the parameters of one effect.
-
-        Parameters
-        ----------
-        effect : dataclass
-            Parameters of the effect.
-        **sigma : float
-            Their standard uncertainties by name; 0 takes away what was stated.
-
-        Returns
-        -------
-        MatchedParameters
-            With all other parameters as they were.
-        """
+        """Replace an effect's parameters, with their standard uncertainties by name; 0 takes one away."""
 
 
 ParametersT = TypeVar("ParametersT", bound=MatchedParameters)

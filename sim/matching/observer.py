@@ -18,29 +18,8 @@ class MatchObserver(Observer):
     """Follows a matching. Each method may be overridden; here they do nothing."""
 
     def work(self, name: str) -> AbstractContextManager[tuple[Progress, Say]]:
-        """Enter long work, which reports the share that is done and, as text, what is being done.
-
-        Parameters
-        ----------
-        name : str
-            What is done, such as `Matching`.
-
-        Returns
-        -------
-        context manager of two callables
-            Entered while the work lasts.
-        """
+        """Enter long work, which reports the share that is done and, as text, what is being done."""
         return nullcontext((no_progress, ignore))
 
     def epoch(self, epoch: MatchingEpoch, reference: Reference, twin: Twin) -> None:
-        """Take an epoch as it ends.
-
-        Parameters
-        ----------
-        epoch : MatchingEpoch
-            What was tried, its loss, and whether it was accepted.
-        reference : Reference
-            The bench's recordings.
-        twin : Twin
-            With the parameters that were tried.
-        """
+        """Take an epoch as it ends, with the bench's recordings and the twin that was tried."""

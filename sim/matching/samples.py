@@ -33,20 +33,7 @@ class LightSample(Protocol):
         """
 
     def residual(self, reference: Reference, twin: Twin) -> Floats:
-        """Compare with a twin.
-
-        Parameters
-        ----------
-        reference : Reference
-            What was recorded of the bench.
-        twin : Twin
-            To evaluate.
-
-        Returns
-        -------
-        Floats
-            Bench less twin (N,), in raw levels of the reference.
-        """
+        """Bench less twin (N,), in raw levels of the reference."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -99,7 +99,7 @@ class SurfacesResult:
 
 
 def match(request: MatchRequest, observer: MatchObserver | None = None) -> MatchResult:
-    """Match a twin to a bench and leave it with its record and report in `request.out`."""
+    """Match a twin to the bench's recordings, and leave it with its report in the request's folder."""
     follow, stopwatch = observer or MatchObserver(), Stopwatch()
     check_match_output(request)
     if request.force:
@@ -155,7 +155,7 @@ def check_match_output(request: MatchRequest) -> None:
 
 
 def match_surfaces_alone(request: SurfacesRequest, observer: MatchObserver | None = None) -> SurfacesResult:
-    """Match surfaces of parts by their scans on a twin that is matched already."""
+    """Match surfaces of parts on a twin that was matched to its board before, and save it."""
     follow, stopwatch = observer or MatchObserver(), Stopwatch()
     if not request.scans:
         raise ConfigError("--reference: is missing; name the bench's sessions of a board, or a --surface")

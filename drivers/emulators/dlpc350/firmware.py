@@ -301,7 +301,6 @@ class Dlpc350(LightEngine):
     # --- the sequence
 
     def _counts(self) -> tuple[int, int]:
-        """Return the declared numbers of entries and images."""
         config = protocol.VARIABLE_CONFIG if self._is_variable() else protocol.PATTERN_CONFIG
         values = self._registers[config.number]
         return values["entries"], values["images"]

@@ -19,20 +19,7 @@ class FittedFeature(Protocol):
     """A shape fitted to points, as `fit_without_worst` needs it."""
 
     def distances(self, points: Floats) -> Floats:
-        """Compute the signed distances of points from the shape.
-
-        Called by `fit_without_worst` after every fit, to decide which points to discard.
-
-        Parameters
-        ----------
-        points : ndarray of float64
-            (N, 3) in mm.
-
-        Returns
-        -------
-        ndarray of float64
-            Signed distances (N,) in mm.
-        """
+        """Signed distances (N,) of points (N, 3) from the shape, in mm."""
         ...
 
 

@@ -187,8 +187,6 @@ def _require_fitting(rig: Rig, plan: Plan, calibration: Calibration | None) -> N
 
 
 class _FringeInspection:
-    """What fringes show of an open rig."""
-
     def __init__(self, plan: Plan, calibration: Calibration | None) -> None:
         self._plan, self._calibration = plan, calibration
         self.diagnosis: Diagnosis | None = None
