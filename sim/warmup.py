@@ -14,6 +14,7 @@ import trimesh
 
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation import Observation, observe
+from fpplab.clouds import local_quadric_distance
 from fpplab.comparison import compare
 from fpplab.core.conventions import (
     Floats,
@@ -84,6 +85,7 @@ def warm_up() -> int:
     for bits in (16, 8):
         decoded: Decoded = decode(Recording(frames_of_plane(plan, rig, bits), plan, rig.projector.size, bits))
     _, cloud = points_of(decoded, rig, plan)
+    local_quadric_distance(cloud)
     plate = trimesh.creation.box((300.0, 200.0, 10.0))
     plate.apply_translation((0.0, 0.0, DISTANCE_MM + 5.0))
     compare(cloud, plate, rig, density=0.5)

@@ -36,7 +36,12 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     write_report(
         folder / "one.html", HOSTILE, scans=[one], verdicts_and_sources=PageBasis(answer={"verdict": HOSTILE})
     )
-    good = replace(scan("steps"), diagnosis=Diagnosis(Verdict.GOOD, "1 point of 1", ()), provenance=source)
+    good = replace(
+        scan("steps", truth=False),
+        decoded=None,
+        diagnosis=Diagnosis(Verdict.GOOD, "1 point of 1", ()),
+        provenance=source,
+    )
     write_report(folder / "two.html", "Two", scans=[replace(good, name="pillars"), good])
     return {"one": folder / "one.html", "two": folder / "two.html"}
 

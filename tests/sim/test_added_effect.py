@@ -8,6 +8,8 @@ import sys
 from pathlib import Path
 from shutil import copytree
 
+import pytest
+
 from tests.sim.conftest import plain, write_world
 
 ROOT = Path(__file__).parents[2]
@@ -99,6 +101,7 @@ bench.close()
 """
 
 
+@pytest.mark.whole
 def test_an_effect_is_one_file(tmp_path: Path) -> None:
     copytree(ROOT / "sim", tmp_path / "sim")
     (tmp_path / "sim" / "effects" / "drift.py").write_text(DRIFT)

@@ -75,10 +75,6 @@ def test_a_scan_can_go_without_a_report(bench: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "scan" / "report.html").exists()
     assert shares == sorted(shares)
     assert 0.8 < shares[-1] <= 1.0
-
-
-def test_a_result_is_used_as_its_cloud_was(bench: Path, tmp_path: Path) -> None:
-    result = scanned(bench, tmp_path / "scan", report=False)
     assert result.cloud is not None
     assert result.points is result.cloud.points  # type: ignore[attr-defined]
     assert f"{len(result.cloud)} points" in repr(result)
@@ -88,6 +84,7 @@ def test_a_result_is_used_as_its_cloud_was(bench: Path, tmp_path: Path) -> None:
         _ = result.nonsense  # type: ignore[attr-defined]
 
 
+@pytest.mark.whole
 def test_a_reconstruction_in_python_is_that_of_the_command(
     fpplab: Command, bench: Path, tmp_path: Path
 ) -> None:
