@@ -43,9 +43,6 @@ from sim.light import ShownPattern
 from sim.sensor import SensorModel
 from sim.world import BoardItem
 
-DARK = "dark"
-"""Pattern id of a frame taken with the projector blank."""
-
 SERIAL = "simulated"
 """Serial number of camera and projector. As those of instruments it says nothing of the world's geometry:
 whether a calibration still holds has to be seen in the frames."""
@@ -65,7 +62,7 @@ def _shared(bench: Any, name: str, options: dict[str, Any]) -> VirtualBench:
 
 
 class SimCamera(Camera):
-    """The world's camera. Frames carry the id of the pattern that was on show, or `DARK`."""
+    """The world's camera. Like a real one it does not know which pattern is on show."""
 
     @property
     def bench(self) -> VirtualBench:
@@ -100,13 +97,12 @@ class SimCamera(Camera):
 
     def _read(self, timeout_s: float) -> Frame:
         # On the simulated clock a picture takes no longer than its exposure, however long Blender works.
-        settings, shown, world = self._configured("read"), self._bench.show, self._bench.world
+        settings, world = self._configured("read"), self._bench.world
         number = self._bench.next_draw()
         image = SensorModel.of(world).expose(self._bench.irradiance(settings, number), settings, number)
         index, self._index = self._index, self._index + 1
         self._clock_s += settings.exposure_s
-        pattern_id = shown.pattern.id if shown else DARK
-        return Frame(image, index, settings, time.time(), self._clock_s, pattern_id)
+        return Frame(image, index, settings, time.time(), self._clock_s)
 
     def _stop(self) -> None:
         """Nothing is under way between calls."""

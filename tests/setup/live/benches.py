@@ -78,6 +78,7 @@ class Operator:
         self._left, self._after, self._waited = list(orders), after, 0
         self.seen: list[LiveStatus] = []
         self.frames: list[Frame] = []
+        self.patterns: list[Pattern | None] = []
 
     def __call__(
         self, status: LiveStatus, frame: Frame | None, pattern: Pattern | None, dark: Mask | None
@@ -85,6 +86,7 @@ class Operator:
         self.seen.append(status)
         if frame is not None:
             self.frames.append(frame)
+            self.patterns.append(pattern)
         self._waited += not status.message.endswith("is taken")  # a pose is being looked at
         if self._waited >= self._after and self._left:
             self.orders.put(self._left.pop(0))

@@ -46,9 +46,9 @@ def test_every_view_shows_its_own_pattern(rig: Path) -> None:
     operator = Operator(*VIEW_ORDERS, Order.QUIT, after=9)
     operate(rig, operator)
     shown: dict[View, set[str]] = {}
-    for status, frame in zip(operator.seen, operator.frames, strict=True):
-        assert frame.pattern_id is not None
-        shown.setdefault(status.view, set()).add(frame.pattern_id)
+    for status, pattern in zip(operator.seen, operator.patterns, strict=True):
+        assert pattern is not None
+        shown.setdefault(status.view, set()).add(pattern.id)
     assert shown[View.WHITE] == {"grey-255"}
     assert shown[View.BLACK] == {"grey-000"}
     assert shown[View.CHECKER] == {"live-checker"}
