@@ -318,7 +318,8 @@ def answer(recording: Recording, calibration: Calibration) -> Answer:
 
 def _said(judged: Diagnosis) -> str:
     if not judged.findings:
-        return f"{judged.verdict}: {judged.reason}"
+        unplaced = [text.removeprefix("region: ") for text in judged.unknown if text.startswith("region: ")]
+        return f"{judged.verdict}: {judged.reason}" + "".join(f"; not checked: {text}" for text in unplaced)
     first = judged.findings[0]
     return f"{first.sentence}; {first.remedy}"
 
