@@ -97,6 +97,8 @@ class CalibrationOrigin(Origin):
     """The camera, where it is recorded."""
     projector: DeviceIdentity | None = None
     """The projector, where it is recorded."""
+    stage_mm: float | None = None
+    """Where the plan of the poses put the stage, in mm; None where it did not."""
     file: str | None = None
     """Name of the file that it was first written to, which copies of it state too."""
     confirmed: AwareDatetime | None = None

@@ -12,7 +12,7 @@ from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode
 from fpplab.pipeline.checking import plan_fault, require_in_step
 from fpplab.pipeline.depth import given_depth
-from fpplab.sessions.origin import check_region
+from fpplab.sessions.origin import check_region, check_stage
 from fpplab.sessions.session import Session
 
 
@@ -30,6 +30,7 @@ def checked_recording(
     calibration.check_camera(session.format[:2], session.path)
     calibration.check_projector(*session.projector(), session.path)
     check_region(calibration, session)
+    check_stage(calibration, session.plan, session.path)
     recording = session.recording(progress=lambda share: progress(0.3 * share))
     if not as_recorded:
         require_in_step(recording)

@@ -61,7 +61,8 @@ def why_unverified(session: Session, calibration: Calibration) -> GeometryDoubt 
         )
     if verified is None:
         return GeometryDoubt("nothing records when the poses of the calibration were taken", CONFIRM)
-    stated = (session.rig() or {}).get("geometry")
+    rig = session.rig() or {}
+    stated = rig.get("geometry")
     if stated is None:
         return GeometryDoubt(
             "the rig file does not state for how long the rig keeps it",
@@ -70,6 +71,15 @@ def why_unverified(session: Session, calibration: Calibration) -> GeometryDoubt 
     max_age_h = GeometrySection.model_validate(stated).max_age_h
     apart_h = max(abs(time - verified) for time in times) / timedelta(hours=1)
     if apart_h <= max_age_h:
-        return None
+        return _stage_doubt(session, calibration)
     reason = f"a board last showed it {apart_h:.1f} h from the scan (at most {max_age_h:g} h)"
     return GeometryDoubt(reason, CONFIRM)
+
+
+def _stage_doubt(session: Session, calibration: Calibration) -> GeometryDoubt | None:
+    calibrated_mm = calibration.origin.stage_mm if calibration.origin else None
+    has_stage = (session.rig() or {}).get("stage") is not None
+    if not has_stage or None not in (calibrated_mm, session.plan.stage_mm):
+        return None
+    reason = "the plans do not say where the stage stood, for the scan and for the board"
+    return GeometryDoubt(reason, "write 'stage_mm' into both plans")

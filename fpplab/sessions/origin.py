@@ -14,6 +14,7 @@ from fpplab.core.files import write_text
 from fpplab.core.origin import DeviceIdentity, Origin
 from fpplab.core.session_names import ORIGIN
 from fpplab.devices.rig import Rig
+from fpplab.patterns.plan import Plan
 from fpplab.sessions.session import Session
 
 __all__ = [
@@ -21,6 +22,7 @@ __all__ = [
     "SessionOrigin",
     "calibration_origin",
     "check_region",
+    "check_stage",
     "foreign_calibration",
     "other_devices",
     "record_origin",
@@ -108,6 +110,17 @@ def check_region(calibration: Calibration, session: Session) -> bool:
     return True
 
 
+def check_stage(calibration: Calibration, plan: Plan, source: Path | str) -> None:
+    """Refuse a plan that puts the stage elsewhere than for the calibration: the baseline is another."""
+    calibrated_mm = calibration.origin.stage_mm if calibration.origin else None
+    if calibrated_mm is not None and plan.stage_mm is not None and calibrated_mm != plan.stage_mm:
+        raise CalibrationError(
+            f"{source}: puts the stage at {plan.stage_mm:g} mm, but the poses of the calibration were taken "
+            f"at {calibrated_mm:g} mm; write 'stage_mm: {calibrated_mm:g}', or characterise at "
+            f"{plan.stage_mm:g} mm"
+        )
+
+
 def foreign_calibration(calibration: Calibration, session: Session) -> str | None:
     """Describe how the devices of a session differ from those that a calibration was made with."""
     made, measured = calibration.origin, session_origin(session.path)
@@ -141,8 +154,10 @@ def calibration_origin(poses: Sequence[Session]) -> CalibrationOrigin:
         else None
         for name in ("camera", "projector")
     }
+    stages = {pose.plan.stage_mm for pose in poses}
+    stage_mm = stages.pop() if len(stages) == 1 else None
     taken = max(ends).replace(microsecond=0) if len(ends) == len(poses) else None
-    return CalibrationOrigin.now(poses_taken=taken, **agreed)
+    return CalibrationOrigin.now(poses_taken=taken, stage_mm=stage_mm, **agreed)
 
 
 def with_confirmation(calibration: Calibration, poses: Sequence[Session]) -> Calibration:

@@ -165,11 +165,14 @@ def _check_plan_and_folder(request: ScanRequest) -> None:
 
 def _check_devices(request: ScanRequest) -> None:
     """Refuse what does not fit the devices, before anything is projected."""
+    from fpplab.sessions.origin import check_stage
+
     rig, source = request.rig, request.calibration_file or "calibration"
     caps = rig.projector.caps
     request.plan_for_depth.check_projector(caps.size, request.plan_name)
     request.calibration.check_camera(rig.camera.caps.size, source)
     request.calibration.check_projector(caps.size, caps.lattice, source)
+    check_stage(request.calibration, request.plan, request.plan_name)
     if request.mount:
         rig.need_fixture(f"--item {request.mount[0]}").check(*request.mount)
 

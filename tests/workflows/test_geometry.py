@@ -16,7 +16,7 @@ from fpplab.devices import CameraSettings, Frame
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.pipeline.geometry import why_unverified
-from fpplab.sessions.origin import with_confirmation
+from fpplab.sessions.origin import calibration_origin, check_stage, with_confirmation
 from fpplab.sessions.session import Session
 from tests.reconstruction.test_triangulation import CALIBRATION
 
@@ -25,9 +25,11 @@ PLAN = Plan(fringes=(Sinusoid(axis="x", stripes=1.0, steps=3),))
 RIG: dict[str, Any] = {"name": "bench", "geometry": {"max_age_h": 8.0}}
 
 
-def session_of(folder: Path, rig: dict[str, Any] | None = RIG, taken: datetime = SCAN) -> Session:
-    session = Session.create(folder, PLAN, rig or {})
-    for index, (_, _, pattern) in enumerate(PLAN.steps()):
+def session_of(
+    folder: Path, rig: dict[str, Any] | None = RIG, taken: datetime = SCAN, plan: Plan = PLAN
+) -> Session:
+    session = Session.create(folder, plan, rig or {})
+    for index, (_, _, pattern) in enumerate(plan.steps()):
         image = np.zeros((12, 16), np.uint8)
         frame = Frame(image, index, CameraSettings(0.02, 0.0, 8), taken.timestamp(), pattern_id=pattern)
         session.write(frame)
@@ -80,3 +82,25 @@ def test_a_pose_that_confirms_counts_from_when_it_was_taken(tmp_path: Path) -> N
         with_confirmation(old, [pose, session_of(tmp_path / "imported", None)])
     with pytest.raises(CalibrationError, match="does not record when it was made"):
         with_confirmation(CALIBRATION, [pose])
+
+
+def test_a_stage_that_stood_elsewhere_is_refused_and_one_of_unknown_place_verifies_nothing(
+    tmp_path: Path,
+) -> None:
+    with_stage = RIG | {"stage": {"backend": "grbl"}}
+    at_10, at_20 = (PLAN.model_copy(update={"stage_mm": mm}) for mm in (10.0, 20.0))
+    poses = [session_of(tmp_path / f"pose_{k}", with_stage, plan=at_10) for k in range(2)]
+    origin = calibration_origin(poses)
+    assert origin.stage_mm == 10.0
+    calibration = replace(CALIBRATION, origin=origin)
+    check_stage(calibration, at_10, "plan")
+    assert why_unverified(session_of(tmp_path / "same", with_stage, plan=at_10), calibration) is None
+    with pytest.raises(CalibrationError, match=r"plan: puts the stage at 20 mm, but .* at 10 mm"):
+        check_stage(calibration, at_20, "plan")
+    anywhere = session_of(tmp_path / "anywhere", with_stage)
+    check_stage(calibration, anywhere.plan, "plan")
+    doubt = why_unverified(anywhere, calibration)
+    assert doubt is not None
+    assert "do not say where the stage stood" in doubt.reason
+    mixed = calibration_origin([*poses, anywhere])
+    assert mixed.stage_mm is None
