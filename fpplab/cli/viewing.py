@@ -191,7 +191,6 @@ def observe_measurement(
     """Make what follows a measurement: the terminal, and the viewer where it is asked for."""
     if not (requested or keep_open):
         return ConsoleObserver()
-    need_extra("rerun")
     from fpplab.viewer.measurement import MeasurementView
 
     viewer = open_viewer(context, MeasurementView, requested, keep_open, recording)
@@ -204,7 +203,6 @@ def observe_characterisation(
     """Make what follows a characterisation."""
     if not (requested or keep_open):
         return ConsoleObserver()
-    need_extra("rerun")
     from fpplab.viewer.characterisation import CharacterisationView
 
     viewer = open_viewer(context, CharacterisationView, requested, keep_open, recording)
@@ -215,7 +213,6 @@ def observe_acceptance(context: typer.Context, requested: bool, keep_open: bool,
     """Make what follows an acceptance test."""
     if not (requested or keep_open):
         return ConsoleObserver()
-    need_extra("rerun")
     from fpplab.viewer.acceptance import AcceptanceView
 
     viewer = open_viewer(context, AcceptanceView, requested, keep_open, recording)
@@ -226,7 +223,6 @@ def observe_response(context: typer.Context, requested: bool, keep_open: bool, r
     """Make what follows a measurement of the response."""
     if not (requested or keep_open):
         return ConsoleObserver()
-    need_extra("rerun")
     from fpplab.viewer.response import ResponseView
 
     return ResponseObserver(open_viewer(context, ResponseView, requested, keep_open, recording))
@@ -236,7 +232,6 @@ def observe_search(context: typer.Context, requested: bool, keep_open: bool, rec
     """Make what follows a search."""
     if not (requested or keep_open):
         return SearchObserver(None)
-    need_extra("rerun")
     from fpplab.viewer.search import SearchView
 
     return SearchObserver(open_viewer(context, SearchView, requested, keep_open, recording))

@@ -185,11 +185,11 @@ def test_a_command_beside_live_just_works(name: str, command: tuple[str, ...], f
             with urllib.request.urlopen(found.group() + "state", timeout=20) as reply:
                 return dict(json.load(reply))
 
-        until(lambda: int(str(state().get("frames", 0))) > 8)
+        until(lambda: int(str(state().get("frames", 0))) > 2)
         done = fpplab(*command, "--rig", name, "--json")
         assert done.code == 0, done.err
         frames = int(str(state()["frames"]))
-        until(lambda: int(str(state()["frames"])) > frames + 8)
+        until(lambda: int(str(state()["frames"])) > frames + 2)
         body = json.dumps({"order": "quit"}).encode()
         urllib.request.urlopen(urllib.request.Request(found.group() + "order", body), timeout=20).close()
         out, _ = live.communicate(timeout=60)

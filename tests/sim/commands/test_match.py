@@ -101,7 +101,7 @@ def test_what_was_accepted_is_told_by_the_twin(fpplab: Command, board: Path, tmp
     (tmp_path / "other.yaml").write_text(config.to_yaml(world))
     rig["bench"]["world"] = "other.yaml"
     twin.write_text(config.to_yaml(rig))
-    call = ("match", "--twin", twin, "--reference", board, "--out", out, "--epochs", 2, "--json")
+    call = ("match", "--twin", twin, "--reference", board, "--out", out, "--epochs", 1, "--json")
     refused = fpplab(*call)
     assert refused.code == 5
     assert "--accept stale_calibration" in refused.json["error"]
