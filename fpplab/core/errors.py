@@ -9,21 +9,13 @@ from __future__ import annotations
 
 
 class FppError(Exception):
-    """Base of every foreseeable error.
+    """Base of every foreseeable error."""
 
-    Attributes
-    ----------
-    exit_code : int
-        Of a command that ends with it.
-    details : dict of str to object
-        Further figures for `--json`.
-    """
-
-    exit_code = 1
+    exit_code = 1  # of a command that ends with it
 
     def __init__(self, *arguments: object) -> None:
         super().__init__(*arguments)
-        self.details: dict[str, object] = {}
+        self.details: dict[str, object] = {}  # further figures for `--json`
 
 
 class ConfigError(FppError):
@@ -33,23 +25,12 @@ class ConfigError(FppError):
 
 
 class DeviceError(FppError):
-    """An instrument failed or refused: check the rig.
-
-    Parameters
-    ----------
-    device : str
-        The device's name in the rig file.
-    operation : str
-        What was being done.
-    found : str
-        What was found instead.
-    remedy : str
-        What the operator can do.
-    """
+    """An instrument failed or refused: check the rig."""
 
     exit_code = 3
 
     def __init__(self, device: str, operation: str, found: str, remedy: str = "") -> None:
+        # device: its name in the rig file; operation: what was being done; remedy: what the operator can do
         self.device, self.operation, self.found, self.remedy = device, operation, found, remedy
         advice = f"; {remedy}" if remedy else ""
         super().__init__(f"{device}: {operation}: {found}{advice}")

@@ -41,18 +41,10 @@ class FoundDevice(DeviceInfo):
 
 @dataclass(frozen=True)
 class FoundDevices:
-    """Connected devices, and why others may not show.
-
-    Attributes
-    ----------
-    devices : list of FoundDevice
-        What is connected.
-    missing : list of str
-        A sentence for everything that prevents devices from being listed: a library, a permission.
-    """
+    """Connected devices, and why others may not show."""
 
     devices: list[FoundDevice]
-    missing: list[str]
+    missing: list[str]  # a sentence for all that keeps devices from being listed: a library, a permission
 
     @classmethod
     def together(cls, results: Iterable[FoundDevices]) -> FoundDevices:

@@ -27,27 +27,13 @@ class StageCaps:
 
 @dataclass(frozen=True)
 class StageMove:
-    """A move that has not been made.
+    """A move that has not been made."""
 
-    Attributes
-    ----------
-    start_mm : float or None
-        Where the stage is, in mm; None where it has to be homed first.
-    target_mm : float
-        Where it would go, in mm.
-    travel_mm : tuple of float
-        (minimum, maximum) position in mm that it can reach.
-    soft_limits_mm : tuple of float or None
-        (minimum, maximum) position in mm that the rig file allows without consent.
-    needs_consent : bool
-        Whether the target lies beyond the soft limits.
-    """
-
-    start_mm: float | None
-    target_mm: float
-    travel_mm: tuple[float, float]
-    soft_limits_mm: tuple[float, float] | None
-    needs_consent: bool
+    start_mm: float | None  # where the stage is; None where it has to be homed first
+    target_mm: float  # where it would go
+    travel_mm: tuple[float, float]  # (minimum, maximum) position that it can reach
+    soft_limits_mm: tuple[float, float] | None  # those that the rig file allows without consent
+    needs_consent: bool  # whether the target lies beyond the soft limits
 
 
 class Stage(Device):
