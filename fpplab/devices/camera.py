@@ -15,21 +15,11 @@ Trigger = Literal["software", "hardware"]
 
 @dataclass(frozen=True)
 class CameraSettings:
-    """Settings of a camera.
-
-    Attributes
-    ----------
-    exposure_s : float
-        Exposure in s.
-    gain_db : float
-        Gain in dB.
-    bits : int
-        Depth of the integers in a frame.
-    """
+    """Settings of a camera."""
 
     exposure_s: float
     gain_db: float = 0.0
-    bits: int = 8
+    bits: int = 8  # depth of the integers in a frame
 
 
 @dataclass(frozen=True)

@@ -40,22 +40,12 @@ class State(StrEnum):
 
 @dataclass(frozen=True)
 class DeviceInfo:
-    """Identity of a device.
+    """Identity of a device."""
 
-    Attributes
-    ----------
-    kind : str
-        camera, projector, stage or fixture.
-    model, serial : str
-        As the device reports them.
-    link : str
-        How it is connected.
-    """
-
-    kind: str
-    model: str
-    serial: str
-    link: str
+    kind: str  # camera, projector, stage or fixture
+    model: str  # as the device reports it
+    serial: str  # as the device reports it
+    link: str  # how it is connected
 
 
 class Device(ABC):

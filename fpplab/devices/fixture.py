@@ -13,15 +13,9 @@ from fpplab.devices.device import Device, State
 
 @dataclass(frozen=True)
 class FixtureCaps:
-    """What a fixture can hold.
+    """What a fixture can hold."""
 
-    Attributes
-    ----------
-    items : dict of str to int or None, or None
-        For each item in how many poses (None: as many as wanted). None where any item can be held, as an
-        operator can.
-    """
-
+    # In how many poses each item (None: as many as wanted); None where any can be held, as an operator can
     items: dict[str, int | None] | None = None
 
 

@@ -56,18 +56,10 @@ class ProjectorCaps:
 
 @dataclass(frozen=True)
 class PatternLoads:
-    """Images of the projector, such as those of its flash, from which the loaded patterns are shown.
+    """Images of the projector, such as those of its flash, from which the loaded patterns are shown."""
 
-    Attributes
-    ----------
-    images : int
-        How often a run changes to another image, the first included; 0 where patterns are not kept in images.
-    period_s : float
-        Shortest time in s from one pattern to the next, so that each image is loaded when it is due; 0 where
-        no loading is waited for.
-    """
-
-    images: int = 0
+    images: int = 0  # how often a run changes to another, the first included; 0 where there are no images
+    # Shortest time from one pattern to the next with which images load in time; 0 where none is waited for
     period_s: float = 0.0
 
 

@@ -14,15 +14,9 @@ from fpplab.devices.device import Device, State
 
 @dataclass(frozen=True)
 class StageCaps:
-    """What a stage can do.
+    """What a stage can do."""
 
-    Attributes
-    ----------
-    travel_mm : tuple of float
-        (minimum, maximum) position in mm.
-    """
-
-    travel_mm: tuple[float, float]
+    travel_mm: tuple[float, float]  # (minimum, maximum) position in mm
 
 
 @dataclass(frozen=True)
