@@ -93,7 +93,6 @@ class Outcome:
     seed: int
     text: str  # what was said first
     is_right: bool  # whether the right explanation was in it
-    is_alone: bool  # and no other one
     believed: str  # what led to wrong points that are called good; empty where nothing did
 
 
@@ -344,7 +343,8 @@ def judge_explanation(name: str, seed: int) -> Outcome:
     said = answer(case.recording, case.calibration)
     is_right = re.search(mistake.right, said.text, re.DOTALL) is not None
     believed = _believed(said, case.bench, "at once")
-    for advice in (said.text, plan_fault(case.recording) or ""):
+    fault = plan_fault(case.recording) or ""
+    for advice in (said.text, "" if fault in said.text else fault):
         followed, text = case.recording, advice
         for _ in range(MAX_REMEDIES):
             changed = follow_advice(followed, text)
@@ -353,7 +353,7 @@ def judge_explanation(name: str, seed: int) -> Outcome:
             then = answer(changed, case.calibration)
             believed = _believed(then, case.bench, text)
             followed, text = changed, then.text
-    return Outcome(name, seed, said.text, is_right, "fit" not in said.text.split(";")[0], believed)
+    return Outcome(name, seed, said.text, is_right, believed)
 
 
 def _believed(said: Answer, bench: Bench, told: str) -> str:

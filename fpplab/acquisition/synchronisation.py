@@ -48,6 +48,9 @@ class SyncLimits:
     # hypotheses explain the frames equally well; chosen.
     min_log_ratio: float = 3.0
     equal_log_ratio: float = 0.05
+    # What a fault leaves of the misfit of frames in step; chosen: simulated ones leave a seventh at most, and
+    # the likeliest fault leaves seven tenths where a part moves.
+    max_left: float = 0.4
     # Prior variance, in squares of modulation, of a sinusoid's coefficients and of a frame that shows no
     # pattern; chosen.
     prior_variance: float = 0.5
@@ -267,9 +270,13 @@ class _Spaces:
         deviance = self.freedom * np.log(variance) + residual / variance + volume
         return np.asarray(-0.5 * (deviance + foreign * (np.log(LIMITS.prior_variance) + 1.0)))
 
+    def misfits(self, moments: Moments) -> Floats:
+        """RMS residual of each hypothesis besides noise, (H,)."""
+        return np.asarray(np.sqrt(self.residual(moments.neighbours) / np.maximum(self.freedom, 1)))
+
     def misfit(self, moments: Moments) -> float:
         """RMS residual of the first hypothesis besides noise."""
-        return float(np.sqrt(self.residual(moments.neighbours)[0] / max(self.freedom[0], 1)))
+        return float(self.misfits(moments)[0])
 
 
 @lru_cache(maxsize=16)
@@ -304,12 +311,19 @@ def _decide(moments: Moments, plan: Plan) -> SyncVerdict:
         return SyncVerdict(provable=provable(plan), misfit=changed.misfit(moments))
     causes: tuple[SyncFault, ...] = ()
     if best > likelihood[0] + LIMITS.min_log_ratio:
-        causes = tuple(named[i - 1] for i in np.flatnonzero(likelihood > best - LIMITS.equal_log_ratio))
+        likely = tuple(named[i - 1] for i in np.flatnonzero(likelihood > best - LIMITS.equal_log_ratio))
+        causes = _explaining(moments, plan, likely)
     fits = bool(causes) or misfit <= LIMITS.misfit_foreign
     if not fits or (causes and all(fault.cause is Cause.FOREIGN for fault in causes)):
-        swaps = _swaps(moments, plan, float(best) + LIMITS.min_log_ratio)
+        swaps = _explaining(moments, plan, _swaps(moments, plan, float(best) + LIMITS.min_log_ratio))
         causes, fits = swaps or causes, fits or bool(swaps)
     return SyncVerdict(causes, fits=fits, provable=provable(plan) or bool(causes), misfit=misfit)
+
+
+def _explaining(moments: Moments, plan: Plan, likely: tuple[SyncFault, ...]) -> tuple[SyncFault, ...]:
+    """Those of the likeliest faults that explain what frames in step leave, and not a part of it."""
+    misfit, *left = _signal_spaces(plan, NONLINEAR, likely).misfits(moments)
+    return tuple(f for f, own in zip(likely, left, strict=True) if own <= LIMITS.max_left * misfit)
 
 
 def _likelihood(

@@ -320,9 +320,11 @@ def _checksum(content: Mapping[str, Any]) -> str:
 
 def _check(what: str, size: tuple[int, int], expected: tuple[int, int], source: Path | str) -> None:
     if tuple(size) != tuple(expected):
+        is_exchanged = tuple(size) == tuple(expected)[::-1]
+        turned = "where they were turned by 90°, turn them back; otherwise " if is_exchanged else ""
         raise CalibrationError(
             f"{source}: {what} are {size[0]} x {size[1]} but the calibration is for "
-            f"{expected[0]} x {expected[1]}; characterise this rig, or name the calibration that fits"
+            f"{expected[0]} x {expected[1]}; {turned}characterise this rig, or name the calibration that fits"
         )
 
 

@@ -35,6 +35,7 @@ from fpplab.core.errors import CalibrationError, DataError
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
+from tests.diagnosis.scenes import Bench, plan_of
 from tests.support.rigs import BOARD
 
 SIZE = (912, 1140)
@@ -267,6 +268,12 @@ def test_a_torn_frame_is_named() -> None:
     frames = Scene(noise=0.03).frames(plan)
     frames[3] = np.concatenate([frames[2][:40], frames[3][40:]])
     assert SyncFault(Cause.FOREIGN, 3) in judged(frames, plan).causes
+
+
+def test_a_fault_that_leaves_most_of_the_misfit_is_not_named() -> None:
+    """A part that moves in front of fine fringes is nobody's exchange of frames."""
+    bench = Bench(plan=plan_of("x", (8, 8, 12), (1, 7, 55)), moves_px=0.8, seed=2)
+    assert check_synchronisation(bench.recording()).causes == ()
 
 
 @pytest.mark.parametrize("scene", [Scene(exposure=0.0), Scene(exposure=9.0)], ids=["dark", "saturated"])

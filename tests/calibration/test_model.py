@@ -68,6 +68,8 @@ def test_another_sensor_is_refused() -> None:
         CalibrationError, match="s: camera frames are 640 x 480 but the calibration is for 1368 x 912"
     ):
         CALIBRATION.check_camera((640, 480), "s")
+    with pytest.raises(CalibrationError, match="for 1368 x 912; where they were turned by 90°, turn them back"):
+        CALIBRATION.check_camera((912, 1368), "s")
 
 
 def test_another_projector_is_refused() -> None:

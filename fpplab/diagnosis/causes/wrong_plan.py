@@ -40,9 +40,6 @@ class WrongPlanLimits(LimitsSection):
 
     min_points_share: ShareLimit = 0.8
     """Share of the lit pixels that become points, below which the plan is checked. Chosen."""
-    max_disagreement: Positive = 3.0
-    """Typical disagreement of the sets, in units of what noise explains, above which it is checked.
-    Chosen."""
     min_directed_pixels: CountLimit = 100
     """Pixels from which the direction of the fringes is concluded. Chosen."""
     max_bent_share: Positive = 0.25
@@ -105,7 +102,8 @@ def _is_suspicious(evidence: Evidence, decoded: Decoded, limits: WrongPlanLimits
         cloud
     ):
         return True
-    return decoded.disagreement is not None and not decoded.typical_disagreement <= limits.max_disagreement
+    max_agreeing = evidence.limits.of(PlanCheckLimits).max_agreeing
+    return decoded.disagreement is not None and not decoded.typical_disagreement <= max_agreeing
 
 
 def _runs_against(
@@ -135,7 +133,7 @@ WRONG_PLAN = FaultCause(
     measured="disagreement of the fringe sets by the plan, compared with that by the plans next to it, also "
     "with a bent response straightened. Looked at where less than "
     f"{100 * WrongPlanLimits().min_points_share:g} % of the lit pixels become points, or the sets disagree "
-    f"by {WrongPlanLimits().max_disagreement:g} times their noise",
+    f"by {PlanCheckLimits().max_agreeing:g} times their noise",
     limit=f"{PlanCheckLimits().max_better_ratio:g} of it",
     seen_in="frames",
     detectors=(Detector(DetectionStage.PLAN, _find),),

@@ -34,7 +34,7 @@ from fpplab.diagnosis.plan.edits import (
 from fpplab.diagnosis.plan.limits import PlanCheckLimits
 from fpplab.diagnosis.plan.sample import PhaseSample, gradient_directions
 from fpplab.patterns.fringe_sets import Sinusoid, indices_along
-from fpplab.patterns.plan import Plan
+from fpplab.patterns.plan import MaskRules, Plan
 from fpplab.patterns.recording import Recording
 from fpplab.patterns.unwrapping import unwrapping_methods
 from fpplab.phase import decode
@@ -43,6 +43,8 @@ MAX_LEVEL = 65535
 """Full scale of frames with a response straightened: 16 bits, so that rounding adds nothing."""
 TROUGH, CREST = 0.25, 0.65
 """Level of zero, and range of grey levels above it, as shares of that full scale. Chosen."""
+EVERY_ORDER = {"order_vote": None, "masks": MaskRules(disagreement_max=0.5, wrong_order_max=1.0)}
+"""Of plans that are tried: a pixel left out for a doubtful order would count as one that contradicts."""
 MAX_EQUAL_ORIGIN_RAD = 0.1
 """Phase origins that are the same. Chosen: a sixtieth of a stripe."""
 
@@ -60,7 +62,7 @@ class Disagreement(NamedTuple):
 class PlanCheck:
     """What the images say of their plan."""
 
-    disagreement: float  # median over the lit pixels, in units of what noise explains
+    disagreement: float  # median over the lit pixels, in units of what noise explains, as straightened
     better: Edit | None = None  # A plan that fits much better
     better_disagreement: float = np.nan  # its disagreement
     runner_up: Edit | None = None  # another one that fits as well, by which points lie elsewhere
@@ -189,7 +191,7 @@ def _find_better_plan(
     good = [each for each in good if _runs_usually(each[0].sets, sample, calibration)] or good
     first, misfit = good[0]
     runner_up = next((edit for edit, _ in good[1:] if not _is_same(edit.sets, first.sets)), None)
-    return PlanCheck(stated.median, first, misfit, runner_up, exponent=trial.exponent)
+    return PlanCheck(trial.stated.median, first, misfit, runner_up, exponent=trial.exponent)
 
 
 def _runs_usually(sets: Sets, sample: PhaseSample, calibration: Calibration | None) -> bool:
@@ -228,7 +230,7 @@ def disagreement(sampled: Recording, plan: Plan, sample: PhaseSample) -> Disagre
     if has_single_sets or unwrapping_methods()[plan.unwrapping].guided:
         return Disagreement(np.nan, np.nan)
     try:
-        decoded = decode(replace(sampled, plan=plan.model_copy(update={"order_vote": None})))
+        decoded = decode(replace(sampled, plan=plan.model_copy(update=EVERY_ORDER)))
     except ConfigError:
         return Disagreement(np.inf, np.inf)
     assert decoded.disagreement is not None

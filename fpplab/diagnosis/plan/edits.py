@@ -205,7 +205,14 @@ def refined_stripes(
     whole = np.arange(max(round(approximate_stripes - reach), 1), round(approximate_stripes + reach) + 1)
     usual = max(whole, key=lambda stripes: agreement(stripes).real)  # a whole number, and no origin
     tried = np.linspace(approximate_stripes - reach, approximate_stripes + reach, 401)
-    best = max(tried, key=lambda stripes: abs(agreement(stripes)))
+    # From one to the next each pixel turns by the same angle.
+    turns = np.exp(1j * (phase - tried[0] * position))
+    by_step = np.exp(-1j * (tried[1] - tried[0]) * position)
+    agreements = []
+    for _ in tried:
+        agreements.append(abs(complex(np.mean(turns))))
+        turns *= by_step
+    best = tried[np.argmax(agreements)]
     if agreement(usual).real >= sample.limits.min_whole_agreement * abs(agreement(best)):
         return float(usual)
     return _nearly_whole(float(best))

@@ -61,6 +61,9 @@ class PlanCheckLimits(LimitsSection):
     min_possible_share: ShareLimit = 0.5
     """Share of the lit pixels whose points lie before both devices, and in the range of depths where one is
     stated, of an explanation that is possible. Chosen."""
+    min_alignment: ShareLimit = 0.5
+    """Cosine of the angle between the directions in which a coordinate changes along the image and should, of
+    an explanation that is possible. Chosen: slopes of a surface turn it, and images turned by 90° give 0."""
     max_epipolar_px: Positive = 1.0
     """Systematic distance from the epipolar lines in projector px of an explanation that is possible. Chosen:
     a calibration of the rig leaves less than a third of it, images that are turned tens of px."""

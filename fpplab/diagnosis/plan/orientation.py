@@ -23,7 +23,7 @@ from fpplab.patterns.fringe_sets import Sinusoid, indices_along
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
 
-AS_RECORDED = 1, 1
+AS_RECORDED: Turn = (1, 0), (0, 1)
 
 
 def _unchanged(sets: Sets) -> Sets:
@@ -65,21 +65,41 @@ ORIENTATION_RIVALS = (
     OrientationRival(
         "the images are turned by 180°",
         "turn the images by 180° before they are imported, or switch that off in the camera",
-        (-1, -1),
+        ((-1, 0), (0, -1)),
     ),
     OrientationRival(
         "the images are mirrored, left to right",
         "mirror the images left to right before they are imported, or switch that off in the camera",
-        (-1, 1),
+        ((-1, 0), (0, 1)),
     ),
     OrientationRival(
         "the images are upside down, mirrored top to bottom",
         "mirror the images top to bottom before they are imported, or switch that off in the camera",
-        (1, -1),
+        ((1, 0), (0, -1)),
     ),
     _sign_rival("x"),
     _sign_rival("y"),
     _sign_rival("x", "y"),
+    OrientationRival(
+        "the images are turned by 90° to the right",
+        "turn the images by 90° to the left before they are imported, or switch that off in the camera",
+        ((0, 1), (-1, 0)),
+    ),
+    OrientationRival(
+        "the images are turned by 90° to the left",
+        "turn the images by 90° to the right before they are imported, or switch that off in the camera",
+        ((0, -1), (1, 0)),
+    ),
+    OrientationRival(
+        "rows and columns of the images are exchanged",
+        "exchange rows and columns of the images before they are imported",
+        ((0, 1), (1, 0)),
+    ),
+    OrientationRival(
+        "rows and columns of the images are exchanged, and both run backwards",
+        "turn the images by 180° and exchange rows and columns before they are imported",
+        ((0, -1), (-1, 0)),
+    ),
     OrientationRival(
         "the axes of the sets are exchanged",
         "write the other axis in every set",
@@ -141,8 +161,10 @@ def check_orientation(
     placed = {sets: _placed(sampled, sets, sample)}
     as_recorded = placed[sets].placement(calibration, AS_RECORDED, recording.depth)
     fitting = []
+    width, height = calibration.camera.size
     for rival in ORIENTATION_RIVALS:
-        if any(axis not in recording.plan.axes for axis in rival.axes):
+        is_quarter = rival.turn[0][0] == 0
+        if any(axis not in recording.plan.axes for axis in rival.axes) or (is_quarter and width != height):
             continue
         edited = rival.edit(sets)
         if edited not in placed:

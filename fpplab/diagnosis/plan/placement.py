@@ -18,21 +18,22 @@ STEP = 1e-3
 """Of the inverse depth for its derivative, as a share of the inverse of three baselines. Chosen."""
 
 
-Turn = tuple[int, int]
-"""How images stand compared with those of the characterisation: -1 where columns and rows are mirrored."""
+Turn = tuple[tuple[int, int], tuple[int, int]]
+"""How directions to the right and down in the images are those of the characterisation, as a matrix."""
 
 
 @dataclass(frozen=True)
 class Placement:
     """Agreement of coordinates with a calibration."""
 
-    is_forward: bool  # whether they run along the image as on surfaces that both devices see
+    alignment: float  # cosine of the angle between their change along the image and that expected, the least
     possible_share: float  # share of pixels whose points lie before both devices, where the scene may lie
     epipolar_px: float | None  # systematic distance from the epipolar lines; None with one axis
 
     def fits(self, limits: PlanCheckLimits) -> bool:
         """Whether nothing speaks against it."""
-        is_possible = self.is_forward and self.possible_share >= limits.min_possible_share
+        is_forward = self.alignment >= limits.min_alignment
+        is_possible = is_forward and self.possible_share >= limits.min_possible_share
         return is_possible and not (self.epipolar_px or 0.0) > limits.max_epipolar_px
 
 
@@ -46,16 +47,16 @@ class PlacedSample:
 
     def placement(self, calibration: Calibration, turn: Turn, depth: DepthRange | None) -> Placement:
         """Compare them with a calibration."""
-        expected = expected_change(calibration)
-        is_forward = all(
-            float(np.median(gradient @ (turn * expected[AXES.index(axis)]))) > 0.0
-            for axis, gradient in self.gradients.items()
+        # To the right and down as in the images.
+        expected = expected_change(calibration) @ turn
+        alignment = min(
+            _alignment(gradient, expected[AXES.index(axis)]) for axis, gradient in self.gradients.items()
         )
         known = np.all([np.isfinite(values) for values in self.coordinates.values()], axis=0)
         if not known.any():
-            return Placement(is_forward, 0.0, None)
-        last = np.array(calibration.camera.size, np.float64) - 1.0
-        pixels = np.where(np.array(turn) < 0, last - self.pixels[known], self.pixels[known])
+            return Placement(alignment, 0.0, None)
+        middle = (np.array(calibration.camera.size, np.float64) - 1.0) / 2.0
+        pixels = (self.pixels[known] - middle) @ np.transpose(turn) + middle
         axes = tuple(self.coordinates)
         observed = np.stack([self.coordinates[axis][known] for axis in axes], axis=1)
         solved = _Rays.through(pixels, calibration).solve(observed, [AXES.index(axis) for axis in axes])
@@ -63,7 +64,12 @@ class PlacedSample:
         if depth is not None:
             is_possible &= (solved.depth_mm > depth.mm[0]) & (solved.depth_mm < depth.mm[1])
         share = float(np.mean(is_possible))
-        return Placement(is_forward, share, _systematic(solved.across_px) if len(axes) == 2 else None)
+        return Placement(alignment, share, _systematic(solved.across_px) if len(axes) == 2 else None)
+
+
+def _alignment(gradients: Floats, expected: Floats) -> float:
+    lengths = np.maximum(np.linalg.norm(gradients, axis=1), 1e-12) * np.linalg.norm(expected)
+    return float(np.median(gradients @ expected / lengths))
 
 
 def _systematic(distances: Floats, neighbours: int = 16) -> float:

@@ -160,6 +160,11 @@ def test_a_right_plan_is_left_alone(seed: int) -> None:
     assert_left_alone(right_plan(seed))
 
 
+@pytest.mark.parametrize(("gamma", "seed"), [(1.6, 301), (2.2, 301)])
+def test_sets_whose_orders_are_doubtful_accuse_no_plan(gamma: float, seed: int) -> None:
+    assert_left_alone(Bench(plan=plan_of("x", (3, 3), (1, 64)), seed=seed, gamma=gamma, ambient=0.05))
+
+
 @pytest.mark.nightly
 @pytest.mark.parametrize("seed", range(100, 160))
 def test_many_right_plans_are_left_alone(seed: int) -> None:

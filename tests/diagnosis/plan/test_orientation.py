@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from fpplab.core.conventions import Image
 from fpplab.core.depth import DepthRange
 from fpplab.diagnosis import Diagnosis, Verdict, diagnose_scan
 from fpplab.diagnosis.plan.orientation import check_orientation
@@ -56,6 +58,26 @@ def test_both_axes_tell_which_steps_run_the_other_way(axes: str) -> None:
     assert not others
     assert rival.axes == tuple(axes)
     assert rival.remedy.startswith("change the sign of 'shift_sign' in every set along")
+
+
+@pytest.mark.whole_after(1)
+@pytest.mark.parametrize(
+    ("turn", "told"),
+    [
+        (lambda f: np.rot90(f, -1), "turned by 90° to the right"),
+        (np.rot90, "turned by 90° to the left"),
+        (np.transpose, "rows and columns of the images are exchanged"),
+        (lambda f: f[::-1, ::-1].T, "exchanged, and both run backwards"),
+    ],
+)
+def test_square_images_may_be_turned_by_90_degrees(turn: Callable[[Image], Image], told: str) -> None:
+    rig, upright, pixels = BOTH.rig(), BOTH.recording(), slice(80, 400)
+    matrix = rig.camera.matrix - [[0, 0, 80], [0, 0, 0], [0, 0, 0]]
+    square = replace(rig, camera=replace(rig.camera, size=(320, 320), matrix=matrix))
+    frames = [np.ascontiguousarray(turn(f[:, pixels])) for f in upright.frames]
+    tried = check_orientation(replace(upright, frames=frames), square)
+    assert tried is not None
+    assert [rival.meaning.endswith(told) for rival, _ in tried.fitting] == [True]
 
 
 @pytest.mark.whole_after(1)
