@@ -124,22 +124,25 @@ class _Trial:
         exponent = bends[finest_of(sets)].exponent if bends else None
         return cls(sampled, sample, stated, agrees, exponent)
 
-    def straightened(self, recording: Recording, sets: Sets) -> _Trial | None:
-        """The same without the bend of a response; None where the images show none."""
-        images, frames = [s.images for s in sets], np.stack(self.sampled.frames).astype(np.float64)
-        parts = np.split(frames, np.cumsum(images)[:-1])
-        bends = fitted_bends([part[:, self.sample.lit] for part in parts], self.sample.limits)
-        if bends is None:
-            return None
-        full = recording.full_scale
-        sample = PhaseSample.of(recording.frames, images, full, self.sample.limits, bends)
-        if sample is None:
-            return None
-        levels = [bend.straightened_levels(part) for bend, part in zip(bends, parts, strict=True)]
-        # Without harmonics the troughs lie below zero.
-        shares = TROUGH + CREST * np.concatenate(levels) / full
-        deep = np.rint(MAX_LEVEL * shares.clip(0.0, 1.0)).astype(np.uint16)
-        return _Trial.of(replace(self.sampled, frames=list(deep), bits=16), sets, sample, bends)
+
+def straightened(
+    recording: Recording, sampled: Recording, sample: PhaseSample
+) -> tuple[Recording, PhaseSample, tuple[Bend, ...]] | None:
+    """Take the bend of a response off sampled frames; None where the images show none."""
+    images = [s.images for s in recording.plan.fringes]
+    parts = np.split(np.stack(sampled.frames).astype(np.float64), np.cumsum(images)[:-1])
+    bends = fitted_bends([part[:, sample.lit] for part in parts], sample.limits)
+    if bends is None:
+        return None
+    full = recording.full_scale
+    straight = PhaseSample.of(recording.frames, images, full, sample.limits, bends)
+    if straight is None:
+        return None
+    levels = [bend.straightened_levels(part) for bend, part in zip(bends, parts, strict=True)]
+    # Without harmonics the troughs lie below zero.
+    shares = TROUGH + CREST * np.concatenate(levels) / full
+    deep = np.rint(MAX_LEVEL * shares.clip(0.0, 1.0)).astype(np.uint16)
+    return replace(sampled, frames=list(deep), bits=16), straight, bends
 
 
 def check_plan_fit(
@@ -156,8 +159,9 @@ def check_plan_fit(
     sampled = replace(recording, frames=[np.ascontiguousarray(f[sample.rows]) for f in recording.frames])
     trial = _Trial.of(sampled, sets, sample)
     trials = [trial]
-    if not trial.agrees and (straightened := trial.straightened(recording, sets)):
-        trials.append(straightened)
+    if not trial.agrees and (straight := straightened(recording, sampled, sample)):
+        sampled, sample, bends = straight
+        trials.append(_Trial.of(sampled, sets, sample, bends))
     best = min(trials, key=lambda tried: (not tried.agrees, tried.stated.median))
     if not best.agrees:
         better = [check for tried in trials if (check := _find_better_plan(tried, sets, best, calibration))]

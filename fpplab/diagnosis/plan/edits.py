@@ -165,7 +165,8 @@ def scales_agree(sets: Sets, sample: PhaseSample) -> bool:
     """Whether the phases of an axis' sets change along the image as fast as their stripes say."""
     observed = gradient_directions(sample, finest_of(sets))
     for axis in AXES:
-        scales = [observed[k].speed / sets[k].stripes for k in indices_along(sets, axis)]
+        along = [k for k in indices_along(sets, axis) if sample.has_speed(k, sets[k].images)]
+        scales = [observed[k].speed / sets[k].stripes for k in along]
         if scales and max(scales) > (1.0 + sample.limits.max_scale_difference) * min(scales):
             return False
     return True

@@ -14,19 +14,16 @@ import numpy as np
 
 from fpplab.core.conventions import AXES, Floats, Image, Mask, full_scale, phase_steps
 from fpplab.core.errors import DataError
-from fpplab.diagnosis.plan.check import disagreement
+from fpplab.diagnosis.plan.check import disagreement, straightened
 from fpplab.diagnosis.plan.edits import Sets, refined_stripes, upright_edit, with_origins
 from fpplab.diagnosis.plan.limits import GUESS_LIMITS, GuessLimits
 from fpplab.diagnosis.plan.other_patterns import name_other_patterns, sampled_levels
-from fpplab.diagnosis.plan.sample import PhaseSample, gradient_directions
+from fpplab.diagnosis.plan.sample import MIN_STEPS, PhaseSample, gradient_directions
 from fpplab.patterns.fringe_sets import Sinusoid, indices_along
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.patterns.unwrapping.heterodyne import Heterodyne
 from fpplab.patterns.unwrapping.hierarchical import Hierarchical
-
-MIN_STEPS = 3
-"""Fewest images of a set. Derived: a sinusoid has three unknowns."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +55,9 @@ def guess_plan(
         projector_size,
         bits,
     )
+    recording = Recording(frames, sampled.plan, projector_size, bits)
+    if straight := straightened(recording, sampled, sample):
+        sampled, sample, _ = straight
     for sets in _with_stripes(upright_sets, sample, finest, limits):
         coarsest = max(sets[along[0]].stripes for axis in AXES if (along := indices_along(sets, axis)))
         method = Hierarchical.name if coarsest <= 1.0 else Heterodyne.name
@@ -65,9 +65,15 @@ def guess_plan(
         misfit = disagreement(sampled, plan, sample).median
         if not misfit > sample.limits.max_agreeing:
             return PlanGuess(plan, misfit, _list_assumptions(coarsest, finest))
+    shown = f"the images show sets of {str(images)[1:-1]} steps"
+    if finest is not None:
+        raise DataError(
+            f"{shown}, but with {finest:g} stripes in the finest they agree on no position; see whether that "
+            "number is right, and measure the response with 'fpplab gamma', which bends phases"
+        )
     raise DataError(
-        f"the images show sets of {str(images)[1:-1]} steps, but how many stripes they have across the whole "
-        "projector cannot be determined; say with --finest how many the finest set has"
+        f"{shown}, but how many stripes they have across the whole projector cannot be determined; say with "
+        "--finest how many the finest set has"
     )
 
 
@@ -193,6 +199,8 @@ def _scaled_stripes(
     """Go through stripes of the sets of one axis, coarsest first."""
     if finest is not None:
         stripes = ratios * finest / ratios[-1]
+        if turns <= limits.max_visible_periods:
+            yield np.array([1.0, *stripes[1:]])
         yield np.where(_nearly_whole(stripes, limits), np.rint(stripes), stripes)
         yield stripes
         return

@@ -14,11 +14,14 @@ from typing import Literal
 import numpy as np
 
 from fpplab.core.conventions import TWO_PI, Floats, Image, Mask, phase_steps
-from fpplab.diagnosis.plan.bend import Bend
+from fpplab.diagnosis.plan.bend import MAX_UNEVENNESS, Bend
 from fpplab.diagnosis.plan.limits import PlanCheckLimits
 
 LAGS = (1, 2, 4, 8, 16, 32, 64)
 """Distances in px over which phases are compared."""
+
+MIN_STEPS = 3
+"""Fewest images of a set. Derived: a sinusoid has three unknowns."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +69,11 @@ class PhaseSample:
                 usable &= (np.median(np.abs(turn), axis=1) <= limits.max_turn_rad) | (lag == lags[0])
                 gradients[usable, :, axis] = turn[usable] / lag
         return cls(np.angle(here)[:, lit], gradients, rows, lit, limits)
+
+    def has_speed(self, k: int, images: int) -> bool:
+        """Whether the phase of a set of these images changes as its stripes say, under any response."""
+        # Three images bend phases three times in a period; over phases that are spread evenly this averages.
+        return images > MIN_STEPS or abs(np.mean(np.exp(1j * self.phases[k]))) < MAX_UNEVENNESS
 
 
 def _phasors(
