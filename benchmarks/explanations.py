@@ -47,6 +47,9 @@ MAX_ERROR_MM = 1.0
 """Median error along the camera's axis of points that are wrong. Chosen: noise is a tenth of it."""
 MAX_REMEDIES = 3
 STEPS = (3, 4, 5, 6, 8, 12)
+OTHER_PLANS = ((1, 30), (1, 64), (1, 124), (1, 11, 124), (56, 63, 64), (59, 64, 70), (31, 32))
+"""Stripes of right plans besides those that mistakes are made in: wide ratios and beats."""
+OTHER_PLANS_SHARE = 0.5
 
 Random = np.random.Generator
 SetChange = Callable[[list[Sinusoid], Random], object]
@@ -415,7 +418,14 @@ def follow_advice(recording: Recording, text: str) -> Recording | None:
 def of_right_plan(seed: int) -> str:
     """What is said against a right plan under any response; empty where nothing is."""
     random = np.random.default_rng([seed, 91])
-    case = drawn(drawn_bench(random, seed))
+    bench = drawn_bench(random, seed)
+    if random.random() < OTHER_PLANS_SHARE:
+        stripes = OTHER_PLANS[int(random.integers(len(OTHER_PLANS)))]
+        steps = tuple(int(n) for n in random.choice(STEPS, len(stripes)))
+        method = "heterodyne" if stripes[0] > 1 else "hierarchical"
+        plan = plan_of("".join(bench.plan.axes), steps, stripes).model_copy(update={"unwrapping": method})
+        bench = replace(bench, plan=plan, full_well_e=float(random.choice([400.0, 2000.0, 12000.0])))
+    case = drawn(bench)
     said = answer(case.recording, case.calibration)
     wrong = plan_fault(case.recording) or ""
     is_blamed = re.match(r"wrong_plan|wrong_orientation|out_of_step|refused", said.text)

@@ -61,44 +61,37 @@ def _sign_rival(*axes: Axis) -> OrientationRival:
     )
 
 
+def _image_rival(meaning: str, undo: str, *turn: tuple[int, int]) -> OrientationRival:
+    remedy = f"{undo} before they are imported, or switch that off in the camera"
+    return OrientationRival(meaning, remedy, (turn[0], turn[1]))
+
+
 ORIENTATION_RIVALS = (
-    OrientationRival(
-        "the images are turned by 180°",
-        "turn the images by 180° before they are imported, or switch that off in the camera",
-        ((-1, 0), (0, -1)),
+    _image_rival("the images are turned by 180°", "turn the images by 180°", (-1, 0), (0, -1)),
+    _image_rival(
+        "the images are mirrored, left to right", "mirror the images left to right", (-1, 0), (0, 1)
     ),
-    OrientationRival(
-        "the images are mirrored, left to right",
-        "mirror the images left to right before they are imported, or switch that off in the camera",
-        ((-1, 0), (0, 1)),
-    ),
-    OrientationRival(
+    _image_rival(
         "the images are upside down, mirrored top to bottom",
-        "mirror the images top to bottom before they are imported, or switch that off in the camera",
-        ((1, 0), (0, -1)),
+        "mirror the images top to bottom",
+        (1, 0),
+        (0, -1),
     ),
     _sign_rival("x"),
     _sign_rival("y"),
     _sign_rival("x", "y"),
-    OrientationRival(
-        "the images are turned by 90° to the right",
-        "turn the images by 90° to the left before they are imported, or switch that off in the camera",
-        ((0, 1), (-1, 0)),
+    _image_rival(
+        "the images are turned by 90° to the right", "turn the images by 90° to the left", (0, 1), (-1, 0)
     ),
-    OrientationRival(
-        "the images are turned by 90° to the left",
-        "turn the images by 90° to the right before they are imported, or switch that off in the camera",
-        ((0, -1), (1, 0)),
+    _image_rival(
+        "the images are turned by 90° to the left", "turn the images by 90° to the right", (0, -1), (1, 0)
     ),
-    OrientationRival(
-        "rows and columns of the images are exchanged",
-        "exchange rows and columns of the images before they are imported",
-        ((0, 1), (1, 0)),
-    ),
-    OrientationRival(
+    _image_rival("rows and columns of the images are exchanged", "exchange rows and columns", (0, 1), (1, 0)),
+    _image_rival(
         "rows and columns of the images are exchanged, and both run backwards",
-        "turn the images by 180° and exchange rows and columns before they are imported",
-        ((0, -1), (-1, 0)),
+        "turn the images by 180° and exchange rows and columns",
+        (0, -1),
+        (-1, 0),
     ),
     OrientationRival(
         "the axes of the sets are exchanged",

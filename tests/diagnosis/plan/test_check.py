@@ -193,6 +193,10 @@ def test_plans_of_real_captures_are_left_alone_and_their_mistakes_named(captures
     assert found is not None
     assert found.fault is None
     assert found.note is None
+    bent = [np.rint(255.0 * (frame / 255.0) ** 2.2).astype(np.uint8) for frame in frames]
+    found = check_plan_fit(replace(right, frames=bent))
+    assert found is not None
+    assert found.fault is None
     wrong = check_plan_fit(one(0, stripes=20.0)(right))
     assert wrong is not None
     assert wrong.fault is not None

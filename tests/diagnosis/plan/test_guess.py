@@ -37,6 +37,17 @@ def test_a_plan_is_found_from_its_images(name: str) -> None:
     assert found.assumed
 
 
+def test_a_bent_response_of_three_steps_gives_no_other_stripes() -> None:
+    frames = Bench(plan=plan_of("x", (3, 3, 3), (1, 7, 45)), seed=706, gamma=2.0).recording().frames
+    assert [s.stripes for s in guess_plan(frames, 8, PROJECTOR).plan.fringes] == [1.0, 7.0, 45.0]
+    # Of one stripe the images show a part of a period, which the response bends by an amount that is unknown.
+    frames = Bench(plan=plan_of("x", (3, 3), (1, 16)), seed=707, gamma=2.0).recording().frames
+    found = guess_plan(frames, 8, PROJECTOR, finest=16.0).plan
+    assert [s.stripes for s in found.fringes] == [1.0, 16.0]
+    with pytest.raises(DataError, match="with 37 stripes in the finest they agree on no position"):
+        guess_plan(frames, 8, PROJECTOR, finest=37.0)
+
+
 def test_images_in_reverse_order_within_their_sets_are_taken_for_the_other_sign() -> None:
     recording = Bench(plan=plan_of("x", (4, 4), (1, 16)), seed=8).recording()
     frames = [f for k in (0, 1) for f in reversed(recording.of_set(k))]
