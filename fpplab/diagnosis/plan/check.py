@@ -234,7 +234,8 @@ def disagreement(sampled: Recording, plan: Plan, sample: PhaseSample) -> Disagre
     if has_single_sets or unwrapping_methods()[plan.unwrapping].guided:
         return Disagreement(np.nan, np.nan)
     try:
-        decoded = decode(replace(sampled, plan=plan.model_copy(update=EVERY_ORDER)))
+        with np.errstate(over="ignore"):  # of other patterns the noise may seem beyond measure
+            decoded = decode(replace(sampled, plan=plan.model_copy(update=EVERY_ORDER)))
     except ConfigError:
         return Disagreement(np.inf, np.inf)
     assert decoded.disagreement is not None
